@@ -512,7 +512,7 @@ class Engine:
         self,
         joint: str,
         times: ArrayLike,
-        positions: ArrayLike,
+        positions: ArrayLike | None,
         velocities: ArrayLike | None = None,
         accelerations: ArrayLike | None = None,
         start: float | None = None,
@@ -521,7 +521,7 @@ class Engine:
 
         joint     : name of a driven joint
         times     : (m,) s after the start, positive and increasing
-        positions : (m,) rad, which may exceed 2 pi, or m
+        positions : (m,) rad, which may exceed 2 pi, or m; None: those to which the velocities lead
         velocities, accelerations : (m,), the last acceleration 0; default: see joints/motion.py
         start     : as in `apply_wrench`
         The motion begins with the position, velocity and acceleration that the joint has at the start,
@@ -540,6 +540,8 @@ class Engine:
                 raise ValueError(f"{name} must be {len(after)} finite numbers, got {part}")
         if not (len(after) and after[0] > 0.0 and (np.diff(after) > 0.0).all()):
             raise ValueError(f"times must be positive and increase, got {after}")
+        if points[0] is None and points[1] is None:
+            raise ValueError("give positions or velocities")
         if points[2] is not None and (points[1] is None or points[2][-1] != 0.0):
             raise ValueError("accelerations require velocities, and the last one must be 0")
         # A motion meets the next one at a whole ns, where the step is split.

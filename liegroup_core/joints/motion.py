@@ -133,9 +133,15 @@ def through(start, times, positions, velocities=None, accelerations=None):
     start : (position, rate, acceleration) at times[0]
     times : (m + 1,) s, increasing;  positions, velocities, accelerations : (m,) at times[1:]
     Without velocities those of the cubic spline that ends at rest, without accelerations the means
-    of those of the cubics on both sides; at the end without acceleration.
+    of those of the cubics on both sides; at the end without acceleration. Without positions those to
+    which the cubic spline of the velocities leads.
     """
     times = np.asarray(times, dtype=float)
+    if positions is None:
+        v = np.array([start[1], *velocities])
+        spline = CubicSpline(times, v, bc_type=((1, start[2]), (1, 0.0)))
+        positions = [start[0] + spline.integrate(times[0], time) for time in times[1:]]
+        accelerations = [*spline(times[1:-1], 1), 0.0]
     q = np.array([start[0], *positions])
     if velocities is None:
         velocities = CubicSpline(times, q, bc_type=((1, start[1]), (1, 0.0)))(times[1:], 1)

@@ -267,8 +267,8 @@ class Sample:
 
     @property
     def all_efforts(self) -> dict[str, float]:
-        """{joint: N m or N} sum of the effort of its servo and of those in `joint_efforts`."""
-        efforts = dict(self.servo_efforts)
+        """{joint: N m or N} sum of the effort of its servo or drive and of those in `joint_efforts`."""
+        efforts = {**self.servo_efforts, **self.drive_efforts}
         for joint, effort in self.joint_efforts.items():
             efforts[joint] = efforts.get(joint, 0.0) + effort
         return efforts

@@ -81,7 +81,8 @@ def differences(one, other):
         "difference": largest,
         "same_scene": one.scene_text == other.scene_text,
         "same_wrenches": one.applied_wrench == other.applied_wrench
-        and _same_track(one.servo_targets, other.servo_targets),
+        and _same_track(one.servo_targets, other.servo_targets)
+        and _same_track(one.motions, other.motions),
         "settings": {
             key: [one.settings.get(key), other.settings.get(key)]
             for key in SETTINGS
@@ -94,7 +95,7 @@ def differences(one, other):
 
 
 def _same_track(one, other):
-    """Whether two JointTracks, or None, are equal."""
+    """Whether two JointTracks or MotionTracks, or None, are equal."""
     if one is None or other is None:
         return one is other
     return all(map(np.array_equal, one, other))

@@ -100,6 +100,11 @@ def _advance(simulation, stretch, row, length):
     if len(known):
         for joint, target in zip(simulation.layout.servos, stretch.targets[known[-1]].tolist()):
             simulation.command_servo(joint, *target)
+    known = np.flatnonzero(stretch.motion_steps <= stretch.steps[row])
+    if len(known):
+        for joint, motion in zip(simulation.layout.motions, stretch.motions[known[-1]]):
+            if np.isfinite(motion[0]):
+                simulation.prescribe(joint, motion)
     simulation.advance(max(1, round(length / rung)))
     return simulation.state()
 

@@ -7,7 +7,14 @@ state of each stretch.
 
 import numpy as np
 
-from liegroup_core.reference import Reference, ServoChange, Trajectory, WrenchChange, distance
+from liegroup_core.reference import (
+    MotionChange,
+    Reference,
+    ServoChange,
+    Trajectory,
+    WrenchChange,
+    distance,
+)
 from liegroup_sim_ros.playback.rerun import Starts
 
 from .drift import MOST_POINTS, extremes
@@ -100,7 +107,7 @@ class ReferenceError:
 
     def __init__(self, layout, recording, expected, seconds=np.inf, promise=None, estimate=None):
         self._scene, self._starts = layout.scene, Starts(recording, layout)
-        self._servos = tuple(layout.servos)
+        self._servos, self._driven = tuple(layout.servos), tuple(layout.motions)
         self._left, self._judged = seconds, 0.0
         self._errors = Errors(expected, promise, estimate)
         self._stretch = None
@@ -131,7 +138,7 @@ class ReferenceError:
                     stretch.change_in_world[:upto].tolist(),
                 )
             ]
-            changes += self._targets(stretch)
+            changes += self._targets(stretch) + self._motions(stretch)
             pose, twist, angles = self._starts.of(stretch)
             self._reference = Reference(
                 self._scene, pose, twist, changes, self._start, angles=angles
@@ -154,6 +161,17 @@ class ReferenceError:
             ServoChange(time, joint, *target)
             for time, targets in zip(when[:upto].tolist(), stretch.targets[:upto].tolist())
             for joint, target in zip(self._servos, targets)
+        ]
+
+    def _motions(self, stretch):
+        """[MotionChange] up to the end of the reference."""
+        when = stretch.motion_steps * stretch.step
+        upto = int(np.searchsorted(when, self._end, "right"))
+        return [
+            MotionChange(time, joint, tuple(motion))
+            for time, motions in zip(when[:upto].tolist(), stretch.motions[:upto].tolist())
+            for joint, motion in zip(self._driven, motions)
+            if np.isfinite(motion[0])
         ]
 
     def figures(self):

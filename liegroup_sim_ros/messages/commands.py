@@ -4,12 +4,13 @@
 import math
 from typing import NamedTuple
 
+from . import matrices
 from .cdr import Template, stamp
 from .codecs import Fields, MessageError
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
-ARRAY = "std_msgs/msg/Float64MultiArray"
+ARRAY = matrices.TYPE
 MOST_POINTS = 100_000
 _STAMP_END = 12  # offset of the frame id in the payload
 
@@ -110,6 +111,26 @@ def joint_labels(joints, robot):
     robot : RobotNames, or None
     """
     return list(joints) if robot is None else [robot.joints.get(joint, joint) for joint in joints]
+
+
+# Columns of ~/motions: s, then rad or m and their derivatives.
+MOTION_COLUMNS = ("origin", *(f"c{k}" for k in range(6)))
+
+
+def motions(layout):
+    """Function (numbers of all motions (d, 7)) -> serialized Float64MultiArray; see matrices.py.
+
+    Driven joints are in the order of `layout.motions`; an infinite origin: the motion of the scene.
+    """
+    return matrices.encoder(joint_labels(layout.motions, layout.scene.robot), MOTION_COLUMNS)
+
+
+def decode_motions(payload):
+    """(names of the driven joints, numbers of all motions (d, 7)). Raises MessageError."""
+    names, columns, values = matrices.decode(payload)
+    if columns != MOTION_COLUMNS:
+        raise MessageError(f"{ARRAY}: its columns are not {' '.join(MOTION_COLUMNS)}")
+    return names, values
 
 
 def servo_targets(layout):

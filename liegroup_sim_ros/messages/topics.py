@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from . import description, diagnostics, estimates
 from .codecs import ClockCodec, LogCodec, PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
-from .commands import JOINT_STATE
+from .commands import ARRAY, JOINT_STATE
 
 
 class Topic(NamedTuple):
@@ -48,6 +48,7 @@ def wrench_frame(frame, axes, world_frame):
 APPLIED_WRENCH = Topic("~/applied_wrench", WrenchStampedCodec.TYPE, "transient_local", 1000)
 # Each message has all servos: late subscribers need the last one only.
 SERVO_TARGETS = Topic("~/servo_targets", JOINT_STATE, "transient_local", 10)
+MOTIONS = Topic("~/motions", ARRAY, "transient_local", 10)  # each message has all driven joints
 EVENTS = Topic("~/events", LogCodec.TYPE, "transient_local")
 STATIC_TRANSFORMS = Topic("/tf_static", "tf2_msgs/msg/TFMessage", "transient_local", 1)
 DESCRIPTION = Topic("~/robot_description", description.TYPE, "transient_local", 1)

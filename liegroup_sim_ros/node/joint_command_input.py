@@ -3,7 +3,7 @@
 
 Names are those of ~/joint_states. A message may name any of the joints; NaN, or an empty field, is no
 command of this kind. A command replaces the previous one of the same joint and kind. An effort acts on
-the joint itself; position and velocity are wanted values of its servo.
+the joint itself; position and velocity are wanted values of its servo, or what a driven joint reaches.
 
 A zero stamp, or one that is not older than the command lasts, means the next step; a future stamp
 means that simulated time. A message is accepted or refused as a whole; refusals are counted by reason.
@@ -74,11 +74,44 @@ class Target(NamedTuple):
         simulation.command_servo(self.joint, self.position, self.velocity, start, duration)
 
 
-class JointCommandInput(JointInput):
-    """Decoder and counter of commands for the joints of a scene; layout : Layout."""
+class Motion(NamedTuple):
+    """Accepted position and velocity that a driven joint reaches in a time."""
 
-    def __init__(self, layout):
+    joint: str  # as in the scene
+    position: float  # rad or m; NaN: that to which the velocity leads
+    velocity: float  # rad/s or m/s
+    seconds: float  # until it is there
+    start_ns: int  # stamp at which it starts; 0: at the next step
+
+    @property
+    def key(self):
+        """Start, kind and joint: of two equal ones the later counts."""
+        return self.start_ns, "target", self.joint
+
+    def apply(self, simulation, start, duration):
+        """Command it to a Simulation from a time in s on (None: the next step).
+
+        duration : s, after which the joint comes to rest; None: it goes on at the velocity
+        """
+        positions = None if math.isnan(self.position) else [self.position]
+        simulation.command_motion(
+            self.joint, [self.seconds], positions, [self.velocity], start=start
+        )
+        if duration is not None:
+            end = (simulation.time if start is None else start) + duration
+            simulation.command_motion(self.joint, [self.seconds], None, [0.0], start=end)
+
+
+class JointCommandInput(JointInput):
+    """Decoder and counter of commands for the joints of a scene.
+
+    layout  : Layout
+    seconds : in which a driven joint reaches a commanded position or velocity
+    """
+
+    def __init__(self, layout, seconds):
         super().__init__("joint command", "joint_commands", REASONS, layout)
+        self._seconds = seconds
         self._decoder = JointStateDecoder(self.most_names)
         self._checked = ()  # names of the last accepted message
 
@@ -101,7 +134,7 @@ class JointCommandInput(JointInput):
         return self._commands(names, fields, 0, 0, held, None, jumps)
 
     def read(self, payload, now_ns, held, lasting, stamped=True, jumps=None):
-        """[JointEffort or Target] of a serialized JointState. Raises Refusal.
+        """[JointEffort, Target or Motion] of a serialized JointState. Raises Refusal.
 
         now_ns  : current stamp
         held    : number of commands that act now or start later
@@ -160,19 +193,29 @@ class JointCommandInput(JointInput):
             for name, value in zip(names, effort)
             if not math.isnan(value)
         ] + [
-            Target(self.joints[name], _or_zero(position), _or_zero(velocity), start_ns)
+            self._target(name, position, _or_zero(velocity), start_ns)
             for name, position, velocity in wanted
         ]
 
+    def _target(self, name, position, velocity, start_ns):
+        joint = self.joints[name]
+        if name in self.driven:
+            return Motion(joint, position, velocity, self._seconds, start_ns)
+        return Target(joint, _or_zero(position), velocity, start_ns)
+
     def _check_servos(self, wanted, jumps):
         for name, position, velocity in wanted:
+            if name in self.driven:
+                if jumps is not None and not math.isnan(position):
+                    self.refuse_jump(name, jumps.positions[self.joints[name]], position, jumps.most)
+                continue
             if name not in self.servos:
                 kind = "velocity" if math.isnan(position) else "position"
                 self.refuse(
                     "no_servo",
                     lambda: (
-                        f"it has a {kind} for {name}, which has no servo: add one to the scene, or "
-                        f"command an effort and leave {kind} empty or NaN"
+                        f"it has a {kind} for {name}, which has no servo and is not driven: change the "
+                        f"scene, or command an effort and leave {kind} empty or NaN"
                     ),
                 )
             if math.isnan(position) and self.servos[name]:

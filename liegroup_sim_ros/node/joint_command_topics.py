@@ -29,7 +29,8 @@ class JointCommandTopics:
 
     def __init__(self, node, layout, values, server, qos):
         self._node, self._values, self._server, self._qos = node, values, server, qos
-        self.input, self.trajectories = JointCommandInput(layout), TrajectoryInput(layout)
+        self.input = JointCommandInput(layout, values.motion_time)
+        self.trajectories = TrajectoryInput(layout)
         self._names = tuple(
             name.strip() for name in values.command_joints.split(",") if name.strip()
         )
@@ -39,7 +40,7 @@ class JointCommandTopics:
             self._subscribe("~/joint_commands", JointState, self._read)
         if self._names:
             self._subscribe("~/commands", Float64MultiArray, self._read_array)
-        if any(self.input.servos.values()):
+        if self.input.follows:
             self._subscribe("~/joint_trajectory", JointTrajectory, self._read_trajectory)
 
     def _check_names(self):
@@ -49,11 +50,13 @@ class JointCommandTopics:
                     f"parameter command_joints: {name!r} is not a joint with one coordinate; choose "
                     f"some of: {', '.join(self.input.joints) or 'the scene has none'}"
                 )
-            driven = self._values.command_interface
-            if driven != "effort" and self.input.servos.get(name) is not (driven == "position"):
+            kind = self._values.command_interface
+            if kind == "effort" or name in self.input.driven:
+                continue
+            if self.input.servos.get(name) is not (kind == "position"):
                 raise ParameterError(
-                    f"parameter command_interface: {name!r} has no servo "
-                    f"{'with' if driven == 'position' else 'without'} stiffness, which {driven} needs"
+                    f"parameter command_interface: {name!r} is not driven and has no servo "
+                    f"{'with' if kind == 'position' else 'without'} stiffness, which {kind} needs"
                 )
         if len(set(self._names)) < len(self._names):
             raise ParameterError("parameter command_joints: names a joint twice")
@@ -121,7 +124,7 @@ class JointCommandTopics:
         """Figures of the topics for the diagnostics; none without the topics."""
         return {
             **(self.input.figures() if self.input.joints else {}),
-            **(self.trajectories.figures() if any(self.input.servos.values()) else {}),
+            **(self.trajectories.figures() if self.input.follows else {}),
         }
 
     def close(self):

@@ -27,6 +27,7 @@ class JointInput(CountedInput):
 
     joints     : {name in messages: joint of the scene} of the joints with one coordinate
     servos     : {name in messages: whether its servo needs a wanted position}
+    driven     : names in messages of the driven joints
     most_names : number of names that a message can have
     units      : {joint of the scene: "rad" or "m"}
     """
@@ -41,9 +42,15 @@ class JointInput(CountedInput):
             self._others |= scene.robot.still.keys()
         self._others -= self.joints.keys()
         self.most_names = len(self.joints) + len(self._others)
-        driven = servos(scene.forces)
-        labels = joint_labels([servo.joint for servo in driven], scene.robot)
-        self.servos = {label: servo.stiffness > 0.0 for label, servo in zip(labels, driven)}
+        found = servos(scene.forces)
+        labels = joint_labels([servo.joint for servo in found], scene.robot)
+        self.servos = {label: servo.stiffness > 0.0 for label, servo in zip(labels, found)}
+        self.driven = {name for name, joint in self.joints.items() if joint in layout.motions}
+
+    @property
+    def follows(self):
+        """Whether a joint can follow a trajectory: one with a stiff servo, or a driven one."""
+        return any(self.servos.values()) or bool(self.driven)
 
     def check_names(self, names):
         """Refuse names that are not those of joints, or repeat. Raises Refusal."""

@@ -15,6 +15,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from liegroup_core.forces.kinds import wanted_values
 from liegroup_core.forces.schedule import AXES
+from liegroup_core.joints.motion import FROM_SCENE
 from liegroup_sim_ros.messages import commands, description, diagnostics, estimates, topics
 from liegroup_sim_ros.messages import samples as sample_messages
 from liegroup_sim_ros.messages.codecs import ClockCodec, LogCodec, WrenchStampedCodec
@@ -109,6 +110,7 @@ class Outputs:
     clock_steps, state_steps : steps between messages of /clock and ~/state, 0: none
     acting                   : {(body, axes): total wrench in these axes}, without zero wrenches
     targets                  : {joint: (position, velocity)} of the servos that were commanded
+    motions                  : {joint: (7,)} of the driven joints that were commanded
     """
 
     def __init__(self, node, layout, values, figures, overrides):
@@ -137,6 +139,10 @@ class Outputs:
             self._encode_targets = commands.servo_targets(layout)
             idle = wanted_values(layout.model.forces).tolist()
             self._idle = dict(zip(self._servos, idle))
+        self._driven, self.motions = tuple(layout.motions), {}
+        if self._driven:
+            self._motion_stream = self._stream(*topics.MOTIONS)
+            self._encode_motions = commands.motions(layout)
         self._events = self._stream(*topics.EVENTS)
         # For viewers only: the recording has the scene.
         self._description = Stream(node, overrides, *topics.DESCRIPTION)
@@ -221,6 +227,7 @@ class Outputs:
             **self._topics,
             "applied_wrench": self._applied.topic,
             **({"servo_targets": self._targets.topic} if self._servos else {}),
+            **({"motions": self._motion_stream.topic} if self._driven else {}),
             "events": self._events.topic,
             "clock": self._clock.topic if self._clock else None,
             "diagnostics": self._diagnostics.topic,
@@ -283,6 +290,19 @@ class Outputs:
         self.targets = self.targets | changed if changed else {}
         self._targets.send(stamp_ns, self._targets_now(stamp_ns))
 
+    def prescribed(self, stamp_ns, changed, anew=False):
+        """Publish the motions of all driven joints from this stamp on.
+
+        changed : {joint: (7,)} commanded motions, see liegroup_core/joints/motion.py
+        anew    : the others are those of the scene
+        """
+        self.motions = {**({} if anew else self.motions), **changed}
+        self._motion_stream.send(stamp_ns, self._motions_now())
+
+    def _motions_now(self):
+        rows = [self.motions.get(joint, FROM_SCENE) for joint in self._driven]
+        return self._encode_motions([float(number) for row in rows for number in row])
+
     def _targets_now(self, stamp_ns):
         return self._encode_targets(stamp_ns, (self._idle | self.targets).values())
 
@@ -292,6 +312,8 @@ class Outputs:
             self._applied.record(stamp_ns, self._encode_wrench[key](stamp_ns, wrench))
         if self.targets:
             self._targets.record(stamp_ns, self._targets_now(stamp_ns))
+        if self.motions:
+            self._motion_stream.record(stamp_ns, self._motions_now())
 
     def event(self, stamp_ns, name, text, failed=False):
         """Publish an event of the run; log it as well if it is a failure."""

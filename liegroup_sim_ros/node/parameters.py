@@ -273,6 +273,13 @@ TABLE = (
         low=1e-5,
         high=1.0,
     ),
+    Entry(
+        "motion_time",
+        0.02,
+        "time in which a driven joint reaches a commanded position or velocity, s of simulated time",
+        low=1e-5,
+        high=1e3,
+    ),
     Entry("body_wrenches", True, "subscribe to a topic ~/BODY/wrench for every body"),
 )
 _ENTRIES = {entry.name: entry for entry in TABLE}

@@ -91,6 +91,7 @@ class SceneRun:
             base_ns,
             origin,
             values.trajectory_period,
+            values.motion_time,
             values.command_jump > 0.0,
         )
         self.wrenches = WrenchTopics(node, layout, values, simulation.step, self.server, qos)

@@ -19,12 +19,12 @@ from typing import NamedTuple
 
 from liegroup_core import Sample, SceneError, SimulationError
 from liegroup_core.errors import LieGroupSimError
-from liegroup_core.forces.schedule import AppliedTarget
+from liegroup_core.forces.schedule import AppliedMotion, AppliedTarget, AppliedWrench
 from liegroup_core.pacing import SLOW, Pacer
 from liegroup_sim_ros.messages import events
 from liegroup_sim_ros.recording import attachments
 
-from .joint_command_input import Target
+from .joint_command_input import Motion, Target
 from .trajectory import Follower
 
 log = logging.getLogger("liegroup_core")
@@ -60,10 +60,11 @@ class SimulationServer(threading.Thread):
 
     simulation : liegroup_core.Simulation; only this thread uses it from `start` to its end
     output     : Outputs, or an object with the attributes timed, clock_steps, state_steps, acting,
-                 targets and the methods clock, state, applied_wrench, servo_targets, event,
-                 diagnostics
+                 targets, motions and the methods clock, state, applied_wrench, servo_targets,
+                 prescribed, event, diagnostics
     factor     : real-time factor, 0: as fast as possible
     follow_period : s, for which wanted values of a trajectory are constant
+    motion_time   : s, in which a driven joint comes to rest
     paused     : start paused
     base_ns    : stamp of step 0
     origin     : text of the event `start` besides the name of the scene
@@ -82,6 +83,7 @@ class SimulationServer(threading.Thread):
         base_ns=0,
         origin="",
         follow_period=2e-3,
+        motion_time=0.02,
         watching=False,
     ):
         super().__init__(name="simulation", daemon=True)
@@ -102,7 +104,8 @@ class SimulationServer(threading.Thread):
         self._wake = threading.Event()
         self._lock = threading.Lock()
         self._commands = []  # (Future, bound method, arguments)
-        self._follower, self._trajectory = Follower(simulation, follow_period), None
+        self._follower = Follower(simulation, follow_period, motion_time)
+        self._trajectory = None
         self._wrenches = {}  # key -> (Push or JointEffort, duration)
         self._stopping = False
         self._snapshots = {}
@@ -340,7 +343,7 @@ class SimulationServer(threading.Thread):
         for push, duration in wrenches.values():
             start = (push.start_ns - self._base_ns) * 1e-9 if push.start_ns else None
             push.apply(self._simulation, start, duration)
-            if isinstance(push, Target):
+            if isinstance(push, (Target, Motion)):
                 self._follower.release(push.joint, start or self._simulation.time)
 
     def _follow_until(self, tick):
@@ -419,15 +422,20 @@ class SimulationServer(threading.Thread):
         self._output.state(stamp_ns, self._figures(sample))
 
     def _send_changes(self, stamp_ns, changes):
-        """Send the wrenches and the wanted values of servos that act from a stamp on."""
-        targets = {}
+        """Send the wrenches, wanted values of servos, and motions that act from a stamp on."""
+        targets, motions = {}, {}
         for change in changes:
             if isinstance(change, AppliedTarget):
                 targets[change.joint] = change.position, change.velocity
+            elif isinstance(change, AppliedMotion):
+                motions[change.joint] = change.motion
             else:
                 self._send_wrench(stamp_ns, change.body, change.wrench, change.axes)
         if targets:
             self._output.servo_targets(stamp_ns, targets)
+        if motions:
+            self._output.prescribed(stamp_ns, motions)
+        if targets or motions:
             self._reference_energy = None
 
     def _send_wrench(self, stamp_ns, body, wrench, axes):
@@ -525,7 +533,9 @@ class SimulationServer(threading.Thread):
         self._slow = False
         self._event(name, text)
         acting = self._simulation.acting()
-        going_on = {(c.body, c.axes) for c in acting if not isinstance(c, AppliedTarget)}
+        going_on = {(c.body, c.axes) for c in acting if isinstance(c, AppliedWrench)}
+        if self._output.motions:
+            self._output.prescribed(self.stamp_ns, {}, anew=True)
         for body, axes in self._output.acting.keys() - going_on:
             self._send_wrench(self.stamp_ns, body, (0.0,) * 6, axes)
         self._send_changes(self.stamp_ns, acting)

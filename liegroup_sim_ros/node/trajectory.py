@@ -8,7 +8,8 @@ Between two points the interpolation is that of ros2_control's joint_trajectory_
     and velocities and accelerations      quintic
 
 The first segment begins with positions and velocities of the joints when the trajectory starts. After
-the last point its positions are held.
+the last point its positions are held. Driven joints move as liegroup_core/joints/motion.py says: twice
+continuously differentiable.
 """
 
 import copy
@@ -47,6 +48,16 @@ class Trajectory:
     def seconds(self):
         """Time from the start to the last point, s."""
         return self._times[-1]
+
+    def points_of(self, joint):
+        """(times, positions, velocities or None, accelerations or None) of a joint, s after the start."""
+        points = self._points[self.joints.index(joint)]
+        positions, velocities, accelerations = map(list, zip(*points))
+        if None in velocities:
+            return self._times, positions, None, None
+        if None in accelerations:
+            return self._times, positions, velocities, None
+        return self._times, positions, velocities, [*accelerations[:-1], 0.0]  # it comes to rest
 
     def begin(self, states):
         """Start from [(position, velocity)] of the joints."""
@@ -100,14 +111,16 @@ def between(first, last, length, time):
 
 
 class Follower:
-    """Commands servos along the latest trajectory; used by the simulation thread only.
+    """Commands servos and driven joints along the latest trajectory; for the simulation thread only.
 
     simulation : liegroup_core.Simulation
     period     : s of simulated time; wanted values are constant for so long, those of its middle
+    stopping   : s of simulated time, in which a driven joint comes to rest
     """
 
-    def __init__(self, simulation, period):
-        self._simulation, self._period = simulation, period
+    def __init__(self, simulation, period, stopping):
+        self._simulation, self._period, self._stopping = simulation, period, stopping
+        self._driven = simulation.layout.motions.keys()
         self.clear()
 
     def clear(self):
@@ -150,6 +163,8 @@ class Follower:
             trajectory, start = self._waiting
             self._feed(start)
             self._stop(start, trajectory.joints)
+            for joint in self._driven & set(trajectory.joints):
+                self._simulation.command_motion(joint, *trajectory.points_of(joint), start)
             coordinates = self._simulation.sample().joint_coordinates
             trajectory.begin([coordinates[joint] for joint in trajectory.joints])
             self._active, self._waiting = trajectory, None
@@ -163,7 +178,11 @@ class Follower:
         for joint, (position, _) in zip(
             self._active.joints, self._active.at(max(0.0, time - self._start))
         ):
-            if joint not in others and time < self._ends.get(joint, math.inf):
+            if joint in others or time >= self._ends.get(joint, math.inf):
+                continue
+            if joint in self._driven:
+                self._simulation.command_motion(joint, [self._stopping], None, [0.0], start=time)
+            else:
                 self._simulation.command_servo(joint, position, 0.0, time)
         self._active = None
 
@@ -177,7 +196,7 @@ class Follower:
             middle = 0.5 * (since + min(since + self._period, self._active.seconds))
             targets = self._active.at(self._active.seconds if ended else middle)
             for joint, target in zip(self._active.joints, targets):
-                if time < self._ends.get(joint, math.inf):
+                if joint not in self._driven and time < self._ends.get(joint, math.inf):
                     self._simulation.command_servo(joint, *target, time)
             self._sent += 1
             if ended:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Trajectories of joints: decoding and validation of JointTrajectory, as a whole, before they start.
 
-Names are those of ~/joint_states; every joint needs a servo with a stiffness. A zero stamp means
+Names are those of ~/joint_states; every joint needs a servo with a stiffness, or is driven. A zero stamp means
 the present, a future stamp that simulated time. Imports no ROS.
 """
 
@@ -52,10 +52,12 @@ class TrajectoryInput(JointInput):
             self.refuse("damaged", lambda: text)
         self.check_names(names)
         for name in names:
-            if not self.servos.get(name, False):
+            if not (self.servos.get(name, False) or name in self.driven):
                 self.refuse(
                     "no_servo",
-                    lambda: f"{name} has no servo with a stiffness: add one to the scene",
+                    lambda: (
+                        f"{name} has no servo with a stiffness and is not driven: change the scene"
+                    ),
                 )
         if not (names and points):
             self.refuse("no_points", lambda: "it has no joints or no points")
@@ -71,6 +73,10 @@ class TrajectoryInput(JointInput):
             )
         if any(points[-1].velocity):
             self.refuse("moving_at_end", lambda: "the velocities of its last point must be zero")
+        if times[0] == 0 and not self.driven.isdisjoint(names):
+            self.refuse(
+                "wrong_times", lambda: "a driven joint cannot be at its first point at once: time 0"
+            )
         if jumps is not None:
             self._check_jumps(names, points, jumps)
         if not stamped:

@@ -70,6 +70,8 @@ class Rerun:
         simulation = self.simulation
         if stretch.targets.size and stretch.targets.shape[1] != len(simulation.layout.servos):
             raise ReplayError("its servo targets are not those of the servos of its scene")
+        if stretch.motions.size and stretch.motions.shape[1] != len(simulation.layout.motions):
+            raise ReplayError("its motions are not those of the driven joints of its scene")
         recorded = checkpoint or (self._recorded if stretch.is_first else stretch.state)
         try:
             start = (recorded["steps"] if checkpoint else stretch.start) * self.ratio
@@ -85,7 +87,7 @@ class Rerun:
                 simulation.set_state(pose, twist, round(start), angles)
         except (ValueError, KeyError, TypeError, OverflowError) as error:
             raise ReplayError(f"invalid initial state in the recording: {error}") from None
-        self._stretch, self._next, self._next_target = stretch, 0, 0
+        self._stretch, self._next, self._next_target, self._next_motion = stretch, 0, 0, 0
         # At the stamp of a checkpoint the accuracy changes after it.
         self._accuracies = [
             (step, accuracy)
@@ -112,7 +114,7 @@ class Rerun:
             self.simulation.advance(step - self.simulation.steps)
 
     def apply_changes(self, until):
-        """Apply the recorded changes of wrenches and of wanted values of servos up to a time in s."""
+        """Apply the recorded changes of wrenches, servos and motions up to a time in s."""
         stretch = self._stretch
         upto = int(np.searchsorted(stretch.change_times, until, "right"))
         for k in range(self._next, upto):
@@ -133,6 +135,15 @@ class Rerun:
             for joint, target in zip(self.simulation.layout.servos, targets):
                 self.simulation.command_servo(joint, *target, time)
         self._next_target = max(self._next_target, upto)
+        upto = int(np.searchsorted(stretch.motion_times, until, "right"))
+        for time, motions in zip(
+            stretch.motion_times[self._next_motion : upto].tolist(),
+            stretch.motions[self._next_motion : upto],
+        ):
+            for joint, motion in zip(self.simulation.layout.motions, motions):
+                if np.isfinite(motion[0]):
+                    self.simulation.prescribe(joint, motion, time)
+        self._next_motion = max(self._next_motion, upto)
 
 
 class Starts:

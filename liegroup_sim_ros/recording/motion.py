@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from liegroup_core.joints.motion import COLUMNS
 from liegroup_sim_ros.messages import events
 
 from .errors import RecordingError
@@ -43,6 +44,8 @@ class Stretch:
     targets: (
         np.ndarray
     )  # (p, servos, 2) wanted positions and velocities, in the order of the layout
+    motion_times: np.ndarray  # (q,) s since step 0, at which motions of driven joints change
+    motions: np.ndarray  # (q, d, 7) commanded motions, in the order of the layout
     accuracies: list  # [(step, accuracy)] from which on another accuracy holds
     inaccurate_from: (
         float  # s since step 0: the run said that its error exceeds the accuracy; or inf
@@ -84,6 +87,11 @@ class Stretch:
     def target_steps(self):
         """(p,) target_times in steps; whole numbers within the rounding of stamps to ns."""
         return self._in_steps(self.target_times)
+
+    @property
+    def motion_steps(self):
+        """(q,) motion_times in steps; whole numbers within the rounding of stamps to ns."""
+        return self._in_steps(self.motion_times)
 
     @property
     def seconds(self):
@@ -263,6 +271,7 @@ class Motion:
             wrench[order],
             in_world[order],
             *self._targets(begin, base, end),
+            *self._motions(begin, base, end),
             *self._accuracies(begin, base, end, step),
         )
 
@@ -274,6 +283,14 @@ class Motion:
         inside = (track.stamp_ns >= begin) & (track.stamp_ns < end)
         values = np.stack([track.position[inside], track.velocity[inside]], axis=2)
         return (track.stamp_ns[inside] - base) * 1e-9, values
+
+    def _motions(self, begin, base, end):
+        """Times in s at which motions of driven joints change, and these motions."""
+        track = self._recording.motions
+        if track is None:
+            return np.empty(0), np.empty((0, 0, COLUMNS))
+        inside = (track.stamp_ns >= begin) & (track.stamp_ns < end)
+        return (track.stamp_ns[inside] - base) * 1e-9, track.motion[inside]
 
     def _accuracies(self, begin, base, end, step):
         """Changes of the accuracy, and the first time in s at which it was not kept."""

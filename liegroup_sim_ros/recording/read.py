@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from liegroup_core.joints.motion import COLUMNS
 from liegroup_sim_ros.messages import estimates
 from liegroup_sim_ros.messages.codecs import PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
 from liegroup_sim_ros.messages.commands import JOINT_STATE, JointStateDecoder
@@ -31,6 +32,7 @@ from .tracks import (
     ErrorTrack,
     Event,
     JointTrack,
+    MotionTrack,
     PoseTrack,
     ReactionTrack,
     Samples,
@@ -71,6 +73,7 @@ class Recording:
     bodies: tuple  # names, in the order of initial_state
     wrench: dict  # {body: WrenchTrack}
     servo_targets: JointTrack | None  # wanted values of all servos from each stamp on
+    motions: MotionTrack | None  # motions of all driven joints from each stamp on
     events: list  # Event
     diagnostics: list  # (stamp_ns, {key: text}), the values of all statuses of a message
     topics: dict  # {topic: message count}
@@ -347,6 +350,7 @@ def read_recording(path: str | Path) -> Recording:
             bodies=bodies,
             wrench=scan.wrenches(),
             servo_targets=_joint_track(scan.servo_targets),
+            motions=_motion_track(scan.motions),
             events=scan.events,
             diagnostics=scan.diagnostics,
             topics=scan.counts(),
@@ -373,3 +377,14 @@ def _joint_track(messages):
         np.array(position).reshape(shape),
         np.array(velocity).reshape(shape),
     )
+
+
+def _motion_track(messages):
+    """MotionTrack of [(stamp in ns, names, numbers)]; None without messages."""
+    if not messages:
+        return None
+    stamps, names, numbers = zip(*sorted(messages, key=lambda message: message[0]))
+    if len(set(names)) > 1:
+        raise RecordingError("its motions name different joints in different messages")
+    shape = len(stamps), len(names[0]), COLUMNS
+    return MotionTrack(np.array(stamps), names[0], np.array(numbers).reshape(shape))

@@ -9,7 +9,7 @@ import numpy as np
 from liegroup_core.forces.schedule import AXES
 from liegroup_sim_ros.messages import diagnostics
 from liegroup_sim_ros.messages.codecs import LogCodec, MessageError, WrenchStampedCodec, decode_rows
-from liegroup_sim_ros.messages.commands import JointStateDecoder
+from liegroup_sim_ros.messages.commands import JointStateDecoder, decode_motions
 from liegroup_sim_ros.messages.topics import wrench_frame
 
 from .addresses import fetch, is_remote
@@ -158,6 +158,8 @@ class Scan:
         )
         targets = topics.get("servo_targets")
         self.servo_targets = []  # (stamp_ns, names, positions, velocities)
+        self.motions = []  # (stamp_ns, names, numbers)
+        motions = topics.get("motions")
         decoder = JointStateDecoder()
         for messages, channels in source.messages():
             self.last_ns = max(self.last_ns, int(messages.log_time.max()))
@@ -179,6 +181,11 @@ class Scan:
                 elif channel.topic == targets:
                     self.servo_targets += [
                         decoder.decode(messages.payload(k)).complete()[:4] for k in index
+                    ]
+                elif channel.topic == motions:
+                    self.motions += [
+                        (int(messages.log_time[k]), *decode_motions(messages.payload(k)))
+                        for k in index
                     ]
             if max(len(self.events), len(self.diagnostics)) > MOST_EVENTS:
                 raise RecordingError(f"contains more than {MOST_EVENTS} events or diagnostics")

@@ -62,6 +62,14 @@ class ReactionTrack(_ReactionTrack, _Timed):
     """Reactions of one joint, as in Sample.reactions."""
 
 
+class MotionTrack(NamedTuple):
+    """Commanded motions of all driven joints; see liegroup_core/joints/motion.py."""
+
+    stamp_ns: np.ndarray  # (k,) from each stamp on
+    names: tuple  # of the joints
+    motion: np.ndarray  # (k, d, 7); an infinite origin: that of the scene
+
+
 class _JointTrack(NamedTuple):
     stamp_ns: np.ndarray  # (n,) int64, ns
     names: tuple  # of k joints

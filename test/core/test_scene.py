@@ -18,6 +18,7 @@ from scene_files import ROOT, SCENES, each_scene
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import Described
+from liegroup_core.joints.motion import Motion
 from liegroup_core.scene import (
     Body,
     DistanceJoint,
@@ -32,7 +33,6 @@ from liegroup_core.scene import (
     yaml_text,
 )
 from liegroup_core.scene import load as load_module
-from liegroup_core.joints.motion import Motion
 from liegroup_core.scene.description import FORCES, JOINTS, SENSORS, Coupling
 from liegroup_core.scene.robot_file import RobotFile
 from liegroup_core.scene.shapes import SHAPES

@@ -61,14 +61,14 @@ def message(names=(), position=(), velocity=(), effort=(), stamp_ns=0):
     ],
 )
 def test_a_message_commands_some_of_the_joints(layout, fields, efforts):
-    reader = JointCommandInput(layout)
+    reader = JointCommandInput(layout, 0.02)
     found = reader.read(message(**fields), NOW, 0, None)
     assert {command.joint: command.effort for command in found} == efforts
     assert reader.accepted == 1 and not any(reader.refused.values())
 
 
 def test_positions_and_velocities_are_wanted_values_of_servos(layout):
-    reader = JointCommandInput(layout)
+    reader = JointCommandInput(layout, 0.02)
     for fields, target in (
         ({"names": ["pin"], "position": [2.0], "velocity": [3.0]}, ("pin", 2.0, 3.0)),
         (
@@ -80,7 +80,7 @@ def test_positions_and_velocities_are_wanted_values_of_servos(layout):
         assert found == (*target, NOW + 5) and isinstance(found, Target)
         assert [effort.joint for effort in efforts] == ["rail"] * len(efforts)
     free = scene_from_text(SCENE.replace("stiffness: 9", "stiffness: 0"))
-    (found,) = JointCommandInput(make_layout(free)).read(
+    (found,) = JointCommandInput(make_layout(free), 0.02).read(
         message(["pin"], velocity=[3.0]), NOW, 0, None
     )
     assert found == ("pin", 0.0, 3.0, 0)
@@ -91,14 +91,14 @@ def test_positions_and_velocities_are_wanted_values_of_servos(layout):
 )
 def test_a_future_stamp_is_awaited(layout, stamp_ns, start_ns):
     payload = message(["pin"], effort=[1.0], stamp_ns=stamp_ns)
-    (command,) = JointCommandInput(layout).read(payload, NOW, 0, None)
+    (command,) = JointCommandInput(layout, 0.02).read(payload, NOW, 0, None)
     assert command.start_ns == start_ns
 
 
 @pytest.mark.parametrize("stamp_ns", [1, NOW + 1, NOW + 2 * FARTHEST])
 def test_stamps_of_another_clock_can_be_ignored(layout, stamp_ns):
     payload = message(["pin"], effort=[1.0], stamp_ns=stamp_ns)
-    (command,) = JointCommandInput(layout).read(payload, 10 * NOW, 0, 0.1, stamped=False)
+    (command,) = JointCommandInput(layout, 0.02).read(payload, 10 * NOW, 0, 0.1, stamped=False)
     assert command.start_ns == 0
 
 
@@ -131,7 +131,7 @@ def test_refusals_are_one_line(layout, changed, reason):
     more |= {key: changed[key] for key in more.keys() & changed.keys()}
     fields = {"names": ["pin", "rail"], "effort": [1.0, 2.0]}
     fields |= {key: value for key, value in changed.items() if key not in more}
-    reader = JointCommandInput(layout)
+    reader = JointCommandInput(layout, 0.02)
     with pytest.raises(Refusal) as caught:
         reader.read(message(**fields), NOW, more["held"], more["lasting"])
     assert caught.value.reason == reason and caught.value.first
@@ -141,7 +141,7 @@ def test_refusals_are_one_line(layout, changed, reason):
 
 def test_positions_far_from_their_joint_are_refused(layout):
     """From the present position; velocities, efforts and joints without a position have no limit."""
-    reader, jumps = JointCommandInput(layout), Jumps(0.25, {"pin": 7.0, "rail": 0.0}, 0.002)
+    reader, jumps = JointCommandInput(layout, 0.02), Jumps(0.25, {"pin": 7.0, "rail": 0.0}, 0.002)
     taken = message(["pin", "rail"], [7.25, NAN], [90.0, NAN], [0.0, 99.0])
     assert len(reader.read(taken, NOW, 0, None, jumps=jumps)) == 3
     for position in (7.2501, 6.7499, 7.0 - 2.0 * math.pi):
@@ -157,7 +157,7 @@ def test_positions_far_from_their_joint_are_refused(layout):
 
 def first_refusal(layout, payload, jumps):
     with pytest.raises(Refusal) as caught:
-        JointCommandInput(layout).read(payload, NOW, 0, None, jumps=jumps)
+        JointCommandInput(layout, 0.02).read(payload, NOW, 0, None, jumps=jumps)
     return str(caught.value)
 
 
@@ -166,7 +166,7 @@ def test_joints_of_a_robot_have_the_names_of_its_file(tmp_path):
     path.write_text(ARM_URDF.replace('"shoulder"', '"shoulder-1"'))
     layout = make_layout(load_scene(path))
     (scene_name,) = set(layout.coordinates.names) - {"extend"}
-    reader = JointCommandInput(layout)
+    reader = JointCommandInput(layout, 0.02)
     found = reader.read(message(["extend", "shoulder-1"], effort=[1.0, 2.0]), NOW, 0, None)
     assert [(c.joint, c.effort) for c in found] == [("extend", 1.0), (scene_name, 2.0)]
     assert scene_name != "shoulder-1"
@@ -215,7 +215,7 @@ def test_arbitrary_bytes_do_not_crash_the_decoder(payload, known):
 
 def test_truncated_messages_are_refused_whatever_came_before(layout):
     whole = message(["pin", "rail"], effort=[1.0, 2.0])
-    reader = JointCommandInput(layout)
+    reader = JointCommandInput(layout, 0.02)
     reader.read(whole, NOW, 0, None)
     for size in range(len(whole) - 8):
         with pytest.raises(Refusal):

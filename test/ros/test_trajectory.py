@@ -110,7 +110,7 @@ def test_a_first_point_at_time_zero_is_a_jump():
 def followed(trajectory, step=1e-3, period=2e-3, seconds=1.0, more=lambda *_: None):
     """(times, positions of the pin) of a simulation whose servos follow a trajectory from 0.1003 s."""
     simulation = Simulation(scene_from_text(SCENE), "rkmk4", step, estimate=False)
-    follower = Follower(simulation, period)
+    follower = Follower(simulation, period, 0.02)
     follower.follow(trajectory, 0.1003)
     times, positions = [], []
     while simulation.time < seconds:
@@ -257,7 +257,7 @@ def test_arrays_serialized_by_ros_are_decoded(numbers, labels):
 
 
 def test_an_array_commands_one_interface_of_the_joints(layout):
-    reader, names = JointCommandInput(layout), ("rail", "pin")
+    reader, names = JointCommandInput(layout, 0.02), ("rail", "pin")
 
     def read(*numbers, interface="effort", held=0):
         array = serialize_message(Float64MultiArray(data=list(map(float, numbers))))

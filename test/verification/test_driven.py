@@ -45,7 +45,12 @@ bodies:
     inertia: [0.02, 0.03, 0.03, 0.001, 0.002, -0.001]
     com: [0.3, 0, 0]
     rotation_vector: [0.5, 0.1, 0.3]
-  - {name: fore, mass: 1.0, inertia: [0.01, 0.02, 0.03], position: [0.6, 0, 0], com: [0.2, 0, 0], rotation_vector: [1.5, 0, 0]}
+  - name: fore
+    mass: 1.0
+    inertia: [0.01, 0.02, 0.03]
+    position: [0.6, 0, 0]
+    com: [0.2, 0, 0]
+    rotation_vector: [1.5, 0, 0]
   - {name: nut, mass: 0.5, inertia: [0.01, 0.01, 0.02], position: [1.0, 0, 0], com: [0.05, 0.02, 0]}
 joints:
   - {name: shoulder, type: revolute, parent: world, child: upper, child_frame: {}}
