@@ -65,6 +65,11 @@ def _on_children(forces, angle, pose, twist, scratch, out):
         k += 1
 
 
+def names_of_forces(scene):
+    """Names of the forces of a scene that act about or along the z axis of a joint."""
+    return tuple(force.name for force in scene.forces if force.type in (*KINDS, *SERVOS))
+
+
 class JointForces:
     """Forces at the joints of a scene.
 
@@ -76,7 +81,7 @@ class JointForces:
     def __init__(self, scene, frames):
         """scene : with frames at the centres of mass; frames: (parent's, child's) of its joints."""
         found = [force for force in scene.forces if force.type in (*KINDS, *SERVOS)]
-        self.names = tuple(force.name for force in found)
+        self.names = names_of_forces(scene)
         self.joints = {force.name: force.joint for force in found}
         self.turns = {force.name: force.joint_moves == "turns" for force in found}
         axes = {joint.name: F_b[:3, 2] for joint, (_, F_b) in zip(scene.joints, frames)}

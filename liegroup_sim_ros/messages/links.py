@@ -37,6 +37,18 @@ def link_of_body(scene):
     return names if scene.robot is None else names | scene.robot.links
 
 
+def merged_links(scene):
+    """{link: (its body, (4, 4) pose in the frame of the body)} of moving links that are no body's frame."""
+    if scene.robot is None:
+        return {}
+    own = {*link_of_body(scene).values(), *(body.name for body in scene.bodies)}
+    return {
+        link: (body, place)
+        for link, (body, place) in scene.robot.frames.items()
+        if body != WORLD and link not in own
+    }
+
+
 def links_and_joints(scene):
     """({link: (body or world, (4, 4) pose in the frame of the body)}, [UrdfJoint]) of a scene.
 

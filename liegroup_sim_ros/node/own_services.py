@@ -14,6 +14,7 @@ from rclpy.parameter import parameter_value_to_python
 from liegroup_core.joints.coupling import COUPLED
 from liegroup_core.lie.groups import SO3
 from liegroup_sim_ros.messages.commands import joint_labels
+from liegroup_sim_ros.messages.links import merged_links
 
 from .counted_input import MOST
 from .wrench_input import Push
@@ -81,18 +82,22 @@ def apply_wrench(node, values):
     known = {"body", "force", "torque", "point", "axes", "duration", "name"}
     for name in values.keys() - known:
         raise Wrong(f"unknown name {name!r}: choose from {', '.join(sorted(known))}")
-    body, axes = values.get("body", ""), values.get("axes", "body")
-    body = _body(node, body)
+    axes = values.get("axes", "body")
+    body, place = _body_or_link(node, values.get("body", ""))
     if axes not in ("body", "world"):
         raise Wrong(f"axes must be 'body' or 'world', got {_shown(axes)}")
     force, torque, point = (
         _vector(name, values.get(name, [0.0] * 3), 3) for name in ("force", "torque", "point")
     )
-    if axes == "world" and point.any():
-        raise Wrong(
-            "a force in world axes at a point of the body has no constant torque: give it in body "
-            "axes, or without a point"
-        )
+    if axes == "world":
+        if point.any() or place[:3, 3].any():
+            raise Wrong(
+                "a force in world axes at a point of the body has no constant torque: give it in body "
+                "axes, without a point, or as applied_wrench in the scene"
+            )
+    else:
+        point = place[:3, :3] @ point + place[:3, 3]
+        force, torque = place[:3, :3] @ force, place[:3, :3] @ torque
     duration, name = values.get("duration"), values.get("name", "")
     if type(duration) not in (int, float) or not (math.isfinite(duration) and duration >= 1e-9):
         raise Wrong(f"duration must be a number of seconds, at least 1e-9, got {_shown(duration)}")
@@ -128,6 +133,14 @@ def _body(node, name):
     if not isinstance(name, str) or name not in links:
         raise Wrong(f"unknown body {_shown(name)}; choose one of: {', '.join(names)}")
     return links[name]
+
+
+def _body_or_link(node, name):
+    """(body, (4, 4) pose in its frame) of a body, or of a link that is merged into one."""
+    merged = merged_links(node.scene_run.simulation.scene)
+    return (
+        merged[name] if isinstance(name, str) and name in merged else (_body(node, name), np.eye(4))
+    )
 
 
 def _joint(node, name):

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Wrench messages: decoding and validation of WrenchStamped on the wrench topics.
 
-On ~/wrench and ~/wrench/persistent, frame_id names the body, and components are in its axes. On
+On ~/wrench and ~/wrench/persistent, frame_id names the body, and components are in its axes. A link
+that an import has merged into a body names its own frame: its axes, and its origin for the torque. On
 ~/BODY/wrench, frame_id names the axes: those of the body or of the world. The frame of a body is
 the node's prefix and its name. Torques are about the origin of the body frame. A name after a
 slash, as in `top/left`, distinguishes publishers of one topic. Wrenches of different topics and
@@ -13,6 +14,8 @@ accepted or refused as a whole; refusals are counted by reason. Imports no ROS.
 
 import math
 from typing import NamedTuple
+
+import numpy as np
 
 from liegroup_sim_ros.messages.codecs import MessageError, WrenchStampedCodec
 
@@ -52,12 +55,14 @@ class WrenchInput(CountedInput):
     world_frame  : frame id of the world
     frame_prefix : prefix of the frame ids of the bodies
     links        : {body: other name of its frame}, those of a robot's file
+    merged       : {link: (its body, (4, 4) pose in the frame of the body)} of other links
     """
 
-    def __init__(self, bodies, world_frame, frame_prefix="", links=None):
+    def __init__(self, bodies, world_frame, frame_prefix="", links=None, merged=None):
         self._bodies = {name: name for name in bodies}
         self._named = {link: body for body, link in (links or {}).items() if body in self._bodies}
         self._named |= self._bodies
+        self._merged = merged or {}
         super().__init__("wrench", "wrenches", REASONS)
         self._world_frame, self._prefix = world_frame, frame_prefix
 
@@ -106,6 +111,8 @@ class WrenchInput(CountedInput):
             self.refuse("not_finite", lambda: f"for {target}: a component is NaN or infinite")
         self.refuse_far_stamp(start_ns, now_ns, target)
         self.refuse_too_many(held, target)
+        if axes == "body":
+            wrench = self._at_body(frame_id, wrench)
         self.accepted += 1
         return Push(
             source_prefix(kind, f"{target}/{name}" if name else target),
@@ -126,12 +133,26 @@ class WrenchInput(CountedInput):
         )
 
     def body_and_name(self, frame_id):
-        """(body, name of the publisher) in a frame id; (None, "") if it names no body."""
+        """(body, name of the publisher) in a frame id; (None, "") if it names no body.
+
+        Wrenches on a merged link are those of a publisher of its own.
+        """
         if frame_id.startswith(self._prefix):
             body, _, name = frame_id[len(self._prefix) :].partition("/")
             if body in self._named:
                 return self._named[body], name
+            if body in self._merged:
+                return self._merged[body][0], f"({body})/{name}" if name else f"({body})"
         return None, ""
+
+    def _at_body(self, frame_id, wrench):
+        """Wrench (6,) in the axes and about the origin of the body's frame."""
+        link = frame_id[len(self._prefix) :].partition("/")[0]
+        if link in self._named:
+            return wrench
+        place = self._merged[link][1]
+        torque, force = (place[:3, :3] @ np.array(part) for part in (wrench[:3], wrench[3:]))
+        return (*(torque + np.cross(place[:3, 3], force)).tolist(), *force.tolist())
 
     def _frames(self, body):
         if body is not None:

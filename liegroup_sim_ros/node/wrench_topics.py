@@ -5,7 +5,7 @@ from geometry_msgs.msg import WrenchStamped
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
-from liegroup_sim_ros.messages.links import link_of_body
+from liegroup_sim_ros.messages.links import link_of_body, merged_links
 
 from .counted_input import Refusal
 from .wrench_input import WrenchInput, source_prefix
@@ -30,7 +30,8 @@ class WrenchTopics:
         bodies = layout.body_names
         self._node, self._values, self._step, self._server = node, values, step, server
         links = link_of_body(layout.scene)
-        self.input = WrenchInput(bodies, values.world_frame, values.frame_prefix, links)
+        merged = merged_links(layout.scene)
+        self.input = WrenchInput(bodies, values.world_frame, values.frame_prefix, links, merged)
         self._qos, self._subscriptions = qos, []
         self._subscribe("~/wrench", "wrench")
         self._subscribe("~/wrench/persistent", "persistent")

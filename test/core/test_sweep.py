@@ -421,3 +421,34 @@ def test_the_largest_reactions_of_each_run_are_columns():
     assert np.isnan(found).any() and found[3] > 1.0
     again = described(describe(sweep))
     assert again == sweep
+
+
+def test_the_largest_efforts_of_forces_at_joints_are_columns_beside_the_reactions():
+    text = """
+name: pair
+gravity: [0, 0, -9.81]
+bodies: [{name: arm, mass: 1, inertia: [1, 1, 1], com: [0.3, 0, 0]}]
+joints: [{name: hinge, type: revolute, parent: world, child: arm, child_frame: {axis: [0, 1, 0]}}]
+forces:
+  - {name: wind, type: drag, body: arm, linear: 0.1}
+  - {name: spring, type: torsional_spring_damper, joint: hinge, stiffness: 5}
+  - {name: drive, type: motor, joint: hinge, torque: -2}
+"""
+    settings = {"method": "rkmk4", "step": 1e-3}
+    sweep = Sweep.of(
+        scene_from_text(text),
+        ["bodies.arm.mass=1:3"],
+        3,
+        200,
+        50,
+        settings=settings,
+        reactions=True,
+    )
+    columns = joined(sweep.run(range(3), workers=1))
+    assert list(sweep.columns) == [*columns, "cpu_s"] and "wind.effort" not in columns
+    simulation, looks = sweep.simulation(2), []
+    for steps in (0, 50, 50, 50, 50):
+        simulation.advance(steps)
+        looks.append(simulation.sample().force_efforts["spring"])
+    assert columns["spring.effort"][2] == np.abs(looks).max() > 0.1
+    assert list(columns["drive.effort"]) == [2.0] * 3

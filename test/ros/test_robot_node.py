@@ -5,7 +5,10 @@ import signal
 
 import numpy as np
 import pytest
-from node_process import COMPILING, NodeProcess
+from geometry_msgs.msg import WrenchStamped
+from node_process import COMPILING, NodeProcess, values
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from robot_texts import ARM_SDF, ARM_URDF, five_bar_urdf, scissor_lift, stewart_sdf
 from rosbags.typesys import Stores, get_typestore
@@ -42,6 +45,49 @@ def test_a_node_serves_a_urdf_file_to_rviz(client, tmp_path):
     assert texts[0].data == ARM_URDF
     assert states[-1].name == ["shoulder", "extend", "tip_joint"]
     assert states[-1].position[2] == states[-1].velocity[2] == 0.0
+
+
+def test_links_and_joints_of_the_file_are_named_in_wrenches_and_states(client, tmp_path):
+    """The tool is merged into the slide: a wrench on it acts at its origin, in its axes."""
+    path = tmp_path / "arm.urdf"
+    path.write_text(ARM_URDF)
+    parameters = {"scene": path, "joint_state_rate": 100.0, "start_paused": True, "method": "rkmk4"}
+    body, place = load_scene(path).robot.frames["tool"]
+    assert body == "slide" and np.abs(place - np.eye(4)).max() > 0.1
+
+    def ask(service, **given):
+        named = [Parameter(n, value=v).to_parameter_msg() for n, v in given.items()]
+        request = SetParametersAtomically.Request(parameters=named)
+        return client.call(f"/arm/{service}", SetParametersAtomically, request).result
+
+    def moved_to_body(torque, force):
+        torque, force = place[:3, :3] @ torque, place[:3, :3] @ force
+        return [*(torque + np.cross(place[:3, 3], force)), *force]
+
+    with NodeProcess(parameters, remap=["__node:=arm"]):
+        states = client.listen("/arm/joint_states", JointState)
+        applied = client.listen("/arm/applied_wrench", WrenchStamped, LATCHED)
+        # Paused, it publishes joint states only at steps and states that are set.
+        client.until(lambda: states or client.call("/arm/step") is None, COMPILING, "joint states")
+        assert ask("set_state", **{"shoulder/position": 0.4, "extend/velocity": -0.3}).successful
+        client.until(lambda: states and states[-1].velocity[1] == pytest.approx(-0.3, abs=1e-12))
+        assert states[-1].position[0] == pytest.approx(0.4, abs=1e-12)
+        done = ask(
+            "apply_wrench", body="tool", force=[1.0, 2.0, 3.0], point=[0.0, 0.0, 0.1], duration=1.0
+        )
+        assert done.successful, done.reason
+        client.call("/arm/step")
+        client.until(lambda: applied)
+        expected = moved_to_body(np.cross([0, 0, 0.1], [1.0, 2.0, 3.0]), [1.0, 2.0, 3.0])
+        frame, wrench, _ = values(applied[-1])
+        assert frame == "slide" and wrench == pytest.approx(expected, abs=1e-14)
+        push, count = client.pusher("/arm"), len(applied)
+        push("tool", torque=(0.5, 0.0, 0.0), force=(0.0, 7.0, 0.0))
+        client.spin(0.3)
+        client.call("/arm/step")
+        client.until(lambda: len(applied) > count)
+        expected = np.add(expected, moved_to_body([0.5, 0.0, 0.0], [0.0, 7.0, 0.0]))
+        assert values(applied[-1])[1] == pytest.approx(expected, abs=1e-14)
 
 
 def test_a_fixed_joint_that_is_kept_is_fixed_for_robot_state_publisher(tmp_path):

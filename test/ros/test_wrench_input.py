@@ -3,6 +3,7 @@
 
 import struct
 
+import numpy as np
 import pytest
 from geometry_msgs.msg import WrenchStamped
 from hypothesis import given
@@ -126,3 +127,21 @@ def test_a_body_is_also_named_by_the_link_of_its_robots_file():
     assert reader.body_and_name("a/crank-left/me") == ("crank_left", "me")
     assert reader.body_and_name("a/crank_left") == ("crank_left", "")
     assert reader.body_and_name("a/world") == (None, "")
+
+
+def test_a_merged_link_has_its_axes_and_its_origin():
+    """A wrench on it adds to one on its body, and ends by its own name."""
+    place = np.eye(4)
+    place[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    place[:3, 3] = 0.5, 0.0, 0.0
+    reader = WrenchInput(["tool"], "world", "a/", {"tool": "tool"}, {"tcp": ("tool", place)})
+    push, own = (
+        reader.read(WrenchStampedCodec(frame).encode(0, WRENCH), "wrench", None, NOW, 0)
+        for frame in ("a/tcp/me", "a/tool")
+    )
+    # z x and y turned by a quarter, and (0.5, 0, 0) x (-5, 4, 6).
+    assert (push.body, push.axes) == ("tool", "body")
+    assert push.wrench == (-2.0, 1.0 - 3.0, 3.0 + 2.0, -5.0, 4.0, 6.0)
+    assert own.wrench == WRENCH and own.source != push.source
+    assert reader.body_and_name("a/tcp") == ("tool", "(tcp)")
+    assert push.source.startswith(source_prefix("wrench", "tool/(tcp)"))

@@ -20,6 +20,7 @@ from scipy.stats.qmc import LatinHypercube
 
 from liegroup_core.compiling import source_digest
 from liegroup_core.errors import LieGroupSimError
+from liegroup_core.observables.joint_forces import names_of_forces
 from liegroup_core.scene.assembly import assembled
 from liegroup_core.scene.load import scene_as_written
 from liegroup_core.simulation import Simulation
@@ -186,6 +187,8 @@ class Sweep:
         kept = [f"samples.{name}" for name in ("time", *state)] if self.keep else []
         joints = [joint.name for joint in scene.joints] if self.reactions else []
         largest = [f"{joint}.{part}" for joint in joints for part in WRENCH]
+        if self.reactions:
+            largest += [f"{force}.effort" for force in names_of_forces(scene)]
         floats = ("time", *state, "energy_start", "energy_drift", "joints", *largest)
         return (
             {"run": "int"}
@@ -327,6 +330,9 @@ def _run(sweep, values):
             wrenches = [np.array(list(sample.reactions.values())) for sample in looks]
             names = (f"{joint}.{part}" for joint in looks[0].reactions for part in WRENCH)
             found |= dict(zip(names, np.abs(wrenches).max(axis=0).ravel()))
+            efforts = np.abs([list(sample.force_efforts.values()) for sample in looks])
+            forces = (f"{force}.effort" for force in looks[0].force_efforts)
+            found |= dict(zip(forces, efforts.max(axis=0)))
         states = np.array([_state(sample) for sample in (looks if sweep.keep else looks[-1:])])
         names = [
             "time",
