@@ -236,7 +236,10 @@ def scissor_lift(stages, angle=0.5):
     Frames of left bars are at their feet, those of right bars, which cross them, at their centres.
     The foot of the first right bar is pinned to a slider on the ground.
     """
-    slider = '<inertial><mass value="0.2"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial>'
+    slider = (
+        '<inertial><mass value="0.2"/>'
+        '<inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
     links = ['<link name="ground"/>', f'<link name="slider">{slider}</link>']
     joints = [
         f'<joint name="slide" type="prismatic"><parent link="ground"/><child link="slider"/>'

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Robot files as scenes: the same mechanism in URDF, SDF and MJCF, and random URDF trees."""
 
-import importlib.util
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -31,11 +31,10 @@ from liegroup_core.scene.load import scene_from_robot
 
 def peers():
     """The comparisons of benchmarks/robots.py."""
-    path = Path(__file__).parents[2] / "benchmarks" / "robots.py"
-    spec = importlib.util.spec_from_file_location("robots_benchmark", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
+    from robots_side import with_mujoco
+
+    return with_mujoco
 
 
 def arm_in(folder, kind):

@@ -2,15 +2,18 @@
 """Files and commands of the page "Bring your robot" run as printed; exit codes of the import."""
 
 import base64
+import importlib.util
 import re
 import shlex
+import shutil
 import signal
+import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from node_process import COMPILING, NodeProcess
+from node_process import COMPILING, NODE, NodeProcess, python
 from robot_texts import ARM_URDF, five_bar_urdf
 from sensor_msgs.msg import JointState
 
@@ -20,7 +23,8 @@ from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording import read_recording
 from liegroup_sim_ros.report.shapes import MOST_TRIANGLES, robot_shapes
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "how-to" / "robot.md").read_text()
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+PAGE = (DOCS / "how-to" / "robot.md").read_text()
 [ROBOT] = re.findall(r"```xml\n(.*?)```", PAGE, re.DOTALL)
 [CLOSED, SENSED] = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
 BLOCKS = re.findall(r"```sh\n(.*?)\n```", PAGE, re.DOTALL)
@@ -32,6 +36,7 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / "arm.urdf").write_text(ROBOT)
     (tmp_path / "closed.yaml").write_text(CLOSED)
     (tmp_path / "sensed.yaml").write_text(SENSED)
+    shutil.copytree(DOCS / "robots", tmp_path / "docs" / "robots")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -43,8 +48,14 @@ def test_all_commands_of_the_page(folder, capsys):
             assert main(arguments) == 0, arguments
             done.append(arguments[0])
     closed, sensed = ["describe", "run"], ["describe", "run", "import"]
-    assert done == ["describe", "run", "analyze", "import", "run", *closed, *sensed]
+    first = ["describe", "run", "analyze", "import", "run", *closed, *sensed]
+    assert done == [*first, "run", "run", "run", "import", "run", "analyze", "import"]
     assert {"flange", "shoulder", "elbow"} < set(read_recording("sensed.mcap").reactions)
+    (rod,) = load_scene("pendulum.yaml").bodies
+    assert rod.com == (0.0, 0.0, -0.4)
+    for name in ("five_bar", "lift", "stewart", "swing"):
+        poses = read_recording(f"{name}.mcap").pose
+        assert max(np.ptp(each.position, axis=0).max() for each in poses.values()) > 0.01
     read = capsys.readouterr()
     printed = " ".join(read.out.split())
     assert "arm: changes the motion: joint limits are not enforced: shoulder" in read.err
@@ -76,6 +87,22 @@ def test_the_node_takes_the_robots_file(folder, client):
         assert states[-1].name == ["shoulder", "elbow"]
         process.send(signal.SIGINT)
         assert process.wait()[0] == 0
+
+
+def test_the_command_beside_robot_state_publisher(folder):
+    """It needs tf2_msgs, which is not on PyPI: without it the node says so."""
+    ((command, publisher),) = re.findall(r"^ +sim_node (.*)\n +ros2 run (.*)$", PAGE, re.MULTILINE)
+    process = python(NODE, *shlex.split(command))
+    try:
+        if importlib.util.find_spec("tf2_msgs") is None:
+            _, errors = process.communicate(timeout=COMPILING)
+            assert process.returncode == 2 and "tf_rate: tf2_msgs is not installed" in errors
+        else:
+            with pytest.raises(subprocess.TimeoutExpired):
+                process.communicate(timeout=10.0)
+    finally:
+        process.kill()
+    assert publisher.startswith("robot_state_publisher robot_state_publisher arm.urdf ")
 
 
 def test_import_writes_what_load_scene_takes(folder, capsys):
@@ -112,6 +139,9 @@ def test_import_writes_what_load_scene_takes(folder, capsys):
         (["--lock", "flange=1"], "is fixed: only joints with one coordinate"),
         (["--pose", "home"], "pose 'home' is not in the robot"),
         (["--only", "nothing"], "'nothing' is not in the robot"),
+        (["m:=1"], "is no xacro file and takes no arguments: omit m"),
+        (["m"], "m: give arguments of xacro as NAME:=VALUE"),
+        (["m:=1", "m:=2"], "argument m is given twice"),
         (["--close", "tool", "base", "glue"], "type 'glue'"),
         (["--close", "tool", "lower", "fixed"], "move as one body"),
     ],
