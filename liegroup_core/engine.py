@@ -4,30 +4,19 @@
 import copy
 import logging
 import math
-from numbers import Integral, Real
+from numbers import Integral
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from liegroup_core.compiling import warm_up
-from liegroup_core.forces.external import no_wrenches, set_wrench
-from liegroup_core.forces.kinds import wanted_values
-from liegroup_core.forces.schedule import (
-    AXES,
-    DRIVE,
-    SERVO,
-    AppliedMotion,
-    AppliedTarget,
-    AppliedWrench,
-    Instant,
-    WrenchSchedule,
-)
+from liegroup_core.forces.schedule import DRIVE, Instant
 from liegroup_core.forces.timetable import Timetable
 from liegroup_core.integrators.methods import METHODS, is_positive
 from liegroup_core.integrators.smaller_step import step_that_works
 from liegroup_core.joints.coupling import COUPLED, gap, turns
-from liegroup_core.joints.motion import COLUMNS, at, row_at, through, uniform
+from liegroup_core.joints.motion import at, uniform
 from liegroup_core.model.build import initial_state
 from liegroup_core.observables.sample import Sample
 from liegroup_core.scene.consistency import joint_state
@@ -35,6 +24,7 @@ from liegroup_core.scene.description import WORLD, Scene
 from liegroup_core.scene.rearrange import rearranged
 
 from .errors import SimulationError
+from .inputs import Inputs
 from .integrators.families import check_group, check_options, choose_group, make_integrator
 from .layout import Layout, make_layout
 from .status import (
@@ -82,7 +72,7 @@ def _stabilised(model, kind, time, step):
     )
 
 
-class Engine:
+class Engine(Inputs):
     """Mechanism that is integrated on its Lie group by one method with one step size.
 
     scene  : Scene, from `load_scene` or built in code
@@ -213,12 +203,7 @@ class Engine:
             raise ValueError(f"expected {k} finite angles, as `Sample.angles`, got {angles!r}")
         self._work.angle[:] = self.layout.angles(pose, angles)
         self._pose, self._twist, self.steps = pose, twist, int(steps)
-        wanted = wanted_values(self.layout.model.forces)
-        self._schedule = WrenchSchedule(n, self.step, wanted, len(self.layout.motions))
-        self._commanded = self._schedule.total[DRIVE].copy()
-        self._work.wanted[:] = wanted
-        self._external = no_wrenches(self.layout.offsets)
-        self._applied = []
+        self._clear_inputs()
         self._integrator.restart()
         if memory is not None:
             self._remember(memory)
@@ -318,21 +303,6 @@ class Engine:
         """Pose (n, 12) and twist (n, 6) of the body frames, read-only: possibly not copies."""
         return self.layout.offsets.to_bodies(self._pose, self._twist)
 
-    def acting(self):
-        """[AppliedWrench, AppliedTarget or AppliedMotion] of what acts from now on."""
-        return [self._applied_at(self.time, *key) for key in self._acting_numbers()]
-
-    def _acting_numbers(self):
-        """[(number, axes)] of the nonzero total wrenches, all servos, and commanded motions."""
-        acting = {
-            (int(i), axes)
-            for axes in AXES
-            for i in np.flatnonzero(self._schedule.total[axes].any(axis=1))
-        }
-        commanded = np.isfinite(self._schedule.total[DRIVE][:, 0])
-        acting |= {(int(i), DRIVE) for i in np.flatnonzero(commanded)}
-        return sorted(acting | {(i, SERVO) for i in self.layout.servos.values()})
-
     def memory(self) -> bytes:
         """Bytes of the method's memory between steps, for `set_state`.
 
@@ -360,38 +330,6 @@ class Engine:
         self._work.wanted[:] = snapshot["wanted"]
         self._commanded[:] = self._schedule.total[DRIVE]
 
-    def acting_now(self):
-        """[[body or joint, axes, *wrench]] of what acts, JSON types; see Layout.names_of_inputs."""
-        names = self.layout.names_of_inputs
-        return [
-            [names[axes][number], axes, *self._schedule.total[axes][number].tolist()]
-            for number, axes in self._acting_numbers()
-        ]
-
-    def remember_acting(self, acting):
-        """Restore what acts, as `acting_now` returned it.
-
-        It has no other end than another command: a wrench of the source "body" or "world", or wanted
-        values of the servo. Raises ValueError, KeyError, TypeError for what is no such list.
-        """
-        names = self.layout.names_of_inputs
-        for name, axes, *wrench in acting:
-            total = self._schedule.total[axes]
-            if len(wrench) != total.shape[1] or not np.isfinite(wrench).all():
-                raise ValueError(f"no wrench: {axes!r:.20}, {wrench!r:.60}")
-            number = names[axes].index(name)
-            self._schedule.act(number, wrench, axes)
-            self._set_input(number, wrench, axes)
-
-    def _set_input(self, number, total, axes):
-        """Set a total wrench, wanted values or a motion for the next steps."""
-        if axes == SERVO:
-            self._work.wanted[number] = total
-        elif axes == DRIVE:
-            self._commanded[number] = total
-        else:
-            set_wrench(self._external, number, total, axes)
-
     @property
     def time(self) -> float:
         """Simulated time since the start or the last reset, s."""
@@ -416,203 +354,6 @@ class Engine:
     def substeps(self) -> tuple[int, int]:
         """Accepted and attempted substeps since the state was set; (0, 0) without error control."""
         return self._integrator.substeps
-
-    def apply_wrench(
-        self,
-        body: str,
-        wrench: ArrayLike,
-        start: float | None = None,
-        duration: float | None = None,
-        source: str = "api",
-        axes: str = "body",
-    ) -> None:
-        """Apply a wrench to a body from one time to another.
-
-        body     : name of the body
-        wrench   : (6,) torque N m, force N; about the origin of the body frame. Zero ends it
-        start    : simulated time, s, rounded to ns; None or a past time: the next step
-        duration : s; None: until it is replaced
-        source   : each source has one wrench per body; wrenches of different sources add
-        axes     : of the components: "body", or "world". A wrench in world axes keeps its direction
-                   in the world while the body rotates
-        A step in which a wrench starts or ends is split at that time, so that methods keep their
-        order (test/verification/test_pushes.py).
-        Raises ValueError for an unknown body, a wrong shape, or a number that is not finite.
-        """
-        if axes not in AXES:
-            raise ValueError(f"axes must be 'body' or 'world', got {axes!r}")
-        if body not in self._body:
-            raise ValueError(f"unknown body {body!r}; choose one of: {', '.join(self._body)}")
-        given = wrench
-        try:
-            wrench = np.asarray(given, dtype=float)
-        except (TypeError, ValueError):
-            wrench = np.zeros(0)
-        if wrench.shape != (6,) or not np.isfinite(wrench).all():
-            raise ValueError(f"a wrench must be six finite numbers (torque, force), got {given!r}")
-        begin, end = self._interval(start, duration)
-        self._schedule.command(source, self._body[body], wrench, begin, end, axes)
-
-    def apply_effort(
-        self,
-        joint: str,
-        effort: float,
-        start: float | None = None,
-        duration: float | None = None,
-        source: str = "api",
-    ) -> None:
-        """Apply an effort to a joint with one coordinate, from one time to another.
-
-        joint  : name of a revolute or prismatic joint
-        effort : torque about its z axis in N m, or force along it in N, on the child; the opposite
-                 acts on the parent. Zero ends it
-        start, duration, source : as in `apply_wrench`; each source has one effort per joint
-        The total wrenches of `drain_applied` contain the efforts.
-        Raises ValueError for an unknown joint, a joint without exactly one coordinate, or a number
-        that is not finite.
-        """
-        unit = self.layout.unit_efforts.get(joint)
-        if unit is None:
-            names = ", ".join(self.layout.unit_efforts) or "the scene has none"
-            raise ValueError(
-                f"joint {joint!r} is not a joint with one coordinate; choose one of: {names}"
-            )
-        if isinstance(effort, bool) or not (isinstance(effort, Real) and math.isfinite(effort)):
-            raise ValueError(f"an effort must be a finite number, got {effort!r}")
-        begin, end = self._interval(start, duration)
-        self._schedule.command_effort(source, joint, float(effort), unit, begin, end)
-
-    def command_servo(
-        self,
-        joint: str,
-        position: float,
-        velocity: float = 0.0,
-        start: float | None = None,
-        duration: float | None = None,
-    ) -> None:
-        """Command the wanted position and velocity of the servo of a joint.
-
-        joint    : name of a joint with a servo or linear_servo
-        position : rad, which may exceed 2 pi, or m
-        velocity : rad/s or m/s
-        start, duration : as in `apply_wrench`; after its end the values of the scene hold
-        Raises ValueError for a joint without a servo, or a number that is not finite.
-        """
-        number = self.layout.servos.get(joint)
-        if number is None:
-            names = ", ".join(self.layout.servos) or "the scene has none"
-            raise ValueError(f"joint {joint!r} has no servo; choose one of: {names}")
-        for name, value in (("position", position), ("velocity", velocity)):
-            if isinstance(value, bool) or not (isinstance(value, Real) and math.isfinite(value)):
-                raise ValueError(f"a wanted {name} must be a finite number, got {value!r}")
-        begin, end = self._interval(start, duration)
-        self._schedule.command_servo(number, float(position), float(velocity), begin, end)
-
-    def command_motion(
-        self,
-        joint: str,
-        times: ArrayLike,
-        positions: ArrayLike | None,
-        velocities: ArrayLike | None = None,
-        accelerations: ArrayLike | None = None,
-        start: float | None = None,
-    ) -> None:
-        """Command the motion of a driven joint through points, and on at the last velocity.
-
-        joint     : name of a driven joint
-        times     : (m,) s after the start, positive and increasing
-        positions : (m,) rad, which may exceed 2 pi, or m; None: those to which the velocities lead
-        velocities, accelerations : (m,), the last acceleration 0; default: see joints/motion.py
-        start     : as in `apply_wrench`
-        The motion begins with the position, velocity and acceleration that the joint has at the start,
-        and is twice continuously differentiable. It replaces what was commanded from there on.
-        Raises ValueError for a joint that is not driven, wrong shapes or times, or NaN.
-        """
-        number = self._drive(joint)
-        begin, _ = self._interval(start, None)
-        after = np.array(times, dtype=float)
-        points = [positions, velocities, accelerations]
-        points = [part if part is None else np.array(part, dtype=float) for part in points]
-        for name, part in zip(
-            ("times", "positions", "velocities", "accelerations"), (after, *points)
-        ):
-            if part is not None and (part.shape != (len(after),) or not np.isfinite(part).all()):
-                raise ValueError(f"{name} must be {len(after)} finite numbers, got {part}")
-        if not (len(after) and after[0] > 0.0 and (np.diff(after) > 0.0).all()):
-            raise ValueError(f"times must be positive and increase, got {after}")
-        if points[0] is None and points[1] is None:
-            raise ValueError("give positions or velocities")
-        if points[2] is not None and (points[1] is None or points[2][-1] != 0.0):
-            raise ValueError("accelerations require velocities, and the last one must be 0")
-        # A motion meets the next one at a whole ns, where the step is split.
-        instants = [begin, *(self._schedule.instant(begin.time + time) for time in after)]
-        if not all(before < later for before, later in zip(instants, instants[1:])):
-            raise ValueError("times must be at least 1 ns apart")
-        origins = [instant.time for instant in instants]
-        motion = self._schedule.motion_at(number, begin)
-        if not np.isfinite(motion[0]):
-            motion = row_at(self.layout.motions[joint], begin.time)
-        rows = through(at(motion, begin.time), origins, *points)
-        for instant, row in zip(instants, rows):
-            self._schedule.command_motion(number, row, instant)
-
-    def prescribe(self, joint: str, motion: ArrayLike, start: float | None = None) -> None:
-        """Command a motion (7,) of a driven joint as it is: see AppliedMotion.
-
-        Raises ValueError for a joint that is not driven, or what is no motion.
-        """
-        row = np.array(motion, dtype=float)
-        if row.shape != (COLUMNS,) or not np.isfinite(row).all():
-            raise ValueError(f"a motion must be {COLUMNS} finite numbers, got {motion!r}")
-        begin, _ = self._interval(start, None)
-        self._schedule.command_motion(self._drive(joint), row, begin)
-
-    def _drive(self, joint):
-        """Number of a driven joint. Raises ValueError for another one."""
-        names = tuple(self.layout.motions)
-        if joint not in names:
-            known = ", ".join(names) or "the scene has none"
-            raise ValueError(f"joint {joint!r} is not driven; choose one of: {known}")
-        return names.index(joint)
-
-    def _interval(self, start, duration):
-        """Instants at which a command starts and ends (None: never). Raises ValueError."""
-        for name, value in (("start", start), ("duration", duration)):
-            if value is not None and not (isinstance(value, Real) and math.isfinite(value)):
-                raise ValueError(f"{name} must be finite, or None, got {value!r}")
-        begin, end = self._schedule.boundary(self.steps), None
-        if start is not None and start > begin.time:
-            begin = max(begin, self._schedule.instant(float(start)))
-        if duration is not None:
-            if not duration > 0.0:
-                raise ValueError(f"a duration must be positive, got {duration!r}")
-            end = self._schedule.instant(begin.time + float(duration))
-            if end <= begin:
-                raise ValueError(f"a duration must be at least 1 ns, got {duration!r} s")
-        return begin, end
-
-    @property
-    def wrench_count(self) -> int:
-        """Number of applied wrenches and efforts that act now or start later."""
-        return len(self._schedule)
-
-    @property
-    def wrench_sources(self):
-        """Names of the sources of these wrenches and efforts."""
-        return self._schedule.sources
-
-    def clear_wrenches(self, source: str = "api") -> None:
-        """End all wrenches and efforts of a source, also those that start later."""
-        self._schedule.clear(source)
-
-    def drain_applied(self) -> list[AppliedWrench | AppliedTarget | AppliedMotion]:
-        """Return the changes of total wrenches, of servos and of motions since the last call.
-
-        There is one total in body axes and one in world axes. If `change.repeat(simulation)`
-        applies the changes again, the run is bit-identical (test/core/test_wrenches.py).
-        """
-        applied, self._applied = self._applied, []
-        return applied
 
     def advance(self, steps: int = 1) -> None:
         """Take `steps` steps, an integer >= 0.
@@ -668,28 +409,6 @@ class Engine:
                 self.time,
                 LARGE_ROTATION / turned * self.step,
             )
-
-    def _change_wrenches(self, time, changed):
-        """Apply the total wrenches, or wanted values, of [(body, axes)] from a time on."""
-        for body, axes in changed:
-            total = self._schedule.total[axes][body]
-            self._set_input(body, total, axes)
-            self._applied.append(self._applied_at(time, body, axes))
-
-    def _applied_at(self, time, body, axes):
-        """AppliedWrench, AppliedTarget or AppliedMotion of a total at a time."""
-        total = self._schedule.total[axes][body].tolist()
-        name = self.layout.names_of_inputs[axes][body]
-        if axes == SERVO:
-            return AppliedTarget(time, round(time * 1e9), name, *total)
-        if axes == DRIVE:
-            return AppliedMotion(time, round(time * 1e9), name, tuple(total))
-        return AppliedWrench(time, round(time * 1e9), name, tuple(total), axes)
-
-    def _times_inside(self):
-        """Times inside the next step at which a wrench may start or end."""
-        times = self._timetable.inside(self.steps)
-        return {*times, *self._schedule.inside(self.steps)} if self._schedule else times
 
     def _take_steps(self, steps, inside):
         """Take steps in which no wrench changes, or one step in parts if one changes.
