@@ -82,7 +82,8 @@ def test_the_commands_of_the_page_on_reactions_run(tmp_path, monkeypatch, capsys
     lines = [shlex.split(line) for line in "".join(blocks).splitlines()]
     for program, *arguments in lines:
         assert program == "liegroup_sim" and main(arguments) == 0, arguments
-    assert [line[1] for line in lines] == ["run", "analyze", "sweep", "describe"]
+    assert [line[1] for line in lines] == ["run", "analyze", "sweep", "run", "describe"]
+    assert "elbow.effort [N m]" in Path("torques.csv").read_text()
     assert "Reaction forces" in Path("crank.html").read_text()
     loads = pandas.read_parquet("loads.parquet")
     assert (loads["shaft.fx"] > 0.0).all() and "undetermined" in capsys.readouterr().out

@@ -185,7 +185,7 @@ def test_the_recording_is_repeated_bit_by_bit(process):
         ({"command_joints": "elbow,elbow"}, "command_joints: names a joint twice"),
         (
             {"command_joints": "elbow", "command_interface": "velocity"},
-            "command_interface: 'elbow' has no servo without stiffness",
+            "command_interface: 'elbow' is not driven and has no servo without stiffness",
         ),
         ({"command_interface": "force"}, "command_interface: must be position"),
         ({"trajectory_period": 0.0}, "trajectory_period: must be at least 1e-05"),
