@@ -8,8 +8,10 @@ read from the text like any other, so a recording of a robot needs no other file
     read.py                       which format a file has
     urdf.py, sdf.py, mjcf.py      file -> Robot, a neutral description (description.py)
     apart.py                      xacro and MuJoCo's compiler, in processes of their own
+    sdf_sensors.py, mjcf_sensors.py   sensors of a file
     options.py, additions.py      what a user adds: start values, closing joints, forces
     chains.py, links.py           links that stay, links that move as one, poses at the start
+    sensors.py                    sensors of file and user, fixed joints that are kept for them
     mapping.py                    Robot -> bodies, joints, forces and notes of a scene
     text.py                       -> YAML with comments
 """

@@ -48,7 +48,13 @@ def add_sensors(robot, options, grouping, parts, body_of):
     joints = {file: scene for (kind, scene), file in parts.names.items() if kind == "joints"}
     taken = {
         entry["name"] for entry in (*parts.bodies, *parts.joints, *parts.couplings, *parts.forces)
-    } | {WORLD}
+    } | {WORLD, *robot.links}  # the frames of links are in /tf, and so are those of sensors
+    for i, each in enumerate(options.sensors):
+        if each.name in robot.links:
+            raise options.error(
+                ("sensors", i, "name"),
+                f'sensors[{i}] "{each.name}": the robot has a link with this name: choose another',
+            )
     own = [each.name for each in options.sensors]
     found = [(robot_sensor, None) for robot_sensor in robot.sensors]
     found += [(_given(each), i) for i, each in enumerate(options.sensors)]

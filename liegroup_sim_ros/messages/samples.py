@@ -167,16 +167,21 @@ def reactions(layout, world_frame, frame_prefix=""):
     """geometry_msgs/WrenchStamped of every joint: `Sample.reactions`, NaN where undetermined.
 
     Also of every spring, motor and servo at a joint: `Sample.force_efforts`, on the child. The frame
-    is the child's joint frame, `JOINT_reaction`; see `fixed_frames`. Raises ValueError if a joint or
-    force has the name of a body, whose ~/BODY/wrench is an input.
+    is the child's joint frame, `JOINT_reaction`; see `fixed_frames`. ~/BODY/wrench is an input: a joint
+    or force with the name of a body has ~/NAME_reaction/wrench. Raises ValueError if that is taken, too.
     """
     joints, forces = [joint.name for joint in layout.scene.joints], layout.joint_forces
-    for what, names in (("joint", joints), ("force", forces.names)):
-        for name in names:
-            if name in layout.body_names:
-                raise ValueError(
-                    f"~/{name}/wrench is the input for body {name}: give {what} {name} another name"
-                )
+    labels = {
+        name: f"{name}{REACTION}" if name in layout.body_names else name
+        for name in (*joints, *forces.names)
+    }
+    taken = {*layout.body_names, *labels, *(sensor.name for sensor in layout.scene.sensors)}
+    for name, label in labels.items():
+        if label != name and label in taken:
+            raise ValueError(
+                f"~/{label}/wrench is for the joint or force {name}, which has the name of a body: give "
+                f"{label} another name"
+            )
 
     def of_joint(name):
         codec = WrenchStampedCodec(f"{frame_prefix}{name}{REACTION}")
@@ -191,7 +196,10 @@ def reactions(layout, world_frame, frame_prefix=""):
 
     encoders = {name: of_joint(name) for name in joints}
     encoders |= {name: of_force(name) for name in forces.names}
-    return [(f"~/{name}/wrench", WrenchStampedCodec.TYPE, encoders[name]) for name in encoders]
+    return [
+        (f"~/{labels[name]}/wrench", WrenchStampedCodec.TYPE, encode)
+        for name, encode in encoders.items()
+    ]
 
 
 def fixed_frames(layout, frame_prefix=""):

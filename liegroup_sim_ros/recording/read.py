@@ -57,6 +57,7 @@ __all__ = [
 
 FORMAT = 1  # of settings.json and the other attachments
 REACTION = "/wrench"  # ending of the topics of reactions; inputs are not recorded
+OF_BODY = "_reaction"  # before it, if the joint has the name of a body
 # Numbers in a piece of `samples`, and the largest offset between two topics of a file in samples.
 PIECE, MOST_APART = 200_000, 100_000
 
@@ -168,6 +169,8 @@ class Recording:
                 for channel, index in channels:
                     if channel.type == WrenchStampedCodec.TYPE and channel.topic.endswith(REACTION):
                         joint = channel.topic.removesuffix(REACTION).rpartition("/")[2]
+                        if joint.removesuffix(OF_BODY) in self.bodies:
+                            joint = joint.removesuffix(OF_BODY)
                         rows = found.setdefault(joint, [])
                         rows += (WrenchStampedCodec.decode_one(messages.payload(k)) for k in index)
         return {

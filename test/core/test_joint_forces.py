@@ -27,6 +27,7 @@ forces:
   - {name: linear, type: linear_motor, joint: rail, force: -4, speed_limit: 8}
   - {name: torsion, type: torsional_spring_damper, joint: hinge, stiffness: 7, damping: 0.4, rest_angle: 0.3}
   - {name: motor, type: motor, joint: hinge, torque: 5, rate_limit: 20}
+  - {name: coil, type: torsional_spring_damper, joint: bolt, stiffness: 0.6, damping: 0.1}
   - {name: twister, type: motor, joint: bolt, torque: 0.7}
   - {name: pusher, type: linear_spring_damper, joint: bolt, stiffness: 30, damping: 2, rest_position: 0.1}
   - {name: servo, type: servo, joint: hinge, stiffness: 40, damping: 3, position: 0.5, effort_limit: 25}
@@ -53,6 +54,7 @@ def test_every_force_at_a_joint_has_its_law(sample):
         "linear": -4.0 - 4.0 / 8.0 * speed,
         "torsion": 7.0 * (0.3 - angle) - 0.4 * rate,
         "motor": 5.0 - 5.0 / 20.0 * rate,
+        "coil": -0.6 * turn - 0.1 * sample.twists["nut"][2],
         "twister": 0.7,
         "pusher": 30.0 * (0.1 - 0.2 * turn) - 2.0 * rise,
         "servo": 40.0 * (0.7 - angle) + 3.0 * (0.1 - rate),
@@ -89,7 +91,9 @@ def test_a_joint_transmits_what_its_child_needs(sample):
     shares = [sample.force_efforts[name] for name in ("torsion", "motor", "servo")]
     assert along == pytest.approx([0, 0, sum(shares) + 1.25, 0, 0, 0], abs=1e-12)
     along = sample.transmitted["bolt"] - sample.reactions["bolt"]
-    assert along == pytest.approx([0, 0, 0.7, 0, 0, sample.force_efforts["pusher"]], abs=1e-12)
+    efforts = sample.force_efforts
+    expected = [0, 0, efforts["twister"] + efforts["coil"], 0, 0, efforts["pusher"]]
+    assert along == pytest.approx(expected, abs=1e-12)
 
 
 def test_a_scene_without_such_forces_has_none():

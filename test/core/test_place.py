@@ -166,7 +166,11 @@ assemble: true
 def test_joints_take_their_values_and_the_others_keep_theirs(group):
     """A floating tree: whole turns of a spring's joint too, and what is free of it keeps its bits."""
     engine = Engine(scene_from_text(ARM), "rkmk4", 1e-3, group, quiet=True)
+    start = engine.sample()
     engine.place({}, {}, {"rail": (0.1, 0.5), "bolt": (0.4, -2.0)})
+    for body in ("base", "upper"):  # not moved by what they carry
+        assert np.abs(engine.sample().poses[body] - start.poses[body]).max() <= 1e-14
+        assert np.abs(engine.sample().twists[body] - start.twists[body]).max() <= 1e-13
     engine.advance(20)
     before, stone = engine.sample(), engine.state()[0][4]
     engine.place(joints={"shoulder": (7.5, -1.0)})

@@ -282,7 +282,8 @@ def test_sensors_beside_a_robot_name_its_links_and_joints(tmp_path, capsys):
         ("{name: s, type: encoder, joint: wrist}", 'sensors[0] "s": joint wrist is merged'),
         ("{name: s, type: force_torque, joint: tcp_joint}", "joint tcp_joint is merged"),
         ("{name: s, type: distance, parent: tool, child: tcp}", "its links move as one body"),
-        ("{name: upper, type: imu, body: tcp}", "this name is already used"),
+        ("{name: tcp, type: imu, body: tcp}", "the robot has a link with this name"),
+        ("{name: shoulder, type: imu, body: tcp}", "this name is already used"),
     ],
 )
 def test_a_sensor_that_does_not_fit_the_robot_is_refused_with_its_line(tmp_path, entry, text):

@@ -376,13 +376,20 @@ def test_a_run_writes_the_efforts_of_forces_at_joints_beside_the_reactions(tmp_p
     assert recorded["spring"].wrench[1].tolist() == [0, 0, 0, 0, 0, written[1]]
 
 
-def test_a_joint_with_the_name_of_a_body_has_no_topic_for_its_reaction(tmp_path, capsys):
+def test_a_joint_with_the_name_of_a_body_has_another_topic(tmp_path, capsys):
+    """~/BODY/wrench is an input of the node."""
     scene = tmp_path / "one.yaml"
-    scene.write_text(
-        "name: one\ngravity: [0, 0, 0]\nbodies: [{name: arm, mass: 1, inertia: [1, 1, 1]}]\n"
+    text = (
+        "name: one\ngravity: [0, 0, -9.81]\nbodies: [{name: arm, mass: 1, inertia: [1, 1, 1]}MORE]\n"
         "joints: [{name: arm, type: revolute, parent: world, child: arm, child_frame: {}}]\n"
     )
+    scene.write_text(text.replace("MORE", ""))
     common = ["run", str(scene), "--duration", "0.1", "--reactions", "--out"]
-    assert main([*common, str(tmp_path / "run.npz")]) == 0
-    assert main([*common, str(tmp_path / "run.mcap")]) == 2
-    assert "~/arm/wrench is the input for body arm" in capsys.readouterr().err
+    assert main([*common, str(tmp_path / "run.mcap")]) == 0
+    recording = read_recording(tmp_path / "run.mcap")
+    topics = [channel.topic for channel in recording.channels.values()]
+    assert "/sim_node/arm_reaction/wrench" in topics
+    assert recording.reactions["arm"].wrench[0, 5] == pytest.approx(9.81, rel=1e-12)
+    scene.write_text(text.replace("MORE", ", {name: arm_reaction, mass: 1, inertia: [1, 1, 1]}"))
+    assert main([*common, str(tmp_path / "more.mcap")]) == 2
+    assert "give arm_reaction another name" in capsys.readouterr().err
