@@ -8,6 +8,7 @@ without mass. Joint coordinates are counted from the pose of the file (qpos0).
 
 import json
 import math
+import re
 
 import numpy as np
 
@@ -68,12 +69,16 @@ def robot_of_mjcf(root, path):
 
 
 def _with_line(error, root, path):
-    """SceneError with the line of the file that MuJoCo could not open, if that is what it says."""
+    """SceneError with the line that MuJoCo's message has, or of the file that it could not open."""
     head, text = f"{path}: ", str(error)
     for element in root.iter():
         name = element.get("file")
         if name and text.startswith(head) and f"{name}'" in text:
             return refusal(path, element.sourceline, text.removeprefix(head))
+    line = re.search(r", line ([1-9]\d*)", text)
+    # A line of an included file is counted in that file, whose name the message does not have.
+    if line and text.startswith(head) and root.find(".//include") is None:
+        return refusal(path, int(line[1]), text.removeprefix(head))
     return error
 
 

@@ -7,6 +7,7 @@ forces:
   - {name: spring, type: torsional_spring_damper, joint: elbow, stiffness: 5}
 """
 
+import re
 from collections.abc import Mapping
 from typing import Annotated, Literal
 
@@ -142,11 +143,13 @@ class _Origins:
 
     file  : the robot's file
     lines : {(list, index) or (list, index, key): line of the file, or path inside the additions}
+    names : {(list, name in the scene): name in the file}
     added : function: path inside the additions -> "file:line"; None without a file of additions
     """
 
-    def __init__(self, file, lines, added):
+    def __init__(self, file, lines, names, added):
         self._file, self._lines, self._added = file, lines, added
+        self._renamed = {scene: given for (_, scene), given in names.items() if scene != given}
 
     def __call__(self, place):
         line = self._line(place)
@@ -158,7 +161,7 @@ class _Origins:
         return self._lines.get(tuple(place[:3]), self._lines.get(tuple(place[:2]), 0))
 
     def located(self, error):
-        """SceneError with file and line, and with the index of an entry in the additions."""
+        """SceneError with file and line, names of the file, and the index of an entry in the additions."""
         place, text = error.place or (), str(error)
         line = self._line(place)
         if isinstance(line, tuple):
@@ -166,6 +169,8 @@ class _Origins:
             if self._added is None:
                 own = "--close" if line[0] == "joints" else f"--{line[0].replace('_', '-')}"
             text = text.replace("{}[{}]".format(*place[:2]), own, 1)
+        if self._renamed:
+            text = re.sub(r"\w+", lambda word: self._renamed.get(word[0], word[0]), text)
         return SceneError(f"{self(place)}: {text}", error.place)
 
 
@@ -180,7 +185,7 @@ def robot_text(path, options=None, added_line=None):
     parts = scene_parts(robot, options)
     text = scene_text(parts)
 
-    where = _Origins(robot.file, parts.lines, added_line)
+    where = _Origins(robot.file, parts.lines, parts.names, added_line)
     return text, read_yaml(text, str(path)).value, where, RobotNames(robot, parts, size, options)
 
 

@@ -8,6 +8,7 @@ import time
 
 import numpy as np
 import pytest
+from robot_damage import mutated
 from robot_texts import ARM_MJCF, ARM_SDF, ARM_URDF, MJCF_WITH_ALL_JOINTS, five_bar_urdf, mimic_urdf
 
 from liegroup_core import SceneError, Simulation, load_scene
@@ -17,22 +18,6 @@ from liegroup_core.robots import apart
 from liegroup_core.robots.options import Options
 from liegroup_core.scene.load import scene_from_robot, scene_from_text
 
-WORDS = [
-    "0",
-    "-1",
-    "1e308",
-    "nan",
-    "inf",
-    "",
-    "1 2",
-    "text",
-    "upper",
-    "slide",
-    "world",
-    "<",
-    "&a;",
-    "\u00e9",
-]
 DAMPING = '<dynamics damping="4"/>'
 SECONDS = 20.0  # far above the time of a correct file, also on a loaded machine
 
@@ -138,7 +123,9 @@ def test_a_wrong_sdf_file_has_one_line(old, new, expected, tmp_path):
 def test_the_message_of_mujocos_compiler_is_passed_on(tmp_path):
     path = tmp_path / "arm.xml"
     path.write_text(ARM_MJCF.format(upper="1 1 1 0 0 0").replace("hinge", "wheel"))
-    assert "invalid keyword: 'wheel'" in refusal(path)
+    text = refusal(path)
+    line = path.read_text().split("wheel")[0].count("\n") + 1
+    assert text.startswith(f"{path}:{line}: mjcf: ") and "invalid keyword: 'wheel'" in text
 
 
 MESHES = """<mujoco><compiler meshdir="meshes" texturedir="pictures" {rule}/><asset>
@@ -246,41 +233,6 @@ def test_a_model_that_needs_too_much_memory_is_refused(tmp_path):
     path = tmp_path / "many.xml"
     path.write_text(f"<mujoco><worldbody>{text}</worldbody></mujoco>")
     assert "mjcf needs more than 2 GiB of memory" in refusal(path)
-
-
-def mutated(text, rng):
-    """Text with one to three random changes: characters, values, lines, and what is between tags."""
-    for _ in range(rng.integers(1, 4)):
-        kind = rng.integers(6)
-        if kind == 0:
-            at = rng.integers(len(text))
-            text = text[:at] + text[at + rng.integers(1, 40) :]
-        elif kind == 1:
-            at = rng.integers(len(text))
-            text = text[:at] + WORDS[rng.integers(len(WORDS))] + text[at:]
-        elif kind == 2:
-            values = list(re.finditer(r'"[^"]*"', text))
-            if values:
-                found = values[rng.integers(len(values))]
-                word = WORDS[rng.integers(len(WORDS))]
-                text = f'{text[: found.start()]}"{word}"{text[found.end() :]}'
-        elif kind == 3:
-            lines = text.splitlines(keepends=True)
-            del lines[rng.integers(len(lines))]
-            text = "".join(lines)
-        elif kind == 4:
-            lines = text.splitlines(keepends=True)
-            at = rng.integers(len(lines))
-            text = "".join([*lines[:at], lines[at] * 2, *lines[at + 1 :]])
-        else:
-            values = list(re.finditer(r">[^<>]+<", text))
-            if values:
-                found = values[rng.integers(len(values))]
-                word = WORDS[rng.integers(len(WORDS))]
-                text = f"{text[: found.start()]}>{word}<{text[found.end() :]}"
-        if not text:
-            return "<"
-    return text
 
 
 TEXTS = {
@@ -650,6 +602,13 @@ def test_rounded_start_values_of_a_loop_are_moved(digits, moved, tmp_path):
         for name, change, value in changes:
             assert abs(float(change)) < 1e-4 and float(value) == pytest.approx(found[name][0])
             assert float(value) - start[name] == pytest.approx(float(change), abs=1e-6)
+
+
+def test_errors_have_the_names_of_the_robots_file(tmp_path):
+    (tmp_path / "five_bar.urdf").write_text(five_bar_urdf().replace("left_crank", "left-crank"))
+    path = tmp_path / "loop.yaml"
+    path.write_text(LOOP.format("{left-crank: 0.1, left_elbow: 0.1, right_crank: 0.1}"))
+    assert re.search(r"nearest ones: left-crank -?[\d.]+, ", refusal(path))
 
 
 def test_a_loop_that_cannot_close_names_the_closing_joint(tmp_path):
