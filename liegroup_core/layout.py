@@ -33,6 +33,8 @@ from .scene.consistency import resolve_drives, resolve_frames
 from .scene.description import Scene
 from .scene.massless import lack_of_inertia
 
+NO_MOTIONS = np.zeros((0, COLUMNS))
+
 
 @dataclass(frozen=True)
 class Layout:
@@ -176,11 +178,18 @@ class Layout:
         joints = {SERVO: tuple(self.servos), DRIVE: tuple(self.motions)}
         return dict.fromkeys(AXES, self.body_names) | joints
 
+    @cached_property
+    def wanted(self):
+        """(k, 2) wanted positions and velocities of the servos without a command."""
+        return kinds.wanted_values(self.model.forces)
+
     def motions_at(self, time, commanded=None):
         """(d, 7) motion of each driven joint that holds from a time on; see joints/motion.py.
 
         commanded : (d, 7) commanded ones, or FROM_SCENE
         """
+        if not self.motions:
+            return NO_MOTIONS
         rows = [row_at(rows, time) for rows in self.motions.values()]
         found = np.array(rows).reshape(-1, COLUMNS)
         if commanded is not None:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from liegroup_core.compiling import SameTypes
 from liegroup_core.errors import SimulationError
 from liegroup_core.forces.external import no_wrenches
 from liegroup_core.forces.kinds import limits, wanted_values
@@ -59,12 +60,13 @@ class Reactions:
     """
 
     def __init__(self, layout):
-        self._offsets = layout.offsets
         self._forces = layout.joint_forces
         self._bodies = layout.body_names
         self.names = tuple(joint.name for joint in layout.scene.joints)
         model = layout.relative_in_space
         self._model, self._table = model, reaction_table(layout)
+        self._joint_wrenches = SameTypes(joint_wrenches)
+        self._out, self._idle = np.empty((len(self.names), 6)), no_wrenches(layout.offsets)
         self._work = make_relative_work(model, make_work(layout.model, 0), 0)
         self._scene = scene = layout.centred
         couplings = resolve_couplings(scene)
@@ -134,15 +136,18 @@ class Reactions:
                       centre of mass, body axes
         Raises SimulationError if the accelerations cannot be computed.
         """
-        work, out = self._work, np.empty((len(self.names), 6))
-        work.angle[:], work.acting[:], work.wanted[:] = angles, acting, wanted
-        work.motions[:], work.clock[2] = motions, time
+        work, n = self._work, len(pose)
+        for given, to in ((angles, work.angle), (acting, work.acting), (wanted, work.wanted)):
+            if len(to):
+                to[:] = given
+        if len(motions):
+            work.motions[:], work.clock[2] = motions, time
+        work.pose[:n], work.twist[:n] = pose, twist
+        work.external[:] = self._idle if external is None else external
         before = work.report[2]
-        if external is None:
-            external = no_wrenches(self._offsets)
-        if joint_wrenches(self._model, work, pose, twist, external, self._table, out) >= 0:
+        if self._joint_wrenches(self._model, work, self._table, self._out) >= 0:
             raise SimulationError("the reactions cannot be computed: constraint rows are dependent")
-        motion = self._table.motion.copy()
+        out, motion = self._out.copy(), self._table.motion.copy()
         if work.report[2] == before:
             return out, self.undetermined, motion
         mask = self.undetermined.copy()  # a singular pose

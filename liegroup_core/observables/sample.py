@@ -18,6 +18,8 @@ from liegroup_core.lie.groups import within_a_turn
 
 from .along import quaternions, rows
 
+NONE_ACT = np.zeros(0, dtype=bool)
+
 
 class Sample:
     """State of a mechanism at one instant.
@@ -146,6 +148,8 @@ class Sample:
     def _acting(self):
         """Mask of the scene's applied wrenches that act: one that starts at this time, too."""
         rows = self._layout.model.forces.applied_wrench
+        if not len(rows):
+            return NONE_ACT
         return acting_at(rows, self.time * (1.0 + ROUNDING))
 
     @cached_property
@@ -174,7 +178,7 @@ class Sample:
         are about n times those of a wrench: test/verification/test_reactions.py.
         """
         wrenches, mask, _ = self._reactions
-        return self._by_joint(np.where(mask, np.nan, wrenches))
+        return self._by_joint(np.where(mask, np.nan, wrenches) if mask.any() else wrenches)
 
     @cached_property
     def force_efforts(self) -> dict[str, float]:
@@ -248,8 +252,7 @@ class Sample:
 
     @property
     def _wanted(self):
-        forces = self._layout.model.forces
-        return kinds.wanted_values(forces) if self.wanted is None else self.wanted
+        return self._layout.wanted if self.wanted is None else self.wanted
 
     @cached_property
     def _servo_efforts(self):

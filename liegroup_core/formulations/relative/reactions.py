@@ -149,11 +149,10 @@ def _take_cut_joints(model, work, table, out):
 
 
 @stepper
-def joint_wrenches(model, work, pose, twist, external, table, out):
+def joint_wrenches(model, work, table, out):
     """Wrench (J, 6) of every joint on its child: torque, force in the axes of the child's joint frame.
 
-    pose, twist : (n, 12), (n, 6) of frames at the centres of mass
-    external    : (n, 16), see forces/external.py
+    The first n rows of work.pose and work.twist have the state, work.external the external wrenches.
     The torque is about the origin of that frame. Redundant rows, which are eliminated, transmit
     nothing. A coupling acts in the freedoms of its joints. Springs, motors and other forces are no
     part of it. Returns -1, or the joint with dependent rows if the solve fails.
@@ -161,9 +160,9 @@ def joint_wrenches(model, work, pose, twist, external, table, out):
     n = len(model.parts)
     for i in range(n):
         for c in range(12):
-            work.pose[i, c] = work.stage_pose[i, c] = work.space.stage_pose[i, c] = pose[i, c]
+            work.stage_pose[i, c] = work.space.stage_pose[i, c] = work.pose[i, c]
         for c in range(6):
-            work.twist[i, c] = work.stage_twist[i, c] = work.space.stage_twist[i, c] = twist[i, c]
+            work.stage_twist[i, c] = work.space.stage_twist[i, c] = work.twist[i, c]
     coordinates(model, work, work.pose, work.twist)
     for b in range(n, n + len(model.bodies)):
         for c in range(12):
@@ -172,7 +171,7 @@ def joint_wrenches(model, work, pose, twist, external, table, out):
             work.stage_twist[b, c] = work.twist[b, c]
     move_links(model, work)
     place_links(model, work)
-    apply_forces(model, work, external)
+    apply_forces(model, work, work.external)
     found = solve_equations(model, work)
     if found >= 0:
         return found
