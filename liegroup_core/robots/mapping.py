@@ -68,6 +68,7 @@ def scene_parts(robot, options):
     grouping = grouped(robot, options, base, joints, lock, values, notes)
     closing = grouping.place(values, options.velocities(robot))
     options.check_velocities({joint.name for joint in grouping.moving})
+    options.check_driven({joint.name: joint.type for joint in grouping.moving})
     check_kept(options, {joint.name for joint in grouping.moving})
     extra = added_joints(options, grouping)
     closing += extra
@@ -82,6 +83,7 @@ def scene_parts(robot, options):
     given = (options.start, options.start_velocity) if closing else ({}, {})
     own = {entry.name for entry in (*options.couplings, *options.forces)}
     taken = _joints(robot, grouping, parts, used, (extra, given, own))
+    _drive(options, parts)
     _couplings(robot, grouping, parts, values, taken)
     for i, entry in enumerate(added_forces(options, grouping, parts)):
         parts.lines["forces", len(parts.forces)] = ("forces", i)
@@ -241,6 +243,18 @@ def _joints(robot, grouping, parts, body_of, added):
         )
         _law(robot, parts, joint, name, taken)
     return taken
+
+
+def _drive(options, parts):
+    """Add the prescribed motions of driven joints."""
+    for number, entry in enumerate(parts.joints):
+        name = parts.names["joints", entry["name"]]
+        if name in options.driven:
+            entry["driven"] = True
+            if options.driven[name] is not None:
+                entry["motion"] = options.driven[name].model_dump(exclude_none=True)
+            for key in ("driven", "motion"):
+                parts.lines["joints", number, key] = ("driven", name)
 
 
 def _couplings(robot, grouping, parts, values, taken):

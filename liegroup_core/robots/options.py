@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import suggestion
+from liegroup_core.joints.coupling import COUPLED
 
 from .description import ONE_COORDINATE
 
@@ -21,6 +22,7 @@ class Options:
     start_velocity : {joint: velocity}, rad/s or m/s, in place of 0 or of that of the pose
     lock      : {joint: coordinate} of joints that do not move
     keep      : fixed joints that are not merged
+    driven    : {joint: joints.motion.Motion, or None for its start velocity} of driven joints
     only      : links whose chains to the root are kept; empty: all
     joints    : [joint of a scene], between links; its frames are in the frames of the links
     couplings : [coupling of a scene, with names of joints of the robot]
@@ -39,6 +41,7 @@ class Options:
     start_velocity: dict = field(default_factory=dict)
     lock: dict = field(default_factory=dict)
     keep: list = field(default_factory=list)
+    driven: dict = field(default_factory=dict)
     only: list = field(default_factory=list)
     joints: list = field(default_factory=list)
     couplings: list = field(default_factory=list)
@@ -129,6 +132,18 @@ class Options:
                     ("start", name),
                     f'start: joint "{name}" is {value:g}, and lock holds it at {values[name]:g}: '
                     "omit one of the two",
+                )
+
+    def check_driven(self, moving):
+        """Refuse driven joints that do not move; moving : {joint: type}."""
+        for name in self.driven:
+            if name not in moving:
+                raise self.unknown(("driven", name), "driven: joint that moves", name, moving)
+            if moving[name] not in COUPLED:
+                raise self.error(
+                    ("driven", name),
+                    f'driven: joint "{name}" is {moving[name]}: only joints with one coordinate '
+                    f"({', '.join(COUPLED)}) can be driven",
                 )
 
     def check_velocities(self, moving):

@@ -16,6 +16,7 @@ from pydantic import BeforeValidator, Field, WithJsonSchema
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import Described, Name, Number, Text, Vector3
 from liegroup_core.joints.coupling import Coupling
+from liegroup_core.joints.motion import Motion
 from liegroup_core.robots.chains import base_of
 from liegroup_core.robots.mapping import scene_parts
 from liegroup_core.robots.options import BASES, Options
@@ -37,6 +38,14 @@ def _mapped(value):
 
 # {joint: number}; a key without a value is an empty one.
 ByJoint = Annotated[dict[str, Number], BeforeValidator(_mapped)]
+
+
+def _motions(value):
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping):
+        raise ValueError("must be a mapping of joints to motions, or to nothing")
+    return value
 
 
 def _arguments(value):
@@ -98,6 +107,11 @@ class RobotFile(Described):
         (),
         description="fixed joints that are not merged, so that their reactions are known; those with a "
         "force_torque sensor are kept by themselves",
+    )
+    driven: Annotated[dict[str, Motion | None], BeforeValidator(_motions)] = Field(
+        {},
+        description="joints that move as prescribed: a motion of each, or nothing for its velocity at the "
+        "start",
     )
     only: list_of(Text) = Field(
         (), description="links to keep, with the chains that lead to them; default: all"
@@ -203,6 +217,7 @@ def robot_beside(root, source):
         start_velocity=given.start_velocity,
         lock=given.lock,
         keep=list(given.keep),
+        driven=given.driven,
         only=list(given.only),
         joints=list(given.joints),
         joint_label="joints[{}]",

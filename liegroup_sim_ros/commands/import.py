@@ -74,6 +74,14 @@ def add_arguments(parser):
         help="fixed joints that are not merged, so that their reactions are known",
     )
     parser.add_argument(
+        "--drive",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="JOINT",
+        help="joints that move as prescribed: at their velocity at the start, until a command",
+    )
+    parser.add_argument(
         "--close",
         nargs=3,
         action="append",
@@ -99,6 +107,7 @@ def run(args):
         start_velocity=_values(args.start_velocity, "start-velocity"),
         lock=_values(args.lock, "lock"),
         keep=args.keep,
+        driven=dict.fromkeys(args.drive),
         only=args.only,
         joints=[_closing(*entry) for entry in args.close],
         name=args.name,

@@ -508,3 +508,27 @@ def test_an_imported_coupling_is_written_with_its_line(tmp_path):
     assert "couplings:\n  - name: near_mimic  # line" in load_scene(path).text
     again = scene_from_text(load_scene(path).text)
     assert again.couplings == load_scene(path).couplings
+
+
+def test_joints_of_a_robot_are_driven(tmp_path):
+    """With a motion, or at the start velocity; the keys are those of a scene, errors name the file."""
+    (tmp_path / "arm.urdf").write_text(ARM_URDF)
+    beside = tmp_path / "beside.yaml"
+    text = "robot: arm.urdf\nstart: {shoulder: 0.3}\nstart_velocity: {extend: 0.2}\n"
+    beside.write_text(
+        text + "driven:\n  extend:\n  shoulder: {times: [0, 1], positions: [0.3, -0.4]}\n"
+    )
+    scene = load_scene(beside)
+    joints = {joint.name: joint for joint in scene.joints}
+    assert joints["extend"].driven and joints["extend"].motion is None
+    assert joints["shoulder"].motion.positions == (0.3, -0.4)
+    for wrong, words in (
+        ("driven: {extend: {times: [0, 1], positions: [0.7, 1]}}", "starts at 0.7 m"),
+        ("driven: {knee: }", "knee"),
+        ("driven: {extend: {times: [0]}}", "positions"),
+        ("driven: [extend]", "mapping"),
+    ):
+        beside.write_text(text + wrong)
+        with pytest.raises(SceneError, match=words) as error:
+            Simulation(load_scene(beside))
+        assert "beside.yaml:4" in str(error.value)
