@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import suggestion
-from liegroup_core.joints.coupling import COUPLED
 
 from .description import ONE_COORDINATE
 
@@ -139,11 +138,11 @@ class Options:
         for name in self.driven:
             if name not in moving:
                 raise self.unknown(("driven", name), "driven: joint that moves", name, moving)
-            if moving[name] not in COUPLED:
+            if moving[name] not in ONE_COORDINATE:
                 raise self.error(
                     ("driven", name),
                     f'driven: joint "{name}" is {moving[name]}: only joints with one coordinate '
-                    f"({', '.join(COUPLED)}) can be driven",
+                    f"({', '.join(ONE_COORDINATE)}) can be driven",
                 )
 
     def check_velocities(self, moving):
