@@ -256,14 +256,19 @@ class Engine(Inputs):
         *state, angles = rearranged(
             self.layout.centred, *self.state(), centred_poses, centred_twists, joints, angles
         )
-        commanded = self._commanded.copy()
+        commanded, before = self._commanded.copy(), self._schedule
         self.set_state(*state, self.steps, np.array([angles[joint] for joint in counted]))
         for number, motion in enumerate(self._motions_after(commanded)):
-            self._schedule.act(number, motion, DRIVE)
-            self._set_input(number, motion, DRIVE)
+            if motion is None:
+                self._schedule.resume(before.motions_of(number))
+            else:
+                self._schedule.act(number, motion, DRIVE)
+        if len(commanded):
+            self._schedule.update(self._schedule.boundary(self.steps))
+            self._commanded[:] = self._schedule.total[DRIVE]
 
     def _motions_after(self, commanded):
-        """Motions of all driven joints after a state was set: those before, or at constant rate."""
+        """Motions of the driven joints that a new state moves: at constant rate; None for the others."""
         scene, frames = self.layout.centred, self.layout.joint_frames
         index = {joint.name: j for j, joint in enumerate(scene.joints)}
         start = {WORLD: (np.eye(4), np.zeros(6))}
@@ -277,7 +282,7 @@ class Engine(Inputs):
             was = at(motion, self.time)
             off = gap(q, was[0], 1.0, 0.0, turns(joint))
             kept = max(abs(off), abs(v - was[1])) <= MOVED * (1.0 + abs(was[0]) + abs(v))
-            yield motion if kept else uniform(self.time, was[0] + off, v)
+            yield None if kept else uniform(self.time, was[0] + off, v)
 
     def _remember(self, memory):
         arrays = self._integrator.memory

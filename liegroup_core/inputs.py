@@ -147,9 +147,11 @@ class Inputs:
         """
         number = self._drive(joint)
         begin, _ = self._interval(start, None)
-        after = np.array(times, dtype=float)
-        points = [positions, velocities, accelerations]
-        points = [part if part is None else np.array(part, dtype=float) for part in points]
+        after = np.atleast_1d(np.array(times, dtype=float))
+        points = [
+            part if part is None else np.atleast_1d(np.array(part, dtype=float))
+            for part in (positions, velocities, accelerations)
+        ]
         for name, part in zip(
             ("times", "positions", "velocities", "accelerations"), (after, *points)
         ):
@@ -207,6 +209,12 @@ class Inputs:
             if end <= begin:
                 raise ValueError(f"a duration must be at least 1 ns, got {duration!r} s")
         return begin, end
+
+    @property
+    def commanded_motions(self) -> tuple[str, ...]:
+        """Driven joints with a commanded motion, which acts or starts later."""
+        names = enumerate(self.layout.motions)
+        return tuple(name for number, name in names if self._schedule.motions_of(number))
 
     @property
     def wrench_count(self) -> int:

@@ -226,6 +226,16 @@ class WrenchSchedule:
         self._waiting = [c for c in self._waiting if c.key != key or c.start < start]
         self._insert(key, [(drive, motion)], start, None, DRIVE)
 
+    def motions_of(self, drive):
+        """Commands of a driven joint that act or wait, for `resume`."""
+        key = "", DRIVE, drive
+        return [c for c in (*self._acting.values(), *self._waiting) if c.key == key]
+
+    def resume(self, commands):
+        """Let commands of another schedule act and wait here, too."""
+        self._waiting = sorted((*self._waiting, *commands), key=lambda c: (c.start, c.number))
+        self._arrived = max([self._arrived, *(c.number for c in commands)])
+
     def motion_at(self, drive, instant):
         """Commanded motion (7,) of a driven joint that will hold at an Instant, or FROM_SCENE."""
         found = self.total[DRIVE][drive]
@@ -245,9 +255,14 @@ class WrenchSchedule:
         )
 
     def clear(self, source):
-        """End all wrenches of a source, also those that start later. It takes effect with the next update."""
-        self._waiting = [c for c in self._waiting if c.key[0] != source]
-        for key in [key for key in self._acting if key[0] == source]:
+        """End all wrenches of a source, also those that start later. It takes effect with the next update.
+
+        Motions of driven joints have no end: they stay.
+        """
+        ended = {c.key for c in (*self._waiting, *self._acting.values())}
+        ended = {key for key in ended if key[0] == source and key[1] != DRIVE}
+        self._waiting = [c for c in self._waiting if c.key not in ended]
+        for key in ended & self._acting.keys():
             self._acting[key] = self._acting[key]._replace(end=Instant(-1, -math.inf))
 
     def update(self, instant):

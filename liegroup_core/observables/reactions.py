@@ -66,6 +66,8 @@ class Reactions:
         model = layout.relative_in_space
         self._model, self._table = model, reaction_table(layout)
         self._joint_wrenches = SameTypes(joint_wrenches)
+        given = model.couplings[model.couplings["motion"] >= 0]
+        self._drive_rows = given["row"][np.argsort(given["motion"])]
         self._out, self._idle = np.empty((len(self.names), 6)), no_wrenches(layout.offsets)
         self._work = make_relative_work(model, make_work(layout.model, 0), 0)
         self._scene = scene = layout.centred
@@ -125,7 +127,7 @@ class Reactions:
         return found
 
     def at(self, pose, twist, angles, acting, wanted, external, motions, time):
-        """((J, 6) wrenches, (J, 6) mask of the undetermined components, (n, 6) motion) of a state.
+        """(wrenches (J, 6), mask of the undetermined components (J, 6), motion (n, 6), efforts (d,)).
 
         pose, twist : (n, 12), (n, 6) of frames at the centres of mass
         angles      : (k,) rad, `Sample.angles`;  acting : mask of the scene's applied wrenches
@@ -134,6 +136,7 @@ class Reactions:
         motions     : (d, 7) prescribed motions of the driven joints;  time : s
         motion      : angular acceleration and specific force (acceleration less gravity) of every
                       centre of mass, body axes
+        efforts     : of the driven joints, N m or N
         Raises SimulationError if the accelerations cannot be computed.
         """
         work, n = self._work, len(pose)
@@ -148,13 +151,14 @@ class Reactions:
         if self._joint_wrenches(self._model, work, self._table, self._out) >= 0:
             raise SimulationError("the reactions cannot be computed: constraint rows are dependent")
         out, motion = self._out.copy(), self._table.motion.copy()
+        efforts = -work.multipliers[self._drive_rows]
         if work.report[2] == before:
-            return out, self.undetermined, motion
+            return out, self.undetermined, motion, efforts
         mask = self.undetermined.copy()  # a singular pose
         places = self._places(pose)
         for group, _, linkage in self._groups:
             mask[group] |= _undetermined(_rows(linkage, places))
-        return out, mask, motion
+        return out, mask, motion, efforts
 
     def _places(self, pose):
         """{body: (4, 4)} of frames at the centres of mass, with the world."""

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sample: an immutable, named copy of a state. Users and outputs see states only as Samples."""
 
+import math
 from collections.abc import Mapping
 from functools import cached_property
 from types import MappingProxyType
@@ -177,7 +178,7 @@ class Sample:
         joints. External wrenches are those of the last step. At the end of a tree of n bodies, errors
         are about n times those of a wrench: test/verification/test_reactions.py.
         """
-        wrenches, mask, _ = self._reactions
+        wrenches, mask, *_ = self._reactions
         return self._by_joint(np.where(mask, np.nan, wrenches) if mask.any() else wrenches)
 
     @cached_property
@@ -213,7 +214,7 @@ class Sample:
 
         Under the same wrenches as `reactions`.
         """
-        _, _, motion = self._reactions
+        _, _, motion, _ = self._reactions
         R = self.pose[:, :9].reshape(-1, 3, 3)
         w, dw = self.twist[:, :3], motion[:, :3]
         arm = -self._layout.offsets.com
@@ -294,17 +295,18 @@ class Sample:
     def drive_efforts(self) -> dict[str, float]:
         """{driven joint: effort that its motion requires}, N m or N on the child.
 
-        The component of its reaction along its axis, of a screw torque plus pitch times force. Motors,
-        springs and other forces at the joint are no part of it. test/verification/test_driven.py.
+        NaN where redundant constraints leave it undetermined. Motors, springs and other forces at the
+        joint, and what couplings transmit, are no part of it. test/verification/test_driven.py.
         """
-        scene, reactions = self.scene, self.reactions if self._layout.motions else {}
-        efforts = {}
-        for joint in (joint for joint in scene.joints if joint.driven):
-            wrench = reactions[joint.name]
-            efforts[joint.name] = float(wrench[TYPES[joint.type].rate])
-            if joint.type == "screw":
-                efforts[joint.name] += joint.pitch * float(wrench[5])
-        return efforts
+        if not self._layout.motions:
+            return {}
+        _, mask, _, efforts = self._reactions
+        lost = dict(zip(self._layout.reactions.names, mask))
+        types = {joint.name: joint.type for joint in self.scene.joints}
+        return {
+            joint: math.nan if lost[joint][TYPES[types[joint]].rate] else float(effort)
+            for joint, effort in zip(self._layout.motions, efforts)
+        }
 
     @cached_property
     def spatial_momentum(self) -> NDArray[np.float64]:

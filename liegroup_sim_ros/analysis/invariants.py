@@ -11,7 +11,7 @@ from .drift import MOST_POINTS, Drift, thinned
 class Energy:
     """Energy drift in J: the largest change within intervals without an applied wrench.
 
-    drift_J is None for a scene with non-conservative forces. The relative drift refers to the
+    drift_J is None for a scene with non-conservative forces or driven joints. The relative drift refers to the
     largest kinetic energy. That does not depend on the zero of the potential energy.
     """
 
@@ -19,7 +19,7 @@ class Energy:
         self._bodies = layout.body_names
         self._non_conservative = [
             force.name for force in layout.scene.forces if not force.is_conservative
-        ]
+        ] + list(layout.motions)
         self._drift = Drift(1, self._bodies, expected)
         self._kinetic = 0.0
 
@@ -44,7 +44,8 @@ class Energy:
             "relative_drift": worst / self._kinetic if kept and self._kinetic > 0.0 else None,
             "intervals": drift.intervals,
             "seconds": drift.seconds,
-            "left_out": "non-conservative forces: " + ", ".join(self._non_conservative)
+            "left_out": "non-conservative forces and driven joints: "
+            + ", ".join(self._non_conservative)
             if self._non_conservative
             else _pushed_text(motion, self._bodies),
         }, drift.curves[0]

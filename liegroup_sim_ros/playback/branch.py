@@ -18,6 +18,7 @@ from liegroup_sim_ros.recording.motion import Motion
 from .rerun import ReplayError, Rerun, make_simulation
 
 ROUNDING = 1e-6  # of a step, when a time is matched to steps
+REST = 0.02  # s, in which a driven joint comes to rest where its commands end
 
 
 class Branches:
@@ -46,7 +47,8 @@ class Branches:
         """Simulation at an instant of the recording, and the stamp of its state in ns.
 
         time   : s, as the time stamps of the recording; the last step up to it is taken
-        inputs : True: the wrenches recorded later act, too. False: all wrenches end here
+        inputs : True: the wrenches recorded later act, too. False: all wrenches end here, and driven
+                 joints that were commanded come to rest within REST
         Raises ReplayError for a time outside the recording or a run that cannot be repeated.
         """
         if not math.isfinite(time) or not (
@@ -72,4 +74,6 @@ class Branches:
         else:
             for source in list(self.simulation.wrench_sources):
                 self.simulation.clear_wrenches(source)
+            for joint in self.simulation.commanded_motions:
+                self.simulation.command_motion(joint, [REST], None, [0.0])
         return self.simulation, stretch.base_ns + self.simulation.time_ns

@@ -32,8 +32,8 @@ class ArrayFile:
     twists (k, n, 6) (omega, v) rad/s and m/s in body axes, energy (k,) J,
     residual (k,) largest joint residual, m or rad; errors (k, n, 4) estimated errors, m, rad, m/s
     and rad/s, if the simulation carries an estimate; on request joints (j,) names and reactions
-    (k, j, 6), see Sample.reactions, forces (f,) names and efforts (k, f), see Sample.force_efforts;
-    scene and settings: texts, YAML and JSON
+    (k, j, 6), see Sample.reactions, forces (f,) names and efforts (k, f), see Sample.force_efforts,
+    driven (d,) names and drive_efforts (k, d); scene and settings: texts, YAML and JSON
     """
 
     def __init__(self, path, simulation, every, samples, reactions=False):
@@ -43,6 +43,9 @@ class ArrayFile:
         if reactions:
             forces = simulation.layout.joint_forces.names
             self._names = {"joints": np.array(joint_names(simulation)), "forces": np.array(forces)}
+            driven = tuple(simulation.layout.motions)
+            if driven:
+                self._names["driven"] = np.array(driven)
         n = len(simulation.layout.body_names)
         try:
             self._arrays = {
@@ -58,6 +61,8 @@ class ArrayFile:
             if reactions:
                 self._arrays["reactions"] = np.empty((samples, len(joint_names(simulation)), 6))
                 self._arrays["efforts"] = np.empty((samples, len(forces)))
+                if driven:
+                    self._arrays["drive_efforts"] = np.empty((samples, len(driven)))
             self._stream = open(self._path, "xb")
         except MemoryError:
             raise OutputError(
@@ -93,6 +98,8 @@ class ArrayFile:
         if "reactions" in self._arrays:
             self._arrays["reactions"][self.count] = list(sample.reactions.values())
             self._arrays["efforts"][self.count] = list(sample.force_efforts.values())
+        if "drive_efforts" in self._arrays:
+            self._arrays["drive_efforts"][self.count] = list(sample.drive_efforts.values())
         self.count, self.last_step = self.count + 1, sample.steps
 
     def finish(self, simulation, stopped, failed, wall_seconds):

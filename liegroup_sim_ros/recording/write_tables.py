@@ -57,7 +57,7 @@ class TableFile(_Table):
     rad/s, or m and m/s); energy (J); largest constraint residual (m or rad); estimated errors of
     each body, if the simulation carries an estimate; on request the reaction of each joint, torque
     tx ty tz (N m) and force fx fy fz (N), see Sample.reactions, and the effort (N m or N) of each
-    spring, motor and servo at a joint, see Sample.force_efforts.
+    spring, motor and servo at a joint, see Sample.force_efforts, and of each driven joint.
     """
 
     BODY = (
@@ -102,6 +102,10 @@ class TableFile(_Table):
                 f"{force}.effort [{'N m' if layout.joint_forces.turns[force] else 'N'}]"
                 for force in (layout.joint_forces.names if reactions else ())
             ),
+            *(
+                f"{joint}.drive_effort [{'N' if units.get(joint) == 'm' else 'N m'}]"
+                for joint in (layout.motions if reactions else ())
+            ),
         )
 
     def sample(self, sample):
@@ -121,6 +125,7 @@ class TableFile(_Table):
                 for number in wrench.tolist()
             ),
             *(sample.force_efforts.values() if self._reactions else ()),
+            *(sample.drive_efforts.values() if self._reactions else ()),
         )
         self.count, self.last_step = self.count + 1, sample.steps
 

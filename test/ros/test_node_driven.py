@@ -16,6 +16,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from liegroup_core.joints.motion import at, through
 from liegroup_sim_ros.commands.main import main
+from liegroup_sim_ros.playback.branch import Branches
 from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording.read import read_recording
 
@@ -171,6 +172,13 @@ def test_every_part_of_the_recording_is_repeated_and_analysed(process, node):
             assert (
                 motions.names == ("hinge", "slide") and np.isfinite(motions.motion[0, :, 0]).any()
             )
+        # A branch without inputs: what was commanded comes to rest.
+        branches = Branches(recording)
+        simulation, _ = branches.at(0.5e-9 * (branches.first_ns + branches.last_ns))
+        commanded = set(simulation.commanded_motions)
+        simulation.advance(30)
+        rates = {joint: motion[1] for joint, motion in simulation.sample().prescribed.items()}
+        assert all((rates[joint] == 0.0) == (joint in commanded) for joint in ("hinge", "slide"))
     assert acting >= 3
     out = process.folder / "out.json"
     assert main(["analyze", *map(str, paths), "--json", str(out)]) == 0

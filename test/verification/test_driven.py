@@ -346,3 +346,59 @@ def test_wrong_commands_are_refused_and_change_nothing():
         with pytest.raises(ValueError, match=words):
             simulation.command_motion(*arguments)
     assert simulation.wrench_count == 0
+
+
+GEARS = """
+name: gears
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: a, mass: 1, inertia: [0.1, 0.1, 0.1], com: [0.3, 0, 0]}
+  - {name: b, mass: 2, inertia: [0.2, 0.2, 0.2], com: [0.2, 0, 0.1], position: [2, 0, 0]}
+joints:
+  - name: j
+    type: revolute
+    parent: world
+    child: a
+    child_frame: {axis: [0, 1, 0]}
+    driven: true
+    motion: {times: [0, 1, 2], positions: [0, 1, 3]}
+  - {name: k, type: revolute, parent: world, child: b, child_frame: {axis: [0, 1, 0]}}
+couplings:
+  - {name: mesh, joint: k, other: j, ratio: 0.5}
+"""
+
+
+def test_the_effort_of_a_driven_joint_also_moves_what_is_coupled_to_it():
+    """At the start, at rest: the static torque of j, and half of that of k, and their inertias."""
+    engine = Engine(scene_from_text(GEARS), "rkmk4", 0.01, stabilisation="projection", quiet=True)
+    for _ in range(150):
+        sample = engine.sample()
+        q, v, a = sample.prescribed["j"]
+        one = (0.1 + 0.09) * a - G * 0.3 * np.cos(q)
+        r, phase = np.hypot(0.2, 0.1), np.arctan2(0.1, 0.2)
+        other = (0.2 + 2 * r**2) * 0.5 * a - 2 * G * r * np.cos(0.5 * q - phase)
+        assert abs(sample.drive_efforts["j"] - (one + 0.5 * other)) < 1e-12 * (1.0 + abs(a))
+        assert abs(sample.reactions["j"][2] - one) < 1e-12 * (1.0 + abs(a))
+        engine.advance()
+
+
+@pytest.mark.parametrize("method", [None, "rkmk8"])
+def test_a_state_that_is_set_leaves_other_motions_as_they_are(method):
+    """Shoulder: the rest of its trajectory. Elbow, which is moved: on at its new velocity."""
+    settings = {"method": method, "step": 0.01, "stabilisation": "projection"} if method else {}
+    simulation = Simulation(load_scene("driven_arm"), **settings)
+    simulation.advance(20)
+    simulation.command_motion("shoulder", [0.5, 1.0], [0.4, 0.6])
+    simulation.advance(20)
+    simulation.place(joints={"elbow": (0.5, 2.0)})
+    simulation.advance(10)
+    found = simulation.sample().joint_coordinates
+    time = 10 * simulation.step
+    assert found["elbow"] == pytest.approx((0.5 + 2.0 * time, 2.0), abs=1e-12)
+    simulation.advance(round(2.0 / simulation.step))
+    assert simulation.sample().joint_coordinates["shoulder"] == pytest.approx((0.6, 0.0), abs=1e-12)
+    other = Simulation(load_scene("driven_arm"), **settings)
+    other.advance(20)
+    other.place(joints={"elbow": (0.5, None)})
+    other.advance(round(3.0 / other.step))
+    assert other.sample().joint_coordinates["shoulder"] == pytest.approx((0.2, 0.0), abs=1e-12)
