@@ -17,16 +17,22 @@ class Energy:
 
     def __init__(self, layout, expected):
         self._bodies = layout.body_names
-        self._non_conservative = [
-            force.name for force in layout.scene.forces if not force.is_conservative
-        ] + list(layout.motions)
+        forces = [force.name for force in layout.scene.forces if not force.is_conservative]
+        self._doing_work = [
+            f"{what}: {', '.join(names)}"
+            for what, names in (
+                ("non-conservative forces", forces),
+                ("driven joints", layout.motions),
+            )
+            if names
+        ]
         self._drift = Drift(1, self._bodies, expected)
         self._kinetic = 0.0
 
     def add(self, block, energies, kinetic):
         """Add the energies (k,) in J of a Block."""
         self._kinetic = float(np.maximum(self._kinetic, kinetic.max()))  # keeps NaN
-        if not self._non_conservative:
+        if not self._doing_work:
             self._drift.add(block, energies[:, None])
 
     def figures(self, motion):

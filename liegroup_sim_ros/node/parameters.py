@@ -252,8 +252,8 @@ TABLE = (
     Entry(
         "command_jump",
         0.0,
-        "largest distance of a commanded position of a servo or driven joint from the present one of its joint, rad or m; "
-        "of a trajectory: largest change within trajectory_period. Larger ones are refused; 0: no limit",
+        "largest distance of a commanded position of a servo or driven joint from the present one of its "
+        "joint, rad or m; of a trajectory: largest change within trajectory_period. Larger ones are refused; 0: no limit",
         read_only=False,
         low=0.0,
         high=1e6,
