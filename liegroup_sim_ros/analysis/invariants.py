@@ -50,9 +50,8 @@ class Energy:
             "relative_drift": worst / self._kinetic if kept and self._kinetic > 0.0 else None,
             "intervals": drift.intervals,
             "seconds": drift.seconds,
-            "left_out": "non-conservative forces and driven joints: "
-            + ", ".join(self._non_conservative)
-            if self._non_conservative
+            "left_out": "; ".join(self._doing_work)
+            if self._doing_work
             else _pushed_text(motion, self._bodies),
         }, drift.curves[0]
 
