@@ -152,7 +152,10 @@ def _model(loader, model, pose):
         link = read_link(reader, robot, model, element)
         link.pose = pose @ model.pose(element.get("name"), element)
         robot.links[link.name] = link
-    if own:
+    canonical = model.element.get("canonical_link")
+    if canonical:
+        robot.roots.append(model.link_of(canonical, model.element))
+    elif own:
         robot.roots.append(model.full(own[0].get("name")))
     for name, inner in model.nested.items():
         _model(loader, inner, pose @ model.pose(name, inner.element))
