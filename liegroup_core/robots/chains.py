@@ -108,6 +108,15 @@ def base_of(robot, options, notes):
     return "floating"
 
 
+def place_root(robot, base, pose, notes):
+    """Give the root link the pose that a group state has for it; where it is fixed, note it."""
+    name = robot.roots[0] if robot.roots else WORLD
+    if base == "floating" and name != WORLD:
+        robot.links[name].pose = robot.root_poses[pose]
+    else:
+        notes.append(f'left out: pose of the root link in group state "{pose}", it does not float')
+
+
 def grouped(robot, options, base, joints, lock, values, notes):
     """Grouping of the links that stay; links without mass at the end of a chain are held."""
     welded = [
