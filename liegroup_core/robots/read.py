@@ -117,6 +117,7 @@ def _pose_of_root(reader, element, name, text):
     length = np.linalg.norm(numbers[3:])
     if not length > 1e-12:
         raise reader.error(
-            element, f'the quaternion of joint "{name}" must not be zero: numbers are x y z qx qy qz qw'
+            element,
+            f'the quaternion of joint "{name}" must not be zero: numbers are x y z qx qy qz qw',
         )
     return place(numbers[:3], SO3.from_quaternion(numbers[3:] / length))

@@ -192,6 +192,10 @@ def test_start_values_poses_and_locked_joints(tmp_path):
     # Coordinates count from the pose of the file, where the wrist is at 20 degrees.
     expected = {"x": 0.1, "y": 0.2, "turn": 0.7, "wrist": 0.4 - np.radians(20), "twist": 0.5}
     assert {name: home[name] for name in expected} == pytest.approx(expected, abs=1e-14)
+    notes = [note for note in load_scene(path).notes if " ref " in note]
+    assert notes == [
+        "coordinate of joint wrist counts from ref 0.349066 of the file: qpos is larger by it"
+    ]
     urdf = arm_in(tmp_path, "urdf")
     start = coordinates(scene_from_robot(urdf, Options(start={"shoulder": 0.3, "extend": -0.1})))
     assert start == pytest.approx({"shoulder": 0.3, "extend": -0.1}, abs=1e-14)
