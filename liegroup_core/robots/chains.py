@@ -98,6 +98,11 @@ def locked_joints(robot, options, values, notes):
 
 def base_of(robot, options, notes):
     """Whether the root links are fixed to the world or float."""
+    if options.base == "floating" and WORLD in robot.roots:
+        notes.append(
+            "base floating has no effect: the root link is called world, which is the fixed frame; "
+            "rename it to let it float"
+        )
     if options.base is not None:
         return options.base
     if robot.free:

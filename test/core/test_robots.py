@@ -589,3 +589,15 @@ def test_the_canonical_link_of_a_floating_model_stays(canonical, still, tmp_path
     expected = {"a": [1, 0, 0], "b": [0, 0, 1]}[still]
     assert np.allclose(poses[still][:3, 3], expected, atol=1e-15)
     assert np.allclose(poses[still][:3, :3], np.eye(3), atol=1e-15) and not twists[still].any()
+
+
+def test_a_root_link_called_world_does_not_float(tmp_path):
+    path = tmp_path / "held.urdf"
+    links = "".join(LINKS.values())
+    anchor = '<joint name="h" type="continuous"><parent link="world"/><child link="a"/></joint>'
+    path.write_text(f'<robot name="r"><link name="world"/>{links}{anchor}{CHAIN}</robot>')
+    notes = [
+        note for note in scene_from_robot(path, Options(base="floating")).notes if "base" in note
+    ]
+    assert len(notes) == 1 and "the root link is called world" in notes[0]
+    assert not any("base" in note for note in load_scene(path).notes)
