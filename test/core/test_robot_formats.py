@@ -421,3 +421,10 @@ def test_a_servo_of_mjcf_changes_the_motion(tmp_path):
     notes = load_scene(path).notes
     assert "left out: 1 actuators (free)" in notes
     assert any(note.startswith("changes the motion") and "servo" in note for note in notes)
+
+
+@pytest.mark.parametrize(("version", "noted"), [("1.12", False), ("1.13", True), ("2.0", True)])
+def test_newer_versions_of_sdf_are_noted(version, noted, tmp_path):
+    text = '<model name="m"><link name="a"><inertial><mass>1</mass></inertial></link></model>'
+    note = f"SDF version above 1.12, read by the rules of 1.12: {version}"
+    assert (note in load_scene(sdf(tmp_path, text, version)).notes) == noted
