@@ -98,6 +98,11 @@ def locked_joints(robot, options, values, notes):
 
 def base_of(robot, options, notes):
     """Whether the root links are fixed to the world or float."""
+    if options.base == "floating" and WORLD in robot.roots:
+        notes.append(
+            "base floating has no effect: the root link is called world, which is the fixed frame; "
+            "rename it to let it float"
+        )
     if options.base is not None:
         return options.base
     if robot.free:
@@ -106,6 +111,15 @@ def base_of(robot, options, notes):
         return "fixed"
     notes.append("floating: the robot has no joint that moves")
     return "floating"
+
+
+def place_root(robot, base, pose, notes):
+    """Give the root link the pose that a group state has for it; where it is fixed, note it."""
+    name = robot.roots[0] if robot.roots else WORLD
+    if base == "floating" and name != WORLD:
+        robot.links[name].pose = robot.root_poses[pose]
+    else:
+        notes.append(f'left out: pose of the root link in group state "{pose}", it does not float')
 
 
 def grouped(robot, options, base, joints, lock, values, notes):

@@ -163,6 +163,7 @@ class Robot:
     left_out : {what: [names]} of what has no place in a scene and does not change the motion
     changes  : {what: [names]} of what is left out and changes the motion
     poses    : {name of a pose: {joint: coordinate}}; velocities: {its name: {joint: velocity}}
+    root_poses : {name of a pose: (4, 4)} of the first root link, where it floats
     locked   : {joint: coordinate} of joints that do not move
     text     : URDF text of the robot, "" for other kinds
     """
@@ -182,6 +183,7 @@ class Robot:
     changes: dict = field(default_factory=dict)
     poses: dict = field(default_factory=dict)
     velocities: dict = field(default_factory=dict)
+    root_poses: dict = field(default_factory=dict)
     locked: dict = field(default_factory=dict)
     text: str = ""
 

@@ -137,6 +137,7 @@ class Grouping:
     def place(self, values, velocities):
         """Set poses and twists of all groups at joint coordinates and velocities.
 
+        What floats keeps its root link where the file puts it, whatever the order of the links.
         Returns the joints that close loops.
         """
         placed = {id(self.world)}
@@ -144,14 +145,14 @@ class Grouping:
         for joint in self.moving:
             for name in (joint.parent, joint.child):
                 of_group.setdefault(id(self.of_link[name]), []).append(joint)
-        used, ordered = set(), [self.world, *(g for g in self.groups if g is not self.world)]
+        used, roots = set(), [name for name in self.robot.roots if name in self.of_link]
         # What the file holds is placed along its own joints; a closing joint places nothing.
-        for root in ordered:
+        for name in (WORLD, *roots, *(group.links[0] for group in self.groups)):
+            root = self.of_link[name]
             if root is not self.world:
                 if id(root) in placed:
                     continue
-                first = root.links[0]
-                root.pose = self.robot.links[first].pose
+                root.pose = self.robot.links[name].pose @ SE3.inverse(root.places[name])
                 placed.add(id(root))
             pending = [root]
             while pending:

@@ -14,7 +14,7 @@ from liegroup_core.fields.values import NEGATIVE_ROUND_OFF, TRIANGLE_TOLERANCE
 from liegroup_core.lie.groups import UNKNOWN_TURN, within_a_turn
 
 from .additions import added_couplings, added_forces, added_joints
-from .chains import base_of, grouped, kept_joints, locked_joints
+from .chains import base_of, grouped, kept_joints, locked_joints, place_root
 from .description import MISSING_MESHES, ONE_COORDINATE, WORLD, frame_keys, listed
 from .names import scene_name, unique_names
 from .resources import find_resource
@@ -64,6 +64,8 @@ def scene_parts(robot, options):
     joints = kept_joints(robot, options, notes)
     options.check_kept({joint.name for joint in joints})
     base = base_of(robot, options, notes)
+    if options.pose in robot.root_poses:
+        place_root(robot, base, options.pose, notes)
     lock = locked_joints(robot, options, values, notes) - kept_fixed_joints(robot, options)
     grouping = grouped(robot, options, base, joints, lock, values, notes)
     closing = grouping.place(values, options.velocities(robot))

@@ -188,6 +188,11 @@ def _joint(robot, joint, parent, child, placement, line):
         found.rest = joint["spring"] - joint["zero"]
     if joint["nonlinear"]:
         robot.leave_out("nonlinear springs and dampers", joint["label"], changes_motion=True)
+    if joint["type"] != "ball" and joint["zero"]:
+        robot.remark(
+            f"coordinate of joint {joint['label']} counts from ref {joint['zero']:.6g} of the file",
+            "qpos is larger by it",
+        )
     for key in ("armature", "friction"):
         if joint[key]:
             found.data[key] = joint[key]

@@ -4,8 +4,12 @@
 import os
 from pathlib import Path
 
+import numpy as np
+
+from liegroup_core.lie.groups import SO3
+
 from .apart import run_apart
-from .description import listed, refusal
+from .description import listed, place, refusal
 from .mjcf import robot_of_mjcf
 from .sdf import robot_of_sdf
 from .urdf import robot_of_urdf
@@ -30,17 +34,7 @@ def read_robot(path, srdf=None, arguments=None):
     try:
         robot = _read(path, arguments or {})
         if srdf is not None:
-            states = _group_states(srdf)
-            known = {joint.name for joint in robot.joints}
-            for pose, values in states.items():
-                unknown = sorted(values.keys() - known)
-                if unknown:
-                    raise refusal(
-                        srdf,
-                        0,
-                        f'group state "{pose}": the robot has no joint {listed(unknown)}: correct it',
-                    )
-            robot.poses |= states
+            _add_group_states(robot, srdf)
     except OSError as error:
         raise refusal(
             error.filename or path, 0, f"cannot be read: {error.strerror or error}"
@@ -80,16 +74,50 @@ def _refuse_arguments(path, arguments):
         )
 
 
-def _group_states(path):
-    """{name: {joint: coordinate}} of the group states of an SRDF file."""
+def _add_group_states(robot, path):
+    """Add the group states of an SRDF file to a robot: joint coordinates, and poses of the root link.
+
+    The floating joint of the root is a virtual one of the file, or one that the robot does not have.
+    """
     reader, root = Reader(path), read_xml(path)
-    found = {}
+    types = {joint.name: joint.type for joint in robot.joints}
+    virtual = {
+        joint.get("name")
+        for joint in root.iterfind("virtual_joint")
+        if joint.get("type") == "floating"
+    }
     for state in root.iterfind("group_state"):
-        values = found.setdefault(reader.name(state), {})
+        pose = reader.name(state)
+        values = robot.poses.setdefault(pose, {})
+        unknown = []
         for joint in state.iterfind("joint"):
             name, text = reader.name(joint), joint.get("value")
             if text is None:
                 raise reader.error(joint, f'joint "{name}" has no value: give one')
-            if len(text.split()) == 1:  # joints with several values float
+            count = len(text.split())
+            if count == 1:
                 values[name] = reader.number(joint, text, f'value of joint "{name}"')
-    return found
+                unknown += [name] if name not in types else []
+            elif name in virtual or (name not in types and count == 7):
+                robot.root_poses[pose] = _pose_of_root(reader, joint, name, text)
+            else:
+                robot.leave_out("values of several coordinates", f"{name} in {pose}")
+        if unknown:
+            raise refusal(
+                path,
+                0,
+                f'group state "{pose}": the robot has no joint {listed(sorted(set(unknown)))}: '
+                "correct it",
+            )
+
+
+def _pose_of_root(reader, element, name, text):
+    """(4, 4) of x y z qx qy qz qw."""
+    numbers = reader.numbers(element, text, 7, f'value of floating joint "{name}"')
+    length = np.linalg.norm(numbers[3:])
+    if not length > 1e-12:
+        raise reader.error(
+            element,
+            f'the quaternion of joint "{name}" must not be zero: numbers are x y z qx qy qz qw',
+        )
+    return place(numbers[:3], SO3.from_quaternion(numbers[3:] / length))

@@ -30,6 +30,7 @@ TYPES = {
     "universal": "universal",
     "revolute2": "universal",
 }
+NEWEST = (1, 12)  # version of the format
 DEEPEST = 20  # nested models and includes
 # {element: (children, attributes)} that are read, or that change nothing.
 KNOWN = {
@@ -62,6 +63,8 @@ def robot_of_sdf(root, path):
     version = _version(root)
     loader = _Loader(path, version)
     robot = loader.robot
+    if version > NEWEST:
+        robot.remark("SDF version above 1.12, read by the rules of 1.12", root.get("version"))
     world = root.find("world")
     top = root if world is None else world
     if world is not None:
@@ -152,7 +155,10 @@ def _model(loader, model, pose):
         link = read_link(reader, robot, model, element)
         link.pose = pose @ model.pose(element.get("name"), element)
         robot.links[link.name] = link
-    if own:
+    canonical = model.element.get("canonical_link")
+    if canonical:
+        robot.roots.append(model.link_of(canonical, model.element))
+    elif own:
         robot.roots.append(model.full(own[0].get("name")))
     for name, inner in model.nested.items():
         _model(loader, inner, pose @ model.pose(name, inner.element))

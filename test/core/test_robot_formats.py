@@ -240,6 +240,33 @@ def test_group_states_of_srdf(tmp_path):
     assert found["extend"][0] == pytest.approx(-0.2, abs=1e-14) and scene.name == "ready_arm"
 
 
+@pytest.mark.parametrize("virtual", [True, False])
+def test_a_group_state_has_the_pose_of_a_floating_root_link(virtual, tmp_path):
+    inertial = (
+        '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+        "</inertial>"
+    )
+    (tmp_path / "two.urdf").write_text(
+        f'<robot name="two"><link name="leg">{inertial}</link><link name="root">{inertial}</link>'
+        '<joint name="hip" type="continuous"><parent link="root"/><child link="leg"/></joint></robot>'
+    )
+    held = '<virtual_joint name="top" type="floating" parent_frame="world" child_link="root"/>'
+    (tmp_path / "two.srdf").write_text(
+        f'<robot name="two">{held if virtual else ""}<group_state name="up" group="all">'
+        '<joint name="top" value="1 2 3 0 0 0.6 0.8"/><joint name="hip" value="0.5"/>'
+        "</group_state></robot>"
+    )
+    path = tmp_path / "up.yaml"
+    path.write_text("robot: two.urdf\nsrdf: two.srdf\npose: up\nbase: floating\n")
+    scene = load_scene(path)
+    root = next(body for body in scene.bodies if body.name == "root")
+    assert root.position == pytest.approx((1, 2, 3), abs=1e-15)
+    assert root.quaternion == pytest.approx((0, 0, 0.6, 0.8), abs=1e-15)
+    path.write_text("robot: two.urdf\nsrdf: two.srdf\npose: up\n")
+    note = 'left out: pose of the root link in group state "up", it does not float'
+    assert note in load_scene(path).notes
+
+
 def test_names_that_are_no_names_of_a_scene(tmp_path):
     path = tmp_path / "odd.urdf"
     path.write_text(
@@ -394,3 +421,10 @@ def test_a_servo_of_mjcf_changes_the_motion(tmp_path):
     notes = load_scene(path).notes
     assert "left out: 1 actuators (free)" in notes
     assert any(note.startswith("changes the motion") and "servo" in note for note in notes)
+
+
+@pytest.mark.parametrize(("version", "noted"), [("1.12", False), ("1.13", True), ("2.0", True)])
+def test_newer_versions_of_sdf_are_noted(version, noted, tmp_path):
+    text = '<model name="m"><link name="a"><inertial><mass>1</mass></inertial></link></model>'
+    note = f"SDF version above 1.12, read by the rules of 1.12: {version}"
+    assert (note in load_scene(sdf(tmp_path, text, version)).notes) == noted

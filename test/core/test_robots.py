@@ -192,6 +192,10 @@ def test_start_values_poses_and_locked_joints(tmp_path):
     # Coordinates count from the pose of the file, where the wrist is at 20 degrees.
     expected = {"x": 0.1, "y": 0.2, "turn": 0.7, "wrist": 0.4 - np.radians(20), "twist": 0.5}
     assert {name: home[name] for name in expected} == pytest.approx(expected, abs=1e-14)
+    notes = [note for note in load_scene(path).notes if " ref " in note]
+    assert notes == [
+        "coordinate of joint wrist counts from ref 0.349066 of the file: qpos is larger by it"
+    ]
     urdf = arm_in(tmp_path, "urdf")
     start = coordinates(scene_from_robot(urdf, Options(start={"shoulder": 0.3, "extend": -0.1})))
     assert start == pytest.approx({"shoulder": 0.3, "extend": -0.1}, abs=1e-14)
@@ -532,3 +536,68 @@ def test_joints_of_a_robot_are_driven(tmp_path):
         with pytest.raises(SceneError, match=words) as error:
             Simulation(load_scene(beside))
         assert "beside.yaml:4" in str(error.value)
+
+
+def placed_links(scene):
+    """{link: (4, 4) pose at the start}, {link: (6,) twist of its body}."""
+    poses, twists = {}, {}
+    bodies = {body.name: body for body in scene.bodies}
+    for link, (name, frame) in scene._robot.frames.items():
+        body = bodies[name]
+        poses[link] = body.pose @ frame
+        twists[link] = np.concatenate([body.angular_velocity, body.linear_velocity])
+    return poses, twists
+
+
+LINKS = {
+    name: f'<link name="{name}"><inertial><origin xyz=".5 0 0"/><mass value="2"/>'
+    '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    for name in "abc"
+}
+CHAIN = """<joint name="j" type="continuous"><parent link="a"/><child link="b"/>
+<origin xyz="0 0 1"/><axis xyz="0 1 0"/></joint>
+<joint name="k" type="continuous"><parent link="b"/><child link="c"/>
+<origin xyz="0 0 1"/><axis xyz="0 1 0"/></joint>"""
+
+
+@pytest.mark.parametrize("order", ["abc", "bac", "cba"])
+@pytest.mark.parametrize("lock", [{}, {"k": 0.3}, {"j": 0.4}])
+def test_the_root_link_of_a_floating_robot_stays_whatever_the_order(order, lock, tmp_path):
+    path = tmp_path / "chain.urdf"
+    path.write_text(f'<robot name="r">{"".join(LINKS[name] for name in order)}{CHAIN}</robot>')
+    start = {name: value for name, value in {"j": 0.4, "k": 0.3}.items() if name not in lock}
+    options = Options(
+        base="floating", start=start, start_velocity=dict.fromkeys(start, 2.0), lock=lock
+    )
+    poses, twists = placed_links(scene_from_robot(path, options))
+    assert np.allclose(poses["a"], np.eye(4), atol=1e-15) and not twists["a"].any()
+    up = rotation(0, 0.4, 0) @ [0, 0, 1]
+    assert np.allclose(poses["c"][:3, 3], [0, 0, 1] + up, atol=1e-15)
+    assert np.allclose(poses["c"][:3, :3], rotation(0, 0.7, 0), atol=1e-15)
+
+
+@pytest.mark.parametrize(("canonical", "still"), [("", "b"), ('canonical_link="a"', "a")])
+def test_the_canonical_link_of_a_floating_model_stays(canonical, still, tmp_path):
+    path = tmp_path / "two.sdf"
+    path.write_text(f"""<sdf version="1.9"><model name="m" {canonical}>
+<link name="b"><pose>0 0 1 0 0 0</pose><inertial><mass>1</mass></inertial></link>
+<link name="a"><pose>1 0 0 0 0 0</pose><inertial><mass>5</mass></inertial></link>
+<joint name="j" type="revolute"><parent>a</parent><child>b</child><axis><xyz>0 1 0</xyz></axis>
+</joint></model></sdf>""")
+    options = Options(start={"j": 0.5}, start_velocity={"j": 1.0})
+    poses, twists = placed_links(scene_from_robot(path, options))
+    expected = {"a": [1, 0, 0], "b": [0, 0, 1]}[still]
+    assert np.allclose(poses[still][:3, 3], expected, atol=1e-15)
+    assert np.allclose(poses[still][:3, :3], np.eye(3), atol=1e-15) and not twists[still].any()
+
+
+def test_a_root_link_called_world_does_not_float(tmp_path):
+    path = tmp_path / "held.urdf"
+    links = "".join(LINKS.values())
+    anchor = '<joint name="h" type="continuous"><parent link="world"/><child link="a"/></joint>'
+    path.write_text(f'<robot name="r"><link name="world"/>{links}{anchor}{CHAIN}</robot>')
+    notes = [
+        note for note in scene_from_robot(path, Options(base="floating")).notes if "base" in note
+    ]
+    assert len(notes) == 1 and "the root link is called world" in notes[0]
+    assert not any("base" in note for note in load_scene(path).notes)
