@@ -6,6 +6,9 @@ from pathlib import Path
 
 from liegroup_core.errors import SceneError
 
+from .xml import read_xml
+
+LATEST_SDF = (1, 12)  # version that the import knows
 # Variables with folders that contain models, in the order of search.
 MODEL_PATHS = ("GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "GAZEBO_MODEL_PATH", "SDF_PATH")
 
@@ -81,9 +84,20 @@ def _package(name, rest):
 def _model(name, rest):
     for folder in _folders(MODEL_PATHS):
         if (folder / name).is_dir():
-            path = folder / name / rest
-            return path if rest else path / "model.sdf"
+            return folder / name / rest if rest else model_file(folder / name)
     return None
+
+
+def model_file(folder):
+    """File of a model in its folder: what model.config names for the latest version, or model.sdf."""
+    config, found = folder / "model.config", []
+    if config.is_file():
+        for entry in read_xml(config).iter("sdf"):
+            version = entry.get("version", "0").split(".")
+            if entry.text and all(part.isdigit() for part in version):
+                found.append((tuple(map(int, version)), entry.text.strip()))
+    known = [entry for entry in found if entry[0] <= LATEST_SDF] or found
+    return folder / (max(known)[1] if known else "model.sdf")
 
 
 def _missing(scheme, name):

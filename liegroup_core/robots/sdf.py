@@ -14,7 +14,7 @@ from liegroup_core.fields.frames import rotation_z_to
 from liegroup_core.lie.groups import SE3
 
 from .description import WORLD, Coupling, Robot, RobotJoint
-from .resources import find_resource, resolve
+from .resources import LATEST_SDF, find_resource, model_file, resolve
 from .sdf_frames import Model, text_of
 from .sdf_links import read_link, value_of
 from .sdf_sensors import joint_sensor
@@ -30,7 +30,7 @@ TYPES = {
     "universal": "universal",
     "revolute2": "universal",
 }
-NEWEST = (1, 12)  # version of the format
+
 DEEPEST = 20  # nested models and includes
 # {element: (children, attributes)} that are read, or that change nothing.
 KNOWN = {
@@ -63,7 +63,7 @@ def robot_of_sdf(root, path):
     version = _version(root)
     loader = _Loader(path, version)
     robot = loader.robot
-    if version > NEWEST:
+    if version > LATEST_SDF:
         robot.remark("SDF version above 1.12, read by the rules of 1.12", root.get("version"))
     world = root.find("world")
     top = root if world is None else world
@@ -108,9 +108,17 @@ def _include(loader, element, depth):
         uri = text_of(include, "uri")
         if uri is None:
             raise reader.error(include, "<include> has no <uri>: give one")
-        path = find_resource(
-            uri if uri.endswith(".sdf") else f"{uri.rstrip('/')}/model.sdf", loader.path
-        )
+        if include.get("merge", "false") in ("true", "1"):
+            raise reader.error(
+                include,
+                "<include merge> is not supported: omit merge and name links as MODEL::LINK",
+            )
+        path = find_resource(uri, loader.path)
+        for name in () if uri.endswith(".sdf") else ("model.config", "model.sdf"):
+            inside = find_resource(f"{uri.rstrip('/')}/{name}", loader.path)
+            if inside is not None:
+                path = model_file(inside.parent)
+                break
         if path is None:
             try:
                 path = resolve(uri)

@@ -428,3 +428,21 @@ def test_newer_versions_of_sdf_are_noted(version, noted, tmp_path):
     text = '<model name="m"><link name="a"><inertial><mass>1</mass></inertial></link></model>'
     note = f"SDF version above 1.12, read by the rules of 1.12: {version}"
     assert (note in load_scene(sdf(tmp_path, text, version)).notes) == noted
+
+
+def test_model_config_names_the_file_of_a_model(tmp_path, monkeypatch):
+    """The latest version that is known; without it model.sdf. Merged includes are refused by name."""
+    folder = tmp_path / "arm"
+    folder.mkdir()
+    (folder / "old.sdf").write_text("<sdf version='1.4'><model name='none'/></sdf>")
+    (folder / "arm_1_9.sdf").write_text(ARM_SDF)
+    (folder / "model.config").write_text(
+        "<model><name>arm</name><sdf version='1.4'>old.sdf</sdf><sdf version='1.9'>arm_1_9.sdf</sdf>"
+        "<sdf version='3.0'>none.sdf</sdf></model>"
+    )
+    monkeypatch.setenv("GZ_SIM_RESOURCE_PATH", str(tmp_path))
+    assert [body.name for body in load_scene("model://arm").bodies] == ["upper", "slide"]
+    world = "<world name='w'><include{}><uri>model://arm</uri></include></world>"
+    assert len(load_scene(sdf(tmp_path, world.format(""))).bodies) == 2
+    with pytest.raises(SceneError, match="merge"):
+        load_scene(sdf(tmp_path, world.format(" merge='true'")))
