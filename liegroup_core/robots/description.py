@@ -317,10 +317,9 @@ def rotation_of_rpy(roll, pitch, yaw):
     )
 
 
-def listed(names, most=8):
+def listed(names):
     """Names for a note."""
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more
+    return ", ".join(names)
 
 
 def rpy_of_rotation(R):

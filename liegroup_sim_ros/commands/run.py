@@ -7,6 +7,7 @@ both cases. Wrong input is refused before a file is opened.
 
 import math
 import sys
+import textwrap
 import time
 from contextlib import ExitStack
 from pathlib import Path
@@ -27,6 +28,7 @@ from liegroup_sim_ros.recording.write_tables import TableFile, TorqueFile
 EXIT_STOPPED = 1
 AT_ONCE = 10_000  # largest number of steps between two updates of the progress bar
 REDRAW = 0.1  # s between two updates
+NOTE = 160  # characters of a note of the scene
 # Passed on to Simulation if given.
 SETTINGS = (
     "accuracy",
@@ -191,7 +193,8 @@ def run(args):
     scene = load_scene(args.scene)
     console = Console(stderr=True)
     for note in scene.differences:
-        console.print(f"{scene.name}: {note}", markup=False, highlight=False)
+        short = textwrap.shorten(note, NOTE, placeholder=" ... (liegroup_sim describe has all)")
+        console.print(f"{scene.name}: {short}", markup=False, highlight=False)
     try:
         with console.status("starting (the first start on a machine compiles for about 20 s)"):
             simulation = Simulation(scene, **settings, estimate=args.estimate)

@@ -58,17 +58,19 @@ def test_links_and_joints_of_the_file_are_named_in_wrenches_and_states(client, t
     def ask(service, **given):
         named = [Parameter(n, value=v).to_parameter_msg() for n, v in given.items()]
         request = SetParametersAtomically.Request(parameters=named)
-        return client.call(f"/arm/{service}", SetParametersAtomically, request).result
+        return client.call(f"/links/{service}", SetParametersAtomically, request).result
 
     def moved_to_body(torque, force):
         torque, force = place[:3, :3] @ torque, place[:3, :3] @ force
         return [*(torque + np.cross(place[:3, 3], force)), *force]
 
-    with NodeProcess(parameters, remap=["__node:=arm"]):
-        states = client.listen("/arm/joint_states", JointState)
-        applied = client.listen("/arm/applied_wrench", WrenchStamped, LATCHED)
+    with NodeProcess(parameters, remap=["__node:=links"]):
+        states = client.listen("/links/joint_states", JointState)
+        applied = client.listen("/links/applied_wrench", WrenchStamped, LATCHED)
         # Paused, it publishes joint states only at steps and states that are set.
-        client.until(lambda: states or client.call("/arm/step") is None, COMPILING, "joint states")
+        client.until(
+            lambda: states or client.call("/links/step") is None, COMPILING, "joint states"
+        )
         assert ask("set_state", **{"shoulder/position": 0.4, "extend/velocity": -0.3}).successful
         client.until(lambda: states and states[-1].velocity[1] == pytest.approx(-0.3, abs=1e-12))
         assert states[-1].position[0] == pytest.approx(0.4, abs=1e-12)
@@ -76,15 +78,15 @@ def test_links_and_joints_of_the_file_are_named_in_wrenches_and_states(client, t
             "apply_wrench", body="tool", force=[1.0, 2.0, 3.0], point=[0.0, 0.0, 0.1], duration=1.0
         )
         assert done.successful, done.reason
-        client.call("/arm/step")
+        client.call("/links/step")
         client.until(lambda: applied)
         expected = moved_to_body(np.cross([0, 0, 0.1], [1.0, 2.0, 3.0]), [1.0, 2.0, 3.0])
         frame, wrench, _ = values(applied[-1])
         assert frame == "slide" and wrench == pytest.approx(expected, abs=1e-14)
-        push, count = client.pusher("/arm"), len(applied)
+        push, count = client.pusher("/links"), len(applied)
         push("tool", torque=(0.5, 0.0, 0.0), force=(0.0, 7.0, 0.0))
         client.spin(0.3)
-        client.call("/arm/step")
+        client.call("/links/step")
         client.until(lambda: len(applied) > count)
         expected = np.add(expected, moved_to_body([0.5, 0.0, 0.0], [0.0, 7.0, 0.0]))
         assert values(applied[-1])[1] == pytest.approx(expected, abs=1e-14)
