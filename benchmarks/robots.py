@@ -132,9 +132,8 @@ def _left_out(scene):
 
 
 def _number_of(names):
-    """Number of names of a note, which lists the first ones and counts the others."""
-    names, _, more = names.partition(" and ")
-    return names.count(", ") + 1 + int(more.removesuffix(" more") or 0)
+    """Number of names of a note."""
+    return names.count(", ") + 1
 
 
 def _held(scene, body):

@@ -19,6 +19,7 @@ from liegroup_core.joints.coupling import COUPLED, gap, turns
 from liegroup_core.joints.motion import at, uniform
 from liegroup_core.model.build import initial_state
 from liegroup_core.observables.sample import Sample
+from liegroup_core.scene.centres import pose_matrix
 from liegroup_core.scene.consistency import joint_state
 from liegroup_core.scene.description import WORLD, Scene
 from liegroup_core.scene.rearrange import rearranged
@@ -273,9 +274,7 @@ class Engine(Inputs):
         index = {joint.name: j for j, joint in enumerate(scene.joints)}
         start = {WORLD: (np.eye(4), np.zeros(6))}
         for body, pose, twist in zip(scene.bodies, *self.state()):
-            place = np.eye(4)
-            place[:3, :3], place[:3, 3] = pose[:9].reshape(3, 3), pose[9:]
-            start[body.name] = place, twist
+            start[body.name] = pose_matrix(pose), twist
         for joint, motion in zip(self.layout.motions, self.layout.motions_at(self.time, commanded)):
             joint = scene.joints[index[joint]]
             q, v = joint_state(start, joint, *frames[index[joint.name]])

@@ -27,6 +27,7 @@ from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage
 from liegroup_core.model.arrays import make_work
 from liegroup_core.model.build import initial_state
 from liegroup_core.model.redundancy import dependent_groups, generic_poses
+from liegroup_core.scene.centres import pose_matrix
 from liegroup_core.scene.consistency import (
     ResolvedCoupling,
     resolve_couplings,
@@ -162,12 +163,8 @@ class Reactions:
 
     def _places(self, pose):
         """{body: (4, 4)} of frames at the centres of mass, with the world."""
-        places = {WORLD_NAME: np.eye(4)}
-        for name, row in zip(self._bodies, pose):
-            place = np.eye(4)
-            place[:3, :3], place[:3, 3] = row[:9].reshape(3, 3), row[9:]
-            places[name] = place
-        return places
+        places = dict(zip(self._bodies, map(pose_matrix, pose)))
+        return places | {WORLD_NAME: np.eye(4)}
 
     def minimum_norm(self, pose, wrenches):
         """(J, 6) wrenches with the smallest multipliers of unit rows, among all that are possible.

@@ -103,3 +103,10 @@ class Offsets:
         if not self.none:
             wrench[:3] -= np.cross(self.com[body], wrench[3:])
         return wrench
+
+
+def pose_matrix(row):
+    """(4, 4) of a pose (12,)."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = row[:9].reshape(3, 3), row[9:]
+    return matrix

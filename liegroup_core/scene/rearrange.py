@@ -18,6 +18,7 @@ from liegroup_core.joints.linkage import Linkage
 
 from .assembly import cannot_close, consistent_velocities, not_kept
 from .carried import carried, coordinates_at, with_coupled
+from .centres import pose_matrix
 from .consistency import ResolvedCoupling, resolve_couplings, resolve_elements, resolve_frames
 from .description import WORLD
 
@@ -39,10 +40,10 @@ def rearranged(scene, pose, twist, poses, twists, joints=None, angles=None):
     place = {body.name: i for i, body in enumerate(scene.bodies)}
     pose, twist = np.array(pose, dtype=float), np.array(twist, dtype=float)
     before = [
-        {body: _matrix(pose[i]) for body, i in place.items()} | {WORLD: np.eye(4)},
+        {body: pose_matrix(pose[i]) for body, i in place.items()} | {WORLD: np.eye(4)},
         {body: twist[i].copy() for body, i in place.items()} | {WORLD: np.zeros(6)},
     ]
-    set_parts = {body: _matrix(row) for body, row in poses.items()}, twists
+    set_parts = {body: pose_matrix(row) for body, row in poses.items()}, twists
     start, given = (old | part for old, part in zip(before, set_parts))
     couplings, frames, parts = (
         resolve(scene) for resolve in (resolve_couplings, resolve_frames, resolve_elements)
@@ -177,10 +178,3 @@ def _connected(joints, bodies):
                 found.add(j)
                 reached |= ends
     return sorted(found)
-
-
-def _matrix(row):
-    """(4, 4) of a pose (12,)."""
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = row[:9].reshape(3, 3), row[9:]
-    return matrix

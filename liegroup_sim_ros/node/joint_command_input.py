@@ -205,11 +205,8 @@ class JointCommandInput(JointInput):
 
     def _check_servos(self, wanted, jumps):
         for name, position, velocity in wanted:
-            if name in self.driven:
-                if jumps is not None and not math.isnan(position):
-                    self.refuse_jump(name, jumps.positions[self.joints[name]], position, jumps.most)
-                continue
-            if name not in self.servos:
+            is_driven = name in self.driven
+            if name not in self.servos and not is_driven:
                 kind = "velocity" if math.isnan(position) else "position"
                 self.refuse(
                     "no_servo",
@@ -218,7 +215,7 @@ class JointCommandInput(JointInput):
                         f"scene, or command an effort and leave {kind} empty or NaN"
                     ),
                 )
-            if math.isnan(position) and self.servos[name]:
+            if math.isnan(position) and not is_driven and self.servos[name]:
                 self.refuse(
                     "no_position",
                     lambda: (
@@ -226,7 +223,9 @@ class JointCommandInput(JointInput):
                         "stiffness: give a position too, or a servo with stiffness 0"
                     ),
                 )
-            if jumps is not None and self.servos[name]:
+            if jumps is None or math.isnan(position):
+                continue
+            if is_driven or self.servos[name]:
                 self.refuse_jump(name, jumps.positions[self.joints[name]], position, jumps.most)
 
 

@@ -158,7 +158,8 @@ TABLE = (
     Entry(
         "continue_inputs",
         False,
-        "apply the wrenches that the recording continue_from has after continue_at; false: all end",
+        "apply the wrenches that the recording continue_from has after continue_at; false: all end, "
+        "and driven joints that were commanded come to rest",
     ),
     Entry(
         "snapshot",

@@ -19,7 +19,7 @@ from . import attachments
 from .checkpoints import Checkpoints
 from .errors import OutputError, RecorderError
 from .write import Recorder
-from .write_tables import has_estimate, joint_names
+from .write_tables import has_estimate, joint_names, new_file
 
 NODE = "/sim_node"  # the topics have the names that they have in a run of the node
 WORLD_FRAME = "world"
@@ -63,18 +63,12 @@ class ArrayFile:
                 self._arrays["efforts"] = np.empty((samples, len(forces)))
                 if driven:
                     self._arrays["drive_efforts"] = np.empty((samples, len(driven)))
-            self._stream = open(self._path, "xb")
         except MemoryError:
             raise OutputError(
                 f"{path}: {samples} samples of {n} bodies do not fit into memory; "
                 "take fewer with --every, or write *.mcap"
             ) from None
-        except FileExistsError:
-            raise OutputError(
-                f"{path}: the file already exists; remove it or choose another name"
-            ) from None
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
+        self._stream = new_file(path, "xb")
 
     def __enter__(self):
         return self

@@ -13,20 +13,25 @@ import numpy as np
 from .errors import OutputError
 
 
+def new_file(path, mode, **options):
+    """Open a file that does not exist yet, as `open`. Raises OutputError."""
+    try:
+        return open(path, mode, **options)
+    except FileExistsError:
+        raise OutputError(
+            f"{path}: the file already exists; remove it or choose another name"
+        ) from None
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
+
+
 class _Table:
     """Table in a file, with a number of samples and the step of the last one."""
 
     def __init__(self, path):
         self.count, self.last_step = 0, -1
         self._path = Path(path)
-        try:
-            self._stream = open(self._path, "x", encoding="utf-8", newline="")
-        except FileExistsError:
-            raise OutputError(
-                f"{path}: the file already exists; remove it or choose another name"
-            ) from None
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
+        self._stream = new_file(path, "x", encoding="utf-8", newline="")
         self._rows = csv.writer(self._stream)
 
     def __enter__(self):
