@@ -32,6 +32,7 @@ from .status import (
     DEPENDENT_ROWS,
     LARGE_ROTATION,
     MESSAGES,
+    MOST_EVENTS,
     NO_RATTLE_STEP,
     NOT_CONVERGED,
     OK,
@@ -454,8 +455,8 @@ class Engine(Inputs):
         if len(work.motions):
             # The middle is away from all changes: round-off has no influence.
             work.motions[:] = self.layout.motions_at(start + 0.5 * h, self._commanded)
-            whole = h == self.step and start == self.time
-            work.clock[:] = self.steps if whole else 0.0, 0.0 if whole else start, start
+        whole = h == self.step and start == self.time
+        work.clock[:] = self.steps if whole else 0.0, 0.0 if whole else start, start
         return self._integrator.advance(h, steps, self._pose, self._twist, self._external)
 
     def _joint_name(self, element):
@@ -486,7 +487,7 @@ class Engine(Inputs):
         return (
             f"stopped at t = {self.time:.9g} s (step {self.steps}, h = {self.step:g} s): "
             + MESSAGES[status & 0xFF].format(
-                joint=joint, force=force, body=body, angle=angle, hint=hint
+                joint=joint, force=force, body=body, angle=angle, hint=hint, events=MOST_EVENTS
             )
         )
 

@@ -98,7 +98,13 @@ class Layout:
         """Text why only relative coordinates can hold the scene, or ""."""
         if self.lack_of_inertia or self.scene.couplings:
             return self.lack_of_inertia or "it has couplings"
-        return "it has driven joints" if self.motions else ""
+        return "it has driven joints" if self.motions else self.switches
+
+    @property
+    def switches(self):
+        """Text that the scene has stops or friction of joints, or ""."""
+        some = any(joint.switches for joint in self.scene.joints)
+        return "its joints have limits or friction" if some else ""
 
     @cached_property
     def motions(self):
@@ -229,8 +235,8 @@ def make_layout(scene):
             layout = Layout(described, centred, Offsets(described), *build_model(centred))
             if layout.scene.couplings or layout.motions:
                 refuse_cut_couplings(centred)
-            if layout.motions:
-                _ = layout.relative  # refuses driven joints that depend on others
+            if layout.motions or layout.switches:
+                _ = layout.relative  # refuses driven joints that depend on others, and cut switches
             if layout.lack_of_inertia:
                 refuse_freedoms_without_inertia(centred)
             return layout

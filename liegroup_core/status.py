@@ -14,6 +14,9 @@ NOT_CONVERGED = 7
 NOT_PROJECTED = 8
 NO_RATTLE_STEP = 9
 DIVERGED = 10
+EVENTS_WITHOUT_END = 11
+# No failure: a stop, or friction that changes, within a step. It never leaves an integrator.
+EVENT = 12
 
 # rad in one step. dexp^-1 is singular at 2 pi and loses digits near it: its norm is
 # (t/2)/sin(t/2), 62 at 2 pi - 0.1. Beyond pi a step is valid but rarely accurate.
@@ -22,6 +25,8 @@ LARGE_ROTATION = math.pi
 # rad in one step, for methods without a limit at 2 pi. A larger rotation means that the integration
 # is unstable: a damper or spring is too stiff for the step of an explicit method.
 HOPELESS_ROTATION = 1e3
+# In a step, at stops and of friction.
+MOST_EVENTS = 1000
 
 MESSAGES = {
     NOT_FINITE: "the state is not finite any more: the step is too large for this motion, or a "
@@ -42,6 +47,8 @@ MESSAGES = {
     "this motion; use a smaller step",
     DIVERGED: "a body rotates by more than 1000 rad within one step: the integration is "
     "unstable, the step is too large for the forces; use a smaller step",
+    EVENTS_WITHOUT_END: "a step has more than {events} impacts or changes of friction: stops and friction "
+    "let them follow each other without end; change their numbers",
     NO_RATTLE_STEP: "RATTLE has no solution for body {body}: it rotates by {angle:.3g} rad in a "
     "step, and the limit is 1 rad; use a smaller step{hint}",
 }

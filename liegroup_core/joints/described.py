@@ -8,6 +8,7 @@ from liegroup_core.fields.frames import Frame
 from liegroup_core.fields.values import Described, Flag, Name, Number, Text
 
 from .motion import Motion
+from .stops import Friction, Limits
 
 
 class JointBase(Described):
@@ -45,6 +46,12 @@ class JointBase(Described):
     motion: Motion | None = Field(
         None, description="prescribed motion from the start on, of a driven joint; see there"
     )
+    limits: Limits | None = Field(
+        None, description="stops of revolute, prismatic and screw joints; see there"
+    )
+    friction: Friction | None = Field(
+        None, description="friction of revolute, prismatic and screw joints; see there"
+    )
     data: dict[Name, Number] | None = Field(
         None,
         description="numbers by name that the simulation does not use, such as limits of an imported "
@@ -56,6 +63,11 @@ class JointBase(Described):
         if self.parent_frame is None and self.child_frame is None:
             raise SceneError("parent_frame or child_frame is missing: give at least one of them")
         return self
+
+    @property
+    def switches(self):
+        """True if the joint has stops or friction."""
+        return self.limits is not None or self.friction is not None
 
     @property
     def locates_child(self):

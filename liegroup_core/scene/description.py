@@ -49,6 +49,7 @@ from .names import (
     refuse_joint,
     refuse_motion,
     refuse_sensor,
+    refuse_switches,
     refuse_twins,
     refuse_two_servos,
     refuse_unknown,
@@ -266,6 +267,7 @@ class Scene(Described):
                     place=("joints", i, "coordinate"),
                 )
             refuse_motion(joint, self.forces, i)
+            refuse_switches(joint, i)
         kinds = {joint.name: joint.type for joint in self.joints}
         for key, i, link in links:
             if hasattr(link, "joint"):

@@ -5,6 +5,7 @@ from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import suggestion
 from liegroup_core.joints.coupling import COUPLED
 from liegroup_core.joints.kinds import TYPES
+from liegroup_core.joints.stops import WITH_STOPS
 
 WORLD = "world"
 
@@ -130,6 +131,22 @@ def refuse_motion(joint, forces, i):
                 f'joints[{i}] "{joint.name}": a driven joint cannot have the servo "{force.name}": '
                 "keep one of them",
                 place=place,
+            )
+
+
+def refuse_switches(joint, i):
+    """Refuse stops or friction of a joint that has not one coordinate, or is driven."""
+    for key in ("limits", "friction"):
+        if getattr(joint, key) is None:
+            continue
+        reason = None
+        if joint.type not in WITH_STOPS:
+            reason = f"a {joint.type} joint has none; only {', '.join(WITH_STOPS)} joints do"
+        elif joint.driven:
+            reason = "a driven joint moves as prescribed; remove driven, or this"
+        if reason:
+            raise SceneError(
+                f'joints[{i}] "{joint.name}": {key}: {reason}', place=("joints", i, key)
             )
 
 

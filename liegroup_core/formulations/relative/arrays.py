@@ -84,6 +84,26 @@ COUPLED = np.dtype(
 )
 
 
+SWITCH = np.dtype(
+    [  # freedom of the tree with stops or dry friction, in the coordinate of its link: switches.py
+        ("joint", "i8"),
+        ("link", "i8"),
+        ("freedom", "i8"),
+        ("component", "i8"),  # of the rates of the link
+        ("sign", "f8"),  # of this coordinate when that of the joint increases
+        ("lower", "f8"),
+        ("upper", "f8"),  # stops, rad or m; infinite: none
+        ("restitution", "f8"),
+        ("stiffness", "f8"),  # 0: rigid stops
+        ("damping", "f8"),
+        ("coulomb", "f8"),
+        ("static", "f8"),
+        ("viscous", "f8"),
+    ],
+    align=True,
+)
+
+
 class RelativeModel(Struct):
     """Constants of a mechanism in relative coordinates; parents precede their children."""
 
@@ -111,6 +131,7 @@ class RelativeModel(Struct):
     shared_freedoms: np.ndarray  # (l, 3) a freedom, its place in the responses of both joints
     couplings: np.ndarray  # of COUPLED
     coupling: np.ndarray  # (c,) which coupling a cut joint is, or -1
+    switches: np.ndarray  # (k,) of SWITCH
     first_column: np.ndarray  # (m,) first nonzero column of each row of the factor of W
     refinements: int  # steps of iterative refinement that each solve takes
     projects: bool
@@ -185,6 +206,13 @@ class RelativeWork(Struct):
     slopes: np.ndarray  # ((s + 1) f, 2) k: algebra, then qdot part
     external: np.ndarray  # (n, 16) external wrenches of the call
     pushed: np.ndarray  # (1,) 1 if any of them is not zero
+    held: np.ndarray  # (f,) 1 if a freedom is held, see switches.py
+    modes: np.ndarray  # (k, 4) of each switch: direction of slip; stop that it touches, -1 lower,
+    # 1 upper; coordinate at the start of the step, in its turn; 1 if these are known
+    guards: np.ndarray  # (k, 5) how far each switch is from its next events
+    crossed: np.ndarray  # (k, 5) part of the step at which each is at the latest, or -1
+    holding: np.ndarray  # (k,) efforts that hold the switches
+    watch: np.ndarray  # (3,) 1 if events are looked for; start of the substep with one, its size
     wrench: np.ndarray  # (n, 6) wrenches on the bodies
     relative: np.ndarray  # (L, 12) pose of each link in its parent link
     world: np.ndarray  # (L, 12) pose in the world; where it is needed
@@ -236,6 +264,12 @@ def make_relative_work(model, work, stages):
         slopes=np.zeros(((stages + 1) * freedoms, 2)),
         external=np.zeros((n, 16)),
         pushed=np.zeros(1),
+        held=np.zeros(freedoms),
+        modes=np.zeros((len(model.switches), 4)),
+        guards=np.zeros((len(model.switches), 5)),
+        crossed=np.zeros((len(model.switches), 5)),
+        holding=np.zeros(len(model.switches)),
+        watch=np.zeros(3),
         wrench=np.zeros((n, 6)),
         relative=np.zeros((links, 12)),
         world=np.zeros((links, 12)),
@@ -269,4 +303,5 @@ def make_relative_work(model, work, stages):
 def links_of(work):
     """Arrays of a RelativeWork that are the state: coordinates and rates, and whether they are."""
     n = len(work.pose) - len(work.relative)
-    return work.known, work.pose[n:], work.twist[n:]
+    switches = (work.held, work.modes) if len(work.modes) else ()
+    return work.known, work.pose[n:], work.twist[n:], *switches

@@ -14,6 +14,7 @@ from .inertia import check_inertia
 from .links import eliminated, find_links, link_poses, link_records
 from .plane import find_plane, plane_axes
 from .spanning_tree import WORLD_NAME, spanning_tree
+from .switch_records import switch_records
 
 
 def relative_model(scene, model, in_space=False):
@@ -61,6 +62,7 @@ def relative_model(scene, model, in_space=False):
         ).reshape(-1, 2),
         has_forces=has_forces(model.forces),
         elements=elements,
+        switches=switch_records(scene, links, records),
         refinements=_refinements(model, len(arrays["joints"]) > 0),
         projects=bool(model.projects and len(arrays["joints"])),
         baumgarte_rate=model.baumgarte_rate,

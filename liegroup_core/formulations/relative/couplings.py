@@ -30,13 +30,20 @@ def link_coordinate(model, b, pose):
 
 
 @kernel
-def add_pair(model, work, b, value, out, stride):
+def link_shift(model, b, pose):
+    """Displacement of link b along its axis: cylinder."""
+    return pose[len(model.parts) + b, 4]
+
+
+@kernel
+def add_pair(model, work, b, component, value, out, stride):
     """Add a generalised force on link b, and its reaction on the parent, to wrenches.
 
+    component : 1 for the displacement of a cylinder, else 0
     out : row stride * (number of a link) has its wrench
     """
     link = model.bodies[b]
-    axis = 5 if link["group"] == SLIDE else 2
+    axis = 5 if component == 1 or link["group"] == SLIDE else 2
     out[stride * b, axis] += value
     if link["parent"] != WORLD:
         rot, p = load9(work.relative, b, 0), load3(work.relative, b, 9)
@@ -52,7 +59,14 @@ def add_coupling(model, work, c, value, out, stride):
     """Add J^T of coupling c times a multiplier to wrenches; see `add_pair`."""
     coupling = model.couplings[c]
     for k in range(2):
-        add_pair(model, work, coupling["links"][k], coupling["factors"][k] * value, out, stride)
+        b, share = coupling["links"][k], coupling["factors"][k] * value
+        add_pair(model, work, b, 0, share, out, stride)
+
+
+@kernel
+def add_effort(model, work, b, component, value):
+    """Apply a generalised force to link b, and its reaction to the parent."""
+    add_pair(model, work, b, component, value, work.applied, 1)
 
 
 @kernel

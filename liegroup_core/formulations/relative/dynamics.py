@@ -20,6 +20,7 @@ from .kinds import (
     spread_response,
 )
 from .loops import POOR, SINGULAR, close_loops, set_loops
+from .switches import apply_switches
 
 # Each refinement multiplies the error in regular directions by the shift of W divided by its pivot.
 REFINEMENTS_WHEN_SINGULAR = 4
@@ -109,4 +110,6 @@ def accelerations(model, work, external):
         place_links(model, work)
     if applied:
         apply_forces(model, work, external)
+    if len(model.switches) > 0:
+        apply_switches(model, work)
     return solve_equations(model, work)

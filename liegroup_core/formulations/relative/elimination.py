@@ -63,8 +63,19 @@ def _eliminate(work, m, torque, force, f, U, D, u):
 
 
 @kernel
+def _is_held(work, f):
+    """Whether freedom f is held: then it has no U and no 1 / D, and stays in the inertia."""
+    if work.held[f] == 0.0:
+        return False
+    _store(work, f, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0, 0.0)
+    return True
+
+
+@kernel
 def _without_turn(work, m, torque, force, f):
     """Eliminate the rotation about z: freedom f."""
+    if _is_held(work, f):
+        return m, torque, force
     U = (m[2], m[4], m[5], m[12], m[13], m[14])
     m, torque, force = _eliminate(work, m, torque, force, f, U, U[2], -torque[2])
     m = (
@@ -220,6 +231,8 @@ def _without_shift_y(work, m, torque, force, f):
 @kernel
 def _without_lift(work, m, torque, force, f):
     """Eliminate the translation along z: freedom f."""
+    if _is_held(work, f):
+        return m, torque, force
     U = (m[8], m[11], m[14], m[17], m[19], m[20])
     m, torque, force = _eliminate(work, m, torque, force, f, U, U[5], -force[2])
     m = (
@@ -251,6 +264,8 @@ def _without_lift(work, m, torque, force, f):
 @kernel
 def _without_screw(work, m, torque, force, f, pitch):
     """Eliminate the rotation about z with its translation."""
+    if _is_held(work, f):
+        return m, torque, force
     U = (
         m[2] + pitch * m[8],
         m[4] + pitch * m[11],

@@ -46,12 +46,15 @@ move_links, apply_wrenches, gather, spread, spread_response = (
     for name in ("move_links", "apply_wrenches", "gather", "spread", "spread_response")
 )
 set_rows, respond = (by_space(name, rows, plane_rows) for name in ("set_rows", "respond"))
-add_multipliers, gather_forces, gather_residual = (
+add_multipliers, add_own_forces, gather_forces, gather_residual = (
     by_space(name, residuals, plane_residuals)
-    for name in ("add_multipliers", "gather_forces", "gather_residual")
+    for name in ("add_multipliers", "add_own_forces", "gather_forces", "gather_residual")
 )
 set_free_residual, set_residual = (
     by_space(name, residuals, plane_residuals) for name in ("set_free_residual", "set_residual")
 )
 inverse_dynamics = by_space("inverse_dynamics", space_inverse_dynamics, plane_inverse_dynamics)
-link_coordinate = by_space("link_coordinate", couplings, plane_couplings)
+link_coordinate, link_shift, add_effort, add_pair = (
+    by_space(name, couplings, plane_couplings)
+    for name in ("link_coordinate", "link_shift", "add_effort", "add_pair")
+)

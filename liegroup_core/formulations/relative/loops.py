@@ -49,7 +49,7 @@ def _subtract_responses(model, work):
 
 
 @kernel
-def _set_responses(model, work):
+def set_responses(model, work):
     """Responses of all joints, and W."""
     for j in range(len(model.joints)):
         respond(model, work, j)
@@ -69,7 +69,7 @@ def set_loops(model, work):
         _add_baumgarte(model, work)
     for r in range(len(work.multipliers)):
         work.multipliers[r] = 0.0
-    _set_responses(model, work)
+    set_responses(model, work)
     if factor(model, work, 0.0) < 0:
         return POOR if has_small_pivot(work) else -1
     # Singular pose: accelerations that the joints leave undetermined follow from the masses.
@@ -119,7 +119,7 @@ def project(model, work):
         set_all_rows(model, work)
         set_gap(model, work)
         satisfied = is_satisfied(model, work, work.world)
-        _set_responses(model, work)
+        set_responses(model, work)
         dependent = factor(model, work, 0.0)
         if dependent >= 0:
             return DEPENDENT_ROWS + (model.owners[dependent] << 8)

@@ -109,7 +109,9 @@ def factor(model, work, shift):
 
     returns -1, or the joint of a dependent row
     """
-    W = work.matrix
+    W, held = work.matrix, False
+    for k in range(len(model.switches)):
+        held = held or work.held[model.switches[k]["freedom"]] != 0.0
     for j in range(len(model.joints)):
         first = model.joints[j]["first"]
         rows = model.joints[j]["rows"]
@@ -128,7 +130,11 @@ def factor(model, work, shift):
                 W[r, s] = value * work.diagonal[s]
                 pivot -= value * W[r, s]
             if not pivot > max(SMALLEST_PIVOT * W[r, r], SMALLEST_MOBILITY * mobility):
-                return j
+                if not held:
+                    return j
+                # Held freedoms satisfy the row with those before it.
+                work.diagonal[r] = 0.0
+                continue
             work.diagonal[r] = 1.0 / pivot
     return -1
 

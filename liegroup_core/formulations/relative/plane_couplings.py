@@ -21,7 +21,13 @@ def link_coordinate(model, b, pose):
 
 
 @kernel
-def add_pair(model, work, b, value, out, stride):
+def link_shift(model, b, pose):
+    """No link of a plane is a cylinder."""
+    return 0.0
+
+
+@kernel
+def add_pair(model, work, b, component, value, out, stride):
     """Add a generalised force on link b, and its reaction on the parent; see couplings.py."""
     link, row = model.links[b], len(model.parts) + b
     at, to = stride * b, stride * link["parent"]
@@ -44,4 +50,13 @@ def add_coupling(model, work, c, value, out, stride):
     """Add J^T of coupling c times a multiplier to wrenches."""
     coupling = model.couplings[c]
     for k in range(2):
-        add_pair(model, work, coupling["links"][k], coupling["factors"][k] * value, out, stride)
+        b, share = coupling["links"][k], coupling["factors"][k] * value
+        add_pair(model, work, b, 0, share, out, stride)
+
+
+@kernel
+def add_effort(model, work, b, component, value):
+    """Apply a generalised force to link b, and its reaction to the parent."""
+    # The links have bias forces, less what is applied.
+    add_pair(model, work, b, component, -value, work.force, 1)
+    add_pair(model, work, b, component, -value, work.applied, 1)

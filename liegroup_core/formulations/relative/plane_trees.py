@@ -127,6 +127,30 @@ def _eliminate_plane(work, b, f):
     _store_freedom(work.freedoms, f + 2, 0.0, 0.0, yy, _inverse(yy), -fy)
 
 
+@kernel
+def _pass_whole(work, row, b, a):
+    """Add inertia and bias force of a link whose freedom is held to those of its parent."""
+    inertia, force, pose = work.inertia, work.force, work.stage_pose
+    c, s, x, y = pose[row, 0], pose[row, 1], pose[row, 2], pose[row, 3]
+    ww, wx, wy = load3(inertia, b, 0)
+    xx, xy, yy = load3(inertia, b, 3)
+    torque, fx, fy = load3(force, b, 0)
+    wx, wy = c * wx - s * wy, s * wx + c * wy
+    xx, xy, yy = _turn_mass(c, s, xx, xy, yy)
+    # M times the velocity of the link if the parent turns
+    bx, by = xy * x - xx * y, yy * x - xy * y
+    inertia[a, 0] += ww + (x * (by + 2.0 * wy) - y * (bx + 2.0 * wx))
+    inertia[a, 1] += wx + bx
+    inertia[a, 2] += wy + by
+    inertia[a, 3] += xx
+    inertia[a, 4] += xy
+    inertia[a, 5] += yy
+    fx, fy = c * fx - s * fy, s * fx + c * fy
+    force[a, 0] += torque + (x * fy - y * fx)
+    force[a, 1] += fx
+    force[a, 2] += fy
+
+
 @subroutine
 def gather(model, work):
     """Articulated inertias and bias forces, from the leaves to the world."""
@@ -144,6 +168,11 @@ def gather(model, work):
         if group == SLIDE:
             D, u = inertia[b, 3], -fx
         inverse = _inverse(D)
+        if work.held[f] != 0.0:
+            _store_freedom(work.freedoms, f, 0.0, 0.0, 0.0, 0.0, 0.0)
+            if a != WORLD:
+                _pass_whole(work, row, b, a)
+            continue
         if a == WORLD:
             _store_freedom(work.freedoms, f, 0.0, 0.0, 0.0, inverse, u)
             continue

@@ -22,7 +22,7 @@ def eliminate(work, f, axis, pitch, wrenches, row):
     share = y * work.freedoms[f, 6]
     for c in range(6):
         wrenches[row, c] -= share * work.freedoms[f, c]
-    if pitch == 0.0:
+    if pitch == 0.0 and work.held[f] == 0.0:
         wrenches[row, axis] = 0.0
     return y
 

@@ -3,7 +3,7 @@
 
 Bodies that fixed joints weld are one link. The tree takes the joints with the most rows: the fewest
 rows are left for the cut joints; coupled joints before all others, because couplings are rows
-between joints of the tree. Among equals it takes those next to the world: short paths make cheap
+between joints of the tree, and so are driven joints and those with stops or friction. Among equals it takes those next to the world: short paths make cheap
 loops. Distance joints are always cut, because their motions are no group.
 """
 
@@ -96,7 +96,7 @@ def _grow(scene, of_group, depth, links, used, root):
     """Add all groups that joints connect to a root, by Prim's method."""
     frontier = list(of_group.get(root, ()))
     coupled = {name for entry in scene.couplings for name in (entry.joint, entry.other)}
-    coupled |= {joint.name for joint in scene.joints if joint.driven}
+    coupled |= {joint.name for joint in scene.joints if joint.driven or joint.switches}
     while frontier:
         best, key = None, None
         for j, a, b in frontier:

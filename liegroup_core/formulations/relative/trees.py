@@ -13,7 +13,7 @@ The world accelerates by -g instead of a weight on every link: Work.moved is Vdo
 
 A freedom leaves its row of I exactly zero. So a massive link gives a light parent no inertia about
 the axis of their hinge, not even that of round-off; a ball joint gives its parent a mass matrix
-only.
+only. A freedom that is held (switches.py) leaves nothing: it does not accelerate.
 
 Source: Featherstone, Rigid Body Dynamics Algorithms, section 7.3.
 """
@@ -166,7 +166,7 @@ def gather(model, work):
             continue
         rot, p = load9(work.relative, b, 0), load3(work.relative, b, 9)
         w, v = load3(work.drift, b, 0), load3(work.drift, b, 3)
-        if group == HINGE:
+        if group == HINGE and work.held[f] == 0.0:
             # Neither rotation about z nor drift along it.
             torque = (
                 torque[0] + (m[0] * w[0] + m[1] * w[1] + m[6] * v[0] + m[7] * v[1]),

@@ -28,11 +28,12 @@ import numpy as np
 from liegroup_core.compiling import SameTypes, Struct, borrowed, kernel, stepper
 from liegroup_core.formulations.relative.arrays import links_of
 from liegroup_core.integrators.link_state import model_and_work
-from liegroup_core.integrators.methods import EXACT, GROUPS, SE3, is_positive
+from liegroup_core.integrators.methods import EXACT, GROUPS, RELATIVE, SE3, is_positive
 from liegroup_core.integrators.motion import copy_state
-from liegroup_core.status import DEPENDENT_ROWS, OK, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS
+from liegroup_core.status import DEPENDENT_ROWS, EVENT, OK, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS
 
 from . import spaces
+from .switching import Switching
 
 # Bounds of the ratio of two successive substeps, and safety factor of the next one.
 LARGEST_GROWTH, LARGEST_CUT, SAFETY = 5.0, 0.2, 0.9
@@ -135,7 +136,7 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
                       substep at the start of the step, rtol of velocities, atol in rad, m, rad/s,
                       m/s; only for schemes with error control
     returns (steps done, status): fewer steps if status is not OK. Pose, twist and work.angle are
-    those of the last valid step. The low byte of status is the code. The other bytes are the element
+    those of the last valid step, after EVENT of the last valid substep. The low byte of status is the code. The other bytes are the element
     of DEPENDENT_ROWS or the torsional spring of TURNS_NOT_COUNTED.
 
     Steps, substeps and stages are loops of one function: the mechanics are inlined and compiled at
@@ -148,6 +149,7 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
         return 0, status
     stages = scheme.a.shape[1]
     controlled = len(scheme.error) > 0
+    watching = spaces.watches(model, work)
     first = 0  # 1: the last substep has already written the derivatives of stage 0
     done = 0
     while done < steps and status == OK:
@@ -174,7 +176,7 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
                     if status != OK:
                         break
                 work.clock[2] = start + (h - remaining) + scheme.nodes[stage] * size
-                if stage < stages or controlled:
+                if stage < stages or controlled or watching:
                     dependent = spaces.accelerate(model, work, external)
                     if dependent >= 0:
                         status = DEPENDENT_ROWS + (dependent << 8)
@@ -190,6 +192,9 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
                     status = TOO_MANY_SUBSTEPS
                 if status == OK and not accepted:
                     continue
+            if status == OK and watching:
+                if spaces.has_event(model, work, h - remaining, size, twist):
+                    status = EVENT
             if status == OK and model.projects:
                 status = spaces.close(model, work)
             if status != OK:
@@ -205,9 +210,9 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
             remaining = remaining - size if count > 1 else 0.0
         if status == OK:
             done += 1
-        elif controlled:
+        elif controlled and status != EVENT:
             _restore(work, pose, twist, control)
-    if done > 0:
+    if done > 0 or status == EVENT:
         spaces.leave(model, work, pose, twist, pose_in, twist_in)
     return done, status
 
@@ -241,6 +246,9 @@ class MuntheKaas:
         self._control = np.zeros(6)
         self._control[4:] = self._tolerances = options.get("rtol", 0.0), options.get("atol", 1.0)
         self._advance = SameTypes(advance)
+        self.switching = None
+        if group == RELATIVE and len(self._model.switches):
+            self.switching = Switching(self._model, self._work, self._pass, self._control)
         self.restart()
 
     @staticmethod
@@ -259,6 +267,8 @@ class MuntheKaas:
         self._control[:4] = self._longest, 0.0, 0.0, self._longest
         if self._work is not self.work:
             self._work.known[0] = 0.0
+        if self.switching is not None:
+            self.switching.restart()
 
     def tighten(self, part):
         """Set the tolerances to a fraction of those of the options."""
@@ -278,13 +288,18 @@ class MuntheKaas:
 
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place; returns (steps done, status)."""
+        advance = self._pass if self.switching is None else self.switching.advance
+        return advance(h, steps, pose, twist, external)
+
+    def _pass(self, h, steps, pose, twist, external):
+        """Take steps, with larger tolerances where that is allowed and needed."""
         done, status = self._take(h, steps, pose, twist, external)
         while self.passes and status & 0xFF in TOO_TIGHT:
             tolerances = self._control[4:].copy()
             for factor in LOOSER:
                 self._control[4:] = factor * tolerances
                 one, status = self._take(h, 1, pose, twist, external)
-                if one:
+                if one or status & 0xFF not in TOO_TIGHT:
                     break
             self._control[4:] = tolerances
             if not one:

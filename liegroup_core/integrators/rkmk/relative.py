@@ -13,6 +13,7 @@ from liegroup_core.formulations.relative.arrays import BALL, PLANE
 from liegroup_core.formulations.relative.dynamics import accelerations
 from liegroup_core.formulations.relative.kinds import displace, normalise
 from liegroup_core.formulations.relative.loops import project
+from liegroup_core.formulations.relative.switches import count_coordinates, crossed
 from liegroup_core.integrators.link_state import begin as begin
 from liegroup_core.integrators.link_state import enter as enter
 from liegroup_core.integrators.link_state import leave as leave
@@ -148,5 +149,21 @@ def close(model, work):
 
 @kernel
 def count_turns(model, work):
-    """Unwrap the angles of the torsional springs at the end of a step."""
+    """Unwrap the angles of torsional springs and switches at the end of a step."""
     kinds.count_turns(model.space.forces, work.stage_pose, work.angle)
+    count_coordinates(model, work)
+
+
+@kernel
+def watches(model, work):
+    """Whether events are looked for."""
+    return work.watch[0] > 0.0
+
+
+@kernel
+def has_event(model, work, start, h, twist):
+    """Whether stops or friction change in a substep of size h that starts at a time of the step."""
+    if not crossed(model, work, h, twist):
+        return False
+    work.watch[1], work.watch[2] = start, h
+    return True

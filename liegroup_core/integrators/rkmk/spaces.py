@@ -26,6 +26,11 @@ for a RelativeModel or a PlaneModel:
                             project the end of the step onto the constraints
     count_turns(model, work)
                             unwrap the angles of torsional springs at the end of the step
+    watches(model, work) -> bool
+                            whether stops and dry friction are looked at: see switching.py
+    has_event(model, work, start, h, twist) -> bool
+                            whether they change in a substep of size h from `twist`, start s after
+                            that of the step
 """
 
 from liegroup_core.formulations.relative.kinds import by_formulation
@@ -40,4 +45,4 @@ def _of(name):
 enter, leave, begin, move = map(_of, ("enter", "leave", "begin", "move"))
 store_slopes, check_end, error_square = map(_of, ("store_slopes", "check_end", "error_square"))
 close, count_turns = map(_of, ("close", "count_turns"))
-accelerate = _of("accelerate")
+accelerate, watches, has_event = map(_of, ("accelerate", "watches", "has_event"))

@@ -171,6 +171,18 @@ def close(model, work):
 
 
 @kernel
+def watches(model, work):
+    """No joint has stops or dry friction on these groups."""
+    return False
+
+
+@kernel
+def has_event(model, work, start, h, twist):
+    """Whether stops or friction change in a substep; see `watches`."""
+    return False
+
+
+@kernel
 def count_turns(model, work):
     """Unwrap the angles of the torsional springs at the end of a step."""
     kinds.count_turns(model.forces, work.stage_pose, work.angle)

@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Freedoms of the tree with stops or dry friction: their forces, and how far the next event is.
+
+A switch is such a freedom. It is free or held. A held freedom does not accelerate: the sweeps of
+trees.py leave it in the inertia of its link, so that its rate stays exactly zero. What holds it, the
+contact at a rigid stop or the friction of a joint at rest, follows from what the equations of motion
+of its link lack. A free one has sliding friction, and the force of a compliant stop beyond it:
+
+    -slip coulomb - viscous qdot   and, beyond a compliant stop,  stiffness depth + damping d depth/dt
+
+Between two events all this is smooth. Work.modes says which branch holds, Work.guards how far the
+event is that ends it; integrators/switching.py changes the branch.
+"""
+
+import math
+
+from liegroup_core.compiling import kernel
+from liegroup_core.forces.turn import unwrapped
+
+from .arrays import SLIDE
+from .kinds import (
+    add_effort,
+    add_multipliers,
+    add_own_forces,
+    gather_forces,
+    link_coordinate,
+    link_shift,
+)
+
+# Columns of Work.modes.
+SLIP, SIDE, COORDINATE, KNOWN = 0, 1, 2, 3
+# Columns of Work.guards; LOWER and UPPER are the stops, the last two the bounds of what holds.
+LOWER, UPPER, SLIDING, LEAST, MOST = 0, 1, 2, 3, 4
+# Of the wrenches on all links: what holds a freedom is known to this part.
+ROUND_OFF = 1e-12
+NONE = -1.0  # in Work.crossed: the guard is not crossed
+
+
+@kernel
+def coordinate(model, work, k, pose):
+    """Coordinate of switch k, rad in the turn of the last one, or m."""
+    switch = model.switches[k]
+    b = switch["link"]
+    if switch["component"] == 1:
+        return link_shift(model, b, pose)
+    q = link_coordinate(model, b, pose)
+    if model.bodies[b]["group"] == SLIDE:
+        return q
+    return unwrapped(q, work.modes[k, COORDINATE])
+
+
+@kernel
+def count_coordinates(model, work):
+    """Keep the coordinates of all switches at the end of a step."""
+    for k in range(len(model.switches)):
+        work.modes[k, COORDINATE] = coordinate(model, work, k, work.stage_pose)
+
+
+@kernel
+def _depth(switch, q, rate, side):
+    """(depth, its rate) beyond the lower stop, side -1, or the upper one, side 1."""
+    if side < 0.0:
+        return switch["lower"] - q, -rate
+    return q - switch["upper"], rate
+
+
+@kernel
+def _pressure(switch, q, rate, side):
+    """Force of a compliant stop if it acts, N m or N; it does not pull."""
+    depth, speed = _depth(switch, q, rate, side)
+    return switch["stiffness"] * depth + switch["damping"] * speed
+
+
+@kernel
+def apply_switches(model, work):
+    """Apply friction and compliant stops to the links at the stage."""
+    n = len(model.parts)
+    for k in range(len(model.switches)):
+        switch = model.switches[k]
+        b, component = switch["link"], switch["component"]
+        if work.held[switch["freedom"]] != 0.0:
+            continue
+        rate = work.stage_twist[n + b, component]
+        effort = -work.modes[k, SLIP] * switch["coulomb"] - switch["viscous"] * rate
+        side = work.modes[k, SIDE]
+        if side != 0.0:
+            q = coordinate(model, work, k, work.stage_pose)
+            effort -= side * _pressure(switch, q, rate, side)
+        add_effort(model, work, b, component, effort)
+
+
+@kernel
+def _hold(model, work):
+    """Efforts that hold the held freedoms, to u of the freedoms with the opposite sign.
+
+    returns the sum of the magnitudes of all wrenches on single links
+    """
+    for b in range(len(model.bodies)):
+        for c in range(work.moved.shape[1]):
+            work.force[b, c] = 0.0
+    add_multipliers(model, work)
+    add_own_forces(model, work)
+    total = 0.0
+    for b in range(len(model.bodies)):
+        for c in range(work.moved.shape[1]):
+            total += abs(work.force[b, c])
+    gather_forces(model, work)
+    return total
+
+
+@kernel
+def bounds(switch, side):
+    """(least, largest) effort that can hold a switch which touches the rigid stop of a side, or none."""
+    most = switch["static"]
+    return (
+        -math.inf if side > 0.0 else -most,
+        math.inf if side < 0.0 else most,
+    )
+
+
+@kernel
+def set_guards(model, work):
+    """How far every switch is from its next event, to work.guards: negative if it is beyond."""
+    n, held = len(model.parts), False
+    for k in range(len(model.switches)):
+        for c in range(5):
+            work.guards[k, c] = math.inf
+        held = held or work.held[model.switches[k]["freedom"]] != 0.0
+    total = _hold(model, work) if held else 0.0
+    for k in range(len(model.switches)):
+        switch, guards, side = model.switches[k], work.guards, work.modes[k, SIDE]
+        f = switch["freedom"]
+        if work.held[f] != 0.0:
+            effort = -work.freedoms[f, 7]
+            least, most = bounds(switch, side)
+            work.holding[k] = effort
+            guards[k, LEAST] = effort - least + ROUND_OFF * total
+            guards[k, MOST] = most - effort + ROUND_OFF * total
+            continue
+        work.holding[k] = 0.0
+        q = coordinate(model, work, k, work.stage_pose)
+        rate = work.stage_twist[n + switch["link"], switch["component"]]
+        if switch["stiffness"] == 0.0:
+            guards[k, LOWER], guards[k, UPPER] = q - switch["lower"], switch["upper"] - q
+        else:
+            for end in range(2):
+                at = -1.0 if end == 0 else 1.0
+                depth, _ = _depth(switch, q, rate, at)
+                acting = min(depth, _pressure(switch, q, rate, at))
+                guards[k, end] = acting if side == at else -acting
+        if switch["coulomb"] > 0.0 or switch["static"] > 0.0:
+            guards[k, SLIDING] = work.modes[k, SLIP] * rate
+
+
+@kernel
+def _dip(g0, d0, g1, d1, h):
+    """Part of a step at which a cubic with these ends and slopes dips below zero, or NONE."""
+    if not (d0 < 0.0 < d1):
+        return NONE
+    a, b, c = 3.0 * (2.0 * (g0 - g1) + (d0 + d1) * h), 2.0 * (3.0 * (g1 - g0) - (2.0 * d0 + d1) * h), d0 * h
+    # The root of a s^2 + b s + c with a positive slope; c < 0 and a + b + c > 0.
+    root = math.sqrt(max(b * b - 4.0 * a * c, 0.0))
+    s = -2.0 * c / (b + root) if b + root > 0.0 else 1.0
+    least = g0 + s * (c + s * (0.5 * b + s * a / 3.0))
+    return s if 0.0 < s < 1.0 and least < 0.0 else NONE
+
+
+@kernel
+def crossed(model, work, h, twist):
+    """Whether a guard is crossed in a step of size h to the stage; where, to work.crossed.
+
+    twist : at the start of the step
+    """
+    set_guards(model, work)
+    n, found = len(model.parts), False
+    for k in range(len(model.switches)):
+        switch, guards, places = model.switches[k], work.guards, work.crossed
+        f, row, component = switch["freedom"], n + switch["link"], switch["component"]
+        for c in range(5):
+            places[k, c] = NONE
+        if work.held[f] != 0.0:
+            for c in range(LEAST, MOST + 1):
+                if guards[k, c] < 0.0:
+                    places[k, c] = 1.0
+        else:
+            q0, v0, v1 = work.modes[k, COORDINATE], twist[row, component], work.stage_twist[row, component]
+            for c in range(2):
+                sign = 1.0 if c == LOWER else -1.0
+                if switch["stiffness"] > 0.0:
+                    if guards[k, c] < 0.0:
+                        places[k, c] = 1.0
+                    continue
+                stop = switch["lower"] if c == LOWER else switch["upper"]
+                before, after = sign * (q0 - stop), guards[k, c]
+                if after < 0.0:
+                    if after < before or sign * v1 < 0.0:
+                        places[k, c] = 1.0
+                elif after < math.inf:
+                    places[k, c] = _dip(before, sign * v0, after, sign * v1, h)
+            if guards[k, SLIDING] < 0.0:
+                places[k, SLIDING] = 1.0
+            elif guards[k, SLIDING] < math.inf:
+                sign = work.modes[k, SLIP]
+                a0, a1 = work.slopes[f, 1], work.acceleration[f, 0]
+                places[k, SLIDING] = _dip(sign * v0, sign * a0, sign * v1, sign * a1, h)
+        for c in range(5):
+            found = found or places[k, c] != NONE
+    return found

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Linear complementarity problem with bounds, for stops and dry friction that act at once.
+
+    w = A x + b ,   lo <= x <= hi ,   w >= 0 where x = lo,  w <= 0 where x = hi,  w = 0 between
+
+x are impulses or efforts, w the velocities or accelerations that they leave. A = D M^-1 D^T is
+symmetric and positive semidefinite: a solution is a minimum of x A x / 2 + b x within the bounds. It
+exists, and w is unique, also where x is not, as with redundant contacts.
+
+Active sets change by block principal pivoting, which takes all wrong entries at once, and where this
+does not get nearer, by Murty's rule, which takes the first one and ends for positive definite A. If
+neither ends, scipy's bounded least squares finds the minimum.
+
+Source: Cottle, Pang and Stone, The Linear Complementarity Problem, 4.2; Judice and Pires, Computers
+and Operations Research 21 (1994), 587-596.
+"""
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+# Of the largest terms: w below is zero, and x within this of a bound is at it.
+TOLERANCE = 1e-11
+PATIENCE = 5  # rounds of block pivoting without fewer wrong entries
+FREE, LOW, HIGH = 0, -1, 1
+
+
+def solve(A, b, lo, hi):
+    """(x, w, at): solution, residual, and FREE, LOW or HIGH of each entry.
+
+    A : (k, k) symmetric, positive semidefinite;  b : (k,);  lo <= 0 <= hi : (k,), may be infinite
+    """
+    k = len(b)
+    at = np.zeros(k, dtype=int)
+    fewest, patience = k + 1, PATIENCE
+    for _ in range(20 + 10 * k + 2 ** min(k, 10)):
+        x, w = _with(A, b, lo, hi, at)
+        size = np.abs(A) @ np.abs(x) + np.abs(b)
+        tolerance = TOLERANCE * (size.max() if k else 0.0)
+        reach = TOLERANCE * np.abs(x).max(initial=0.0)
+        to = at.copy()
+        to[(at == FREE) & (x < lo - reach)] = LOW
+        to[(at == FREE) & (x > hi + reach)] = HIGH
+        to[(at == LOW) & (w < -tolerance)] = FREE
+        to[(at == HIGH) & (w > tolerance)] = FREE
+        wrong = np.flatnonzero(to != at)
+        if not len(wrong):
+            return x, w, at
+        if len(wrong) < fewest:
+            fewest, patience = len(wrong), PATIENCE
+        else:
+            patience -= 1
+        if patience < 0:
+            wrong = wrong[:1]
+        at[wrong] = to[wrong]
+    return _least_squares(A, b, lo, hi)
+
+
+def _with(A, b, lo, hi, at):
+    """(x, w) for an active set; of redundant free entries the smallest ones."""
+    x = np.where(at == LOW, lo, np.where(at == HIGH, hi, 0.0))
+    free = np.flatnonzero(at == FREE)
+    if len(free):
+        right = -(b + A @ x)[free]
+        x[free] = np.linalg.lstsq(A[np.ix_(free, free)], right, rcond=1e-12)[0]
+    w = A @ x + b
+    w[free] = 0.0
+    return x, w
+
+
+def _least_squares(A, b, lo, hi):
+    sizes, directions = np.linalg.eigh(A)
+    kept = sizes > 1e-14 * sizes.max(initial=0.0)
+    root = np.sqrt(sizes[kept])
+    C = root[:, None] * directions[:, kept].T
+    found = lsq_linear(C, -(directions[:, kept].T @ b) / root, (lo, hi), method="bvls", tol=1e-15)
+    return found.x, A @ found.x + b, found.active_mask

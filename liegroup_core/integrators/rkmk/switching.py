@@ -1,0 +1,486 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Events of stops and dry friction: where they are, and what changes there.
+
+An event ends the smooth motion between two steps: a joint reaches a stop or leaves it, comes to rest
+or breaks away. munthe_kaas.py returns at the start of the substep in which a guard is crossed
+(formulations/relative/switches.py). Steps of the method from there to a variable time find the zero
+of the guard: the event is as accurate as the method. Then
+
+    impact     impulses p at all rigid stops that are touched, with the velocities v- and v+ of their
+               coordinates, v+ - v- = A p and A = D M^-1 D^T with loops: p >= 0, v+ + e v- >= 0, one of
+               them zero (Newton's law; Moreau). Friction at rest gives no impulse.
+    modes      efforts x of the freedoms at rest, within what stop and friction can give, and their
+               accelerations: x inside its bounds and the freedom held, or x at a bound and the
+               freedom moves away from it
+
+Both are one complementarity problem for all switches (complementarity.py). With equal restitution e
+kinetic energy never grows; where different ones would let it grow, all have the smallest.
+
+A rebound that is lower than SMALLEST_REBOUND is none: bouncing that never ends becomes contact. More
+than MOST_EVENTS in a step are a fault.
+
+Source: Brogliato, Nonsmooth Mechanics, 5.1; Acary and Brogliato, Numerical Methods for Nonsmooth
+Dynamical Systems, 8. Accuracy: test/verification/test_stops.py, test_friction.py.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq
+
+from liegroup_core.compiling import SameTypes, borrowed, stepper
+from liegroup_core.formulations.relative.dynamics import accelerations
+from liegroup_core.formulations.relative.kinds import (
+    add_pair,
+    gather,
+    gather_forces,
+    lift_links,
+    move_links,
+    place_links,
+    spread_response,
+)
+from liegroup_core.formulations.relative.loops import (
+    close_loops,
+    set_response_residual,
+    set_responses,
+)
+from liegroup_core.formulations.relative.matrix import REGULARISATION, factor
+from liegroup_core.formulations.relative.coupled_rows import set_all_rows
+from liegroup_core.formulations.relative.switches import (
+    COORDINATE,
+    KNOWN,
+    LOWER,
+    MOST,
+    SIDE,
+    SLIDING,
+    SLIP,
+    bounds,
+    count_coordinates,
+    set_guards,
+)
+from liegroup_core.integrators.complementarity import FREE, LOW, solve
+from liegroup_core.integrators.link_state import begin, enter, leave
+from liegroup_core.status import DEPENDENT_ROWS, EVENT, EVENTS_WITHOUT_END, MOST_EVENTS, OK
+
+SMALLEST_REBOUND = 1e-10  # rad or m
+# Within this part of its turn or of its size, a coordinate is at a stop.
+AT_STOP = 1e-10
+RESTING = 1e-11  # rad/s or m/s: a rate below is zero where an event is
+TIME_STEP = 1e-15  # s; an event is found to this, and to round-off
+HALVINGS = 40
+LOOSE = 1e100  # tolerance of error control that no step fails
+
+IMPACT, STOP, LEAVE, STICK, SLIDE = "impact", "stop", "leave", "stick", "slip"
+
+
+class JointEvent(NamedTuple):
+    """What happened at a joint with stops or friction.
+
+    time    : s
+    joint   : index in the scene
+    kind    : "impact", "stop" (it stays at a stop), "leave" (a stop), "stick" or "slip"
+    impulse : of an impact, on the joint's coordinate, N m s or N s
+    energy  : change of the kinetic energy by this impulse, J; not positive in sum
+    """
+
+    time: float
+    joint: int
+    kind: str
+    impulse: float = 0.0
+    energy: float = 0.0
+
+
+@stepper
+def look(model, work, pose_in, twist_in, external_in):
+    """Accelerations, guards and coordinates at a state. Returns a status."""
+    pose_in, twist_in = borrowed(pose_in), borrowed(twist_in)
+    pose, twist, external, status = enter(model, work, pose_in, twist_in, borrowed(external_in))
+    begin(model, work, 0, pose, twist)
+    dependent = accelerations(model, work, external)
+    if dependent >= 0:
+        return DEPENDENT_ROWS + (model.owners[dependent] << 8)
+    count_coordinates(model, work)
+    set_guards(model, work)
+    return status
+
+
+@stepper
+def respond(model, work, out):
+    """Changes of all rates, (k, f), by unit impulses at the switches; the stage is that of `look`.
+
+    returns a status
+    """
+    move_links(model, work)
+    place_links(model, work)
+    gather(model, work)
+    if len(model.joints) > 0:
+        lift_links(model, work)
+        set_all_rows(model, work)
+        set_responses(model, work)
+        if factor(model, work, 0.0) >= 0:
+            dependent = factor(model, work, REGULARISATION)
+            if dependent >= 0:
+                return DEPENDENT_ROWS + (model.owners[dependent] << 8)
+        for r in range(len(work.bias)):
+            work.bias[r] = 0.0
+    for k in range(len(model.switches)):
+        switch = model.switches[k]
+        for b in range(len(model.bodies)):
+            for c in range(work.force.shape[1]):
+                work.force[b, c] = 0.0
+        add_pair(model, work, switch["link"], switch["component"], -1.0, work.force, 1)
+        gather_forces(model, work)
+        if len(model.joints) > 0:
+            set_response_residual(model, work)
+            close_loops(model, work)
+        spread_response(model, work)
+        for f in range(len(work.held)):
+            out[k, f] = work.acceleration[f, 0]
+    return OK
+
+
+@stepper
+def change_rates(model, work, changes, pose_out, twist_out):
+    """Add to the rates of all freedoms, (f,); those of held ones become zero."""
+    n = len(model.parts)
+    for b in range(len(model.bodies)):
+        f = model.bodies[b]["freedom"]
+        for k in range(model.bodies[b]["freedoms"]):
+            held = work.held[f + k] != 0.0
+            work.twist[n + b, k] = 0.0 if held else work.twist[n + b, k] + changes[f + k]
+    leave(model, work, work.pose, work.twist, pose_out, twist_out)
+
+
+class Switching:
+    """Steps of a Munthe-Kaas method with the events of the switches of its model.
+
+    take    : function (h, steps, pose, twist, external) -> (steps done, status)
+    control : of error control, see munthe_kaas.advance
+
+    events  : [JointEvent] since they were taken
+    count   : of all events since the state was set
+    """
+
+    def __init__(self, model, work, take, control):
+        self._model, self._work, self._take, self._control = model, work, take, control
+        table = model.switches
+        self._rows, self._freedoms = len(model.parts) + table["link"], table["freedom"]
+        self._components = table["component"]
+        self._rigid, self._dry = table["stiffness"] == 0.0, table["static"] > 0.0
+        self._responses = np.zeros((len(table), len(work.held)))
+        self._no_changes = np.zeros(len(work.held))
+        self._look, self._respond = SameTypes(look), SameTypes(respond)
+        self._change_rates = SameTypes(change_rates)
+        self.events, self.count = [], 0
+        self._inputs = None
+        work.watch[0] = 1.0
+
+    def restart(self):
+        """Forget the modes: the state was set."""
+        self._work.held[:] = 0.0
+        self._work.modes[:] = 0.0
+        self.events, self.count, self._inputs = [], 0, None
+
+    def advance(self, h, steps, pose, twist, external):
+        """Take steps of size h in place, with all events; returns (steps done, status)."""
+        work, state = self._work, (pose, twist, external)
+        done, first, base = 0, work.clock[0], work.clock[1]
+        status = self._meet_inputs(first * h + base, state) if steps else OK
+        while status == OK and done < steps:
+            work.clock[0], work.clock[1] = first + done, base
+            more, status = self._take(h, steps - done, *state)
+            done += more
+            if status == EVENT:
+                kept = self._keep(pose, twist, True)
+                status = self._finish(h, (first + done) * h + base, state)
+                if status == OK:
+                    done += 1
+                else:
+                    self._return(kept, pose, twist)
+        work.clock[0], work.clock[1] = first, base
+        return done, status
+
+    def _meet_inputs(self, time, state):
+        """Find the modes of a state that was set, and of new inputs."""
+        work, known = self._work, self._work.modes[:, KNOWN].all()
+        inputs = (state[2].copy(), work.acting.copy(), work.wanted.copy(), work.motions.copy())
+        same = self._inputs is not None and all(map(np.array_equal, inputs, self._inputs))
+        self._inputs = inputs
+        if known and (same or not work.held.any()):
+            return OK
+        if not known:
+            self._begin()
+        status = self._look(self._model, work, *state)
+        if status != OK:
+            return status
+        if not known:
+            rates = self._rates()
+            work.modes[:, SLIP] = np.where(self._dry, np.sign(rates), 0.0)
+            soft = ~self._rigid
+            for end, side in ((0, -1.0), (1, 1.0)):
+                work.modes[soft & (work.guards[:, end] < 0.0), SIDE] = side
+            work.modes[:, KNOWN] = 1.0
+            log = len(self.events)
+            status = self._switch(time, state, np.zeros(len(rates), dtype=bool))
+            del self.events[log:]
+            return status
+        if (work.guards[:, SLIDING + 1 :] >= 0.0).all():
+            return OK
+        return self._switch(time, state, np.zeros(len(self._freedoms), dtype=bool))
+
+    def _begin(self):
+        """Expect the coordinates between their stops, whatever turn a pose leaves open."""
+        for k, (lower, upper) in enumerate(self._model.switches[["lower", "upper"]].tolist()):
+            if math.isfinite(lower) and math.isfinite(upper):
+                near = 0.5 * (lower + upper)
+            elif math.isfinite(lower):
+                near = max(lower + math.pi * (1.0 - AT_STOP), 0.0)
+            else:
+                near = min(upper - math.pi * (1.0 - AT_STOP), 0.0) if math.isfinite(upper) else 0.0
+            self._work.modes[k, COORDINATE] = near
+
+    def _finish(self, h, start, state):
+        """Take the step in which the next event is, from the substep with it on. Returns a status."""
+        work = self._work
+        elapsed = 0.0
+        for _ in range(MOST_EVENTS):
+            begin_of_substep, size = elapsed + work.watch[1], work.watch[2]
+            work.clock[0], work.clock[1] = 0.0, start + begin_of_substep
+            tau, crossed, status = self._locate(size, state)
+            if status != OK:
+                return status
+            elapsed = begin_of_substep + tau
+            if crossed is not None:
+                status = self._switch(start + elapsed, state, crossed)
+                if status != OK:
+                    return status
+            if not elapsed < h * (1.0 - 1e-13):
+                return OK
+            work.clock[0], work.clock[1] = 0.0, start + elapsed
+            _, status = self._take(h - elapsed, 1, *state)
+            if status != EVENT:
+                return status
+        return EVENTS_WITHOUT_END
+
+    def _locate(self, size, state):
+        """Go to the first zero of a guard in a substep.
+
+        returns (time after its start, mask of the switches whose guards are zero there, status); no
+        mask: there is no event, and the substep is taken
+        """
+        work = self._work
+        places = work.crossed.copy()
+        kept = self._keep(*state[:2])
+        failed = []
+
+        def guard(tau, k, c):
+            self._return(kept, *state[:2])
+            if tau > 0.0:
+                status = self._single(tau, state)
+                if status != OK:
+                    failed.append(status)
+                    return math.nan
+            self._look(self._model, work, *state)
+            return work.guards[k, c]
+
+        found = []
+        for k, c in np.argwhere(places >= 0.0):
+            end = places[k, c] * size
+            if not guard(end, k, c) < 0.0:
+                if failed:
+                    return 0.0, None, failed[0]
+                continue  # a guard that only seemed to dip below zero
+            found.append((self._zero(guard, end, k, c), k, c))
+        if failed:
+            return 0.0, None, failed[0]
+        tau = min((entry[0] for entry in found), default=size)
+        self._return(kept, *state[:2])
+        status = self._single(tau, state) if tau > 0.0 else OK
+        if not found or status != OK:
+            return tau, None, status
+        crossed = np.zeros(len(places), dtype=bool)
+        for at, k, c in found:
+            crossed[k] |= at <= tau + TIME_STEP * 10.0
+            if at <= tau + TIME_STEP * 10.0 and not self._rigid[k] and c < SLIDING:
+                side = -1.0 if c == LOWER else 1.0
+                work.modes[k, SIDE] = 0.0 if work.modes[k, SIDE] == side else side
+        return tau, crossed, OK
+
+    def _zero(self, guard, end, k, c):
+        """Time of the zero of a guard before `end`, where it is negative."""
+        begin = 0.0
+        if not guard(0.0, k, c) > 0.0:
+            # It starts at zero, after an event, and grows at first; else it is there already.
+            begin = end
+            for _ in range(HALVINGS):
+                begin *= 0.5
+                if guard(begin, k, c) > 0.0:
+                    break
+            else:
+                return 0.0
+        return brentq(guard, begin, end, args=(k, c), xtol=TIME_STEP, rtol=1e-15)
+
+    def _single(self, tau, state):
+        """Take one step of size tau without events and without error control."""
+        work, control = self._work, self._control
+        kept = control.copy()
+        control[0], control[4:] = tau, LOOSE
+        work.watch[0] = 0.0
+        _, status = self._take(tau, 1, *state)
+        work.watch[0] = 1.0
+        control[:] = kept
+        return status
+
+    def _keep(self, pose, twist, from_start=False):
+        """Copies of the state; from_start: of that at the start of the step under error control."""
+        work = self._work
+        own = [work.pose, work.twist, work.angle]
+        if from_start and self._control[2]:
+            own = [work.start_pose, work.start_twist, work.start_angle]
+        return [part.copy() for part in (*own, work.held, work.modes, pose, twist)]
+
+    def _return(self, kept, pose, twist):
+        work = self._work
+        own = (work.pose, work.twist, work.angle, work.held, work.modes, pose, twist)
+        for part, values in zip(own, kept):
+            part[:] = values
+
+    def _rates(self):
+        return self._work.twist[self._rows, self._components].copy()
+
+    def _switch(self, time, state, crossed):
+        """Impulses and new modes at an event; crossed: mask of the switches that have it.
+
+        returns a status
+        """
+        model, work = self._model, self._work
+        status = self._look(model, work, *state)
+        if status != OK:
+            return status
+        self.count += 1
+        modes, before = work.modes, (work.held[self._freedoms].copy(), work.modes.copy())
+        table, q = model.switches, work.modes[:, COORDINATE]
+        side = np.where(self._rigid, 0.0, modes[:, SIDE])
+        for stop, sign in ((table["lower"], -1.0), (table["upper"], 1.0)):
+            with np.errstate(invalid="ignore"):
+                near = sign * (q - stop) >= -AT_STOP * (1.0 + np.abs(stop))
+            side[self._rigid & np.isfinite(stop) & near] = sign
+        touching = self._rigid & (side != 0.0)
+        rates = self._rates()
+        if (touching & (side * rates > RESTING)).any():
+            status = self._impact(time, state, side, touching, rates)
+            if status != OK:
+                return status
+            rates = self._rates()
+        resting = (np.abs(rates) <= RESTING) | (crossed & self._is_slow(before, rates))
+        resting &= self._dry | touching
+        status = self._choose(state, side, resting, rates)
+        if status != OK:
+            return status
+        self._note(time, before)
+        return OK
+
+    def _is_slow(self, before, rates):
+        """Mask of the switches that slid until now and whose rate has changed its sign, or is zero."""
+        slip = before[1][:, SLIP]
+        return (slip != 0.0) & (slip * rates <= RESTING * (1.0 + np.abs(rates).max(initial=0.0)))
+
+    def _impact(self, time, state, side, touching, rates):
+        """Impulses at the stops that are touched. Returns a status."""
+        model, work = self._model, self._work
+        work.held[:] = 0.0
+        work.modes[touching, SLIP] = 0.0
+        accelerations, status = self._look_and_respond(state)
+        if status != OK:
+            return status
+        hit = np.flatnonzero(touching)
+        restitution = model.switches["restitution"][hit]
+        towards = side[hit] * accelerations[hit]
+        rebound = restitution * np.maximum(side[hit] * rates[hit], 0.0)
+        restitution[rebound**2 <= 2.0 * SMALLEST_REBOUND * np.maximum(towards, 0.0)] = 0.0
+        A = self._responses[hit][:, self._freedoms[hit]]
+        lo = np.where(side[hit] < 0.0, 0.0, -np.inf)
+        hi = np.where(side[hit] < 0.0, np.inf, 0.0)
+        approach = np.where(side[hit] * rates[hit] > 0.0, rates[hit], 0.0)
+        for e in (restitution, np.full(len(hit), restitution.min())):
+            p, _, at = solve(0.5 * (A + A.T), rates[hit] + e * approach, lo, hi)
+            changes = p @ self._responses[hit]
+            after = rates[hit] + changes[self._freedoms[hit]]
+            after[(at == FREE) & (e * approach == 0.0)] = 0.0
+            energy = 0.5 * p * (rates[hit] + after)
+            if energy.sum() <= 0.0:
+                break
+        self._change_rates(model, work, changes, *state[:2])
+        still = hit[(at == FREE) & (e * approach == 0.0)]
+        work.twist[self._rows[still], self._components[still]] = 0.0
+        signs = model.switches["sign"]
+        for k, impulse, loss in zip(hit, p, energy):
+            if impulse != 0.0:
+                joint = int(model.switches["joint"][k])
+                self.events.append(
+                    JointEvent(time, joint, IMPACT, float(signs[k] * impulse), float(loss))
+                )
+        return OK
+
+    def _look_and_respond(self, state):
+        """(accelerations of the switches, status); the responses to unit impulses are kept."""
+        status = self._look(self._model, self._work, *state)
+        accelerations = self._work.acceleration[self._freedoms, 0].copy()
+        if status == OK:
+            status = self._respond(self._model, self._work, self._responses)
+        return accelerations, status
+
+    def _choose(self, state, side, resting, rates):
+        """Modes of all switches from here on. Returns a status."""
+        model, work = self._model, self._work
+        modes, table = work.modes, model.switches
+        work.held[:] = 0.0
+        modes[:, SLIP] = np.where(self._dry & ~resting, np.sign(rates), 0.0)
+        modes[self._rigid, SIDE] = 0.0
+        chosen = np.flatnonzero(resting)
+        if not len(chosen):
+            return OK
+        work.twist[self._rows[chosen], self._components[chosen]] = 0.0
+        accelerations, status = self._look_and_respond(state)
+        if status != OK:
+            return status
+        A = self._responses[chosen][:, self._freedoms[chosen]]
+        A, b = 0.5 * (A + A.T), accelerations[chosen]
+        ends = np.array([bounds(table[k], side[k] if self._rigid[k] else 0.0) for k in chosen])
+        lo, hi = ends.T.copy()
+        sliding = table["coulomb"][chosen]
+        for _ in chosen:
+            x, w, at = solve(A, b, lo, hi)
+            # What breaks away has the friction of sliding from then on, and others bear the rest.
+            away = (at != FREE) & (np.where(at == LOW, lo, hi) != 0.0)
+            away &= np.abs(x) > sliding * (1.0 + 1e-15)
+            if not away.any():
+                break
+            lo[away & (at == LOW)] = -sliding[away & (at == LOW)]
+            hi[away & (at != LOW)] = sliding[away & (at != LOW)]
+        tolerance = 1e-10 * (np.abs(A) @ np.abs(x) + np.abs(b))
+        for k, accelerates, entry, slack in zip(chosen, w, at, tolerance):
+            if entry == FREE or abs(accelerates) <= slack:
+                work.held[self._freedoms[k]] = 1.0
+                if self._rigid[k]:
+                    modes[k, SIDE] = side[k]
+            elif self._dry[k]:
+                modes[k, SLIP] = math.copysign(1.0, accelerates)
+        self._change_rates(model, work, self._no_changes, *state[:2])
+        return OK
+
+    def _note(self, time, before):
+        """Write what has changed to `events`."""
+        held, modes = before
+        now = self._work.held[self._freedoms]
+        for k, joint in enumerate(self._model.switches["joint"].tolist()):
+            side, old = self._work.modes[k, SIDE], modes[k, SIDE]
+            if side != 0.0 and old != side:
+                self.events.append(JointEvent(time, joint, STOP))
+            elif side == 0.0 and old != 0.0:
+                self.events.append(JointEvent(time, joint, LEAVE))
+            elif side == 0.0 and now[k] and not held[k]:
+                self.events.append(JointEvent(time, joint, STICK))
+            elif held[k] and not now[k] and self._dry[k]:
+                self.events.append(JointEvent(time, joint, SLIDE))

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stops and dry friction of a joint, as a scene describes them."""
+
+import math
+
+from pydantic import Field, model_validator
+
+from liegroup_core.errors import SceneError
+from liegroup_core.fields.values import Described, NotNegative, Number, Positive
+
+WITH_STOPS = ("revolute", "prismatic", "screw")
+
+
+class Limits(Described):
+    """Stops of a joint: rigid ones, or compliant ones with a stiffness."""
+
+    lower: Number | None = Field(
+        None, description="least coordinate in rad, which may exceed 2 pi, or m; default: no stop"
+    )
+    upper: Number | None = Field(None, description="largest coordinate; default: no stop")
+    restitution: NotNegative | None = Field(
+        None,
+        description="rebound speed as a part of the impact speed at a rigid stop, 0 to 1; default 0",
+    )
+    stiffness: Positive | None = Field(
+        None, description="of compliant stops in N m/rad or N/m; default: the stops are rigid"
+    )
+    damping: NotNegative | None = Field(
+        None, description="of compliant stops in N m s/rad or N s/m; default 0"
+    )
+
+    @model_validator(mode="after")
+    def _check(self):
+        if self.lower is None and self.upper is None:
+            raise SceneError("give lower, upper or both")
+        if not self.least < self.largest:
+            raise SceneError(
+                f"lower must be below upper, got {self.lower:g} and {self.upper:g}",
+                place=("lower",),
+            )
+        if self.restitution is not None and self.restitution > 1.0:
+            raise SceneError(
+                f"restitution must be at most 1, got {self.restitution:g}", place=("restitution",)
+            )
+        if self.stiffness is None and self.damping is not None:
+            raise SceneError("damping requires a stiffness", place=("damping",))
+        if self.stiffness is not None and self.restitution is not None:
+            raise SceneError(
+                "restitution belongs to rigid stops, stiffness to compliant ones: keep one of them",
+                place=("restitution",),
+            )
+        return self
+
+    @property
+    def least(self):
+        """Least coordinate, -inf without a lower stop."""
+        return -math.inf if self.lower is None else self.lower
+
+    @property
+    def largest(self):
+        """Largest coordinate, inf without an upper stop."""
+        return math.inf if self.upper is None else self.upper
+
+
+class Friction(Described):
+    """Friction of a joint: dry, with stiction, and viscous."""
+
+    coulomb: NotNegative = Field(
+        0.0, description="torque or force of sliding friction in N m or N, against the motion"
+    )
+    static: NotNegative | None = Field(
+        None,
+        description="largest friction at rest in N m or N, at least coulomb; default: coulomb",
+    )
+    viscous: NotNegative = Field(0.0, description="of the rate, in N m s/rad or N s/m")
+
+    @model_validator(mode="after")
+    def _check(self):
+        if self.static is not None and self.static < self.coulomb:
+            raise SceneError(
+                f"static must be at least coulomb, got {self.static:g} and {self.coulomb:g}",
+                place=("static",),
+            )
+        return self
+
+    @property
+    def at_rest(self):
+        """Largest friction at rest."""
+        return self.coulomb if self.static is None else self.static
