@@ -24,13 +24,15 @@ PATIENCE = 5  # rounds of block pivoting without fewer wrong entries
 FREE, LOW, HIGH = 0, -1, 1
 
 
-def solve(A, b, lo, hi):
+def solve(A, b, lo, hi, fixed=0):
     """(x, w, at): solution, residual, and FREE, LOW or HIGH of each entry.
 
     A : (k, k) symmetric, positive semidefinite;  b : (k,);  lo <= 0 <= hi : (k,), may be infinite
+    fixed : (k,) LOW or HIGH of entries that stay there, whatever their w is; FREE: the others
     """
     k = len(b)
-    at = np.zeros(k, dtype=int)
+    fixed = np.broadcast_to(fixed, k)
+    at = fixed.copy()
     fewest, patience = k + 1, PATIENCE
     for _ in range(20 + 10 * k + 2 ** min(k, 10)):
         x, w = _with(A, b, lo, hi, at)
@@ -42,7 +44,7 @@ def solve(A, b, lo, hi):
         to[(at == FREE) & (x > hi + reach)] = HIGH
         to[(at == LOW) & (w < -tolerance)] = FREE
         to[(at == HIGH) & (w > tolerance)] = FREE
-        wrong = np.flatnonzero(to != at)
+        wrong = np.flatnonzero((to != at) & (fixed == FREE))
         if not len(wrong):
             return x, w, at
         if len(wrong) < fewest:
@@ -52,7 +54,9 @@ def solve(A, b, lo, hi):
         if patience < 0:
             wrong = wrong[:1]
         at[wrong] = to[wrong]
-    return _least_squares(A, b, lo, hi)
+    lo, hi = np.where(fixed == HIGH, hi, lo), np.where(fixed == LOW, lo, hi)
+    x, w = _least_squares(A, b, lo, hi)
+    return x, w, np.where(x <= lo, LOW, np.where(x >= hi, HIGH, FREE))
 
 
 def _with(A, b, lo, hi, at):
@@ -73,4 +77,4 @@ def _least_squares(A, b, lo, hi):
     root = np.sqrt(sizes[kept])
     C = root[:, None] * directions[:, kept].T
     found = lsq_linear(C, -(directions[:, kept].T @ b) / root, (lo, hi), method="bvls", tol=1e-15)
-    return found.x, A @ found.x + b, found.active_mask
+    return found.x, A @ found.x + b

@@ -50,6 +50,7 @@ from liegroup_core.formulations.relative.coupled_rows import set_all_rows
 from liegroup_core.formulations.relative.switches import (
     COORDINATE,
     KNOWN,
+    LEAST,
     LOWER,
     MOST,
     SIDE,
@@ -59,7 +60,7 @@ from liegroup_core.formulations.relative.switches import (
     count_coordinates,
     set_guards,
 )
-from liegroup_core.integrators.complementarity import FREE, LOW, solve
+from liegroup_core.integrators.complementarity import FREE, HIGH, LOW, solve
 from liegroup_core.integrators.link_state import begin, enter, leave
 from liegroup_core.status import DEPENDENT_ROWS, EVENT, EVENTS_WITHOUT_END, MOST_EVENTS, OK
 
@@ -69,6 +70,7 @@ AT_STOP = 1e-10
 RESTING = 1e-11  # rad/s or m/s: a rate below is zero where an event is
 TIME_STEP = 1e-15  # s; an event is found to this, and to round-off
 HALVINGS = 40
+RETURNING = 1e-10  # of its terms: an acceleration below is zero
 LOOSE = 1e100  # tolerance of error control that no step fails
 
 IMPACT, STOP, LEAVE, STICK, SLIDE = "impact", "stop", "leave", "stick", "slip"
@@ -222,12 +224,12 @@ class Switching:
                 work.modes[soft & (work.guards[:, end] < 0.0), SIDE] = side
             work.modes[:, KNOWN] = 1.0
             log = len(self.events)
-            status = self._switch(time, state, np.zeros(len(rates), dtype=bool))
+            status = self._switch(time, state, np.zeros(work.guards.shape, dtype=bool))
             del self.events[log:]
             return status
         if (work.guards[:, SLIDING + 1 :] >= 0.0).all():
             return OK
-        return self._switch(time, state, np.zeros(len(self._freedoms), dtype=bool))
+        return self._switch(time, state, np.zeros(work.guards.shape, dtype=bool))
 
     def _begin(self):
         """Expect the coordinates between their stops, whatever turn a pose leaves open."""
@@ -266,8 +268,8 @@ class Switching:
     def _locate(self, size, state):
         """Go to the first zero of a guard in a substep.
 
-        returns (time after its start, mask of the switches whose guards are zero there, status); no
-        mask: there is no event, and the substep is taken
+        returns (time after its start, mask of the guards that are zero there, status); no mask: there
+        is no event, and the substep is taken
         """
         work = self._work
         places = work.crossed.copy()
@@ -299,10 +301,10 @@ class Switching:
         status = self._single(tau, state) if tau > 0.0 else OK
         if not found or status != OK:
             return tau, None, status
-        crossed = np.zeros(len(places), dtype=bool)
+        crossed = np.zeros(places.shape, dtype=bool)
         for at, k, c in found:
-            crossed[k] |= at <= tau + TIME_STEP * 10.0
-            if at <= tau + TIME_STEP * 10.0 and not self._rigid[k] and c < SLIDING:
+            crossed[k, c] = at <= tau + 10.0 * TIME_STEP
+            if crossed[k, c] and not self._rigid[k] and c < SLIDING:
                 side = -1.0 if c == LOWER else 1.0
                 work.modes[k, SIDE] = 0.0 if work.modes[k, SIDE] == side else side
         return tau, crossed, OK
@@ -350,7 +352,7 @@ class Switching:
         return self._work.twist[self._rows, self._components].copy()
 
     def _switch(self, time, state, crossed):
-        """Impulses and new modes at an event; crossed: mask of the switches that have it.
+        """Impulses and new modes at an event; crossed: mask of the guards that are zero.
 
         returns a status
         """
@@ -373,9 +375,9 @@ class Switching:
             if status != OK:
                 return status
             rates = self._rates()
-        resting = (np.abs(rates) <= RESTING) | (crossed & self._is_slow(before, rates))
+        resting = (np.abs(rates) <= RESTING) | (crossed[:, SLIDING] & self._is_slow(before, rates))
         resting &= self._dry | touching
-        status = self._choose(state, side, resting, rates)
+        status = self._choose(state, side, resting, rates, crossed)
         if status != OK:
             return status
         self._note(time, before)
@@ -431,8 +433,12 @@ class Switching:
             status = self._respond(self._model, self._work, self._responses)
         return accelerations, status
 
-    def _choose(self, state, side, resting, rates):
-        """Modes of all switches from here on. Returns a status."""
+    def _choose(self, state, side, resting, rates, crossed):
+        """Modes of all switches from here on. Returns a status.
+
+        crossed : mask of the guards that are zero: what held by the bound of one is released there,
+                  unless it would move back
+        """
         model, work = self._model, self._work
         modes, table = work.modes, model.switches
         work.held[:] = 0.0
@@ -450,8 +456,13 @@ class Switching:
         ends = np.array([bounds(table[k], side[k] if self._rigid[k] else 0.0) for k in chosen])
         lo, hi = ends.T.copy()
         sliding = table["coulomb"][chosen]
-        for _ in chosen:
-            x, w, at = solve(A, b, lo, hi)
+        released = np.where(crossed[chosen, LEAST], LOW, np.where(crossed[chosen, MOST], HIGH, FREE))
+        for _ in range(2 * len(chosen)):
+            x, w, at = solve(A, b, lo, hi, released)
+            back = released * w > RETURNING * (np.abs(A) @ np.abs(x) + np.abs(b))
+            if back.any():
+                released[back] = FREE
+                continue
             # What breaks away has the friction of sliding from then on, and others bear the rest.
             away = (at != FREE) & (np.where(at == LOW, lo, hi) != 0.0)
             away &= np.abs(x) > sliding * (1.0 + 1e-15)
@@ -459,14 +470,13 @@ class Switching:
                 break
             lo[away & (at == LOW)] = -sliding[away & (at == LOW)]
             hi[away & (at != LOW)] = sliding[away & (at != LOW)]
-        tolerance = 1e-10 * (np.abs(A) @ np.abs(x) + np.abs(b))
-        for k, accelerates, entry, slack in zip(chosen, w, at, tolerance):
-            if entry == FREE or abs(accelerates) <= slack:
+        still = np.abs(w) <= RETURNING * (np.abs(A) @ np.abs(x) + np.abs(b))
+        for k, entry, holds in zip(chosen, at, (at == FREE) | (still & (released == FREE))):
+            if holds:
                 work.held[self._freedoms[k]] = 1.0
-                if self._rigid[k]:
-                    modes[k, SIDE] = side[k]
+                modes[k, SIDE] = side[k] if self._rigid[k] else modes[k, SIDE]
             elif self._dry[k]:
-                modes[k, SLIP] = math.copysign(1.0, accelerates)
+                modes[k, SLIP] = -entry
         self._change_rates(model, work, self._no_changes, *state[:2])
         return OK
 
