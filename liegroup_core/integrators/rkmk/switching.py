@@ -56,6 +56,7 @@ from liegroup_core.formulations.relative.switches import (
     SIDE,
     SLIDING,
     SLIP,
+    UPPER,
     bounds,
     count_coordinates,
     set_guards,
@@ -65,8 +66,8 @@ from liegroup_core.integrators.link_state import begin, enter, leave
 from liegroup_core.status import DEPENDENT_ROWS, EVENT, EVENTS_WITHOUT_END, MOST_EVENTS, OK
 
 SMALLEST_REBOUND = 1e-10  # rad or m
-# Within this part of its turn or of its size, a coordinate is at a stop.
-AT_STOP = 1e-10
+# Within this, rad or m, and round-off of a larger one, a coordinate is at a stop.
+AT_STOP = 1e-13
 RESTING = 1e-11  # rad/s or m/s: a rate below is zero where an event is
 TIME_STEP = 1e-15  # s; an event is found to this, and to round-off
 HALVINGS = 40
@@ -364,14 +365,16 @@ class Switching:
         modes, before = work.modes, (work.held[self._freedoms].copy(), work.modes.copy())
         table, q = model.switches, work.modes[:, COORDINATE]
         side = np.where(self._rigid, 0.0, modes[:, SIDE])
-        for stop, sign in ((table["lower"], -1.0), (table["upper"], 1.0)):
+        for end, (stop, sign) in enumerate(((table["lower"], -1.0), (table["upper"], 1.0))):
             with np.errstate(invalid="ignore"):
                 near = sign * (q - stop) >= -AT_STOP * (1.0 + np.abs(stop))
-            side[self._rigid & np.isfinite(stop) & near] = sign
+            side[self._rigid & np.isfinite(stop) & (near | crossed[:, end])] = sign
         touching = self._rigid & (side != 0.0)
         rates = self._rates()
-        if (touching & (side * rates > RESTING)).any():
-            status = self._impact(time, state, side, touching, rates)
+        # It left the stop, and returns before it was away from it: it never left.
+        stays = crossed[:, : UPPER + 1].any(axis=1) & (side * rates <= 0.0)
+        if (touching & (side * rates > RESTING)).any() or stays.any():
+            status = self._impact(time, state, side, touching, rates, stays)
             if status != OK:
                 return status
             rates = self._rates()
@@ -388,8 +391,11 @@ class Switching:
         slip = before[1][:, SLIP]
         return (slip != 0.0) & (slip * rates <= RESTING * (1.0 + np.abs(rates).max(initial=0.0)))
 
-    def _impact(self, time, state, side, touching, rates):
-        """Impulses at the stops that are touched. Returns a status."""
+    def _impact(self, time, state, side, touching, rates, stays):
+        """Impulses at the stops that are touched; `stays`: mask of those that stop in either direction.
+
+        returns a status
+        """
         model, work = self._model, self._work
         work.held[:] = 0.0
         work.modes[touching, SLIP] = 0.0
@@ -402,8 +408,8 @@ class Switching:
         rebound = restitution * np.maximum(side[hit] * rates[hit], 0.0)
         restitution[rebound**2 <= 2.0 * SMALLEST_REBOUND * np.maximum(towards, 0.0)] = 0.0
         A = self._responses[hit][:, self._freedoms[hit]]
-        lo = np.where(side[hit] < 0.0, 0.0, -np.inf)
-        hi = np.where(side[hit] < 0.0, np.inf, 0.0)
+        lo = np.where((side[hit] > 0.0) | stays[hit], -np.inf, 0.0)
+        hi = np.where((side[hit] < 0.0) | stays[hit], np.inf, 0.0)
         approach = np.where(side[hit] * rates[hit] > 0.0, rates[hit], 0.0)
         for e in (restitution, np.full(len(hit), restitution.min())):
             p, _, at = solve(0.5 * (A + A.T), rates[hit] + e * approach, lo, hi)
