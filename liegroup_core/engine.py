@@ -14,6 +14,7 @@ from liegroup_core.compiling import warm_up
 from liegroup_core.forces.schedule import DRIVE, Instant
 from liegroup_core.forces.timetable import Timetable
 from liegroup_core.integrators.methods import METHODS, is_positive
+from liegroup_core.integrators.rkmk.switching import JointEvent
 from liegroup_core.integrators.smaller_step import step_that_works
 from liegroup_core.joints.coupling import COUPLED, gap, turns
 from liegroup_core.joints.motion import at, uniform
@@ -29,6 +30,7 @@ from .inputs import Inputs
 from .integrators.families import check_group, check_options, choose_group, make_integrator
 from .layout import Layout, make_layout
 from .status import (
+    BEYOND_STOP,
     DEPENDENT_ROWS,
     LARGE_ROTATION,
     MESSAGES,
@@ -138,6 +140,7 @@ class Engine(Inputs):
         self.group = choose_group(method, group, self.options, self.layout)
         self._integrator = make_integrator(method, self.layout, self.group, self.step, self.options)
         self._work = self._integrator.work
+        self._switching = getattr(self._integrator, "switching", None)
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
         rows, motions = self.layout.model.forces.applied_wrench, self.layout.motions.values()
         self._timetable = Timetable(rows, self.step, motions)
@@ -152,6 +155,9 @@ class Engine(Inputs):
         """Call every kernel once, so that no kernel is compiled during a run."""
         self.reset()
         self._advance(0)
+        if self._switching is not None:
+            self._switching.touch(self._pose, self._twist, self._external)
+            self.reset()
         sample = self.sample()
         return (
             sample.energy,
@@ -356,6 +362,31 @@ class Engine(Inputs):
         return int(self._work.report[2])
 
     @property
+    def event_count(self) -> int:
+        """Number of events at stops and of dry friction since the state was set."""
+        return 0 if self._switching is None else self._switching.count
+
+    def drain_events(self) -> list[JointEvent]:
+        """Return what happened at stops and by dry friction since the last call, in order of time."""
+        if self._switching is None:
+            return []
+        events, self._switching.events[:] = self._switching.events[:], []
+        return [event._replace(joint=self.scene.joints[event.joint].name) for event in events]
+
+    def take_modes(self, other: "Engine") -> None:
+        """Continue with the modes of the joints of another engine, which is at the same state."""
+        if self._switching is not None:
+            self._switching.adopt(other._switching)
+
+    @property
+    def modes(self) -> dict[str, str]:
+        """{joint: "free", "lower" or "upper" (at this stop), or "stick"} of those with stops or friction."""
+        if self._switching is None:
+            return {}
+        joints = self.scene.joints
+        return {joints[j].name: mode for j, mode in self._switching.modes()}
+
+    @property
     def substeps(self) -> tuple[int, int]:
         """Accepted and attempted substeps since the state was set; (0, 0) without error control."""
         return self._integrator.substeps
@@ -482,6 +513,8 @@ class Engine(Inputs):
                 hint = ", or stabilisation projection near a singular configuration"
         if status & 0xFF == DEPENDENT_ROWS:
             joint = self._joint_name(status >> 8)
+        if status & 0xFF == BEYOND_STOP:
+            joint = self.scene.joints[status >> 8].name
         if status & 0xFF == TURNS_NOT_COUNTED:
             force = self.scene.unwrapped[status >> 8][1]
         return (

@@ -183,6 +183,7 @@ class RunningError:
         companion.set_state(
             *engine.state(), steps // self.ours * self._theirs, engine.sample().angles
         )
+        companion.take_modes(engine)
         for change in engine.acting():
             change.repeat(companion)
         self._start = steps

@@ -15,6 +15,7 @@ NOT_PROJECTED = 8
 NO_RATTLE_STEP = 9
 DIVERGED = 10
 EVENTS_WITHOUT_END = 11
+BEYOND_STOP = 13
 # No failure: a stop, or friction that changes, within a step. It never leaves an integrator.
 EVENT = 12
 
@@ -47,6 +48,7 @@ MESSAGES = {
     "this motion; use a smaller step",
     DIVERGED: "a body rotates by more than 1000 rad within one step: the integration is "
     "unstable, the step is too large for the forces; use a smaller step",
+    BEYOND_STOP: "joint {joint} is beyond its stop: set a state between the stops",
     EVENTS_WITHOUT_END: "a step has more than {events} impacts or changes of friction: stops and friction "
     "let them follow each other without end; change their numbers",
     NO_RATTLE_STEP: "RATTLE has no solution for body {body}: it rotates by {angle:.3g} rad in a "

@@ -9,6 +9,8 @@ from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import Described, NotNegative, Number, Positive
 
 WITH_STOPS = ("revolute", "prismatic", "screw")
+# Half a turn, less what round-off may take.
+WITHIN_A_TURN = math.pi * (1.0 - 1e-12)
 
 
 class Limits(Described):
@@ -50,6 +52,15 @@ class Limits(Described):
                 place=("restitution",),
             )
         return self
+
+    @property
+    def expected(self):
+        """Coordinate next to which an angle is expected, whatever turn a pose leaves open."""
+        if self.lower is None:
+            return min(self.upper - WITHIN_A_TURN, 0.0)
+        if self.upper is None:
+            return max(self.lower + WITHIN_A_TURN, 0.0)
+        return 0.5 * (self.lower + self.upper)
 
     @property
     def least(self):

@@ -19,7 +19,7 @@ from liegroup_core.errors import SceneError
 from liegroup_core.joints.coupling import coordinate, gap, rate_row, turns
 from liegroup_core.joints.kinds import forbidden_rows, position_residual
 from liegroup_core.joints.motion import prescribed
-from liegroup_core.lie.groups import SE3
+from liegroup_core.lie.groups import SE3, within_a_turn
 
 from .description import WORLD
 
@@ -167,6 +167,7 @@ def check_consistency(scene):
     if not problems:
         _check_couplings(scene, start)
         _check_drives(scene, start)
+        _check_stops(scene, start)
     if problems:
         i, text = problems[0]
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
@@ -210,6 +211,25 @@ def _check_drives(scene, start):
                 f"{rows[0, 2]:.9g} {unit}/s, but the initial poses and velocities are {q:.9g} {unit} "
                 f"and {v:.9g} {unit}/s; correct one of them",
                 place=("joints", j, "motion"),
+            )
+
+
+def _check_stops(scene, start):
+    """Raise SceneError for the first joint that starts beyond a stop."""
+    frames = resolve_frames(scene) if any(joint.limits for joint in scene.joints) else []
+    for j, (joint, pair) in enumerate(zip(scene.joints, frames)):
+        if joint.limits is None:
+            continue
+        q = coordinate(joint, _relative(start, joint, *pair))
+        if turns(joint):
+            q = within_a_turn(q, joint.limits.expected)
+        off = max(joint.limits.least - q, q - joint.limits.largest)
+        if off > TOLERANCE * (1.0 + abs(q)):
+            unit = "rad" if turns(joint) else "m"
+            raise SceneError(
+                f'joints[{j}] "{joint.name}": it starts at {q:.6g} {unit}, {off:.3g} {unit} beyond a '
+                "stop; correct the initial poses or its limits",
+                place=("joints", j, "limits"),
             )
 
 

@@ -93,6 +93,7 @@ SWITCH = np.dtype(
         ("sign", "f8"),  # of this coordinate when that of the joint increases
         ("lower", "f8"),
         ("upper", "f8"),  # stops, rad or m; infinite: none
+        ("expected", "f8"),  # coordinate next to which that of a new state is
         ("restitution", "f8"),
         ("stiffness", "f8"),  # 0: rigid stops
         ("damping", "f8"),

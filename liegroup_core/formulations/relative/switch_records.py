@@ -39,6 +39,7 @@ def _record(joint, j, link, freedom, sign):
     stops = (-math.inf, math.inf) if limits is None else (limits.least, limits.largest)
     if sign < 0.0:
         stops = -stops[1], -stops[0]
+    expected = 0.0 if limits is None else sign * limits.expected
     restitution = stiffness = damping = 0.0
     if limits is not None:
         restitution, stiffness, damping = (
@@ -47,4 +48,4 @@ def _record(joint, j, link, freedom, sign):
     dry = (0.0, 0.0, 0.0)
     if friction is not None:
         dry = friction.coulomb, friction.at_rest, friction.viscous
-    return j, link, freedom, 0, sign, *stops, restitution, stiffness, damping, *dry
+    return j, link, freedom, 0, sign, *stops, expected, restitution, stiffness, damping, *dry

@@ -63,11 +63,12 @@ from liegroup_core.formulations.relative.switches import (
 )
 from liegroup_core.integrators.complementarity import FREE, HIGH, LOW, solve
 from liegroup_core.integrators.link_state import begin, enter, leave
-from liegroup_core.status import DEPENDENT_ROWS, EVENT, EVENTS_WITHOUT_END, MOST_EVENTS, OK
+from liegroup_core.status import BEYOND_STOP, DEPENDENT_ROWS, EVENT, EVENTS_WITHOUT_END, MOST_EVENTS, OK
 
 SMALLEST_REBOUND = 1e-10  # rad or m
 # Within this, rad or m, and round-off of a larger one, a coordinate is at a stop.
 AT_STOP = 1e-13
+BEYOND = 1e-9  # rad or m: a state that is set is not this far beyond a stop
 RESTING = 1e-11  # rad/s or m/s: a rate below is zero where an event is
 TIME_STEP = 1e-15  # s; an event is found to this, and to round-off
 HALVINGS = 40
@@ -179,6 +180,17 @@ class Switching:
         self._inputs = None
         work.watch[0] = 1.0
 
+    def touch(self, pose, twist, external):
+        """Call every kernel once; the state stays."""
+        self._look(self._model, self._work, pose, twist, external)
+        self._respond(self._model, self._work, self._responses)
+        self._change_rates(self._model, self._work, self._no_changes, pose, twist)
+
+    def adopt(self, other):
+        """Continue with the modes of another one, at the same state."""
+        self._work.held[:] = other._work.held
+        self._work.modes[:] = other._work.modes
+
     def restart(self):
         """Forget the modes: the state was set."""
         self._work.held[:] = 0.0
@@ -213,11 +225,14 @@ class Switching:
         if known and (same or not work.held.any()):
             return OK
         if not known:
-            self._begin()
+            work.modes[:, COORDINATE] = self._model.switches["expected"]
         status = self._look(self._model, work, *state)
         if status != OK:
             return status
         if not known:
+            beyond = (self._rigid[:, None] & (work.guards[:, : UPPER + 1] < -BEYOND)).any(axis=1)
+            if beyond.any():
+                return BEYOND_STOP + (int(self._model.switches["joint"][beyond][0]) << 8)
             rates = self._rates()
             work.modes[:, SLIP] = np.where(self._dry, np.sign(rates), 0.0)
             soft = ~self._rigid
@@ -231,17 +246,6 @@ class Switching:
         if (work.guards[:, SLIDING + 1 :] >= 0.0).all():
             return OK
         return self._switch(time, state, np.zeros(work.guards.shape, dtype=bool))
-
-    def _begin(self):
-        """Expect the coordinates between their stops, whatever turn a pose leaves open."""
-        for k, (lower, upper) in enumerate(self._model.switches[["lower", "upper"]].tolist()):
-            if math.isfinite(lower) and math.isfinite(upper):
-                near = 0.5 * (lower + upper)
-            elif math.isfinite(lower):
-                near = max(lower + math.pi * (1.0 - AT_STOP), 0.0)
-            else:
-                near = min(upper - math.pi * (1.0 - AT_STOP), 0.0) if math.isfinite(upper) else 0.0
-            self._work.modes[k, COORDINATE] = near
 
     def _finish(self, h, start, state):
         """Take the step in which the next event is, from the substep with it on. Returns a status."""
@@ -485,6 +489,16 @@ class Switching:
                 modes[k, SLIP] = -entry
         self._change_rates(model, work, self._no_changes, *state[:2])
         return OK
+
+    def modes(self):
+        """[(index of the joint, mode)], see Engine.modes."""
+        found = []
+        for k, (joint, sign) in enumerate(self._model.switches[["joint", "sign"]].tolist()):
+            side = sign * self._work.modes[k, SIDE]
+            held = self._work.held[self._freedoms[k]]
+            mode = "lower" if side < 0.0 else "upper" if side > 0.0 else "stick" if held else "free"
+            found.append((joint, mode))
+        return found
 
     def _note(self, time, before):
         """Write what has changed to `events`."""

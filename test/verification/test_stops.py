@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stops of joints: impacts, contact and release, against closed forms."""
+
+import math
+
+import mpmath
+import numpy as np
+import pytest
+
+from liegroup_core import Simulation, SimulationError
+from liegroup_core.engine import Engine
+from liegroup_core.scene.load import scene_from_text
+
+pytestmark = pytest.mark.slow
+G = 9.81
+
+BALL = """
+name: ball
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: ball, mass: 2.0, inertia: [0.1, 0.1, 0.1], position: [0, 0, 1]}
+joints:
+  - name: track
+    type: prismatic
+    parent: world
+    child: ball
+    parent_frame: {}
+    child_frame: {}
+    limits: {lower: 0, restitution: RESTITUTION}
+"""
+# A pendulum that hangs along -z at the angle 0 and swings in a tilted frame's plane.
+PENDULUM = """
+name: pendulum
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: bob, mass: 1.3, inertia: [0.05, 0.07, 0.04, 0.01, 0, 0], com: [0, 0, -0.8], rotation_vector: [ANGLE, 0, 0]}
+joints:
+  - name: pivot
+    type: revolute
+    parent: world
+    child: bob
+    parent_frame: {rotation_vector: [0, 1.5707963267948966, 0]}
+    child_frame: {rotation_vector: [0, 1.5707963267948966, 0]}
+    limits: {lower: LOWER, restitution: 0.7}
+"""
+
+
+def impacts(engine, count, steps):
+    """The first impacts of an engine, in at most so many steps."""
+    found = []
+    for _ in range(steps):
+        engine.advance(1)
+        found += [event for event in engine.drain_events() if event.kind == "impact"]
+        if len(found) >= count:
+            return found[:count]
+    return found
+
+
+@pytest.mark.parametrize("method", ["rkmk4", "rkmk8", "rkmk853"])
+def test_bouncing_ball(method):
+    """Times of impacts are t0 (1 + 2 e + 2 e^2 + ...); speeds e^k v0. A ball is exact for every order."""
+    e = 0.8
+    engine = Engine(scene_from_text(BALL.replace("RESTITUTION", str(e))), method, 0.01)
+    found = impacts(engine, 20, 500)
+    speed = math.sqrt(2.0 * G)
+    time = speed / G
+    for event in found:
+        assert event.time == pytest.approx(time, abs=1e-12)
+        assert event.impulse == pytest.approx(2.0 * speed * (1.0 + e), abs=1e-11)
+        assert event.energy == pytest.approx(-(1.0 - e * e) * speed**2, abs=1e-11)
+        speed *= e
+        time += 2.0 * speed / G
+    assert len(found) == 20
+
+
+@pytest.mark.parametrize("method, step", [("rkmk4", 1e-3), ("rkmk8", 1e-2), ("rkmk853", 1e-2)])
+def test_bouncing_pendulum(method, step):
+    """Twenty impacts of a pendulum at its lowest point: quarter periods are elliptic integrals."""
+    start = 2.0
+    text = PENDULUM.replace("ANGLE", str(start)).replace("LOWER", "0")
+    engine = Engine(scene_from_text(text), method, step)
+    found = impacts(engine, 20, round(30.0 / step))
+    inertia, moment = 0.05 + 1.3 * 0.64, 1.3 * 0.8 * G
+    small = math.sqrt(moment / inertia)
+    rate = 2.0 * small * math.sin(0.5 * start)
+    time = float(mpmath.ellipk(math.sin(0.5 * start) ** 2)) / small
+    # The error of a time is that of the motion: for rkmk4 about 1e-10 s here, at 1 ms.
+    for event in found:
+        assert event.time == pytest.approx(time, abs=1e-9)
+        assert event.impulse == pytest.approx(inertia * rate * 1.7, abs=1e-9)
+        rate *= 0.7
+        # It swings up and back: twice a quarter period, of the smaller amplitude.
+        time += 2.0 * float(mpmath.ellipk((0.5 * rate / small) ** 2)) / small
+    assert len(found) == 20
+
+
+@pytest.mark.parametrize("method, order", [("rkmk2", 2), ("rkmk4", 4), ("rkmk8", 8)])
+def test_order_of_event_times(method, order):
+    """The time of the fifth impact converges with the order of the method."""
+    text = PENDULUM.replace("ANGLE", "2.0").replace("LOWER", "-0.3")
+    steps = {2: (8e-3, 4e-3, 2e-3), 4: (2e-2, 1e-2, 5e-3), 8: (0.2, 0.14, 0.1)}[order]
+    exact = impacts(Engine(scene_from_text(text), "rkmk8", 5e-3), 5, 2000)[-1].time
+    errors = [
+        abs(impacts(Engine(scene_from_text(text), method, step), 5, round(10 / step))[-1].time - exact)
+        for step in steps
+    ]
+    slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    # Where in its step an impact is makes the error constant of single times irregular.
+    assert slope == pytest.approx(order, abs=0.15 * order), errors
+
+
+def test_contact_and_release():
+    """A pendulum rests at a stop until its support force vanishes, under a torque that changes."""
+    text = PENDULUM.replace("ANGLE", "0.4").replace("LOWER", "0.4")
+    engine = Engine(scene_from_text(text), "rkmk4", 1e-2)
+    engine.advance(50)
+    assert engine.modes == {"pivot": "lower"}
+    angle = engine.sample().joint_coordinates["pivot"]
+    engine.advance(1000)
+    # Bits do not change at rest.
+    assert engine.sample().joint_coordinates["pivot"] == angle
+    moment = 1.3 * 0.8 * G * math.sin(0.4)
+    engine.apply_effort("pivot", 0.999999 * moment)
+    engine.advance(100)
+    assert engine.modes == {"pivot": "lower"}
+    engine.apply_effort("pivot", 1.000001 * moment)
+    engine.advance(1)
+    assert engine.modes == {"pivot": "free"}
+    assert [event.kind for event in engine.drain_events()] == ["leave"]
+
+
+def test_bouncing_becomes_contact():
+    """A bouncing that never ends is contact after a finite time: t0 (1 + e) / (1 - e)."""
+    engine = Engine(scene_from_text(BALL.replace("RESTITUTION", "0.5")), "rkmk4", 0.01)
+    engine.advance(200)
+    events = engine.drain_events()
+    end = math.sqrt(2.0 / G) * 3.0
+    assert [event.kind for event in events][-1] == "stop"
+    # The last rebound that is taken is 1e-10 m high: it lasts 9e-6 s.
+    assert events[-1].time == pytest.approx(end, abs=2e-5)
+    assert engine.modes == {"track": "lower"}
+
+
+def test_elastic_bouncing_keeps_its_energy():
+    engine = Engine(scene_from_text(BALL.replace("RESTITUTION", "1.0")), "rkmk4", 0.01)
+    energy = engine.energy()
+    engine.advance(2000)
+    assert len(engine.drain_events()) == 22
+    assert engine.energy() == pytest.approx(energy, rel=1e-12)
+
+
+def test_state_beyond_a_stop():
+    engine = Engine(scene_from_text(BALL.replace("RESTITUTION", "1.0")), "rkmk4", 0.01)
+    pose, twist = engine.state()
+    pose[0, 11] = -0.1
+    engine.set_state(pose, twist)
+    with pytest.raises(SimulationError, match="joint track is beyond its stop"):
+        engine.advance(1)
+
+
+def test_estimate_through_impacts():
+    """The estimated error of a simulation to an accuracy covers the true one, through twenty impacts."""
+    text = PENDULUM.replace("ANGLE", "2.0").replace("LOWER", "0")
+    simulation = Simulation(scene_from_text(text), accuracy=1e-6, horizon=10.0)
+    exact = Engine(scene_from_text(text), "rkmk8", 2e-3)
+    for _ in range(10):
+        simulation.advance(round(1.0 / simulation.step))
+        exact.advance(500)
+        ours, theirs = simulation.sample(), exact.sample()
+        true = abs(ours.joint_coordinates["pivot"][0] - theirs.joint_coordinates["pivot"][0])
+        assert true <= 1e-6
+        assert ours.error["bob"][1] >= 0.5 * true or true < 1e-9
+    assert simulation.doubt is None
