@@ -32,7 +32,7 @@ SLIP, SIDE, COORDINATE, KNOWN = 0, 1, 2, 3
 # Columns of Work.guards; LOWER and UPPER are the stops, the last two the bounds of what holds.
 LOWER, UPPER, SLIDING, LEAST, MOST = 0, 1, 2, 3, 4
 # Of the wrenches on all links: what holds a freedom is known to this part.
-ROUND_OFF = 1e-12
+ROUND_OFF = 1e-13
 NONE = -1.0  # in Work.crossed: the guard is not crossed
 
 
