@@ -87,6 +87,9 @@ def describe(layout):
                 "rows": rows[joint.name],
                 "dropped": [row for name, row in dropped if name == joint.name],
                 "driven": joint.driven,
+                "switches": [
+                    key for key in ("limits", "friction") if getattr(joint, key) is not None
+                ],
             }
             for joint in scene.joints
         ],
@@ -119,7 +122,7 @@ def describe(layout):
             {"bodies": list(kept.bodies), "components": list(kept.labels)}
             for kept in conserved_momentum(scene)
         ]
-        if only_pairs and not scene.couplings and not layout.motions
+        if only_pairs and not scene.couplings and not layout.motions and not layout.switches
         else None,
     }
 

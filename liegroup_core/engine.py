@@ -380,11 +380,8 @@ class Engine(Inputs):
 
     @property
     def modes(self) -> dict[str, str]:
-        """{joint: "free", "lower" or "upper" (at this stop), or "stick"} of those with stops or friction."""
-        if self._switching is None:
-            return {}
-        joints = self.scene.joints
-        return {joints[j].name: mode for j, mode in self._switching.modes()}
+        """As Sample.modes."""
+        return self.sample().modes
 
     @property
     def substeps(self) -> tuple[int, int]:
@@ -534,6 +531,8 @@ class Engine(Inputs):
             sample.joint_efforts = self._schedule.efforts
         if len(self._work.wanted):
             sample.wanted = self._work.wanted.copy()
+        if self._switching is not None:
+            sample.switching = self._switching.modes()
         if len(self._work.motions):
             sample.motions = self.layout.motions_at(self.time, self._commanded)
         return sample

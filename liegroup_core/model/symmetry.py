@@ -23,7 +23,7 @@ generic poses of the mechanism. The conserved screws are the null space of these
                               or below o
 Generic poses of closed loops ignore the closing joint; this never adds a component. Components
 that only particular motions conserve (a plane pendulum) are not found, nor are those of a scene
-with a joint that is not a lower pair, a driven joint, or a coupling.
+with a joint that is not a lower pair, is driven or has stops or friction, or with a coupling.
 """
 
 from dataclasses import dataclass
@@ -83,7 +83,9 @@ def conserved_momentum(scene):
     model, *_ = build_model(scene)
     frames = resolve_frames(scene)
     forbidden = _forbidden(scene)
-    if forbidden is None or scene.couplings or any(joint.driven for joint in scene.joints):
+    if forbidden is None or scene.couplings or any(
+        joint.driven or joint.switches for joint in scene.joints
+    ):
         return ()
     rng = np.random.default_rng(6)
     size = _size(scene, frames)

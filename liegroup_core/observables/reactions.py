@@ -22,6 +22,7 @@ from liegroup_core.forces.kinds import limits, wanted_values
 from liegroup_core.formulations.relative.arrays import make_relative_work
 from liegroup_core.formulations.relative.reactions import joint_wrenches, reaction_table
 from liegroup_core.formulations.relative.spanning_tree import WORLD_NAME
+from liegroup_core.formulations.relative.switches import set_modes
 from liegroup_core.joints.kinds import TYPES, forbidden_rows
 from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage
 from liegroup_core.model.arrays import make_work
@@ -100,7 +101,8 @@ class Reactions:
             np.zeros(len(self._work.acting), dtype=bool),
         )
         forces, motions = self._model.space.forces, self._model.space.motions
-        self.at(*state, angles, acting, wanted_values(forces), None, motions, 0.0)
+        modes = np.zeros((len(self._model.switches), 4))
+        self.at(*state, angles, acting, wanted_values(forces), None, motions, modes, 0.0)
         self._forces.at(forces, angles, *state, np.zeros(len(limits(forces))))
 
     @cached_property
@@ -127,7 +129,7 @@ class Reactions:
                 found[self.names[j]] = f"{parts}: redundant constraints, {shared}"
         return found
 
-    def at(self, pose, twist, angles, acting, wanted, external, motions, time):
+    def at(self, pose, twist, angles, acting, wanted, external, motions, modes, time):
         """(wrenches (J, 6), mask of the undetermined components (J, 6), motion (n, 6), efforts (d,)).
 
         pose, twist : (n, 12), (n, 6) of frames at the centres of mass
@@ -135,6 +137,7 @@ class Reactions:
         wanted      : (k, 2) wanted positions and velocities of the servos
         external    : (n, 16), see forces/external.py; None: no external wrenches
         motions     : (d, 7) prescribed motions of the driven joints;  time : s
+        modes       : (k, 4) of the joints with stops or friction, see Sample.switching
         motion      : angular acceleration and specific force (acceleration less gravity) of every
                       centre of mass, body axes
         efforts     : of the driven joints, N m or N
@@ -146,6 +149,8 @@ class Reactions:
                 to[:] = given
         if len(motions):
             work.motions[:], work.clock[2] = motions, time
+        if len(modes):
+            set_modes(self._model, work, modes)
         work.pose[:n], work.twist[:n] = pose, twist
         work.external[:] = self._idle if external is None else external
         before = work.report[2]

@@ -35,6 +35,8 @@ class Sample:
     wanted : (k, 2) wanted positions and velocities of the servos, rad and rad/s, or m and m/s;
              None: those of the scene
     motions : (d, 7) prescribed motions of the driven joints; None: those of the scene
+    switching : (k, 4) modes of the joints with stops or friction, in the order of the scene: 1 if held,
+                direction of slip, stop that it touches (-1 lower, 1 upper), coordinate; None: all free
     The constructor takes pose and twist at the centres of mass; all attributes refer to the body
     frames of the scene. Derived quantities are computed on first access and cached.
     """
@@ -44,6 +46,7 @@ class Sample:
     joint_efforts: Mapping[str, float] = MappingProxyType({})
     wanted = None
     motions = None
+    switching = None
 
     def __init__(self, layout, time, time_ns, steps, pose, twist, near):
         self._layout, self._near = layout, near
@@ -156,7 +159,24 @@ class Sample:
     @cached_property
     def _reactions(self):
         inputs = self.angles, self._acting, self._wanted, self.external
-        return self._layout.reactions.at(*self._state, *inputs, self._motions, self.time)
+        return self._layout.reactions.at(
+            *self._state, *inputs, self._motions, self._switching, self.time
+        )
+
+    @property
+    def _switching(self):
+        if self.switching is not None:
+            return self.switching
+        return np.zeros((sum(joint.switches for joint in self.scene.joints), 4))
+
+    @property
+    def modes(self) -> dict[str, str]:
+        """{joint: "free", "lower" or "upper" (at this stop), "stick"} of those with stops or friction."""
+        joints = [joint.name for joint in self.scene.joints if joint.switches]
+        return {
+            joint: "lower" if side < 0.0 else "upper" if side > 0.0 else "stick" if held else "free"
+            for joint, (held, _, side, _) in zip(joints, self._switching.tolist())
+        }
 
     @cached_property
     def _motions(self):
@@ -174,7 +194,8 @@ class Sample:
 
         In the axes and about the origin of the child's joint frame. NaN for components that redundant
         constraints leave undetermined, see `undetermined`. Springs, motors and other forces are
-        no part of it, see `force_efforts` and `transmitted`; a coupling acts along the axes of its two
+        no part of it, see `force_efforts` and `transmitted`; stops and friction are, about or along the
+        axis; a coupling acts along the axes of its two
         joints. External wrenches are those of the last step. At the end of a tree of n bodies, errors
         are about n times those of a wrench: test/verification/test_reactions.py.
         """

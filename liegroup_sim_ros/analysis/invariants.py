@@ -11,7 +11,7 @@ from .drift import MOST_POINTS, Drift, thinned
 class Energy:
     """Energy drift in J: the largest change within intervals without an applied wrench.
 
-    drift_J is None for a scene with non-conservative forces or driven joints. The relative drift refers to the
+    drift_J is None for a scene with non-conservative forces, driven joints, or stops and friction. The relative drift refers to the
     largest kinetic energy. That does not depend on the zero of the potential energy.
     """
 
@@ -23,6 +23,7 @@ class Energy:
             for what, names in (
                 ("non-conservative forces", forces),
                 ("driven joints", layout.motions),
+                ("stops and friction", [j.name for j in layout.scene.joints if j.switches]),
             )
             if names
         ]

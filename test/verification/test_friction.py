@@ -305,3 +305,25 @@ def test_held_joints_are_welds(seed, closed):
         samples.append(engine.sample())
     assert samples[0].pose == pytest.approx(samples[1].pose, abs=1e-10)
     assert samples[0].twist == pytest.approx(samples[1].twist, abs=1e-9)
+
+
+def test_reactions_with_stops_and_friction():
+    """The axis component of a reaction is the effort of stop and friction; the rest that of a weld.
+
+    A rod on a sticking hinge: torque m g l, force m g. The same rod sliding: the torque is coulomb.
+    """
+    text = CHAIN.replace("SHOULDER", "19.7").replace("ELBOW", "5.0")
+    engine = Engine(scene_from_text(text), "rkmk4", 1e-3)
+    engine.advance(5)
+    reactions = engine.sample().reactions
+    assert abs(reactions["shoulder"][2]) == pytest.approx(2.0 * G, abs=1e-12)
+    assert np.linalg.norm(reactions["shoulder"][3:]) == pytest.approx(2.0 * G, abs=1e-12)
+    assert abs(reactions["elbow"][2]) == pytest.approx(0.5 * G, abs=1e-12)
+    engine = Engine(
+        scene_from_text(CHAIN.replace("SHOULDER", "4.0").replace("ELBOW", "0.1")), "rkmk4", 1e-3
+    )
+    engine.advance(50)
+    sample = engine.sample()
+    for joint, size in (("shoulder", 4.0), ("elbow", 0.1)):
+        rate = sample.joint_coordinates[joint][1]
+        assert sample.reactions[joint][2] == pytest.approx(-math.copysign(size, rate), abs=1e-12)

@@ -34,6 +34,7 @@ from liegroup_core.scene.consistency import resolve_frames
 from .coordinates import coordinates, place_links
 from .dynamics import apply_forces, solve_equations
 from .spanning_tree import WORLD_NAME, spanning_tree
+from .switches import apply_switches
 from .trees import move_links
 
 
@@ -155,7 +156,7 @@ def joint_wrenches(model, work, table, out):
     The first n rows of work.pose and work.twist have the state, work.external the external wrenches.
     The torque is about the origin of that frame. Redundant rows, which are eliminated, transmit
     nothing. A coupling acts in the freedoms of its joints. Springs, motors and other forces are no
-    part of it. Returns -1, or the joint with dependent rows if the solve fails.
+    part of it; stops and friction are, in the modes of work.held and work.modes. Returns -1, or the joint with dependent rows if the solve fails.
     """
     n = len(model.parts)
     for i in range(n):
@@ -172,6 +173,7 @@ def joint_wrenches(model, work, table, out):
     move_links(model, work)
     place_links(model, work)
     apply_forces(model, work, work.external)
+    apply_switches(model, work)
     found = solve_equations(model, work)
     if found >= 0:
         return found

@@ -14,6 +14,8 @@ event is that ends it; integrators/switching.py changes the branch.
 
 import math
 
+import numpy as np
+
 from liegroup_core.compiling import kernel
 from liegroup_core.forces.turn import unwrapped
 
@@ -34,6 +36,24 @@ LOWER, UPPER, SLIDING, LEAST, MOST = 0, 1, 2, 3, 4
 # Of the wrenches on all links: what holds a freedom is known to this part.
 ROUND_OFF = 1e-13
 NONE = -1.0  # in Work.crossed: the guard is not crossed
+
+
+def modes_of(model, work):
+    """(k, 4) of each switch, in the coordinate of its joint: 1 if it is held, direction of slip,
+    stop that it touches (-1 lower, 1 upper), coordinate."""
+    table, modes = model.switches, work.modes
+    signs = table["sign"][:, None]
+    own = modes[:, [SLIP, SIDE, COORDINATE]] * signs
+    return np.hstack([work.held[table["freedom"], None], own])
+
+
+def set_modes(model, work, modes):
+    """Write `modes_of` another model of the same scene."""
+    table = model.switches
+    work.held[:] = 0.0
+    work.held[table["freedom"]] = modes[:, 0]
+    work.modes[:, [SLIP, SIDE, COORDINATE]] = modes[:, 1:] * table["sign"][:, None]
+    work.modes[:, KNOWN] = 1.0
 
 
 @kernel

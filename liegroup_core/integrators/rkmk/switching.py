@@ -59,6 +59,7 @@ from liegroup_core.formulations.relative.switches import (
     UPPER,
     bounds,
     count_coordinates,
+    modes_of,
     set_guards,
 )
 from liegroup_core.integrators.complementarity import FREE, HIGH, LOW, solve
@@ -491,14 +492,8 @@ class Switching:
         return OK
 
     def modes(self):
-        """[(index of the joint, mode)], see Engine.modes."""
-        found = []
-        for k, (joint, sign) in enumerate(self._model.switches[["joint", "sign"]].tolist()):
-            side = sign * self._work.modes[k, SIDE]
-            held = self._work.held[self._freedoms[k]]
-            mode = "lower" if side < 0.0 else "upper" if side > 0.0 else "stick" if held else "free"
-            found.append((joint, mode))
-        return found
+        """(k, 4) of all switches; see switches.modes_of."""
+        return modes_of(self._model, self._work)
 
     def _note(self, time, before):
         """Write what has changed to `events`."""
