@@ -80,8 +80,7 @@ class Friction(Described):
         0.0, description="torque or force of sliding friction in N m or N, against the motion"
     )
     static: NotNegative | None = Field(
-        None,
-        description="largest friction at rest in N m or N, at least coulomb; default: coulomb",
+        None, description="largest friction at rest in N m or N, at least coulomb; default: coulomb"
     )
     viscous: NotNegative = Field(0.0, description="of the rate, in N m s/rad or N s/m")
 

@@ -83,8 +83,10 @@ def conserved_momentum(scene):
     model, *_ = build_model(scene)
     frames = resolve_frames(scene)
     forbidden = _forbidden(scene)
-    if forbidden is None or scene.couplings or any(
-        joint.driven or joint.switches for joint in scene.joints
+    if (
+        forbidden is None
+        or scene.couplings
+        or any(joint.driven or joint.switches for joint in scene.joints)
     ):
         return ()
     rng = np.random.default_rng(6)

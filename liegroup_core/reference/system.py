@@ -33,6 +33,11 @@ def build_system(scene, pose, angles=None):
             raise SimulationError(
                 f"the reference integration does not support {entry.type} ({entry.name})"
             )
+    for joint in scene.joints:
+        if joint.switches:
+            raise SimulationError(
+                f"the reference integration has no stops and no friction ({joint.name})"
+            )
     lack = lack_of_inertia(scene)
     if lack:
         raise SimulationError(

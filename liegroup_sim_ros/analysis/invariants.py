@@ -11,8 +11,9 @@ from .drift import MOST_POINTS, Drift, thinned
 class Energy:
     """Energy drift in J: the largest change within intervals without an applied wrench.
 
-    drift_J is None for a scene with non-conservative forces, driven joints, or stops and friction. The relative drift refers to the
-    largest kinetic energy. That does not depend on the zero of the potential energy.
+    drift_J is None for a scene with non-conservative forces, driven joints, stops or friction. The
+    relative drift refers to the largest kinetic energy. That does not depend on the zero of the
+    potential energy.
     """
 
     def __init__(self, layout, expected):

@@ -20,7 +20,8 @@ INCLINE = """
 name: incline
 gravity: [0, 0, -9.81]
 bodies:
-  - {name: block, mass: 2.0, inertia: [0.01, 0.02, 0.03], linear_velocity: [0, 0, SPEED], rotation_vector: [0, TURN, 0]}
+  - {name: block, mass: 2.0, inertia: [0.01, 0.02, 0.03], linear_velocity: [0, 0, SPEED],
+      rotation_vector: [0, TURN, 0]}
 joints:
   - name: slope
     type: prismatic
@@ -38,7 +39,8 @@ bodies:
   - {name: belt, mass: 1.0, inertia: [0.1, 0.1, 0.1], linear_velocity: [0.1, 0, 0]}
   - {name: block, mass: 1.0, inertia: [0.1, 0.1, 0.1], linear_velocity: [0.1, 0, 0]}
 joints:
-  - {name: drive, type: prismatic, parent: world, child: belt, parent_frame: {axis: [1, 0, 0]}, driven: true}
+  - {name: drive, type: prismatic, parent: world, child: belt, parent_frame: {axis: [1, 0, 0]},
+      driven: true}
   - name: contact
     type: prismatic
     parent: belt
@@ -46,7 +48,8 @@ joints:
     parent_frame: {axis: [1, 0, 0]}
     friction: {coulomb: 2.0, static: 3.0}
 forces:
-  - {name: anchor, type: spring_damper, parent: world, child: block, parent_point: [-10, 0, 0], child_point: [0, 0, 0], stiffness: 25.0, damping: 0.0, rest_length: 10.0}
+  - {name: anchor, type: spring_damper, parent: world, child: block, parent_point: [-10, 0, 0],
+      child_point: [0, 0, 0], stiffness: 25.0, damping: 0.0, rest_length: 10.0}
 """
 
 
@@ -135,8 +138,10 @@ bodies:
   - {name: upper, mass: 1.0, inertia: [0.02, 0.02, 0.02], com: [0.5, 0, 0]}
   - {name: lower, mass: 1.0, inertia: [0.02, 0.02, 0.02], com: [0.5, 0, 0], position: [1, 0, 0]}
 joints:
-  - {name: shoulder, type: revolute, parent: world, child: upper, parent_frame: {axis: [0, 1, 0]}, friction: {coulomb: SHOULDER}}
-  - {name: elbow, type: revolute, parent: upper, child: lower, child_frame: {axis: [0, 1, 0]}, friction: {coulomb: ELBOW}}
+  - {name: shoulder, type: revolute, parent: world, child: upper, parent_frame: {axis: [0, 1, 0]},
+      friction: {coulomb: SHOULDER}}
+  - {name: elbow, type: revolute, parent: upper, child: lower, child_frame: {axis: [0, 1, 0]},
+      friction: {coulomb: ELBOW}}
 """
 
 
@@ -203,14 +208,20 @@ name: press
 gravity: [0, 0, 0]
 assemble: true
 bodies:
-  - {name: crank, mass: 1.0, inertia: [0.02, 0.02, 0.02], com: [0.05, 0, 0], initial: fixed, rotation_vector: [0, 0, 1.0], angular_velocity: [0, 0, -3]}
-  - {name: rod, mass: 0.5, inertia: [0.02, 0.02, 0.02], com: [0.15, 0, 0], position: [0.05, 0.08, 0], rotation_vector: [0, 0, -0.2]}
+  - {name: crank, mass: 1.0, inertia: [0.02, 0.02, 0.02], com: [0.05, 0, 0], initial: fixed,
+      rotation_vector: [0, 0, 1.0], angular_velocity: [0, 0, -3]}
+  - {name: rod, mass: 0.5, inertia: [0.02, 0.02, 0.02], com: [0.15, 0, 0],
+      position: [0.05, 0.08, 0], rotation_vector: [0, 0, -0.2]}
   - {name: ram, mass: 2.0, inertia: [0.02, 0.02, 0.02], position: [0.34, 0, 0]}
 joints:
-  - {name: main, type: revolute, parent: world, child: crank, child_frame: {}, friction: {coulomb: 0.05, static: 0.2}}
-  - {name: pin, type: revolute, parent: crank, child: rod, parent_frame: {position: [0.1, 0, 0]}, child_frame: {}}
-  - {name: wrist, type: revolute, parent: rod, child: ram, parent_frame: {position: [0.3, 0, 0]}, child_frame: {}}
-  - {name: slide, type: prismatic, parent: world, child: ram, parent_frame: {axis: [1, 0, 0]}, child_frame: {axis: [1, 0, 0]}, limits: {upper: 0.38}}
+  - {name: main, type: revolute, parent: world, child: crank, child_frame: {},
+      friction: {coulomb: 0.05, static: 0.2}}
+  - {name: pin, type: revolute, parent: crank, child: rod, parent_frame: {position: [0.1, 0, 0]},
+      child_frame: {}}
+  - {name: wrist, type: revolute, parent: rod, child: ram, parent_frame: {position: [0.3, 0, 0]},
+      child_frame: {}}
+  - {name: slide, type: prismatic, parent: world, child: ram, parent_frame: {axis: [1, 0, 0]},
+      child_frame: {axis: [1, 0, 0]}, limits: {upper: 0.38}}
 """
     simulation = Simulation(scene_from_text(text), "rkmk4", 1e-3, stabilisation="projection")
     simulation.advance(1000)
@@ -238,7 +249,8 @@ bodies:
   - {name: arm, mass: 1.0, inertia: [0.1, 0.1, 0.1]}
 joints:
   - {name: turn, type: revolute, parent: world, child: base, child_frame: {}, driven: true}
-  - {name: hinge, type: revolute, parent: world, child: arm, child_frame: {}, friction: {coulomb: 1.0, static: 1.2}}
+  - {name: hinge, type: revolute, parent: world, child: arm, child_frame: {},
+      friction: {coulomb: 1.0, static: 1.2}}
   - {name: between, type: planar, parent: base, child: arm, child_frame: {}}
 forces:
   - {name: spring, type: torsional_spring_damper, joint: between, stiffness: 2.0, damping: 0.0}
@@ -273,7 +285,9 @@ def mechanism(seed, closed, held):
         joint = {
             "name": f"j{i}",
             "type": "fixed" if holds and not held else kind,
-            "parent": "world" if i == 0 else f"b{i - 1 if rng.random() < 0.7 else int(rng.integers(i))}",
+            "parent": "world"
+            if i == 0
+            else f"b{i - 1 if rng.random() < 0.7 else int(rng.integers(i))}",
             "child": f"b{i}",
             "child_frame": {"rotation_vector": rng.normal(scale=0.8, size=3).tolist()},
         }

@@ -33,7 +33,8 @@ PENDULUM = """
 name: pendulum
 gravity: [0, 0, -9.81]
 bodies:
-  - {name: bob, mass: 1.3, inertia: [0.05, 0.07, 0.04, 0.01, 0, 0], com: [0, 0, -0.8], rotation_vector: [ANGLE, 0, 0]}
+  - {name: bob, mass: 1.3, inertia: [0.05, 0.07, 0.04, 0.01, 0, 0], com: [0, 0, -0.8],
+      rotation_vector: [ANGLE, 0, 0]}
 joints:
   - name: pivot
     type: revolute
@@ -101,7 +102,10 @@ def test_order_of_event_times(method, order):
     steps = {2: (8e-3, 4e-3, 2e-3), 4: (2e-2, 1e-2, 5e-3), 8: (0.2, 0.14, 0.1)}[order]
     exact = impacts(Engine(scene_from_text(text), "rkmk8", 5e-3), 5, 2000)[-1].time
     errors = [
-        abs(impacts(Engine(scene_from_text(text), method, step), 5, round(10 / step))[-1].time - exact)
+        abs(
+            impacts(Engine(scene_from_text(text), method, step), 5, round(10 / step))[-1].time
+            - exact
+        )
         for step in steps
     ]
     slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]

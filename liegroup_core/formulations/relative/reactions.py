@@ -156,7 +156,8 @@ def joint_wrenches(model, work, table, out):
     The first n rows of work.pose and work.twist have the state, work.external the external wrenches.
     The torque is about the origin of that frame. Redundant rows, which are eliminated, transmit
     nothing. A coupling acts in the freedoms of its joints. Springs, motors and other forces are no
-    part of it; stops and friction are, in the modes of work.held and work.modes. Returns -1, or the joint with dependent rows if the solve fails.
+    part of it; stops and friction are, in the modes of work.held and work.modes. Returns -1, or the
+    joint with dependent rows if the solve fails.
     """
     n = len(model.parts)
     for i in range(n):

@@ -2,9 +2,10 @@
 """Spanning tree of a mechanism: which bodies are one link, which joints are cut.
 
 Bodies that fixed joints weld are one link. The tree takes the joints with the most rows: the fewest
-rows are left for the cut joints; coupled joints before all others, because couplings are rows
-between joints of the tree, and so are driven joints and those with stops or friction. Among equals it takes those next to the world: short paths make cheap
-loops. Distance joints are always cut, because their motions are no group.
+rows are left for the cut joints. Coupled and driven joints and those with stops or friction come
+first: their rows and modes are those of joints of the tree. Among equals it takes those next to the
+world: short paths make cheap loops. Distance joints are always cut, because their motions are no
+group.
 """
 
 from dataclasses import dataclass

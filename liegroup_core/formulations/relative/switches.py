@@ -40,7 +40,8 @@ NONE = -1.0  # in Work.crossed: the guard is not crossed
 
 def modes_of(model, work):
     """(k, 4) of each switch, in the coordinate of its joint: 1 if it is held, direction of slip,
-    stop that it touches (-1 lower, 1 upper), coordinate."""
+    stop that it touches (-1 lower, 1 upper), coordinate.
+    """
     table, modes = model.switches, work.modes
     signs = table["sign"][:, None]
     own = modes[:, [SLIP, SIDE, COORDINATE]] * signs
@@ -132,10 +133,7 @@ def _hold(model, work):
 def bounds(switch, side):
     """(least, largest) effort that can hold a switch which touches the rigid stop of a side, or none."""
     most = switch["static"]
-    return (
-        -math.inf if side > 0.0 else -most,
-        math.inf if side < 0.0 else most,
-    )
+    return (-math.inf if side > 0.0 else -most, math.inf if side < 0.0 else most)
 
 
 @kernel
@@ -177,7 +175,11 @@ def _dip(g0, d0, g1, d1, h):
     """Part of a step at which a cubic with these ends and slopes dips below zero, or NONE."""
     if not (d0 < 0.0 < d1):
         return NONE
-    a, b, c = 3.0 * (2.0 * (g0 - g1) + (d0 + d1) * h), 2.0 * (3.0 * (g1 - g0) - (2.0 * d0 + d1) * h), d0 * h
+    a, b, c = (
+        3.0 * (2.0 * (g0 - g1) + (d0 + d1) * h),
+        2.0 * (3.0 * (g1 - g0) - (2.0 * d0 + d1) * h),
+        d0 * h,
+    )
     # The root of a s^2 + b s + c with a positive slope; c < 0 and a + b + c > 0.
     root = math.sqrt(max(b * b - 4.0 * a * c, 0.0))
     s = -2.0 * c / (b + root) if b + root > 0.0 else 1.0
@@ -203,7 +205,11 @@ def crossed(model, work, h, twist):
                 if guards[k, c] < 0.0:
                     places[k, c] = 1.0
         else:
-            q0, v0, v1 = work.modes[k, COORDINATE], twist[row, component], work.stage_twist[row, component]
+            q0, v0, v1 = (
+                work.modes[k, COORDINATE],
+                twist[row, component],
+                work.stage_twist[row, component],
+            )
             for c in range(2):
                 sign = 1.0 if c == LOWER else -1.0
                 if switch["stiffness"] > 0.0:

@@ -136,7 +136,8 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
                       substep at the start of the step, rtol of velocities, atol in rad, m, rad/s,
                       m/s; only for schemes with error control
     returns (steps done, status): fewer steps if status is not OK. Pose, twist and work.angle are
-    those of the last valid step, after EVENT of the last valid substep. The low byte of status is the code. The other bytes are the element
+    those of the last valid step, after EVENT of the last valid substep. The low byte of status is
+    the code. The other bytes are the element
     of DEPENDENT_ROWS or the torsional spring of TURNS_NOT_COUNTED.
 
     Steps, substeps and stages are loops of one function: the mechanics are inlined and compiled at

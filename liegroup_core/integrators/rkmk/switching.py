@@ -30,6 +30,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from liegroup_core.compiling import SameTypes, borrowed, stepper
+from liegroup_core.formulations.relative.coupled_rows import set_all_rows
 from liegroup_core.formulations.relative.dynamics import accelerations
 from liegroup_core.formulations.relative.kinds import (
     add_pair,
@@ -46,7 +47,6 @@ from liegroup_core.formulations.relative.loops import (
     set_responses,
 )
 from liegroup_core.formulations.relative.matrix import REGULARISATION, factor
-from liegroup_core.formulations.relative.coupled_rows import set_all_rows
 from liegroup_core.formulations.relative.switches import (
     COORDINATE,
     KNOWN,
@@ -64,7 +64,14 @@ from liegroup_core.formulations.relative.switches import (
 )
 from liegroup_core.integrators.complementarity import FREE, HIGH, LOW, solve
 from liegroup_core.integrators.link_state import begin, enter, leave
-from liegroup_core.status import BEYOND_STOP, DEPENDENT_ROWS, EVENT, EVENTS_WITHOUT_END, MOST_EVENTS, OK
+from liegroup_core.status import (
+    BEYOND_STOP,
+    DEPENDENT_ROWS,
+    EVENT,
+    EVENTS_WITHOUT_END,
+    MOST_EVENTS,
+    OK,
+)
 
 SMALLEST_REBOUND = 1e-10  # rad or m
 # Within this, rad or m, and round-off of a larger one, a coordinate is at a stop.
@@ -467,7 +474,9 @@ class Switching:
         ends = np.array([bounds(table[k], side[k] if self._rigid[k] else 0.0) for k in chosen])
         lo, hi = ends.T.copy()
         sliding = table["coulomb"][chosen]
-        released = np.where(crossed[chosen, LEAST], LOW, np.where(crossed[chosen, MOST], HIGH, FREE))
+        released = np.where(
+            crossed[chosen, LEAST], LOW, np.where(crossed[chosen, MOST], HIGH, FREE)
+        )
         for _ in range(2 * len(chosen)):
             x, w, at = solve(A, b, lo, hi, released)
             back = released * w > RETURNING * (np.abs(A) @ np.abs(x) + np.abs(b))
