@@ -7,10 +7,9 @@ from numbers import Real
 import numpy as np
 from numpy.typing import ArrayLike
 
-from liegroup_core.forces.external import no_wrenches, set_wrench
+from liegroup_core.forces.external import AXES, PAIRS, no_wrenches, set_wrench
 from liegroup_core.forces.kinds import wanted_values
 from liegroup_core.forces.schedule import (
-    AXES,
     DRIVE,
     SERVO,
     AppliedMotion,
@@ -42,33 +41,37 @@ class Inputs:
         duration: float | None = None,
         source: str = "api",
         axes: str = "body",
+        point: ArrayLike | None = None,
     ) -> None:
         """Apply a wrench to a body from one time to another.
 
         body     : name of the body
-        wrench   : (6,) torque N m, force N; about the origin of the body frame. Zero ends it
+        wrench   : (6,) torque N m, force N. Zero ends it
         start    : simulated time, s, rounded to ns; None or a past time: the next step
         duration : s; None: until it is replaced
         source   : each source has one wrench per body; wrenches of different sources add
         axes     : of the components: "body", or "world". A wrench in world axes keeps its direction
-                   in the world while the body rotates
+                   in the world while the body rotates. Also those of a drained AppliedWrench
+        point    : (3,) m, in the body frame: the force acts there, and the point turns with the body.
+                   None: the origin of the body frame
         A step in which a wrench starts or ends is split at that time, so that methods keep their
         order (test/verification/test_pushes.py).
         Raises ValueError for an unknown body, a wrong shape, or a number that is not finite.
         """
+        if axes in PAIRS and point is not None:
+            raise ValueError(f"axes {axes!r} name a point already: omit point, got {point!r}")
         if axes not in AXES:
             raise ValueError(f"axes must be 'body' or 'world', got {axes!r}")
         if body not in self._body:
             raise ValueError(f"unknown body {body!r}; choose one of: {', '.join(self._body)}")
-        given = wrench
-        try:
-            wrench = np.asarray(given, dtype=float)
-        except (TypeError, ValueError):
-            wrench = np.zeros(0)
-        if wrench.shape != (6,) or not np.isfinite(wrench).all():
-            raise ValueError(f"a wrench must be six finite numbers (torque, force), got {given!r}")
+        wrench = _finite("a wrench must be six finite numbers (torque, force)", wrench, 6)
+        if point is not None:
+            point = _finite("a point must be three finite numbers", point, 3)
+            with np.errstate(over="ignore"):
+                moments = np.outer(point, wrench[3:]).ravel()
+            _finite("point times force must be finite numbers", moments, 9)
         begin, end = self._interval(start, duration)
-        self._schedule.command(source, self._body[body], wrench, begin, end, axes)
+        self._schedule.command(source, self._body[body], wrench, begin, end, axes, point)
 
     def apply_effort(
         self,
@@ -233,7 +236,8 @@ class Inputs:
     def drain_applied(self) -> list[AppliedWrench | AppliedTarget | AppliedMotion]:
         """Return the changes of total wrenches, of servos and of motions since the last call.
 
-        There is one total in body axes and one in world axes. If `change.repeat(simulation)`
+        There is one total in body axes, one in world axes, and three pairs of forces if forces in world
+        axes act at points; see AppliedWrench. If `change.repeat(simulation)`
         applies the changes again, the run is bit-identical (test/core/test_wrenches.py).
         """
         applied, self._applied = self._applied, []
@@ -265,8 +269,8 @@ class Inputs:
     def remember_acting(self, acting):
         """Restore what acts, as `acting_now` returned it.
 
-        It has no other end than another command: a wrench of the source "body" or "world", or wanted
-        values of the servo. Raises ValueError, KeyError, TypeError for what is no such list.
+        It has no other end than another command: a wrench whose source is the name of its axes, or
+        wanted values of the servo. Raises ValueError, KeyError, TypeError for what is no such list.
         """
         names = self.layout.names_of_inputs
         for name, axes, *wrench in acting:
@@ -307,3 +311,14 @@ class Inputs:
         """Times inside the next step at which a wrench may start or end."""
         times = self._timetable.inside(self.steps)
         return {*times, *self._schedule.inside(self.steps)} if self._schedule else times
+
+
+def _finite(what, given, size):
+    """Array (size,) of numbers. Raises ValueError."""
+    try:
+        numbers = np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        numbers = np.zeros(0)
+    if numbers.shape != (size,) or not np.isfinite(numbers).all():
+        raise ValueError(f"{what}, got {given!r}")
+    return numbers

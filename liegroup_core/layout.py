@@ -8,8 +8,9 @@ import numpy as np
 
 from .errors import SceneError
 from .forces import kinds
+from .forces.external import AXES
 from .forces.joint_effort import unit_wrenches
-from .forces.schedule import AXES, DRIVE, SERVO
+from .forces.schedule import DRIVE, SERVO
 from .formulations.relative.arrays import PlaneModel
 from .formulations.relative.build import (
     refuse_cut_couplings,
@@ -174,7 +175,7 @@ class Layout:
 
     @cached_property
     def names_of_inputs(self):
-        """{axes: names}: of bodies for wrenches in "body" and "world" axes, of joints for the others."""
+        """{axes: names}: of bodies for wrenches in AXES, of joints for the others."""
         joints = {SERVO: tuple(self.servos), DRIVE: tuple(self.motions)}
         return dict.fromkeys(AXES, self.body_names) | joints
 

@@ -133,7 +133,7 @@ class Reactions:
         pose, twist : (n, 12), (n, 6) of frames at the centres of mass
         angles      : (k,) rad, `Sample.angles`;  acting : mask of the scene's applied wrenches
         wanted      : (k, 2) wanted positions and velocities of the servos
-        external    : (n, 16), see forces/external.py; None: no external wrenches
+        external    : (n, COLUMNS), see forces/external.py; None: no external wrenches
         motions     : (d, 7) prescribed motions of the driven joints;  time : s
         motion      : angular acceleration and specific force (acceleration less gravity) of every
                       centre of mass, body axes

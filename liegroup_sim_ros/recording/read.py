@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from liegroup_core.forces.external import AXES
 from liegroup_core.joints.motion import COLUMNS
 from liegroup_sim_ros.messages import estimates
 from liegroup_sim_ros.messages.codecs import PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
@@ -121,9 +122,9 @@ class Recording:
     def applied_wrench(self) -> list[AppliedWrench]:
         """Changes of the total wrenches on all bodies: [AppliedWrench] in the order of stamps."""
         changes = [
-            AppliedWrench(stamp, body, tuple(wrench), "world" if in_world else "body")
+            AppliedWrench(stamp, body, tuple(wrench), AXES[axes])
             for body, track in self.wrench.items()
-            for stamp, wrench, in_world in zip(*(part.tolist() for part in track))
+            for stamp, wrench, axes in zip(*(part.tolist() for part in track))
         ]
         return sorted(changes, key=lambda change: change.stamp_ns)
 

@@ -20,6 +20,7 @@ Row n + b has the coordinates of link b: X as (R row by row, r) for the groups S
 import numpy as np
 
 from liegroup_core.compiling import Struct
+from liegroup_core.forces.external import COLUMNS as EXTERNAL_COLUMNS
 from liegroup_core.model.arrays import Model, Work
 
 # Motion groups.
@@ -183,7 +184,7 @@ class RelativeWork(Struct):
     start_twist: np.ndarray  # (n + L, 6)
     velocity: np.ndarray  # (L, 6) qdot at the start of the step
     slopes: np.ndarray  # ((s + 1) f, 2) k: algebra, then qdot part
-    external: np.ndarray  # (n, 16) external wrenches of the call
+    external: np.ndarray  # (n, COLUMNS), see forces/external.py: external wrenches of the call
     pushed: np.ndarray  # (1,) 1 if any of them is not zero
     wrench: np.ndarray  # (n, 6) wrenches on the bodies
     relative: np.ndarray  # (L, 12) pose of each link in its parent link
@@ -234,7 +235,7 @@ def make_relative_work(model, work, stages):
         known=np.zeros(1),
         velocity=np.zeros((links, 6)),
         slopes=np.zeros(((stages + 1) * freedoms, 2)),
-        external=np.zeros((n, 16)),
+        external=np.zeros((n, EXTERNAL_COLUMNS)),
         pushed=np.zeros(1),
         wrench=np.zeros((n, 6)),
         relative=np.zeros((links, 12)),
