@@ -146,8 +146,21 @@ class Inputs:
         start     : as in `apply_wrench`
         The motion begins with the position, velocity and acceleration that the joint has at the start,
         and is twice continuously differentiable. It replaces what was commanded from there on.
-        Raises ValueError for a joint that is not driven, wrong shapes or times, or NaN.
+        Raises ValueError for a joint that is not driven, wrong shapes or times, or NaN, and BeyondLimits,
+        a ValueError, for a motion beyond the limits of the joint (joints/limits.py).
         """
+        planned = self._planned(joint, times, positions, velocities, accelerations, start)
+        for instant, row in planned:
+            self._schedule.command_motion(self._drive(joint), row, instant)
+
+    def check_motion(
+        self, joint, times, positions, velocities=None, accelerations=None, start=None
+    ):
+        """Raise what `command_motion` would raise; command nothing."""
+        self._planned(joint, times, positions, velocities, accelerations, start)
+
+    def _planned(self, joint, times, positions, velocities, accelerations, start):
+        """[(Instant, motion (7,))] of a commanded motion. Raises ValueError."""
         number = self._drive(joint)
         begin, _ = self._interval(start, None)
         after = np.atleast_1d(np.array(times, dtype=float))
@@ -174,9 +187,10 @@ class Inputs:
         motion = self._schedule.motion_at(number, begin)
         if not np.isfinite(motion[0]):
             motion = row_at(self.layout.motions[joint], begin.time)
-        rows = through(at(motion, begin.time), origins, *points)
-        for instant, row in zip(instants, rows):
-            self._schedule.command_motion(number, row, instant)
+        with np.errstate(over="ignore", invalid="ignore"):
+            rows = through(at(motion, begin.time), origins, *points)
+            self.layout.limits[joint].check_motion(rows, *points[:2])
+        return list(zip(instants, rows))
 
     def prescribe(self, joint: str, motion: ArrayLike, start: float | None = None) -> None:
         """Command a motion (7,) of a driven joint as it is: see AppliedMotion.
@@ -188,6 +202,10 @@ class Inputs:
             raise ValueError(f"a motion must be {COLUMNS} finite numbers, got {motion!r}")
         begin, _ = self._interval(start, None)
         self._schedule.command_motion(self._drive(joint), row, begin)
+
+    def wanted_position(self, joint):
+        """Wanted position of the servo of a joint, rad or m."""
+        return float(self._work.wanted[self.layout.servos[joint], 0])
 
     def _drive(self, joint):
         """Number of a driven joint. Raises ValueError for another one."""

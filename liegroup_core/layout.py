@@ -19,11 +19,14 @@ from .formulations.relative.build import (
 )
 from .formulations.relative.spanning_tree import WORLD_NAME
 from .integrators.methods import RELATIVE
+from .joints.coupling import COUPLED
+from .joints.limits import limits_of
 from .joints.motion import COLUMNS, row_at
 from .joints.pairs import LOWER_PAIRS
 from .lie.groups import UNKNOWN_TURN
 from .model.arrays import Model
 from .model.build import build_model
+from .model.size import mechanism_size
 from .observables.joint_coordinates import JointCoordinates
 from .observables.joint_forces import JointForces
 from .observables.reactions import Reactions
@@ -172,6 +175,12 @@ class Layout:
     def servos(self):
         """{joint: number} of the joints with a servo; the number is that of its wanted values."""
         return {servo.joint: i for i, servo in enumerate(kinds.servos(self.scene.forces))}
+
+    @cached_property
+    def limits(self):
+        """{joint: Limits} of what is commanded to the joints with one coordinate, screws included."""
+        size = mechanism_size(self.model) or 1.0
+        return {j.name: limits_of(j, size) for j in self.scene.joints if j.type in COUPLED}
 
     @cached_property
     def names_of_inputs(self):

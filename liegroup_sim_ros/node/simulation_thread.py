@@ -106,7 +106,7 @@ class SimulationServer(threading.Thread):
         self._commands = []  # (Future, bound method, arguments)
         self._follower = Follower(simulation, follow_period, motion_time)
         self._trajectory = None
-        self._wrenches = {}  # key -> (Push or JointEffort, duration)
+        self._wrenches = {}  # key -> (Push or command, duration, function that refuses it)
         self._stopping = False
         self._snapshots = {}
         self._base_ns = base_ns
@@ -163,21 +163,39 @@ class SimulationServer(threading.Thread):
         self._wake.set()
         return future
 
-    def push(self, pushes, duration):
-        """Apply wrenches or efforts; each replaces the previous one of its source.
+    def push(self, pushes, duration, refuse=log.warning):
+        """Apply wrenches or commands; each replaces the previous one of its source.
 
-        pushes   : [Push or JointEffort], which all start with the same step
+        pushes   : [Push, JointEffort, Target or Motion], which all start with the same step
         duration : s of simulated time, None: until the next one of this source
+        refuse   : function of one line of text, called if one cannot be applied when it starts
         """
         # While the simulation is paused, a later command with the same start replaces the earlier
         # one, so that the queue is bounded.
         with self._lock:
             for push in pushes:
                 self._wrenches.pop(push.key, None)
-                self._wrenches[push.key] = push, duration
+                self._wrenches[push.key] = push, duration, refuse
 
-    def follow(self, trajectory):
-        """Follow a Trajectory; it replaces one that waits, and the present one when it starts."""
+    def check_motion(self, joint, start_ns, *points):
+        """Raise BeyondLimits for points to which a driven joint cannot move; see command_motion.
+
+        start_ns : stamp at which the motion starts; 0: now
+        """
+        start = (start_ns - self._base_ns) * 1e-9 if start_ns else None
+        self._simulation.check_motion(joint, *points, start=start)
+
+    def check_jump(self, joint, position):
+        """Raise BeyondLimits for a wanted position to which a servo cannot jump."""
+        before = self._simulation.wanted_position(joint)
+        self._simulation.layout.limits[joint].check_jump(before, position)
+
+    def follow(self, trajectory, refuse=log.warning):
+        """Follow a Trajectory; it replaces one that waits, and the present one when it starts.
+
+        refuse : function of one line of text, called if it cannot be followed when it starts
+        """
+        self._follower.refuse = refuse
         self._trajectory = trajectory
 
     def clear(self, prefix):
@@ -340,9 +358,13 @@ class SimulationServer(threading.Thread):
     def _apply_wrenches(self):
         with self._lock:
             wrenches, self._wrenches = self._wrenches, {}
-        for push, duration in wrenches.values():
+        for push, duration, refuse in wrenches.values():
             start = (push.start_ns - self._base_ns) * 1e-9 if push.start_ns else None
-            push.apply(self._simulation, start, duration)
+            try:
+                push.apply(self._simulation, start, duration)
+            except ValueError as error:  # the state is not that of its arrival
+                refuse(str(error))
+                continue
             if isinstance(push, (Target, Motion)):
                 self._follower.release(push.joint, start or self._simulation.time)
 
@@ -377,7 +399,8 @@ class SimulationServer(threading.Thread):
 
     def _keep_positions(self, sample):
         coordinates = sample.joint_coordinates
-        self.positions = {joint: position for joint, (position, _) in coordinates.items()}
+        states = sample.prescribed | coordinates  # screws have no other coordinates
+        self.positions = {joint: position for joint, (position, *_) in states.items()}
 
     def _tell_of_saturation(self, sample):
         """Count servos that reach their limit; send an event for the first time of each."""

@@ -39,6 +39,7 @@ joints:
     child: cart
     child_frame: {axis: [1, 0, 0]}
     driven: true
+    data: {lower: -0.2, upper: 1.2, velocity: 20.0}
     motion: {times: [0, 0.6, 5], positions: [0, 0.2, -0.1]}
   - {name: hook, type: revolute, parent: cart, child: bob, child_frame: {axis: [0, 1, 0]}}
 """
@@ -141,6 +142,11 @@ def test_what_a_driven_joint_cannot_do_is_refused(client, node):
         ("no_servo", {"name": ["hook"], "position": [1.0]}),
         ("not_finite", {"name": ["hinge"], "position": [math.inf]}),
         ("jump_too_large", {"name": ["slide"], "position": [1.0]}),
+        ("beyond_limits", {"name": ["slide"], "velocity": [1e12]}),
+        (
+            "beyond_limits",
+            {"name": ["hinge", "slide"], "position": [0.1, 1.3], "velocity": [0.0, 0.0]},
+        ),
     ):
         assert client.set(NODE, command_jump=0.5).successful
         count = f"joint_commands_refused_{reason}"
@@ -149,6 +155,25 @@ def test_what_a_driven_joint_cannot_do_is_refused(client, node):
         client.until(lambda: node.steps(100) and node.figure(count) == known + 1, what=reason)
     assert client.set(NODE, command_jump=0.0).successful
     assert node.states[-1].velocity[0] == pytest.approx(1.5, abs=1e-12)
+
+
+def test_a_far_position_is_refused_without_any_parameter(client, node):
+    """Of a trajectory, too; the joint goes on as before."""
+    refused = "joint_commands_refused_beyond_limits", "joint_trajectories_refused_beyond_limits"
+    publisher = client.node.create_publisher(JointTrajectory, f"{NODE}/joint_trajectory", 10)
+    client.until(publisher.get_subscription_count, what="the subscription")
+    node.steps(100)
+    known = [node.figure(count) for count in refused]
+    node.command(name=["hinge"], position=[1e12])
+    publisher.publish(trajectory(["slide", "hinge"], (0.2, [0.1, 1e12], [])))
+    client.until(
+        lambda: node.steps(100) and [node.figure(c) for c in refused] == [k + 1 for k in known],
+        what="the refusals",
+    )
+    before, after = node.states[-1], node.steps(100)
+    assert after.velocity[0] == pytest.approx(1.5, abs=1e-12)
+    turned = after.position[0] - before.position[0]
+    assert turned == pytest.approx(0.15, abs=1e-12)
 
 
 def test_every_part_of_the_recording_is_repeated_and_analysed(process, node):
