@@ -238,8 +238,8 @@ class Inputs:
         return tuple(name for number, name in names if self._schedule.motions_of(number))
 
     @property
-    def wrench_count(self) -> int:
-        """Number of applied wrenches and efforts that act now or start later."""
+    def input_count(self) -> int:
+        """Number of wrenches, and of commands of joints, that act now or start later."""
         return len(self._schedule)
 
     @property

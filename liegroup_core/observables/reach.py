@@ -8,8 +8,8 @@ from liegroup_core.model.redundancy import dependent_groups
 from liegroup_core.scene.centres import pose_matrix
 from liegroup_core.scene.consistency import (
     ResolvedCoupling,
+    driven_joints,
     resolve_couplings,
-    resolve_drives,
     resolve_elements,
     resolve_frames,
 )
@@ -23,7 +23,7 @@ def beyond_reach(scene, pose, positions):
     pose      : (n, 12) present poses
     positions : (d,) rad or m, of the driven joints in the order of the scene
     """
-    given = list(resolve_drives(scene))
+    given = driven_joints(scene)
     couplings = resolve_couplings(scene)
     couplings += [ResolvedCoupling(j, j, 0.0, q) for j, q in zip(given, positions)]
     frames, parts = resolve_frames(scene), resolve_elements(scene)

@@ -30,8 +30,8 @@ from liegroup_core.model.redundancy import dependent_groups, generic_poses
 from liegroup_core.scene.centres import pose_matrix
 from liegroup_core.scene.consistency import (
     ResolvedCoupling,
+    driven_joints,
     resolve_couplings,
-    resolve_drives,
     resolve_elements,
     resolve_frames,
 )
@@ -73,7 +73,7 @@ class Reactions:
         self._work = make_relative_work(model, make_work(layout.model, 0), 0)
         self._scene = scene = layout.centred
         couplings = resolve_couplings(scene)
-        couplings += [ResolvedCoupling(j, j, 0.0, 0.0) for j in resolve_drives(scene)]
+        couplings += [ResolvedCoupling(j, j, 0.0, 0.0) for j in driven_joints(scene)]
         frames, parts = resolve_frames(scene), resolve_elements(scene)
         # [(joints, their Linkage that moves, that with its driven joints held)]
         self._groups = []

@@ -106,7 +106,7 @@ class JointCommandTopics:
         commands = self.input.read(
             payload,
             server.stamp_ns,
-            server.wrenches_held,
+            server.inputs_held,
             self._lasting,
             self._values.command_stamps,
             self._jumps,
@@ -118,7 +118,7 @@ class JointCommandTopics:
             payload,
             self._names,
             self._values.command_interface,
-            self._server.wrenches_held,
+            self._server.inputs_held,
             self._jumps,
         )
         self._server.push(commands, self._lasting, self._refuse_command)

@@ -100,7 +100,7 @@ def apply_wrench(node, values):
     if not isinstance(name, str):
         raise Wrong(f"name must be a text, got {_shown(name)}")
     server = node.scene_run.server
-    if server.wrenches_held >= MOST:
+    if server.inputs_held >= MOST:
         raise Wrong(f"{MOST} wrenches act or wait already")
     wrench = (*torque.tolist(), *force.tolist())
     push = Push(f"{SOURCE}/{body}/{name}", body, wrench, axes, 0, tuple(point.tolist()))

@@ -80,6 +80,7 @@ class _JointTrack(NamedTuple):
     names: tuple  # of k joints
     position: np.ndarray  # (n, k) rad or m
     velocity: np.ndarray  # (n, k) rad/s or m/s
+    effort: np.ndarray  # (n, k) N m or N; NaN: none
 
 
 class JointTrack(_JointTrack, _Timed):

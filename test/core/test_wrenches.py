@@ -134,7 +134,7 @@ def test_wrenches_in_world_and_body_axes_of_two_sources_add():
     simulation.set_state(np.array(quarter), np.zeros((1, 6)))
     simulation.apply_wrench("body", (1, 0, 0, 0, 2, 0), source="world", axes="world")
     simulation.apply_wrench("body", (0, 0, 3, 0, 0, 0), source="body")
-    assert (simulation.wrench_count, simulation.wrench_sources) == (2, {"world", "body"})
+    assert (simulation.input_count, simulation.wrench_sources) == (2, {"world", "body"})
     simulation.advance(1)
     assert [(*c[2:],) for c in simulation.drain_applied()] == [
         ("body", (0, 0, 3, 0, 0, 0), "body"),
@@ -243,4 +243,4 @@ def test_an_invalid_point_is_refused_and_changes_nothing(wrench, point, axes, te
     simulation = Simulation(load_scene("free_body"), method="rkmk4")
     with pytest.raises(ValueError, match=text):
         simulation.apply_wrench("body", wrench, axes=axes, point=point)
-    assert simulation.wrench_count == 0
+    assert simulation.input_count == 0
