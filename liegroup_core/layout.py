@@ -38,6 +38,7 @@ from .scene.description import Scene
 from .scene.massless import lack_of_inertia
 
 NO_MOTIONS = np.zeros((0, COLUMNS))
+NO_ANGLES = np.zeros(0)
 
 
 @dataclass(frozen=True)
@@ -222,9 +223,10 @@ class Layout:
     def angles(self, pose, near=None):
         """Unwrapped angles (k,), see `Scene.unwrapped`, at a pose (n, 12), rad; near: see `sample`."""
         forces = self.model.forces
-        angles = np.full(kinds.count_of_angles(forces), UNKNOWN_TURN)
-        if not len(angles):
-            return angles
+        count = kinds.count_of_angles(forces)
+        if not count:
+            return NO_ANGLES
+        angles = np.full(count, UNKNOWN_TURN)
         if near is not None:
             angles[:] = near
         kinds.count_turns(forces, pose, angles)

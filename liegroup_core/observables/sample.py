@@ -179,7 +179,10 @@ class Sample:
         are about n times those of a wrench: test/verification/test_reactions.py.
         """
         wrenches, mask, *_ = self._reactions
-        return self._by_joint(np.where(mask, np.nan, wrenches) if mask.any() else wrenches)
+        known = (
+            mask is self._layout.reactions.undetermined and self._layout.reactions.all_determined
+        )
+        return self._by_joint(wrenches if known else np.where(mask, np.nan, wrenches))
 
     @cached_property
     def force_efforts(self) -> dict[str, float]:
