@@ -52,11 +52,6 @@ class _WrenchTrack(NamedTuple):
 class WrenchTrack(_WrenchTrack, _Timed):
     """Changes of the total wrenches on one body: in body axes, in world axes, or of a pair of forces."""
 
-    @property
-    def in_world(self):
-        """(m,) bool: the total in world axes, neither that in body axes nor a pair of forces."""
-        return self.axes == 1
-
 
 class _ReactionTrack(NamedTuple):
     stamp_ns: np.ndarray  # (n,) int64, ns
