@@ -19,6 +19,7 @@ from liegroup_core.integrators.smaller_step import step_that_works
 from liegroup_core.joints.coupling import COUPLED, gap, turns
 from liegroup_core.joints.motion import at, uniform
 from liegroup_core.model.build import initial_state
+from liegroup_core.observables.reach import beyond_reach
 from liegroup_core.observables.sample import Sample
 from liegroup_core.scene.centres import pose_matrix
 from liegroup_core.scene.consistency import joint_state
@@ -53,6 +54,8 @@ BAUMGARTE_STEPS = 10
 # Largest entry of R R^T - 1 that `set_state` accepts.
 NO_ROTATION = 1e-6
 METHOD, STEP = "rkmk4", 1e-3  # defaults; s
+# Steps after the last valid one at which a driven joint may be beyond the reach of its loop.
+STEPS_AHEAD = (1, 2, 4)
 MOVED = 1e-9  # relative change of a driven joint's coordinate or rate by which `place` moves it
 
 
@@ -514,12 +517,27 @@ class Engine(Inputs):
             joint = self.scene.joints[status >> 8].name
         if status & 0xFF == TURNS_NOT_COUNTED:
             force = self.scene.unwrapped[status >> 8][1]
-        return (
-            f"stopped at t = {self.time:.9g} s (step {self.steps}, h = {self.step:g} s): "
-            + MESSAGES[status & 0xFF].format(
-                joint=joint, force=force, body=body, angle=angle, hint=hint, events=MOST_EVENTS
-            )
+        stopped = f"stopped at t = {self.time:.9g} s (step {self.steps}, h = {self.step:g} s): "
+        if self.layout.motions and (text := self._beyond_reach()):
+            return stopped + text
+        return stopped + MESSAGES[status & 0xFF].format(
+            joint=joint, force=force, body=body, angle=angle, hint=hint, events=MOST_EVENTS
         )
+
+    def _beyond_reach(self):
+        """Text on driven joints whose motion leads where their loops do not, or ""."""
+        for ahead in STEPS_AHEAD:
+            time = self.time + ahead * self.step
+            positions = [at(m, time)[0] for m in self.layout.motions_at(time, self._commanded)]
+            found = beyond_reach(self.layout.centred, self._pose, positions)
+            if found:
+                limits = self.layout.limits
+                shown = ", ".join(f"{j!r} at {q:.6g} {limits[j].unit}" for j, q in found)
+                return (
+                    f"the motion of driven joints leads beyond their reach: {shown}, t = {time:.9g} s, "
+                    "where the closed loop cannot follow; command positions within its reach"
+                )
+        return ""
 
     def sample(self) -> Sample:
         """Create a Sample of the present state."""

@@ -7,10 +7,9 @@ from numbers import Real
 import numpy as np
 from numpy.typing import ArrayLike
 
-from liegroup_core.forces.external import no_wrenches, set_wrench
+from liegroup_core.forces.external import AXES, PAIRS, no_wrenches, set_wrench
 from liegroup_core.forces.kinds import wanted_values
 from liegroup_core.forces.schedule import (
-    AXES,
     DRIVE,
     SERVO,
     AppliedMotion,
@@ -42,33 +41,37 @@ class Inputs:
         duration: float | None = None,
         source: str = "api",
         axes: str = "body",
+        point: ArrayLike | None = None,
     ) -> None:
         """Apply a wrench to a body from one time to another.
 
         body     : name of the body
-        wrench   : (6,) torque N m, force N; about the origin of the body frame. Zero ends it
+        wrench   : (6,) torque N m, force N. Zero ends it
         start    : simulated time, s, rounded to ns; None or a past time: the next step
         duration : s; None: until it is replaced
         source   : each source has one wrench per body; wrenches of different sources add
         axes     : of the components: "body", or "world". A wrench in world axes keeps its direction
-                   in the world while the body rotates
+                   in the world while the body rotates. Also those of a drained AppliedWrench
+        point    : (3,) m, in the body frame: the force acts there, and the point turns with the body.
+                   None: the origin of the body frame
         A step in which a wrench starts or ends is split at that time, so that methods keep their
         order (test/verification/test_pushes.py).
         Raises ValueError for an unknown body, a wrong shape, or a number that is not finite.
         """
+        if axes in PAIRS and point is not None:
+            raise ValueError(f"axes {axes!r} name a point already: omit point, got {point!r}")
         if axes not in AXES:
             raise ValueError(f"axes must be 'body' or 'world', got {axes!r}")
         if body not in self._body:
             raise ValueError(f"unknown body {body!r}; choose one of: {', '.join(self._body)}")
-        given = wrench
-        try:
-            wrench = np.asarray(given, dtype=float)
-        except (TypeError, ValueError):
-            wrench = np.zeros(0)
-        if wrench.shape != (6,) or not np.isfinite(wrench).all():
-            raise ValueError(f"a wrench must be six finite numbers (torque, force), got {given!r}")
+        wrench = _finite("a wrench must be six finite numbers (torque, force)", wrench, 6)
+        if point is not None:
+            point = _finite("a point must be three finite numbers", point, 3)
+            with np.errstate(over="ignore"):
+                moments = np.outer(point, wrench[3:]).ravel()
+            _finite("point times force must be finite numbers", moments, 9)
         begin, end = self._interval(start, duration)
-        self._schedule.command(source, self._body[body], wrench, begin, end, axes)
+        self._schedule.command(source, self._body[body], wrench, begin, end, axes, point)
 
     def apply_effort(
         self,
@@ -143,8 +146,21 @@ class Inputs:
         start     : as in `apply_wrench`
         The motion begins with the position, velocity and acceleration that the joint has at the start,
         and is twice continuously differentiable. It replaces what was commanded from there on.
-        Raises ValueError for a joint that is not driven, wrong shapes or times, or NaN.
+        Raises ValueError for a joint that is not driven, wrong shapes or times, or NaN, and BeyondLimits,
+        a ValueError, for a motion beyond the limits of the joint (joints/limits.py).
         """
+        planned = self._planned(joint, times, positions, velocities, accelerations, start)
+        for instant, row in planned:
+            self._schedule.command_motion(self._drive(joint), row, instant)
+
+    def check_motion(
+        self, joint, times, positions, velocities=None, accelerations=None, start=None
+    ):
+        """Raise what `command_motion` would raise; command nothing."""
+        self._planned(joint, times, positions, velocities, accelerations, start)
+
+    def _planned(self, joint, times, positions, velocities, accelerations, start):
+        """[(Instant, motion (7,))] of a commanded motion. Raises ValueError."""
         number = self._drive(joint)
         begin, _ = self._interval(start, None)
         after = np.atleast_1d(np.array(times, dtype=float))
@@ -171,9 +187,10 @@ class Inputs:
         motion = self._schedule.motion_at(number, begin)
         if not np.isfinite(motion[0]):
             motion = row_at(self.layout.motions[joint], begin.time)
-        rows = through(at(motion, begin.time), origins, *points)
-        for instant, row in zip(instants, rows):
-            self._schedule.command_motion(number, row, instant)
+        with np.errstate(over="ignore", invalid="ignore"):
+            rows = through(at(motion, begin.time), origins, *points)
+            self.layout.limits[joint].check_motion(rows, *points[:2])
+        return list(zip(instants, rows))
 
     def prescribe(self, joint: str, motion: ArrayLike, start: float | None = None) -> None:
         """Command a motion (7,) of a driven joint as it is: see AppliedMotion.
@@ -185,6 +202,10 @@ class Inputs:
             raise ValueError(f"a motion must be {COLUMNS} finite numbers, got {motion!r}")
         begin, _ = self._interval(start, None)
         self._schedule.command_motion(self._drive(joint), row, begin)
+
+    def wanted_position(self, joint):
+        """Wanted position of the servo of a joint, rad or m."""
+        return float(self._work.wanted[self.layout.servos[joint], 0])
 
     def _drive(self, joint):
         """Number of a driven joint. Raises ValueError for another one."""
@@ -217,8 +238,8 @@ class Inputs:
         return tuple(name for number, name in names if self._schedule.motions_of(number))
 
     @property
-    def wrench_count(self) -> int:
-        """Number of applied wrenches and efforts that act now or start later."""
+    def input_count(self) -> int:
+        """Number of wrenches, and of commands of joints, that act now or start later."""
         return len(self._schedule)
 
     @property
@@ -233,7 +254,8 @@ class Inputs:
     def drain_applied(self) -> list[AppliedWrench | AppliedTarget | AppliedMotion]:
         """Return the changes of total wrenches, of servos and of motions since the last call.
 
-        There is one total in body axes and one in world axes. If `change.repeat(simulation)`
+        There is one total in body axes, one in world axes, and three pairs of forces if forces in world
+        axes act at points; see AppliedWrench. If `change.repeat(simulation)`
         applies the changes again, the run is bit-identical (test/core/test_wrenches.py).
         """
         applied, self._applied = self._applied, []
@@ -265,8 +287,8 @@ class Inputs:
     def remember_acting(self, acting):
         """Restore what acts, as `acting_now` returned it.
 
-        It has no other end than another command: a wrench of the source "body" or "world", or wanted
-        values of the servo. Raises ValueError, KeyError, TypeError for what is no such list.
+        It has no other end than another command: a wrench whose source is the name of its axes, or
+        wanted values of the servo. Raises ValueError, KeyError, TypeError for what is no such list.
         """
         names = self.layout.names_of_inputs
         for name, axes, *wrench in acting:
@@ -307,3 +329,14 @@ class Inputs:
         """Times inside the next step at which a wrench may start or end."""
         times = self._timetable.inside(self.steps)
         return {*times, *self._schedule.inside(self.steps)} if self._schedule else times
+
+
+def _finite(what, given, size):
+    """Array (size,) of numbers. Raises ValueError."""
+    try:
+        numbers = np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        numbers = np.zeros(0)
+    if numbers.shape != (size,) or not np.isfinite(numbers).all():
+        raise ValueError(f"{what}, got {given!r}")
+    return numbers

@@ -8,8 +8,9 @@ import numpy as np
 
 from .errors import SceneError
 from .forces import kinds
+from .forces.external import AXES
 from .forces.joint_effort import unit_wrenches
-from .forces.schedule import AXES, DRIVE, SERVO
+from .forces.schedule import DRIVE, SERVO
 from .formulations.relative.arrays import PlaneModel
 from .formulations.relative.build import (
     refuse_cut_couplings,
@@ -18,11 +19,14 @@ from .formulations.relative.build import (
 )
 from .formulations.relative.spanning_tree import WORLD_NAME
 from .integrators.methods import RELATIVE
+from .joints.coupling import COUPLED
+from .joints.limits import limits_of
 from .joints.motion import COLUMNS, row_at
 from .joints.pairs import LOWER_PAIRS
 from .lie.groups import UNKNOWN_TURN
 from .model.arrays import Model
 from .model.build import build_model
+from .model.size import mechanism_size
 from .observables.joint_coordinates import JointCoordinates
 from .observables.joint_forces import JointForces
 from .observables.reactions import Reactions
@@ -34,6 +38,7 @@ from .scene.description import Scene
 from .scene.massless import lack_of_inertia
 
 NO_MOTIONS = np.zeros((0, COLUMNS))
+NO_ANGLES = np.zeros(0)
 
 
 @dataclass(frozen=True)
@@ -179,8 +184,14 @@ class Layout:
         return {servo.joint: i for i, servo in enumerate(kinds.servos(self.scene.forces))}
 
     @cached_property
+    def limits(self):
+        """{joint: Limits} of what is commanded to the joints with one coordinate, screws included."""
+        size = mechanism_size(self.model) or 1.0
+        return {j.name: limits_of(j, size) for j in self.scene.joints if j.type in COUPLED}
+
+    @cached_property
     def names_of_inputs(self):
-        """{axes: names}: of bodies for wrenches in "body" and "world" axes, of joints for the others."""
+        """{axes: names}: of bodies for wrenches in AXES, of joints for the others."""
         joints = {SERVO: tuple(self.servos), DRIVE: tuple(self.motions)}
         return dict.fromkeys(AXES, self.body_names) | joints
 
@@ -218,9 +229,10 @@ class Layout:
     def angles(self, pose, near=None):
         """Unwrapped angles (k,), see `Scene.unwrapped`, at a pose (n, 12), rad; near: see `sample`."""
         forces = self.model.forces
-        angles = np.full(kinds.count_of_angles(forces), UNKNOWN_TURN)
-        if not len(angles):
-            return angles
+        count = kinds.count_of_angles(forces)
+        if not count:
+            return NO_ANGLES
+        angles = np.full(count, UNKNOWN_TURN)
         if near is not None:
             angles[:] = near
         kinds.count_turns(forces, pose, angles)

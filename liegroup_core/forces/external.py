@@ -4,19 +4,31 @@
 Both act at the origin of the body frame. The part in world axes keeps its direction in the world
 while the body rotates, also between the stages of a step.
 
+Forces F_i in world axes at points p_i of the body, which turn with it, have the torque
+
+    sum p_i x R^T F_i = sum over k of e_k x R^T G_k ,   G_k = sum of p_ik F_i
+
+about the origin, in body axes. So each G_k is a pair of forces: G_k at the point 1 m along axis k of
+the body frame, and its opposite at the origin. All forces of this kind on a body are their sum at
+the origin and these three pairs, exactly and at every attitude.
+
 Columns of the array (n, COLUMNS) that the integrators receive:
     0..5    torque N m, force N in body axes, about the centre of mass
     6..11   torque N m, force N in world axes, about the origin of the body frame
     12..14  centre of mass in the body frame, m
-    15      1 if any of 6..11 is not zero
+    15      2 if any of 16..24 is not zero, else 1 if any of 6..11 is not zero
+    16..24  G_x, G_y, G_z: N in world axes at the end of a lever of 1 m
 """
 
 import numpy as np
 
 from liegroup_core.compiling import kernel
-from liegroup_core.lie.vec3 import add3, cross3, load3, load9, sub3, tmatvec3
+from liegroup_core.lie.vec3 import add3, cross3, load3, load9, matmul3, sub3, tmatvec3
 
-COLUMNS = 16
+COLUMNS = 25
+# Pairs of forces in world axes, one per axis of the body frame.
+PAIRS = ("world_x", "world_y", "world_z")
+AXES = ("body", "world", *PAIRS)
 
 
 def no_wrenches(offsets):
@@ -27,10 +39,18 @@ def no_wrenches(offsets):
 
 
 def set_wrench(external, body, wrench, axes):
-    """Set the part in "body" or "world" axes of the wrench (6,) on body number `body`."""
-    if axes == "world":
-        external[body, 6:12] = wrench
-        external[body, 15] = np.any(wrench)
+    """Set the part in some of AXES of the wrench (6,) on body number `body`.
+
+    Of a pair the torques cancel: only the force counts.
+    """
+    if axes != "body":
+        if axes == "world":
+            external[body, 6:12] = wrench
+        else:
+            column = 16 + 3 * PAIRS.index(axes)
+            external[body, column : column + 3] = wrench[3:6]
+        turning = external[body, 16:].any()
+        external[body, 15] = 2.0 if turning else float(external[body, 6:12].any())
     else:
         external[body, :6] = wrench
         if external[body, 12:15].any():  # otherwise the numbers pass unchanged
@@ -46,4 +66,23 @@ def external_wrench(external, pose, i):
         turned = tmatvec3(rot, load3(external, i, 9))
         moment = sub3(tmatvec3(rot, load3(external, i, 6)), cross3(load3(external, i, 12), turned))
         torque, force = add3(torque, moment), add3(force, turned)
+        if external[i, 15] == 2.0:
+            pairs = matmul3(load9(external, i, 16), rot)
+            torque = add3(torque, (pairs[5] - pairs[7], pairs[6] - pairs[2], pairs[1] - pairs[3]))
     return torque, force
+
+
+def parts_of_wrench(wrench, axes, point):
+    """[(axes, wrench (6,))] of a wrench whose force acts at a point of the body.
+
+    wrench : (6,) torque N m, force N, in "body" or "world" axes
+    point  : (3,) m, in the body frame
+    """
+    torque, force = wrench[:3], wrench[3:]
+    if axes == "body":
+        return [(axes, np.concatenate([torque + np.cross(point, force), force]))]
+    pairs = zip(PAIRS, point)
+    turning = [
+        (pair, np.concatenate([np.zeros(3), lever * force])) for pair, lever in pairs if lever
+    ]
+    return [(axes, wrench), *turning]

@@ -22,12 +22,13 @@ import numpy as np
 
 from liegroup_core.joints.motion import FROM_SCENE
 
+from .external import AXES, parts_of_wrench
+
 NEVER = 1 << 62  # a step that is never reached
 # Decimal times and n * step are each rounded: about half a unit in the last place.
 ROUNDING = 4.0 * np.finfo(float).eps
 HALF_NS = 0.5e-9  # s; stamps are whole nanoseconds
 LATEST = 9.2e9  # s; later stamps do not fit into 64 bits
-AXES = ("body", "world")
 # Stand for axes where a number is that of a servo, or of a driven joint.
 SERVO, DRIVE = "servo", "drive"
 
@@ -40,13 +41,14 @@ class Instant(NamedTuple):
 
 
 class AppliedWrench(NamedTuple):
-    """Total external wrench on a body in body axes, or that in world axes, from a time on.
+    """Total external wrench on a body in body axes, that in world axes, or a pair, from a time on.
 
     time    : s
     time_ns : the same in ns
     body    : name of the body
     wrench  : (6,) torque N m, force N; about the origin of the body frame
-    axes    : "body" or "world"
+    axes    : "body" or "world"; "world_x", "world_y" or "world_z": a force in world axes at the
+              point 1 m along this axis of the body frame, and its opposite at the origin
     """
 
     time: float
@@ -105,19 +107,18 @@ class _Command(NamedTuple):
     end: Instant
     number: int  # order of arrival: of two with the same start the later wins
     key: tuple  # source, joint or "", body: a later command with the same key replaces it
-    wrenches: tuple  # ((body, wrench), ...); ((servo, (position, velocity)),); ((drive, motion),)
-    axes: str
+    parts: tuple  # ((axes, number, values), ...); see `WrenchSchedule.waiting`
     effort: float  # of the joint
 
     @property
     def changes(self):
         """{(body, axes)} on which it acts."""
-        return {(body, self.axes) for body, _ in self.wrenches}
+        return {(number, axes) for axes, number, _ in self.parts}
 
     @property
     def is_zero(self):
         """True if it ends what acts: a zero wrench or effort."""
-        return self.axes in AXES and not any(any(wrench) for _, wrench in self.wrenches)
+        return not any(axes not in AXES or any(values) for axes, _, values in self.parts)
 
 
 class WrenchSchedule:
@@ -125,7 +126,7 @@ class WrenchSchedule:
 
     wanted : (k, 2) wanted position and velocity of each servo without a command
     drives : number of driven joints
-    total  : {"body": (n, 6), "world": (n, 6)} sums of the wrenches that act, by their axes;
+    total  : {axes: (n, 6)} sums of the wrenches that act, by AXES;
              "servo": (k, 2) wanted values; "drive": (d, 7) commanded motions, or FROM_SCENE
     """
 
@@ -164,9 +165,9 @@ class WrenchSchedule:
         position and velocity; with "drive" that of a driven joint, and the wrench its motion.
         """
         return [
-            (c.start.time, number, wrench, c.axes)
+            (c.start.time, number, values, axes)
             for c in self._waiting
-            for number, wrench in c.wrenches
+            for axes, number, values in c.parts
         ]
 
     def act(self, number, wrench, axes):
@@ -179,7 +180,7 @@ class WrenchSchedule:
         wrench = tuple(map(float, wrench))
         never, before = self.instant(math.inf), Instant(-1, -math.inf)
         self._acting[key] = _Command(
-            before, never, self._arrived, key, ((number, wrench),), axes, 0.0
+            before, never, self._arrived, key, ((axes, number, wrench),), 0.0
         )
         self.total[axes][number] = wrench
 
@@ -197,12 +198,15 @@ class WrenchSchedule:
         """Instant at which a step starts."""
         return Instant(step, step * self._h)
 
-    def command(self, source, body, wrench, start, end, axes="body"):
+    def command(self, source, body, wrench, start, end, axes="body", point=None):
         """Apply `wrench` (6,) of `source` to body number `body` from one Instant to another.
 
-        end : None: until it is replaced
+        end   : None: until it is replaced
+        point : (3,) m, at which the force acts; None: the origin of the body frame
         """
-        self._insert((source, "", body), [(body, wrench)], start, end, axes)
+        parts = [(axes, wrench)] if point is None else parts_of_wrench(wrench, axes, point)
+        parts = [(axes, body, values) for axes, values in parts]
+        self._insert((source, "", body), parts, start, end)
 
     def command_effort(self, source, joint, effort, unit, start, end):
         """Apply an effort of `source` to a joint from one Instant to another.
@@ -210,21 +214,21 @@ class WrenchSchedule:
         unit : wrenches of a unit effort, as of joint_effort.unit_wrenches
         end  : None: until it is replaced
         """
-        wrenches = [(body, effort * wrench) for body, wrench in unit]
-        self._insert((source, joint, -1), wrenches, start, end, "body", effort)
+        parts = [("body", body, effort * wrench) for body, wrench in unit]
+        self._insert((source, joint, -1), parts, start, end, effort)
 
     def command_servo(self, servo, position, velocity, start, end):
         """Command the wanted values of servo number `servo` from one Instant to another.
 
         end : None: until they are replaced
         """
-        self._insert(("", SERVO, servo), [(servo, (position, velocity))], start, end, SERVO)
+        self._insert(("", SERVO, servo), [(SERVO, servo, (position, velocity))], start, end)
 
     def command_motion(self, drive, motion, start):
         """Command the motion (7,) of driven joint number `drive` from an Instant on."""
         key = "", DRIVE, drive
         self._waiting = [c for c in self._waiting if c.key != key or c.start < start]
-        self._insert(key, [(drive, motion)], start, None, DRIVE)
+        self._insert(key, [(DRIVE, drive, motion)], start, None)
 
     def motions_of(self, drive):
         """Commands of a driven joint that act or wait, for `resume`."""
@@ -241,16 +245,16 @@ class WrenchSchedule:
         found = self.total[DRIVE][drive]
         for command in self._waiting:
             if command.key == ("", DRIVE, drive) and command.start <= instant:
-                found = command.wrenches[0][1]
+                found = command.parts[0][2]
         return np.array(found)
 
-    def _insert(self, key, wrenches, start, end, axes, effort=0.0):
+    def _insert(self, key, parts, start, end, effort=0.0):
         self._arrived += 1
-        wrenches = tuple((body, tuple(map(float, wrench))) for body, wrench in wrenches)
+        parts = tuple((axes, number, tuple(map(float, values))) for axes, number, values in parts)
         end = self.instant(math.inf) if end is None else end
         bisect.insort(
             self._waiting,
-            _Command(start, end, self._arrived, key, wrenches, axes, effort),
+            _Command(start, end, self._arrived, key, parts, effort),
             key=lambda c: (c.start, c.number),
         )
 
@@ -281,8 +285,12 @@ class WrenchSchedule:
         ordered = [self._acting[key] for key in sorted(self._acting)] if touched else []
         changed = []
         for body, axes in sorted(touched):
-            acting = [command for command in ordered if command.axes == axes]
-            wrenches = [w for command in acting for on, w in command.wrenches if on == body]
+            wrenches = [
+                values
+                for command in ordered
+                for kind, number, values in command.parts
+                if (number, kind) == (body, axes)
+            ]
             total = np.sum(wrenches, axis=0) if wrenches else self._idle[axes][body]
             if not np.array_equal(total, self.total[axes][body]):
                 self.total[axes][body] = total

@@ -46,7 +46,8 @@ def enter(model, work, pose, twist, external):
         copy_state(pose, twist, work.space.stage_pose, work.space.stage_twist)
     total = 0.0
     for i in range(len(external)):
-        for c in range(12):
+        total += external[i, 15]
+        for c in range(6):
             total += abs(external[i, c])
     work.pushed[0] = total
     return work.pose, work.twist, external, OK

@@ -54,8 +54,8 @@ class JointBase(Described):
     )
     data: dict[Name, Number] | None = Field(
         None,
-        description="numbers by name that the simulation does not use, such as limits of an imported "
-        "robot: lower, upper, velocity, effort, friction, armature",
+        description="numbers by name, as of an imported robot: commands beyond lower, upper, velocity and "
+        "effort are refused; others, such as friction and armature, have no effect",
     )
 
     @model_validator(mode="after")

@@ -113,6 +113,21 @@ def at(motion, time):
     return tuple(float(part(row, 0, time)) for part in (position, rate, acceleration))
 
 
+def peak_rate(motion, duration, enough):
+    """Largest absolute rate of a row of COLUMNS from its origin on, for a duration.
+
+    enough : if a simple bound is below it, the bound is returned
+    """
+    rates = np.arange(1.0, 6.0) * np.asarray(motion[2:], dtype=float) * duration ** np.arange(5.0)
+    bound = float(np.abs(rates).sum())
+    if bound <= enough or not math.isfinite(bound):
+        return bound
+    curve = np.polynomial.Polynomial(rates)
+    turning = curve.deriv().roots()
+    inside = turning.real[(np.abs(turning.imag) < 1e-9) & (turning.real > 0) & (turning.real < 1)]
+    return float(np.abs(curve(np.array([0.0, 1.0, *inside]))).max())
+
+
 def uniform(origin, q, v):
     """Motion at constant rate v, at q at the origin."""
     return np.array([origin, q, v, 0.0, 0.0, 0.0, 0.0])

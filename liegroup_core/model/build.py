@@ -7,7 +7,7 @@ from liegroup_core.forces.kinds import make_forces
 from liegroup_core.joints.elements import ELEMENT, PAIR, WORLD
 from liegroup_core.joints.motion import COLUMNS
 from liegroup_core.lie.groups import SE3
-from liegroup_core.scene.consistency import resolve_drives, resolve_elements, resolve_frames
+from liegroup_core.scene.consistency import driven_joints, resolve_elements, resolve_frames
 from liegroup_core.scene.massless import invertible_inertia
 
 from .arrays import BODY, Model
@@ -84,7 +84,7 @@ def build_model(scene):
         gravity=np.array([scene.gravity], dtype=float),
         bodies=bodies,
         forces=_forces(scene, index, frames),
-        motions=np.array([rows[0] for rows in resolve_drives(scene).values()]).reshape(-1, COLUMNS),
+        motions=np.zeros((len(driven_joints(scene)), COLUMNS)),  # set before every step
         elements=elements,
         joints=joints,
         row_residual=np.array(

@@ -31,8 +31,8 @@ from liegroup_core.model.redundancy import dependent_groups, generic_poses
 from liegroup_core.scene.centres import pose_matrix
 from liegroup_core.scene.consistency import (
     ResolvedCoupling,
+    driven_joints,
     resolve_couplings,
-    resolve_drives,
     resolve_elements,
     resolve_frames,
 )
@@ -55,6 +55,9 @@ class _Rows(NamedTuple):
     null: np.ndarray
 
 
+NO_EFFORTS = np.zeros(0)
+
+
 class Reactions:
     """Reactions of all joints of a layout.
 
@@ -72,9 +75,13 @@ class Reactions:
         self._drive_rows = given["row"][np.argsort(given["motion"])]
         self._out, self._idle = np.empty((len(self.names), 6)), no_wrenches(layout.offsets)
         self._work = make_relative_work(model, make_work(layout.model, 0), 0)
+        self._work.external[:] = self._idle
+        n = len(self._bodies)
+        self._pose, self._twist = self._work.pose[:n], self._work.twist[:n]
+        self._is_idle = True  # no external wrenches are in work.external
         self._scene = scene = layout.centred
         couplings = resolve_couplings(scene)
-        couplings += [ResolvedCoupling(j, j, 0.0, 0.0) for j in resolve_drives(scene)]
+        couplings += [ResolvedCoupling(j, j, 0.0, 0.0) for j in driven_joints(scene)]
         frames, parts = resolve_frames(scene), resolve_elements(scene)
         # [(joints, their Linkage that moves, that with its driven joints held)]
         self._groups = []
@@ -115,6 +122,11 @@ class Reactions:
                 mask[group] |= _undetermined(_rows(linkage, poses))
         return mask
 
+    @cached_property
+    def all_determined(self):
+        """True if redundant constraints leave no component undetermined at a regular pose."""
+        return not self.undetermined.any()
+
     def reasons(self, mask):
         """{joint: why some of its components are undetermined}; mask : (J, 6)."""
         found = {}
@@ -135,7 +147,7 @@ class Reactions:
         pose, twist : (n, 12), (n, 6) of frames at the centres of mass
         angles      : (k,) rad, `Sample.angles`;  acting : mask of the scene's applied wrenches
         wanted      : (k, 2) wanted positions and velocities of the servos
-        external    : (n, 16), see forces/external.py; None: no external wrenches
+        external    : (n, COLUMNS), see forces/external.py; None: no external wrenches
         motions     : (d, 7) prescribed motions of the driven joints;  time : s
         modes       : (k, 4) of the joints with stops or friction, see Sample.switching
         motion      : angular acceleration and specific force (acceleration less gravity) of every
@@ -143,7 +155,7 @@ class Reactions:
         efforts     : of the driven joints, N m or N
         Raises SimulationError if the accelerations cannot be computed.
         """
-        work, n = self._work, len(pose)
+        work = self._work
         for given, to in ((angles, work.angle), (acting, work.acting), (wanted, work.wanted)):
             if len(to):
                 to[:] = given
@@ -151,13 +163,15 @@ class Reactions:
             work.motions[:], work.clock[2] = motions, time
         if len(modes):
             set_modes(self._model, work, modes)
-        work.pose[:n], work.twist[:n] = pose, twist
-        work.external[:] = self._idle if external is None else external
+        self._pose[:], self._twist[:] = pose, twist
+        if external is not None or not self._is_idle:
+            work.external[:] = self._idle if external is None else external
+            self._is_idle = external is None
         before = work.report[2]
         if self._joint_wrenches(self._model, work, self._table, self._out) >= 0:
             raise SimulationError("the reactions cannot be computed: constraint rows are dependent")
         out, motion = self._out.copy(), self._table.motion.copy()
-        efforts = -work.multipliers[self._drive_rows]
+        efforts = -work.multipliers[self._drive_rows] if len(motions) else NO_EFFORTS
         if work.report[2] == before:
             return out, self.undetermined, motion, efforts
         mask = self.undetermined.copy()  # a singular pose

@@ -30,7 +30,7 @@ class Sample:
     pose  : (n, 12) per body R row by row, then r in m; body frame -> world
     twist : (n, 6) per body omega rad/s, v m/s; body axes, v of the frame's origin
     errors : (n, 4) estimated errors, see `error`; None without an estimate
-    external : (n, 16) external wrenches, see forces/external.py; None: none
+    external : (n, COLUMNS) external wrenches, see forces/external.py; None: none
     joint_efforts : {joint: N m or N} of the efforts that acted at the end of the last step
     wanted : (k, 2) wanted positions and velocities of the servos, rad and rad/s, or m and m/s;
              None: those of the scene
@@ -200,7 +200,10 @@ class Sample:
         are about n times those of a wrench: test/verification/test_reactions.py.
         """
         wrenches, mask, *_ = self._reactions
-        return self._by_joint(np.where(mask, np.nan, wrenches) if mask.any() else wrenches)
+        known = (
+            mask is self._layout.reactions.undetermined and self._layout.reactions.all_determined
+        )
+        return self._by_joint(wrenches if known else np.where(mask, np.nan, wrenches))
 
     @cached_property
     def force_efforts(self) -> dict[str, float]:

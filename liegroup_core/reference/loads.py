@@ -117,8 +117,9 @@ def add_loads(loads, mass, state, angle, wrench, acting, force, angle_rate_out):
     mass   : (n,) kg
     state  : (n, 13), see rigid_body_dae.py
     angle  : (t,) rad, of the joints with an integrated angle
-    wrench : (n, 15) external wrenches: (6) body axes, about the centre of mass; (6) world axes,
-             about the point (3) of the body, relative to the centre of mass
+    wrench : (n, 24) external wrenches: (6) body axes, about the centre of mass; (6) world axes,
+             about the point (3) of the body, relative to the centre of mass; (9) forces in world axes
+             1 m from this point along x, y and z of the body, whose opposites act at this point
     acting : (p,) mask of the applied wrenches
     force  : (n, 6) force in N, world axes; torque in N m, body axes, about the centre of mass
     angle_rate_out : (t,) rad/s
@@ -137,6 +138,13 @@ def add_loads(loads, mass, state, angle, wrench, acting, force, angle_rate_out):
         if wrench[i, 6:12].any():
             _add_torque(force, state, i, wrench[i, 6:9])
             _add_force(force, state, i, wrench[i, 12:15], wrench[i, 9:12])
+        for k in range(3):
+            f = wrench[i, 15 + 3 * k : 18 + 3 * k]
+            if f.any():
+                end = wrench[i, 12:15].copy()
+                end[k] += 1.0
+                _add_force(force, state, i, end, f)
+                _add_force(force, state, i, wrench[i, 12:15], -f)
     _lines(loads, state, force)
     _turns(loads, state, angle, force, angle_rate_out)
     _slides(loads, state, force)

@@ -96,7 +96,7 @@ def rate(system, rank, flat_state, wrench, acting, flat_out):
     """Compute the time derivative of the whole state (13 n + t,); NaN for non-finite input.
 
     rank   : of the joint equations
-    wrench : (n, 15) external wrenches, see loads.add_loads
+    wrench : (n, 24) external wrenches, see loads.add_loads
     acting : (p,) mask of the applied wrenches
     returns the smallest singular value of the rows within the rank, and the largest one beyond it
     """

@@ -29,15 +29,16 @@ MOST_STEPS = 2_000_000
 # rows must stay above SINGULAR, those of redundant rows below it. Ten rods on revolute joints have
 # 1e-2.
 REDUNDANT, SINGULAR = 1e-8, 1e-6
+PAIRS = ("world_x", "world_y", "world_z")
 
 
 class WrenchChange(NamedTuple):
-    """Total external wrench in body axes, or that in world axes, on a body from `time` on."""
+    """Total external wrench in body axes, that in world axes, or a pair, on a body from `time` on."""
 
     time: float  # s
     body: str
     wrench: tuple  # (6,) torque N m, force N; about the body frame's origin
-    axes: str = "body"  # or "world"
+    axes: str = "body"  # or "world", "world_x", "world_y", "world_z": see forces/schedule.py
 
 
 class ServoChange(NamedTuple):
@@ -168,7 +169,7 @@ class Reference:
 def _pieces(scene, system, offsets, changes, start, end):
     """Intervals of constant wrenches, constant wanted values of servos, and one motion of each drive.
 
-    returns [(start, end, System, wrenches (n, 15) of loads.add_loads, mask (p,) of applied wrenches,
+    returns [(start, end, System, wrenches (n, 24) of loads.add_loads, mask (p,) of applied wrenches,
     [(7,) of each driven joint])]
     """
     wanted, commanded, motions = {}, {}, resolve_drives(scene)
@@ -181,8 +182,8 @@ def _pieces(scene, system, offsets, changes, start, end):
         + [(time, None) for rows in motions.values() for time in rows[1:, 0]],
         key=lambda switch: switch[0],
     )
-    wrench = np.zeros((len(scene.bodies), 15))
-    wrench[:, 12:] = -offsets.com
+    wrench = np.zeros((len(scene.bodies), 24))
+    wrench[:, 12:15] = -offsets.com
     pieces = []
     since = start
     for time, change in [*switches, (end, None)]:
@@ -212,6 +213,9 @@ def _pieces(scene, system, offsets, changes, start, end):
             body = index[change.body]
             if change.axes == "world":
                 wrench[body, 6:12] = change.wrench
+            elif change.axes in PAIRS:
+                column = 15 + 3 * PAIRS.index(change.axes)
+                wrench[body, column : column + 3] = change.wrench[3:]
             else:
                 wrench[body, :6] = offsets.wrench_at_centre(body, change.wrench)
     return pieces

@@ -103,15 +103,20 @@ def resolve_couplings(scene):
     return found
 
 
+def driven_joints(scene):
+    """Numbers of the driven joints of a scene."""
+    return [j for j, joint in enumerate(scene.joints) if joint.driven]
+
+
 def resolve_drives(scene):
     """Prescribed motions of the driven joints of a scene: {joint index: (m, 7)}; see joints/motion.py."""
-    if not any(joint.driven for joint in scene.joints):
+    driven = driven_joints(scene)
+    if not driven:
         return {}
-    start, frames = _start(scene), resolve_frames(scene)
+    start, frames, joints = _start(scene), resolve_frames(scene), scene.joints
     return {
-        j: prescribed(joint.motion or True, *joint_state(start, joint, *frames[j]))
-        for j, joint in enumerate(scene.joints)
-        if joint.driven
+        j: prescribed(joints[j].motion or True, *joint_state(start, joints[j], *frames[j]))
+        for j in driven
     }
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from liegroup_core import SimulationError
 from liegroup_core.engine import BAUMGARTE_STEPS
-from liegroup_core.forces.schedule import AXES
+from liegroup_core.forces.external import AXES
 from liegroup_core.integrators.methods import METHODS
 from liegroup_core.model.size import mechanism_size
 from liegroup_sim_ros.playback.rerun import make_simulation
@@ -90,8 +90,8 @@ def _advance(simulation, stretch, row, length):
     )
     before = stretch.change_steps <= stretch.steps[row]
     for i, body in enumerate(stretch.bodies):
-        for axes in AXES:
-            in_axes = stretch.change_in_world == (axes == "world")
+        for number, axes in enumerate(AXES):
+            in_axes = stretch.change_axes == number
             mine = np.flatnonzero(before & in_axes & (stretch.change_bodies == i))
             if len(mine):
                 wrench = stretch.change_wrenches[mine[-1]]

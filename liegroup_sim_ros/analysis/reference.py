@@ -7,6 +7,7 @@ state of each stretch.
 
 import numpy as np
 
+from liegroup_core.forces.external import AXES
 from liegroup_core.reference import (
     MotionChange,
     Reference,
@@ -128,14 +129,12 @@ class ReferenceError:
             when = stretch.change_steps * stretch.step  # of whole steps as exact as the samples
             upto = int(np.searchsorted(when, self._end, "right"))
             changes = [
-                WrenchChange(
-                    time, stretch.bodies[body], tuple(wrench), "world" if in_world else "body"
-                )
-                for time, body, wrench, in_world in zip(
+                WrenchChange(time, stretch.bodies[body], tuple(wrench), AXES[axes])
+                for time, body, wrench, axes in zip(
                     when[:upto].tolist(),
                     stretch.change_bodies[:upto].tolist(),
                     stretch.change_wrenches[:upto].tolist(),
-                    stretch.change_in_world[:upto].tolist(),
+                    stretch.change_axes[:upto].tolist(),
                 )
             ]
             changes += self._targets(stretch) + self._motions(stretch)

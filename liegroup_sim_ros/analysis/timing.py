@@ -10,8 +10,7 @@ FASTEST = 0.0  # as a requested real-time factor: as fast as possible
 
 def timing_figures(recording, motion):
     """{name: number or None} of "timing" in config/analysis.schema.json."""
-    last = recording.diagnostics[-1][1] if recording.diagnostics else {}
-    pacing = recording.pacing or _pacing_so_far(last)
+    pacing = recording.pacing or _pacing_so_far(recording.diagnostics)
     timing = {
         key: number(pacing.get(key))
         for key in (
@@ -23,6 +22,8 @@ def timing_figures(recording, motion):
             "sim_seconds",
         )
     }
+    if timing["ticks"] == 0:  # only steps on request, which have no pace
+        timing["real_time_factor"] = None
     timing["lateness_us"] = {
         key: number(pacing["lateness_us"].get(key)) for key in ("p50", "p99", "max")
     }
@@ -47,13 +48,18 @@ def timing_figures(recording, motion):
     }
 
 
-def _pacing_so_far(last):
-    """Pacing from the last diagnostics, for a recording that was not finished."""
+def _pacing_so_far(diagnostics):
+    """Pacing from the last diagnostics, for a recording that was not finished.
+
+    The factor is the last one while running: diagnostics of a pause have 0.
+    """
+    last = diagnostics[-1][1] if diagnostics else {}
+    running = [entry for _, entry in diagnostics if entry.get("state") == "running"]
     return {
         "ticks": last.get("ticks"),
         "overruns": last.get("overruns"),
         "reanchored": last.get("reanchored"),
-        "real_time_factor": last.get("real_time_factor"),
+        "real_time_factor": running[-1].get("real_time_factor") if running else None,
         "lateness_us": {key: last.get(f"lateness_{key}_us") for key in ("p50", "p99", "max")},
     }
 

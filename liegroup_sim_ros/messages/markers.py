@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from liegroup_core.forces.external import PAIRS
 from liegroup_core.model.size import mechanism_size
 from liegroup_core.observables.along import quaternions
 from liegroup_core.robots.resources import find_resource
@@ -106,12 +107,16 @@ class Markers:
     def _in_body_axes(self, body, turn):
         """(6,) total wrench on a body whose rotation matrix has the rows `turn` (9,)."""
         wrench = self._wrenches.get((body, "body"), (0.0,) * 6)
-        world = self._wrenches.get((body, "world"))
-        if world is None:
-            return wrench
-        return (
-            np.array(wrench) + (np.reshape(world, (2, 3)) @ turn.reshape(3, 3)).ravel()
-        ).tolist()
+        found = np.array(wrench)
+        for axes, lever in zip(("world", *PAIRS), (None, *np.eye(3))):
+            world = self._wrenches.get((body, axes))
+            if world is not None:
+                torque, force = np.reshape(world, (2, 3)) @ turn.reshape(3, 3)
+                if lever is None:
+                    found += np.concatenate([torque, force])
+                else:
+                    found[:3] += np.cross(lever, force)
+        return found.tolist()
 
     def encode_end(self, stamp_ns):
         """The serialized message that deletes all markers; viewers keep them otherwise."""

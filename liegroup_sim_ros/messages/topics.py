@@ -39,9 +39,10 @@ def twist(body):
 def wrench_frame(frame, axes, world_frame):
     """frame_id of a wrench about the origin of a body's frame, with components in these axes.
 
-    axes : "body", or "world": the axes of the world, followed by the frame of the body
+    axes : of liegroup_core.forces.schedule.AppliedWrench: "body"; "world": the axes of the world,
+           followed by the frame of the body; "world_x", ...: the same with _x, ... after world_frame
     """
-    return frame if axes == "body" else f"{world_frame}/{frame}"
+    return frame if axes == "body" else f"{world_frame}{axes[len('world') :]}/{frame}"
 
 
 # Late subscribers receive the acting wrenches; many wrenches may change at one step.

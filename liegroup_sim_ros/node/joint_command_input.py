@@ -31,6 +31,7 @@ REASONS = (
     "no_servo",
     "no_position",
     "jump_too_large",
+    "beyond_limits",
     "stamp_too_old",
     "stamp_too_far",
     "too_many",
@@ -51,6 +52,9 @@ class JointEffort(NamedTuple):
         """Start, source and joint: of two equal ones the later counts."""
         return self.start_ns, self.source, self.joint
 
+    def check(self, present):
+        """Its limits do not depend on the present state."""
+
     def apply(self, simulation, start, duration):
         """Apply it to a Simulation from a time in s on (None: the next step), for a duration in s."""
         simulation.apply_effort(self.joint, self.effort, start, duration, self.source)
@@ -68,6 +72,10 @@ class Target(NamedTuple):
     def key(self):
         """Start, kind and joint: of two equal ones the later counts."""
         return self.start_ns, "target", self.joint
+
+    def check(self, present):
+        """Raise BeyondLimits for a jump; present: SimulationServer."""
+        present.check_jump(self.joint, self.position)
 
     def apply(self, simulation, start, duration):
         """Command it to a Simulation from a time in s on (None: the next step), for a duration in s."""
@@ -88,15 +96,21 @@ class Motion(NamedTuple):
         """Start, kind and joint: of two equal ones the later counts."""
         return self.start_ns, "target", self.joint
 
+    @property
+    def _points(self):
+        positions = None if math.isnan(self.position) else [self.position]
+        return [self.seconds], positions, [self.velocity]
+
+    def check(self, present):
+        """Raise BeyondLimits for a motion beyond the limits; present: SimulationServer."""
+        present.check_motion(self.joint, self.start_ns, *self._points)
+
     def apply(self, simulation, start, duration):
         """Command it to a Simulation from a time in s on (None: the next step).
 
         duration : s, after which the joint comes to rest; None: it goes on at the velocity
         """
-        positions = None if math.isnan(self.position) else [self.position]
-        simulation.command_motion(
-            self.joint, [self.seconds], positions, [self.velocity], start=start
-        )
+        simulation.command_motion(self.joint, *self._points, start=start)
         if duration is not None:
             end = (simulation.time if start is None else start) + duration
             simulation.command_motion(self.joint, [self.seconds], None, [0.0], start=end)
@@ -105,12 +119,12 @@ class Motion(NamedTuple):
 class JointCommandInput(JointInput):
     """Decoder and counter of commands for the joints of a scene.
 
-    layout  : Layout
     seconds : in which a driven joint reaches a commanded position or velocity
+    layout, present : as in JointInput
     """
 
-    def __init__(self, layout, seconds):
-        super().__init__("joint command", "joint_commands", REASONS, layout)
+    def __init__(self, layout, seconds, present=None):
+        super().__init__("joint command", "joint_commands", REASONS, layout, present)
         self._seconds = seconds
         self._decoder = JointStateDecoder(self.most_names)
         self._checked = ()  # names of the last accepted message
@@ -172,6 +186,9 @@ class JointCommandInput(JointInput):
             if not all(map(math.isnan, target))
         ]
         self._check_servos(wanted, jumps)
+        for name, value in zip(names, effort):
+            if not math.isnan(value):
+                self._check_effort(name, value)
         target = ", ".join(names)
         age = OLDEST if lasting is None else lasting
         if stamp_ns and stamp_ns < now_ns - round(age * 1e9):
@@ -185,10 +202,8 @@ class JointCommandInput(JointInput):
             )
         self.refuse_far_stamp(stamp_ns, now_ns, f"{target:.{LONGEST_NAME}}")
         self.refuse_too_many(held, f"{target:.{LONGEST_NAME}}")
-        self.accepted += 1
-        self._checked = names
         start_ns = stamp_ns if stamp_ns > now_ns else 0
-        return [
+        found = [
             JointEffort(SOURCE, self.joints[name], value, start_ns)
             for name, value in zip(names, effort)
             if not math.isnan(value)
@@ -196,12 +211,27 @@ class JointCommandInput(JointInput):
             self._target(name, position, _or_zero(velocity), start_ns)
             for name, position, velocity in wanted
         ]
+        if self._present is not None:
+            for command in found:
+                self.refuse_beyond_limits(command.check, self._present)
+        self.accepted += 1
+        self._checked = names
+        return found
 
     def _target(self, name, position, velocity, start_ns):
         joint = self.joints[name]
         if name in self.driven:
             return Motion(joint, position, velocity, self._seconds, start_ns)
         return Target(joint, _or_zero(position), velocity, start_ns)
+
+    def _check_effort(self, name, effort):
+        joint = self.joints[name]
+        if joint not in self._with_effort:
+            self.refuse(
+                "no_coordinate",
+                lambda: f"it has an effort for {name}, a screw: command a position or velocity",
+            )
+        self.refuse_beyond_limits(self.limits[joint].check_effort, effort)
 
     def _check_servos(self, wanted, jumps):
         for name, position, velocity in wanted:
@@ -223,7 +253,13 @@ class JointCommandInput(JointInput):
                         "stiffness: give a position too, or a servo with stiffness 0"
                     ),
                 )
-            if jumps is None or math.isnan(position):
+            limits = self.limits[self.joints[name]]
+            if not math.isnan(velocity):
+                self.refuse_beyond_limits(limits.check_velocity, velocity)
+            if math.isnan(position):
+                continue
+            self.refuse_beyond_limits(limits.check_position, position)
+            if jumps is None:
                 continue
             if is_driven or self.servos[name]:
                 self.refuse_jump(name, jumps.positions[self.joints[name]], position, jumps.most)

@@ -29,8 +29,8 @@ class JointCommandTopics:
 
     def __init__(self, node, layout, values, server, qos):
         self._node, self._values, self._server, self._qos = node, values, server, qos
-        self.input = JointCommandInput(layout, values.motion_time)
-        self.trajectories = TrajectoryInput(layout)
+        self.input = JointCommandInput(layout, values.motion_time, server)
+        self.trajectories = TrajectoryInput(layout, server)
         self._names = tuple(
             name.strip() for name in values.command_joints.split(",") if name.strip()
         )
@@ -63,11 +63,7 @@ class JointCommandTopics:
 
     def _subscribe(self, topic, message_class, read):
         def receive(payload):
-            try:
-                read(payload)
-            except Refusal as refusal:
-                if refusal.first:
-                    self._node.get_logger().warning(str(refusal))
+            self._log_refusal(read, payload)
 
         self._subscriptions.append(
             self._node.create_subscription(
@@ -79,6 +75,20 @@ class JointCommandTopics:
                 qos_overriding_options=self._qos.options(self._node, topic, "subscription"),
             )
         )
+
+    def _log_refusal(self, read, argument):
+        try:
+            read(argument)
+        except Refusal as refusal:
+            if refusal.first:
+                self._node.get_logger().warning(str(refusal))
+
+    def _refuse_command(self, text):
+        """Called by the simulation's thread, as the next one."""
+        self._log_refusal(self.input.refuse_late, text)
+
+    def _refuse_trajectory(self, text):
+        self._log_refusal(self.trajectories.refuse_late, text)
 
     @property
     def _lasting(self):
@@ -96,29 +106,28 @@ class JointCommandTopics:
         commands = self.input.read(
             payload,
             server.stamp_ns,
-            server.wrenches_held,
+            server.inputs_held,
             self._lasting,
             self._values.command_stamps,
             self._jumps,
         )
-        server.push(commands, self._lasting)
+        server.push(commands, self._lasting, self._refuse_command)
 
     def _read_array(self, payload):
         commands = self.input.read_array(
             payload,
             self._names,
             self._values.command_interface,
-            self._server.wrenches_held,
+            self._server.inputs_held,
             self._jumps,
         )
-        self._server.push(commands, self._lasting)
+        self._server.push(commands, self._lasting, self._refuse_command)
 
     def _read_trajectory(self, payload):
-        self._server.follow(
-            self.trajectories.read(
-                payload, self._server.stamp_ns, self._values.command_stamps, self._jumps
-            )
+        trajectory = self.trajectories.read(
+            payload, self._server.stamp_ns, self._values.command_stamps, self._jumps
         )
+        self._server.follow(trajectory, self._refuse_trajectory)
 
     def figures(self):
         """Figures of the topics for the diagnostics; none without the topics."""

@@ -4,6 +4,7 @@
 from typing import NamedTuple
 
 from liegroup_core.forces.kinds import servos
+from liegroup_core.joints.limits import BeyondLimits
 from liegroup_sim_ros.messages.commands import joint_labels
 
 from .counted_input import LONGEST_NAME, CountedInput
@@ -23,19 +24,27 @@ class Jumps(NamedTuple):
 
 
 class JointInput(CountedInput):
-    """Counter of messages that name joints of a scene; layout : Layout, the others as CountedInput.
+    """Counter of messages that name joints of a scene.
 
-    joints     : {name in messages: joint of the scene} of the joints with one coordinate
+    layout  : Layout
+    present : SimulationServer, or an object with its `check_motion` and `wanted_position`; None: the
+              motions of driven joints, and jumps of servos, are not compared with limits
+    The others as CountedInput.
+
+    joints     : {name in messages: joint of the scene} of the joints with one coordinate: revolute and
+                 prismatic joints, and driven screws
     servos     : {name in messages: whether its servo needs a wanted position}
     driven     : names in messages of the driven joints
     most_names : number of names that a message can have
-    units      : {joint of the scene: "rad" or "m"}
+    limits     : {joint of the scene: Limits}
     """
 
-    def __init__(self, what, counted, reasons, layout):
+    def __init__(self, what, counted, reasons, layout, present=None):
         super().__init__(what, counted, reasons)
         scene, names = layout.scene, layout.coordinates.names
-        self.units = layout.coordinates.units
+        names = [*names, *(joint for joint in layout.motions if joint not in names)]
+        self.limits, self._present = layout.limits, present
+        self._with_effort = layout.unit_efforts.keys()
         self.joints = dict(zip(joint_labels(names, scene.robot), names))
         self._others = set(joint_labels([joint.name for joint in scene.joints], scene.robot))
         if scene.robot is not None:
@@ -73,10 +82,22 @@ class JointInput(CountedInput):
         if len(set(names)) < len(names):
             self.refuse("repeated_joint", lambda: "it names a joint twice; name each one once")
 
+    def refuse_beyond_limits(self, check, *arguments):
+        """Refuse what `check` of these arguments finds beyond the limits of a joint. Raises Refusal."""
+        try:
+            check(*arguments)
+        except BeyondLimits as error:
+            text = str(error)
+            self.refuse("beyond_limits", lambda: text)
+
+    def refuse_late(self, text):
+        """Count a command that was accepted, but cannot be followed when it starts. Raises Refusal."""
+        self.refuse("beyond_limits", lambda: text)
+
     def refuse_jump(self, name, before, after, most):
         """Refuse a commanded position that is too far from the one before it. Raises Refusal."""
         if abs(after - before) > most:
-            unit = self.units[self.joints[name]]
+            unit = self.limits[self.joints[name]].unit
             self.refuse(
                 "jump_too_large",
                 lambda: (

@@ -27,7 +27,7 @@ from liegroup_sim_ros.recording.write import RecorderError
 from . import own_services, standard_services
 from .parameters import ParameterError, read_parameters, watch_parameters
 from .scene_run import ATTENTION, Interrupted, SceneRun, make_simulation
-from .simulation_thread import CommandError
+from .simulation_commands import CommandError
 
 try:
     # A callback takes a fifth of its time in rclpy's default executor (docs/reference/node.md).

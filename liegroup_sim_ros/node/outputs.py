@@ -13,8 +13,8 @@ import time
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
+from liegroup_core.forces.external import AXES
 from liegroup_core.forces.kinds import wanted_values
-from liegroup_core.forces.schedule import AXES
 from liegroup_core.joints.motion import FROM_SCENE
 from liegroup_sim_ros.messages import commands, description, diagnostics, estimates, topics
 from liegroup_sim_ros.messages import samples as sample_messages

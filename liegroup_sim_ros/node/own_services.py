@@ -89,25 +89,22 @@ def apply_wrench(node, values):
     force, torque, point = (
         _vector(name, values.get(name, [0.0] * 3), 3) for name in ("force", "torque", "point")
     )
-    if axes == "world":
-        if point.any() or place[:3, 3].any():
-            raise Wrong(
-                "a force in world axes at a point of the body has no constant torque: give it in body "
-                "axes, without a point, or as applied_wrench in the scene"
-            )
-    else:
-        point = place[:3, :3] @ point + place[:3, 3]
+    point = place[:3, :3] @ point + place[:3, 3]
+    if axes == "body":
         force, torque = place[:3, :3] @ force, place[:3, :3] @ torque
+    with np.errstate(over="ignore"):
+        _vector("point times force", np.outer(point, force).ravel(), 9)
     duration, name = values.get("duration"), values.get("name", "")
     if type(duration) not in (int, float) or not (math.isfinite(duration) and duration >= 1e-9):
         raise Wrong(f"duration must be a number of seconds, at least 1e-9, got {_shown(duration)}")
     if not isinstance(name, str):
         raise Wrong(f"name must be a text, got {_shown(name)}")
     server = node.scene_run.server
-    if server.wrenches_held >= MOST:
+    if server.inputs_held >= MOST:
         raise Wrong(f"{MOST} wrenches act or wait already")
-    wrench = (*(torque + np.cross(point, force)).tolist(), *force.tolist())
-    server.push([Push(f"{SOURCE}/{body}/{name}", body, wrench, axes, 0)], float(duration))
+    wrench = (*torque.tolist(), *force.tolist())
+    push = Push(f"{SOURCE}/{body}/{name}", body, wrench, axes, 0, tuple(point.tolist()))
+    server.push([push], float(duration))
     return (
         True,
         f"wrench on {body} for {duration:g} s, from the next step after {server.stamp_ns * 1e-9:.9g} s",

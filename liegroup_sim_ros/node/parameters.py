@@ -255,7 +255,7 @@ TABLE = (
         0.0,
         "largest distance of a commanded position of a servo or driven joint from the present one of its "
         "joint, rad or m; of a trajectory: largest change within trajectory_period. Larger ones are "
-        "refused; 0: no limit",
+        "refused; 0: only those beyond the limits of the joint",
         read_only=False,
         low=0.0,
         high=1e6,

@@ -15,47 +15,25 @@ import time
 from concurrent.futures import Future
 from itertools import groupby
 from operator import attrgetter
-from typing import NamedTuple
 
-from liegroup_core import Sample, SceneError, SimulationError
-from liegroup_core.errors import LieGroupSimError
-from liegroup_core.forces.schedule import AppliedMotion, AppliedTarget, AppliedWrench
-from liegroup_core.pacing import SLOW, Pacer
+from liegroup_core import SimulationError
+from liegroup_core.forces.schedule import AppliedMotion, AppliedTarget
+from liegroup_core.pacing import Pacer
 from liegroup_sim_ros.messages import events
-from liegroup_sim_ros.recording import attachments
 
-from .joint_command_input import Motion, Target
-from .trajectory import Follower
+from .figures import Saturation, error_figures, pacing_figures
+from .inbox import Inbox
+from .real_time import RealTime
+from .simulation_commands import COMMANDS, CommandError, SimulationCommands
 
 log = logging.getLogger("liegroup_core")
 
 DIAGNOSTICS_PERIOD = 1.0  # s of wall time
-# Of a core, what the integration may take in real time, and what it may take with the messages;
-# checked over so much wall time, in s. If they take more, the accuracy is raised by a factor, up to
-# the largest one.
-SHARE, SHARE_OF_ALL, SHARE_PERIOD = 0.5, 0.9, 0.2
-COARSER, COARSEST = 10.0, 0.1
-# No accuracy takes less than one substep per step. It is raised only above so many, and only if one
-# per step, with the messages, would take less than so much of a core.
-WORTH, REACHABLE = 1.2, 1.0
 _time_ns = attrgetter("time_ns")
-MOST_SNAPSHOTS = 1000
 IDLE_TICK = 0.01  # s of simulated time between two ticks if no output has a period
 
 
-class CommandError(LieGroupSimError):
-    """The current state does not allow the command; one line of text."""
-
-
-class Moment(NamedTuple):
-    """What the command "sample" returns."""
-
-    stamp_ns: int
-    sample: Sample
-    state: str  # of the server
-
-
-class SimulationServer(threading.Thread):
+class SimulationServer(SimulationCommands, threading.Thread):
     """Thread that runs a simulation in real time.
 
     simulation : liegroup_core.Simulation; only this thread uses it from `start` to its end
@@ -104,24 +82,18 @@ class SimulationServer(threading.Thread):
         self._wake = threading.Event()
         self._lock = threading.Lock()
         self._commands = []  # (Future, bound method, arguments)
-        self._follower = Follower(simulation, follow_period, motion_time)
-        self._trajectory = None
-        self._wrenches = {}  # key -> (Push or JointEffort, duration)
+        self._inbox = Inbox(simulation, follow_period, motion_time)
         self._stopping = False
         self._snapshots = {}
         self._base_ns = base_ns
         self._origin = origin
-        self._factor_seen = 0.0  # achieved real-time factor at the last diagnostics
         self._said = set()  # events that are sent once
-        self._measure_shares()
-        self._share = self._share_of_messages = 0.0  # of a core, in real time
-        self._slow = False  # at the last diagnostics
-        self._servos = bool(simulation.layout.servos)
-        self._saturated, self._saturations = set(), 0  # servos at their limit; how often reached
+        self._saturation = Saturation(simulation)
         self._watching = False
         self._watch(watching)
         self._reference_energy = None  # J, at the last known instant without an applied wrench
         self.pacer = Pacer(factor, sleep=self._wake.wait)
+        self._real_time = RealTime(simulation, self.pacer)
         self.state = "paused" if paused else "running"
         self._state_before_fault = self.state
         self.stamp_ns = self._stamp(simulation.steps)
@@ -142,55 +114,44 @@ class SimulationServer(threading.Thread):
         is cancelled if the thread ends first.
         """
         future = Future()
-        method = {
-            "pause": self._pause,
-            "resume": self._resume,
-            "reset": self._reset,
-            "step": self._step,
-            "advance": self._advance_paused,
-            "stepped": self._stepped,
-            "place": self._place,
-            "save": self._save,
-            "restore": self._restore,
-            "speed": self._speed,
-            "watch": self._watch,
-            "clear": self._clear,
-            "sample": self._sample,
-            "hold": self._hold,
-        }[command]
+        method = getattr(self, COMMANDS[command])
         with self._lock:
             self._commands.append((future, method, arguments))
         self._wake.set()
         return future
 
-    def push(self, pushes, duration):
-        """Apply wrenches or efforts; each replaces the previous one of its source.
+    @property
+    def push(self):
+        """Method of the Inbox."""
+        return self._inbox.push
 
-        pushes   : [Push or JointEffort], which all start with the same step
-        duration : s of simulated time, None: until the next one of this source
+    @property
+    def follow(self):
+        """Method of the Inbox."""
+        return self._inbox.follow
+
+    def check_motion(self, joint, start_ns, *points):
+        """Raise BeyondLimits for points to which a driven joint cannot move; see command_motion.
+
+        start_ns : stamp at which the motion starts; 0: now
         """
-        # While the simulation is paused, a later command with the same start replaces the earlier
-        # one, so that the queue is bounded.
-        with self._lock:
-            for push in pushes:
-                self._wrenches.pop(push.key, None)
-                self._wrenches[push.key] = push, duration
+        start = (start_ns - self._base_ns) * 1e-9 if start_ns else None
+        self._simulation.check_motion(joint, *points, start=start)
 
-    def follow(self, trajectory):
-        """Follow a Trajectory; it replaces one that waits, and the present one when it starts."""
-        self._trajectory = trajectory
+    def check_jump(self, joint, position):
+        """Raise BeyondLimits for a wanted position to which a servo cannot jump."""
+        before = self._simulation.wanted_position(joint)
+        self._simulation.layout.limits[joint].check_jump(before, position)
 
     def clear(self, prefix):
         """End the wrenches of all sources whose names start with `prefix`."""
-        with self._lock:  # wrenches that arrive later are not cleared
-            for key in [key for key in self._wrenches if key[1].startswith(prefix)]:
-                del self._wrenches[key]
+        self._inbox.clear(prefix)  # wrenches that arrive later are not cleared
         self.call("clear", prefix)
 
     @property
-    def wrenches_held(self):
-        """Number of wrenches and efforts that act now or start later."""
-        return self._simulation.wrench_count + len(self._wrenches)
+    def inputs_held(self):
+        """Number of wrenches and commands of joints that act now or start later."""
+        return self._simulation.input_count + len(self._inbox)
 
     def stop(self):
         """End the thread after the current tick and join it."""
@@ -241,8 +202,9 @@ class SimulationServer(threading.Thread):
         else:
             self._wake.wait(idle)
         if time.monotonic() >= self._next_diagnostics:
-            self._factor_seen = self.pacer.recent_factor()
-            self._tell_of_real_time()
+            slow = self._real_time.slow(self.state == "running")
+            if slow:
+                self._warn_once("slow", slow)
             self._output.diagnostics(self.stamp_ns, self._figures(self._simulation.sample()))
             self._next_diagnostics = max(
                 self._next_diagnostics + DIAGNOSTICS_PERIOD, time.monotonic()
@@ -277,10 +239,7 @@ class SimulationServer(threading.Thread):
 
     def _advance_to(self, tick):
         """Advance to the next step with outputs and send them; False after a fault."""
-        if self._wrenches:
-            self._apply_wrenches()
-        if self._trajectory is not None or not self._follower.is_idle:
-            self._follow_until(tick)
+        self._inbox.deliver(self._base_ns, tick * self._simulation.step)
         began, first = time.thread_time(), self._simulation.steps
         try:
             self._simulation.advance(tick - first)
@@ -288,70 +247,16 @@ class SimulationServer(threading.Thread):
             self._fault(str(error))
             return False
         integrated = time.thread_time()
-        self._cpu += integrated - began
-        self._advanced += (tick - first) * self._simulation.step
         self._send_outputs()
-        self._cpu_of_messages += time.thread_time() - integrated
-        factor = self.pacer.factor
-        # A run that is much too slow is not waited for.
-        enough = self._advanced >= SHARE_PERIOD * factor or self._cpu >= SHARE_PERIOD
-        if self.state == "running" and factor > 0.0 and enough:
-            self._keep_to_real_time()
+        sent = time.thread_time()
+        if self.state == "running":
+            text = self._real_time.add(tick - first, integrated - began, sent - integrated)
+            if text:
+                if self._simulation.accurate_until == math.inf:
+                    self._said.discard("inaccurate")
+                log.warning(text)
+                self._event("accuracy", text)
         return True
-
-    def _measure_shares(self):
-        """Begin to measure what the integration and the messages take."""
-        # s of CPU time for s of simulated time
-        self._cpu = self._cpu_of_messages = self._advanced = 0.0
-        self._substeps_before = self._simulation.substeps[1]
-
-    def _keep_to_real_time(self):
-        """Raise the accuracy if real time requires it, and if it helps."""
-        before = self._needs_more_time()
-        in_real_time = self.pacer.factor / self._advanced
-        self._share = self._cpu * in_real_time
-        self._share_of_messages = self._cpu_of_messages * in_real_time
-        steps = self._advanced / self._simulation.step
-        substeps = (self._simulation.substeps[1] - self._substeps_before) / steps
-        self._measure_shares()
-        promise = self._simulation.promise
-        # Twice in succession: once may be a disturbance.
-        if not promise or not (before and self._needs_more_time()):
-            return
-        least = self._share_of_messages + self._share / max(1.0, substeps)
-        if promise["accuracy"] < COARSEST and substeps > WORTH and least < REACHABLE:
-            accuracy = min(COARSEST, COARSER * promise["accuracy"])
-            self._simulation.set_accuracy(accuracy)
-            if self._simulation.accurate_until == math.inf:
-                self._said.discard("inaccurate")
-            text = events.accuracy(
-                accuracy,
-                self._simulation.time,
-                promise["accuracy"],
-                self._share,
-                self._share_of_messages,
-            )
-            log.warning(text)
-            self._event("accuracy", text)
-
-    def _needs_more_time(self):
-        return self._share > SHARE or self._share + self._share_of_messages > SHARE_OF_ALL
-
-    def _apply_wrenches(self):
-        with self._lock:
-            wrenches, self._wrenches = self._wrenches, {}
-        for push, duration in wrenches.values():
-            start = (push.start_ns - self._base_ns) * 1e-9 if push.start_ns else None
-            push.apply(self._simulation, start, duration)
-            if isinstance(push, (Target, Motion)):
-                self._follower.release(push.joint, start or self._simulation.time)
-
-    def _follow_until(self, tick):
-        trajectory, self._trajectory = self._trajectory, None
-        if trajectory is not None:
-            start = (trajectory.stamp_ns - self._base_ns) * 1e-9
-            self._follower.follow(trajectory, max(start, self._simulation.time))
-        self._follower.command(tick * self._simulation.step)
 
     def _send_outputs(self, everything=False):
         """Send the outputs of the current step, in the order of their stamps."""
@@ -372,24 +277,22 @@ class SimulationServer(threading.Thread):
         if self._watching:
             sample = sample or self._simulation.sample()
             self._keep_positions(sample)
-        if self._servos and sample is not None:
-            self._tell_of_saturation(sample)
+        if sample is not None:
+            for joint in self._saturation.reached(sample):
+                effort, now = sample.servo_efforts[joint], self._simulation.time
+                self._warn_once("saturated", events.saturated(effort, joint, now), joint)
 
     def _keep_positions(self, sample):
         coordinates = sample.joint_coordinates
-        self.positions = {joint: position for joint, (position, _) in coordinates.items()}
+        states = sample.prescribed | coordinates  # screws have no other coordinates
+        self.positions = {joint: position for joint, (position, *_) in states.items()}
 
-    def _tell_of_saturation(self, sample):
-        """Count servos that reach their limit; send an event for the first time of each."""
-        saturated = set(sample.saturated)
-        for joint in sorted(saturated - self._saturated):
-            self._saturations += 1
-            if ("saturated", joint) not in self._said:
-                self._said.add(("saturated", joint))
-                text = events.saturated(sample.servo_efforts[joint], joint, self._simulation.time)
-                log.warning(text)
-                self._event("saturated", text)
-        self._saturated = saturated
+    def _warn_once(self, name, text, about=""):
+        """Log a warning and send an event, once for a name and what it is about."""
+        if (name, about) not in self._said:
+            self._said.add((name, about))
+            log.warning(text)
+            self._event(name, text)
 
     def _tell_of_the_error(self):
         """Send an event when the estimate exceeds the accuracy, and when it is large."""
@@ -397,26 +300,6 @@ class SimulationServer(threading.Thread):
             if name not in self._said:
                 self._said.add(name)
                 self._event(name, text)
-
-    def _tell_of_real_time(self):
-        """Send an event and log a warning once real time is not kept for two diagnostics."""
-        factor = self.pacer.factor
-        before, self._slow = self._slow, 0.0 < self._factor_seen < SLOW * factor
-        if self.state != "running":
-            self._slow = False
-        if before and self._slow and "slow" not in self._said:
-            self._said.add("slow")
-            promise = self._simulation.promise
-            text = events.slow(
-                self._factor_seen,
-                factor,
-                self._simulation.time,
-                self._share,
-                self._share_of_messages,
-                promise and promise["accuracy"],
-            )
-            log.warning(text)
-            self._event("slow", text)
 
     def _send_state(self, stamp_ns, sample):
         self._output.state(stamp_ns, self._figures(sample))
@@ -452,196 +335,8 @@ class SimulationServer(threading.Thread):
         self.pacer.stop()
         self._event("fault", f"{text}; the last valid state is kept, ~/reset restarts", True)
 
-    def _refuse_if_faulted(self):
-        if self.state == "faulted":
-            raise CommandError("the simulation has stopped with an error: call ~/reset first")
-
-    # Commands:
-
-    def _pause(self):
-        self._refuse_if_faulted()
-        if self.state == "paused":
-            return "already paused"
-        self.state = "paused"
-        self.pacer.stop()
-        self._event("pause", f"paused at step {self._simulation.steps}")
-        return f"paused at {self._seconds():.9g} s"
-
-    def _resume(self):
-        self._refuse_if_faulted()
-        if self.state == "running":
-            return "already running"
-        self.state = "running"
-        self.pacer.start(self._seconds())
-        self._event("resume", f"running from step {self._simulation.steps}")
-        return f"running from {self._seconds():.9g} s"
-
-    def _reset(self):
-        self._simulation.reset()
-        return self._restart("reset", "initial state, step 0", "initial state")
-
-    def _place(self, poses, twists, joints, reason):
-        self._refuse_if_faulted()
-        try:
-            self._simulation.place(poses, twists, joints)
-        except (SceneError, ValueError) as error:
-            raise CommandError(str(error)) from None
-        entries = attachments.state(self._simulation, self._next_stamp())
-        return self._restart("state", events.state(reason, entries), reason)
-
-    def _save(self, name):
-        self._refuse_if_faulted()
-        if name not in self._snapshots and len(self._snapshots) >= MOST_SNAPSHOTS:
-            raise CommandError(
-                f"there are {MOST_SNAPSHOTS} snapshots already: save under the name of one of them"
-            )
-        if self._wrenches:
-            self._apply_wrenches()
-        if self._trajectory is not None:
-            self._follow_until(self._simulation.steps)
-        self._snapshots[name] = self._simulation.snapshot(), self._follower.snapshot()
-        self._event("save", f"{name}, step {self._simulation.steps}")
-        return f"saved {name!r} at {self._seconds():.9g} s, step {self._simulation.steps}"
-
-    def _restore(self, name):
-        snapshot = self._snapshots.get(name)
-        if snapshot is None:
-            known = ", ".join(sorted(self._snapshots)) or "none, call ~/save_snapshot first"
-            raise CommandError(f"unknown snapshot {name!r}; saved are: {known}")
-        state, followed = snapshot
-        self._simulation.restore(state)
-        entries = attachments.state(self._simulation, self._next_stamp())
-        text = events.state(f"snapshot {name}", entries)
-        result = self._restart("state", text, f"snapshot {name!r}")
-        self._follower.restore(followed)
-        return result
-
-    def _next_stamp(self):
-        """Stamp of a state that was set: one step after the last one, so that no stamp occurs twice."""
-        return self.stamp_ns + max(1, round(self._simulation.step * 1e9))
-
-    def _restart(self, name, text, result):
-        """Continue from a state that was set in the simulation; send the event and all outputs."""
-        self.stamp_ns = self._next_stamp()
-        self._base_ns = self.stamp_ns - self._simulation.time_ns
-        with self._lock:
-            self._wrenches.clear()
-        self._trajectory = None
-        self._follower.clear()
-        self._said.clear()
-        self._measure_shares()
-        self._slow = False
-        self._event(name, text)
-        acting = self._simulation.acting()
-        going_on = {(c.body, c.axes) for c in acting if isinstance(c, AppliedWrench)}
-        if self._output.motions:
-            self._output.prescribed(self.stamp_ns, {}, anew=True)
-        for body, axes in self._output.acting.keys() - going_on:
-            self._send_wrench(self.stamp_ns, body, (0.0,) * 6, axes)
-        self._send_changes(self.stamp_ns, acting)
-        self._send_outputs(everything=True)
-        self._reference_energy = self._simulation.sample().energy
-        if self.state == "faulted":
-            self.state = self._state_before_fault
-        if self.state == "running":
-            self.pacer.start(self._seconds())
-        return f"{result} at {self._seconds():.9g} s, {self.state}"
-
-    def _step(self, count):
-        first = self._simulation.steps
-        reached = self._advance_paused(count)
-        done = self._simulation.steps - first
-        text = self._stepped(done)
-        if not reached:
-            raise CommandError(f"stopped after {done} of {count} steps")
-        return text
-
-    def _advance_paused(self, count):
-        """Take steps while paused; True if all were taken."""
-        self._refuse_if_faulted()
-        if self.state != "paused":
-            raise CommandError("the simulation is running: call ~/pause first")
-        return self._advance(self._simulation.steps + count)
-
-    def _stepped(self, done):
-        """Send all outputs and the event after steps that were taken while paused."""
-        if self.state != "faulted":
-            self._send_outputs(everything=True)
-        steps = f"{done} step{'s' if done != 1 else ''}"
-        self._event("step", f"{steps}, at step {self._simulation.steps}")
-        return f"{steps}, at {self._seconds():.9g} s"
-
-    def _speed(self, factor):
-        self.pacer.factor = factor
-        self._measure_shares()
-        self._share = self._share_of_messages = 0.0
-        self._slow = False
-        self._said.discard("slow")
-        if self.state == "running":
-            self.pacer.start(self._seconds())
-        self._event("speed", f"real-time factor {factor:g}")
-        return f"real-time factor {factor:g}"
-
-    def _watch(self, watching):
-        self._watching = watching
-        if watching:
-            self._keep_positions(self._simulation.sample())
-        return "positions are kept" if watching else "positions are not kept"
-
-    def _clear(self, prefix):
-        for source in self._simulation.wrench_sources:
-            if source.startswith(prefix):
-                self._simulation.clear_wrenches(source)
-        return f"wrenches of {prefix} end with the next step"
-
-    def _sample(self):
-        return Moment(self.stamp_ns, self._simulation.sample(), self.state)
-
-    def _hold(self):
-        if self.state == "faulted":  # a reset would let it run again
-            running, self._state_before_fault = self._state_before_fault == "running", "paused"
-            return running
-        running = self.state == "running"
-        self._pause()
-        return running
-
-    def _error_figures(self, sample):
-        """Largest estimated errors of all bodies; nothing without an estimate."""
-        if sample.errors is None:
-            return {}
-        position, attitude = sample.errors[:, :2].max(axis=0).tolist()
-        return {
-            "position_error_m": position,
-            "attitude_error_rad": attitude,
-            # By position, then by attitude; none while all are unknown.
-            "worst_body": max(zip(sample.errors.tolist(), sample.body_names))[1]
-            if math.isfinite(position)
-            else "",
-            "predictable_until_s": self._simulation.predictable_until,
-            **self._accuracy_figures(),
-        }
-
-    def _servo_figures(self, sample):
-        if not self._servos:
-            return {}
-        return {
-            "servos_saturated": ", ".join(sample.saturated),
-            "servo_saturations": self._saturations,
-        }
-
-    def _accuracy_figures(self):
-        promise = self._simulation.promise
-        if promise is None:
-            return {}
-        return {
-            "accuracy": promise["accuracy"],
-            "accuracy_horizon_s": promise["horizon"],
-            "accurate_until_s": self._simulation.accurate_until,
-        }
-
     def _figures(self, sample):
         """{name: number or text} for the diagnostics; each name ends with its unit."""
-        pacing = self.pacer.report()
         if self._output.acting:
             drift = math.nan  # an applied wrench changes the energy
         else:
@@ -652,20 +347,16 @@ class SimulationServer(threading.Thread):
             "state": self.state,
             "sim_time_s": self._seconds(),
             "steps": sample.steps,
-            "real_time_factor_wanted": self.pacer.factor,
-            "real_time_factor": self._factor_seen if self.state == "running" else 0.0,
-            "lateness_p50_us": pacing["lateness_us"]["p50"],
-            "lateness_p99_us": pacing["lateness_us"]["p99"],
-            "lateness_max_us": pacing["lateness_us"]["max"],
-            "ticks": pacing["ticks"],
-            "overruns": pacing["overruns"],
-            "reanchored": pacing["reanchored"],
-            "integration_share_of_core": self._share,
-            "messages_share_of_core": self._share_of_messages,
+            **pacing_figures(
+                self.pacer,
+                self._real_time.factor if self.state == "running" else 0.0,
+                self._real_time,
+            ),
             "energy_J": sample.energy,
             "energy_drift_J": drift,
             "constraint_residual": sample.constraint_residual,
-            **self._error_figures(sample),
-            **self._servo_figures(sample),
-            "wrenches_held": self.wrenches_held,
+            **error_figures(self._simulation, sample),
+            **self._saturation.figures(sample),
+            "wrenches_held": self.inputs_held,
+            "inputs_replaced": self._inbox.replaced,
         }

@@ -2,8 +2,11 @@
 """Worlds of simulation_interfaces: scene files and robots."""
 
 import os
+import re
 from pathlib import Path
 from urllib.parse import unquote, urlparse
+
+import yaml
 
 from liegroup_core import SceneError, load_scene
 from liegroup_core.robots.read import is_robot_file
@@ -23,6 +26,9 @@ from .standard_codes import (
 
 SCHEMES = ("", "file", "package", "model")
 MOST_WORLDS = 10_000  # of a folder
+DESCRIPTION = re.compile(
+    r"^description:.*(?:\n(?:[ \t].*)?$)*", re.MULTILINE
+)  # with what is indented
 
 
 class Worlds:
@@ -73,6 +79,8 @@ class Worlds:
                 if not request.continue_on_error:
                     raise
         response.worlds = [self._entry(path.stem, str(path)) for path in found]
+        for world, path in zip(response.worlds, found):
+            world.description = _description(path)
 
     def _entry(self, name, uri, text=""):
         world = self._world()
@@ -87,6 +95,17 @@ class Worlds:
         )
         world.description = scene.description.strip()
         return world
+
+
+def _description(path):
+    """Description of a scene file, without loading the scene; "" of a robot's file."""
+    try:
+        text = path.read_text(encoding="utf-8") if path.suffix in (".yaml", ".yml") else ""
+        entry = DESCRIPTION.search(text)
+        found = yaml.safe_load(entry.group())["description"] if entry else None
+    except (OSError, ValueError, yaml.YAMLError):
+        return ""
+    return found.strip() if isinstance(found, str) else ""
 
 
 def _path(uri):

@@ -13,7 +13,10 @@ continuously differentiable.
 """
 
 import copy
+import logging
 import math
+
+log = logging.getLogger("liegroup_core")
 
 # Attributes of a Follower that say what it follows, from when on, and how far.
 STATE = ("_active", "_waiting", "_start", "_sent", "_ends")
@@ -116,7 +119,11 @@ class Follower:
     simulation : liegroup_core.Simulation
     period     : s of simulated time; wanted values are constant for so long, those of its middle
     stopping   : s of simulated time, in which a driven joint comes to rest
+    refuse     : function of one line of text, called for a trajectory that cannot be followed when
+                 it starts
     """
+
+    refuse = staticmethod(log.warning)
 
     def __init__(self, simulation, period, stopping):
         self._simulation, self._period, self._stopping = simulation, period, stopping
@@ -161,15 +168,30 @@ class Follower:
         """Command the wanted values up to a time in s."""
         if self._waiting is not None and self._waiting[1] < until:
             trajectory, start = self._waiting
+            if not self._can_begin(trajectory, start):
+                self._waiting = None
+                self._feed(until)
+                return
             self._feed(start)
             self._stop(start, trajectory.joints)
             for joint in self._driven & set(trajectory.joints):
                 self._simulation.command_motion(joint, *trajectory.points_of(joint), start)
             coordinates = self._simulation.sample().joint_coordinates
-            trajectory.begin([coordinates[joint] for joint in trajectory.joints])
+            # Driven joints follow their own motions.
+            trajectory.begin([coordinates.get(joint, (0.0, 0.0)) for joint in trajectory.joints])
             self._active, self._waiting = trajectory, None
             self._start, self._sent, self._ends = start, 0, {}
         self._feed(until)
+
+    def _can_begin(self, trajectory, start):
+        """Whether all driven joints can follow; otherwise the trajectory is refused as a whole."""
+        try:
+            for joint in self._driven & set(trajectory.joints):
+                self._simulation.check_motion(joint, *trajectory.points_of(joint), start)
+        except ValueError as error:
+            self.refuse(str(error))
+            return False
+        return True
 
     def _stop(self, time, others):
         """End the trajectory at a time; its joints that are none of the others stay where they are."""

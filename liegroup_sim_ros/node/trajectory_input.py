@@ -24,6 +24,7 @@ REASONS = (
     "wrong_times",
     "moving_at_end",
     "jump_too_large",
+    "beyond_limits",
     "effort",
     "stamp_too_old",
     "stamp_too_far",
@@ -33,10 +34,10 @@ QUANTITIES = ("positions", "velocities", "accelerations")
 
 
 class TrajectoryInput(JointInput):
-    """Decoder and counter of trajectories for the joints of a scene; layout : Layout."""
+    """Decoder and counter of trajectories for the joints of a scene; arguments as in JointInput."""
 
-    def __init__(self, layout):
-        super().__init__("joint trajectory", "joint_trajectories", REASONS, layout)
+    def __init__(self, layout, present=None):
+        super().__init__("joint trajectory", "joint_trajectories", REASONS, layout, present)
 
     def read(self, payload, now_ns, stamped=True, jumps=None):
         """Trajectory of a serialized JointTrajectory. Raises Refusal.
@@ -90,8 +91,28 @@ class TrajectoryInput(JointInput):
                 ),
             )
         self.refuse_far_stamp(stamp_ns, now_ns, names[0])
+        trajectory = Trajectory([self.joints[name] for name in names], points, stamp_ns)
+        for k, name in enumerate(names):
+            self.refuse_beyond_limits(self._check_limits, trajectory, k, name)
         self.accepted += 1
-        return Trajectory([self.joints[name] for name in names], points, stamp_ns)
+        return trajectory
+
+    def _check_limits(self, trajectory, k, name):
+        """Raise BeyondLimits for a motion of joint number k of a trajectory beyond its limits."""
+        joint = trajectory.joints[k]
+        limits, (times, positions, *rates) = self.limits[joint], trajectory.points_of(joint)
+        if name in self.driven:
+            if self._present is not None:
+                self._present.check_motion(joint, trajectory.stamp_ns, times, positions, *rates)
+            return
+        for position in positions:
+            limits.check_position(position)
+        for velocity in rates[0] or ():
+            limits.check_velocity(velocity)
+        for since, time, before, after in zip(times, times[1:], positions, positions[1:]):
+            limits.check_velocity((after - before) / (time - since))
+        if self._present is not None:
+            self._present.check_jump(joint, positions[0])
 
     def _check_point(self, k, point, count):
         if any(point.effort):

@@ -29,9 +29,12 @@ class Push(NamedTuple):
 
     source: str  # topic, body and name of the publisher, see source_prefix
     body: str
-    wrench: tuple  # (6,) torque N m, force N, about the origin of the body frame
+    wrench: tuple  # (6,) torque N m, force N
     axes: str  # of the components: "body" or "world"
     start_ns: int  # stamp at which it starts to act; 0: at the next step
+    point: tuple | None = (
+        None  # (3,) m, of the body frame, at which the force acts; None: its origin
+    )
 
     @property
     def key(self):
@@ -40,7 +43,9 @@ class Push(NamedTuple):
 
     def apply(self, simulation, start, duration):
         """Apply it to a Simulation from a time in s on (None: the next step), for a duration in s."""
-        simulation.apply_wrench(self.body, self.wrench, start, duration, self.source, self.axes)
+        simulation.apply_wrench(
+            self.body, self.wrench, start, duration, self.source, self.axes, self.point
+        )
 
 
 def source_prefix(kind, target):

@@ -57,7 +57,7 @@ class WrenchTopics:
     def _receive(self, payload, kind, body):
         try:
             push = self.input.read(
-                payload, kind, body, self._server.stamp_ns, self._server.wrenches_held
+                payload, kind, body, self._server.stamp_ns, self._server.inputs_held
             )
         except Refusal as refusal:
             self._log(refusal)

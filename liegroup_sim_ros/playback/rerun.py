@@ -6,6 +6,7 @@ import numpy as np
 from liegroup_core import Simulation, SimulationError
 from liegroup_core.accuracy import METHOD
 from liegroup_core.errors import LieGroupSimError
+from liegroup_core.forces.external import AXES
 from liegroup_core.model.build import initial_state as state_of_scene
 from liegroup_sim_ros.recording.attachments import restore
 from liegroup_sim_ros.recording.read import RecordingError
@@ -118,7 +119,7 @@ class Rerun:
         stretch = self._stretch
         upto = int(np.searchsorted(stretch.change_times, until, "right"))
         for k in range(self._next, upto):
-            axes = "world" if stretch.change_in_world[k] else "body"
+            axes = AXES[stretch.change_axes[k]]
             self.simulation.apply_wrench(
                 stretch.bodies[stretch.change_bodies[k]],
                 stretch.change_wrenches[k],

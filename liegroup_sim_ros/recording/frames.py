@@ -3,6 +3,8 @@
 
 import numpy as np
 
+from liegroup_sim_ros.messages.commands import MOTION_COLUMNS
+
 WRENCH = ["tx", "ty", "tz", "fx", "fy", "fz"]  # N m, N
 ERRORS = ("position", "attitude", "velocity", "angular_velocity")  # m, rad, m/s, rad/s
 
@@ -35,20 +37,31 @@ def data_frame(recording, what):
         )
         frame.insert(0, "body", [change.body for change in changes])
         frame.insert(1, "axes", [change.axes for change in changes])
-    elif what == "joints":
-        states = recording.joint_states
+    elif what in ("joints", "servo_targets"):
+        states = recording.joint_states if what == "joints" else recording.servo_targets
+        parts = ("position", "velocity", "effort")[: 3 if what == "joints" else 2]
         frame = (
             pandas.DataFrame()
             if states is None
             else pandas.concat(
                 {
                     name: pandas.DataFrame(
-                        {"position": states.position[:, k], "velocity": states.velocity[:, k]},
-                        states.time,
+                        {part: getattr(states, part)[:, k] for part in parts}, states.time
                     )
                     for k, name in enumerate(states.names)
                 },
                 axis=1,
+            )
+        )
+    elif what == "motions":
+        track = recording.motions
+        frame = (
+            pandas.DataFrame()
+            if track is None
+            else pandas.DataFrame(
+                track.motion.reshape(len(track.motion), -1),
+                track.stamp_ns * 1e-9,
+                pandas.MultiIndex.from_product([track.names, MOTION_COLUMNS]),
             )
         )
     elif what == "reactions":
@@ -81,7 +94,8 @@ def data_frame(recording, what):
         )
     else:
         raise ValueError(
-            f"what must be motion, wrench, joints, reactions, errors or events, got {what!r}"
+            "what must be motion, wrench, joints, motions, servo_targets, reactions, errors or "
+            f"events, got {what!r}"
         )
     frame.index.name = "time_s"
     return frame

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from liegroup_core.forces.external import AXES
 from liegroup_core.joints.motion import COLUMNS
 from liegroup_sim_ros.messages import events
 
@@ -39,7 +40,7 @@ class Stretch:
     change_times: np.ndarray  # (m,) s since step 0, at which a total wrench on a body changes
     change_bodies: np.ndarray  # (m,) index of the body
     change_wrenches: np.ndarray  # (m, 6) the total in its axes
-    change_in_world: np.ndarray  # (m,) bool: in world axes, not in body axes
+    change_axes: np.ndarray  # (m,) index into AXES of liegroup_core/forces/external.py
     target_times: np.ndarray  # (p,) s since step 0, at which wanted values of servos change
     targets: (
         np.ndarray
@@ -105,11 +106,11 @@ class Stretch:
         """
         mine = self.change_bodies == self.bodies.index(body)
         steps = self.change_steps[mine]
-        acting, acts = [False, False], []  # in body and in world axes
-        for in_world, nonzero in zip(
-            self.change_in_world[mine].tolist(), self.change_wrenches[mine].any(axis=1).tolist()
+        acting, acts = [False] * len(AXES), []
+        for axes, nonzero in zip(
+            self.change_axes[mine].tolist(), self.change_wrenches[mine].any(axis=1).tolist()
         ):
-            acting[in_world] = nonzero
+            acting[axes] = nonzero
             acts.append(any(acting))
         switches = np.flatnonzero(np.diff(np.array(acts, dtype=bool), prepend=False))
         edges = steps[switches].astype(float)
@@ -252,9 +253,9 @@ class Motion:
             [np.empty((0, 6))]
             + [track.wrench[mask] for track, mask in zip(tracks.values(), inside)]
         )
-        in_world = np.concatenate(
-            [np.empty(0, dtype=bool)]
-            + [track.in_world[mask] for track, mask in zip(tracks.values(), inside)]
+        axes = np.concatenate(
+            [np.empty(0, dtype=np.int8)]
+            + [track.axes[mask] for track, mask in zip(tracks.values(), inside)]
         )
         order = np.argsort(when, kind="stable")
         return Stretch(
@@ -269,7 +270,7 @@ class Motion:
             (when[order] - base) * 1e-9,
             which[order],
             wrench[order],
-            in_world[order],
+            axes[order],
             *self._targets(begin, base, end),
             *self._motions(begin, base, end),
             *self._accuracies(begin, base, end, step),

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from liegroup_core.forces.external import AXES
 from liegroup_core.joints.motion import COLUMNS
 from liegroup_sim_ros.messages import estimates
 from liegroup_sim_ros.messages.codecs import PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
@@ -121,9 +122,9 @@ class Recording:
     def applied_wrench(self) -> list[AppliedWrench]:
         """Changes of the total wrenches on all bodies: [AppliedWrench] in the order of stamps."""
         changes = [
-            AppliedWrench(stamp, body, tuple(wrench), "world" if in_world else "body")
+            AppliedWrench(stamp, body, tuple(wrench), AXES[axes])
             for body, track in self.wrench.items()
-            for stamp, wrench, in_world in zip(*(part.tolist() for part in track))
+            for stamp, wrench, axes in zip(*(part.tolist() for part in track))
         ]
         return sorted(changes, key=lambda change: change.stamp_ns)
 
@@ -157,7 +158,7 @@ class Recording:
             for messages, channels in self._source.messages(self.channels):
                 for channel, index in channels:
                     if channel.type == JOINT_STATE and channel.topic != targets:
-                        found += [decoder.decode(messages.payload(k)).complete()[:4] for k in index]
+                        found += [decoder.decode(messages.payload(k)).complete() for k in index]
             return _joint_track(found)
 
     @cached_property
@@ -310,7 +311,10 @@ class Recording:
         what : "motion"  columns (body, quantity): x, y, z, qx, qy, qz, qw, wx, wy, wz, vx, vy, vz
                "wrench"  columns body, axes, tx, ty, tz, fx, fy, fz: the total wrench in these axes
                          from this time on
-               "joints"  columns (joint, "position" or "velocity")
+               "joints"  columns (joint, "position", "velocity" or "effort")
+               "motions" columns (driven joint, "origin" or "c0" to "c5"): the commanded motion from
+                         this time on, see liegroup_core/joints/motion.py; infinite origin: none
+               "servo_targets" columns (joint, "position" or "velocity"): the wanted ones from then on
                "reactions" columns (joint, tx to fz): N m and N, NaN: undetermined
                "errors"  columns (body, "position", "attitude", "velocity" or "angular_velocity"):
                          estimated errors in m, rad, m/s, rad/s, as in `errors`
@@ -367,10 +371,13 @@ def read_recording(path: str | Path) -> Recording:
 
 
 def _joint_track(messages):
-    """JointTrack of [(stamp in ns, names, positions, velocities)]; None without messages."""
+    """JointTrack of [(stamp in ns, names, positions, velocities, efforts)]; None without messages.
+
+    Efforts may be omitted.
+    """
     if not messages:
         return None
-    stamps, names, position, velocity = zip(*messages)
+    stamps, names, position, velocity, *efforts = zip(*messages)
     if len(set(names)) > 1:
         raise RecordingError("its joint states name different joints in different messages")
     shape = len(stamps), len(names[0])
@@ -379,6 +386,9 @@ def _joint_track(messages):
         names[0],
         np.array(position).reshape(shape),
         np.array(velocity).reshape(shape),
+        np.array([part or [np.nan] * shape[1] for part in efforts[0]]).reshape(shape)
+        if efforts
+        else np.full(shape, np.nan),
     )
 
 

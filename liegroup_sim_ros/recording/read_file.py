@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from liegroup_core.forces.schedule import AXES
+from liegroup_core.forces.external import AXES
 from liegroup_sim_ros.messages import diagnostics
 from liegroup_sim_ros.messages.codecs import LogCodec, MessageError, WrenchStampedCodec, decode_rows
 from liegroup_sim_ros.messages.commands import JointStateDecoder, decode_motions
@@ -207,17 +207,17 @@ class Scan:
                 mine = which == k
                 for part, value in zip(
                     self._wrenches[body],
-                    (stamps[mine], values[mine], np.full(mine.sum(), axes == "world")),
+                    (stamps[mine], values[mine], np.full(mine.sum(), AXES.index(axes), np.int8)),
                 ):
                     part.append(value)
 
     def wrenches(self):
-        none = np.empty(0, dtype=np.int64), np.empty((0, 6)), np.empty(0, dtype=bool)
+        none = np.empty(0, dtype=np.int64), np.empty((0, 6)), np.empty(0, dtype=np.int8)
         tracks = {}
         for body, parts in self._wrenches.items():
-            stamps, values, in_world = (np.concatenate([e, *p]) for e, p in zip(none, parts))
+            stamps, values, axes = (np.concatenate([e, *p]) for e, p in zip(none, parts))
             order = np.argsort(stamps, kind="stable")
-            tracks[body] = WrenchTrack(stamps[order], values[order], in_world[order])
+            tracks[body] = WrenchTrack(stamps[order], values[order], axes[order])
         return tracks
 
     def counts(self):

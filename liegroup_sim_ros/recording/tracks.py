@@ -46,11 +46,11 @@ class ErrorTrack(_ErrorTrack, _Timed):
 class _WrenchTrack(NamedTuple):
     stamp_ns: np.ndarray  # (m,) int64, ns
     wrench: np.ndarray  # (m, 6) (torque, force), N m and N: the total in its axes from then on
-    in_world: np.ndarray  # (m,) bool: in world axes, not in body axes
+    axes: np.ndarray  # (m,) int8, index into AXES of liegroup_core/forces/external.py
 
 
 class WrenchTrack(_WrenchTrack, _Timed):
-    """Changes of the total wrenches on one body: of that in body axes, or of that in world axes."""
+    """Changes of the total wrenches on one body: in body axes, in world axes, or of a pair of forces."""
 
 
 class _ReactionTrack(NamedTuple):
@@ -75,6 +75,7 @@ class _JointTrack(NamedTuple):
     names: tuple  # of k joints
     position: np.ndarray  # (n, k) rad or m
     velocity: np.ndarray  # (n, k) rad/s or m/s
+    effort: np.ndarray  # (n, k) N m or N; NaN: none
 
 
 class JointTrack(_JointTrack, _Timed):
@@ -95,7 +96,7 @@ class AppliedWrench(NamedTuple):
     stamp_ns: int
     body: str
     wrench: tuple  # (6,) (torque, force): the total in these axes from stamp_ns on
-    axes: str  # "body" or "world"
+    axes: str  # "body" or "world"; "world_x", ...: see liegroup_core.forces.schedule.AppliedWrench
 
 
 class Event(NamedTuple):

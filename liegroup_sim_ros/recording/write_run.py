@@ -120,12 +120,17 @@ class LogFile:
         self.count, self.last_step = 0, -1
         self._simulation, self._told = simulation, set()  # events that are recorded once
         try:
-            wrenches = (
+            on_request = (
                 sample_messages.reactions(simulation.layout, WORLD_FRAME) if reactions else []
             )
         except ValueError as error:
             raise OutputError(f"{path}: --reactions: {error}; *.npz has no topics") from None
-        bodies = simulation.layout.body_names
+        layout = simulation.layout
+        if layout.motions or layout.servos:
+            on_request += sample_messages.joint_states(layout, WORLD_FRAME)
+        if layout.motions:
+            layout.reactions.warm_up()  # for the efforts of driven joints
+        bodies = layout.body_names
         pairs = [(topics.pose(body), topics.twist(body)) for body in bodies]
         names = {
             "pose": {b: pose.resolved(NODE) for b, (pose, _) in zip(bodies, pairs)},
@@ -140,9 +145,10 @@ class LogFile:
             names["errors"] = topics.ERRORS.resolved(NODE)
             with_samples.append(topics.ERRORS)
         try:
-            for topic in (*with_samples, topics.APPLIED_WRENCH, topics.EVENTS):
-                schemas.definition(topic.type)
-                schemas.type_hash(topic.type)
+            types = [topic.type for topic in (*with_samples, topics.APPLIED_WRENCH, topics.EVENTS)]
+            for message_type in [*types, *(message_type for _, message_type, _ in on_request)]:
+                schemas.definition(message_type)
+                schemas.type_hash(message_type)
             self._recorder = Recorder(
                 path,
                 attachments.at_start(
@@ -159,9 +165,9 @@ class LogFile:
         self._channels = [tuple(map(self._channel, pair)) for pair in pairs]
         self._errors = self._channel(topics.ERRORS) if "errors" in names else None
         self._channel(topics.APPLIED_WRENCH)
-        self._wrenches = [
+        self._on_request = [
             (self._channel(topics.Topic(name, message_type)), encode)
-            for name, message_type, encode in wrenches
+            for name, message_type, encode in on_request
         ]
         self._events = self._channel(topics.EVENTS)
         self._event(
@@ -197,7 +203,7 @@ class LogFile:
                 self._recorder.write(channel, stamp, message)
         if self._errors is not None:
             self._recorder.write(self._errors, stamp, self._encode_errors(sample))
-        for channel, encode in self._wrenches:
+        for channel, encode in self._on_request:
             self._recorder.write(channel, stamp, encode(stamp, sample))
         self._checkpoints.add_if_due(stamp)
         self.count, self.last_step = self.count + 1, sample.steps

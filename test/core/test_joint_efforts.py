@@ -219,7 +219,7 @@ def test_sources_add_and_replace_and_zero_ends():
         ("a", 0.0, 0.004),
     ):
         simulation.apply_effort("hinge", effort, start=start, source=source)
-    assert simulation.wrench_count == 5 and simulation.wrench_sources == {"a", "b"}
+    assert simulation.input_count == 5 and simulation.wrench_sources == {"a", "b"}
     seen = []
     for _ in range(5):
         simulation.advance(1)
@@ -228,7 +228,7 @@ def test_sources_add_and_replace_and_zero_ends():
     simulation.apply_effort("hinge", 1.0)
     simulation.clear_wrenches()
     simulation.advance(1)
-    assert not simulation.sample().joint_efforts and simulation.wrench_count == 0
+    assert not simulation.sample().joint_efforts and simulation.input_count == 0
     simulation.apply_effort("hinge", 1.0)
     simulation.reset()
     simulation.advance(1)
@@ -241,7 +241,7 @@ def test_a_source_may_command_efforts_and_push_a_body():
     simulation.apply_effort("hinge", 1.0)
     simulation.apply_wrench("arm", (0, 0, 0, 0, 0, 1.0))
     simulation.advance(1)
-    assert simulation.wrench_count == 2
+    assert simulation.input_count == 2
     (change,) = simulation.drain_applied()
     assert change.wrench[5] == 1.0 and any(change.wrench[:3])
 

@@ -233,7 +233,7 @@ def test_wrong_servos_and_commands_are_refused():
         with pytest.raises(ValueError, match=text):
             simulation.command_servo(*arguments)
     simulation.advance(1)
-    assert simulation.drain_applied() == [] and simulation.wrench_count == 0
+    assert simulation.drain_applied() == [] and simulation.input_count == 0
     for force, text in (
         (f"{SERVO}}}\n  - {SERVO.replace('drive', 'other')}}}", 'already has the servo "drive"'),
         (f"{SERVO}, effort_limit: 0}}", "effort_limit must be greater than 0"),

@@ -134,7 +134,7 @@ def test_wrenches_in_world_and_body_axes_of_two_sources_add():
     simulation.set_state(np.array(quarter), np.zeros((1, 6)))
     simulation.apply_wrench("body", (1, 0, 0, 0, 2, 0), source="world", axes="world")
     simulation.apply_wrench("body", (0, 0, 3, 0, 0, 0), source="body")
-    assert (simulation.wrench_count, simulation.wrench_sources) == (2, {"world", "body"})
+    assert (simulation.input_count, simulation.wrench_sources) == (2, {"world", "body"})
     simulation.advance(1)
     assert [(*c[2:],) for c in simulation.drain_applied()] == [
         ("body", (0, 0, 3, 0, 0, 0), "body"),
@@ -159,6 +159,7 @@ def test_the_recorded_changes_repeat_a_run_bit_by_bit(method, at_once):
         push("top", (0.2, 0, 0, 0, 0, 0), start=0.3003, source="one")
         push("top", (-0.2, 0, 0, 0, 0, 0), start=0.3003, source="two")
         push("top", (0, 0.2, 0, 0, 0, 0), start=0.3003, duration=1e-5, source="short")
+        push("top", (0, 0, 0, 7.0, 0, 3.0), 0.2, 0.1002, "end", "world", (0.1, -0.02, 0.3))
 
     first = Simulation(load_scene("heavy_top"), method=method, step=1e-3)
     pushes(first)
@@ -166,7 +167,7 @@ def test_the_recorded_changes_repeat_a_run_bit_by_bit(method, at_once):
     second = Simulation(load_scene("heavy_top"), method=method, step=1e-3)
     changes = first.drain_applied()
     assert [c.time_ns for c in changes] == [
-        0, 50_123_400, 150_123_400, 230_400_000, 300_300_000, 300_310_000
+        0, 50_123_400, 150_123_400, *[200_000_000] * 4, 230_400_000, *[300_200_000] * 4, 300_300_000, 300_310_000
     ]  # fmt: skip
     for change in changes:
         second.apply_wrench(
@@ -190,3 +191,56 @@ def test_an_invalid_wrench_is_refused_and_changes_nothing(wrench):
         simulation.apply_wrench("body", PUSH, duration=0.0)
     simulation.advance(1)
     assert simulation.drain_applied() == []
+
+
+@pytest.mark.parametrize("axes", ["body", "world"])
+def test_a_source_has_one_wrench_whatever_its_point(axes):
+    """Torque p x R^T F about the origin of the body frame; a new one of the source ends the pairs."""
+    simulation = Simulation(load_scene("free_body"), method="rkmk4", step=1e-9)
+    quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    point, force = np.array([0.2, -0.5, 0.7]), np.array([3.0, -1.0, 2.0])
+    simulation.set_state(np.array([[*quarter.ravel(), 0, 0, 0]]), np.zeros((1, 6)))
+    simulation.apply_wrench("body", [0, 0, 0, *force], axes=axes, point=point)
+    simulation.advance(1)
+    turned = quarter @ point
+    pushed = force if axes == "world" else quarter @ force
+    expected = [*np.cross(turned, pushed), *pushed]
+    assert np.abs(simulation.sample().spatial_momentum / 1e-9 - expected).max() < 1e-6
+    assert {c.axes for c in simulation.drain_applied()} == (
+        {"body"} if axes == "body" else {"world", "world_x", "world_y", "world_z"}
+    )
+    simulation.apply_wrench("body", [0, 0, 0, 0, 0, 5.0], axes="world")
+    simulation.advance(1)
+    totals = {(c.axes, c.wrench) for c in simulation.acting()}
+    assert totals == {("world", (0, 0, 0, 0, 0, 5.0))}
+    assert simulation.sample().accelerations["body"][:3] == pytest.approx(0.0, abs=1e-7)
+
+
+def test_a_snapshot_and_an_accuracy_keep_forces_at_points():
+    """The companion of the error estimate has them too: the estimate stays small."""
+    run = Simulation(load_scene("heavy_top"), accuracy=1e-6, horizon=1.0)
+    run.apply_wrench("top", [0, 0, 0, 8.0, 0, 0], 0.05, 0.3, axes="world", point=[0, 0.1, 0.2])
+    run.advance(20)
+    kept = run.snapshot()
+    run.advance(60)
+    after, error = [part.tobytes() for part in run.state()], run.sample().errors[:, :2].max()
+    run.restore(kept)
+    run.advance(60)
+    assert [part.tobytes() for part in run.state()] == after
+    assert 0.0 < error < 1e-6
+
+
+@pytest.mark.parametrize(
+    "wrench, point, axes, text",
+    [
+        (PUSH, (1, 2), "world", "three finite numbers, got"),
+        (PUSH, (1, 2, np.nan), "body", "three finite numbers"),
+        ((0, 0, 0, 1e200, 0, 0), (1e200, 0, 0), "world", "point times force"),
+        (PUSH, (1, 2, 3), "world_x", "omit point"),
+    ],
+)
+def test_an_invalid_point_is_refused_and_changes_nothing(wrench, point, axes, text):
+    simulation = Simulation(load_scene("free_body"), method="rkmk4")
+    with pytest.raises(ValueError, match=text):
+        simulation.apply_wrench("body", wrench, axes=axes, point=point)
+    assert simulation.input_count == 0

@@ -1,10 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Client of a node that takes commands for joints, for the tests."""
 
+import json
+import signal
+
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from node_process import COMPILING, stamp_ns
 from sensor_msgs.msg import JointState
+
+from liegroup_sim_ros.commands.main import main
+from liegroup_sim_ros.playback.resimulate import resimulate
+from liegroup_sim_ros.recording.read import read_recording
 
 STEP = 1e-3  # s, of the node
 
@@ -47,3 +54,25 @@ class Commanded:
 
 def coordinates(state):
     return list(zip(state.position, state.velocity))
+
+
+def finished_parts(process):
+    """Recordings of the parts of a run that is ended here; each is repeated and analysed.
+
+    process : with the NodeProcess `process` and the `folder` of its recording
+    """
+    process.process.send(signal.SIGINT)
+    code, log = process.process.wait()
+    assert code == 0, log
+    paths = sorted(process.folder.glob("*.mcap"))
+    assert len(paths) > 4
+    recordings = [read_recording(path) for path in paths]
+    for path, recording in zip(paths, recordings):
+        figures = resimulate(recording)
+        assert figures["identical"] == figures["samples"] > 0 and figures["must_be_equal"], path
+    out = process.folder / "out.json"
+    assert main(["analyze", *map(str, paths), "--json", str(out)]) == 0
+    for log in json.loads(out.read_text())["logs"]:
+        assert log["reference"]["angle"]["max"] < 1e-9, log["log"]
+        assert log["reference"]["position"]["max"] < 1e-9, log["log"]
+    return recordings

@@ -24,7 +24,7 @@ from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.messages import events as events_of_runs
 from liegroup_sim_ros.messages.commands import Point
-from liegroup_sim_ros.node import simulation_thread
+from liegroup_sim_ros.node import real_time
 from liegroup_sim_ros.node.joint_command_input import JointEffort, Target
 from liegroup_sim_ros.node.parameters import TABLE, fitting_steps, set_step
 from liegroup_sim_ros.node.scene_run import PART_STEPS, SceneRun
@@ -84,7 +84,7 @@ def test_a_node_with_nothing_but_a_scene_keeps_its_accuracy_and_says_so(client, 
     assert figures["accurate_until_s"] == figures["predictable_until_s"] == "inf"
     assert 0.0 <= float(figures["position_error_m"]) < 1e-4
     # Of a core, and above the share that lowers the accuracy.
-    assert 0.0 < float(figures["integration_share_of_core"]) < simulation_thread.SHARE
+    assert 0.0 < float(figures["integration_share_of_core"]) < real_time.SHARE
     documented = (SOURCE / "docs" / "reference" / "node.md").read_text()
     assert [key for key in figures if f"`{key}`" not in documented and "_refused_" not in key] == []
     recording = repeats(path)
@@ -168,7 +168,7 @@ def wait_for(condition, seconds=30.0):
 )
 def test_parts_of_a_run_to_an_accuracy_repeat_alone(ros_node, tmp_path, monkeypatch, scene, body):
     """With wrenches that span parts. Each begins where the two runs of the estimate meet."""
-    monkeypatch.setattr(simulation_thread, "SHARE", math.inf)
+    monkeypatch.setattr(real_time, "SHARE", math.inf)
     run = scene_run(
         ros_node,
         scene,
@@ -228,7 +228,7 @@ forces:
 
 def test_parts_with_joint_commands_repeat_alone(ros_node, tmp_path, monkeypatch):
     """Efforts, wanted values and a trajectory that span parts, a limit that is reached, a reset."""
-    monkeypatch.setattr(simulation_thread, "SHARE", math.inf)
+    monkeypatch.setattr(real_time, "SHARE", math.inf)
     (tmp_path / "arm.yaml").write_text(ARM)
     run = scene_run(
         ros_node,
@@ -293,10 +293,10 @@ def test_real_time_that_does_not_allow_the_accuracy_raises_it(
     try:
         time.sleep(0.3)
         assert raised() == []
-        monkeypatch.setattr(simulation_thread, "SHARE", 0.0)
-        monkeypatch.setattr(simulation_thread, "WORTH", 0.0)
+        monkeypatch.setattr(real_time, "SHARE", 0.0)
+        monkeypatch.setattr(real_time, "WORTH", 0.0)
         wait_for(lambda: len(raised()) >= 2)
-        monkeypatch.setattr(simulation_thread, "SHARE", 0.5)
+        monkeypatch.setattr(real_time, "SHARE", 0.5)
         pushed(run, "lower", (0, 0, 0, 0, 5.0, 0), 0.1)
         count = len(raised())
         assert accuracy() == pytest.approx(1e-9 * 10.0**count, rel=1e-12)
@@ -304,9 +304,9 @@ def test_real_time_that_does_not_allow_the_accuracy_raises_it(
         assert len(raised()) == count
         run.server.call("reset").result(30.0)
         assert accuracy() == 1e-9
-        monkeypatch.setattr(simulation_thread, "SHARE", 0.0)
+        monkeypatch.setattr(real_time, "SHARE", 0.0)
         wait_for(lambda: len(raised()) > count)
-        monkeypatch.setattr(simulation_thread, "SHARE", 0.5)
+        monkeypatch.setattr(real_time, "SHARE", 0.5)
         time.sleep(0.1)
     finally:
         run.close()
@@ -330,13 +330,13 @@ def test_real_time_that_does_not_allow_the_accuracy_raises_it(
 
 
 def test_the_accuracy_is_raised_at_most_to_a_tenth(ros_node, tmp_path, monkeypatch):
-    monkeypatch.setattr(simulation_thread, "SHARE", 0.0)
-    monkeypatch.setattr(simulation_thread, "WORTH", 0.0)
-    monkeypatch.setattr(simulation_thread, "SHARE_PERIOD", 0.02)
+    monkeypatch.setattr(real_time, "SHARE", 0.0)
+    monkeypatch.setattr(real_time, "WORTH", 0.0)
+    monkeypatch.setattr(real_time, "SHARE_PERIOD", 0.02)
     run = scene_run(ros_node, "heavy_top", accuracy=3e-3, record=tmp_path / "run.mcap")
     run.start()
     try:
-        wait_for(lambda: run.simulation.promise["accuracy"] == simulation_thread.COARSEST)
+        wait_for(lambda: run.simulation.promise["accuracy"] == real_time.COARSEST)
         time.sleep(0.2)
     finally:
         run.close()
@@ -355,8 +355,8 @@ def test_an_accuracy_is_not_given_away_if_that_does_not_help(
     ros_node, tmp_path, monkeypatch, caplog, accuracy, factor, publish_rate
 ):
     """The run says once that it is too slow, and with what."""
-    monkeypatch.setattr(simulation_thread, "SHARE", 0.0)
-    monkeypatch.setattr(simulation_thread, "SLOW", 1.1)
+    monkeypatch.setattr(real_time, "SHARE", 0.0)
+    monkeypatch.setattr(real_time, "SLOW", 1.1)
     run = scene_run(
         ros_node,
         "heavy_top",
@@ -385,7 +385,7 @@ def test_an_accuracy_is_not_given_away_if_that_does_not_help(
 
 
 def test_as_fast_as_possible_has_no_share_of_real_time(ros_node, tmp_path, monkeypatch):
-    monkeypatch.setattr(simulation_thread, "SHARE", 0.0)
+    monkeypatch.setattr(real_time, "SHARE", 0.0)
     run = scene_run(ros_node, "heavy_top", record=tmp_path / "run.mcap", real_time_factor=0.0)
     run.start()
     time.sleep(0.5)

@@ -625,10 +625,11 @@ def test_joint_states_are_read(tmp_path):
     recording = read_recording(tmp_path / "a.mcap")
     states = recording.joint_states
     k = len(states.names)
+    assert states.effort.shape == (30, k) and np.isnan(states.effort).all()
     assert k == 2 and states.names == tuple(sample.joint_coordinates)
     assert np.array_equal(
         np.column_stack([states.stamp_ns, states.position[:, 0], states.velocity[:, 0]]),
         np.array(wanted)[:, :3],
     )
     frame = recording.to_pandas("joints")
-    assert frame.shape == (30, 4) and frame[states.names[1]].velocity.iloc[-1] == wanted[-1][4]
+    assert frame.shape == (30, 6) and frame[states.names[1]].velocity.iloc[-1] == wanted[-1][4]

@@ -46,6 +46,15 @@ def test_nan_is_never_shown_as_good(tmp_path, capsys):
     assert re.search(r"energy drift\s+not a number", capsys.readouterr().out)
 
 
+def test_a_run_that_was_only_stepped_is_not_too_slow(tmp_path):
+    """It has no pace: no tick was waited for."""
+    stepped = {"real_time_factor": 0.0, "ticks": 0, "wall_seconds": 0.0, "sim_seconds": 0.0}
+    log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 20, pacing=PACING | stepped)
+    figures = analyse(read_recording(log), reference=False).figures
+    assert figures["timing"]["real_time_factor"] is None
+    assert not [problem for problem in figures["problems"] if "slow" in problem]
+
+
 @pytest.mark.parametrize(
     "factors, mean, text",
     [

@@ -221,3 +221,33 @@ def test_truncated_messages_are_refused_whatever_came_before(layout):
         with pytest.raises(Refusal):
             reader.read(whole[:size], NOW, 0, None)
     assert reader.refused["damaged"] == len(whole) - 8
+
+
+SCREW = """
+name: vice
+gravity: [0, 0, 0]
+bodies:
+  - {name: nut, mass: 1, inertia: [1, 1, 1]}
+  - {name: loose, mass: 1, inertia: [1, 1, 1], position: [3, 0, 0]}
+joints:
+  - {name: thread, type: screw, pitch: 0.01, parent: world, child: nut, child_frame: {}, driven: true,
+     data: {lower: -4, upper: 4}}
+  - {name: other, type: screw, pitch: 0.01, parent: world, child: loose, child_frame: {}}
+"""
+
+
+def test_a_driven_screw_takes_positions_and_velocities():
+    """In rad about its axis; it takes no effort, and a screw that is not driven takes nothing."""
+    reader = JointCommandInput(make_layout(scene_from_text(SCREW)), 0.02)
+    (motion,) = reader.read(message(["thread"], [3.0], [0.5]), NOW, 0, None)
+    assert motion[:4] == ("thread", 3.0, 0.5, 0.02)
+    for payload, reason in (
+        (message(["thread"], effort=[1.0]), "no_coordinate"),
+        (message(["other"], [1.0]), "no_coordinate"),
+        (message(["thread"], [4.1]), "beyond_limits"),
+        (message(["thread"], velocity=[1001.0]), "beyond_limits"),
+    ):
+        with pytest.raises(Refusal) as caught:
+            reader.read(payload, NOW, 0, None)
+        assert caught.value.reason == reason and "\n" not in str(caught.value)
+    assert reader.accepted == 1

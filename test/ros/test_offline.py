@@ -393,3 +393,18 @@ def test_a_joint_with_the_name_of_a_body_has_another_topic(tmp_path, capsys):
     scene.write_text(text.replace("MORE", ", {name: arm_reaction, mass: 1, inertia: [1, 1, 1]}"))
     assert main([*common, str(tmp_path / "more.mcap")]) == 2
     assert "give arm_reaction another name" in capsys.readouterr().err
+
+
+def test_a_recording_has_the_efforts_of_driven_joints(tmp_path):
+    path = tmp_path / "a.mcap"
+    assert main(["run", "driven_arm", "--duration", "0.2", "--out", str(path)]) == 0
+    recording = read_recording(path)
+    states, simulation = recording.joint_states, Simulation(load_scene("driven_arm"))
+    columns = [states.names.index(joint) for joint in ("shoulder", "elbow")]
+    for k, time in enumerate(states.time):
+        simulation.advance(round(time / simulation.step) - simulation.steps)
+        efforts = simulation.sample().drive_efforts
+        assert states.effort[k, columns].tolist() == [efforts["shoulder"], efforts["elbow"]]
+    frame = recording.to_pandas("joints")
+    assert frame["elbow"].effort.iloc[-1] == efforts["elbow"] != 0.0
+    assert recording.to_pandas("motions").empty

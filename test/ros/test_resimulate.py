@@ -63,14 +63,15 @@ def test_resimulation_is_bit_identical_with_every_method(ros_node, tmp_path, met
     def call(*command):
         return run.server.call(*command).result(30.0)
 
-    def push(body, wrench, duration=0.05, axes="body", ahead=0.0, source="test"):
+    def push(body, wrench, duration=0.05, axes="body", ahead=0.0, source="test", point=None):
         start = run.server.stamp_ns + round(ahead * 1e9) if ahead else 0
-        run.server.push([Push(source, body, wrench, axes, start)], duration)
+        run.server.push([Push(source, body, wrench, axes, start, point)], duration)
 
     try:
         time.sleep(0.02)
         push("top", (0.3, 0, 0.1, 0, 2.0, 0))
         push("top", (0, 0, 0, 1.0, 0, 0), axes="world", ahead=0.0130002, source="other")
+        push("top", (0, 0, 0, 0, 2.0, 1.0), 0.08, "world", 0.0130002, "end", (0.1, 0.2, 0.3))
         time.sleep(0.03)
         call("pause")
         call("step", 7)  # ends between two samples

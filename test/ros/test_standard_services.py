@@ -339,6 +339,8 @@ def test_worlds_are_scenes(client, node, files):
     known = {world.name: world.world_resource.uri for world in response.worlds}
     assert result == 1 and {"heavy_top", "four_bar", "rig"} <= known.keys()
     assert load_scene(known["four_bar"]).name == "four_bar"
+    for world in response.worlds:
+        assert world.description == load_scene(world.world_resource.uri).description.strip()
     result, response = node("get_available_worlds", additional_sources=["/no/such/folder"])
     assert result == 2 and "/no/such/folder" in response.result.error_message
     result, _ = node(

@@ -345,7 +345,7 @@ def test_wrong_commands_are_refused_and_change_nothing():
     ):
         with pytest.raises(ValueError, match=words):
             simulation.command_motion(*arguments)
-    assert simulation.wrench_count == 0
+    assert simulation.input_count == 0
 
 
 GEARS = """

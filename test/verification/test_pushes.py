@@ -7,13 +7,18 @@ import pytest
 from liegroup_core import Simulation
 from liegroup_core.integrators.methods import METHODS
 from liegroup_core.reference import WrenchChange, integrate
-from liegroup_core.scene.description import Body, Frame, Joint, Scene
+from liegroup_core.scene.description import Body, ConstantWrench, Frame, Joint, Scene
 
 WRENCH = (0.4, -0.3, 0.7, 3.0, -2.0, 4.0)
 # END / m is a step size for which the wrench starts after a third of a step and ends after two, if m
 # is 1 more than a multiple of 3. The parts of a step are then proportional to it.
 END = 0.36  # s
 START, DURATION = END / 3, END / 3
+# Forces in world axes at points of the body: (torque, force), point. Their sum is zero: a couple.
+COUPLE = (
+    ((0.4, -0.3, 0.7, 3.0, -2.0, 4.0), (0.5, -0.3, 0.2)),
+    ((0.0, 0.0, 0.0, -3.0, 2.0, -4.0), (-0.1, 0.4, -0.2)),
+)
 COUNTS = {1: (100, 199, 400), 2: (100, 199, 400), 3: (40, 79, 160), 8: (7, 10)}
 
 
@@ -91,3 +96,43 @@ def test_in_the_plane_and_in_space(axis, axes):
     exact = reference(scene, axes)
     for space in ("auto", "space"):
         assert error(scene, exact, axes, method="rkmk8", step=END / 64, space=space) < 1e-11
+
+
+@pytest.mark.parametrize("method", ["rkmk4", "rkmk8"])
+@pytest.mark.parametrize("group", ["relative", "se3", "so3xr3"])
+def test_forces_in_world_axes_at_points_of_a_body_cost_no_order(method, group):
+    """The reference has them as forces of the scene, each at its point."""
+    scene = top()
+    pushes = [
+        ConstantWrench(
+            name=f"push{i}",
+            body="a",
+            torque=wrench[:3],
+            force=wrench[3:],
+            point=point,
+            axes="world",
+            start=START,
+            end=START + DURATION,
+        )
+        for i, (wrench, point) in enumerate(COUPLE)
+    ]
+    state = Simulation(scene, method="rkmk4").state()
+    exact, apart = integrate(scene.model_copy(update={"forces": pushes}), *state, [0.0, END])
+    assert apart.attitude.max() < 1e-11
+    order, errors = METHODS[method].order, []
+    steps = [END / m for m in {4: (40, 79, 160), 8: (7, 10)}[order]]
+    for h in steps:
+        simulation = Simulation(scene, method=method, step=h, group=group)
+        for i, (wrench, point) in enumerate(COUPLE):
+            simulation.apply_wrench(
+                "a", wrench, START, DURATION, source=f"{i}", axes="world", point=point
+            )
+        simulation.advance(round(END / h))
+        turned = simulation.sample().pose[0, :9].reshape(3, 3)
+        errors.append(np.abs(turned - exact.rotation[-1, 0]).max())
+    slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert slope >= order - 0.5, (slope, errors)
+    # The reference repeats the drained totals, too.
+    changes = [WrenchChange(c.time, c.body, c.wrench, c.axes) for c in simulation.drain_applied()]
+    again, _ = integrate(scene, *state, [0.0, END], changes)
+    assert np.abs(again.rotation[-1] - exact.rotation[-1]).max() < 1e-11

@@ -20,6 +20,7 @@ Row n + b has the coordinates of link b: X as (R row by row, r) for the groups S
 import numpy as np
 
 from liegroup_core.compiling import Struct
+from liegroup_core.forces.external import COLUMNS as EXTERNAL_COLUMNS
 from liegroup_core.model.arrays import Model, Work
 
 # Motion groups.
@@ -205,7 +206,7 @@ class RelativeWork(Struct):
     start_twist: np.ndarray  # (n + L, 6)
     velocity: np.ndarray  # (L, 6) qdot at the start of the step
     slopes: np.ndarray  # ((s + 1) f, 2) k: algebra, then qdot part
-    external: np.ndarray  # (n, 16) external wrenches of the call
+    external: np.ndarray  # (n, COLUMNS), see forces/external.py: external wrenches of the call
     pushed: np.ndarray  # (1,) 1 if any of them is not zero
     held: np.ndarray  # (f,) 1 if a freedom is held, see switches.py
     modes: np.ndarray  # (k, 4) of each switch: direction of slip; stop that it touches, -1 lower,
@@ -263,7 +264,7 @@ def make_relative_work(model, work, stages):
         known=np.zeros(1),
         velocity=np.zeros((links, 6)),
         slopes=np.zeros(((stages + 1) * freedoms, 2)),
-        external=np.zeros((n, 16)),
+        external=np.zeros((n, EXTERNAL_COLUMNS)),
         pushed=np.zeros(1),
         held=np.zeros(freedoms),
         modes=np.zeros((len(model.switches), 4)),

@@ -30,7 +30,7 @@ REFINEMENTS_WHEN_SINGULAR = 4
 def apply_forces(model, work, external):
     """Apply external wrenches and forces to the links.
 
-    external : (n, 16) external wrenches, see forces/external.py
+    external : (n, COLUMNS) external wrenches, see forces/external.py
     """
     space = work.space
     place_bodies(model, work, space.stage_pose, space.stage_twist)
@@ -101,7 +101,7 @@ def solve_equations(model, work):
 def accelerations(model, work, external):
     """Accelerations of all freedoms at the stage, to work.acceleration.
 
-    external : (n, 16), see forces/external.py
+    external : (n, COLUMNS), see forces/external.py
     returns -1, or the joint with dependent rows if the regularised solve fails too
     """
     move_links(model, work)

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Limits of what is commanded to a joint. A command beyond them is refused; nothing else enforces them.
+
+They are the numbers lower, upper, velocity and effort in `data` of the joint, of a robot those of its
+file. A velocity or effort of zero or less is no limit: files have it where nothing is known. Without
+a velocity the limit is SPEED, so that no command asks for a motion that cannot be integrated.
+"""
+
+import math
+from typing import NamedTuple
+
+from .coupling import turns
+from .motion import peak_rate
+
+SPEED = 1e3  # rad/s, or characteristic lengths per s
+ROUNDING = 1e-9  # relative; limits are printed with fewer digits than they have
+
+
+class BeyondLimits(ValueError):
+    """A command that is beyond the limits of its joint; one line of text."""
+
+
+class Limits(NamedTuple):
+    """Limits of the commands to one joint."""
+
+    joint: str
+    unit: str  # "rad" or "m"
+    lower: float  # rad or m
+    upper: float
+    speed: float  # rad/s or m/s
+    effort: float  # N m or N
+
+    def check_position(self, position):
+        """Raises BeyondLimits."""
+        slack = ROUNDING * max(1.0, abs(position))
+        if not self.lower - slack <= position <= self.upper + slack:
+            raise BeyondLimits(
+                f"position {position:.6g} {self.unit} of joint {self.joint!r} is beyond its limits, "
+                f"{self.lower:.6g} to {self.upper:.6g} {self.unit}"
+            )
+
+    def check_velocity(self, velocity):
+        """Raises BeyondLimits."""
+        if abs(velocity) > self.speed * (1.0 + ROUNDING):
+            raise BeyondLimits(
+                f"velocity {velocity:.6g} {self.unit}/s of joint {self.joint!r} is beyond its limit of "
+                f"{self._speed}"
+            )
+
+    def check_effort(self, effort):
+        """Raises BeyondLimits."""
+        if abs(effort) > self.effort * (1.0 + ROUNDING):
+            unit = "N m" if self.unit == "rad" else "N"
+            raise BeyondLimits(
+                f"effort {effort:.6g} {unit} of joint {self.joint!r} is beyond its limit of "
+                f"{self.effort:.6g} {unit}"
+            )
+
+    def check_jump(self, before, after):
+        """Check a wanted position of a servo against the previous one. Raises BeyondLimits.
+
+        Limits of position are enough. Without them it may jump by what SPEED covers in a second.
+        """
+        self.check_position(after)
+        free = math.isinf(self.lower) or math.isinf(self.upper)
+        if free and abs(after - before) > self.speed:
+            raise BeyondLimits(
+                f"joint {self.joint!r} cannot jump from {before:.6g} to {after:.6g} {self.unit}: approach "
+                f"it in steps of at most {self.speed:.6g} {self.unit}"
+            )
+
+    def check_motion(self, rows, positions, velocities):
+        """Check a motion of a driven joint to positions and velocities, or to velocities alone.
+
+        rows : (m + 1, COLUMNS) of joints/motion.py. A joint may go on as fast as it is
+        Raises BeyondLimits.
+        """
+        for velocity in () if velocities is None else velocities:
+            self.check_velocity(velocity)
+        if positions is None:
+            return
+        for position in positions:
+            self.check_position(position)
+        most = max(self.speed, abs(rows[0][2])) * (1.0 + ROUNDING)
+        for row, after, position in zip(rows, rows[1:], positions):
+            needed = peak_rate(row, after[0] - row[0], most)
+            if not needed <= most:
+                raise BeyondLimits(
+                    f"joint {self.joint!r} would need {needed:.6g} {self.unit}/s to reach "
+                    f"{position:.6g} {self.unit} in time, beyond its limit of {self._speed}: give a nearer "
+                    "position, or more time"
+                )
+
+    @property
+    def _speed(self):
+        return f"{self.speed:.6g} {self.unit}/s (velocity in its data)"
+
+
+def limits_of(joint, size):
+    """Limits of a joint of the scene with one coordinate; size : m, of the mechanism."""
+    data, angle = joint.data or {}, turns(joint)
+    lower, upper = data.get("lower", -math.inf), data.get("upper", math.inf)
+    if lower > upper:  # wrong in the file, which the notes of a robot say
+        lower, upper = -math.inf, math.inf
+    speed, effort = (
+        number if (number := data.get(key, 0.0)) > 0.0 else otherwise
+        for key, otherwise in (("velocity", SPEED if angle else SPEED * size), ("effort", math.inf))
+    )
+    return Limits(joint.name, "rad" if angle else "m", lower, upper, speed, effort)

@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Commands of other threads to the simulation thread: pause, step, reset, states, snapshots.
+
+They are executed between two steps, in the simulation thread. Imports no ROS.
+"""
+
+from typing import NamedTuple
+
+from liegroup_core import Sample, SceneError
+from liegroup_core.errors import LieGroupSimError
+from liegroup_core.forces.schedule import AppliedWrench
+from liegroup_sim_ros.messages import events
+from liegroup_sim_ros.recording import attachments
+
+MOST_SNAPSHOTS = 1000
+# {name for SimulationServer.call: method}
+COMMANDS = {
+    "pause": "_pause",
+    "resume": "_resume",
+    "reset": "_reset",
+    "step": "_step",
+    "advance": "_advance_paused",
+    "stepped": "_stepped",
+    "place": "_place",
+    "save": "_save",
+    "restore": "_restore",
+    "speed": "_speed",
+    "watch": "_watch",
+    "clear": "_clear",
+    "sample": "_sample",
+    "hold": "_hold",
+}
+
+
+class CommandError(LieGroupSimError):
+    """The current state does not allow the command; one line of text."""
+
+
+class Moment(NamedTuple):
+    """What the command "sample" returns."""
+
+    stamp_ns: int
+    sample: Sample
+    state: str  # of the server
+
+
+class SimulationCommands:
+    """Commands of a SimulationServer, its base class. Each returns one line of text, or as `call` says."""
+
+    def _refuse_if_faulted(self):
+        if self.state == "faulted":
+            raise CommandError("the simulation has stopped with an error: call ~/reset first")
+
+    def _pause(self):
+        self._refuse_if_faulted()
+        if self.state == "paused":
+            return "already paused"
+        self.state = "paused"
+        self.pacer.stop()
+        self._event("pause", f"paused at step {self._simulation.steps}")
+        return f"paused at {self._seconds():.9g} s"
+
+    def _resume(self):
+        self._refuse_if_faulted()
+        if self.state == "running":
+            return "already running"
+        self.state = "running"
+        self.pacer.start(self._seconds())
+        self._event("resume", f"running from step {self._simulation.steps}")
+        return f"running from {self._seconds():.9g} s"
+
+    def _reset(self):
+        self._simulation.reset()
+        return self._restart("reset", "initial state, step 0", "initial state")
+
+    def _place(self, poses, twists, joints, reason):
+        self._refuse_if_faulted()
+        try:
+            self._simulation.place(poses, twists, joints)
+        except (SceneError, ValueError) as error:
+            raise CommandError(str(error)) from None
+        entries = attachments.state(self._simulation, self._next_stamp())
+        return self._restart("state", events.state(reason, entries), reason)
+
+    def _save(self, name):
+        self._refuse_if_faulted()
+        if name not in self._snapshots and len(self._snapshots) >= MOST_SNAPSHOTS:
+            raise CommandError(
+                f"there are {MOST_SNAPSHOTS} snapshots already: save under the name of one of them"
+            )
+        self._inbox.deliver(self._base_ns, self._simulation.time)
+        self._snapshots[name] = self._simulation.snapshot(), self._inbox.snapshot()
+        self._event("save", f"{name}, step {self._simulation.steps}")
+        return f"saved {name!r} at {self._seconds():.9g} s, step {self._simulation.steps}"
+
+    def _restore(self, name):
+        snapshot = self._snapshots.get(name)
+        if snapshot is None:
+            known = ", ".join(sorted(self._snapshots)) or "none, call ~/save_snapshot first"
+            raise CommandError(f"unknown snapshot {name!r}; saved are: {known}")
+        state, followed = snapshot
+        self._simulation.restore(state)
+        entries = attachments.state(self._simulation, self._next_stamp())
+        text = events.state(f"snapshot {name}", entries)
+        result = self._restart("state", text, f"snapshot {name!r}")
+        self._inbox.restore(followed)
+        return result
+
+    def _next_stamp(self):
+        """Stamp of a state that was set: one step after the last one, so that no stamp occurs twice."""
+        return self.stamp_ns + max(1, round(self._simulation.step * 1e9))
+
+    def _restart(self, name, text, result):
+        """Continue from a state that was set in the simulation; send the event and all outputs."""
+        self.stamp_ns = self._next_stamp()
+        self._base_ns = self.stamp_ns - self._simulation.time_ns
+        self._inbox.discard()
+        self._said.clear()
+        self._real_time.restart()
+        self._event(name, text)
+        acting = self._simulation.acting()
+        going_on = {(c.body, c.axes) for c in acting if isinstance(c, AppliedWrench)}
+        if self._output.motions:
+            self._output.prescribed(self.stamp_ns, {}, anew=True)
+        for body, axes in self._output.acting.keys() - going_on:
+            self._send_wrench(self.stamp_ns, body, (0.0,) * 6, axes)
+        self._send_changes(self.stamp_ns, acting)
+        self._send_outputs(everything=True)
+        self._reference_energy = self._simulation.sample().energy
+        if self.state == "faulted":
+            self.state = self._state_before_fault
+        if self.state == "running":
+            self.pacer.start(self._seconds())
+        return f"{result} at {self._seconds():.9g} s, {self.state}"
+
+    def _step(self, count):
+        first = self._simulation.steps
+        reached = self._advance_paused(count)
+        done = self._simulation.steps - first
+        text = self._stepped(done)
+        if not reached:
+            raise CommandError(f"stopped after {done} of {count} steps")
+        return text
+
+    def _advance_paused(self, count):
+        """Take steps while paused; True if all were taken."""
+        self._refuse_if_faulted()
+        if self.state != "paused":
+            raise CommandError("the simulation is running: call ~/pause first")
+        return self._advance(self._simulation.steps + count)
+
+    def _stepped(self, done):
+        """Send all outputs and the event after steps that were taken while paused."""
+        if self.state != "faulted":
+            self._send_outputs(everything=True)
+        steps = f"{done} step{'s' if done != 1 else ''}"
+        self._event("step", f"{steps}, at step {self._simulation.steps}")
+        return f"{steps}, at {self._seconds():.9g} s"
+
+    def _speed(self, factor):
+        self.pacer.factor = factor
+        self._real_time.forget()
+        self._said.discard(("slow", ""))
+        if self.state == "running":
+            self.pacer.start(self._seconds())
+        self._event("speed", f"real-time factor {factor:g}")
+        return f"real-time factor {factor:g}"
+
+    def _watch(self, watching):
+        self._watching = watching
+        if watching:
+            self._keep_positions(self._simulation.sample())
+        return "positions are kept" if watching else "positions are not kept"
+
+    def _clear(self, prefix):
+        for source in self._simulation.wrench_sources:
+            if source.startswith(prefix):
+                self._simulation.clear_wrenches(source)
+        return f"wrenches of {prefix} end with the next step"
+
+    def _sample(self):
+        return Moment(self.stamp_ns, self._simulation.sample(), self.state)
+
+    def _hold(self):
+        if self.state == "faulted":  # a reset would let it run again
+            running, self._state_before_fault = self._state_before_fault == "running", "paused"
+            return running
+        running = self.state == "running"
+        self._pause()
+        return running

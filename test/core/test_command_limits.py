@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Commands beyond the limits of a joint are refused, and nothing changes."""
+
+import math
+
+import numpy as np
+import pytest
+
+from liegroup_core import Simulation
+from liegroup_core.joints.limits import SPEED, BeyondLimits
+from liegroup_core.joints.motion import peak_rate, through
+from liegroup_core.scene.load import scene_from_text
+
+SCENE = """
+name: rig
+gravity: [0, 0, 0]
+bodies:
+  - {name: wheel, mass: 2, inertia: [1, 1, 0.5]}
+  - {name: slide, mass: 1, inertia: [1, 1, 1], position: [9, 0, 0]}
+joints:
+  - {name: free, type: revolute, parent: world, child: wheel, child_frame: {}, driven: true}
+  - {name: rail, type: prismatic, parent: world, child: slide, child_frame: {axis: [1, 0, 0]}, driven: true,
+     data: {lower: -0.5, upper: 2.0, velocity: 3.0, effort: 0.0}}
+"""
+
+
+@pytest.fixture(scope="module")
+def simulation():
+    return Simulation(scene_from_text(SCENE), "rkmk8", 1e-3)
+
+
+@pytest.mark.parametrize(
+    "joint, points, text",
+    [
+        (
+            "free",
+            ([0.02], [1e12], [0.0]),
+            "'free' would need 9.375e\\+13 rad/s to reach 1e\\+12 rad",
+        ),
+        ("free", ([0.02], [1e300], None), "rad/s to reach 1e\\+300 rad in time"),
+        (
+            "free",
+            ([10.0], None, [1001.0]),
+            "velocity 1001 rad/s of joint 'free' is beyond its limit",
+        ),
+        ("free", ([1.0, 1.02], [0.5, 30.0]), "to reach 0.5 rad in time"),
+        (
+            "rail",
+            ([9.0], [2.01]),
+            "position 2.01 m of joint 'rail' is beyond its limits, -0.5 to 2 m",
+        ),
+        (
+            "rail",
+            ([9.0], None, [-3.1]),
+            "velocity -3.1 m/s of joint 'rail' is beyond its limit of 3",
+        ),
+        ("rail", ([1.0], [1.7]), "'rail' would need 3.1875 m/s to reach 1.7 m in time"),
+    ],
+)
+def test_a_motion_beyond_the_limits_is_refused(simulation, joint, points, text):
+    """The rest-to-rest quintic needs 15/8 of its mean rate in the middle: 1.875 * 1.7 = 3.1875."""
+    before = simulation.snapshot()["external"].tobytes(), len(simulation.commanded_motions)
+    with pytest.raises(BeyondLimits, match=text) as caught:
+        simulation.command_motion(joint, *points)
+    assert "\n" not in str(caught.value)
+    assert (
+        simulation.snapshot()["external"].tobytes(),
+        len(simulation.commanded_motions),
+    ) == before
+
+
+def test_what_is_within_the_limits_is_taken(simulation):
+    """rkmk8 integrates a motion of degree five without an error of the method."""
+    simulation.reset()
+    simulation.command_motion("rail", [1.0], [1.5])
+    simulation.command_motion("free", [0.02], [10.6])  # 1.875 * 10.6 / 0.02 = 994 rad/s
+    simulation.advance(1000)
+    found = simulation.sample().joint_coordinates
+    assert found["rail"] == pytest.approx((1.5, 0.0), abs=1e-12)
+    assert found["free"] == pytest.approx((10.6, 0.0), abs=1e-11)
+
+
+def test_a_joint_that_is_faster_than_its_limit_can_go_on_and_stop():
+    scene = SCENE.replace(
+        "inertia: [1, 1, 0.5]}", "inertia: [1, 1, 0.5], angular_velocity: [0, 0, 2000]}"
+    )
+    simulation = Simulation(scene_from_text(scene), "rkmk4", 1e-5)
+    simulation.command_motion("free", [1e-3], [1.25], [500.0])
+    simulation.command_motion("free", [1e-3], None, [0.0])
+    simulation.advance(200)
+    assert simulation.sample().joint_coordinates["free"][1] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_peak_rate_is_that_of_a_fine_grid(seed):
+    rng = np.random.default_rng(seed)
+    start, duration = rng.normal(size=3), rng.uniform(0.1, 3.0)
+    row, _ = through(start, [1.0, 1.0 + duration], rng.normal(size=1), rng.normal(size=1))
+    s = np.linspace(0.0, duration, 20_001)
+    rates = np.polynomial.Polynomial(row[1:]).deriv()(s)
+    # The grid misses a peak by half its second derivative times half a spacing squared.
+    curvature = np.abs(np.polynomial.Polynomial(row[1:]).deriv(3)(s)).max()
+    missed = curvature * (duration / 20_000) ** 2
+    assert abs(peak_rate(row, duration, 0.0) - np.abs(rates).max()) <= missed + 1e-12
+    assert peak_rate(row, duration, math.inf) >= np.abs(rates).max() - 1e-12
+
+
+def test_limits_of_the_scene_and_the_defaults(simulation):
+    limits = simulation.layout.limits
+    assert limits["free"][2:] == (-math.inf, math.inf, SPEED, math.inf)
+    assert limits["rail"][1:] == ("m", -0.5, 2.0, 3.0, math.inf)

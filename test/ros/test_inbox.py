@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Inputs that wait for the simulation thread: what is replaced is counted, what is too late refused."""
+
+import math
+
+import pytest
+
+from liegroup_core import Simulation
+from liegroup_core.scene.load import scene_from_text
+from liegroup_sim_ros.messages.commands import Point
+from liegroup_sim_ros.node.inbox import Inbox
+from liegroup_sim_ros.node.joint_command_input import JointEffort, Motion
+from liegroup_sim_ros.node.trajectory import Trajectory
+
+SCENE = """
+name: rig
+gravity: [0, 0, 0]
+bodies:
+  - {name: wheel, mass: 2, inertia: [1, 1, 0.5]}
+  - {name: nut, mass: 1, inertia: [1, 1, 1], position: [9, 0, 0]}
+joints:
+  - {name: free, type: revolute, parent: world, child: wheel, child_frame: {}, driven: true}
+  - {name: thread, type: screw, pitch: 0.01, parent: world, child: nut, child_frame: {}, driven: true}
+"""
+
+
+@pytest.fixture
+def simulation():
+    return Simulation(scene_from_text(SCENE), "rkmk8", 1e-3)
+
+
+def test_what_never_acts_is_counted(simulation):
+    inbox, refused = Inbox(simulation, 2e-3, 0.02), []
+    for value in (1.0, 2.0, 3.0):
+        inbox.push([Motion("free", value, 0.0, 0.05, 0)], None, refused.append)
+    assert (len(inbox), inbox.replaced) == (1, 2)
+    for _ in range(2):
+        inbox.follow(Trajectory(["free"], [Point((0.1,), (), (), (), 10**9)]), refused.append)
+    assert inbox.replaced == 3
+    inbox.discard()
+    assert (len(inbox), inbox.replaced) == (0, 5)
+    inbox.deliver(0, 0.0)
+    assert simulation.input_count == 0 and not refused
+
+
+def test_a_command_that_cannot_be_followed_when_it_starts_is_refused(simulation):
+    """It was within the limits from where the joint was when it arrived."""
+    inbox, refused = Inbox(simulation, 2e-3, 0.02), []
+    inbox.push([Motion("free", 18.0, 0.0, 0.02, 0)], None, refused.append)
+    inbox.push([Motion("thread", 0.5, 0.0, 0.02, 0)], None, refused.append)
+    inbox.deliver(0, 0.0)
+    assert len(refused) == 1 and "'free' would need 1687.5 rad/s" in refused[0]
+    far = [Point((0.2, 1e9), (), (), (), 10**9)]
+    inbox.follow(Trajectory(["thread", "free"], far), refused.append)
+    inbox.deliver(0, 0.01)
+    assert len(refused) == 2 and "'free' would need" in refused[1]
+    simulation.advance(2000)
+    found = {joint: motion[0] for joint, motion in simulation.sample().prescribed.items()}
+    assert found["free"] == 0.0
+    assert found["thread"] == pytest.approx(0.5, abs=1e-12)
+
+
+def test_an_effort_is_delivered(simulation):
+    inbox = Inbox(simulation, 2e-3, 0.02)
+    inbox.push([JointEffort("a", "free", 3.0, 0)], None)
+    inbox.deliver(0, 0.0)
+    simulation.advance(1)
+    assert simulation.sample().joint_efforts == {"free": 3.0} and math.isfinite(simulation.energy())
