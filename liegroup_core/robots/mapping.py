@@ -96,6 +96,7 @@ def scene_parts(robot, options):
         for link, group in grouping.of_link.items()
         if link != WORLD
     }
+    notes += _outside_limits(grouping.moving, values)
     moving = {joint.name for joint in grouping.moving}
     parts.still = {
         joint.name: values[joint.name]
@@ -326,6 +327,18 @@ def _law(robot, parts, joint, name, taken):
     parts.lines["forces", len(parts.forces)] = joint.line
     parts.comments["forces", len(parts.forces)] = _from_line(robot, joint.line)
     parts.forces.append(entry)
+
+
+def _outside_limits(joints, values):
+    """Notes of joints that start outside their limits; values: {joint: coordinate}."""
+    found = []
+    for joint in joints:
+        lower, upper = joint.data.get("lower", -np.inf), joint.data.get("upper", np.inf)
+        if lower <= upper and not lower <= values[joint.name] <= upper:
+            found.append(
+                f"{joint.name} at {values[joint.name]:.6g} (from {lower:.6g} to {upper:.6g})"
+            )
+    return [f"start outside the joint limits: {', '.join(found)}"] if found else []
 
 
 def _left_out(robot, grouping):

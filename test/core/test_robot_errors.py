@@ -486,7 +486,40 @@ def test_a_mimic_of_a_fixed_joint_holds_nothing(tmp_path):
     path.write_text(text)
     scene = load_scene(path)
     assert len(scene.bodies) == 4
-    assert "left out: 1 couplings of fixed joints (left_tip)" in scene.notes
+    assert "left out: 1 couplings of fixed joints, which cannot follow (left_tip)" in scene.notes
+
+
+def test_a_start_outside_the_limits_is_noted(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(ARM_URDF)
+    for shoulder, extend, expected in (
+        (2, -1, []),
+        (2.5, 0, ["shoulder at 2.5 (from -1 to 2)"]),
+        (-1.25, 1.5, ["shoulder at -1.25 (from -1 to 2), extend at 1.5 (from -1 to 1)"]),
+    ):
+        scene = scene_from_robot(path, Options(start={"shoulder": shoulder, "extend": extend}))
+        head = "start outside the joint limits: "
+        assert [
+            note.removeprefix(head) for note in scene.notes if note.startswith(head)
+        ] == expected
+
+
+def test_collision_shapes_of_links_that_are_cut_are_not_counted(tmp_path):
+    shape = '<collision><geometry><sphere radius="1"/></geometry></collision></link>'
+    path = tmp_path / "robot.urdf"
+    path.write_text(ARM_URDF.replace("</link>", shape))
+    contact = [
+        [note for note in scene_from_robot(path, options).notes if "no contact" in note]
+        for options in (Options(), Options(only=["upper"]))
+    ]
+    assert all(len(notes) == 1 for notes in contact)
+    assert "slide" in contact[0][0] and "slide" not in contact[1][0]
+
+
+@pytest.mark.parametrize("address", ["http://a.org/arm.urdf", "https://a.org/b", "ftp://a/b"])
+def test_nothing_is_fetched_from_a_network(address):
+    with pytest.raises(SceneError, match="nothing is fetched from a network: download the file"):
+        load_scene(address)
 
 
 def test_limits_that_are_exchanged_are_noted(tmp_path):
