@@ -19,6 +19,7 @@ from .description import MISSING_MESHES, ONE_COORDINATE, WORLD, frame_keys, list
 from .names import scene_name, unique_names
 from .resources import find_resource
 from .sensors import add_sensors, check_kept, kept_fixed_joints
+from .stiffness import stiffness_notes
 
 # Mass of a link without mass between two joints, relative to the lightest body: its effect on
 # accelerations is below round-off.
@@ -97,6 +98,8 @@ def scene_parts(robot, options):
         if link != WORLD
     }
     notes += _outside_limits(grouping.moving, values)
+    if not closing:  # loops add inertia to their joints
+        notes += stiffness_notes(grouping)
     moving = {joint.name for joint in grouping.moving}
     parts.still = {
         joint.name: values[joint.name]
