@@ -68,7 +68,10 @@ def row_of(path, states, motion=False):
         "left_out": _left_out(scene),
     }
     peer = {".urdf": TREES, ".sdf": LOOPS, ".xml": MUJOCO}.get(path.suffix)
-    welded = peer != TREES and any(joint.type == "fixed" for joint in scene.joints)
+    # Fixed joints of a tree are kept for force sensors; MuJoCo's equality/weld is soft.
+    welded = peer == MUJOCO and any(
+        joint.type == "fixed" and not joint.name.endswith("_weld") for joint in scene.joints
+    )
     if states and (peer == LOOPS or not (row["loops"] or welded)):
         try:
             row |= {"peer": peer} | _compared(path, scene, states, peer, motion)
