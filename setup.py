@@ -78,7 +78,9 @@ setup(
             "rosbags",
             "small-mcap",
             "trimesh",
+            "urdf-parser-py",
             "xacro",
+            "yourdfpy",
         ],
         "lint": ["mypy", "ruff"],
         # Peers of benchmarks/; cmeel-eigen has the Eigen headers to compile the Pinocchio loop.

@@ -5,6 +5,7 @@ import numpy as np
 
 from liegroup_core.engine import Engine
 from liegroup_core.integrators.rkmk import spaces
+from liegroup_core.joints.elements import WORLD
 from liegroup_core.scene.consistency import resolve_couplings
 
 
@@ -29,6 +30,8 @@ class Accelerations:
         found = np.zeros((len(model.parts), 6))
         flat = engine.state()[0]
         for i, part in enumerate(model.parts):
+            if part["link"] == WORLD:  # held by a fixed joint
+                continue
             turn, (w, v) = part["rotation"].reshape(3, 3), work.moved[part["link"]].reshape(2, 3)
             found[i, :3], found[i, 3:] = w @ turn, (v + np.cross(w, part["point"])) @ turn
             found[i, 3:] += model.gravity[0] @ flat[i, :9].reshape(3, 3)

@@ -1,10 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Trees from URDF beside Pinocchio, which reads the file itself."""
 
+from contextlib import nullcontext, suppress
+
 import numpy as np
 import pinocchio as pin
 
+from liegroup_core import SimulationError
+from liegroup_core.engine import Engine
+
 from .accelerations import Accelerations, coupled, difference, offsets_of
+
+# s: steps of RK4 with Pinocchio's accelerations, and of ours; smaller ones where the first are too large.
+STEPS = ((1e-4, 1e-3), (2.5e-5, 2e-4), (5e-6, 4e-5))
+CLOSE = 1e-8  # m; a larger difference is computed again with smaller steps
+DISTURBANCE = 1e-12  # of the twists at the start, relative
 
 
 def against_pinocchio(path, scene, states):
@@ -12,72 +22,147 @@ def against_pinocchio(path, scene, states):
 
     The state is (poses (n, 12), twists (n, 6), our accelerations (n, 6), Pinocchio's).
     """
-    names = scene.robot
-    # Pinocchio's reader wants a root link, not a world, for a floating base.
-    floats = all(joint.parent != "world" for joint in scene.joints)
-    model = (
-        pin.buildModelFromUrdf(str(path), pin.JointModelFreeFlyer())
-        if floats
-        else (pin.buildModelFromUrdf(str(path)))
-    )
-    kept = set(names.joints.values())
-    held = [
-        j
-        for j in range(1, model.njoints)
-        if model.names[j] not in kept and model.names[j] != "root_joint"
-    ]
-    if held:
-        model = pin.buildReducedModel(model, held, pin.neutral(model))
-    model.gravity.linear = np.array(scene.gravity)
-    data = model.createData()
-    number = {frame.name: i for i, frame in enumerate(model.frames) if frame.type == pin.BODY}
-    frames = [number[names.links[body.name]] for body in scene.bodies]
-    damping = {force.joint: force.damping for force in scene.forces}
-    tau_of = np.zeros(model.nv)
-    for joint in scene.joints:
-        tau_of[model.joints[model.getJointId(names.joints[joint.name])].idx_v] = damping.get(
-            joint.name, 0.0
-        )
+    tree = _Tree(path, scene)
     rng, solve, worst = np.random.default_rng(7), Accelerations(scene), (-1.0, None)
-    offsets = offsets_of(scene)
     for _ in range(states):
-        q = pin.integrate(model, pin.neutral(model), rng.uniform(-1.5, 1.5, model.nv))
-        v = rng.uniform(-1.0, 1.0, model.nv)
-        rows = _coupled_pinocchio(scene, offsets, model, q, v)
-        a = pin.aba(model, data, q, v, -tau_of * v)
-        M = pin.crba(model, data, q)
-        a = coupled(a, rows, np.linalg.solve(np.triu(M) + np.triu(M, 1).T, rows.T))
-        pin.forwardKinematics(model, data, q, v, a)
-        pin.updateFramePlacements(model, data)
-        pose, twist, theirs = [], [], []
-        for frame, body in zip(frames, scene.bodies):
-            place = data.oMf[frame]
-            pose.append([*place.rotation.ravel(), *place.translation])
-            V = pin.getFrameVelocity(model, data, frame, pin.LOCAL)
-            A = pin.getFrameAcceleration(model, data, frame, pin.LOCAL)
-            twist.append([*V.angular, *V.linear])
-            theirs.append([*A.angular, *(A.linear + np.cross(A.angular, body.com))])
-        state = np.array(pose), np.array(twist)
-        state += solve(*state), np.array(theirs)
+        q, v, rows = tree.random_state(rng, 1.5)
+        state = tree.poses_and_twists(q, v, tree.accelerations(q, v, rows))
+        theirs = state[2] + np.zeros((len(scene.bodies), 6))
+        for A, body in zip(theirs, scene.bodies):
+            A[3:] += np.cross(A[:3], body.com)
+        state = *state[:2], solve(*state[:2]), theirs
         found = difference(*state[2:], scene.bodies)
         if found > worst[0]:
             worst = found, state
     return worst
 
 
-def _coupled_pinocchio(scene, offsets, model, q, v):
-    """Make a state of Pinocchio satisfy the couplings; returns their rows (k, nv)."""
-    rows = np.zeros((len(scene.couplings), model.nv))
-    for row, coupling, offset in zip(rows, scene.couplings, offsets):
-        first, other = (
-            model.joints[model.getJointId(scene.robot.joints[name])]
-            for name in (coupling.joint, coupling.other)
+def motion_against_pinocchio(path, scene, seconds=1.0):
+    """Differences after a motion from a random state, m: a dict.
+
+    motion_m : largest difference of positions; Pinocchio: RK4 on its configuration space with its
+               accelerations, ours: rkmk8
+    moved_m  : largest displacement
+    grown_m  : if the smallest steps differ too, ours after a start with twists larger by DISTURBANCE
+    Raises SimulationError if our smallest step is too large.
+    """
+    tree = _Tree(path, scene)
+    for theirs, ours in STEPS:
+        with suppress(SimulationError) if (theirs, ours) != STEPS[-1] else nullcontext():
+            q, v, rows = tree.random_state(np.random.default_rng(3), 0.5)
+            pose, twist, _ = tree.poses_and_twists(q, v, 0.0 * v)
+            end = _our_end(scene, pose, twist, seconds, ours)
+            for _ in range(round(seconds / theirs)):
+                q, v = tree.step(q, v, rows, theirs)
+            their_end = tree.poses_and_twists(q, v, 0.0 * v)[0][:, 9:]
+            found = {
+                "motion_m": float(np.abs(end - their_end).max()),
+                "moved_m": float(np.abs(end - pose[:, 9:]).max()),
+            }
+            if found["motion_m"] < CLOSE:
+                return found
+    other = _our_end(scene, pose, twist * (1.0 + DISTURBANCE), seconds, ours)
+    return found | {"grown_m": float(np.abs(end - other).max())}
+
+
+def _our_end(scene, pose, twist, seconds, step):
+    """Positions (n, 3) of the body frames after a motion."""
+    engine = Engine(scene, "rkmk8", step, group="relative", quiet=True)
+    engine.set_state(*engine.layout.offsets.to_centres(pose, twist))
+    engine.advance(round(seconds / step))
+    found = engine.sample().positions
+    return np.array([found[body.name] for body in scene.bodies])
+
+
+class _Tree:
+    """Model of Pinocchio with the bodies, damping and couplings of a scene."""
+
+    def __init__(self, path, scene):
+        self.scene, names = scene, scene.robot
+        # Pinocchio's reader wants a root link, not a world, for a floating base.
+        self.floats = all(joint.parent != "world" for joint in scene.joints)
+        model = (
+            pin.buildModelFromUrdf(str(path), pin.JointModelFreeFlyer())
+            if self.floats
+            else pin.buildModelFromUrdf(str(path))
         )
-        at = q[other.idx_q : other.idx_q + other.nq]
-        value = coupling.ratio * (at[0] if other.nq == 1 else np.arctan2(at[1], at[0])) + offset
-        q[first.idx_q : first.idx_q + first.nq] = (
-            [value] if first.nq == 1 else [np.cos(value), np.sin(value)]
-        )
-        v[first.idx_v] = coupling.ratio * v[other.idx_v]
-        row[first.idx_v], row[other.idx_v] = 1.0, -coupling.ratio
-    return rows
+        kept = set(names.joints.values())
+        held = [
+            j
+            for j in range(1, model.njoints)
+            if model.names[j] not in kept and model.names[j] != "root_joint"
+        ]
+        if held:
+            model = pin.buildReducedModel(model, held, pin.neutral(model))
+        model.gravity.linear = np.array(scene.gravity)
+        self.model, self.data, self.offsets = model, model.createData(), offsets_of(scene)
+        number = {frame.name: i for i, frame in enumerate(model.frames) if frame.type == pin.BODY}
+        self.frames = [number[names.links[body.name]] for body in scene.bodies]
+        damping = {force.joint: force.damping for force in scene.forces}
+        self.damping = np.zeros(model.nv)
+        for joint in scene.joints:
+            if joint.type != "fixed":
+                number = model.getJointId(names.joints[joint.name])
+                self.damping[model.joints[number].idx_v] = damping.get(joint.name, 0.0)
+
+    def random_state(self, rng, largest):
+        """(q, v, rows of the couplings (k, nv)) of a state that satisfies the couplings."""
+        model = self.model
+        q = pin.integrate(model, pin.neutral(model), rng.uniform(-largest, largest, model.nv))
+        v = rng.uniform(-1.0, 1.0, model.nv)
+        return q, v, self._coupled(q, v)
+
+    def accelerations(self, q, v, rows):
+        """Accelerations (nv,) of the joints."""
+        model, data = self.model, self.data
+        a = pin.aba(model, data, q, v, -self.damping * v)
+        if not len(rows):
+            return a
+        M = pin.crba(model, data, q)
+        return coupled(a, rows, np.linalg.solve(np.triu(M) + np.triu(M, 1).T, rows.T))
+
+    def poses_and_twists(self, q, v, a):
+        """Poses (n, 12), twists and accelerations (n, 6) of the frames of all bodies."""
+        model, data = self.model, self.data
+        pin.forwardKinematics(model, data, q, v, a)
+        pin.updateFramePlacements(model, data)
+        pose, twist, rate = [], [], []
+        for frame in self.frames:
+            place = data.oMf[frame]
+            pose.append([*place.rotation.ravel(), *place.translation])
+            V = pin.getFrameVelocity(model, data, frame, pin.LOCAL)
+            A = pin.getFrameAcceleration(model, data, frame, pin.LOCAL)
+            twist.append([*V.angular, *V.linear])
+            rate.append([*A.angular, *A.linear])
+        return np.array(pose), np.array(twist), np.array(rate)
+
+    def step(self, q, v, rows, h):
+        """State after a step of RK4 in the exponential coordinates of the joints at its start."""
+        model, at, rate, slopes = self.model, np.zeros_like(v), v, []
+        for part in (0.0, 0.5, 0.5, 1.0):
+            if slopes:
+                at, rate = (x + part * h * dx for x, dx in zip((0.0 * v, v), slopes[-1]))
+            turned = rate
+            if self.floats:
+                turned = np.linalg.solve(pin.dIntegrate(model, q, at, pin.ARG1), rate)
+            slopes.append((turned, self.accelerations(pin.integrate(model, q, at), rate, rows)))
+        at, dv = (h / 6.0 * (a + 2.0 * (b + c) + d) for a, b, c, d in zip(*slopes))
+        return pin.integrate(model, q, at), v + dv
+
+    def _coupled(self, q, v):
+        """Make a state satisfy the couplings; returns their rows (k, nv)."""
+        scene, model = self.scene, self.model
+        rows = np.zeros((len(scene.couplings), model.nv))
+        for row, coupling, offset in zip(rows, scene.couplings, self.offsets):
+            first, other = (
+                model.joints[model.getJointId(scene.robot.joints[name])]
+                for name in (coupling.joint, coupling.other)
+            )
+            at = q[other.idx_q : other.idx_q + other.nq]
+            value = coupling.ratio * (at[0] if other.nq == 1 else np.arctan2(at[1], at[0])) + offset
+            q[first.idx_q : first.idx_q + first.nq] = (
+                [value] if first.nq == 1 else [np.cos(value), np.sin(value)]
+            )
+            v[first.idx_v] = coupling.ratio * v[other.idx_v]
+            row[first.idx_v], row[other.idx_v] = 1.0, -coupling.ratio
+        return rows

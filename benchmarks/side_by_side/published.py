@@ -12,9 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
+from liegroup_core.robots.mapping import scene_parts
 from liegroup_core.robots.options import Options
 from liegroup_core.robots.read import read_robot
-from liegroup_core.scene.load import scene_from_robot
+from liegroup_core.robots.text import scene_text
+from liegroup_core.scene.load import scene_from_text
 
 from .mechanism_reference import end_attitudes
 from .problems import BALL, FREE, GROUND, HINGE, SLIDE, Body, Joint, Problem
@@ -65,7 +67,11 @@ def problem_of(name, duration=1.0):
             start[joint.name] = size * rng.uniform(-BENT, BENT)
         turning = FREE_TURNING if base == "floating" and not closed else TURNING
         speeds[joint.name] = size * rng.uniform(-turning, turning)
-    scene = scene_from_robot(path, Options(base=base, start=start, start_velocity=speeds))
+    robot = read_robot(path)
+    robot.couplings.clear()
+    robot.sensors.clear()  # force-torque sensors keep fixed joints, which other codes do not have
+    parts = scene_parts(robot, Options(base=base, start=start, start_velocity=speeds))
+    scene = scene_from_text(scene_text(parts), str(path))
     tree, loops, order = _spanning(scene)
     number = {"world": GROUND} | {body: i for i, body in enumerate(order)}
     bodies = {body.name: body for body in scene.bodies}

@@ -238,8 +238,8 @@ class Robot:
                         f"{types[name]}, and only joints with one coordinate can be coupled",
                     )
         for coupling in self.couplings:
-            if types[coupling.first] == "fixed":  # it has no coordinate to follow with
-                self.leave_out("couplings of fixed joints", coupling.first)
+            if types[coupling.first] == "fixed":
+                self.leave_out("couplings of fixed joints, which cannot follow", coupling.first)
         self.couplings = [each for each in self.couplings if types[each.first] != "fixed"]
         mimics = {coupling.first: coupling for coupling in self.couplings}
         for coupling in self.couplings:

@@ -19,6 +19,7 @@ from .description import MISSING_MESHES, ONE_COORDINATE, WORLD, frame_keys, list
 from .names import scene_name, unique_names
 from .resources import find_resource
 from .sensors import add_sensors, check_kept, kept_fixed_joints
+from .stiffness import stiffness_notes
 
 # Mass of a link without mass between two joints, relative to the lightest body: its effect on
 # accelerations is below round-off.
@@ -96,6 +97,9 @@ def scene_parts(robot, options):
         for link, group in grouping.of_link.items()
         if link != WORLD
     }
+    notes += _outside_limits(grouping.moving, values)
+    if not closing:  # loops add inertia to their joints
+        notes += stiffness_notes(grouping)
     moving = {joint.name for joint in grouping.moving}
     parts.still = {
         joint.name: values[joint.name]
@@ -326,6 +330,18 @@ def _law(robot, parts, joint, name, taken):
     parts.lines["forces", len(parts.forces)] = joint.line
     parts.comments["forces", len(parts.forces)] = _from_line(robot, joint.line)
     parts.forces.append(entry)
+
+
+def _outside_limits(joints, values):
+    """Notes of joints that start outside their limits; values: {joint: coordinate}."""
+    found = []
+    for joint in joints:
+        lower, upper = joint.data.get("lower", -np.inf), joint.data.get("upper", np.inf)
+        if lower <= upper and not lower <= values[joint.name] <= upper:
+            found.append(
+                f"{joint.name} at {values[joint.name]:.6g} (from {lower:.6g} to {upper:.6g})"
+            )
+    return [f"start outside the joint limits: {', '.join(found)}"] if found else []
 
 
 def _left_out(robot, grouping):

@@ -16,7 +16,7 @@ MODEL_PATHS = ("GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "GAZEBO_MODEL
 def resolve(name_or_path):
     """Path of a file from a path, a package://, model:// or file:// address.
 
-    Raises SceneError if a package or model is not found.
+    Raises SceneError if a package or model is not found, and for other addresses, such as http://.
     """
     text = os.fspath(name_or_path)
     for scheme, find in (("package://", _package), ("model://", _model)):
@@ -26,6 +26,11 @@ def resolve(name_or_path):
             if found is None:
                 raise SceneError(f"{text}: {_missing(scheme, name)}")
             return found
+    scheme, separator, _ = text.partition("://")
+    if separator and scheme.isalnum() and scheme != "file":
+        raise SceneError(
+            f"{text}: nothing is fetched from a network: download the file and give its path"
+        )
     return Path(text.removeprefix("file://"))
 
 

@@ -31,6 +31,7 @@ TYPES = {
     "revolute2": "universal",
 }
 
+OWN_RULES = (1, 7)  # version from which the axes of joints are read by the same rules
 DEEPEST = 20  # nested models and includes
 # {element: (children, attributes)} that are read, or that change nothing.
 KNOWN = {
@@ -65,6 +66,11 @@ def robot_of_sdf(root, path):
     robot = loader.robot
     if version > LATEST_SDF:
         robot.remark("SDF version above 1.12, read by the rules of 1.12", root.get("version"))
+    if version < OWN_RULES:
+        robot.remark(
+            "SDF version before 1.7, read by the rules of 1.7, except for the axes of its joints",
+            root.get("version"),
+        )
     world = root.find("world")
     top = root if world is None else world
     if world is not None:
@@ -250,7 +256,7 @@ def _axis(loader, model, element, key):
     vector = reader.numbers(xyz, xyz.text, 3, f"<xyz> of <{key}>")
     vector = reader.direction(xyz, vector, f"<xyz> of <{key}>")
     base = xyz.get("expressed_in")
-    if loader.version < (1, 7) and base is None:
+    if loader.version < OWN_RULES and base is None:
         # Up to 1.4 axes were in the frame of the model, from 1.5 on if the file says so.
         flag = text_of(axis, "use_parent_model_frame")
         if flag in ("true", "1") or (flag is None and loader.version < (1, 5)):

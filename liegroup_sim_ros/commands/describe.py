@@ -12,10 +12,12 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from liegroup_core import SimulationError, load_scene
+from liegroup_core import SimulationError
 from liegroup_core.describe import describe
 from liegroup_core.engine import Engine
 from liegroup_core.layout import make_layout
+
+from .robot_options import add_robot_options, robot_scene
 
 METHODS = ("rkmk4", "rkmk8")
 MEASURING, LEAST_RUNS = 0.2, 3  # per method: s, and smallest number of runs; the fastest counts
@@ -34,11 +36,12 @@ def add_arguments(parser):
         "scene", metavar="SCENE", help="path of a scene or robot file, or name of an example scene"
     )
     parser.add_argument("--json", action="store_true", help="print JSON")
+    add_robot_options(parser)
 
 
 def run(args):
     """Run the subcommand; returns the exit code. Raises SceneError."""
-    scene = load_scene(args.scene)
+    scene = robot_scene(args.scene, args)
     layout = make_layout(scene)
     facts = describe(layout)
     groups = ("auto",) if layout.needs_relative else ("auto", "se3")

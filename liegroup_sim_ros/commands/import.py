@@ -4,18 +4,10 @@
 import sys
 from pathlib import Path
 
-from liegroup_core.errors import LieGroupSimError
-from liegroup_core.joints.kinds import Joint
-from liegroup_core.robots.names import scene_name
-from liegroup_core.robots.options import BASES, Options
-from liegroup_core.scene.load import scene_of
+from liegroup_core.describe import imported
+from liegroup_core.layout import make_layout
 
-# Types of joints that need no more than the frames of two links.
-CLOSING = ("spherical", "revolute", "prismatic", "cylindrical", "planar", "fixed", "universal")
-
-
-class RobotError(LieGroupSimError):
-    """The import is not possible; one line of text, exit code 2."""
+from .robot_options import RobotError, add_robot_options, robot_scene
 
 
 def add_arguments(parser):
@@ -32,65 +24,10 @@ def add_arguments(parser):
         "with package:// or model://",
     )
     parser.add_argument(
-        "arguments", nargs="*", metavar="NAME:=VALUE", help="arguments of a xacro file"
-    )
-    parser.add_argument(
         "--out", metavar="FILE", help="scene file; it must not exist (default: standard output)"
     )
-    parser.add_argument(
-        "--base",
-        choices=BASES,
-        help="fixed: the root link is fixed to the world (default for URDF); floating: it moves "
-        "freely (default for SDF and MJCF, unless a joint holds it)",
-    )
-    for name, text in (
-        ("start", "joint coordinates at the start, rad or m"),
-        ("start-velocity", "joint velocities at the start, rad/s or m/s"),
-        ("lock", "joints that do not move, at these coordinates"),
-    ):
-        parser.add_argument(
-            f"--{name}", nargs="+", action="extend", default=[], metavar="JOINT=VALUE", help=text
-        )
-    parser.add_argument(
-        "--pose",
-        metavar="NAME",
-        help="pose at the start: a keyframe (MJCF) or a group state (SRDF)",
-    )
-    parser.add_argument("--srdf", metavar="FILE", help="SRDF file with group states for --pose")
-    parser.add_argument(
-        "--only",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="LINK",
-        help="keep these links and the chains that lead to them; cut the others",
-    )
-    parser.add_argument(
-        "--keep",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="JOINT",
-        help="fixed joints that are not merged, so that their reactions are known",
-    )
-    parser.add_argument(
-        "--drive",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="JOINT",
-        help="joints that move as prescribed: at their velocity at the start, until a command",
-    )
-    parser.add_argument(
-        "--close",
-        nargs=3,
-        action="append",
-        default=[],
-        metavar=("LINK", "LINK", "TYPE"),
-        help="close a loop: a joint of this type whose frames are the frames of the two links, z "
-        f"axis as axis ({', '.join(CLOSING)})",
-    )
     parser.add_argument("--name", metavar="NAME", help="name of the scene")
+    add_robot_options(parser)
 
 
 def run(args):
@@ -99,72 +36,22 @@ def run(args):
         raise RobotError(f"{args.out} exists: choose another name for --out")
     if args.out is not None and Path(args.out).suffix not in (".yaml", ".yml"):
         raise RobotError(f"--out {args.out}: a scene file ends in .yaml")
-    options = Options(
-        base=args.base,
-        pose=args.pose,
-        srdf=args.srdf,
-        start=_values(args.start, "start"),
-        start_velocity=_values(args.start_velocity, "start-velocity"),
-        lock=_values(args.lock, "lock"),
-        keep=args.keep,
-        driven=dict.fromkeys(args.drive),
-        only=args.only,
-        joints=[_closing(*entry) for entry in args.close],
-        name=args.name,
-        xacro=_arguments(args.arguments),
-    )
-    scene = scene_of(args.robot, None if options == Options() else options)
+    scene = robot_scene(args.robot, args, args.name)
+    counts = imported(make_layout(scene))  # refuses what cannot be simulated, as all commands do
+    text = scene.text
+    if counts is not None:
+        text = (
+            f"# {counts['links']} links of the file are {counts['bodies']} bodies, "
+            f"{counts['file_coordinates']} joint coordinates are {counts['coordinates']}.\n{text}"
+        )
     if args.out is None:
-        print(scene.text, end="")
+        print(text, end="")
         return 0
     try:
-        Path(args.out).write_text(scene.text, encoding="utf-8")
+        Path(args.out).write_text(text, encoding="utf-8")
     except OSError as error:
         raise RobotError(f"{args.out} cannot be written: {error.strerror}") from None
     print(f"{args.out}: {len(scene.bodies)} bodies, {len(scene.joints)} joints", file=sys.stderr)
     for note in scene.notes:
         print(f"  {note}", file=sys.stderr)
     return 0
-
-
-def _arguments(entries):
-    """{name: text} of NAME:=VALUE texts."""
-    found = {}
-    for entry in entries:
-        name, separator, text = entry.partition(":=")
-        if not separator or not name.strip():
-            raise RobotError(f"{entry:.80}: give arguments of xacro as NAME:=VALUE")
-        if name.strip() in found:
-            raise RobotError(f"argument {name.strip()} is given twice: keep one")
-        found[name.strip()] = text.strip()
-    return found
-
-
-def _values(entries, option):
-    """{joint: number} of JOINT=VALUE texts."""
-    found = {}
-    for entry in entries:
-        name, separator, text = entry.rpartition("=")
-        if name in found:
-            raise RobotError(f"--{option} gives {name} twice: keep one")
-        try:
-            found[name] = float(text)
-        except ValueError:
-            separator = ""
-        if not separator or not abs(found.get(name, 0.0)) < 1e100:
-            raise RobotError(f"--{option} {entry}: give JOINT=VALUE, in rad or m, rad/s or m/s")
-    return found
-
-
-def _closing(first, second, kind):
-    """Joint of --close."""
-    if kind not in CLOSING:
-        raise RobotError(f"--close: type {kind!r:.40}; choose one of: {', '.join(CLOSING)}")
-    return Joint(
-        name=scene_name(f"close_{first}_{second}"),
-        type=kind,
-        parent=first,
-        child=second,
-        parent_frame={},
-        child_frame={},
-    )

@@ -16,7 +16,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from liegroup_core import Simulation, SimulationError, load_scene
+from liegroup_core import Simulation, SimulationError
 from liegroup_core.accuracy import DEFAULT, MINUTE
 from liegroup_core.engine import STABILISATIONS, STEP
 from liegroup_core.errors import LieGroupSimError
@@ -24,6 +24,8 @@ from liegroup_core.integrators.methods import CONFIGURATION_GROUPS, METHODS
 from liegroup_core.simulation import default_steps
 from liegroup_sim_ros.recording.write_run import ArrayFile, LogFile
 from liegroup_sim_ros.recording.write_tables import TableFile, TorqueFile
+
+from .robot_options import add_robot_options, robot_scene
 
 EXIT_STOPPED = 1
 AT_ONCE = 10_000  # largest number of steps between two updates of the progress bar
@@ -93,6 +95,7 @@ def add_arguments(parser):
         help="table (*.csv) of the efforts that the motions of driven joints require; it must not exist",
     )
     add_settings(parser)
+    add_robot_options(parser)
 
 
 def add_settings(parser):
@@ -190,7 +193,7 @@ def run(args):
         every = 10 if args.method else 1
     if every < 1:
         raise RunError(f"--every must be at least 1, got {every}")
-    scene = load_scene(args.scene)
+    scene = robot_scene(args.scene, args)
     console = Console(stderr=True)
     for note in scene.differences:
         short = textwrap.shorten(note, NOTE, placeholder=" ... (liegroup_sim describe has all)")

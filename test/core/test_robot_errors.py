@@ -486,7 +486,94 @@ def test_a_mimic_of_a_fixed_joint_holds_nothing(tmp_path):
     path.write_text(text)
     scene = load_scene(path)
     assert len(scene.bodies) == 4
-    assert "left out: 1 couplings of fixed joints (left_tip)" in scene.notes
+    assert "left out: 1 couplings of fixed joints, which cannot follow (left_tip)" in scene.notes
+
+
+def test_a_start_outside_the_limits_is_noted(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(ARM_URDF)
+    for shoulder, extend, expected in (
+        (2, -1, []),
+        (2.5, 0, ["shoulder at 2.5 (from -1 to 2)"]),
+        (-1.25, 1.5, ["shoulder at -1.25 (from -1 to 2), extend at 1.5 (from -1 to 1)"]),
+    ):
+        scene = scene_from_robot(path, Options(start={"shoulder": shoulder, "extend": extend}))
+        head = "start outside the joint limits: "
+        assert [
+            note.removeprefix(head) for note in scene.notes if note.startswith(head)
+        ] == expected
+
+
+def test_damping_of_a_light_link_is_noted_with_its_time(tmp_path):
+    """A rod on a hinge: its velocity decays with the moment of inertia over the damping."""
+    path = tmp_path / "robot.urdf"
+    for damping, expected in ((1.0, []), (300.0, ["turn"])):
+        path.write_text(
+            '<robot name="rod"><link name="base"/><link name="rod"><inertial><origin xyz="0 0.1 0"/>'
+            '<mass value="0.5"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-3" ixy="0" ixz="0" iyz="0"/>'
+            '</inertial></link><joint name="turn" type="continuous"><parent link="base"/>'
+            f'<child link="rod"/><axis xyz="0 0 1"/><dynamics damping="{damping}"/></joint></robot>'
+        )
+        notes = [note for note in load_scene(path).notes if note.startswith("stiff")]
+        assert notes == [
+            f"stiff: damping stops joint {name} within 2e-05 s; use method generalized_alpha, or "
+            "correct the damping or the inertia"
+            for name in expected
+        ]
+        simulation = Simulation(
+            scene_from_robot(
+                path, Options(start_velocity={"turn": 1.0}, gravity=(0.0, 0.0, -1e-9))
+            ),
+            "rkmk8",
+            1e-6,
+        )
+        simulation.advance(20)
+        decayed = simulation.sample().twists["rod"][2]
+        assert decayed == pytest.approx(np.exp(-20e-6 * damping / (1e-3 + 0.5 * 0.1**2)), rel=1e-9)
+
+
+def test_a_point_mass_on_axes_that_meet_is_noted(tmp_path):
+    """Rotations about the first and the last axis move the mass in the same direction."""
+    path = tmp_path / "neck.urdf"
+    links = "".join(
+        f'<link name="{name}"><inertial><origin xyz="{x} 0 0"/><mass value="1"/><inertia ixx="0" '
+        'iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        for name, x in (("yaw", 0.0), ("pitch", 0.0), ("roll", 0.2))
+    )
+    joints = "".join(
+        f'<joint name="{child}" type="continuous"><parent link="{parent}"/><child link="{child}"/>'
+        f'<axis xyz="{axis}"/><dynamics damping="1"/></joint>'
+        for parent, child, axis in (
+            ("base", "yaw", "0 0 1"),
+            ("yaw", "pitch", "0 1 0"),
+            ("pitch", "roll", "1e-3 0 1"),
+        )
+    )
+    path.write_text(f'<robot name="neck"><link name="base"/>{links}{joints}</robot>')
+    noted = []
+    for lock in ({}, {"yaw": 0.0}):
+        notes = scene_from_robot(path, Options(lock=lock)).notes
+        noted.append([note for note in notes if note.startswith("stiff")])
+    assert len(noted[0]) == 1 and noted[1] == []
+    assert re.search(r"joint (yaw|roll) within \S+ s; what it moves has almost no", noted[0][0])
+
+
+def test_collision_shapes_of_links_that_are_cut_are_not_counted(tmp_path):
+    shape = '<collision><geometry><sphere radius="1"/></geometry></collision></link>'
+    path = tmp_path / "robot.urdf"
+    path.write_text(ARM_URDF.replace("</link>", shape))
+    contact = [
+        [note for note in scene_from_robot(path, options).notes if "no contact" in note]
+        for options in (Options(), Options(only=["upper"]))
+    ]
+    assert all(len(notes) == 1 for notes in contact)
+    assert "slide" in contact[0][0] and "slide" not in contact[1][0]
+
+
+@pytest.mark.parametrize("address", ["http://a.org/arm.urdf", "https://a.org/b", "ftp://a/b"])
+def test_nothing_is_fetched_from_a_network(address):
+    with pytest.raises(SceneError, match="nothing is fetched from a network: download the file"):
+        load_scene(address)
 
 
 def test_limits_that_are_exchanged_are_noted(tmp_path):

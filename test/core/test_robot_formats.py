@@ -430,6 +430,13 @@ def test_newer_versions_of_sdf_are_noted(version, noted, tmp_path):
     assert (note in load_scene(sdf(tmp_path, text, version)).notes) == noted
 
 
+@pytest.mark.parametrize(("version", "noted"), [("1.5", True), ("1.6", True), ("1.7", False)])
+def test_older_versions_of_sdf_are_noted(version, noted, tmp_path):
+    text = '<model name="m"><link name="a"><inertial><mass>1</mass></inertial></link></model>'
+    note = f"SDF version before 1.7, read by the rules of 1.7, except for the axes of its joints: {version}"
+    assert (note in load_scene(sdf(tmp_path, text, version)).notes) == noted
+
+
 def test_model_config_names_the_file_of_a_model(tmp_path, monkeypatch):
     """The latest version that is known; without it model.sdf. Merged includes are refused by name."""
     folder = tmp_path / "arm"

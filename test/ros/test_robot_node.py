@@ -255,7 +255,7 @@ def test_the_generated_urdf_moves_with_the_joint_states(name, tmp_path):
 
 @pytest.mark.parametrize("name", ["five_bar", "lift", "platform", "apart", "slider_crank"])
 def test_other_parsers_place_the_links_as_tf_does(name, tmp_path):
-    """Needs urdfdom's Python port and yourdfpy: pip install urdf_parser_py yourdfpy."""
+    """urdfdom's Python port and yourdfpy, in place of RViz and robot_state_publisher."""
     urdfdom, yourdfpy = (pytest.importorskip(each) for each in ("urdf_parser_py.urdf", "yourdfpy"))
     path, make = name, {"five_bar": five_bar, "lift": lift, "platform": platform}.get(name)
     if name == "apart":

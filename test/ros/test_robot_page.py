@@ -121,6 +121,11 @@ def test_import_writes_what_load_scene_takes(folder, capsys):
     ]
     assert tips[0] == pytest.approx(tips[1], abs=1e-12)
     assert main(["import", "closed.yaml", "--out", "all.yaml"]) == 0
+    assert (
+        Path("all.yaml")
+        .read_text()
+        .startswith("# 4 links of the file are 2 bodies, 2 joint coordinates are 2.\nname: arm\n")
+    )
     assert load_scene("all.yaml").model_dump() == load_scene("closed.yaml").model_dump()
     assert main(["import", "closed.yaml", "--start", "elbow=1"]) == 2
     assert "closed.yaml: is a scene file" in capsys.readouterr().err
@@ -150,6 +155,44 @@ def test_wrong_arguments_have_one_line(arguments, expected, folder, capsys):
     assert main(["import", "arm.urdf", *arguments]) == 2
     errors = capsys.readouterr().err
     assert errors.count("\n") == 1 and expected in errors, errors
+
+
+def test_options_of_robots_work_with_run_and_describe(folder, capsys):
+    start = ["--start", "shoulder=0.3", "elbow=0.5"]
+    assert main(["run", "arm.urdf", "--duration", "0.1", "--out", "a.npz", *start]) == 0
+    assert main(["import", "arm.urdf", *start, "--out", "arm.yaml"]) == 0
+    assert main(["run", "arm.yaml", "--duration", "0.1", "--out", "b.npz"]) == 0
+    runs = [np.load(name) for name in ("a.npz", "b.npz")]
+    assert all(np.array_equal(runs[0][key], runs[1][key]) for key in ("poses", "twists"))
+    elbow = (0.5 * np.cos(0.3), 0, -0.5 * np.sin(0.3))
+    assert runs[0]["poses"][0, 1, :3, 3] == pytest.approx(elbow, abs=1e-14)
+    capsys.readouterr()
+    assert main(["describe", "arm.urdf", "--lock", "elbow=0.5"]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "arm: 1 degree of freedom" in printed and "locked joint elbow at 0.5" in printed
+    for command in (["describe"], ["run", "--duration", "1", "--out", "c.npz"]):
+        for arguments, expected in (
+            (["arm.urdf", "--start", "elbov=1"], 'did you mean "elbow"'),
+            (["arm.urdf", "--close", "tool", "base", "glue"], "type 'glue'"),
+            (["heavy_top", "--lock", "elbow=1"], "heavy_top.yaml: is a scene file"),
+        ):
+            assert main([command[0], *arguments, *command[1:]]) == 2
+            errors = capsys.readouterr().err
+            assert errors.count("\n") == 1 and expected in errors, errors
+    assert not Path("c.npz").exists()
+
+
+def test_what_cannot_move_is_refused_by_import_as_by_describe(folder, capsys):
+    Path("stretched.yaml").write_text(
+        "robot: arm.urdf\njoints:\n  - {name: rod, type: revolute, parent: world, child: tool, "
+        "parent_frame: {position: [0.9, 0, 0], axis: [0, 1, 0]}, child_frame: {axis: [0, 1, 0]}}\n"
+    )
+    said = []
+    for arguments in (["describe"], ["import", "--out", "all.yaml"]):
+        assert main([arguments[0], "stretched.yaml", *arguments[1:]]) == 2
+        said.append(capsys.readouterr().err)
+    assert said[0] == said[1] and "its loop is fully stretched" in said[0]
+    assert said[0].count("\n") == 1 and not Path("all.yaml").exists()
 
 
 @pytest.mark.parametrize("path", ["", "."])

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Options of subcommands that take the file of a robot: start values, locked joints, closed loops."""
+
+from liegroup_core.errors import LieGroupSimError
+from liegroup_core.joints.kinds import Joint
+from liegroup_core.robots.names import scene_name
+from liegroup_core.robots.options import BASES, Options
+from liegroup_core.scene.load import scene_of
+
+# Types of joints that need no more than the frames of two links.
+CLOSING = ("spherical", "revolute", "prismatic", "cylindrical", "planar", "fixed", "universal")
+
+
+class RobotError(LieGroupSimError):
+    """An option is wrong or the file cannot be written; one line of text, exit code 2."""
+
+
+def add_robot_options(parser):
+    """Add the options; the path of the file is the positional argument before them."""
+    parser = parser.add_argument_group("files of robots (URDF, xacro, SDF, MJCF)")
+    parser.add_argument(
+        "arguments", nargs="*", metavar="NAME:=VALUE", help="arguments of a xacro file"
+    )
+    parser.add_argument(
+        "--base",
+        choices=BASES,
+        help="fixed: the root link is fixed to the world (default for URDF); floating: it moves "
+        "freely (default for SDF and MJCF, unless a joint holds it)",
+    )
+    for name, text in (
+        ("start", "joint coordinates at the start, rad or m"),
+        ("start-velocity", "joint velocities at the start, rad/s or m/s"),
+        ("lock", "joints that do not move, at these coordinates"),
+    ):
+        parser.add_argument(
+            f"--{name}", nargs="+", action="extend", default=[], metavar="JOINT=VALUE", help=text
+        )
+    parser.add_argument(
+        "--pose",
+        metavar="NAME",
+        help="pose at the start: a keyframe (MJCF) or a group state (SRDF)",
+    )
+    parser.add_argument("--srdf", metavar="FILE", help="SRDF file with group states for --pose")
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="LINK",
+        help="keep these links and the chains that lead to them; cut the others",
+    )
+    parser.add_argument(
+        "--keep",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="JOINT",
+        help="fixed joints that are not merged, so that their reactions are known",
+    )
+    parser.add_argument(
+        "--drive",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="JOINT",
+        help="joints that move as prescribed: at their velocity at the start, until a command",
+    )
+    parser.add_argument(
+        "--close",
+        nargs=3,
+        action="append",
+        default=[],
+        metavar=("LINK", "LINK", "TYPE"),
+        help="close a loop: a joint of this type whose frames are the frames of the two links, z "
+        f"axis as axis ({', '.join(CLOSING)})",
+    )
+
+
+def robot_scene(path, args, name=None):
+    """Scene of a path or name with the options of `args`. Raises SceneError, RobotError.
+
+    name : of the scene; None: that of the robot
+    """
+    options = Options(
+        base=args.base,
+        pose=args.pose,
+        srdf=args.srdf,
+        start=_values(args.start, "start"),
+        start_velocity=_values(args.start_velocity, "start-velocity"),
+        lock=_values(args.lock, "lock"),
+        keep=args.keep,
+        driven=dict.fromkeys(args.drive),
+        only=args.only,
+        joints=[_closing(*entry) for entry in args.close],
+        name=name,
+        xacro=_arguments(args.arguments),
+    )
+    return scene_of(path, None if options == Options() else options)
+
+
+def _arguments(entries):
+    """{name: text} of NAME:=VALUE texts."""
+    found = {}
+    for entry in entries:
+        name, separator, text = entry.partition(":=")
+        if not separator or not name.strip():
+            raise RobotError(f"{entry:.80}: give arguments of xacro as NAME:=VALUE")
+        if name.strip() in found:
+            raise RobotError(f"argument {name.strip()} is given twice: keep one")
+        found[name.strip()] = text.strip()
+    return found
+
+
+def _values(entries, option):
+    """{joint: number} of JOINT=VALUE texts."""
+    found = {}
+    for entry in entries:
+        name, separator, text = entry.rpartition("=")
+        if name in found:
+            raise RobotError(f"--{option} gives {name} twice: keep one")
+        try:
+            found[name] = float(text)
+        except ValueError:
+            separator = ""
+        if not separator or not abs(found.get(name, 0.0)) < 1e100:
+            raise RobotError(f"--{option} {entry}: give JOINT=VALUE, in rad or m, rad/s or m/s")
+    return found
+
+
+def _closing(first, second, kind):
+    """Joint of --close."""
+    if kind not in CLOSING:
+        raise RobotError(f"--close: type {kind!r:.40}; choose one of: {', '.join(CLOSING)}")
+    return Joint(
+        name=scene_name(f"close_{first}_{second}"),
+        type=kind,
+        parent=first,
+        child=second,
+        parent_frame={},
+        child_frame={},
+    )
