@@ -145,11 +145,9 @@ def drake_run(problem, step):
     if problem != "rest":
         return None
     from pydrake.all import (
-        DiagramBuilder,
         DiscreteContactApproximation,
         MultibodyPlant,
         RevoluteJoint,
-        RigidTransform,
         Simulator,
         SpatialInertia,
         UnitInertia,

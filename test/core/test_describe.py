@@ -28,6 +28,7 @@ def test_heavy_top():
             "rows": ["vx", "vy", "vz"],
             "dropped": [],
             "driven": False,
+            "switches": [],
         }
     ]
     assert facts["forces"] == [{"name": "spring", "type": "spring_damper", "on": ["world", "top"]}]

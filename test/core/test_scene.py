@@ -19,6 +19,7 @@ from scene_files import ROOT, SCENES, each_scene
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import Described
 from liegroup_core.joints.motion import Motion
+from liegroup_core.joints.stops import Friction, Limits
 from liegroup_core.scene import (
     Body,
     DistanceJoint,
@@ -430,7 +431,20 @@ def test_numbers_and_text_survive_a_round_trip_bit_for_bit(
 
 # ---------------------------------------------------------------- documentation
 
-MODELS = (Scene, Body, *SHAPES, *JOINTS, Motion, Coupling, Frame, *FORCES, *SENSORS, RobotFile)
+MODELS = (
+    Scene,
+    Body,
+    *SHAPES,
+    *JOINTS,
+    Motion,
+    Limits,
+    Friction,
+    Coupling,
+    Frame,
+    *FORCES,
+    *SENSORS,
+    RobotFile,
+)
 
 
 def test_every_field_is_documented():
