@@ -18,7 +18,7 @@ and Operations Research 21 (1994), 587-596.
 import numpy as np
 from scipy.optimize import lsq_linear
 
-# Of the largest terms: w below is zero, and x within this of a bound is at it.
+# Of its terms: w below is zero, and x within what causes this w of a bound is at it.
 TOLERANCE = 1e-11
 PATIENCE = 5  # rounds of block pivoting without fewer wrong entries
 FREE, LOW, HIGH = 0, -1, 1
@@ -34,11 +34,11 @@ def solve(A, b, lo, hi, fixed=0):
     fixed = np.broadcast_to(fixed, k)
     at = fixed.copy()
     fewest, patience = k + 1, PATIENCE
+    mobility = np.maximum(np.diagonal(A), 1e-300)
     for _ in range(20 + 10 * k + 2 ** min(k, 10)):
         x, w = _with(A, b, lo, hi, at)
-        size = np.abs(A) @ np.abs(x) + np.abs(b)
-        tolerance = TOLERANCE * (size.max() if k else 0.0)
-        reach = TOLERANCE * np.abs(x).max(initial=0.0)
+        tolerance = TOLERANCE * (np.abs(A) @ np.abs(x) + np.abs(b))
+        reach = tolerance / mobility
         to = at.copy()
         to[(at == FREE) & (x < lo - reach)] = LOW
         to[(at == FREE) & (x > hi + reach)] = HIGH

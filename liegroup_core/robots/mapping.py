@@ -87,6 +87,8 @@ def scene_parts(robot, options):
     own = {entry.name for entry in (*options.couplings, *options.forces)}
     taken = _joints(robot, grouping, parts, used, (extra, given, own))
     _drive(options, parts)
+    switches = options.with_switches(grouping.moving)
+    _switch(switches, parts)
     _couplings(robot, grouping, parts, values, taken)
     for i, entry in enumerate(added_forces(options, grouping, parts)):
         parts.lines["forces", len(parts.forces)] = ("forces", i)
@@ -114,7 +116,7 @@ def scene_parts(robot, options):
         ]
         if renamed:
             notes.append(f"renamed {what}: {listed(renamed)}")
-    parts.notes = [*notes, *_left_out(robot, grouping)]
+    parts.notes = [*notes, *_left_out(robot, grouping, switches)]
     return parts
 
 
@@ -263,6 +265,16 @@ def _drive(options, parts):
                 parts.lines["joints", number, key] = ("driven", name)
 
 
+def _switch(switches, parts):
+    """Add the stops and the friction that act; switches: see Options.with_switches."""
+    for number, entry in enumerate(parts.joints):
+        name = parts.names["joints", entry["name"]]
+        for key, option, of in zip(("limits", "friction"), ("stops", "friction"), switches):
+            if name in of:
+                entry[key] = of[name]
+                parts.lines["joints", number, key] = (option, 0)
+
+
 def _couplings(robot, grouping, parts, values, taken):
     """Append the couplings of joints that move; taken: names of joints and forces."""
     moving = {joint.name for joint in grouping.moving}
@@ -344,8 +356,9 @@ def _outside_limits(joints, values):
     return [f"start outside the joint limits: {', '.join(found)}"] if found else []
 
 
-def _left_out(robot, grouping):
-    """Notes of what has no place in a scene."""
+def _left_out(robot, grouping, switches):
+    """Notes of what has no place in a scene; switches: see Options.with_switches."""
+    stops, friction = switches
     notes = []
     moving = {joint.name: joint for joint in grouping.moving}
     contacts = robot.changes.pop("collision", [])
@@ -354,12 +367,16 @@ def _left_out(robot, grouping):
             f"changes the motion: no contact, {_counted(contacts)} without effect: "
             "bodies pass through each other"
         )
-    for keys, text in (
-        (("lower", "upper"), "joint limits are not enforced"),
-        (("friction",), "joint friction is not simulated"),
-        (("armature",), "armature (rotor inertia) is not simulated"),
+    for keys, text, acting in (
+        (("lower", "upper"), "joint limits are not enforced", stops),
+        (("friction",), "joint friction is not simulated", friction),
+        (("armature",), "armature (rotor inertia) is not simulated", ()),
     ):
-        names = [name for name, joint in moving.items() if set(keys) & joint.data.keys()]
+        names = [
+            name
+            for name, joint in moving.items()
+            if set(keys) & joint.data.keys() and name not in acting
+        ]
         if names:
             notes.append(f"changes the motion: {text}: {listed(names)}")
     swapped = [

@@ -9,6 +9,7 @@ from liegroup_core.fields.values import suggestion
 from .description import ONE_COORDINATE
 
 BASES = ("fixed", "floating")
+ALL = "all"  # in place of the names of joints
 
 
 @dataclass
@@ -22,6 +23,8 @@ class Options:
     lock      : {joint: coordinate} of joints that do not move
     keep      : fixed joints that are not merged
     driven    : {joint: joints.motion.Motion, or None for its start velocity} of driven joints
+    stops     : joints whose limits are rigid stops, ALL: those of all joints that are not driven
+    friction  : joints whose dry friction acts, or ALL
     only      : links whose chains to the root are kept; empty: all
     joints    : [joint of a scene], between links; its frames are in the frames of the links
     couplings : [coupling of a scene, with names of joints of the robot]
@@ -41,6 +44,8 @@ class Options:
     lock: dict = field(default_factory=dict)
     keep: list = field(default_factory=list)
     driven: dict = field(default_factory=dict)
+    stops: list = field(default_factory=list)
+    friction: list = field(default_factory=list)
     only: list = field(default_factory=list)
     joints: list = field(default_factory=list)
     couplings: list = field(default_factory=list)
@@ -144,6 +149,29 @@ class Options:
                     f'driven: joint "{name}" is {moving[name]}: only joints with one coordinate '
                     f"({', '.join(ONE_COORDINATE)}) can be driven",
                 )
+
+    def with_switches(self, moving):
+        """({joint: its limits}, {joint: its friction}) that act; refuses joints without them.
+
+        moving : joints of the robot that move; the values are keys of a joint of a scene
+        """
+        found = {"stops": {}, "friction": {}}
+        for joint in moving:
+            lower, upper = (joint.data.get(key) for key in ("lower", "upper"))
+            if joint.type in ONE_COORDINATE and joint.name not in self.driven:
+                if (lower is not None or upper is not None) and lower != upper:
+                    stops = {"lower": lower, "upper": upper}
+                    found["stops"][joint.name] = {k: v for k, v in stops.items() if v is not None}
+                if joint.data.get("friction", 0.0) > 0.0:
+                    found["friction"][joint.name] = {"coulomb": joint.data["friction"]}
+        for key, known in found.items():
+            names = getattr(self, key)
+            for name in names:
+                if name not in known and name != ALL:
+                    raise self.unknown((key,), f"{key}: joint that can have them", name, known)
+            if ALL not in names:
+                found[key] = {name: known[name] for name in names}
+        return found["stops"], found["friction"]
 
     def check_velocities(self, moving):
         """Refuse a velocity of a joint that is not among the moving ones."""

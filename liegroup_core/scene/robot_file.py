@@ -108,6 +108,12 @@ class RobotFile(Described):
         description="fixed joints that are not merged, so that their reactions are known; those with a "
         "force_torque sensor are kept by themselves",
     )
+    stops: list_of(Text) = Field(
+        (), description="joints whose limits are rigid stops, or all; see stops and friction"
+    )
+    friction: list_of(Text) = Field(
+        (), description="joints whose dry friction acts, or all; see stops and friction"
+    )
     driven: Annotated[dict[str, Motion | None], BeforeValidator(_motions)] = Field(
         {},
         description="joints that move as prescribed: a motion of each, or nothing for its velocity at the "
@@ -217,6 +223,8 @@ def robot_beside(root, source):
         start_velocity=given.start_velocity,
         lock=given.lock,
         keep=list(given.keep),
+        stops=list(given.stops),
+        friction=list(given.friction),
         driven=given.driven,
         only=list(given.only),
         joints=list(given.joints),

@@ -57,6 +57,13 @@ def add_robot_options(parser):
         metavar="JOINT",
         help="fixed joints that are not merged, so that their reactions are known",
     )
+    for name, text in (
+        ("stops", "joints whose limits are rigid stops, or all"),
+        ("friction", "joints whose dry friction acts, or all"),
+    ):
+        parser.add_argument(
+            f"--{name}", nargs="+", action="extend", default=[], metavar="JOINT", help=text
+        )
     parser.add_argument(
         "--drive",
         nargs="+",
@@ -89,6 +96,8 @@ def robot_scene(path, args, name=None):
         start_velocity=_values(args.start_velocity, "start-velocity"),
         lock=_values(args.lock, "lock"),
         keep=args.keep,
+        stops=args.stops,
+        friction=args.friction,
         driven=dict.fromkeys(args.drive),
         only=args.only,
         joints=[_closing(*entry) for entry in args.close],

@@ -29,7 +29,7 @@ def test_an_example_scene_satisfies_constraints_and_conserves_energy(path):
     simulation.advance(200)
     last = simulation.sample()
     assert last.constraint_residual <= 1e-7
-    fed = any(joint.driven for joint in scene.joints)
+    fed = any(joint.driven or joint.friction for joint in scene.joints)
     fed = fed or any(
         force.type == "motor" or getattr(force, "damping", 0.0) for force in scene.forces
     )

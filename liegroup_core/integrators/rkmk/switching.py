@@ -208,8 +208,10 @@ class Switching:
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place, with all events; returns (steps done, status)."""
         work, state = self._work, (pose, twist, external)
+        if steps == 0:
+            return self._take(h, 0, *state)
         done, first, base = 0, work.clock[0], work.clock[1]
-        status = self._meet_inputs(first * h + base, state) if steps else OK
+        status = self._meet_inputs(first * h + base, state)
         while status == OK and done < steps:
             work.clock[0], work.clock[1] = first + done, base
             more, status = self._take(h, steps - done, *state)
@@ -392,7 +394,8 @@ class Switching:
             rates = self._rates()
         resting = (np.abs(rates) <= RESTING) | (crossed[:, SLIDING] & self._is_slow(before, rates))
         resting &= self._dry | touching
-        status = self._choose(state, side, resting, rates, crossed)
+        pressed = (before[0] != 0.0) | crossed[:, : UPPER + 1].any(axis=1)
+        status = self._choose(state, side, resting, rates, crossed, pressed)
         if status != OK:
             return status
         self._note(time, before)
@@ -451,11 +454,12 @@ class Switching:
             status = self._respond(self._model, self._work, self._responses)
         return accelerations, status
 
-    def _choose(self, state, side, resting, rates, crossed):
+    def _choose(self, state, side, resting, rates, crossed, pressed):
         """Modes of all switches from here on. Returns a status.
 
         crossed : mask of the guards that are zero: what held by the bound of one is released there,
                   unless it would move back
+        pressed : which ones were held, or came back to their stop: they are held where both are possible
         """
         model, work = self._model, self._work
         modes, table = work.modes, model.switches
@@ -491,7 +495,8 @@ class Switching:
             lo[away & (at == LOW)] = -sliding[away & (at == LOW)]
             hi[away & (at != LOW)] = sliding[away & (at != LOW)]
         still = np.abs(w) <= RETURNING * (np.abs(A) @ np.abs(x) + np.abs(b))
-        for k, entry, holds in zip(chosen, at, (at == FREE) | (still & (released == FREE))):
+        still &= (released == FREE) & pressed[chosen]
+        for k, entry, holds in zip(chosen, at, (at == FREE) | still):
             if holds:
                 work.held[self._freedoms[k]] = 1.0
                 modes[k, SIDE] = side[k] if self._rigid[k] else modes[k, SIDE]
