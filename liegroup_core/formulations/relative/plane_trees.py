@@ -127,7 +127,7 @@ def _eliminate_plane(work, b, f):
     _store_freedom(work.freedoms, f + 2, 0.0, 0.0, yy, _inverse(yy), -fy)
 
 
-@kernel
+@subroutine
 def _pass_whole(work, row, b, a):
     """Add inertia and bias force of a link whose freedom is held to those of its parent."""
     inertia, force, pose = work.inertia, work.force, work.stage_pose
@@ -149,6 +149,7 @@ def _pass_whole(work, row, b, a):
     force[a, 0] += torque + (x * fy - y * fx)
     force[a, 1] += fx
     force[a, 2] += fy
+    return 0
 
 
 @subroutine
