@@ -376,6 +376,11 @@ class Engine(Inputs):
         events, self._switching.events[:] = self._switching.events[:], []
         return [event._replace(joint=self.scene.joints[event.joint].name) for event in events]
 
+    def divide_events(self, parts: int) -> None:
+        """Take the step that leads to an event at a stop or of friction in so many parts."""
+        if self._switching is not None:
+            self._switching.parts = parts
+
     def take_modes(self, other: "Engine") -> None:
         """Continue with the modes of the joints of another engine, which is at the same state."""
         if self._switching is not None:

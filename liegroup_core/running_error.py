@@ -41,6 +41,7 @@ HIGH = 8  # order from which the steps are more similar
 MEETINGS = 32  # between checkpoints, a power of two
 WINDOW, FADING = 4, 0.5  # checkpoints
 FASTEST = 8.0  # growth between two meetings that is continued until the next one
+PARTS = 2  # of the step that leads to an event, whose size does not depend on that of the others
 SAFETY, SEEN, SEEN_CONTROLLED = 2.0, 0.6, 0.8
 # Of the mechanism's size, and rad: an error of this size makes a motion unpredictable.
 UNPREDICTABLE = 0.1
@@ -114,7 +115,7 @@ class RunningError:
         time = engine.baumgarte_time
         if engine.stabilisation == "baumgarte":
             time = max(step, BAUMGARTE_STEPS * engine.step if time is None else time)
-        return Engine(
+        companion = Engine(
             engine.scene,
             engine.method,
             step,
@@ -125,6 +126,8 @@ class RunningError:
             layout=engine.layout,
             **options,
         )
+        companion.divide_events(PARTS)
+        return companion
 
     def restart(self):
         """Forget the error so far: the state was set."""

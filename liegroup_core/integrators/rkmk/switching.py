@@ -170,6 +170,8 @@ class Switching:
     take    : function (h, steps, pose, twist, external) -> (steps done, status)
     control : of error control, see munthe_kaas.advance
 
+    parts   : steps that lead to an event. Where an event is sets the size of this step: another number
+              of parts shows its error, see RunningError
     events  : [JointEvent] since they were taken
     count   : of all events since the state was set
     """
@@ -184,7 +186,7 @@ class Switching:
         self._no_changes = np.zeros(len(work.held))
         self._look, self._respond = SameTypes(look), SameTypes(respond)
         self._change_rates = SameTypes(change_rates)
-        self.events, self.count = [], 0
+        self.events, self.count, self.parts = [], 0, 1
         self._inputs = None
         work.watch[0] = 1.0
 
@@ -339,12 +341,12 @@ class Switching:
         return brentq(guard, begin, end, args=(k, c), xtol=TIME_STEP, rtol=1e-15)
 
     def _single(self, tau, state):
-        """Take one step of size tau without events and without error control."""
+        """Take one step of size tau, or its parts, without events and without error control."""
         work, control = self._work, self._control
-        kept = control.copy()
-        control[0], control[4:] = tau, LOOSE
+        kept, size = control.copy(), tau / self.parts
+        control[0], control[4:] = size, LOOSE
         work.watch[0] = 0.0
-        _, status = self._take(tau, 1, *state)
+        _, status = self._take(size, self.parts, *state)
         work.watch[0] = 1.0
         control[:] = kept
         return status
@@ -386,7 +388,7 @@ class Switching:
         touching = self._rigid & (side != 0.0)
         rates = self._rates()
         # It left the stop, and returns before it was away from it: it never left.
-        stays = crossed[:, : UPPER + 1].any(axis=1) & (side * rates <= 0.0)
+        stays = touching & crossed[:, : UPPER + 1].any(axis=1) & (side * rates <= 0.0)
         if (touching & (side * rates > RESTING)).any() or stays.any():
             status = self._impact(time, state, side, touching, rates, stays)
             if status != OK:

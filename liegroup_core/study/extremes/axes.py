@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 
 from . import problems as problems
+from . import stops as stops
 
 
 @dataclass(frozen=True)
@@ -212,6 +213,31 @@ AXES = (
         _powers(-10, -2, 2),
         partial(problems.racket, step=0.5),
     ),
+    Axis(
+        "restitution",
+        "restitution, bouncing ball",
+        "",
+        (0.0, 0.1, 0.5, 0.9, 0.99, 1.0),
+        stops.restitution,
+        quick=(0.5,),
+    ),
+    Axis(
+        "stop_stiffness",
+        "stiffness of an elastic stop",
+        "N/m",
+        _powers(2, 10, 2),
+        stops.stop_stiffness,
+        quick=(1e4,),
+    ),
+    Axis(
+        "friction",
+        "dry friction, part of the spring's force",
+        "",
+        (1e-8, 1e-4, 1e-2, 0.03, 0.13, 0.4, 0.99, 1.01, 10.0),
+        stops.friction,
+        quick=(0.13,),
+    ),
+    Axis("bounces", "bounces between two stops", "1/s", _powers(0, 5), stops.bounces, quick=(1e2,)),
     Axis(
         "steps",
         "number of steps, free body at 0.05 s",

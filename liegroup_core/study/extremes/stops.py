@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Problems with stops and dry friction for the robustness map: a slider with closed forms."""
+
+import math
+
+import numpy as np
+
+from liegroup_core.joints.stops import Friction, Limits
+from liegroup_core.scene.description import Body, Frame, Joint, LinearSpringDamper, Scene
+from liegroup_core.scene.library import GRAVITY
+
+from .cell import Problem
+from .motions import Truth
+
+STEP = 0.01  # s
+SMALLEST = 1e-13  # of a speed: slower rebounds are over
+
+
+def _slider(place, steps, start, speed=0.0, gravity=0.0, forces=(), **keys):
+    """Mass of 1 kg on a vertical slide; place : function of times -> its coordinate in m."""
+    body = Body(
+        name="slider",
+        mass=1.0,
+        inertia=(0.1, 0.1, 0.1),
+        position=(0.0, 0.0, start),
+        linear_velocity=(0.0, 0.0, speed),
+    )
+    joint = Joint(
+        name="slide",
+        type="prismatic",
+        parent="world",
+        child="slider",
+        parent_frame=Frame(),
+        child_frame=Frame(),
+        **keys,
+    )
+    scene = Scene(
+        name="slider", gravity=(0, 0, -gravity), bodies=[body], joints=[joint], forces=forces
+    )
+
+    def motion(times):
+        found = place(times)
+        position = np.zeros((len(times), 1, 3))
+        position[:, 0, 2] = found
+        rotation = np.broadcast_to(np.eye(3), (len(times), 1, 3, 3))
+        return Truth(rotation, position, 1e-11 * (1.0 + np.abs(found).max()))
+
+    return Problem(scene, STEP, steps, motion, 1.0)
+
+
+def _by_pieces(pieces):
+    """Function of times, from an iterator of (end of a piece, function of the time)."""
+
+    def place(times):
+        found, pending, (end, at) = np.zeros(len(times)), iter(pieces()), (0.0, None)
+        for k, time in enumerate(times):
+            while time > end or at is None:
+                end, at = next(pending)
+            found[k] = at(time)
+        return found
+
+    return place
+
+
+def restitution(e):
+    """Ball that falls by 1 m on a rigid stop, over 3 s."""
+
+    def pieces():
+        begin, speed = math.sqrt(2.0 / GRAVITY), math.sqrt(2.0 * GRAVITY)
+        yield begin, lambda t: 1.0 - 0.5 * GRAVITY * t * t
+        while True:
+            speed *= e
+            if speed < SMALLEST:
+                yield math.inf, lambda t: 0.0
+            end = begin + 2.0 * speed / GRAVITY
+            yield end, lambda t, s=speed, b=begin: (t - b) * (s - 0.5 * GRAVITY * (t - b))
+            begin = end
+
+    limits = Limits(lower=0.0, restitution=e)
+    return _slider(_by_pieces(pieces), 300, 1.0, gravity=GRAVITY, limits=limits)
+
+
+def stop_stiffness(stiffness):
+    """Ball that falls by 1 m on an elastic stop, over 3 s."""
+    speed, omega, sag = math.sqrt(2.0 * GRAVITY), math.sqrt(stiffness), GRAVITY / stiffness
+    contact = (2.0 * math.pi - 2.0 * math.atan2(speed / omega, sag)) / omega
+    flight = 2.0 * speed / GRAVITY
+
+    def pieces():
+        begin = 0.5 * flight
+        yield begin, lambda t: 1.0 - 0.5 * GRAVITY * t * t
+        while True:
+            end = begin + contact
+            yield (
+                end,
+                lambda t, b=begin: (
+                    sag * math.cos(omega * (t - b))
+                    - speed / omega * math.sin(omega * (t - b))
+                    - sag
+                ),
+            )
+            begin, end = end, end + flight
+            yield end, lambda t, b=begin: (t - b) * (speed - 0.5 * GRAVITY * (t - b))
+            begin = end
+
+    limits = Limits(lower=0.0, stiffness=stiffness)
+    return _slider(_by_pieces(pieces), 300, 1.0, gravity=GRAVITY, limits=limits)
+
+
+def friction(ratio):
+    """Oscillator of 1 Hz from 1 m with dry friction, so many times the first pull of its spring."""
+    omega = 2.0 * math.pi
+
+    def place(times):
+        half = np.floor(2.0 * times)
+        # Every half swing ends 2 ratio nearer; it rests once the spring pulls less than friction.
+        ends = np.maximum(np.ceil((1.0 / ratio - 1.0) / 2.0), 0.0)
+        half = np.minimum(half, ends)
+        turns = np.minimum(times, 0.5 * ends)
+        sign = 1.0 - 2.0 * (half % 2)
+        centre, swing = sign * ratio, 1.0 - (2.0 * half + 1.0) * ratio
+        moving = centre + sign * swing * np.cos(omega * (turns - 0.5 * half))
+        return np.where(half < ends, moving, sign * (1.0 - 2.0 * ends * ratio))
+
+    spring = LinearSpringDamper(name="spring", joint="slide", stiffness=omega**2)
+    law = Friction(coulomb=ratio * omega**2)
+    return _slider(place, 300, 1.0, forces=[spring], friction=law)
+
+
+def bounces(rate):
+    """Ball that bounces between two elastic stops at 1 m/s so many times a second, over 0.2 s."""
+    gap = 1.0371 / rate  # the samples show all its places
+
+    def place(times):
+        turned, along = np.divmod(times + 0.5 * gap, gap)
+        return np.where(turned % 2 == 0, along - 0.5 * gap, 0.5 * gap - along)
+
+    limits = Limits(lower=-0.5 * gap, upper=0.5 * gap, restitution=1.0)
+    return _slider(place, 20, 0.0, speed=1.0, limits=limits)
