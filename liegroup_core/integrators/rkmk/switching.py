@@ -29,24 +29,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
-from liegroup_core.compiling import SameTypes, borrowed, stepper
-from liegroup_core.formulations.relative.coupled_rows import set_all_rows
-from liegroup_core.formulations.relative.dynamics import accelerations
-from liegroup_core.formulations.relative.kinds import (
-    add_pair,
-    gather,
-    gather_forces,
-    lift_links,
-    move_links,
-    place_links,
-    spread_response,
-)
-from liegroup_core.formulations.relative.loops import (
-    close_loops,
-    set_response_residual,
-    set_responses,
-)
-from liegroup_core.formulations.relative.matrix import REGULARISATION, factor
+from liegroup_core.compiling import SameTypes
 from liegroup_core.formulations.relative.switches import (
     COORDINATE,
     KNOWN,
@@ -58,20 +41,12 @@ from liegroup_core.formulations.relative.switches import (
     SLIP,
     UPPER,
     bounds,
-    count_coordinates,
     modes_of,
-    set_guards,
 )
 from liegroup_core.integrators.complementarity import FREE, HIGH, LOW, solve
-from liegroup_core.integrators.link_state import begin, enter, leave
-from liegroup_core.status import (
-    BEYOND_STOP,
-    DEPENDENT_ROWS,
-    EVENT,
-    EVENTS_WITHOUT_END,
-    MOST_EVENTS,
-    OK,
-)
+from liegroup_core.status import BEYOND_STOP, EVENT, EVENTS_WITHOUT_END, MOST_EVENTS, OK
+
+from .event_kernels import change_rates, look, respond
 
 SMALLEST_REBOUND = 1e-10  # rad or m
 # Within this, rad or m, and round-off of a larger one, a coordinate is at a stop.
@@ -101,67 +76,6 @@ class JointEvent(NamedTuple):
     kind: str
     impulse: float = 0.0
     energy: float = 0.0
-
-
-@stepper
-def look(model, work, pose_in, twist_in, external_in):
-    """Accelerations, guards and coordinates at a state. Returns a status."""
-    pose_in, twist_in = borrowed(pose_in), borrowed(twist_in)
-    pose, twist, external, status = enter(model, work, pose_in, twist_in, borrowed(external_in))
-    begin(model, work, 0, pose, twist)
-    dependent = accelerations(model, work, external)
-    if dependent >= 0:
-        return DEPENDENT_ROWS + (model.owners[dependent] << 8)
-    count_coordinates(model, work)
-    set_guards(model, work)
-    return status
-
-
-@stepper
-def respond(model, work, out):
-    """Changes of all rates, (k, f), by unit impulses at the switches; the stage is that of `look`.
-
-    returns a status
-    """
-    move_links(model, work)
-    place_links(model, work)
-    gather(model, work)
-    if len(model.joints) > 0:
-        lift_links(model, work)
-        set_all_rows(model, work)
-        set_responses(model, work)
-        if factor(model, work, 0.0) >= 0:
-            dependent = factor(model, work, REGULARISATION)
-            if dependent >= 0:
-                return DEPENDENT_ROWS + (model.owners[dependent] << 8)
-        for r in range(len(work.bias)):
-            work.bias[r] = 0.0
-    for k in range(len(model.switches)):
-        switch = model.switches[k]
-        for b in range(len(model.bodies)):
-            for c in range(work.force.shape[1]):
-                work.force[b, c] = 0.0
-        add_pair(model, work, switch["link"], switch["component"], -1.0, work.force, 1)
-        gather_forces(model, work)
-        if len(model.joints) > 0:
-            set_response_residual(model, work)
-            close_loops(model, work)
-        spread_response(model, work)
-        for f in range(len(work.held)):
-            out[k, f] = work.acceleration[f, 0]
-    return OK
-
-
-@stepper
-def change_rates(model, work, changes, pose_out, twist_out):
-    """Add to the rates of all freedoms, (f,); those of held ones become zero."""
-    n = len(model.parts)
-    for b in range(len(model.bodies)):
-        f = model.bodies[b]["freedom"]
-        for k in range(model.bodies[b]["freedoms"]):
-            held = work.held[f + k] != 0.0
-            work.twist[n + b, k] = 0.0 if held else work.twist[n + b, k] + changes[f + k]
-    leave(model, work, work.pose, work.twist, pose_out, twist_out)
 
 
 class Switching:
@@ -225,6 +139,7 @@ class Switching:
                     done += 1
                 else:
                     self._return(kept, pose, twist)
+                    self._change_rates(self._model, work, self._no_changes, pose, twist)
         work.clock[0], work.clock[1] = first, base
         return done, status
 
