@@ -89,6 +89,27 @@ def test_the_commands_of_the_page_on_reactions_run(tmp_path, monkeypatch, capsys
     assert (loads["shaft.fx"] > 0.0).all() and "undetermined" in capsys.readouterr().out
 
 
+STOPS = (SOURCE / "docs" / "how-to" / "stops.md").read_text()
+
+
+def test_the_page_on_stops_runs_and_prints_what_it_shows(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    robot = (SOURCE / "docs" / "how-to" / "robot.md").read_text()
+    (arm,) = re.findall(r"^```xml\n(<robot.*?)^```$", robot, re.MULTILINE | re.DOTALL)[:1]
+    Path("arm.urdf").write_text(arm)
+    blocks = re.findall(r"^```sh\n(.*?)^```$", STOPS, re.MULTILINE | re.DOTALL)
+    for line in "".join(blocks).splitlines():
+        program, *arguments = shlex.split(line)
+        assert program == "liegroup_sim" and main(arguments) == 0, arguments
+    capsys.readouterr()
+    (code,) = re.findall(r"^```python\n(.*?)^```$", STOPS, re.MULTILINE | re.DOTALL)
+    exec(compile(code, "stops.md", "exec"), {})
+    said = capsys.readouterr().out
+    shown = re.search(r"^```$\n\n((?:    .*\n)+)", STOPS[STOPS.index(code) :], re.MULTILINE)[1]
+    for line in shown.splitlines():
+        assert line.strip() == "..." or line.strip() in said
+
+
 def test_the_sensors_of_the_page_on_reactions_run(tmp_path, monkeypatch, capsys, client):
     monkeypatch.chdir(tmp_path)
     scene, code = (
