@@ -70,6 +70,16 @@ class MotionTrack(NamedTuple):
     motion: np.ndarray  # (k, d, 7); an infinite origin: that of the scene
 
 
+class _ModeTrack(NamedTuple):
+    stamp_ns: np.ndarray  # (m,) int64, ns
+    names: tuple  # of k joints
+    values: np.ndarray  # (m, k, 5) mode, slip, coordinate; impulse and energy of impacts
+
+
+class ModeTrack(_ModeTrack, _Timed):
+    """Modes of the joints with stops or friction from each stamp on; see messages/joint_modes.py."""
+
+
 class _JointTrack(NamedTuple):
     stamp_ns: np.ndarray  # (n,) int64, ns
     names: tuple  # of k joints
