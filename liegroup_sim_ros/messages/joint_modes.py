@@ -21,8 +21,8 @@ TYPE = matrices.TYPE
 # rad or m, N m s or N s, J.
 COLUMNS = ("mode", "slip", "coordinate", "impulse", "energy")
 MODE, SLIP, COORDINATE, IMPULSE, ENERGY = range(5)
-# At a rigid stop a joint is at rest, at a compliant one it is not, unless friction holds it there.
-FREE, LOWER, UPPER, STICK, STICK_LOWER, STICK_UPPER = range(6)
+# Free; at rest at a stop, or by friction alone; moving beyond a compliant stop.
+FREE, LOWER, UPPER, STICK, BEYOND_LOWER, BEYOND_UPPER = range(6)
 IMPACT = "impact"
 LINES = 20  # instants a second of simulated time that have a line of their own
 
@@ -38,14 +38,13 @@ def encoder(layout):
     names = [joint.name for joint in joints]
     pack = matrices.encoder(joint_labels(names, layout.scene.robot), COLUMNS)
     row = {name: k for k, name in enumerate(names)}
-    rigid = np.array([j.limits is not None and j.limits.stiffness is None for j in joints])
 
     def encode(modes, events=()):
         held, slip, side, coordinate = modes.T
         values = np.zeros((len(names), len(COLUMNS)))
-        values[:, MODE] = np.where(side < 0.0, LOWER, np.where(side > 0.0, UPPER, FREE))
-        sticks = (held != 0.0) & ~(rigid & (side != 0.0))
-        values[:, MODE] += np.where(sticks, STICK, FREE)
+        at_rest = np.where(side < 0.0, LOWER, np.where(side > 0.0, UPPER, STICK))
+        moving = np.where(side < 0.0, BEYOND_LOWER, np.where(side > 0.0, BEYOND_UPPER, FREE))
+        values[:, MODE] = np.where(held != 0.0, at_rest, moving)
         values[:, SLIP], values[:, COORDINATE] = slip, coordinate
         for event in events:
             values[row[event.joint], IMPULSE] += event.impulse
@@ -63,15 +62,13 @@ def decode(payload):
     return names, values
 
 
-def switching(layout, values):
-    """(k, 4) modes as Sample.switching, of the numbers (k, 5) of a message."""
-    joints = joints_with_modes(layout)
-    rigid = np.array([j.limits is not None and j.limits.stiffness is None for j in joints])
-    mode = values[:, MODE]
-    side = np.where(np.isin(mode, (LOWER, STICK_LOWER)), -1.0, 0.0)
-    side[np.isin(mode, (UPPER, STICK_UPPER))] = 1.0
-    held = (mode >= STICK) | (rigid & (side != 0.0))
-    return np.column_stack([held, values[:, SLIP], side, values[:, COORDINATE]])
+def switching(values):
+    """(..., k, 4) modes as Sample.switching, of the numbers (..., k, 5) of messages."""
+    mode = values[..., MODE]
+    side = np.where(np.isin(mode, (LOWER, BEYOND_LOWER)), -1.0, 0.0)
+    side[np.isin(mode, (UPPER, BEYOND_UPPER))] = 1.0
+    held = np.isin(mode, (LOWER, UPPER, STICK))
+    return np.stack([held, values[..., SLIP], side, values[..., COORDINATE]], axis=-1)
 
 
 class Report(NamedTuple):

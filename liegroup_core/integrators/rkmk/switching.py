@@ -266,9 +266,10 @@ class Switching:
             for end, side in ((0, -1.0), (1, 1.0)):
                 work.modes[soft & (work.guards[:, end] < 0.0), SIDE] = side
             work.modes[:, KNOWN] = 1.0
-            log = len(self.events)
+            log, count = len(self.events), self.count
             status = self._switch(time, state, np.zeros(work.guards.shape, dtype=bool))
             del self.events[log:]
+            self.count = count
             if self.instants and status == OK:
                 self.instants[-1] = self.instants[-1]._replace(events=[])
             return status
