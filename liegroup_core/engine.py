@@ -232,8 +232,9 @@ class Engine(Inputs):
         that satisfy all joints. Bodies without a path of joints to a given one are not changed. Step
         count and time continue. The wrenches of `apply_wrench` are cleared. A driven joint that is moved
         goes on from there at its new velocity.
-        Raises SceneError with the joint and its residual if the joints or their rigid stops do not allow it, ValueError
-        for an unknown body or joint, NaN or a matrix that is no rotation. The state is then unchanged.
+        Raises SceneError with the joint, and its residual or its stop, if the joints do not allow it,
+        ValueError for an unknown body or joint, NaN or a matrix that is no rotation. The state is then
+        unchanged.
         """
         poses, twists, joints = poses or {}, twists or {}, joints or {}
         for body in {*poses, *twists} - self._body.keys():

@@ -51,8 +51,9 @@ APPLIED_WRENCH = Topic("~/applied_wrench", WrenchStampedCodec.TYPE, "transient_l
 SERVO_TARGETS = Topic("~/servo_targets", JOINT_STATE, "transient_local", 10)
 MOTIONS = Topic("~/motions", ARRAY, "transient_local", 10)  # each message has all driven joints
 # Each message has all joints with stops or friction.
-JOINT_MODES = Topic("~/joint_modes", joint_modes.TYPE, "transient_local", 10)
-EVENTS = Topic("~/events", LogCodec.TYPE, "transient_local")
+# Impacts come in bursts: each has a message, the first ones of a second a line.
+JOINT_MODES = Topic("~/joint_modes", joint_modes.TYPE, "transient_local", 100)
+EVENTS = Topic("~/events", LogCodec.TYPE, "transient_local", 50)
 STATIC_TRANSFORMS = Topic("/tf_static", "tf2_msgs/msg/TFMessage", "transient_local", 1)
 DESCRIPTION = Topic("~/robot_description", description.TYPE, "transient_local", 1)
 CLOCK = Topic("/clock", ClockCodec.TYPE, depth=1)

@@ -14,13 +14,7 @@ PARTS = {
     "linear": "velocity",
 }
 # Kinds of events at joints, and their names for the user.
-NOUNS = {
-    "impact": "impact",
-    "stop": "stop",
-    "leave": "release",
-    "stick": "stick",
-    "slip": "slip",
-}
+NOUNS = {"impact": "impact", "stop": "stop", "leave": "release", "stick": "stick", "slip": "slip"}
 OVERVIEW = ("position", "attitude", "energy", "joints", "bit-identical", "dropped")
 
 
@@ -269,7 +263,8 @@ def _joint_event_rows(events):
     rows = [
         (
             name,
-            ", ".join(counted(entry[kind], noun) for kind, noun in NOUNS.items() if entry[kind]) or "no event",
+            ", ".join(counted(entry[kind], noun) for kind, noun in NOUNS.items() if entry[kind])
+            or "no event",
             f"impacts take {shown(-entry['impact_energy_J'], 'J')}, largest impulse "
             f"{shown(entry['largest_impulse'], entry['unit'])}"
             if entry["impact"]

@@ -532,6 +532,7 @@ class Switching:
         """(k, 4) of all switches, see switches.modes_of; of a state that was set, the modes it will have."""
         if self._work.modes[:, KNOWN].all():
             return self._modes()
+        self._look(self._model, self._work, *state)  # the links have this state from here on
         kept, noted = self._keep(*state[:2]), (self.events, self.instants, self.count, self._inputs)
         self.events, self.instants = [], None
         # Where the state is beyond a stop, the next step reports that.
