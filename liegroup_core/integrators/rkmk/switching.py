@@ -407,7 +407,7 @@ class Switching:
         touching = self._rigid & (side != 0.0)
         rates = self._rates()
         # It left the stop, and returns before it was away from it: it never left.
-        stays = crossed[:, : UPPER + 1].any(axis=1) & (side * rates <= 0.0)
+        stays = touching & crossed[:, : UPPER + 1].any(axis=1) & (side * rates <= 0.0)
         if (touching & (side * rates > RESTING)).any() or stays.any():
             status = self._impact(time, state, side, touching, rates, stays)
             if status != OK:
