@@ -43,6 +43,8 @@ def describe(layout):
         bodies              [{name, mass}], kg
         joints              [{name, type, parent, child, rows, dropped}]: names of all rows, wx..vz,
                             and of the redundant ones, which are eliminated
+        stops_and_friction  [{joint, limits, friction, modes}]: as in the scene, None if there are none;
+                            modes: which it can be in, as Sample.modes
         forces, sensors     [{name, type, on}]; on: names of its bodies, or of its joint
         undetermined        {joint: why components of its reaction are undetermined}
         degrees_of_freedom  6 n minus the number of independent rows; larger at singular poses
@@ -93,6 +95,16 @@ def describe(layout):
             }
             for joint in scene.joints
         ],
+        "stops_and_friction": [
+            {
+                "joint": joint.name,
+                "limits": joint.limits and joint.limits.model_dump(),
+                "friction": joint.friction and joint.friction.model_dump(),
+                "modes": modes_of_joint(joint),
+            }
+            for joint in scene.joints
+            if joint.switches
+        ],
         "couplings": [
             {"name": entry.name, "joint": entry.joint, "other": entry.other}
             | {"ratio": found.ratio, "offset": found.offset}
@@ -125,6 +137,17 @@ def describe(layout):
         if only_pairs and not scene.couplings and not layout.motions and not layout.switches
         else None,
     }
+
+
+def modes_of_joint(joint):
+    """Names of the modes that the stops and the friction of a joint allow, as Sample.modes."""
+    limits, friction = joint.limits, joint.friction
+    return [
+        "free",
+        *(["lower"] if limits and limits.lower is not None else []),
+        *(["upper"] if limits and limits.upper is not None else []),
+        *(["stick"] if friction and friction.at_rest > 0.0 else []),
+    ]
 
 
 def formulation(layout):

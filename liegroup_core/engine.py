@@ -14,10 +14,11 @@ from liegroup_core.compiling import warm_up
 from liegroup_core.forces.schedule import DRIVE, Instant
 from liegroup_core.forces.timetable import Timetable
 from liegroup_core.integrators.methods import METHODS, is_positive
-from liegroup_core.integrators.rkmk.switching import JointEvent
+from liegroup_core.integrators.rkmk.switching import BEYOND, JointEvent, JointInstant
 from liegroup_core.integrators.smaller_step import step_that_works
 from liegroup_core.joints.coupling import COUPLED, gap, turns
 from liegroup_core.joints.motion import at, uniform
+from liegroup_core.lie.groups import within_a_turn
 from liegroup_core.model.build import initial_state
 from liegroup_core.observables.reach import beyond_reach
 from liegroup_core.observables.sample import Sample
@@ -26,7 +27,7 @@ from liegroup_core.scene.consistency import joint_state
 from liegroup_core.scene.description import WORLD, Scene
 from liegroup_core.scene.rearrange import rearranged
 
-from .errors import SimulationError
+from .errors import SceneError, SimulationError
 from .inputs import Inputs
 from .integrators.families import check_group, check_options, choose_group, make_integrator
 from .layout import Layout, make_layout
@@ -231,8 +232,9 @@ class Engine(Inputs):
         that satisfy all joints. Bodies without a path of joints to a given one are not changed. Step
         count and time continue. The wrenches of `apply_wrench` are cleared. A driven joint that is moved
         goes on from there at its new velocity.
-        Raises SceneError with the joint and its residual if the joints do not allow it, ValueError
-        for an unknown body or joint, NaN or a matrix that is no rotation. The state is then unchanged.
+        Raises SceneError with the joint, and its residual or its stop, if the joints do not allow it,
+        ValueError for an unknown body or joint, NaN or a matrix that is no rotation. The state is then
+        unchanged.
         """
         poses, twists, joints = poses or {}, twists or {}, joints or {}
         for body in {*poses, *twists} - self._body.keys():
@@ -267,6 +269,7 @@ class Engine(Inputs):
         *state, angles = rearranged(
             self.layout.centred, *self.state(), centred_poses, centred_twists, joints, angles
         )
+        self._refuse_beyond_stops(*state, joints)
         commanded, before = self._commanded.copy(), self._schedule
         self.set_state(*state, self.steps, np.array([angles[joint] for joint in counted]))
         for number, motion in enumerate(self._motions_after(commanded)):
@@ -278,16 +281,42 @@ class Engine(Inputs):
             self._schedule.update(self._schedule.boundary(self.steps))
             self._commanded[:] = self._schedule.total[DRIVE]
 
+    def _refuse_beyond_stops(self, pose, twist, joints):
+        """Raise SceneError if a rigid stop does not allow a state, or a coordinate that was given."""
+        for joint, (q, _) in self._joint_states(pose, twist, lambda joint: joint.limits):
+            limits, (given, _) = joint.limits, joints.get(joint.name, (None, None))
+            if given is not None:
+                q = given
+            elif turns(joint):
+                q = within_a_turn(q, limits.expected)
+            if limits.stiffness is None and not (
+                limits.least - BEYOND <= q <= limits.largest + BEYOND
+            ):
+                unit = self.layout.coordinates.units.get(joint.name, "rad")
+                raise SceneError(
+                    f"joint {joint.name} would be beyond its stop: its position {q:.9g} {unit} is not "
+                    f"between {limits.least:g} and {limits.largest:g}; set a state between the stops"
+                )
+
+    def _joint_states(self, pose, twist, wanted):
+        """(joint of the scene, (position, velocity)) of those that are wanted, at a state of `state()`."""
+        scene = self.layout.centred
+        start = {WORLD: (np.eye(4), np.zeros(6))}
+        for body, *of_body in zip(scene.bodies, pose, twist):
+            start[body.name] = pose_matrix(of_body[0]), of_body[1]
+        for joint, frames in zip(scene.joints, self.layout.joint_frames):
+            if wanted(joint):
+                yield joint, joint_state(start, joint, *frames)
+
     def _motions_after(self, commanded):
         """Motions of the driven joints that a new state moves: at constant rate; None for the others."""
-        scene, frames = self.layout.centred, self.layout.joint_frames
-        index = {joint.name: j for j, joint in enumerate(scene.joints)}
-        start = {WORLD: (np.eye(4), np.zeros(6))}
-        for body, pose, twist in zip(scene.bodies, *self.state()):
-            start[body.name] = pose_matrix(pose), twist
-        for joint, motion in zip(self.layout.motions, self.layout.motions_at(self.time, commanded)):
-            joint = scene.joints[index[joint]]
-            q, v = joint_state(start, joint, *frames[index[joint.name]])
+        found = {
+            joint.name: state
+            for joint, state in self._joint_states(*self.state(), lambda joint: joint.driven)
+        }
+        for name, motion in zip(self.layout.motions, self.layout.motions_at(self.time, commanded)):
+            joint = next(joint for joint in self.scene.joints if joint.name == name)
+            q, v = found[name]
             was = at(motion, self.time)
             off = gap(q, was[0], 1.0, 0.0, turns(joint))
             kept = max(abs(off), abs(v - was[1])) <= MOVED * (1.0 + abs(was[0]) + abs(v))
@@ -380,6 +409,20 @@ class Engine(Inputs):
         """Take the step that leads to an event at a stop or of friction in so many parts."""
         if self._switching is not None:
             self._switching.parts = parts
+
+    def drain_instants(self) -> list[JointInstant]:
+        """Return the modes of all joints with stops or friction where one changed since the last call.
+
+        They are kept from the first call on. Events of a state that was set before are lost.
+        """
+        if self._switching is None:
+            return []
+        instants, self._switching.instants = self._switching.instants or [], []
+        names = [joint.name for joint in self.scene.joints]
+        return [
+            instant._replace(events=[e._replace(joint=names[e.joint]) for e in instant.events])
+            for instant in instants
+        ]
 
     def take_modes(self, other: "Engine") -> None:
         """Continue with the modes of the joints of another engine, which is at the same state."""
@@ -485,6 +528,11 @@ class Engine(Inputs):
 
         returns (steps done, status)
         """
+        self._set_inputs(start, h)
+        return self._integrator.advance(h, steps, self._pose, self._twist, self._external)
+
+    def _set_inputs(self, start, h):
+        """Set what depends on time for a step of size h."""
         work = self._work
         if len(work.acting):
             work.acting[:] = self._timetable.acting(start, h)
@@ -493,7 +541,6 @@ class Engine(Inputs):
             work.motions[:] = self.layout.motions_at(start + 0.5 * h, self._commanded)
         whole = h == self.step and start == self.time
         work.clock[:] = self.steps if whole else 0.0, 0.0 if whole else start, start
-        return self._integrator.advance(h, steps, self._pose, self._twist, self._external)
 
     def _joint_name(self, element):
         """Name of the scene joint to which an element of the model belongs, or of a coupling."""
@@ -555,7 +602,9 @@ class Engine(Inputs):
         if len(self._work.wanted):
             sample.wanted = self._work.wanted.copy()
         if self._switching is not None:
-            sample.switching = self._switching.modes()
+            self._set_inputs(self.time, self.step)
+            state = self._pose, self._twist, self._external
+            sample.switching = self._switching.modes(self.time, state)
         if len(self._work.motions):
             sample.motions = self.layout.motions_at(self.time, self._commanded)
         return sample

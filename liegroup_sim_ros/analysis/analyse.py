@@ -25,6 +25,7 @@ from liegroup_sim_ros.recording.read import RecordingError
 
 from .estimate import Estimate
 from .invariants import Energy, Joints, Momentum
+from .joint_events import joint_events
 from .local_error import local_error
 from .promise import Promise
 from .reference import ReferenceError, exact_error
@@ -74,10 +75,12 @@ def analyse(recording, reference=True, tell=lambda text: None, reference_seconds
             + (" (the first time on a machine also compiles)" if not done else "")
         )
     figures = _run_figures(recording, motion)
+    figures["joint_events"], marks = joint_events(recording, layout, motion)
     curves = {}
     if motion.stretches:
         tell("energy, momentum, joints and errors")
         parts.finish(figures, curves)
+        curves["joint_events"] = marks
     figures["problems"] = find_problems(figures)
     figures["verdict"] = verdict(figures)
     return Analysis(figures, curves, scene, recording, motion)

@@ -128,6 +128,7 @@ def sections(facts):
                 for joint in facts["joints"]
             ],
         ),
+        ("Stops and friction", [_switch_row(entry) for entry in facts["stops_and_friction"]]),
         (
             "Couplings",
             [
@@ -174,6 +175,13 @@ def sections(facts):
             ],
         ),
     ]
+
+
+def _switch_row(entry):
+    """Stops and friction of a joint, and its modes."""
+    named = {**(entry["limits"] or {}), **(entry["friction"] or {})}
+    values = [f"{name} {value:.6g}" for name, value in named.items() if value is not None]
+    return entry["joint"], ", ".join(values), f"modes: {', '.join(entry['modes'])}"
 
 
 def _import_rows(facts):

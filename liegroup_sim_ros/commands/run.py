@@ -22,6 +22,7 @@ from liegroup_core.engine import STABILISATIONS, STEP
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.integrators.methods import CONFIGURATION_GROUPS, METHODS
 from liegroup_core.simulation import default_steps
+from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.recording.write_run import ArrayFile, LogFile
 from liegroup_sim_ros.recording.write_tables import TableFile, TorqueFile
 
@@ -240,9 +241,16 @@ def run(args):
     else:
         print(
             f"{names}: {simulation.time:.9g} s in {steps} steps, {files[0].count} samples, "
-            f"{wall:.3g} s of wall time{_error_of(simulation)}"
+            f"{wall:.3g} s of wall time{_events_of(simulation)}{_error_of(simulation)}"
         )
     return code
+
+
+def _events_of(simulation):
+    """The number of events at joints with stops or friction, as text."""
+    if not simulation.layout.switches:
+        return ""
+    return f", {counted(simulation.event_count, 'event')} at joints"
 
 
 def _error_of(simulation):

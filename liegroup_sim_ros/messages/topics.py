@@ -8,7 +8,7 @@ in samples.py and markers.py.
 
 from typing import NamedTuple
 
-from . import description, diagnostics, estimates
+from . import description, diagnostics, estimates, joint_modes
 from .codecs import ClockCodec, LogCodec, PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
 from .commands import ARRAY, JOINT_STATE
 
@@ -50,7 +50,10 @@ APPLIED_WRENCH = Topic("~/applied_wrench", WrenchStampedCodec.TYPE, "transient_l
 # Each message has all servos: late subscribers need the last one only.
 SERVO_TARGETS = Topic("~/servo_targets", JOINT_STATE, "transient_local", 10)
 MOTIONS = Topic("~/motions", ARRAY, "transient_local", 10)  # each message has all driven joints
-EVENTS = Topic("~/events", LogCodec.TYPE, "transient_local")
+# Each message has all joints with stops or friction.
+# Impacts come in bursts: each has a message, the first ones of a second a line.
+JOINT_MODES = Topic("~/joint_modes", joint_modes.TYPE, "transient_local", 100)
+EVENTS = Topic("~/events", LogCodec.TYPE, "transient_local", 50)
 STATIC_TRANSFORMS = Topic("/tf_static", "tf2_msgs/msg/TFMessage", "transient_local", 1)
 DESCRIPTION = Topic("~/robot_description", description.TYPE, "transient_local", 1)
 CLOCK = Topic("/clock", ClockCodec.TYPE, depth=1)

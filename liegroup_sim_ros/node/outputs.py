@@ -16,7 +16,14 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from liegroup_core.forces.external import AXES
 from liegroup_core.forces.kinds import wanted_values
 from liegroup_core.joints.motion import FROM_SCENE
-from liegroup_sim_ros.messages import commands, description, diagnostics, estimates, topics
+from liegroup_sim_ros.messages import (
+    commands,
+    description,
+    diagnostics,
+    estimates,
+    joint_modes,
+    topics,
+)
 from liegroup_sim_ros.messages import samples as sample_messages
 from liegroup_sim_ros.messages.codecs import ClockCodec, LogCodec, WrenchStampedCodec
 from liegroup_sim_ros.messages.markers import Markers, markers
@@ -143,6 +150,10 @@ class Outputs:
         if self._driven:
             self._motion_stream = self._stream(*topics.MOTIONS)
             self._encode_motions = commands.motions(layout)
+        self._joint_modes = None
+        if joint_modes.joints_with_modes(layout):
+            self._joint_modes = self._stream(*topics.JOINT_MODES)
+            self._encode_modes = joint_modes.encoder(layout)
         self._events = self._stream(*topics.EVENTS)
         # For viewers only: the recording has the scene.
         self._description = Stream(node, overrides, *topics.DESCRIPTION)
@@ -228,6 +239,7 @@ class Outputs:
             "applied_wrench": self._applied.topic,
             **({"servo_targets": self._targets.topic} if self._servos else {}),
             **({"motions": self._motion_stream.topic} if self._driven else {}),
+            **({"joint_modes": self._joint_modes.topic} if self._joint_modes else {}),
             "events": self._events.topic,
             "clock": self._clock.topic if self._clock else None,
             "diagnostics": self._diagnostics.topic,
@@ -306,7 +318,11 @@ class Outputs:
     def _targets_now(self, stamp_ns):
         return self._encode_targets(stamp_ns, (self._idle | self.targets).values())
 
-    def record_acting(self, stamp_ns):
+    def joint_modes(self, stamp_ns, data):
+        """Publish the modes of all joints with stops or friction, a serialized message."""
+        self._joint_modes.send(stamp_ns, data)
+
+    def record_acting(self, stamp_ns, sample):
         """Record all that acts again, without publishing, at the start of a new file."""
         for key, wrench in self.acting.items():
             self._applied.record(stamp_ns, self._encode_wrench[key](stamp_ns, wrench))
@@ -314,6 +330,8 @@ class Outputs:
             self._targets.record(stamp_ns, self._targets_now(stamp_ns))
         if self.motions:
             self._motion_stream.record(stamp_ns, self._motions_now())
+        if self._joint_modes:
+            self._joint_modes.record(stamp_ns, self._encode_modes(sample.switching))
 
     def event(self, stamp_ns, name, text, failed=False):
         """Publish an event of the run; log it as well if it is a failure."""

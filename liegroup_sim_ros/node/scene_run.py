@@ -156,7 +156,7 @@ class SceneRun:
             **self._more,
         )
 
-    def _divide_if_due(self, stamp_ns, _):
+    def _divide_if_due(self, stamp_ns, sample):
         """Continue the recording in a new file if one is due; runs in the simulation thread."""
         recorder, simulation = self.recorder, self.simulation
         if recorder is not None and recorder.is_part_due(stamp_ns):
@@ -169,7 +169,7 @@ class SceneRun:
                 "sequences": recorder.sequences,
             }
             recorder.divide(self._attachments(stamp_ns, self.server.state))
-            self.outputs.record_acting(stamp_ns)
+            self.outputs.record_acting(stamp_ns, sample)
 
     def _add_checkpoint(self, stamp_ns, _):
         self._checkpoints.add_if_due(stamp_ns)

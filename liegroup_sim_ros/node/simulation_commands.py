@@ -112,12 +112,14 @@ class SimulationCommands:
 
     def _restart(self, name, text, result):
         """Continue from a state that was set in the simulation; send the event and all outputs."""
+        self._send_reports("finish")
         self.stamp_ns = self._next_stamp()
         self._base_ns = self.stamp_ns - self._simulation.time_ns
         self._inbox.discard()
         self._said.clear()
         self._real_time.restart()
         self._event(name, text)
+        self._send_reports("begin")
         acting = self._simulation.acting()
         going_on = {(c.body, c.axes) for c in acting if isinstance(c, AppliedWrench)}
         if self._output.motions:

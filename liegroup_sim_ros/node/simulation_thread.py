@@ -13,13 +13,15 @@ import math
 import threading
 import time
 from concurrent.futures import Future
+from functools import partial
 from itertools import groupby
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 
 from liegroup_core import SimulationError
 from liegroup_core.forces.schedule import AppliedMotion, AppliedTarget
 from liegroup_core.pacing import Pacer
 from liegroup_sim_ros.messages import events
+from liegroup_sim_ros.messages.joint_modes import JointReports, joints_with_modes
 
 from .figures import Saturation, error_figures, pacing_figures
 from .inbox import Inbox
@@ -39,7 +41,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
     simulation : liegroup_core.Simulation; only this thread uses it from `start` to its end
     output     : Outputs, or an object with the attributes timed, clock_steps, state_steps, acting,
                  targets, motions and the methods clock, state, applied_wrench, servo_targets,
-                 prescribed, event, diagnostics
+                 prescribed, event, diagnostics; joint_modes if joints have stops or friction
     factor     : real-time factor, 0: as fast as possible
     follow_period : s, for which wanted values of a trajectory are constant
     motion_time   : s, in which a driven joint comes to rest
@@ -89,6 +91,8 @@ class SimulationServer(SimulationCommands, threading.Thread):
         self._origin = origin
         self._said = set()  # events that are sent once
         self._saturation = Saturation(simulation)
+        has_modes = joints_with_modes(simulation.layout)
+        self._reports = JointReports(simulation) if has_modes else None
         self._watching = False
         self._watch(watching)
         self._reference_energy = None  # J, at the last known instant without an applied wrench
@@ -172,6 +176,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
                     self._execute_commands()
                 self._tick_or_wait()
             self.pacer.stop()
+            self._send_reports("finish")
             self._event("stop", f"stopped at step {self._simulation.steps}")
         except Exception as error:
             self.failure = error
@@ -186,6 +191,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
         steps = self._simulation.steps
         self._event("start", f"{scene} at step {steps}, {self.state}{self._origin}")
         self._send_changes(self.stamp_ns, self._simulation.acting())
+        self._send_reports("begin")
         self._send_outputs(everything=steps > 0)
         self._reference_energy = self._simulation.sample().energy
         self._next_diagnostics = time.monotonic() + DIAGNOSTICS_PERIOD
@@ -261,8 +267,15 @@ class SimulationServer(SimulationCommands, threading.Thread):
     def _send_outputs(self, everything=False):
         """Send the outputs of the current step, in the order of their stamps."""
         steps = self._simulation.steps
-        for time_ns, changes in groupby(self._simulation.drain_applied(), _time_ns):
-            self._send_changes(self._base_ns + time_ns, list(changes))
+        due = [
+            (time_ns, partial(self._send_changes, self._base_ns + time_ns, list(changes)))
+            for time_ns, changes in groupby(self._simulation.drain_applied(), _time_ns)
+        ]
+        if self._reports is not None:
+            due += [(r.time_ns, partial(self._send_report, r)) for r in self._reports.drain()]
+            due.sort(key=itemgetter(0))
+        for _, send in due:
+            send()
         self.stamp_ns = self._stamp(steps)
         self._tell_of_the_error()
         period = self._output.clock_steps
@@ -281,6 +294,19 @@ class SimulationServer(SimulationCommands, threading.Thread):
             for joint in self._saturation.reached(sample):
                 effort, now = sample.servo_efforts[joint], self._simulation.time
                 self._warn_once("saturated", events.saturated(effort, joint, now), joint)
+
+    def _send_report(self, report):
+        """Send what happened at joints with stops or friction."""
+        stamp_ns = self._base_ns + report.time_ns
+        if report.modes is not None:
+            self._output.joint_modes(stamp_ns, report.modes)
+        if report.line is not None:
+            self._output.event(stamp_ns, "joint", report.line)
+
+    def _send_reports(self, which):
+        if self._reports is not None:
+            for report in getattr(self._reports, which)():
+                self._send_report(report)
 
     def _keep_positions(self, sample):
         coordinates = sample.joint_coordinates
@@ -357,6 +383,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
             "constraint_residual": sample.constraint_residual,
             **error_figures(self._simulation, sample),
             **self._saturation.figures(sample),
+            **({"joint_events": self._simulation.event_count} if self._reports else {}),
             "wrenches_held": self.inputs_held,
             "inputs_replaced": self._inbox.replaced,
         }

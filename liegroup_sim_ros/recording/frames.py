@@ -4,6 +4,7 @@
 import numpy as np
 
 from liegroup_sim_ros.messages.commands import MOTION_COLUMNS
+from liegroup_sim_ros.messages.joint_modes import COLUMNS as MODE_COLUMNS
 
 WRENCH = ["tx", "ty", "tz", "fx", "fy", "fz"]  # N m, N
 ERRORS = ("position", "attitude", "velocity", "angular_velocity")  # m, rad, m/s, rad/s
@@ -64,6 +65,17 @@ def data_frame(recording, what):
                 pandas.MultiIndex.from_product([track.names, MOTION_COLUMNS]),
             )
         )
+    elif what == "joint_modes":
+        track = recording.joint_modes
+        frame = (
+            pandas.DataFrame()
+            if track is None
+            else pandas.DataFrame(
+                track.values.reshape(len(track.values), -1),
+                track.time,
+                pandas.MultiIndex.from_product([track.names, MODE_COLUMNS]),
+            )
+        )
     elif what == "reactions":
         frame = (
             pandas.concat(
@@ -94,8 +106,8 @@ def data_frame(recording, what):
         )
     else:
         raise ValueError(
-            "what must be motion, wrench, joints, motions, servo_targets, reactions, errors or "
-            f"events, got {what!r}"
+            "what must be motion, wrench, joints, motions, servo_targets, joint_modes, reactions, "
+            f"errors or events, got {what!r}"
         )
     frame.index.name = "time_s"
     return frame

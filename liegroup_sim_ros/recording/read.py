@@ -20,7 +20,7 @@ import numpy as np
 
 from liegroup_core.forces.external import AXES
 from liegroup_core.joints.motion import COLUMNS
-from liegroup_sim_ros.messages import estimates
+from liegroup_sim_ros.messages import estimates, joint_modes
 from liegroup_sim_ros.messages.codecs import PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
 from liegroup_sim_ros.messages.commands import JOINT_STATE, JointStateDecoder
 
@@ -33,6 +33,7 @@ from .tracks import (
     ErrorTrack,
     Event,
     JointTrack,
+    ModeTrack,
     MotionTrack,
     PoseTrack,
     ReactionTrack,
@@ -46,6 +47,7 @@ __all__ = [
     "ErrorTrack",
     "Event",
     "JointTrack",
+    "ModeTrack",
     "PoseTrack",
     "ReactionTrack",
     "Recording",
@@ -76,6 +78,7 @@ class Recording:
     wrench: dict  # {body: WrenchTrack}
     servo_targets: JointTrack | None  # wanted values of all servos from each stamp on
     motions: MotionTrack | None  # motions of all driven joints from each stamp on
+    joint_modes: ModeTrack | None  # of the joints with stops or friction, from each stamp on
     events: list  # Event
     diagnostics: list  # (stamp_ns, {key: text}), the values of all statuses of a message
     topics: dict  # {topic: message count}
@@ -315,6 +318,8 @@ class Recording:
                "motions" columns (driven joint, "origin" or "c0" to "c5"): the commanded motion from
                          this time on, see liegroup_core/joints/motion.py; infinite origin: none
                "servo_targets" columns (joint, "position" or "velocity"): the wanted ones from then on
+               "joint_modes" columns (joint, "mode", "slip", "coordinate", "impulse" or "energy"): of
+                         joints with stops or friction, see messages/joint_modes.py
                "reactions" columns (joint, tx to fz): N m and N, NaN: undetermined
                "errors"  columns (body, "position", "attitude", "velocity" or "angular_velocity"):
                          estimated errors in m, rad, m/s, rad/s, as in `errors`
@@ -358,6 +363,7 @@ def read_recording(path: str | Path) -> Recording:
             wrench=scan.wrenches(),
             servo_targets=_joint_track(scan.servo_targets),
             motions=_motion_track(scan.motions),
+            joint_modes=_mode_track(scan.joint_modes),
             events=scan.events,
             diagnostics=scan.diagnostics,
             topics=scan.counts(),
@@ -394,10 +400,22 @@ def _joint_track(messages):
 
 def _motion_track(messages):
     """MotionTrack of [(stamp in ns, names, numbers)]; None without messages."""
+    found = _matrices(messages, COLUMNS, "motions")
+    return found and MotionTrack(*found)
+
+
+def _mode_track(messages):
+    """ModeTrack of [(stamp in ns, names, numbers)]; None without messages."""
+    found = _matrices(messages, len(joint_modes.COLUMNS), "joint modes")
+    return found and ModeTrack(*found)
+
+
+def _matrices(messages, columns, what):
+    """(stamps, names, (m, rows, columns)) of messages in the order of stamps; None without any."""
     if not messages:
         return None
     stamps, names, numbers = zip(*sorted(messages, key=lambda message: message[0]))
     if len(set(names)) > 1:
-        raise RecordingError("its motions name different joints in different messages")
-    shape = len(stamps), len(names[0]), COLUMNS
-    return MotionTrack(np.array(stamps), names[0], np.array(numbers).reshape(shape))
+        raise RecordingError(f"its {what} name different joints in different messages")
+    shape = len(stamps), len(names[0]), columns
+    return np.array(stamps), names[0], np.array(numbers).reshape(shape)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from liegroup_core.forces.external import AXES
-from liegroup_sim_ros.messages import diagnostics
+from liegroup_sim_ros.messages import diagnostics, joint_modes
 from liegroup_sim_ros.messages.codecs import LogCodec, MessageError, WrenchStampedCodec, decode_rows
 from liegroup_sim_ros.messages.commands import JointStateDecoder, decode_motions
 from liegroup_sim_ros.messages.topics import wrench_frame
@@ -160,6 +160,8 @@ class Scan:
         self.servo_targets = []  # (stamp_ns, names, positions, velocities)
         self.motions = []  # (stamp_ns, names, numbers)
         motions = topics.get("motions")
+        self.joint_modes = []  # (stamp_ns, names, numbers)
+        modes = topics.get("joint_modes")
         decoder = JointStateDecoder()
         for messages, channels in source.messages():
             self.last_ns = max(self.last_ns, int(messages.log_time.max()))
@@ -181,6 +183,11 @@ class Scan:
                 elif channel.topic == targets:
                     self.servo_targets += [
                         decoder.decode(messages.payload(k)).complete()[:4] for k in index
+                    ]
+                elif channel.topic == modes:
+                    self.joint_modes += [
+                        (int(messages.log_time[k]), *joint_modes.decode(messages.payload(k)))
+                        for k in index
                     ]
                 elif channel.topic == motions:
                     self.motions += [

@@ -5,6 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from liegroup_sim_ros.messages import joint_modes
+
 
 class _Timed:
     @property
@@ -68,6 +70,21 @@ class MotionTrack(NamedTuple):
     stamp_ns: np.ndarray  # (k,) from each stamp on
     names: tuple  # of the joints
     motion: np.ndarray  # (k, d, 7); an infinite origin: that of the scene
+
+
+class _ModeTrack(NamedTuple):
+    stamp_ns: np.ndarray  # (m,) int64, ns
+    names: tuple  # of k joints
+    values: np.ndarray  # (m, k, 5) mode, slip, coordinate; impulse and energy of impacts
+
+
+class ModeTrack(_ModeTrack, _Timed):
+    """Modes of the joints with stops or friction from each stamp on; see messages/joint_modes.py."""
+
+    def switching(self, stamp_ns):
+        """(k, 4) of a sample with this stamp, for Sample.switching; None before the first message."""
+        last = np.searchsorted(self.stamp_ns, stamp_ns, "right") - 1
+        return joint_modes.switching(self.values[last]) if last >= 0 else None
 
 
 class _JointTrack(NamedTuple):

@@ -14,6 +14,7 @@ import numpy as np
 from liegroup_sim_ros.messages import estimates, events, schemas, topics
 from liegroup_sim_ros.messages import samples as sample_messages
 from liegroup_sim_ros.messages.codecs import LogCodec
+from liegroup_sim_ros.messages.joint_modes import JointReports, joints_with_modes
 
 from . import attachments
 from .checkpoints import Checkpoints
@@ -144,6 +145,11 @@ class LogFile:
         if has_estimate(simulation):
             names["errors"] = topics.ERRORS.resolved(NODE)
             with_samples.append(topics.ERRORS)
+        has_modes = joints_with_modes(simulation.layout)
+        self._reports = JointReports(simulation) if has_modes else None
+        if has_modes:
+            names["joint_modes"] = topics.JOINT_MODES.resolved(NODE)
+            with_samples.append(topics.JOINT_MODES)
         try:
             types = [topic.type for topic in (*with_samples, topics.APPLIED_WRENCH, topics.EVENTS)]
             for message_type in [*types, *(message_type for _, message_type, _ in on_request)]:
@@ -165,6 +171,7 @@ class LogFile:
         self._channels = [tuple(map(self._channel, pair)) for pair in pairs]
         self._errors = self._channel(topics.ERRORS) if "errors" in names else None
         self._channel(topics.APPLIED_WRENCH)
+        self._modes = self._channel(topics.JOINT_MODES) if has_modes else None
         self._on_request = [
             (self._channel(topics.Topic(name, message_type)), encode)
             for name, message_type, encode in on_request
@@ -175,6 +182,7 @@ class LogFile:
             "start",
             f"{simulation.scene.name} at step {simulation.steps}, without a clock",
         )
+        self._report("begin")
 
     def __enter__(self):
         return self
@@ -191,9 +199,20 @@ class LogFile:
     def _event(self, stamp_ns, name, text, level=LogCodec.INFO):
         self._recorder.write(self._events, stamp_ns, LogCodec.encode(stamp_ns, level, name, text))
 
+    def _report(self, which):
+        """Record what happened at joints with stops or friction."""
+        if self._reports is None:
+            return
+        for report in getattr(self._reports, which)():
+            if report.modes is not None:
+                self._recorder.write(self._modes, report.time_ns, report.modes)
+            if report.line is not None:
+                self._event(report.time_ns, "joint", report.line)
+
     def sample(self, sample):
-        """Record poses, twists and estimated errors of all bodies."""
+        """Record poses, twists, estimated errors of all bodies, and events at joints."""
         stamp = sample.time_ns
+        self._report("drain")
         for name, text in events.reports(self._simulation):
             if name not in self._told:
                 self._told.add(name)
@@ -211,6 +230,7 @@ class LogFile:
     def finish(self, simulation, stopped, failed, wall_seconds):
         """Record how the run ended, and its speed."""
         stamp = simulation.time_ns
+        self._report("finish")
         if failed:
             self._event(stamp, "fault", stopped, LogCodec.ERROR)
         self._event(stamp, "stop", stopped or f"stopped at step {simulation.steps}")

@@ -23,7 +23,8 @@ def make_plots(analysis):
     plots = []
     if not curves:
         return plots
-    bands = _push_bands(figures, analysis.motion)
+    marks = curves.get("joint_events")
+    bands = _push_bands(figures, analysis.motion) + _event_lines(marks)
     if curves.get("reference"):
         kind = figures["reference"]["kind"]
         source = "the reference integration" if kind == "integration" else "the exact solution"
@@ -87,6 +88,9 @@ def make_plots(analysis):
                 _plane(late, bands, "µs", log=True),
             )
         )
+    if marks is not None and len(marks):
+        for *_, plot in plots:
+            plot["data"].append(_event_entry(figures, marks))
     return plots
 
 
@@ -247,6 +251,31 @@ def _push_bands(figures, motion):
         }
         for push in figures["pushes"][:200]
     ]
+
+
+def _event_lines(times):
+    return [
+        {
+            "type": "line",
+            "xref": "x",
+            "yref": "paper",
+            "x0": time,
+            "x1": time,
+            "y0": 0,
+            "y1": 1,
+            "layer": "below",
+            "opacity": 0.5,
+            "line": {"color": "--grey", "width": 0.8},
+        }
+        for time in ([] if times is None else times.tolist())
+    ]
+
+
+def _event_entry(figures, times):
+    """Entry of the legend for the lines that mark events at joints; it draws nothing itself."""
+    count = figures["joint_events"]["instants"]
+    some = "" if len(times) == count else f", {len(times)} of {count}"
+    return _line(f"events at joints{some}", [math.nan], [math.nan], "--grey")
 
 
 def _line(name, x, y, colour, dash="solid"):

@@ -13,6 +13,8 @@ PARTS = {
     "angular": "angular velocity",
     "linear": "velocity",
 }
+# Kinds of events at joints, and their names for the user.
+NOUNS = {"impact": "impact", "stop": "stop", "leave": "release", "stick": "stick", "slip": "slip"}
 OVERVIEW = ("position", "attitude", "energy", "joints", "bit-identical", "dropped")
 
 
@@ -87,6 +89,8 @@ def sections(figures):
         tables.append(("Error of one step, by step halving", _local_rows(local)))
     if "energy" in figures:
         tables.append(("Conserved quantities and constraints", _conserved_rows(figures)))
+    if figures.get("joint_events"):
+        tables.append(("Stops and friction", _joint_event_rows(figures["joint_events"])))
     repeat = figures.get("repeat", {})
     if "identical" in repeat:
         tables.append(
@@ -251,6 +255,30 @@ def _conserved_rows(figures):
     if len(joints) > MOST_JOINTS:
         rows.append((f"{len(joints) - MOST_JOINTS} other joints", "smaller", ""))
     return rows
+
+
+def _joint_event_rows(events):
+    """Events and the energy of impacts of each joint, those with most events first."""
+    joints = sorted(events["joints"].items(), key=lambda item: -_event_count(item[1]))
+    rows = [
+        (
+            name,
+            ", ".join(counted(entry[kind], noun) for kind, noun in NOUNS.items() if entry[kind])
+            or "no event",
+            f"impacts take {shown(-entry['impact_energy_J'], 'J')}, largest impulse "
+            f"{shown(entry['largest_impulse'], entry['unit'])}"
+            if entry["impact"]
+            else "",
+        )
+        for name, entry in joints[:MOST_JOINTS]
+    ]
+    if len(joints) > MOST_JOINTS:
+        rows.append((f"{len(joints) - MOST_JOINTS} other joints", "fewer", ""))
+    return rows
+
+
+def _event_count(entry):
+    return sum(entry[kind] for kind in NOUNS)
 
 
 def _timing_rows(timing):

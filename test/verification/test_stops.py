@@ -7,7 +7,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from liegroup_core import Simulation, SimulationError
+from liegroup_core import SceneError, Simulation, SimulationError
 from liegroup_core.engine import Engine
 from liegroup_core.scene.load import scene_from_text
 
@@ -175,3 +175,72 @@ def test_estimate_through_impacts():
         assert true <= 1e-6
         assert ours.error["bob"][1] >= 0.5 * true or true < 1e-9
     assert simulation.doubt is None
+
+
+def test_a_place_beyond_a_stop_is_refused():
+    """Rigid stops refuse it with one line, and nothing changes; compliant ones take it."""
+    text = PENDULUM.replace("ANGLE", "0.4").replace("LOWER", "0.1, upper: 2")
+    engine = Engine(scene_from_text(text), "rkmk4", 1e-2)
+    engine.advance(3)
+    before = engine.state()
+    for angle in (0.0999, 0.1 - 1e-8, -3.0):
+        with pytest.raises(SceneError, match="joint pivot would be beyond its stop: its position"):
+            engine.place(joints={"pivot": (angle, 0.0)})
+        assert all(map(np.array_equal, engine.state(), before))
+    turned = engine.sample().pose_matrices[0].copy()
+    turned[:3, :3] = [
+        [1, 0, 0],
+        [0, math.cos(0.05), -math.sin(0.05)],
+        [0, math.sin(0.05), math.cos(0.05)],
+    ]
+    with pytest.raises(SceneError, match="0.05 rad is not between 0.1 and 2"):
+        engine.place({"bob": turned})
+    engine.place(joints={"pivot": (0.1, 0.0)})
+    engine.advance(1)
+    assert engine.modes == {"pivot": "lower"}
+    soft = Engine(
+        scene_from_text(text.replace("restitution: 0.7", "stiffness: 100")), "rkmk4", 1e-2
+    )
+    soft.place(joints={"pivot": (0.05, 0.0)})
+    assert soft.sample().joint_coordinates["pivot"][0] == pytest.approx(0.05, abs=1e-12)
+
+
+def test_the_modes_before_the_first_step_are_those_of_the_first_step():
+    """To ask for them changes no bit of the run, also after another run."""
+    text = PENDULUM.replace("ANGLE", "0.4").replace("LOWER", "0.4")
+    engine, other = (Engine(scene_from_text(text), "rkmk8", 1e-2) for _ in range(2))
+    for _ in range(2):
+        assert engine.sample().modes == {"pivot": "lower"}
+        # At rest its stop bears the weight: the reaction about the axis is not that of a free joint.
+        assert abs(engine.sample().reactions["pivot"][2]) == pytest.approx(
+            1.3 * 0.8 * G * math.sin(0.4), abs=1e-12
+        )
+        for each in (engine, other):
+            each.apply_effort("pivot", 6.0, start=0.1)
+            each.advance(100)
+        assert all(map(np.array_equal, engine.state(), other.state()))
+        assert engine.event_count == other.event_count > 0
+        for each in (engine, other):
+            each.reset()
+
+
+def test_instants_have_the_modes_after_their_events():
+    """The modes of the last instant are those of the state; an undone step leaves none behind."""
+    engine = Engine(scene_from_text(BALL.replace("RESTITUTION", "0.5")), "rkmk4", 0.01)
+    assert engine.drain_instants() == []
+    engine.advance(200)
+    instants, events = engine.drain_instants(), engine.drain_events()
+    assert [event for instant in instants for event in instant.events] == events
+    assert np.array_equal(instants[-1].modes, engine.sample().switching)
+    assert instants[0].events == [] and instants[0].time == 0.0
+    # A rebound of 1 um takes 0.9 ms: more than a thousand in a step of 1 s.
+    text = BALL.replace("RESTITUTION", "1").replace(
+        "position: [0, 0, 1]", "position: [0, 0, 1.0e-6]"
+    )
+    engine = Engine(scene_from_text(text), "rkmk4", 1.0)
+    engine.drain_instants()
+    with pytest.raises(SimulationError, match="more than 1000 impacts"):
+        engine.advance(1)
+    assert engine.drain_events() == []
+    assert all(instant.events == [] for instant in engine.drain_instants())
+    assert engine.sample().joint_coordinates["track"][0] == pytest.approx(1e-6, abs=1e-18)

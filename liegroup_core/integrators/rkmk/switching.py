@@ -78,6 +78,19 @@ class JointEvent(NamedTuple):
     energy: float = 0.0
 
 
+class JointInstant(NamedTuple):
+    """Modes of all joints with stops or friction where one of them changes.
+
+    time   : s
+    modes  : (k, 4) from then on, as Sample.switching
+    events : [JointEvent] of this time; none where a run starts
+    """
+
+    time: float
+    modes: np.ndarray
+    events: list
+
+
 class Switching:
     """Steps of a Munthe-Kaas method with the events of the switches of its model.
 
@@ -87,6 +100,7 @@ class Switching:
     parts   : steps that lead to an event. Where an event is sets the size of this step: another number
               of parts shows its error, see RunningError
     events  : [JointEvent] since they were taken
+    instants : [JointInstant] since they were taken; None: not wanted
     count   : of all events since the state was set
     """
 
@@ -100,7 +114,7 @@ class Switching:
         self._no_changes = np.zeros(len(work.held))
         self._look, self._respond = SameTypes(look), SameTypes(respond)
         self._change_rates = SameTypes(change_rates)
-        self.events, self.count, self.parts = [], 0, 1
+        self.events, self.instants, self.count, self.parts = [], None, 0, 1
         self._inputs = None
         work.watch[0] = 1.0
 
@@ -120,6 +134,7 @@ class Switching:
         self._work.held[:] = 0.0
         self._work.modes[:] = 0.0
         self.events, self.count, self._inputs = [], 0, None
+        self.instants = None if self.instants is None else []
 
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place, with all events; returns (steps done, status)."""
@@ -134,12 +149,16 @@ class Switching:
             done += more
             if status == EVENT:
                 kept = self._keep(pose, twist, True)
+                log, instants = len(self.events), len(self.instants or ())
                 status = self._finish(h, (first + done) * h + base, state)
                 if status == OK:
                     done += 1
                 else:
                     self._return(kept, pose, twist)
                     self._change_rates(self._model, work, self._no_changes, pose, twist)
+                    del self.events[log:]
+                    if self.instants:
+                        del self.instants[instants:]
         work.clock[0], work.clock[1] = first, base
         return done, status
 
@@ -166,9 +185,12 @@ class Switching:
             for end, side in ((0, -1.0), (1, 1.0)):
                 work.modes[soft & (work.guards[:, end] < 0.0), SIDE] = side
             work.modes[:, KNOWN] = 1.0
-            log = len(self.events)
+            log, count = len(self.events), self.count
             status = self._switch(time, state, np.zeros(work.guards.shape, dtype=bool))
             del self.events[log:]
+            self.count = count
+            if self.instants and status == OK:
+                self.instants[-1] = self.instants[-1]._replace(events=[])
             return status
         if (work.guards[:, SLIDING + 1 :] >= 0.0).all():
             return OK
@@ -293,6 +315,7 @@ class Switching:
         if status != OK:
             return status
         self.count += 1
+        log = len(self.events)
         modes, before = work.modes, (work.held[self._freedoms].copy(), work.modes.copy())
         table, q = model.switches, work.modes[:, COORDINATE]
         side = np.where(self._rigid, 0.0, modes[:, SIDE])
@@ -316,6 +339,8 @@ class Switching:
         if status != OK:
             return status
         self._note(time, before)
+        if self.instants is not None:
+            self.instants.append(JointInstant(time, self._modes(), self.events[log:]))
         return OK
 
     def _is_slow(self, before, rates):
@@ -422,9 +447,22 @@ class Switching:
         self._change_rates(model, work, self._no_changes, *state[:2])
         return OK
 
-    def modes(self):
-        """(k, 4) of all switches; see switches.modes_of."""
+    def _modes(self):
         return modes_of(self._model, self._work)
+
+    def modes(self, time, state):
+        """(k, 4) of all switches, see switches.modes_of; of a state that was set, the modes it will have."""
+        if self._work.modes[:, KNOWN].all():
+            return self._modes()
+        self._look(self._model, self._work, *state)  # the links have this state from here on
+        kept, noted = self._keep(*state[:2]), (self.events, self.instants, self.count, self._inputs)
+        self.events, self.instants = [], None
+        # Where the state is beyond a stop, the next step reports that.
+        self._meet_inputs(time, state)
+        modes = self._modes()
+        self._return(kept, *state[:2])
+        self.events, self.instants, self.count, self._inputs = noted
+        return modes
 
     def _note(self, time, before):
         """Write what has changed to `events`."""

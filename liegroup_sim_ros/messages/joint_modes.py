@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Events at joints with stops or dry friction: messages with their modes, and lines of text.
+
+~/joint_modes has a message for every instant at which a mode changes or a stop is hit: a matrix with a
+row for each such joint, in the order of the scene. Column `mode` is one of the constants below, `slip` the
+sign of the velocity that sliding friction opposes. `impulse` and `energy` are those of an impact at
+this instant. Imports no ROS.
+"""
+
+import math
+from collections import Counter
+from typing import NamedTuple
+
+import numpy as np
+
+from . import matrices
+from .codecs import MessageError
+from .commands import joint_labels
+
+TYPE = matrices.TYPE
+# rad or m, N m s or N s, J.
+COLUMNS = ("mode", "slip", "coordinate", "impulse", "energy")
+MODE, SLIP, COORDINATE, IMPULSE, ENERGY = range(5)
+# Free; at rest at a stop, or by friction alone; moving beyond a compliant stop.
+FREE, LOWER, UPPER, STICK, BEYOND_LOWER, BEYOND_UPPER = range(6)
+IMPACT = "impact"
+LINES = 20  # instants a second of simulated time that have a line of their own
+
+
+def joints_with_modes(layout):
+    """Joints of a scene with stops or friction."""
+    return [joint for joint in layout.scene.joints if joint.switches]
+
+
+def encoder(layout):
+    """Function (modes (k, 4) as Sample.switching, [JointEvent]) -> serialized Float64MultiArray."""
+    joints = joints_with_modes(layout)
+    names = [joint.name for joint in joints]
+    pack = matrices.encoder(joint_labels(names, layout.scene.robot), COLUMNS)
+    row = {name: k for k, name in enumerate(names)}
+
+    def encode(modes, events=()):
+        held, slip, side, coordinate = modes.T
+        values = np.zeros((len(names), len(COLUMNS)))
+        at_rest = np.where(side < 0.0, LOWER, np.where(side > 0.0, UPPER, STICK))
+        moving = np.where(side < 0.0, BEYOND_LOWER, np.where(side > 0.0, BEYOND_UPPER, FREE))
+        values[:, MODE] = np.where(held != 0.0, at_rest, moving)
+        values[:, SLIP], values[:, COORDINATE] = slip, coordinate
+        for event in events:
+            values[row[event.joint], IMPULSE] += event.impulse
+            values[row[event.joint], ENERGY] += event.energy
+        return pack(values.ravel().tolist())
+
+    return encode
+
+
+def decode(payload):
+    """(names of the joints, numbers row by row). Raises MessageError."""
+    names, columns, values = matrices.decode(payload)
+    if columns != COLUMNS:
+        raise MessageError(f"{TYPE}: its columns are not {' '.join(COLUMNS)}")
+    return names, values
+
+
+def switching(values):
+    """(..., k, 4) modes as Sample.switching, of the numbers (..., k, 5) of messages."""
+    mode = values[..., MODE]
+    side = np.where(np.isin(mode, (LOWER, BEYOND_LOWER)), -1.0, 0.0)
+    side[np.isin(mode, (UPPER, BEYOND_UPPER))] = 1.0
+    held = np.isin(mode, (LOWER, UPPER, STICK))
+    return np.stack([held, values[..., SLIP], side, values[..., COORDINATE]], axis=-1)
+
+
+class Report(NamedTuple):
+    """What is sent about the joints at one time.
+
+    time_ns : since step 0
+    modes   : message of ~/joint_modes, or None
+    line    : text of an event `joint`, or None
+    """
+
+    time_ns: int
+    modes: bytes | None
+    line: str | None
+
+
+class JointReports:
+    """Reports on the joints of a simulation with stops or friction, as it goes on.
+
+    At most LINES instants in a second of simulated time have a line. The others are counted; the
+    first report after that second sums them up. `begin` starts a run or follows a state that was set.
+    """
+
+    def __init__(self, simulation):
+        self._simulation, self._last, self._time = simulation, None, 0.0
+        self._encode = encoder(simulation.layout)
+        units = simulation.layout.coordinates.units
+        self._unit = {name: "N s" if unit == "m" else "N m s" for name, unit in units.items()}
+        self._clear()
+
+    def _clear(self):
+        self._second, self._lines = 0, 0
+        self._more, self._kinds, self._energy = 0, Counter(), 0.0
+
+    def begin(self):
+        """[Report] of the modes of the present state."""
+        simulation = self._simulation
+        simulation.drain_instants()
+        self._clear()
+        self._second, self._time = int(simulation.time), simulation.time
+        self._last = simulation.sample().switching
+        return [Report(simulation.time_ns, self._encode(self._last), None)]
+
+    def drain(self):
+        """[Report] of what happened since the last call, in the order of time."""
+        reports = []
+        for instant in self._simulation.drain_instants():
+            reports += self._of_instant(instant)
+        self._time = self._simulation.time
+        if int(self._time) > self._second:
+            reports += self._sum_up(self._time)
+        return reports
+
+    def finish(self):
+        """[Report] that sums up what was counted only."""
+        return self._sum_up(self._time)
+
+    def _of_instant(self, instant):
+        time = instant.time
+        if not instant.events:  # a state that was set, or friction that turns round with the motion
+            same = np.array_equal(instant.modes, self._last)
+            self._last = instant.modes
+            return [] if same else [Report(round(time * 1e9), self._encode(instant.modes), None)]
+        self._last = instant.modes
+        reports = self._sum_up(time) if int(time) > self._second else []
+        line = None
+        if self._lines < LINES:
+            self._lines += 1
+            line = f"{time:.9f} s: {'; '.join(map(self._text, instant.events))}"
+        else:
+            self._more += 1
+            self._kinds.update(event.kind for event in instant.events)
+            self._energy += math.fsum(event.energy for event in instant.events)
+        modes = self._encode(instant.modes, instant.events)
+        return [*reports, Report(round(time * 1e9), modes, line)]
+
+    def _text(self, event):
+        if event.kind != IMPACT:
+            return f"{event.joint} {event.kind}"
+        unit = self._unit.get(event.joint, "N m s")
+        return f"{event.joint} {IMPACT}, impulse {event.impulse:.6g} {unit}, energy {event.energy:.6g} J"
+
+    def _sum_up(self, time):
+        """[Report] of the instants without a line in the second that ends."""
+        reports = []
+        if self._more:
+            kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(self._kinds.items()))
+            text = (
+                f"{time:.9f} s: {self._more} more instants since {self._second} s: {kinds}; energy "
+                f"{self._energy:.6g} J"
+            )
+            reports.append(Report(round(time * 1e9), None, text))
+        self._clear()
+        self._second = int(time)
+        return reports

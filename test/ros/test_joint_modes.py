@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages with the modes of joints, and `liegroup_sim run` with joints that have stops or friction."""
+
+import json
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import Float64MultiArray
+
+from liegroup_core import Simulation
+from liegroup_core.layout import make_layout
+from liegroup_core.scene.load import scene_from_text
+from liegroup_sim_ros.commands.main import main
+from liegroup_sim_ros.messages.codecs import MessageError
+from liegroup_sim_ros.messages.joint_modes import decode, encoder, switching
+from liegroup_sim_ros.messages.matrices import encoder as matrix_encoder
+from liegroup_sim_ros.playback.resimulate import resimulate
+from liegroup_sim_ros.recording.read import read_recording
+
+SCHEMA = Path(__file__).resolve().parents[2] / "config" / "analysis.schema.json"
+# A rod that falls on a compliant stop, with friction that holds it there, and one beside it on a rigid one.
+SCENE = """
+name: stops
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: soft, mass: 1.0, inertia: [0.02, 0.02, 0.02], com: [0.5, 0, 0]}
+  - {name: hard, mass: 1.0, inertia: [0.02, 0.02, 0.02], com: [0.5, 0, 0], position: [0, 1, 0]}
+  - {name: free, mass: 1.0, inertia: [0.02, 0.02, 0.02], position: [0, 5, 0]}
+joints:
+  - {name: cushion, type: revolute, parent: world, child: soft, parent_frame: {axis: [0, 1, 0]},
+     limits: {upper: 0.5, stiffness: 60, damping: 1}, friction: {coulomb: 1.5}}
+  - {name: block, type: revolute, parent: world, child: hard, parent_frame: {position: [0, 1, 0], axis: [0, 1, 0]},
+     limits: {upper: 0.5, restitution: 0.6}}
+"""
+
+
+# The cushion is entered and left without an event of the simulation.
+KINDS = {
+    "block": ("impact", "stop", "leave", "stick", "slip"),
+    "cushion": ("impact", "stick", "slip"),
+}
+
+
+def test_modes_survive_the_message():
+    """All that a sample needs for reactions, in every combination of rest, side and slip."""
+    layout = make_layout(scene_from_text(SCENE))
+    encode = encoder(layout)
+    for held in (0.0, 1.0):
+        for side in (-1.0, 0.0, 1.0):
+            for slip in (-1.0, 0.0, 1.0):
+                modes = np.array([[held, slip, side, 0.25], [0.0, 0.0, 0.0, -1.5]])
+                payload = encode(modes)
+                names, numbers = decode(payload)
+                assert names == ("cushion", "block")
+                values = np.array(numbers).reshape(2, 5)
+                assert np.array_equal(switching(values), modes)
+                message = deserialize_message(bytes(payload), Float64MultiArray)
+                assert list(message.data) == list(numbers)
+                assert message.layout.dim[1].label == "mode slip coordinate impulse energy"
+
+
+def test_another_matrix_is_refused():
+    payload = matrix_encoder(["a"], ["mode", "slip"])([1.0, 2.0])
+    with pytest.raises(MessageError, match="its columns are not mode slip coordinate"):
+        decode(payload)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("stops")
+    (folder / "stops.yaml").write_text(SCENE)
+    command = [
+        "run",
+        str(folder / "stops.yaml"),
+        "--duration",
+        "4",
+        "--out",
+        str(folder / "run.mcap"),
+    ]
+    assert main([*command, "--reactions"]) == 0
+    return read_recording(folder / "run.mcap")
+
+
+def test_a_run_records_its_modes_and_is_repeated_bit_by_bit(recording):
+    figures = resimulate(recording)
+    assert figures["identical"] == figures["samples"] == 401
+    simulation = Simulation(scene_from_text(SCENE), step=0.01, accuracy=1e-4, horizon=60.0)
+    simulation.drain_instants()
+    simulation.advance(400)
+    instants = [entry for entry in simulation.drain_instants() if entry.events]
+    modes = recording.joint_modes
+    stamps = modes.stamp_ns.tolist()
+    assert stamps[0] == 0 and len(instants) > 10
+    for instant in instants:
+        values = modes.values[stamps.index(round(instant.time * 1e9))]
+        assert np.array_equal(switching(values), instant.modes)
+        impulse = sum(event.impulse for event in instant.events if event.joint == "block")
+        assert values[1, 3] == impulse
+    frame = recording.to_pandas("joint_modes")
+    assert frame["block", "impulse"].tolist() == modes.values[:, 1, 3].tolist()
+
+
+def test_reactions_of_recorded_poses_are_those_of_the_run(recording):
+    layout = make_layout(scene_from_text(SCENE))
+    poses, stamps = recording.pose, recording.pose["soft"].stamp_ns
+    for row in range(0, len(stamps), 7):
+        sample = recorded_sample(layout, recording, row)
+        assert sample.switching is not None
+        for joint in ("cushion", "block"):
+            track = recording.reactions[joint]
+            assert track.stamp_ns[row] == stamps[row]
+            assert sample.reactions[joint] == pytest.approx(track.wrench[row], abs=1e-9)
+    assert len(poses) == 3
+    # Without the modes the joints would be free.
+    sample.switching = None
+    last = recorded_sample(layout, recording, row)
+    last.switching = None
+    assert (
+        abs(last.reactions["block"][2])
+        < 1e-9
+        < 1.0
+        < abs(recording.reactions["block"].wrench[row, 2])
+    )
+
+
+def recorded_sample(layout, recording, row):
+    from scipy.spatial.transform import Rotation
+
+    pose, twist = [], []
+    for body in recording.bodies:
+        rotation = Rotation.from_quat(recording.pose[body].quaternion[row]).as_matrix()
+        pose.append([*rotation.ravel(), *recording.pose[body].position[row]])
+        twist.append(recording.twist[body].twist[row])
+    stamp = recording.pose["soft"].stamp_ns[row]
+    sample = layout.sample(pose, twist, stamp * 1e-9)
+    sample.switching = recording.joint_modes.switching(stamp)
+    return sample
+
+
+def test_the_analysis_counts_the_events_of_the_run(recording, tmp_path):
+    out, page = tmp_path / "out.json", tmp_path / "page.html"
+    assert main(["analyze", str(recording.path), "--json", str(out), "--html", str(page)]) == 0
+    document = json.loads(out.read_text())
+    jsonschema.validate(document, json.loads(SCHEMA.read_text()))
+    found = document["logs"][0]["joint_events"]
+    simulation = Simulation(scene_from_text(SCENE), step=0.01, accuracy=1e-4, horizon=60.0)
+    simulation.advance(400)
+    events = simulation.drain_events()
+    for joint, entry in found["joints"].items():
+        for kind in KINDS[joint]:
+            count = sum(event.joint == joint and event.kind == kind for event in events)
+            assert entry[kind] == count, (joint, kind)
+        assert entry["impact_energy_J"] == pytest.approx(
+            sum(event.energy for event in events if event.joint == joint), abs=1e-14
+        )
+    assert found["joints"]["block"]["impact"] > 5
+    assert found["joints"]["cushion"]["stop"] >= 1
+    assert "events at joints" in page.read_text()
