@@ -399,7 +399,10 @@ class Engine(Inputs):
         return 0 if self._switching is None else self._switching.count
 
     def drain_events(self) -> list[JointEvent]:
-        """Return what happened at stops and by dry friction since the last call, in order of time."""
+        """Return what happened at stops and by dry friction since the last call, in order of time.
+
+        At most the last 100 000 are kept.
+        """
         if self._switching is None:
             return []
         events, self._switching.events[:] = self._switching.events[:], []

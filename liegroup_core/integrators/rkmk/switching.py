@@ -55,6 +55,7 @@ BEYOND = 1e-9  # rad or m: a state that is set is not this far beyond a stop
 RESTING = 1e-11  # rad/s or m/s: a rate below is zero where an event is
 TIME_STEP = 1e-15  # s; an event is found to this, and to round-off
 HALVINGS = 40
+MOST_KEPT = 100_000  # events that nobody has taken
 RETURNING = 1e-10  # of its terms: an acceleration below is zero
 LOOSE = 1e100  # tolerance of error control that no step fails
 
@@ -141,6 +142,7 @@ class Switching:
         work, state = self._work, (pose, twist, external)
         if steps == 0:
             return self._take(h, 0, *state)
+        del self.events[:-MOST_KEPT]
         done, first, base = 0, work.clock[0], work.clock[1]
         status = self._meet_inputs(first * h + base, state)
         while status == OK and done < steps:
@@ -258,9 +260,6 @@ class Switching:
         crossed = np.zeros(places.shape, dtype=bool)
         for at, k, c in found:
             crossed[k, c] = at <= tau + 10.0 * TIME_STEP
-            if crossed[k, c] and not self._rigid[k] and c < SLIDING:
-                side = -1.0 if c == LOWER else 1.0
-                work.modes[k, SIDE] = 0.0 if work.modes[k, SIDE] == side else side
         return tau, crossed, OK
 
     def _zero(self, guard, end, k, c):
@@ -317,7 +316,10 @@ class Switching:
         self.count += 1
         log = len(self.events)
         modes, before = work.modes, (work.held[self._freedoms].copy(), work.modes.copy())
-        table, q = model.switches, work.modes[:, COORDINATE]
+        for k, c in np.argwhere(crossed[:, : UPPER + 1] & ~self._rigid[:, None]):
+            side = -1.0 if c == LOWER else 1.0
+            modes[k, SIDE] = 0.0 if modes[k, SIDE] == side else side
+        table, q = model.switches, modes[:, COORDINATE]
         side = np.where(self._rigid, 0.0, modes[:, SIDE])
         for end, (stop, sign) in enumerate(((table["lower"], -1.0), (table["upper"], 1.0))):
             with np.errstate(invalid="ignore"):
