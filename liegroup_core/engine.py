@@ -5,7 +5,7 @@ import copy
 import logging
 import math
 from numbers import Integral
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -78,6 +78,18 @@ def _stabilised(model, kind, time, step):
     return model.replace(
         projects=kind == "projection", baumgarte_rate=1.0 / time if kind == "baumgarte" else 0.0
     )
+
+
+class Impact(NamedTuple):
+    """Impulses of all joints at an impact.
+
+    time, time_ns : s, ns
+    impulses      : {joint: (6,)} N m s, N s on its child, with axes and NaN as Sample.reactions
+    """
+
+    time: float
+    time_ns: int
+    impulses: dict[str, Floats]
 
 
 class Engine(Inputs):
@@ -407,6 +419,21 @@ class Engine(Inputs):
             return []
         events, self._switching.events[:] = self._switching.events[:], []
         return [event._replace(joint=self.scene.joints[event.joint].name) for event in events]
+
+    def drain_impacts(self) -> list[Impact]:
+        """Return the impulses of all joints at the impacts since the last call.
+
+        They are kept from the first call on. Impacts of a state that was set before are lost.
+        """
+        if self._switching is None:
+            return []
+        impacts, self._switching.impacts = self._switching.impacts or [], []
+        found = []
+        for time, pose, impulses in impacts:
+            wrenches, mask = self.layout.reactions.of_impact(pose, impulses)
+            named = zip(self.layout.reactions.names, np.where(mask, np.nan, wrenches))
+            found.append(Impact(time, round(time * 1e9), dict(named)))
+        return found
 
     def divide_events(self, parts: int) -> None:
         """Take the step that leads to an event at a stop or of friction in so many parts."""

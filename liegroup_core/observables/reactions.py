@@ -20,7 +20,11 @@ from liegroup_core.errors import SimulationError
 from liegroup_core.forces.external import no_wrenches
 from liegroup_core.forces.kinds import limits, wanted_values
 from liegroup_core.formulations.relative.arrays import make_relative_work
-from liegroup_core.formulations.relative.reactions import joint_wrenches, reaction_table
+from liegroup_core.formulations.relative.reactions import (
+    impulse_wrenches,
+    joint_wrenches,
+    reaction_table,
+)
 from liegroup_core.formulations.relative.spanning_tree import WORLD_NAME
 from liegroup_core.formulations.relative.switches import set_modes
 from liegroup_core.joints.kinds import TYPES, forbidden_rows
@@ -179,6 +183,21 @@ class Reactions:
         for group, _, linkage in self._groups:
             mask[group] |= _undetermined(_rows(linkage, places))
         return out, mask, motion, efforts
+
+    def of_impact(self, pose, impulses):
+        """(J, 6) impulses of all joints at an impact, N m s and N s, and the mask of `undetermined`.
+
+        pose     : (n, 12) of frames at the centres of mass
+        impulses : (k,) of the stops, on the coordinates of the joints with stops or friction
+        Raises SimulationError if they cannot be computed.
+        """
+        work, n = self._work, len(pose)
+        work.pose[:n], work.twist[:n] = pose, 0.0
+        work.held[:] = 0.0
+        on_links = impulses * self._model.switches["sign"]
+        if impulse_wrenches(self._model, work, self._table, on_links, self._out) >= 0:
+            raise SimulationError("the impulses cannot be computed: constraint rows are dependent")
+        return self._out.copy(), self.undetermined
 
     def _places(self, pose):
         """{body: (4, 4)} of frames at the centres of mass, with the world."""

@@ -102,12 +102,15 @@ def test_the_page_on_stops_runs_and_prints_what_it_shows(tmp_path, monkeypatch, 
         program, *arguments = shlex.split(line)
         assert program == "liegroup_sim" and main(arguments) == 0, arguments
     capsys.readouterr()
-    (code,) = re.findall(r"^```python\n(.*?)^```$", STOPS, re.MULTILINE | re.DOTALL)
-    exec(compile(code, "stops.md", "exec"), {})
+    code, more = re.findall(r"^```python\n(.*?)^```$", STOPS, re.MULTILINE | re.DOTALL)
+    names = {}
+    exec(compile(code, "stops.md", "exec"), names)
     said = capsys.readouterr().out
     shown = re.search(r"^```$\n\n((?:    .*\n)+)", STOPS[STOPS.index(code) :], re.MULTILINE)[1]
     for line in shown.splitlines():
         assert line.strip() == "..." or line.strip() in said
+    exec(compile(more, "stops.md", "exec"), names)
+    assert capsys.readouterr().out.count("\n") == 1
 
 
 def test_the_sensors_of_the_page_on_reactions_run(tmp_path, monkeypatch, capsys, client):

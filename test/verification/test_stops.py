@@ -44,6 +44,26 @@ joints:
     child_frame: {rotation_vector: [0, 1.5707963267948966, 0]}
     limits: {lower: LOWER, restitution: 0.7}
 """
+PRESS = """
+name: press
+gravity: [0, 0, 0]
+assemble: true
+bodies:
+  - {name: crank, mass: 1.0, inertia: [0.02, 0.02, 0.02], com: [0.05, 0, 0], initial: fixed,
+      rotation_vector: [0, 0, 1.0], angular_velocity: [0, 0, -3]}
+  - {name: rod, mass: 0.5, inertia: [0.02, 0.02, 0.02], com: [0.15, 0, 0],
+      position: [0.05, 0.08, 0], rotation_vector: [0, 0, -0.2]}
+  - {name: ram, mass: 2.0, inertia: [0.02, 0.02, 0.02], position: [0.34, 0, 0]}
+joints:
+  - {name: main, type: revolute, parent: world, child: crank, child_frame: {},
+      friction: {coulomb: 0.05}}
+  - {name: pin, type: revolute, parent: crank, child: rod, parent_frame: {position: [0.1, 0, 0]},
+      child_frame: {}}
+  - {name: wrist, type: revolute, parent: rod, child: ram, parent_frame: {position: [0.3, 0, 0]},
+      child_frame: {}}
+  - {name: slide, type: prismatic, parent: world, child: ram, parent_frame: {axis: [1, 0, 0]},
+      child_frame: {axis: [1, 0, 0]}, limits: {upper: 0.38}}
+"""
 
 
 def impacts(engine, count, steps):
@@ -244,3 +264,42 @@ def test_instants_have_the_modes_after_their_events():
     assert engine.drain_events() == []
     assert all(instant.events == [] for instant in engine.drain_instants())
     assert engine.sample().joint_coordinates["track"][0] == pytest.approx(1e-6, abs=1e-18)
+
+
+def test_impulses_of_the_joints_at_an_impact():
+    """The pivot of a pendulum that hits its stop gets the momentum of the bob, and the stop's impulse.
+
+    With the jump dw of its rate: force impulse m l dw across the rod, torque impulse I dw + m l^2 dw
+    about the pivot. The centre of mass hangs at its lowest point.
+    """
+    text = PENDULUM.replace("ANGLE", "2.0").replace("LOWER", "0")
+    engine = Engine(scene_from_text(text), "rkmk8", 5e-3)
+    assert engine.drain_impacts() == []
+    (event,) = impacts(engine, 1, 500)
+    (impact,) = engine.drain_impacts()
+    assert impact.time == event.time
+    jump = event.impulse / (0.05 + 1.3 * 0.64)
+    impulse = impact.impulses["pivot"]
+    assert impulse[2] == pytest.approx(event.impulse, abs=1e-12)
+    assert np.linalg.norm(impulse[3:]) == pytest.approx(abs(1.3 * 0.8 * jump), abs=1e-12)
+    # Products of inertia: the bob's about its x and y axes.
+    assert np.linalg.norm(impulse[:2]) == pytest.approx(abs(0.01 * jump), abs=1e-12)
+
+
+def test_impulses_in_a_closed_loop_are_the_changes_of_momentum():
+    """At the stop of a slider-crank the impulses of the joints are what the momenta of its bodies lose."""
+    scene = scene_from_text(PRESS)
+    engine = Engine(scene, "rkmk4", 1e-5, stabilisation="projection")
+    engine.drain_impacts()
+    while not (found := engine.drain_impacts()):
+        before = engine.sample()
+        engine.advance(1)
+    after, (impact, *_) = engine.sample(), found
+    world = np.zeros(3)
+    for joint in scene.joints:
+        if joint.parent == "world":
+            turn = after.poses[joint.child][:3, :3] @ after.child_frames[joint.name][:3, :3]
+            world += turn @ np.nan_to_num(impact.impulses[joint.name][3:])
+    change = after.spatial_momentum[3:] - before.spatial_momentum[3:]
+    # In 1e-5 s joint forces of 100 N change it by 1e-3 of what the impact does.
+    assert world[:2] == pytest.approx(change[:2], abs=5e-3 * np.abs(change).max())

@@ -32,7 +32,9 @@ from liegroup_core.lie.vec3 import (
 from liegroup_core.scene.consistency import resolve_frames
 
 from .coordinates import coordinates, place_links
+from .couplings import add_pair
 from .dynamics import apply_forces, solve_equations
+from .impulses import clear_impulses, factor_rows, respond_to_impulses
 from .spanning_tree import WORLD_NAME, spanning_tree
 from .switches import apply_switches
 from .trees import move_links
@@ -87,14 +89,17 @@ def reaction_table(layout):
 
 
 @kernel
-def _set_lacking(model, work, table):
-    """Wrench that each body lacks without its joints, to table.lacking; its motion, to table.motion."""
+def _set_lacking(model, work, table, weight):
+    """Wrench that each body lacks without its joints, to table.lacking; its motion, to table.motion.
+
+    weight : 1, or 0 without gravity
+    """
     poses = work.space.stage_pose
     for i in range(len(model.parts)):
         part, body, rot = model.parts[i], model.space.bodies[i], load9(poses, i, 0)
         b, turn, at = part["link"], matrix3(part["rotation"]), vector3(part["point"])
         if b == WORLD:
-            g = tmatvec3(rot, load3(model.gravity, 0, 0))
+            g = scale3(weight, tmatvec3(rot, load3(model.gravity, 0, 0)))
             w, v, dw, dv = ZERO3, ZERO3, ZERO3, (-g[0], -g[1], -g[2])
         else:
             w, v = se3_Ad_inverse(
@@ -149,16 +154,9 @@ def _take_cut_joints(model, work, table, out):
             out[owner, 3 + c] += force[c]
 
 
-@stepper
-def joint_wrenches(model, work, table, out):
-    """Wrench (J, 6) of every joint on its child: torque, force in the axes of the child's joint frame.
-
-    The first n rows of work.pose and work.twist have the state, work.external the external wrenches.
-    The torque is about the origin of that frame. Redundant rows, which are eliminated, transmit
-    nothing. A coupling acts in the freedoms of its joints. Springs, motors and other forces are no
-    part of it; stops and friction are, in the modes of work.held and work.modes. Returns -1, or the
-    joint with dependent rows if the solve fails.
-    """
+@kernel
+def _begin(model, work):
+    """Set the stage to the state in the first n rows of work.pose and work.twist."""
     n = len(model.parts)
     for i in range(n):
         for c in range(12):
@@ -173,15 +171,15 @@ def joint_wrenches(model, work, table, out):
             work.stage_twist[b, c] = work.twist[b, c]
     move_links(model, work)
     place_links(model, work)
-    apply_forces(model, work, work.external)
-    apply_switches(model, work)
-    found = solve_equations(model, work)
-    if found >= 0:
-        return found
+
+
+@kernel
+def _sweep(model, work, table, weight, out):
+    """Wrenches of all joints for the accelerations of the links; see joint_wrenches."""
     for j in range(len(out)):
         for c in range(6):
             out[j, c] = 0.0
-    _set_lacking(model, work, table)
+    _set_lacking(model, work, table, weight)
     _take_cut_joints(model, work, table, out)
     lacking, poses = table.lacking, work.space.stage_pose
     for k in range(len(table.order)):
@@ -201,4 +199,48 @@ def joint_wrenches(model, work, table, out):
         axes = matmul3(rot, load9(table.frames, j, 0))
         store3(tmatvec3(axes, torque), out, j, 0)
         store3(tmatvec3(axes, force), out, j, 3)
+
+
+@stepper
+def joint_wrenches(model, work, table, out):
+    """Wrench (J, 6) of every joint on its child: torque, force in the axes of the child's joint frame.
+
+    The first n rows of work.pose and work.twist have the state, work.external the external wrenches.
+    The torque is about the origin of that frame. Redundant rows, which are eliminated, transmit
+    nothing. A coupling acts in the freedoms of its joints. Springs, motors and other forces are no
+    part of it; stops and friction are, in the modes of work.held and work.modes. Returns -1, or the
+    joint with dependent rows if the solve fails.
+    """
+    _begin(model, work)
+    apply_forces(model, work, work.external)
+    apply_switches(model, work)
+    found = solve_equations(model, work)
+    if found >= 0:
+        return found
+    _sweep(model, work, table, 1.0, out)
+    return -1
+
+
+@stepper
+def impulse_wrenches(model, work, table, impulses, out):
+    """Impulses (J, 6) of every joint on its child at an impact; as joint_wrenches, N m s and N s.
+
+    The first n rows of work.pose have the pose, those of work.twist are zero.
+    impulses : (k,) of the stops on the coordinates of the links of the switches
+    returns -1, or the joint with dependent rows if the solve fails
+    """
+    _begin(model, work)
+    for i in range(len(model.parts)):
+        for c in range(6):
+            work.wrench[i, c] = 0.0
+    found = factor_rows(model, work)
+    if found >= 0:
+        return found
+    clear_impulses(model, work)
+    for k in range(len(model.switches)):
+        switch = model.switches[k]
+        b, component = switch["link"], switch["component"]
+        add_pair(model, work, b, component, -impulses[k], work.force, 1)
+    respond_to_impulses(model, work)
+    _sweep(model, work, table, 0.0, out)
     return -1

@@ -2,23 +2,13 @@
 """What an event needs of the mechanism: see switching.py."""
 
 from liegroup_core.compiling import borrowed, stepper
-from liegroup_core.formulations.relative.coupled_rows import set_all_rows
 from liegroup_core.formulations.relative.dynamics import accelerations
-from liegroup_core.formulations.relative.kinds import (
-    add_pair,
-    gather,
-    gather_forces,
-    lift_links,
-    move_links,
-    place_links,
-    spread_response,
+from liegroup_core.formulations.relative.impulses import (
+    clear_impulses,
+    factor_rows,
+    respond_to_impulses,
 )
-from liegroup_core.formulations.relative.loops import (
-    close_loops,
-    set_response_residual,
-    set_responses,
-)
-from liegroup_core.formulations.relative.matrix import REGULARISATION, factor
+from liegroup_core.formulations.relative.kinds import add_pair, move_links, place_links
 from liegroup_core.formulations.relative.switches import count_coordinates, set_guards
 from liegroup_core.integrators.link_state import begin, enter, leave
 from liegroup_core.status import DEPENDENT_ROWS, OK
@@ -46,28 +36,14 @@ def respond(model, work, out):
     """
     move_links(model, work)
     place_links(model, work)
-    gather(model, work)
-    if len(model.joints) > 0:
-        lift_links(model, work)
-        set_all_rows(model, work)
-        set_responses(model, work)
-        if factor(model, work, 0.0) >= 0:
-            dependent = factor(model, work, REGULARISATION)
-            if dependent >= 0:
-                return DEPENDENT_ROWS + (model.owners[dependent] << 8)
-        for r in range(len(work.bias)):
-            work.bias[r] = 0.0
+    dependent = factor_rows(model, work)
+    if dependent >= 0:
+        return DEPENDENT_ROWS + (model.owners[dependent] << 8)
     for k in range(len(model.switches)):
         switch = model.switches[k]
-        for b in range(len(model.bodies)):
-            for c in range(work.force.shape[1]):
-                work.force[b, c] = 0.0
+        clear_impulses(model, work)
         add_pair(model, work, switch["link"], switch["component"], -1.0, work.force, 1)
-        gather_forces(model, work)
-        if len(model.joints) > 0:
-            set_response_residual(model, work)
-            close_loops(model, work)
-        spread_response(model, work)
+        respond_to_impulses(model, work)
         for f in range(len(work.held)):
             out[k, f] = work.acceleration[f, 0]
     return OK

@@ -101,6 +101,8 @@ class Switching:
     parts   : steps that lead to an event. Where an event is sets the size of this step: another number
               of parts shows its error, see RunningError
     events  : [JointEvent] since they were taken
+    impacts : [(time in s, pose (n, 12), impulses (k,) on the coordinates of the joints)] since they
+              were taken; None: not wanted
     instants : [JointInstant] since they were taken; None: not wanted
     count   : of all events since the state was set
     """
@@ -116,6 +118,7 @@ class Switching:
         self._look, self._respond = SameTypes(look), SameTypes(respond)
         self._change_rates = SameTypes(change_rates)
         self.events, self.instants, self.count, self.parts = [], None, 0, 1
+        self.impacts = None
         self._inputs = None
         work.watch[0] = 1.0
 
@@ -136,6 +139,7 @@ class Switching:
         self._work.modes[:] = 0.0
         self.events, self.count, self._inputs = [], 0, None
         self.instants = None if self.instants is None else []
+        self.impacts = None if self.impacts is None else []
 
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place, with all events; returns (steps done, status)."""
@@ -152,6 +156,7 @@ class Switching:
             if status == EVENT:
                 kept = self._keep(pose, twist, True)
                 log, instants = len(self.events), len(self.instants or ())
+                impacts = len(self.impacts or ())
                 status = self._finish(h, (first + done) * h + base, state)
                 if status == OK:
                     done += 1
@@ -159,6 +164,7 @@ class Switching:
                     self._return(kept, pose, twist)
                     self._change_rates(self._model, work, self._no_changes, pose, twist)
                     del self.events[log:]
+                    self.impacts = self.impacts and self.impacts[:impacts]
                     if self.instants:
                         del self.instants[instants:]
         work.clock[0], work.clock[1] = first, base
@@ -382,6 +388,10 @@ class Switching:
         still = hit[(at == FREE) & (e * approach == 0.0)]
         work.twist[self._rows[still], self._components[still]] = 0.0
         signs = model.switches["sign"]
+        if self.impacts is not None:
+            impulses = np.zeros(len(signs))
+            impulses[hit] = signs[hit] * p
+            self.impacts.append((float(time), state[0].copy(), impulses))
         for k, impulse, loss in zip(hit, p, energy):
             if impulse != 0.0:
                 joint = int(model.switches["joint"][k])

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Changes of the rates of all freedoms by impulses on links, with closed loops."""
+
+from liegroup_core.compiling import kernel
+
+from .coupled_rows import set_all_rows
+from .kinds import gather, gather_forces, lift_links, spread_response
+from .loops import close_loops, set_response_residual, set_responses
+from .matrix import REGULARISATION, factor
+
+
+@kernel
+def factor_rows(model, work):
+    """Articulated inertias and the factor of W at the pose of the stage, whose links are placed.
+
+    returns -1, or the joint with dependent rows if the regularised solve fails, too
+    """
+    gather(model, work)
+    if len(model.joints) == 0:
+        return -1
+    lift_links(model, work)
+    set_all_rows(model, work)
+    set_responses(model, work)
+    found = -1
+    if factor(model, work, 0.0) >= 0:
+        found = factor(model, work, REGULARISATION)
+    # An impulse does not change what the rows ask of the velocities before it.
+    for r in range(len(work.bias)):
+        work.bias[r] = 0.0
+    return found
+
+
+@kernel
+def clear_impulses(model, work):
+    """Begin a sum of impulses on links, in work.force with the opposite sign."""
+    for b in range(len(model.bodies)):
+        for c in range(work.force.shape[1]):
+            work.force[b, c] = 0.0
+    for r in range(len(work.multipliers)):
+        work.multipliers[r] = 0.0
+
+
+@kernel
+def respond_to_impulses(model, work):
+    """Changes of all rates to work.acceleration, of the links to work.moved, by work.force."""
+    gather_forces(model, work)
+    if len(model.joints) > 0:
+        set_response_residual(model, work)
+        close_loops(model, work)
+    spread_response(model, work)
