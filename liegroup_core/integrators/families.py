@@ -110,8 +110,8 @@ def make_integrator(method, layout, group, step, options):
     if layout.needs_relative and group != RELATIVE:
         raise ValueError(
             f"method {method} in group {group!r} cannot integrate this scene: "
-            f"{layout.needs_relative}. Use group 'relative' with a Munthe-Kaas method, rkmk..., "
-            "generalized_alpha or constrained_rattle"
+            f"{layout.needs_relative}. Use group 'relative' with one of: "
+            f"{', '.join(fitting_methods(layout))}"
         )
     reason = misfit(method, layout)
     if reason:

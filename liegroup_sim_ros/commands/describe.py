@@ -310,6 +310,8 @@ def _not_searched(facts):
     if facts["couplings"]:
         return "couplings"
     driven = any(joint["driven"] for joint in facts["joints"])
+    if any(joint["switches"] for joint in facts["joints"]):
+        return "stops or friction"
     return "driven joints" if driven else "a joint is not a lower pair"
 
 
