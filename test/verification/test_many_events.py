@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 import yaml
+from scipy.spatial.transform import Rotation
 
 from liegroup_core.engine import Engine
 from liegroup_core.scene.load import scene_from_text
@@ -121,3 +122,100 @@ def test_repeated_runs_and_parts_are_bit_equal():
     once.advance(200)
     assert once.state()[0].tobytes() == end[0].tobytes()
     assert once.state()[1].tobytes() == end[1].tobytes()
+
+
+LIMITS = {"lower": -1.0, "upper": 1.0, "restitution": 0.3}
+
+
+def two_links(kind, reverse):
+    """Arm and tool, whose joint is described from the arm to the tool or the other way round."""
+    on_arm = {"position": [0.5, 0.0, 0.0], "rotation_vector": [0.3, 0.2, 0.1]}
+    on_tool = {"position": [-0.3, 0.0, 0.0], "rotation_vector": [0.1, 0.7, 0.2]}
+    poses = [np.eye(4), np.eye(4)]
+    for pose, frame in zip(poses, (on_arm, on_tool)):
+        pose[:3, :3] = Rotation.from_rotvec(frame["rotation_vector"]).as_matrix()
+        pose[:3, 3] = frame["position"]
+    tool = poses[0] @ np.linalg.inv(poses[1])
+    joint = {
+        "name": "wrist",
+        "type": kind,
+        "friction": {"coulomb": 0.1, "static": 0.15},
+        "parent": "tool" if reverse else "arm",
+        "child": "arm" if reverse else "tool",
+        "parent_frame": on_tool if reverse else on_arm,
+        "child_frame": on_arm if reverse else on_tool,
+        "limits": {
+            "lower": -0.5 if reverse else -0.3,
+            "upper": 0.3 if reverse else 0.5,
+            "restitution": 0.5,
+        },
+    }
+    if kind == "screw":
+        joint["pitch"] = 0.05
+    base = {"name": "base", "type": "revolute", "parent": "world", "child": "arm"}
+    base |= {
+        "child_frame": {"axis": [0.1, 1.0, 0.2]},
+        "limits": {"lower": -1.0, "restitution": 0.3},
+    }
+    inertia = [0.02, 0.03, 0.04]
+    bodies = [
+        {"name": "arm", "mass": 1.0, "inertia": inertia, "com": [0.2, 0.02, 0.0]},
+        {
+            "name": "tool",
+            "mass": 0.7,
+            "inertia": inertia,
+            "com": [0.1, 0.0, 0.05],
+            "position": tool[:3, 3].tolist(),
+            "rotation_vector": Rotation.from_matrix(tool[:3, :3]).as_rotvec().tolist(),
+        },
+    ]
+    scene = {"name": "arm", "gravity": [0.0, 1.0, -9.81], "bodies": bodies, "joints": [base, joint]}
+    return scene_from_text(yaml.safe_dump(scene))
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic", "screw"])
+def test_a_joint_described_the_other_way_round(kind):
+    """Parent and child exchanged, and the limits with them: the same motion, bit by bit.
+
+    The coordinate changes its sign: from 1 to -1 about the same axis.
+    """
+    ends, events = [], []
+    for reverse in (False, True):
+        engine = Engine(two_links(kind, reverse), "rkmk8", 5e-3)
+        engine.advance(600)
+        ends.append(engine.state()[0])
+        events.append(engine.drain_events())
+    assert ends[0].tobytes() == ends[1].tobytes()
+    assert len(events[0]) >= 3
+    assert [e._replace(impulse=abs(e.impulse)) for e in events[0]] == [
+        e._replace(impulse=abs(e.impulse)) for e in events[1]
+    ]
+
+
+def test_a_stop_of_one_of_two_geared_wheels():
+    """The stop of a wheel takes the momentum of both: (I + r^2 J) w, and both are at rest.
+
+    The other wheel turns r times as fast. Its joint has no stop of its own.
+    """
+    text = """
+name: gears
+gravity: [0, 0, 0]
+bodies:
+  - {name: wheel, mass: 1.0, inertia: [0.1, 0.1, 0.2], angular_velocity: [0, 0, 2.0]}
+  - {name: pinion, mass: 1.0, inertia: [0.1, 0.1, 0.03], position: [1, 0, 0],
+      angular_velocity: [0, 0, -6.0]}
+joints:
+  - {name: axle, type: revolute, parent: world, child: wheel, child_frame: {}, limits: {upper: 1.0}}
+  - {name: pin, type: revolute, parent: world, child: pinion, child_frame: {}}
+couplings:
+  - {name: gears, joint: pin, other: axle, ratio: -3.0}
+"""
+    engine = Engine(scene_from_text(text), "rkmk4", 1e-2)
+    engine.drain_impacts()
+    engine.advance(100)
+    impact, stop = engine.drain_events()
+    assert (impact.kind, stop.kind) == ("impact", "stop")
+    assert impact.time == pytest.approx(0.5, abs=1e-14)
+    assert impact.impulse == pytest.approx(-2.0 * (0.2 + 9.0 * 0.03), abs=1e-13)
+    assert impact.energy == pytest.approx(-0.5 * 4.0 * (0.2 + 9.0 * 0.03), abs=1e-13)
+    assert engine.state()[1] == pytest.approx(np.zeros((2, 6)), abs=1e-14)
