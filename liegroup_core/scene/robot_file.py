@@ -20,6 +20,7 @@ from liegroup_core.joints.motion import Motion
 from liegroup_core.robots.chains import base_of
 from liegroup_core.robots.mapping import scene_parts
 from liegroup_core.robots.options import BASES, Options
+from liegroup_core.robots.description import MISSING_MESHES
 from liegroup_core.robots.read import read_robot
 from liegroup_core.robots.resources import beside
 from liegroup_core.robots.text import scene_text
@@ -147,6 +148,7 @@ class RobotNames:
     file          : path of the robot's file
     size          : (links, joint coordinates) of the file
     options       : robots.options.Options
+    missing       : mesh files that are not there, each with its link
     """
 
     def __init__(self, robot, parts, size, options):
@@ -156,6 +158,7 @@ class RobotNames:
         self.visuals = {name: link.visuals for name, link in robot.links.items()}
         self.text, self.file = robot.text, robot.file
         self.size, self.options = size, options
+        self.missing = tuple(robot.left_out.get(MISSING_MESHES, ()))
 
 
 class _Origins:

@@ -14,6 +14,7 @@ from liegroup_core.scene.load import example_scenes, find_scene, scene_from_text
 
 from .standard_codes import (
     FAILED,
+    MISSING_ASSETS,
     NO_RESOURCE,
     NOT_FOUND,
     NOT_SUPPORTED,
@@ -51,6 +52,13 @@ class Worlds:
             raise Refused(NO_RESOURCE, "uri and resource_string are both empty")
         path = _path(uri) if uri else ""
         scene = _scene(path, text)
+        missing = scene.robot.missing if scene.robot else ()
+        if missing and not request.ignore_missing_or_unsupported_assets:
+            raise Refused(
+                MISSING_ASSETS,
+                f"{scene.source}: mesh files that are not there: {', '.join(missing)}; add them, or set "
+                "ignore_missing_or_unsupported_assets",
+            )
         if request.fail_on_unsupported_element and scene.differences:
             raise Refused(UNSUPPORTED_ELEMENTS, "; ".join(scene.differences))
         done, answer = self._node.load(scene, paused=True)

@@ -34,7 +34,8 @@ class ArrayFile:
     residual (k,) largest joint residual, m or rad; errors (k, n, 4) estimated errors, m, rad, m/s
     and rad/s, if the simulation carries an estimate; on request joints (j,) names and reactions
     (k, j, 6), see Sample.reactions, forces (f,) names and efforts (k, f), see Sample.force_efforts,
-    driven (d,) names and drive_efforts (k, d); scene and settings: texts, YAML and JSON
+    driven (d,) names and drive_efforts (k, d); sensors/NAME (k, m) of each sensor of the scene, see
+    Sample.sensors; scene and settings: texts, YAML and JSON
     """
 
     def __init__(self, path, simulation, every, samples, reactions=False):
@@ -64,6 +65,8 @@ class ArrayFile:
                 self._arrays["efforts"] = np.empty((samples, len(forces)))
                 if driven:
                     self._arrays["drive_efforts"] = np.empty((samples, len(driven)))
+            for sensor, numbers in simulation.sample().sensors.items():
+                self._arrays[f"sensors/{sensor}"] = np.empty((samples, len(numbers)))
         except MemoryError:
             raise OutputError(
                 f"{path}: {samples} samples of {n} bodies do not fit into memory; "
@@ -95,6 +98,8 @@ class ArrayFile:
             self._arrays["efforts"][self.count] = list(sample.force_efforts.values())
         if "drive_efforts" in self._arrays:
             self._arrays["drive_efforts"][self.count] = list(sample.drive_efforts.values())
+        for sensor, numbers in sample.sensors.items():
+            self._arrays[f"sensors/{sensor}"][self.count] = numbers
         self.count, self.last_step = self.count + 1, sample.steps
 
     def finish(self, simulation, stopped, failed, wall_seconds):
@@ -129,8 +134,9 @@ class LogFile:
         layout = simulation.layout
         if layout.motions or layout.servos:
             on_request += sample_messages.joint_states(layout, WORLD_FRAME)
-        if layout.motions:
-            layout.reactions.warm_up()  # for the efforts of driven joints
+        on_request += sample_messages.sensors(layout, WORLD_FRAME)
+        if layout.motions or layout.scene.sensors:
+            layout.reactions.warm_up()  # for the efforts of driven joints, and force-torque sensors
         bodies = layout.body_names
         pairs = [(topics.pose(body), topics.twist(body)) for body in bodies]
         names = {

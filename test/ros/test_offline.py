@@ -16,6 +16,7 @@ from liegroup_core import Simulation, load_scene
 from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.messages.codecs import LogCodec, WrenchStampedCodec
+from liegroup_sim_ros.messages.sensors import sensors
 from liegroup_sim_ros.recording.read import read_recording
 from liegroup_sim_ros.report.plots import make_plots
 
@@ -374,6 +375,53 @@ def test_a_run_writes_the_efforts_of_forces_at_joints_beside_the_reactions(tmp_p
     assert set(recorded) == {"hinge", "rail", "drive", "spring"}
     assert recorded["drive"].wrench[1].tolist() == [0, 0, written[0], 0, 0, 0]
     assert recorded["spring"].wrench[1].tolist() == [0, 0, 0, 0, 0, written[1]]
+
+
+SENSED = """
+name: sensed
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: rod, shape: {type: cylinder, radius: 0.02, length: 1, mass: 2, position: [0, 0, -0.5]}, angular_velocity: [0, 2, 0]}
+joints:
+  - {name: hinge, type: revolute, parent: world, child: rod, parent_frame: {axis: [0, 1, 0]}, child_frame: {axis: [0, 1, 0]}}
+sensors:
+  - {name: imu, type: imu, body: rod, frame: {position: [0, 0, -1]}, acceleration_noise: 0.05, seed: 3}
+  - {name: disc, type: encoder, joint: hinge, resolution: 0.00153398}
+  - {name: bearing, type: force_torque, joint: hinge, force_noise: 0.1}
+  - {name: tip, type: pose, body: rod, frame: {position: [0, 0, -1]}}
+  - {name: wire, type: distance, parent: world, child: rod, parent_point: [1, 0, 0], child_point: [0, 0, -1]}
+"""
+
+
+def test_a_run_writes_the_sensors_of_the_scene(tmp_path):
+    """The bytes of the node's topics, at every sample; arrays with the same numbers."""
+    scene = tmp_path / "sensed.yaml"
+    scene.write_text(SENSED)
+    arguments = ["run", str(scene), "--duration", "0.2", "--every", "5", "--out"]
+    for name in ("run.npz", "run.mcap"):
+        assert main([*arguments, str(tmp_path / name)]) == 0
+    simulation, arrays = Simulation(load_scene(scene)), np.load(tmp_path / "run.npz")
+    encoders = sensors(simulation.layout, "world")
+    with open(tmp_path / "run.mcap", "rb") as file:
+        recorded = {
+            (channel.topic, message.log_time): (schema.name, message.data)
+            for schema, channel, message in make_reader(file).iter_messages()
+        }
+    assert [topic for topic, _, _ in encoders] == [
+        *("~/imu/imu", "~/disc/joint_state", "~/bearing/wrench"),
+        *("~/tip/odometry", "~/wire/distance"),
+    ]
+    assert arrays["steps"].tolist() == [0, 5, 10, 15, 20]
+    for k in range(5):
+        sample = simulation.sample()
+        for topic, message_type, encode in encoders:
+            found = recorded.pop((f"/sim_node{topic[1:]}", sample.time_ns))
+            assert found == (message_type, encode(sample.time_ns, sample))
+        for name, numbers in sample.sensors.items():
+            assert np.array_equal(arrays[f"sensors/{name}"][k], numbers)
+        simulation.advance(5)
+    left = {topic.split("/")[2] for topic, _ in recorded}
+    assert not left & set(sample.sensors)
 
 
 def test_a_joint_with_the_name_of_a_body_has_another_topic(tmp_path, capsys):

@@ -397,6 +397,31 @@ def test_a_world_that_cannot_be_loaded_is_refused_and_the_previous_one_continues
     assert node("get_current_world")[1].world.name == "rig" and node.stamp_ns() == before
 
 
+def test_a_world_without_its_meshes_is_refused_unless_they_are_ignored(node, files):
+    file = files / "mesh.urdf"
+    file.write_text(
+        '<robot name="shell"><link name="base"/><link name="arm"><inertial><mass value="1"/>'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial><visual><geometry>'
+        '<mesh filename="parts/arm.stl"/></geometry></visual></link><joint name="hinge" '
+        'type="continuous"><parent link="base"/><child link="arm"/></joint></robot>'
+    )
+    beside = files / "beside.yaml"
+    beside.write_text("robot: mesh.urdf\n")
+    before = node.stamp_ns()
+    for path in (file, beside):
+        result, error, world = load(node, str(path))
+        assert result == 104 and world.name == ""
+        assert "parts/arm.stl of arm" in error and "\n" not in error
+    assert node("get_current_world")[1].world.name == "rig" and node.stamp_ns() == before
+    for path in (file, beside):
+        result, error, world = load(node, str(path), ignore_missing_or_unsupported_assets=True)
+        assert result == 1 and world.world_resource.uri == str(path), error
+    (files / "parts").mkdir()
+    (files / "parts/arm.stl").write_bytes(b"")
+    assert load(node, str(file))[0] == 1
+    assert load(node, (files / "rig.yaml").as_uri())[0] == 1
+
+
 def send_goal(client, steps):
     """(goal handle, list that grows with the feedback) of the action."""
     from rclpy.action import ActionClient
