@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from liegroup_core.forces.external import AXES, PAIRS, no_wrenches, set_wrench
-from liegroup_core.forces.kinds import wanted_values
+from liegroup_core.forces.kinds import servos, wanted_values
 from liegroup_core.forces.schedule import (
     DRIVE,
     SERVO,
@@ -89,7 +89,8 @@ class Inputs:
         start, duration, source : as in `apply_wrench`; each source has one effort per joint
         The total wrenches of `drain_applied` contain the efforts.
         Raises ValueError for an unknown joint, a joint without exactly one coordinate, or a number
-        that is not finite.
+        that is not finite, and BeyondLimits, a ValueError, for an effort beyond that of the joint
+        (joints/limits.py).
         """
         unit = self.layout.unit_efforts.get(joint)
         if unit is None:
@@ -99,6 +100,7 @@ class Inputs:
             )
         if isinstance(effort, bool) or not (isinstance(effort, Real) and math.isfinite(effort)):
             raise ValueError(f"an effort must be a finite number, got {effort!r}")
+        self.layout.limits[joint].check_effort(effort)
         begin, end = self._interval(start, duration)
         self._schedule.command_effort(source, joint, float(effort), unit, begin, end)
 
@@ -116,17 +118,41 @@ class Inputs:
         position : rad, which may exceed 2 pi, or m
         velocity : rad/s or m/s
         start, duration : as in `apply_wrench`; after its end the values of the scene hold
-        Raises ValueError for a joint without a servo, or a number that is not finite.
+        Raises ValueError for a joint without a servo, or a number that is not finite, and BeyondLimits,
+        a ValueError, for a position or velocity beyond the limits of the joint (joints/limits.py). A
+        servo without stiffness has no wanted position.
         """
+        number = self._servo(joint)
+        for name, value in (("position", position), ("velocity", velocity)):
+            if isinstance(value, bool) or not (isinstance(value, Real) and math.isfinite(value)):
+                raise ValueError(f"a wanted {name} must be a finite number, got {value!r}")
+        limits = self.layout.limits[joint]
+        if servos(self.scene.forces)[number].stiffness > 0.0:
+            limits.check_position(position)
+        limits.check_velocity(velocity)
+        self.set_servo_target(joint, position, velocity, start, duration)
+
+    def set_servo_target(
+        self,
+        joint: str,
+        position: float,
+        velocity: float,
+        start: float | None = None,
+        duration: float | None = None,
+    ) -> None:
+        """As `command_servo`, of wanted values that were checked before: repeats a run."""
+        begin, end = self._interval(start, duration)
+        self._schedule.command_servo(
+            self._servo(joint), float(position), float(velocity), begin, end
+        )
+
+    def _servo(self, joint):
+        """Number of the servo of a joint. Raises ValueError for a joint without one."""
         number = self.layout.servos.get(joint)
         if number is None:
             names = ", ".join(self.layout.servos) or "the scene has none"
             raise ValueError(f"joint {joint!r} has no servo; choose one of: {names}")
-        for name, value in (("position", position), ("velocity", velocity)):
-            if isinstance(value, bool) or not (isinstance(value, Real) and math.isfinite(value)):
-                raise ValueError(f"a wanted {name} must be a finite number, got {value!r}")
-        begin, end = self._interval(start, duration)
-        self._schedule.command_servo(number, float(position), float(velocity), begin, end)
+        return number
 
     def command_motion(
         self,

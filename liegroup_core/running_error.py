@@ -245,7 +245,7 @@ class RunningError:
         self._companion.remember_acting(pending["acting"])
         for time, name, axes, *wrench in pending["later"]:
             if axes == SERVO:
-                self._companion.command_servo(name, *wrench, time)
+                self._companion.set_servo_target(name, *wrench, time)
             elif axes == DRIVE:
                 self._companion.prescribe(name, wrench, time)
             else:

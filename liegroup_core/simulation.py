@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulation of a scene to an accuracy, or with a given method and step; it estimates its error."""
 
+import functools
 import logging
 import math
 from collections.abc import Sequence
@@ -26,6 +27,8 @@ STEPS = tuple(float(f"{digit}e{power}") for power in range(-3, -8, -1) for digit
 LONGER = (0.1, 0.05, 0.02)
 PART = 0.01
 SUBSTEPS = 20
+# Keys of every snapshot.
+SNAPSHOT = {"simulation", "doubt", "state", "memory", "schedule", "external", "wanted"}
 MEETINGS = 1  # of the two runs between two settings of the tolerance
 
 
@@ -204,9 +207,15 @@ class Simulation(Engine):
             return
         super()._remember(memory)
 
+    @functools.cached_property
+    def _identity(self):
+        """What a snapshot must have in common with the simulation that returns to it."""
+        return {"scene": self.scene.text, **self.arguments}
+
     def snapshot(self) -> dict[str, Any]:
         """As Engine.snapshot, with the estimate of the error and what sets the steps."""
-        parts = {"doubt": (self.doubt, self._exceeded, self._lost)}
+        doubt = self.doubt, self._exceeded, self._lost
+        parts = {"simulation": self._identity, "doubt": doubt}
         if self._running is not None:
             parts["estimate"] = self._running.snapshot()
         if self._control is not None:
@@ -214,7 +223,23 @@ class Simulation(Engine):
         return super().snapshot() | parts
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """As Engine.restore."""
+        """As Engine.restore. Raises ValueError for what is no snapshot of this simulation.
+
+        Another Simulation of the same scene with the same arguments counts as this one.
+        """
+        if not isinstance(snapshot, dict) or not SNAPSHOT <= snapshot.keys():
+            raise ValueError(
+                f"expected what `snapshot` of this simulation returned, got {snapshot!r:.60}"
+            )
+        mine, theirs = self._identity, snapshot["simulation"]
+        for what in (*mine, *theirs):
+            if mine.get(what) != theirs.get(what):
+                values = (
+                    ""
+                    if what == "scene"
+                    else f", {theirs.get(what)!r} instead of {mine.get(what)!r}"
+                )
+                raise ValueError(f"the snapshot is of a simulation with another {what}{values}")
         super().restore(snapshot)
         self.doubt, self._exceeded, self._lost = snapshot["doubt"]
         if self._control is not None:

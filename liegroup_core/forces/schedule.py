@@ -80,7 +80,7 @@ class AppliedTarget(NamedTuple):
 
     def repeat(self, simulation):
         """Command it to another simulation of the same scene, from its time on."""
-        simulation.command_servo(self.joint, self.position, self.velocity, self.time)
+        simulation.set_servo_target(self.joint, self.position, self.velocity, self.time)
 
 
 class AppliedMotion(NamedTuple):

@@ -15,6 +15,7 @@ import numpy as np
 from liegroup_core.errors import SceneError
 from liegroup_core.joints.coupling import rate_row, turns
 from liegroup_core.joints.linkage import Linkage
+from liegroup_core.lie.groups import within_a_turn
 
 from .assembly import cannot_close, consistent_velocities, not_kept
 from .carried import carried, coordinates_at, with_coupled
@@ -24,6 +25,8 @@ from .description import WORLD
 
 # Largest change of what is given: rad, and relative to the distances and velocities involved.
 ROUNDED = 1e-6
+# Smallest step towards given coordinates, as a part of the way.
+SMALLEST_STEP = 1.0 / 16
 
 
 def rearranged(scene, pose, twist, poses, twists, joints=None, angles=None):
@@ -35,8 +38,59 @@ def rearranged(scene, pose, twist, poses, twists, joints=None, angles=None):
     joints : {joint: (coordinate, rate)} of the joints that are set, rad or m; None: not given
     angles : {joint: rad} present unwrapped angles
     returns pose (n, 12), twist (n, 6), {joint: rad} angles to which those of the result are near
+    Coordinates that cannot be reached at once are approached in steps from the present state.
     Raises SceneError with the joint that cannot be satisfied and its residual.
     """
+    present, angles = (pose, twist), angles or {}
+    try:
+        return _at_once(scene, *present, poses, twists, joints or {}, angles)
+    except SceneError:
+        # Bodies that are set stay where they are, so that there is no way to them.
+        if poses or twists or not any(q is not None for q, _ in (joints or {}).values()):
+            raise
+        found = _in_steps(scene, *present, joints, angles)
+        if found is None:
+            raise
+        return found
+
+
+def _in_steps(scene, pose, twist, joints, angles):
+    """As _at_once, through states between the present one and that of the joints; None: no way.
+
+    A joint without an unwrapped angle takes the shorter way. A step that fails is halved.
+    """
+    numbers = {joint.name: j for j, joint in enumerate(scene.joints)}
+    poses = {body.name: pose_matrix(row) for body, row in zip(scene.bodies, pose)}
+    near = {numbers[name]: angle for name, angle in angles.items()}
+    moved = {numbers[name]: q for name, (q, _) in joints.items() if q is not None}
+    begin = coordinates_at(
+        scene, resolve_frames(scene), poses | {WORLD: np.eye(4)}, moved.keys(), near
+    )
+    ways = {
+        j: within_a_turn(q - begin[j], 0.0)
+        if turns(scene.joints[j]) and j not in near
+        else q - begin[j]
+        for j, q in moved.items()
+    }
+    done, step = 0.0, 0.5
+    while done < 1.0:
+        part = min(1.0, done + step)
+        between = {scene.joints[j].name: (begin[j] + part * ways[j], None) for j in moved}
+        try:
+            pose, twist, angles = _at_once(
+                scene, pose, twist, {}, {}, joints if part == 1.0 else between, angles
+            )
+        except SceneError:
+            step /= 2.0
+            if step < SMALLEST_STEP:
+                return None
+        else:
+            done = part
+    return pose, twist, angles
+
+
+def _at_once(scene, pose, twist, poses, twists, joints, angles):
+    """As `rearranged`, in one step."""
     place = {body.name: i for i, body in enumerate(scene.bodies)}
     pose, twist = np.array(pose, dtype=float), np.array(twist, dtype=float)
     before = [
@@ -49,12 +103,12 @@ def rearranged(scene, pose, twist, poses, twists, joints=None, angles=None):
         resolve(scene) for resolve in (resolve_couplings, resolve_frames, resolve_elements)
     )
     number = {joint.name: j for j, joint in enumerate(scene.joints)}
-    near = {number[name]: angle for name, angle in (angles or {}).items()}
+    near = {number[name]: angle for name, angle in angles.items()}
     # The turns of a coupled joint follow from those of the other one.
     others = coordinates_at(scene, frames, before[0], {entry.other for entry in couplings}, near)
     near = {e.joint: e.ratio * others[e.other] + e.offset for e in couplings} | near
     wanted, rates = (
-        {number[name]: pair[k] for name, pair in (joints or {}).items() if pair[k] is not None}
+        {number[name]: pair[k] for name, pair in joints.items() if pair[k] is not None}
         for k in (0, 1)
     )
     if joints:

@@ -18,9 +18,9 @@ from liegroup_core.fields.values import Described, Name, Number, Text, Vector3
 from liegroup_core.joints.coupling import Coupling
 from liegroup_core.joints.motion import Motion
 from liegroup_core.robots.chains import base_of
+from liegroup_core.robots.description import MISSING_MESHES
 from liegroup_core.robots.mapping import scene_parts
 from liegroup_core.robots.options import BASES, Options
-from liegroup_core.robots.description import MISSING_MESHES
 from liegroup_core.robots.read import read_robot
 from liegroup_core.robots.resources import beside
 from liegroup_core.robots.text import scene_text

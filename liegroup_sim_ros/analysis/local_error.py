@@ -99,7 +99,7 @@ def _advance(simulation, stretch, row, length):
     known = np.flatnonzero(stretch.target_steps <= stretch.steps[row])
     if len(known):
         for joint, target in zip(simulation.layout.servos, stretch.targets[known[-1]].tolist()):
-            simulation.command_servo(joint, *target)
+            simulation.set_servo_target(joint, *target)
     known = np.flatnonzero(stretch.motion_steps <= stretch.steps[row])
     if len(known):
         for joint, motion in zip(simulation.layout.motions, stretch.motions[known[-1]]):

@@ -79,7 +79,7 @@ class Target(NamedTuple):
 
     def apply(self, simulation, start, duration):
         """Command it to a Simulation from a time in s on (None: the next step), for a duration in s."""
-        simulation.command_servo(self.joint, self.position, self.velocity, start, duration)
+        simulation.set_servo_target(self.joint, self.position, self.velocity, start, duration)
 
 
 class Motion(NamedTuple):

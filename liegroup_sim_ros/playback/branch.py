@@ -51,7 +51,7 @@ class Branches:
                  joints that were commanded come to rest within REST
         Raises ReplayError for a time outside the recording or a run that cannot be repeated.
         """
-        if not math.isfinite(time) or not (
+        if not math.isfinite(time * 1e9) or not (
             self.first_ns <= round(time * 1e9) <= max(self.first_ns, self.last_ns)
         ):
             raise ReplayError(

@@ -134,7 +134,7 @@ class Rerun:
             stretch.targets[self._next_target : upto].tolist(),
         ):
             for joint, target in zip(self.simulation.layout.servos, targets):
-                self.simulation.command_servo(joint, *target, time)
+                self.simulation.set_servo_target(joint, *target, time)
         self._next_target = max(self._next_target, upto)
         upto = int(np.searchsorted(stretch.motion_times, until, "right"))
         for time, motions in zip(

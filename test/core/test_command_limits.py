@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from liegroup_core import Simulation
+from liegroup_core.forces.schedule import AppliedTarget
 from liegroup_core.joints.limits import SPEED, BeyondLimits
 from liegroup_core.joints.motion import peak_rate, through
 from liegroup_core.scene.load import scene_from_text
@@ -109,3 +110,46 @@ def test_limits_of_the_scene_and_the_defaults(simulation):
     limits = simulation.layout.limits
     assert limits["free"][2:] == (-math.inf, math.inf, SPEED, math.inf)
     assert limits["rail"][1:] == ("m", -0.5, 2.0, 3.0, math.inf)
+
+
+SERVOS = """
+name: servos
+gravity: [0, 0, 0]
+bodies:
+  - {name: wheel, mass: 2, inertia: [1, 1, 0.5]}
+  - {name: slide, mass: 1, inertia: [1, 1, 1], position: [9, 0, 0]}
+joints:
+  - {name: hinge, type: revolute, parent: world, child: wheel, child_frame: {},
+     data: {lower: 0.5, upper: 2.0, velocity: 4.0, effort: 10.0}}
+  - {name: rail, type: prismatic, parent: world, child: slide, child_frame: {axis: [1, 0, 0]},
+     data: {lower: 0.5, upper: 2.0, velocity: 3.0, effort: 5.0}}
+forces:
+  - {name: turn, type: servo, joint: hinge, stiffness: 20, damping: 5}
+  - {name: run, type: linear_servo, joint: rail, stiffness: 0, damping: 5}
+"""
+
+
+def test_efforts_and_servos_beyond_the_limits_are_refused():
+    """A servo without stiffness has no position. A state may be set beyond them, a run repeated."""
+    simulation = Simulation(scene_from_text(SERVOS), "rkmk4", 1e-3)
+    for text, command, *arguments in (
+        ("effort 10.1 N m of joint 'hinge'", simulation.apply_effort, "hinge", 10.1),
+        ("effort -5.1 N of joint 'rail'", simulation.apply_effort, "rail", -5.1),
+        ("position 2.01 rad of joint 'hinge'", simulation.command_servo, "hinge", 2.01),
+        ("position 1e\\+300 rad of joint 'hinge'", simulation.command_servo, "hinge", 1e300),
+        ("velocity 4.1 rad/s of joint 'hinge'", simulation.command_servo, "hinge", 1.0, 4.1),
+        ("velocity -3.1 m/s of joint 'rail'", simulation.command_servo, "rail", 0.0, -3.1),
+    ):
+        with pytest.raises(BeyondLimits, match=text):
+            command(*arguments)
+    assert simulation.input_count == 0
+    simulation.apply_effort("hinge", -10.0)
+    simulation.command_servo("hinge", 2.0, -4.0)
+    simulation.command_servo("rail", 0.0, 3.0)
+    simulation.advance(10)
+    simulation.place(joints={"hinge": (2.5, 9.0), "rail": (-1.0, None)})
+    found = simulation.sample().joint_coordinates
+    assert found["hinge"] == pytest.approx((2.5, 9.0)) and found["rail"][0] == pytest.approx(-1.0)
+    AppliedTarget(simulation.time, simulation.time_ns, "hinge", 2.5, 9.0).repeat(simulation)
+    simulation.advance(1)
+    assert simulation.drain_applied()[-1].position == 2.5

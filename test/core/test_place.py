@@ -268,3 +268,26 @@ def test_gears_keep_their_turns_and_follow_in_both_directions():
     engine.advance(1)
     with pytest.raises(SceneError, match="no pose near the start"):
         engine.place(joints={"ja": (0.0, 0.0), "jb": (0.5, 0.0)})
+
+
+@pytest.mark.parametrize("angle", [0.9, 1.0, -1.0])
+def test_a_position_that_is_far_away_is_reached_in_steps(angle):
+    """All parallelograms of the linkage have equal angles; in one step another branch is met."""
+    engine = Engine(load_scene("n_four_bar"), "rkmk4", 1e-3, quiet=True)
+    engine.place(joints={"ground0": (angle, 2.0)})
+    sample = engine.sample()
+    for number in range(3):
+        found = sample.joint_coordinates[f"ground{number}"]
+        assert found == pytest.approx((angle, 2.0), abs=1e-12)
+    assert sample.constraint_residual <= 1e-14
+    assert np.abs(rows(engine)[0] @ engine.state()[1].ravel()).max() <= 1e-12
+
+
+def test_a_position_that_no_step_reaches_is_refused_and_nothing_changes():
+    """The first hinge of this loop turns back by at most 0.503 rad."""
+    engine = Engine(load_scene("bricard"), "rkmk4", 1e-3, quiet=True)
+    engine.place(joints={"hinge1": (-0.5, None)})
+    before = engine.state()
+    with pytest.raises(SceneError, match=r'"hinge1": no pose near the start .* coordinate -1;'):
+        engine.place(joints={"hinge1": (-1.0, None)})
+    assert all(np.array_equal(old, new) for old, new in zip(before, engine.state()))

@@ -166,3 +166,34 @@ def test_servos_and_efforts_return(options):
     for change in acting:
         change.repeat(other)
     assert [row[:3] for row in trace(other)[0]] == [row[:3] for row in expected[0]]
+
+
+def test_only_a_snapshot_of_this_simulation_is_restored():
+    """Of another object with the same scene and arguments, too."""
+
+    def made(scene="double_pendulum", method="rkmk4", **options):
+        return Simulation(load_scene(scene), method, quiet=True, **{"step": 1e-3} | options)
+
+    simulation = made()
+    simulation.advance(30)
+    mine, before = simulation.snapshot(), simulation.state()
+    for wrong in (None, 3, {}, {"state": mine["state"]}, [mine], simulation.state(), "a"):
+        with pytest.raises(
+            ValueError, match="^expected what `snapshot` of this simulation returned"
+        ):
+            simulation.restore(wrong)
+    for other, said in (
+        (made("four_bar"), "scene"),
+        (made(method="rkmk8"), "method, 'rkmk8' instead of 'rkmk4'"),
+        (made(step=2e-3), "step, 0.002 instead of 0.001"),
+        (made(group="se3"), "group, 'se3' instead of 'relative'"),
+        (made(estimate=False), "estimate, False instead of None"),
+        (made(method=None, accuracy=1e-5), "method, None instead of 'rkmk4'"),
+    ):
+        with pytest.raises(ValueError) as error:
+            simulation.restore(other.snapshot())
+        assert str(error.value) == f"the snapshot is of a simulation with another {said}"
+    assert all(np.array_equal(old, new) for old, new in zip(before, simulation.state()))
+    expected, twin = trace(simulation), made()
+    twin.restore(mine)
+    assert trace(twin) == expected

@@ -381,9 +381,11 @@ SENSED = """
 name: sensed
 gravity: [0, 0, -9.81]
 bodies:
-  - {name: rod, shape: {type: cylinder, radius: 0.02, length: 1, mass: 2, position: [0, 0, -0.5]}, angular_velocity: [0, 2, 0]}
+  - {name: rod, shape: {type: cylinder, radius: 0.02, length: 1, mass: 2, position: [0, 0, -0.5]},
+     angular_velocity: [0, 2, 0]}
 joints:
-  - {name: hinge, type: revolute, parent: world, child: rod, parent_frame: {axis: [0, 1, 0]}, child_frame: {axis: [0, 1, 0]}}
+  - {name: hinge, type: revolute, parent: world, child: rod, parent_frame: {axis: [0, 1, 0]},
+     child_frame: {axis: [0, 1, 0]}}
 sensors:
   - {name: imu, type: imu, body: rod, frame: {position: [0, 0, -1]}, acceleration_noise: 0.05, seed: 3}
   - {name: disc, type: encoder, joint: hinge, resolution: 0.00153398}
