@@ -17,6 +17,8 @@ from liegroup_core.lie.groups import SE3, SO3
 
 WORLD = "world"
 MISSING_MESHES = "mesh files that are not there"  # in notes
+# Elements whose unknown parts change the motion; of a joint its children, such as a misspelt <origin>.
+MOTION = {"inertial", "mass", "inertia", "axis", "axis2", "dynamics", "mimic"}
 LONGEST_MESSAGE = 1500  # characters; names in it can be long
 # Coordinates of joints; those of a closing joint follow from the others.
 COORDINATES = {
@@ -265,6 +267,8 @@ class Robot:
     def leave_out_unknown(self, root, known):
         """Note the elements and attributes that the format does not have, such as misspelt ones.
 
+        Those of elements that define the motion are notes that it changes.
+
         known : {tag: (children, attributes)}, each separated by blanks; other elements are not checked
         """
         known = {tag: [set(part.split()) for part in parts] for tag, parts in known.items()}
@@ -272,10 +276,17 @@ class Robot:
             children, attributes = known[element.tag]
             odd = [f"<{part.tag}>" for part in element if part.tag not in children]
             odd += [key for key in element.keys() if key not in attributes]
+            parent = element.getparent()
+            drawn = element.tag == "origin" and parent is not None and parent.tag == "visual"
             for name in odd:
                 if "}" not in name:  # other tools write into namespaces of their own
                     where = f"{name} in <{element.tag}> of line {element.sourceline}"
-                    self.leave_out(f"unknown parts of the {self.kind} file", where)
+                    moves = (
+                        element.tag in MOTION
+                        or (element.tag == "origin" and not drawn)
+                        or (element.tag == "joint" and name.startswith("<"))
+                    )
+                    self.leave_out(f"unknown parts of the {self.kind} file", where, moves)
 
 
 def refusal(file, line, message):

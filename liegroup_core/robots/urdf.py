@@ -225,6 +225,8 @@ def _law(reader, robot, element, joint, kind):
         for key in LIMITS:
             if limit.get(key) is not None:
                 joint.data[key] = reader.attribute(limit, key)
+    elif kind in ("revolute", "prismatic"):
+        robot.remark("without the <limit> that URDF requires, taken as unlimited", joint.name)
     if kind == "continuous":  # its limits of position have no meaning
         joint.data.pop("lower", None)
         joint.data.pop("upper", None)

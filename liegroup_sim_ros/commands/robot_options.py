@@ -9,6 +9,8 @@ from liegroup_core.scene.load import scene_of
 
 # Types of joints that need no more than the frames of two links.
 CLOSING = ("spherical", "revolute", "prismatic", "cylindrical", "planar", "fixed", "universal")
+# Names of the same joints in SDF and MJCF.
+ALSO = {"ball": "spherical", "hinge": "revolute", "slide": "prismatic", "slider": "prismatic"}
 
 
 class RobotError(LieGroupSimError):
@@ -138,6 +140,7 @@ def _values(entries, option):
 
 def _closing(first, second, kind):
     """Joint of --close."""
+    kind = ALSO.get(kind, kind)
     if kind not in CLOSING:
         raise RobotError(f"--close: type {kind!r:.40}; choose one of: {', '.join(CLOSING)}")
     return Joint(

@@ -470,12 +470,68 @@ def test_what_is_cut_does_not_change_the_base(tmp_path):
 
 def test_misspelt_parts_of_urdf_are_noted(tmp_path):
     path = urdf(tmp_path, DAMPING, '<dynamic damping="4"/>')
-    line = ARM_URDF.count("\n", 0, ARM_URDF.index(DAMPING)) + 1
-    found = [note for note in load_scene(path).notes if "unknown parts" in note]
+    scene = load_scene(path)
+    found = [note for note in scene.notes if "unknown parts" in note]
     assert found == [
-        "left out: 1 unknown parts of the URDF file (<dynamic> in <joint> of line "
-        f"{ARM_URDF.count(chr(10), 0, ARM_URDF.index('<joint name=' + chr(34) + 'extend')) + 1})"
-    ], (found, line)
+        "changes the motion: unknown parts of the URDF file, left out: <dynamic> in <joint> of line "
+        f"{ARM_URDF.count(chr(10), 0, ARM_URDF.index('<joint name=' + chr(34) + 'extend')) + 1}"
+    ], found
+    assert found[0] in scene.differences
+
+
+@pytest.mark.parametrize(
+    "old, new, part, changes",
+    [
+        ('multiplier="-1"', 'multiplyer="-1"', "multiplyer in <mimic>", True),
+        ('<axis xyz="0 1 0"/>', '<axis xyz="0 1 0" xzy="1"/>', "xzy in <axis>", True),
+        ('<mass value="1"/>', '<mass value="1" vlaue="2"/>', "vlaue in <mass>", True),
+        (
+            '<origin xyz="0.5 0 0"/> <axis',
+            '<origin xyz="0.5 0 0" rpj="1"/> <axis',
+            "rpj in <origin>",
+            True,
+        ),
+        (
+            '<origin xyz="0.5 0 0"/> <geom',
+            '<origin xyz="0.5 0 0" rpj="1"/> <geom',
+            "rpj in <origin>",
+            False,
+        ),
+        ('<limit effort="1"/>', '<limit effort="1" current="3"/>', "current in <limit>", False),
+    ],
+)
+def test_unknown_parts_that_define_the_motion_change_it(tmp_path, old, new, part, changes):
+    path = tmp_path / "mimic.urdf"
+    text = """<robot name="r"><link name="base"/>
+<link name="a"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>
+<visual><origin xyz="0.5 0 0"/> <geometry><sphere radius="1"/></geometry></visual></link>
+<link name="b"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial></link>
+<joint name="j" type="revolute"><parent link="base"/><child link="a"/><axis xyz="0 1 0"/>
+<limit effort="1"/></joint>
+<joint name="k" type="continuous"><parent link="a"/><child link="b"/>
+<origin xyz="0.5 0 0"/> <axis xyz="0 1 0"/><mimic joint="j" multiplier="-1"/></joint></robot>"""
+    assert old in text
+    path.write_text(text)
+    assert not any("unknown parts" in note for note in load_scene(path).notes)
+    path.write_text(text.replace(old, new, 1))
+    scene = load_scene(path)
+    (found,) = [note for note in scene.notes if "unknown parts" in note]
+    assert part in found
+    assert (found in scene.differences) is changes
+
+
+@pytest.mark.parametrize(
+    "kind, noted", [("revolute", True), ("prismatic", True), ("continuous", False)]
+)
+def test_a_joint_without_its_limit_is_noted(tmp_path, kind, noted):
+    path = tmp_path / "free.urdf"
+    path.write_text(
+        '<robot name="r"><link name="base"/><link name="a"><inertial><mass value="1"/>'
+        '<inertia ixx="1" iyy="1" izz="1"/></inertial></link>'
+        f'<joint name="j" type="{kind}"><parent link="base"/><child link="a"/></joint></robot>'
+    )
+    note = "without the <limit> that URDF requires, taken as unlimited: j"
+    assert (note in load_scene(path).notes) is noted
 
 
 def test_a_mimic_of_a_fixed_joint_holds_nothing(tmp_path):
