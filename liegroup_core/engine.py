@@ -593,6 +593,8 @@ class Engine(Inputs):
         if status & 0xFF == ROTATION_TOO_LARGE and self.stabilisation != "projection":
             if self.layout.drifts(self.group):
                 hint = ", or stabilisation projection near a singular configuration"
+        if status & 0xFF == ROTATION_TOO_LARGE:
+            hint += "".join(f"; {note}" for note in self.scene.notes if note.startswith("stiff:"))
         if status & 0xFF == DEPENDENT_ROWS:
             joint = self._joint_name(status >> 8)
         if status & 0xFF == BEYOND_STOP:

@@ -405,8 +405,8 @@ def test_what_sdf_has_and_a_scene_has_not_is_noted(tmp_path):
         "left out: 1 sensor of joints (touch)",
         "left out: 1 physics of joints (j)",
         "left out: 1 self_collide (m)",
-        "left out: 3 unknown parts of the SDF file (<orgin> in <inertial> of line 2, <origin> in "
-        "<joint> of line 6, dampin in <dynamics> of line 8)",
+        "changes the motion: unknown parts of the SDF file, left out: <orgin> in <inertial> of line 2, "
+        "<origin> in <joint> of line 6, dampin in <dynamics> of line 8",
     ):
         assert what in notes, (what, notes)
 
