@@ -5,7 +5,7 @@ import copy
 import logging
 import math
 from numbers import Integral
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,11 +14,10 @@ from liegroup_core.compiling import warm_up
 from liegroup_core.forces.schedule import DRIVE, Instant
 from liegroup_core.forces.timetable import Timetable
 from liegroup_core.integrators.methods import METHODS, is_positive
-from liegroup_core.integrators.rkmk.switching import BEYOND, JointEvent, JointInstant
+from liegroup_core.integrators.rkmk.switching import BEYOND
 from liegroup_core.integrators.smaller_step import step_that_works
 from liegroup_core.joints.coupling import COUPLED, gap, turns
 from liegroup_core.joints.motion import at, uniform
-from liegroup_core.lie.groups import within_a_turn
 from liegroup_core.model.build import initial_state
 from liegroup_core.observables.reach import beyond_reach
 from liegroup_core.observables.sample import Sample
@@ -30,6 +29,7 @@ from liegroup_core.scene.rearrange import rearranged
 from .errors import SceneError, SimulationError
 from .inputs import Inputs
 from .integrators.families import check_group, check_options, choose_group, make_integrator
+from .joint_events import JointEvents
 from .layout import Layout, make_layout
 from .status import (
     BEYOND_STOP,
@@ -80,19 +80,7 @@ def _stabilised(model, kind, time, step):
     )
 
 
-class Impact(NamedTuple):
-    """Impulses of all joints at an impact.
-
-    time, time_ns : s, ns
-    impulses      : {joint: (6,)} N m s, N s on its child, with axes and NaN as Sample.reactions
-    """
-
-    time: float
-    time_ns: int
-    impulses: dict[str, Floats]
-
-
-class Engine(Inputs):
+class Engine(Inputs, JointEvents):
     """Mechanism that is integrated on its Lie group by one method with one step size.
 
     scene  : Scene, from `load_scene` or built in code
@@ -297,13 +285,8 @@ class Engine(Inputs):
         """Raise SceneError if a rigid stop does not allow a state, or a coordinate that was given."""
         for joint, (q, _) in self._joint_states(pose, twist, lambda joint: joint.limits):
             limits, (given, _) = joint.limits, joints.get(joint.name, (None, None))
-            if given is not None:
-                q = given
-            elif turns(joint):
-                q = within_a_turn(q, limits.expected)
-            if limits.stiffness is None and not (
-                limits.least - BEYOND <= q <= limits.largest + BEYOND
-            ):
+            q = limits.turn_of(q, turns(joint)) if given is None else given
+            if limits.stiffness is None and limits.excess(q) > BEYOND:
                 unit = self.layout.coordinates.units.get(joint.name, "rad")
                 raise SceneError(
                     f"joint {joint.name} would be beyond its stop: its position {q:.9g} {unit} is not "
@@ -322,13 +305,9 @@ class Engine(Inputs):
 
     def _motions_after(self, commanded):
         """Motions of the driven joints that a new state moves: at constant rate; None for the others."""
-        found = {
-            joint.name: state
-            for joint, state in self._joint_states(*self.state(), lambda joint: joint.driven)
-        }
-        for name, motion in zip(self.layout.motions, self.layout.motions_at(self.time, commanded)):
-            joint = next(joint for joint in self.scene.joints if joint.name == name)
-            q, v = found[name]
+        driven = self._joint_states(*self.state(), lambda joint: joint.driven)
+        motions = self.layout.motions_at(self.time, commanded)  # in the order of the joints, too
+        for (joint, (q, v)), motion in zip(driven, motions):
             was = at(motion, self.time)
             off = gap(q, was[0], 1.0, 0.0, turns(joint))
             kept = max(abs(off), abs(v - was[1])) <= MOVED * (1.0 + abs(was[0]) + abs(v))
@@ -404,65 +383,6 @@ class Engine(Inputs):
         masses.
         """
         return int(self._work.report[2])
-
-    @property
-    def event_count(self) -> int:
-        """Number of events at stops and of dry friction since the state was set."""
-        return 0 if self._switching is None else self._switching.count
-
-    def drain_events(self) -> list[JointEvent]:
-        """Return what happened at stops and by dry friction since the last call, in order of time.
-
-        At most the last 100 000 are kept.
-        """
-        if self._switching is None:
-            return []
-        events, self._switching.events[:] = self._switching.events[:], []
-        return [event._replace(joint=self.scene.joints[event.joint].name) for event in events]
-
-    def drain_impacts(self) -> list[Impact]:
-        """Return the impulses of all joints at the impacts since the last call.
-
-        They are kept from the first call on. Impacts of a state that was set before are lost.
-        """
-        if self._switching is None:
-            return []
-        impacts, self._switching.impacts = self._switching.impacts or [], []
-        found = []
-        for time, pose, impulses in impacts:
-            wrenches, mask = self.layout.reactions.of_impact(pose, impulses)
-            named = zip(self.layout.reactions.names, np.where(mask, np.nan, wrenches))
-            found.append(Impact(time, round(time * 1e9), dict(named)))
-        return found
-
-    def divide_events(self, parts: int) -> None:
-        """Take the step that leads to an event at a stop or of friction in so many parts."""
-        if self._switching is not None:
-            self._switching.parts = parts
-
-    def drain_instants(self) -> list[JointInstant]:
-        """Return the modes of all joints with stops or friction where one changed since the last call.
-
-        They are kept from the first call on. Events of a state that was set before are lost.
-        """
-        if self._switching is None:
-            return []
-        instants, self._switching.instants = self._switching.instants or [], []
-        names = [joint.name for joint in self.scene.joints]
-        return [
-            instant._replace(events=[e._replace(joint=names[e.joint]) for e in instant.events])
-            for instant in instants
-        ]
-
-    def take_modes(self, other: "Engine") -> None:
-        """Continue with the modes of the joints of another engine, which is at the same state."""
-        if self._switching is not None:
-            self._switching.adopt(other._switching)
-
-    @property
-    def modes(self) -> dict[str, str]:
-        """As Sample.modes."""
-        return self.sample().modes
 
     @property
     def substeps(self) -> tuple[int, int]:

@@ -185,7 +185,7 @@ class Layout:
 
     @cached_property
     def limits(self):
-        """{joint: Limits} of what is commanded to the joints with one coordinate, screws included."""
+        """{joint: CommandLimits} of what is commanded to the joints with one coordinate, screws included."""
         size = mechanism_size(self.model) or 1.0
         return {j.name: limits_of(j, size) for j in self.scene.joints if j.type in COUPLED}
 

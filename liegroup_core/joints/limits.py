@@ -20,7 +20,7 @@ class BeyondLimits(ValueError):
     """A command that is beyond the limits of its joint; one line of text."""
 
 
-class Limits(NamedTuple):
+class CommandLimits(NamedTuple):
     """Limits of the commands to one joint."""
 
     joint: str
@@ -97,7 +97,7 @@ class Limits(NamedTuple):
 
 
 def limits_of(joint, size):
-    """Limits of a joint of the scene with one coordinate; size : m, of the mechanism."""
+    """CommandLimits of a joint of the scene with one coordinate; size : m, of the mechanism."""
     data, angle = joint.data or {}, turns(joint)
     lower, upper = data.get("lower", -math.inf), data.get("upper", math.inf)
     if lower > upper:  # wrong in the file, which the notes of a robot say
@@ -106,4 +106,4 @@ def limits_of(joint, size):
         number if (number := data.get(key, 0.0)) > 0.0 else otherwise
         for key, otherwise in (("velocity", SPEED if angle else SPEED * size), ("effort", math.inf))
     )
-    return Limits(joint.name, "rad" if angle else "m", lower, upper, speed, effort)
+    return CommandLimits(joint.name, "rad" if angle else "m", lower, upper, speed, effort)

@@ -7,6 +7,7 @@ from pydantic import Field, model_validator
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import Described, NotNegative, Number, Positive
+from liegroup_core.lie.groups import within_a_turn
 
 WITH_STOPS = ("revolute", "prismatic", "screw")
 # Half a turn, less what round-off may take.
@@ -61,6 +62,14 @@ class Limits(Described):
         if self.upper is None:
             return max(self.lower + WITHIN_A_TURN, 0.0)
         return 0.5 * (self.lower + self.upper)
+
+    def turn_of(self, q, is_angle):
+        """The coordinate q, an angle in the turn that is expected."""
+        return within_a_turn(q, self.expected) if is_angle else q
+
+    def excess(self, q):
+        """How far a coordinate is beyond a stop, rad or m; negative between the stops."""
+        return max(self.least - q, q - self.largest)
 
     @property
     def least(self):

@@ -19,7 +19,7 @@ from liegroup_core.errors import SceneError
 from liegroup_core.joints.coupling import coordinate, gap, rate_row, turns
 from liegroup_core.joints.kinds import forbidden_rows, position_residual
 from liegroup_core.joints.motion import prescribed
-from liegroup_core.lie.groups import SE3, within_a_turn
+from liegroup_core.lie.groups import SE3
 
 from .description import WORLD
 
@@ -226,9 +226,8 @@ def _check_stops(scene, start):
         if joint.limits is None:
             continue
         q = coordinate(joint, _relative(start, joint, *pair))
-        if turns(joint):
-            q = within_a_turn(q, joint.limits.expected)
-        off = max(joint.limits.least - q, q - joint.limits.largest)
+        q = joint.limits.turn_of(q, turns(joint))
+        off = joint.limits.excess(q)
         if off > TOLERANCE * (1.0 + abs(q)):
             unit = "rad" if turns(joint) else "m"
             raise SceneError(

@@ -29,51 +29,29 @@ def add_robot_options(parser):
         help="fixed: the root link is fixed to the world (default for URDF); floating: it moves "
         "freely (default for SDF and MJCF, unless a joint holds it)",
     )
-    for name, text in (
-        ("start", "joint coordinates at the start, rad or m"),
-        ("start-velocity", "joint velocities at the start, rad/s or m/s"),
-        ("lock", "joints that do not move, at these coordinates"),
-    ):
-        parser.add_argument(
-            f"--{name}", nargs="+", action="extend", default=[], metavar="JOINT=VALUE", help=text
-        )
     parser.add_argument(
         "--pose",
         metavar="NAME",
         help="pose at the start: a keyframe (MJCF) or a group state (SRDF)",
     )
     parser.add_argument("--srdf", metavar="FILE", help="SRDF file with group states for --pose")
-    parser.add_argument(
-        "--only",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="LINK",
-        help="keep these links and the chains that lead to them; cut the others",
-    )
-    parser.add_argument(
-        "--keep",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="JOINT",
-        help="fixed joints that are not merged, so that their reactions are known",
-    )
-    for name, text in (
-        ("stops", "joints whose limits are rigid stops, or all"),
-        ("friction", "joints whose dry friction acts, or all"),
+    for name, each, text in (
+        ("start", "JOINT=VALUE", "joint coordinates at the start, rad or m"),
+        ("start-velocity", "JOINT=VALUE", "joint velocities at the start, rad/s or m/s"),
+        ("lock", "JOINT=VALUE", "joints that do not move, at these coordinates"),
+        ("only", "LINK", "keep these links and the chains that lead to them; cut the others"),
+        ("keep", "JOINT", "fixed joints that are not merged, so that their reactions are known"),
+        ("stops", "JOINT", "joints whose limits are rigid stops, or all"),
+        ("friction", "JOINT", "joints whose dry friction acts, or all"),
+        (
+            "drive",
+            "JOINT",
+            "joints that move as prescribed: at their velocity at the start, until a command",
+        ),
     ):
         parser.add_argument(
-            f"--{name}", nargs="+", action="extend", default=[], metavar="JOINT", help=text
+            f"--{name}", nargs="+", action="extend", default=[], metavar=each, help=text
         )
-    parser.add_argument(
-        "--drive",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="JOINT",
-        help="joints that move as prescribed: at their velocity at the start, until a command",
-    )
     parser.add_argument(
         "--close",
         nargs=3,

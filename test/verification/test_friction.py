@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import yaml
 from scipy.optimize import brentq
+from stop_scenes import PRESS
 
 from liegroup_core import Simulation
 from liegroup_core.engine import Engine
@@ -203,27 +204,7 @@ def test_crank_with_friction_and_a_stop():
     A slider-crank in a line with its slide: the crank turns until the slider is at its stop. The
     impulse at the stop stops the crank through the loop, and friction holds it there.
     """
-    text = """
-name: press
-gravity: [0, 0, 0]
-assemble: true
-bodies:
-  - {name: crank, mass: 1.0, inertia: [0.02, 0.02, 0.02], com: [0.05, 0, 0], initial: fixed,
-      rotation_vector: [0, 0, 1.0], angular_velocity: [0, 0, -3]}
-  - {name: rod, mass: 0.5, inertia: [0.02, 0.02, 0.02], com: [0.15, 0, 0],
-      position: [0.05, 0.08, 0], rotation_vector: [0, 0, -0.2]}
-  - {name: ram, mass: 2.0, inertia: [0.02, 0.02, 0.02], position: [0.34, 0, 0]}
-joints:
-  - {name: main, type: revolute, parent: world, child: crank, child_frame: {},
-      friction: {coulomb: 0.05, static: 0.2}}
-  - {name: pin, type: revolute, parent: crank, child: rod, parent_frame: {position: [0.1, 0, 0]},
-      child_frame: {}}
-  - {name: wrist, type: revolute, parent: rod, child: ram, parent_frame: {position: [0.3, 0, 0]},
-      child_frame: {}}
-  - {name: slide, type: prismatic, parent: world, child: ram, parent_frame: {axis: [1, 0, 0]},
-      child_frame: {axis: [1, 0, 0]}, limits: {upper: 0.38}}
-"""
-    simulation = Simulation(scene_from_text(text), "rkmk4", 1e-3, stabilisation="projection")
+    simulation = Simulation(scene_from_text(PRESS), "rkmk4", 1e-3, stabilisation="projection")
     simulation.advance(1000)
     events = simulation.drain_events()
     hit = next(event for event in events if event.kind == "impact")

@@ -6,6 +6,7 @@ import math
 import mpmath
 import numpy as np
 import pytest
+from stop_scenes import PRESS
 
 from liegroup_core import SceneError, Simulation, SimulationError
 from liegroup_core.engine import Engine
@@ -43,26 +44,6 @@ joints:
     parent_frame: {rotation_vector: [0, 1.5707963267948966, 0]}
     child_frame: {rotation_vector: [0, 1.5707963267948966, 0]}
     limits: {lower: LOWER, restitution: 0.7}
-"""
-PRESS = """
-name: press
-gravity: [0, 0, 0]
-assemble: true
-bodies:
-  - {name: crank, mass: 1.0, inertia: [0.02, 0.02, 0.02], com: [0.05, 0, 0], initial: fixed,
-      rotation_vector: [0, 0, 1.0], angular_velocity: [0, 0, -3]}
-  - {name: rod, mass: 0.5, inertia: [0.02, 0.02, 0.02], com: [0.15, 0, 0],
-      position: [0.05, 0.08, 0], rotation_vector: [0, 0, -0.2]}
-  - {name: ram, mass: 2.0, inertia: [0.02, 0.02, 0.02], position: [0.34, 0, 0]}
-joints:
-  - {name: main, type: revolute, parent: world, child: crank, child_frame: {},
-      friction: {coulomb: 0.05}}
-  - {name: pin, type: revolute, parent: crank, child: rod, parent_frame: {position: [0.1, 0, 0]},
-      child_frame: {}}
-  - {name: wrist, type: revolute, parent: rod, child: ram, parent_frame: {position: [0.3, 0, 0]},
-      child_frame: {}}
-  - {name: slide, type: prismatic, parent: world, child: ram, parent_frame: {axis: [1, 0, 0]},
-      child_frame: {axis: [1, 0, 0]}, limits: {upper: 0.38}}
 """
 
 

@@ -213,7 +213,6 @@ class RelativeWork(Struct):
     # 1 upper; coordinate at the start of the step, in its turn; 1 if these are known
     guards: np.ndarray  # (k, 5) how far each switch is from its next events
     crossed: np.ndarray  # (k, 5) part of the step at which each is at the latest, or -1
-    holding: np.ndarray  # (k,) efforts that hold the switches
     watch: np.ndarray  # (3,) 1 if events are looked for; start of the substep with one, its size
     wrench: np.ndarray  # (n, 6) wrenches on the bodies
     relative: np.ndarray  # (L, 12) pose of each link in its parent link
@@ -270,7 +269,6 @@ def make_relative_work(model, work, stages):
         modes=np.zeros((len(model.switches), 4)),
         guards=np.zeros((len(model.switches), 5)),
         crossed=np.zeros((len(model.switches), 5)),
-        holding=np.zeros(len(model.switches)),
         watch=np.zeros(3),
         wrench=np.zeros((n, 6)),
         relative=np.zeros((links, 12)),

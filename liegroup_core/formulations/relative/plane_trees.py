@@ -127,6 +127,23 @@ def _eliminate_plane(work, b, f):
     _store_freedom(work.freedoms, f + 2, 0.0, 0.0, yy, _inverse(yy), -fy)
 
 
+@kernel
+def _add_at(work, a, x, y, ww, wx, wy, xx, xy, yy, torque, fx, fy):
+    """Add inertia and force of a link at (x, y), in the axes of its parent a, to those of a."""
+    inertia, force = work.inertia, work.force
+    # M times the velocity of the link if the parent turns
+    bx, by = xy * x - xx * y, yy * x - xy * y
+    inertia[a, 0] += ww + (x * (by + 2.0 * wy) - y * (bx + 2.0 * wx))
+    inertia[a, 1] += wx + bx
+    inertia[a, 2] += wy + by
+    inertia[a, 3] += xx
+    inertia[a, 4] += xy
+    inertia[a, 5] += yy
+    force[a, 0] += torque + (x * fy - y * fx)
+    force[a, 1] += fx
+    force[a, 2] += fy
+
+
 @subroutine
 def _pass_whole(work, row, b, a):
     """Add inertia and bias force of a link whose freedom is held to those of its parent."""
@@ -137,18 +154,8 @@ def _pass_whole(work, row, b, a):
     torque, fx, fy = load3(force, b, 0)
     wx, wy = c * wx - s * wy, s * wx + c * wy
     xx, xy, yy = _turn_mass(c, s, xx, xy, yy)
-    # M times the velocity of the link if the parent turns
-    bx, by = xy * x - xx * y, yy * x - xy * y
-    inertia[a, 0] += ww + (x * (by + 2.0 * wy) - y * (bx + 2.0 * wx))
-    inertia[a, 1] += wx + bx
-    inertia[a, 2] += wy + by
-    inertia[a, 3] += xx
-    inertia[a, 4] += xy
-    inertia[a, 5] += yy
     fx, fy = c * fx - s * fy, s * fx + c * fy
-    force[a, 0] += torque + (x * fy - y * fx)
-    force[a, 1] += fx
-    force[a, 2] += fy
+    _add_at(work, a, x, y, ww, wx, wy, xx, xy, yy, torque, fx, fy)
     return 0
 
 
@@ -207,17 +214,8 @@ def gather(model, work):
         yy, fx, fy = yy - inverse * xy * xy, 0.0, fy + share * xy
         wx, wy = -s * wy, c * wy
         xx, xy, yy = s * s * yy, -c * s * yy, c * c * yy
-        bx, by = xy * x - xx * y, yy * x - xy * y
-        inertia[a, 0] += ww + (x * (by + 2.0 * wy) - y * (bx + 2.0 * wx))
-        inertia[a, 1] += wx + bx
-        inertia[a, 2] += wy + by
-        inertia[a, 3] += xx
-        inertia[a, 4] += xy
-        inertia[a, 5] += yy
         fx, fy = c * fx - s * fy, s * fx + c * fy
-        force[a, 0] += torque + (x * fy - y * fx)
-        force[a, 1] += fx
-        force[a, 2] += fy
+        _add_at(work, a, x, y, ww, wx, wy, xx, xy, yy, torque, fx, fy)
     return 0
 
 

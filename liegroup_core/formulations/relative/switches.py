@@ -151,11 +151,9 @@ def set_guards(model, work):
         if work.held[f] != 0.0:
             effort = -work.freedoms[f, 7]
             least, most = bounds(switch, side)
-            work.holding[k] = effort
             guards[k, LEAST] = effort - least + ROUND_OFF * total
             guards[k, MOST] = most - effort + ROUND_OFF * total
             continue
-        work.holding[k] = 0.0
         q = coordinate(model, work, k, work.stage_pose)
         rate = work.stage_twist[n + switch["link"], switch["component"]]
         if switch["stiffness"] == 0.0:

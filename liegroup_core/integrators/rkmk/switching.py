@@ -23,7 +23,7 @@ Source: Brogliato, Nonsmooth Mechanics, 5.1; Acary and Brogliato, Numerical Meth
 Dynamical Systems, 8. Accuracy: test/verification/test_stops.py, test_friction.py.
 """
 
-import math
+import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -238,15 +238,18 @@ class Switching:
         kept = self._keep(*state[:2])
         failed = []
 
-        def guard(tau, k, c):
+        @functools.cache
+        def guards(tau):
             self._return(kept, *state[:2])
-            if tau > 0.0:
-                status = self._single(tau, state)
-                if status != OK:
-                    failed.append(status)
-                    return math.nan
+            status = self._single(tau, state) if tau > 0.0 else OK
+            if status != OK:
+                failed.append(status)
+                return np.full_like(work.guards, np.nan)
             self._look(self._model, work, *state)
-            return work.guards[k, c]
+            return work.guards.copy()
+
+        def guard(tau, k, c):
+            return guards(tau)[k, c]
 
         found = []
         for k, c in np.argwhere(places >= 0.0):

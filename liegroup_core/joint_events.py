@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Events of an Engine at joints with stops or dry friction: impacts, contact, sticking, slipping."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from liegroup_core.integrators.rkmk.switching import JointEvent, JointInstant
+
+Floats = NDArray[np.float64]
+
+
+class Impact(NamedTuple):
+    """Impulses of all joints at an impact.
+
+    time, time_ns : s, ns
+    impulses      : {joint: (6,)} N m s, N s on its child, with axes and NaN as Sample.reactions
+    """
+
+    time: float
+    time_ns: int
+    impulses: dict[str, Floats]
+
+
+class JointEvents:
+    """Events of an Engine, its base class, which has `scene`, `layout`, `sample` and `_switching`.
+
+    Without stops and friction, `_switching` is None, and there are none.
+    """
+
+    @property
+    def event_count(self) -> int:
+        """Number of events at stops and of dry friction since the state was set."""
+        return 0 if self._switching is None else self._switching.count
+
+    def drain_events(self) -> list[JointEvent]:
+        """Return what happened at stops and by dry friction since the last call, in order of time.
+
+        At most the last 100 000 are kept.
+        """
+        if self._switching is None:
+            return []
+        events, self._switching.events[:] = self._switching.events[:], []
+        return [event._replace(joint=self.scene.joints[event.joint].name) for event in events]
+
+    def drain_impacts(self) -> list[Impact]:
+        """Return the impulses of all joints at the impacts since the last call.
+
+        They are kept from the first call on. Impacts of a state that was set before are lost.
+        """
+        if self._switching is None:
+            return []
+        impacts, self._switching.impacts = self._switching.impacts or [], []
+        found = []
+        for time, pose, impulses in impacts:
+            wrenches, mask = self.layout.reactions.of_impact(pose, impulses)
+            named = zip(self.layout.reactions.names, np.where(mask, np.nan, wrenches))
+            found.append(Impact(time, round(time * 1e9), dict(named)))
+        return found
+
+    def divide_events(self, parts: int) -> None:
+        """Take the step that leads to an event at a stop or of friction in so many parts."""
+        if self._switching is not None:
+            self._switching.parts = parts
+
+    def drain_instants(self) -> list[JointInstant]:
+        """Return the modes of all joints with stops or friction where one changed since the last call.
+
+        They are kept from the first call on. Events of a state that was set before are lost.
+        """
+        if self._switching is None:
+            return []
+        instants, self._switching.instants = self._switching.instants or [], []
+        names = [joint.name for joint in self.scene.joints]
+        return [
+            instant._replace(events=[e._replace(joint=names[e.joint]) for e in instant.events])
+            for instant in instants
+        ]
+
+    def take_modes(self, other: "JointEvents") -> None:
+        """Continue with the modes of the joints of another engine, which is at the same state."""
+        if self._switching is not None:
+            self._switching.adopt(other._switching)
+
+    @property
+    def modes(self) -> dict[str, str]:
+        """As Sample.modes."""
+        return self.sample().modes
