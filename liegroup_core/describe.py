@@ -97,18 +97,17 @@ def describe(layout):
         ],
         "stops_and_friction": [
             {
-                "joint": joint.name,
-                "limits": joint.limits and joint.limits.model_dump(),
-                "friction": joint.friction and joint.friction.model_dump(),
-                "modes": modes_of_joint(joint),
+                "joint": switch.name,
+                "limits": switch.limits and switch.limits.model_dump(),
+                "friction": switch.friction and switch.friction.model_dump(),
+                "modes": modes_of(switch),
             }
-            for joint in scene.joints
-            if joint.switches
+            for switch in layout.switches
         ],
         "couplings": [
             {"name": entry.name, "joint": entry.joint, "other": entry.other}
             | {"ratio": found.ratio, "offset": found.offset}
-            for entry, found in zip(scene.couplings, resolve_couplings(scene))
+            for entry, found in zip(scene.couplings, coupled)
         ],
         "forces": [
             {"name": force.name, "type": force.type, "on": _acts_on(force)}
@@ -121,7 +120,8 @@ def describe(layout):
         "undetermined": layout.reactions.reasons(layout.reactions.undetermined),
         "degrees_of_freedom": 6 * len(model.bodies)
         - len(model.row_residual)
-        - len(layout.relative.couplings),
+        - len(layout.relative.couplings)
+        + sum(entry.has_slack for entry in coupled),
         "rows": int(model.elements["rows"].sum()),
         "solved_rows": len(model.row_residual),
         "dropped_rows": [list(entry) for entry in dropped],
@@ -139,9 +139,9 @@ def describe(layout):
     }
 
 
-def modes_of_joint(joint):
-    """Names of the modes that the stops and the friction of a joint allow, as Sample.modes."""
-    limits, friction = joint.limits, joint.friction
+def modes_of(switch):
+    """Names of the modes that stops and friction allow, as Sample.modes."""
+    limits, friction = switch.limits, switch.friction
     return [
         "free",
         *(["lower"] if limits and limits.lower is not None else []),

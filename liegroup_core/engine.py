@@ -22,9 +22,10 @@ from liegroup_core.model.build import initial_state
 from liegroup_core.observables.reach import beyond_reach
 from liegroup_core.observables.sample import Sample
 from liegroup_core.scene.centres import pose_matrix
-from liegroup_core.scene.consistency import joint_state
+from liegroup_core.scene.consistency import joint_state, switch_coordinates
 from liegroup_core.scene.description import WORLD, Scene
 from liegroup_core.scene.rearrange import rearranged
+from liegroup_core.scene.switches import unit_of
 
 from .errors import SceneError, SimulationError
 from .inputs import Inputs
@@ -283,23 +284,31 @@ class Engine(Inputs, JointEvents):
 
     def _refuse_beyond_stops(self, pose, twist, joints):
         """Raise SceneError if a rigid stop does not allow a state, or a coordinate that was given."""
-        for joint, (q, _) in self._joint_states(pose, twist, lambda joint: joint.limits):
-            limits, (given, _) = joint.limits, joints.get(joint.name, (None, None))
-            q = limits.turn_of(q, turns(joint)) if given is None else given
-            if limits.stiffness is None and limits.excess(q) > BEYOND:
-                unit = self.layout.coordinates.units.get(joint.name, "rad")
+        for switch, q in switch_coordinates(
+            self.layout.centred, self._start_of(pose, twist), self.layout.joint_frames
+        ):
+            limits, (given, _) = switch.limits, joints.get(switch.name, (None, None))
+            if limits is None or limits.stiffness is not None:
+                continue
+            q = q if given is None else given
+            if limits.excess(q) > BEYOND:
+                unit = unit_of(switch, self.scene)
                 raise SceneError(
-                    f"joint {joint.name} would be beyond its stop: its position {q:.9g} {unit} is not "
+                    f"joint {switch.name} would be beyond its stop: its position {q:.9g} {unit} is not "
                     f"between {limits.least:g} and {limits.largest:g}; set a state between the stops"
                 )
 
+    def _start_of(self, pose, twist):
+        """{name: (pose (4, 4), twist (6,))} of the bodies and the world, at a state of `state()`."""
+        start = {WORLD: (np.eye(4), np.zeros(6))}
+        for body, *of_body in zip(self.layout.centred.bodies, pose, twist):
+            start[body.name] = pose_matrix(of_body[0]), of_body[1]
+        return start
+
     def _joint_states(self, pose, twist, wanted):
         """(joint of the scene, (position, velocity)) of those that are wanted, at a state of `state()`."""
-        scene = self.layout.centred
-        start = {WORLD: (np.eye(4), np.zeros(6))}
-        for body, *of_body in zip(scene.bodies, pose, twist):
-            start[body.name] = pose_matrix(of_body[0]), of_body[1]
-        for joint, frames in zip(scene.joints, self.layout.joint_frames):
+        start = self._start_of(pose, twist)
+        for joint, frames in zip(self.layout.centred.joints, self.layout.joint_frames):
             if wanted(joint):
                 yield joint, joint_state(start, joint, *frames)
 
@@ -518,7 +527,7 @@ class Engine(Inputs, JointEvents):
         if status & 0xFF == DEPENDENT_ROWS:
             joint = self._joint_name(status >> 8)
         if status & 0xFF == BEYOND_STOP:
-            joint = self.scene.joints[status >> 8].name
+            joint = self.layout.switches[status >> 8].name
         if status & 0xFF == TURNS_NOT_COUNTED:
             force = self.scene.unwrapped[status >> 8][1]
         stopped = f"stopped at t = {self.time:.9g} s (step {self.steps}, h = {self.step:g} s): "

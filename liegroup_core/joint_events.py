@@ -42,7 +42,7 @@ class JointEvents:
         if self._switching is None:
             return []
         events, self._switching.events[:] = self._switching.events[:], []
-        return [event._replace(joint=self.scene.joints[event.joint].name) for event in events]
+        return [event._replace(joint=self.layout.switches[event.joint].name) for event in events]
 
     def drain_impacts(self) -> list[Impact]:
         """Return the impulses of all joints at the impacts since the last call.
@@ -72,7 +72,7 @@ class JointEvents:
         if self._switching is None:
             return []
         instants, self._switching.instants = self._switching.instants or [], []
-        names = [joint.name for joint in self.scene.joints]
+        names = [switch.name for switch in self.layout.switches]
         return [
             instant._replace(events=[e._replace(joint=names[e.joint]) for e in instant.events])
             for instant in instants

@@ -36,6 +36,7 @@ from .scene.centres import Offsets
 from .scene.consistency import resolve_drives, resolve_frames
 from .scene.description import Scene
 from .scene.massless import lack_of_inertia
+from .scene.switches import switches_of
 
 NO_MOTIONS = np.zeros((0, COLUMNS))
 NO_ANGLES = np.zeros(0)
@@ -103,13 +104,17 @@ class Layout:
         """Text why only relative coordinates can hold the scene, or ""."""
         if self.lack_of_inertia or self.scene.couplings:
             return self.lack_of_inertia or "it has couplings"
-        return "it has driven joints" if self.motions else self.switches
+        return "it has driven joints" if self.motions else self.needs_events
+
+    @cached_property
+    def switches(self):
+        """[Switch]: coordinates with stops or friction, in the order of all arrays."""
+        return switches_of(self.scene)
 
     @property
-    def switches(self):
+    def needs_events(self):
         """Text that the scene has stops or friction of joints, or ""."""
-        some = any(joint.switches for joint in self.scene.joints)
-        return "its joints have limits or friction" if some else ""
+        return "its joints have limits or friction" if self.switches else ""
 
     @cached_property
     def motions(self):

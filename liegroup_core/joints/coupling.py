@@ -20,6 +20,7 @@ from liegroup_core.fields.values import Described, Name, Number, Text
 from liegroup_core.lie.groups import SE3, UNKNOWN_TURN, within_a_turn
 
 from .kinds import TYPES
+from .stops import BACKLASH, Backlash, Switch
 
 # Types of joints with one coordinate.
 COUPLED = ("revolute", "prismatic", "screw")
@@ -38,6 +39,17 @@ class Coupling(Described):
     offset: Number | None = Field(
         None, description="offset in rad or m; default: that of the initial poses"
     )
+    backlash: Backlash | None = Field(
+        None, description="slack: the relation holds within a gap; default: none"
+    )
+
+    @property
+    def switches(self):
+        """[Switch]: q_joint - ratio q_other - offset, if it has slack."""
+        if self.backlash is None:
+            return []
+        half = 0.5 * self.backlash.gap
+        return [Switch(self.name, BACKLASH, self.backlash.between(-half, half), None)]
 
 
 def turns(joint):

@@ -8,7 +8,7 @@ from liegroup_core.fields.frames import Frame
 from liegroup_core.fields.values import Described, Flag, Name, Number, Text
 
 from .motion import Motion
-from .stops import Friction, Limits
+from .stops import SLIDE, TURN, Friction, Limits, Switch
 
 
 class JointBase(Described):
@@ -47,10 +47,10 @@ class JointBase(Described):
         None, description="prescribed motion from the start on, of a driven joint; see there"
     )
     limits: Limits | None = Field(
-        None, description="stops of revolute, prismatic and screw joints; see there"
+        None, description="stops of a joint with one coordinate; see there"
     )
     friction: Friction | None = Field(
-        None, description="friction of revolute, prismatic and screw joints; see there"
+        None, description="friction of a joint with one coordinate; see there"
     )
     data: dict[Name, Number] | None = Field(
         None,
@@ -66,8 +66,11 @@ class JointBase(Described):
 
     @property
     def switches(self):
-        """True if the joint has stops or friction."""
-        return self.limits is not None or self.friction is not None
+        """[Switch]: coordinates of the joint with stops or friction."""
+        if self.limits is None and self.friction is None:
+            return []
+        kind = SLIDE if self.type == "prismatic" else TURN
+        return [Switch(self.name, kind, self.limits, self.friction)]
 
     @property
     def locates_child(self):

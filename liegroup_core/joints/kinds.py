@@ -14,14 +14,16 @@ from pydantic import Field
 from liegroup_core.compiling import kernel
 from liegroup_core.fields.values import Number
 
-from . import distance, perpendicular
+from . import cone, distance, perpendicular
+from .cable import CableJoint
 from .described import JointBase
 from .distance import DistanceJoint
 from .elements import ELEMENT, PAIR, JointType
 from .pairs import LOWER_PAIRS, pair_coordinates, pair_element
 from .perpendicular import PERPENDICULAR
+from .stops import CONE, SLIDE, TURN, Cone, CylinderFriction, CylinderLimits, Switch
 
-__all__ = ["DistanceJoint", "Joint", "ScrewJoint"]
+__all__ = ["CableJoint", "CylindricalJoint", "DistanceJoint", "Joint", "ScrewJoint", "SphericalJoint"]
 
 TYPES = LOWER_PAIRS | {
     "universal": JointType(
@@ -29,9 +31,12 @@ TYPES = LOWER_PAIRS | {
         "of the cross"
     ),
     "distance": JointType("the origins of the frames keep their distance (rod)"),
+    "cable": JointType("the origins of the frames are at most its length apart"),
+    "strut": JointType("the origins of the frames are at least its length apart"),
 }
-# Types that a name and two frames describe.
-PLAIN = (*(name for name, pair in LOWER_PAIRS.items() if not pair.has_pitch), "universal")
+# Types with a class of their own; a name and two frames describe the others.
+OWN = ("screw", "spherical", "cylindrical")
+PLAIN = (*(name for name in LOWER_PAIRS if name not in OWN), "universal")
 
 
 class Joint(JointBase):
@@ -61,7 +66,47 @@ class ScrewJoint(JointBase):
         return (pair_element("screw", self.pitch),)
 
 
-JOINTS = (Joint, ScrewJoint, DistanceJoint)
+class SphericalJoint(JointBase):
+    """Ball joint, which may have a cone that its axes stay in."""
+
+    type: Literal["spherical"] = Field("spherical", description="spherical")
+    limits: Cone | None = Field(None, description="cone that the child's z axis stays in; see there")
+
+    def elements(self, C_rel):
+        """One lower pair."""
+        return (pair_element("spherical"),)
+
+    @property
+    def switches(self):
+        """[Switch]: the angle of both z axes, if it has a limit."""
+        if self.limits is None:
+            return []
+        return [Switch(self.name, CONE, self.limits.between(None, self.limits.cone), None)]
+
+
+class CylindricalJoint(JointBase):
+    """Shaft in a sleeve: two coordinates, each with stops and friction of its own."""
+
+    type: Literal["cylindrical"] = Field("cylindrical", description="cylindrical")
+    limits: CylinderLimits | None = Field(None, description="stops; see there")
+    friction: CylinderFriction | None = Field(None, description="friction; see there")
+
+    def elements(self, C_rel):
+        """One lower pair."""
+        return (pair_element("cylindrical"),)
+
+    @property
+    def switches(self):
+        """[Switch]: the angle and the displacement, as far as they have stops or friction."""
+        found = []
+        for part, kind in (("rotation", TURN), ("translation", SLIDE)):
+            limits, friction = getattr(self.limits, part, None), getattr(self.friction, part, None)
+            if limits or friction:
+                found.append(Switch(f"{self.name}/{part}", kind, limits, friction))
+        return found
+
+
+JOINTS = (Joint, ScrewJoint, SphericalJoint, CylindricalJoint, DistanceJoint, CableJoint)
 
 
 @kernel
@@ -69,6 +114,8 @@ def variable_row(element, rot, p, w, v):
     """Row of an element that is no PAIR, and its rate; see `row` of its file."""
     if element["kind"] == perpendicular.KIND:
         return perpendicular.row(element, rot, p, w, v)
+    if element["kind"] == cone.KIND:
+        return cone.row(element, rot, p, w, v)
     return distance.row(element, rot, p, w, v)
 
 
@@ -80,6 +127,8 @@ def variable_residual(kind, rot, p, parameter):
     """
     if kind == perpendicular.KIND:
         return perpendicular.residual(rot, p, parameter)
+    if kind == cone.KIND:
+        return cone.residual(rot, p, parameter)
     return distance.residual(rot, p, parameter)
 
 

@@ -2,6 +2,7 @@
 """Stops and dry friction of a joint, as a scene describes them."""
 
 import math
+from typing import Any, NamedTuple
 
 from pydantic import Field, model_validator
 
@@ -9,18 +10,14 @@ from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import Described, NotNegative, Number, Positive
 from liegroup_core.lie.groups import within_a_turn
 
-WITH_STOPS = ("revolute", "prismatic", "screw")
+WITH_STOPS = ("revolute", "prismatic", "screw", "cylindrical")
 # Half a turn, less what round-off may take.
 WITHIN_A_TURN = math.pi * (1.0 - 1e-12)
 
 
-class Limits(Described):
-    """Stops of a joint: rigid ones, or compliant ones with a stiffness."""
+class Stop(Described):
+    """What a stop is like: rigid, or compliant with a stiffness."""
 
-    lower: Number | None = Field(
-        None, description="least coordinate in rad, which may exceed 2 pi, or m; default: no stop"
-    )
-    upper: Number | None = Field(None, description="largest coordinate; default: no stop")
     restitution: NotNegative | None = Field(
         None,
         description="rebound speed as a part of the impact speed at a rigid stop, 0 to 1; default 0",
@@ -34,13 +31,6 @@ class Limits(Described):
 
     @model_validator(mode="after")
     def _check(self):
-        if self.lower is None and self.upper is None:
-            raise SceneError("give lower, upper or both")
-        if not self.least < self.largest:
-            raise SceneError(
-                f"lower must be below upper, got {self.lower:g} and {self.upper:g}",
-                place=("lower",),
-            )
         if self.restitution is not None and self.restitution > 1.0:
             raise SceneError(
                 f"restitution must be at most 1, got {self.restitution:g}", place=("restitution",)
@@ -51,6 +41,31 @@ class Limits(Described):
             raise SceneError(
                 "restitution belongs to rigid stops, stiffness to compliant ones: keep one of them",
                 place=("restitution",),
+            )
+        return self
+
+    def between(self, lower, upper):
+        """Limits with such stops; None: no stop there."""
+        like = {key: getattr(self, key) for key in Stop.model_fields}
+        return Limits(lower=lower, upper=upper, **like)
+
+
+class Limits(Stop):
+    """Stops of a joint: rigid ones, or compliant ones with a stiffness."""
+
+    lower: Number | None = Field(
+        None, description="least coordinate in rad, which may exceed 2 pi, or m; default: no stop"
+    )
+    upper: Number | None = Field(None, description="largest coordinate; default: no stop")
+
+    @model_validator(mode="after")
+    def _check_order(self):
+        if self.lower is None and self.upper is None:
+            raise SceneError("give lower, upper or both")
+        if not self.least < self.largest:
+            raise SceneError(
+                f"lower must be below upper, got {self.lower:g} and {self.upper:g}",
+                place=("lower",),
             )
         return self
 
@@ -106,3 +121,75 @@ class Friction(Described):
     def at_rest(self):
         """Largest friction at rest."""
         return self.coulomb if self.static is None else self.static
+
+
+class Cone(Stop):
+    """Largest angle between the z axes of both frames of a ball joint."""
+
+    cone: Positive = Field(
+        description="largest angle between the z axes of both joint frames, rad, below pi"
+    )
+
+    @model_validator(mode="after")
+    def _check_angle(self):
+        if not self.cone < math.pi:
+            raise SceneError(f"cone must be below pi, got {self.cone:g}", place=("cone",))
+        return self
+
+
+class Backlash(Stop):
+    """Slack of a coupling, between two stops."""
+
+    gap: Positive = Field(
+        description="play of the coordinate of joint in rad or m, half of it on either side"
+    )
+
+
+class _OfBoth(Described):
+    """Something of the rotation and of the translation of a cylindrical joint."""
+
+    @model_validator(mode="after")
+    def _check(self):
+        if self.rotation is None and self.translation is None:
+            raise SceneError("give rotation, translation or both")
+        return self
+
+
+class CylinderLimits(_OfBoth):
+    """Stops of a cylindrical joint."""
+
+    rotation: Limits | None = Field(None, description="stops of the angle about z")
+    translation: Limits | None = Field(None, description="stops of the displacement along z")
+
+
+class CylinderFriction(_OfBoth):
+    """Friction of a cylindrical joint."""
+
+    rotation: Friction | None = Field(None, description="friction of the rotation about z")
+    translation: Friction | None = Field(None, description="friction of the translation along z")
+
+
+# What the coordinate of a switch is.
+TURN, SLIDE, DISTANCE, CONE, BACKLASH = "turn", "slide", "distance", "cone", "backlash"
+
+
+class Switch(NamedTuple):
+    """Coordinate of a mechanism with stops or dry friction.
+
+    name     : of the joint, JOINT/rotation or JOINT/translation of a cylindrical one, or of the coupling
+    kind     : TURN, SLIDE, DISTANCE (of two points), CONE (angle of two axes) or BACKLASH
+    limits   : Limits or None;  friction : Friction or None
+    joint    : index of the joint, None: of a coupling;  coupling : index of the coupling, or None
+    """
+
+    name: str
+    kind: str
+    limits: Any
+    friction: Any
+    joint: int | None = None
+    coupling: int | None = None
+
+    @property
+    def is_angle(self):
+        """True if poses determine the coordinate modulo 2 pi."""
+        return self.kind == TURN

@@ -9,7 +9,7 @@ from liegroup_core.scene.centres import pose_matrix
 from liegroup_core.scene.consistency import (
     ResolvedCoupling,
     driven_joints,
-    resolve_couplings,
+    rigid_couplings,
     resolve_elements,
     resolve_frames,
 )
@@ -24,7 +24,7 @@ def beyond_reach(scene, pose, positions):
     positions : (d,) rad or m, of the driven joints in the order of the scene
     """
     given = driven_joints(scene)
-    couplings = resolve_couplings(scene)
+    couplings = rigid_couplings(scene)
     couplings += [ResolvedCoupling(j, j, 0.0, q) for j, q in zip(given, positions)]
     frames, parts = resolve_frames(scene), resolve_elements(scene)
     places = {body.name: pose_matrix(row) for body, row in zip(scene.bodies, pose)}

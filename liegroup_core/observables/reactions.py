@@ -36,7 +36,7 @@ from liegroup_core.scene.centres import pose_matrix
 from liegroup_core.scene.consistency import (
     ResolvedCoupling,
     driven_joints,
-    resolve_couplings,
+    rigid_couplings,
     resolve_elements,
     resolve_frames,
 )
@@ -84,7 +84,7 @@ class Reactions:
         self._pose, self._twist = self._work.pose[:n], self._work.twist[:n]
         self._is_idle = True  # no external wrenches are in work.external
         self._scene = scene = layout.centred
-        couplings = resolve_couplings(scene)
+        couplings = rigid_couplings(scene)
         couplings += [ResolvedCoupling(j, j, 0.0, 0.0) for j in driven_joints(scene)]
         frames, parts = resolve_frames(scene), resolve_elements(scene)
         # [(joints, their Linkage that moves, that with its driven joints held)]

@@ -167,15 +167,18 @@ class Sample:
     def _switching(self):
         if self.switching is not None:
             return self.switching
-        return np.zeros((sum(joint.switches for joint in self.scene.joints), 4))
+        return np.zeros((len(self._layout.switches), 4))
 
     @property
     def modes(self) -> dict[str, str]:
-        """{joint: "free", "lower" or "upper" (at this stop), "stick"} of those with stops or friction."""
-        joints = [joint.name for joint in self.scene.joints if joint.switches]
+        """{joint: "free", "lower" or "upper" (at this stop), "stick"} of those with stops or friction.
+
+        Of a cylindrical joint JOINT/rotation and JOINT/translation, of a coupling with backlash its name.
+        """
+        names = [switch.name for switch in self._layout.switches]
         return {
-            joint: "lower" if side < 0.0 else "upper" if side > 0.0 else "stick" if held else "free"
-            for joint, (held, _, side, _) in zip(joints, self._switching.tolist())
+            name: "lower" if side < 0.0 else "upper" if side > 0.0 else "stick" if held else "free"
+            for name, (held, _, side, _) in zip(names, self._switching.tolist())
         }
 
     @cached_property

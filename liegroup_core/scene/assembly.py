@@ -32,6 +32,7 @@ from .consistency import (
     ResolvedCoupling,
     check_consistency,
     resolve_couplings,
+    rigid_couplings,
     resolve_elements,
     resolve_frames,
 )
@@ -68,7 +69,7 @@ def assembled(scene, kept=()):
     scene = _with_joints_written_out(_with_bodies_placed(scene))
     centred = at_centres_of_mass(scene)
     frames, parts = resolve_frames(centred), resolve_elements(centred)
-    joints, couplings = range(len(centred.joints)), resolve_couplings(centred)
+    joints, couplings = range(len(centred.joints)), rigid_couplings(centred)
 
     held = {b.name for b in fixed if b.has_pose}
     linkage = Linkage(centred, frames, parts, joints, held, [*couplings, *kept_coordinates])

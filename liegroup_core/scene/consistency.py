@@ -22,6 +22,7 @@ from liegroup_core.joints.motion import prescribed
 from liegroup_core.lie.groups import SE3
 
 from .description import WORLD
+from .switches import coordinate_of, switches_of, unit_of
 
 # Exact decimals and results of double precision arithmetic are correct to about 1e-15 of their
 # size, and sums over a long chain to 1e-12. Values rounded to six digits are not consistent: they
@@ -78,6 +79,7 @@ class ResolvedCoupling(NamedTuple):
     other: int
     ratio: float
     offset: float
+    has_slack: bool = False
 
     @property
     def is_given(self):
@@ -99,8 +101,14 @@ def resolve_couplings(scene):
         if offset is None:
             offset = values[0] - coupling.ratio * values[1]
         joints = index[coupling.joint], index[coupling.other]
-        found.append(ResolvedCoupling(*joints, coupling.ratio, offset))
+        slack = coupling.backlash is not None
+        found.append(ResolvedCoupling(*joints, coupling.ratio, offset, slack))
     return found
+
+
+def rigid_couplings(scene):
+    """`resolve_couplings` without those that have slack: those that are constraints."""
+    return [entry for entry in resolve_couplings(scene) if not entry.has_slack]
 
 
 def driven_joints(scene):
@@ -183,6 +191,8 @@ def _check_couplings(scene, start):
     """Raise SceneError for the first coupling that the initial poses or twists violate."""
     frames = resolve_frames(scene) if scene.couplings else []
     for i, (found, values) in enumerate(zip(resolve_couplings(scene), _coupled_coordinates(scene))):
+        if found.has_slack:
+            continue
         ends = [scene.joints[j] for j in (found.joint, found.other)]
         rates = []
         for joint, pair in zip(ends, (frames[found.joint], frames[found.other])):
@@ -219,21 +229,41 @@ def _check_drives(scene, start):
             )
 
 
-def _check_stops(scene, start):
-    """Raise SceneError for the first joint that starts beyond a stop."""
-    frames = resolve_frames(scene) if any(joint.limits for joint in scene.joints) else []
-    for j, (joint, pair) in enumerate(zip(scene.joints, frames)):
-        if joint.limits is None:
+def switch_coordinates(scene, start, frames):
+    """[(Switch, its coordinate)] at poses, rad or m; angles about z in the turn that its stops expect.
+
+    start : {name: (pose (4, 4), twist (6,))} of the bodies and the world;  frames : of `resolve_frames`
+    """
+    couplings, found = resolve_couplings(scene), []
+    for switch in switches_of(scene):
+        if switch.joint is not None:
+            joint = scene.joints[switch.joint]
+            C_rel = _relative(start, joint, *frames[switch.joint])
+            found.append((switch, coordinate_of(switch, joint, C_rel)))
             continue
-        q = coordinate(joint, _relative(start, joint, *pair))
-        q = joint.limits.turn_of(q, turns(joint))
-        off = joint.limits.excess(q)
+        entry = couplings[switch.coupling]
+        ends = [scene.joints[j] for j in (entry.joint, entry.other)]
+        first, second = (
+            coordinate(joint, _relative(start, joint, *frames[j]))
+            for joint, j in zip(ends, (entry.joint, entry.other))
+        )
+        found.append((switch, gap(first, second, entry.ratio, entry.offset, turns(ends[0]))))
+    return found
+
+
+def _check_stops(scene, start):
+    """Raise SceneError for the first joint or coupling that starts beyond a stop."""
+    if not switches_of(scene):
+        return
+    for switch, q in switch_coordinates(scene, start, resolve_frames(scene)):
+        off = -1.0 if switch.limits is None else switch.limits.excess(q)
         if off > TOLERANCE * (1.0 + abs(q)):
-            unit = "rad" if turns(joint) else "m"
+            unit = unit_of(switch, scene)
+            key, i = ("joints", switch.joint) if switch.coupling is None else ("couplings", switch.coupling)
             raise SceneError(
-                f'joints[{j}] "{joint.name}": it starts at {q:.6g} {unit}, {off:.3g} {unit} beyond a '
+                f'{key}[{i}] "{switch.name}": it starts at {q:.6g} {unit}, {off:.3g} {unit} beyond a '
                 "stop; correct the initial poses or its limits",
-                place=("joints", j, "limits"),
+                place=(key, i),
             )
 
 

@@ -140,7 +140,7 @@ def refuse_switches(joint, i):
         if getattr(joint, key) is None:
             continue
         reason = None
-        if joint.type not in WITH_STOPS:
+        if joint.type not in WITH_STOPS and not (joint.type == "spherical" and key == "limits"):
             reason = f"a {joint.type} joint has none; only {', '.join(WITH_STOPS)} joints do"
         elif joint.driven:
             reason = "a driven joint moves as prescribed; remove driven, or this"

@@ -20,7 +20,7 @@ from liegroup_core.lie.groups import within_a_turn
 from .assembly import cannot_close, consistent_velocities, not_kept
 from .carried import carried, coordinates_at, with_coupled
 from .centres import pose_matrix
-from .consistency import ResolvedCoupling, resolve_couplings, resolve_elements, resolve_frames
+from .consistency import ResolvedCoupling, resolve_elements, resolve_frames, rigid_couplings
 from .description import WORLD
 
 # Largest change of what is given: rad, and relative to the distances and velocities involved.
@@ -100,7 +100,7 @@ def _at_once(scene, pose, twist, poses, twists, joints, angles):
     set_parts = {body: pose_matrix(row) for body, row in poses.items()}, twists
     start, given = (old | part for old, part in zip(before, set_parts))
     couplings, frames, parts = (
-        resolve(scene) for resolve in (resolve_couplings, resolve_frames, resolve_elements)
+        resolve(scene) for resolve in (rigid_couplings, resolve_frames, resolve_elements)
     )
     number = {joint.name: j for j, joint in enumerate(scene.joints)}
     near = {number[name]: angle for name, angle in angles.items()}

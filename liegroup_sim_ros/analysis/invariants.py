@@ -24,7 +24,7 @@ class Energy:
             for what, names in (
                 ("non-conservative forces", forces),
                 ("driven joints", layout.motions),
-                ("stops and friction", [j.name for j in layout.scene.joints if j.switches]),
+                ("stops and friction", [switch.name for switch in layout.switches]),
             )
             if names
         ]

@@ -3,7 +3,8 @@
 
 import numpy as np
 
-from liegroup_sim_ros.messages.joint_modes import ENERGY, IMPULSE, joints_with_modes, switching
+from liegroup_core.scene.switches import unit_of
+from liegroup_sim_ros.messages.joint_modes import ENERGY, IMPULSE, switching
 from liegroup_sim_ros.recording.read import RecordingError
 
 KINDS = ("impact", "stop", "leave", "stick", "slip")
@@ -17,26 +18,25 @@ def joint_events(recording, layout, motion):
     successive messages. Raises RecordingError if the modes are not those of the scene.
     """
     track = recording.joint_modes
-    joints = joints_with_modes(layout)
-    if track is None or not joints:
+    switches = layout.switches
+    if track is None or not switches:
         return None, None
-    if track.values.shape[1] != len(joints):
+    if track.values.shape[1] != len(switches):
         raise RecordingError(f"{recording.path}: its joint modes are not those of its scene")
     found = happened(track, [stretch.begin_ns for stretch in motion.all])
     instants = found.any(axis=(1, 2))
     impulses, energies = track.values[:, :, IMPULSE], track.values[:, :, ENERGY]
-    units = layout.coordinates.units
     figures = {
         "instants": int(instants.sum()),
         "impact_energy_J": float(energies.sum()),
         "joints": {
-            joint.name: {
+            switch.name: {
                 **{kind: int(found[:, k, i].sum()) for i, kind in enumerate(KINDS)},
                 "impact_energy_J": float(energies[:, k].sum()),
                 "largest_impulse": float(np.abs(impulses[:, k]).max(initial=0.0)),
-                "unit": "N s" if units.get(joint.name) == "m" else "N m s",
+                "unit": "N s" if unit_of(switch, layout.scene) == "m" else "N m s",
             }
-            for k, joint in enumerate(joints)
+            for k, switch in enumerate(switches)
         },
     }
     return figures, _spread(track.time[instants])

@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from liegroup_core.scene.switches import unit_of
+
 from . import matrices
 from .codecs import MessageError
 from .commands import joint_labels
@@ -27,15 +29,9 @@ IMPACT = "impact"
 LINES = 20  # instants a second of simulated time that have a line of their own
 
 
-def joints_with_modes(layout):
-    """Joints of a scene with stops or friction."""
-    return [joint for joint in layout.scene.joints if joint.switches]
-
-
 def encoder(layout):
     """Function (modes (k, 4) as Sample.switching, [JointEvent]) -> serialized Float64MultiArray."""
-    joints = joints_with_modes(layout)
-    names = [joint.name for joint in joints]
+    names = [switch.name for switch in layout.switches]
     pack = matrices.encoder(joint_labels(names, layout.scene.robot), COLUMNS)
     row = {name: k for k, name in enumerate(names)}
 
@@ -94,7 +90,8 @@ class JointReports:
     def __init__(self, simulation):
         self._simulation, self._last, self._time = simulation, None, 0.0
         self._encode = encoder(simulation.layout)
-        units = simulation.layout.coordinates.units
+        layout = simulation.layout
+        units = {switch.name: unit_of(switch, layout.scene) for switch in layout.switches}
         self._unit = {name: "N s" if unit == "m" else "N m s" for name, unit in units.items()}
         self._clear()
 
@@ -147,7 +144,7 @@ class JointReports:
     def _text(self, event):
         if event.kind != IMPACT:
             return f"{event.joint} {event.kind}"
-        unit = self._unit.get(event.joint, "N m s")
+        unit = self._unit[event.joint]
         return f"{event.joint} {IMPACT}, impulse {event.impulse:.6g} {unit}, energy {event.energy:.6g} J"
 
     def _sum_up(self, time):

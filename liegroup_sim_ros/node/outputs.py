@@ -151,7 +151,7 @@ class Outputs:
             self._motion_stream = self._stream(*topics.MOTIONS)
             self._encode_motions = commands.motions(layout)
         self._joint_modes = None
-        if joint_modes.joints_with_modes(layout):
+        if layout.switches:
             self._joint_modes = self._stream(*topics.JOINT_MODES)
             self._encode_modes = joint_modes.encoder(layout)
         self._events = self._stream(*topics.EVENTS)

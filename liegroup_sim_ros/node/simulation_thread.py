@@ -21,7 +21,7 @@ from liegroup_core import SimulationError
 from liegroup_core.forces.schedule import AppliedMotion, AppliedTarget
 from liegroup_core.pacing import Pacer
 from liegroup_sim_ros.messages import events
-from liegroup_sim_ros.messages.joint_modes import JointReports, joints_with_modes
+from liegroup_sim_ros.messages.joint_modes import JointReports
 
 from .figures import Saturation, error_figures, pacing_figures
 from .inbox import Inbox
@@ -91,7 +91,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
         self._origin = origin
         self._said = set()  # events that are sent once
         self._saturation = Saturation(simulation)
-        has_modes = joints_with_modes(simulation.layout)
+        has_modes = simulation.layout.switches
         self._reports = JointReports(simulation) if has_modes else None
         self._watching = False
         self._watch(watching)

@@ -14,7 +14,7 @@ import numpy as np
 from liegroup_sim_ros.messages import estimates, events, schemas, topics
 from liegroup_sim_ros.messages import samples as sample_messages
 from liegroup_sim_ros.messages.codecs import LogCodec
-from liegroup_sim_ros.messages.joint_modes import JointReports, joints_with_modes
+from liegroup_sim_ros.messages.joint_modes import JointReports
 
 from . import attachments
 from .checkpoints import Checkpoints
@@ -151,7 +151,7 @@ class LogFile:
         if has_estimate(simulation):
             names["errors"] = topics.ERRORS.resolved(NODE)
             with_samples.append(topics.ERRORS)
-        has_modes = joints_with_modes(simulation.layout)
+        has_modes = simulation.layout.switches
         self._reports = JointReports(simulation) if has_modes else None
         if has_modes:
             names["joint_modes"] = topics.JOINT_MODES.resolved(NODE)

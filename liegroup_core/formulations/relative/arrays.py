@@ -86,11 +86,14 @@ COUPLED = np.dtype(
 
 
 SWITCH = np.dtype(
-    [  # freedom of the tree with stops or dry friction, in the coordinate of its link: switches.py
-        ("joint", "i8"),
+    [  # coordinate with stops or dry friction: of a link of the tree, or of a row; see switches.py
+        ("row", "i8"),
+        ("residual", "i8"),  # of this row, and of its residual; -1: a freedom of the tree
+        ("joint", "i8"),  # cut joint whose wrench the row is, else -1
         ("link", "i8"),
-        ("freedom", "i8"),
+        ("freedom", "i8"),  # of the tree; of row r: f + r
         ("component", "i8"),  # of the rates of the link
+        ("turned", "i8"),  # 1: poses determine the coordinate modulo 2 pi
         ("sign", "f8"),  # of this coordinate when that of the joint increases
         ("lower", "f8"),
         ("upper", "f8"),  # stops, rad or m; infinite: none
@@ -134,6 +137,8 @@ class RelativeModel(Struct):
     couplings: np.ndarray  # of COUPLED
     coupling: np.ndarray  # (c,) which coupling a cut joint is, or -1
     switches: np.ndarray  # (k,) of SWITCH
+    switched: np.ndarray  # (m,) 1: the row is that of a switch
+    has_switched_rows: bool  # any of them
     first_column: np.ndarray  # (m,) first nonzero column of each row of the factor of W
     refinements: int  # steps of iterative refinement that each solve takes
     projects: bool
@@ -208,9 +213,12 @@ class RelativeWork(Struct):
     slopes: np.ndarray  # ((s + 1) f, 2) k: algebra, then qdot part
     external: np.ndarray  # (n, COLUMNS), see forces/external.py: external wrenches of the call
     pushed: np.ndarray  # (1,) 1 if any of them is not zero
-    held: np.ndarray  # (f,) 1 if a freedom is held, see switches.py
+    held: np.ndarray  # (f + m,) 1 if a freedom, or the row of a switch, is held: see switches.py
     modes: np.ndarray  # (k, 4) of each switch: direction of slip; stop that it touches, -1 lower,
     # 1 upper; coordinate at the start of the step, in its turn; 1 if these are known
+    reach: np.ndarray  # (k,) coordinate of each switch that is a row
+    since: np.ndarray  # (k, 2) rate and acceleration of each at the start of the step
+    now: np.ndarray  # (k, 2) and at the stage
     guards: np.ndarray  # (k, 5) how far each switch is from its next events
     crossed: np.ndarray  # (k, 5) part of the step at which each is at the latest, or -1
     watch: np.ndarray  # (3,) 1 if events are looked for; start of the substep with one, its size
@@ -265,7 +273,10 @@ def make_relative_work(model, work, stages):
         slopes=np.zeros(((stages + 1) * freedoms, 2)),
         external=np.zeros((n, EXTERNAL_COLUMNS)),
         pushed=np.zeros(1),
-        held=np.zeros(freedoms),
+        held=np.zeros(freedoms + rows),
+        reach=np.zeros(len(model.switches)),
+        since=np.zeros((len(model.switches), 2)),
+        now=np.zeros((len(model.switches), 2)),
         modes=np.zeros((len(model.switches), 4)),
         guards=np.zeros((len(model.switches), 5)),
         crossed=np.zeros((len(model.switches), 5)),

@@ -14,7 +14,7 @@ from .inertia import check_inertia
 from .links import eliminated, find_links, link_poses, link_records
 from .plane import find_plane, plane_axes
 from .spanning_tree import WORLD_NAME, spanning_tree
-from .switch_records import switch_records
+from .switch_records import stop_rows, switch_arrays
 
 
 def relative_model(scene, model, in_space=False):
@@ -32,7 +32,8 @@ def relative_model(scene, model, in_space=False):
     index = {body.name: i for i, body in enumerate(scene.bodies)}
     records = link_records(scene, links, index)
     coupled = coupled_links(scene, links)
-    cut, rows = cut_rows(scene, frames, parts, tree, links, places, coupled)
+    stops = stop_rows(scene, links)
+    cut, rows = cut_rows(scene, frames, parts, tree, links, places, stops, coupled)
     elements = cut_elements(scene, frames, cut, places, coupled)
     springs = sum(force.counts_turns for force in scene.forces)
     arrays = loop_arrays(links, records, cut, rows, elements, coupled, springs)
@@ -62,7 +63,7 @@ def relative_model(scene, model, in_space=False):
         ).reshape(-1, 2),
         has_forces=has_forces(model.forces),
         elements=elements,
-        switches=switch_records(scene, links, records),
+        **switch_arrays(scene, links, records, arrays, elements, places),
         refinements=_refinements(model, len(arrays["joints"]) > 0),
         projects=bool(model.projects and len(arrays["joints"])),
         baumgarte_rate=model.baumgarte_rate,

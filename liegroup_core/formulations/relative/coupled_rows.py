@@ -14,6 +14,9 @@ from liegroup_core.formulations.absolute.projection import ROUND_OFF
 from liegroup_core.joints.motion import acceleration, position, rate
 
 from .kinds import link_coordinate, set_rows
+from .matrix import is_off
+
+COORDINATE = 2  # column of Work.modes, see switches.py
 
 
 @kernel
@@ -65,6 +68,20 @@ def set_coupled_gaps(model, work, moves, moved):
 
 @kernel
 def set_gap(model, work):
-    """Position residuals of all cut joints and couplings at the stage, to work.gap."""
+    """Position residuals of all cut joints and couplings at the stage, to work.gap.
+
+    Of a switch the coordinate is kept in work.reach; its residual is what is left to where it is held.
+    """
     position_residuals(model, work.world, work.gap)
     set_coupled_gaps(model, work, work.acceleration, 0)
+    if not model.has_switched_rows:
+        return
+    for k in range(len(model.switches)):
+        r = model.switches[k]["row"]
+        if r < 0:
+            continue
+        q, kept = work.gap[model.row_residual[r]], work.modes[k, COORDINATE]
+        if model.switches[k]["turned"] == 1:
+            q = unwrapped(q, kept)
+        work.reach[k] = q
+        work.gap[model.row_residual[r]] = 0.0 if is_off(model, work, r) else q - kept

@@ -49,9 +49,10 @@ def coupled_links(scene, links):
     return found + [(ResolvedCoupling(j, j, 0.0, 0.0), (of_joint[j],) * 2) for j in driven]
 
 
-def cut_rows(scene, frames, parts, tree, links, places, coupled):
+def cut_rows(scene, frames, parts, tree, links, places, stops, coupled):
     """([(joint, element of the scene, part)], [kept rows]) of the cut joints, then of couplings.
 
+    stops   : of `stop_rows`, between the two; they have element -1
     coupled : of `coupled_links`; their entries have joint None
     """
     cut = []
@@ -62,18 +63,22 @@ def cut_rows(scene, frames, parts, tree, links, places, coupled):
                 cut.append((j, element, part))
             element += 1
     joints = len(cut)
+    cut += [(j, -1, part) for j, part in stops]
+    rigid = [c for c, (coupling, _) in enumerate(coupled) if not coupling.has_slack]
+    first = len(cut)
     cut += [(None, element + i, COUPLING_PART) for i in range(len(coupled))]
     if not cut:
         return cut, []
     keep = [np.ones(len(part.names), dtype=bool) for _, _, part in cut]
     # A distance joint is cut also where it closes no loop: then its row is independent.
-    for loops, entries in dependent_groups(scene, [coupling for coupling, _ in coupled]):
+    for loops, numbers in dependent_groups(scene, [coupled[c][0] for c in rigid]):
+        entries = [rigid[n] for n in numbers]
         closing = [k for k, (j, _, _) in enumerate(cut[:joints]) if j in loops]
         length, matrices = 1.0, [np.zeros((0, _first_freedoms(links)[-1]))]
         if closing:
             ends = sorted({cut[k][0] for k in closing})
             length, matrices = _tree_jacobians(scene, frames, parts, loops, ends, links, places)
-        closing += [joints + c for c in entries]
+        closing += [first + c for c in entries]
         rows = _coupling_rows(links, [coupled[c] for c in entries], length)
         matrices = [np.concatenate([matrix, rows]) for matrix in matrices]
         drives = np.array([False] * len(matrices[0]))

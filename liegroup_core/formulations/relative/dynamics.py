@@ -15,12 +15,13 @@ from .kinds import (
     place_bodies,
     place_links,
     set_free_residual,
+    set_present_residual,
     set_residual,
     spread,
     spread_response,
 )
-from .loops import POOR, SINGULAR, close_loops, set_loops
-from .switches import apply_switches
+from .loops import POOR, SINGULAR, apply_multipliers, close_loops, set_loops
+from .switches import apply_switches, set_row_efforts
 
 # Each refinement multiplies the error in regular directions by the shift of W divided by its pivot.
 REFINEMENTS_WHEN_SINGULAR = 4
@@ -89,7 +90,12 @@ def solve_equations(model, work):
             refinements = max(refinements, 1)
         elif found == SINGULAR:
             refinements = REFINEMENTS_WHEN_SINGULAR
-        set_free_residual(model, work)
+        if model.has_switched_rows and set_row_efforts(model, work):
+            apply_multipliers(model, work)
+            spread(model, work)
+            set_present_residual(model, work)
+        else:
+            set_free_residual(model, work)
         close_loops(model, work)
     spread(model, work)
     for _ in range(refinements):

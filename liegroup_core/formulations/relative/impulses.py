@@ -4,8 +4,8 @@
 from liegroup_core.compiling import kernel
 
 from .coupled_rows import set_all_rows
-from .kinds import gather, gather_forces, lift_links, spread_response
-from .loops import close_loops, set_response_residual, set_responses
+from .kinds import add_pair, gather, gather_forces, lift_links, spread_response
+from .loops import apply_multipliers, close_loops, set_response_residual, set_responses
 from .matrix import REGULARISATION, factor
 
 
@@ -32,7 +32,7 @@ def factor_rows(model, work):
 
 @kernel
 def clear_impulses(model, work):
-    """Begin a sum of impulses on links, in work.force with the opposite sign."""
+    """Begin a sum of impulses, in work.force with the opposite sign and in work.multipliers."""
     for b in range(len(model.bodies)):
         for c in range(work.force.shape[1]):
             work.force[b, c] = 0.0
@@ -41,10 +41,34 @@ def clear_impulses(model, work):
 
 
 @kernel
+def add_impulse(model, work, k, value):
+    """Add an impulse at switch k, N m s or N s."""
+    switch = model.switches[k]
+    if switch["row"] < 0:
+        add_pair(model, work, switch["link"], switch["component"], -value, work.force, 1)
+    else:
+        work.multipliers[switch["row"]] -= value
+
+
+@kernel
 def respond_to_impulses(model, work):
     """Changes of all rates to work.acceleration, of the links to work.moved, by work.force."""
     gather_forces(model, work)
     if len(model.joints) > 0:
+        apply_multipliers(model, work)
         set_response_residual(model, work)
         close_loops(model, work)
     spread_response(model, work)
+
+
+@kernel
+def set_rate_changes(model, work, out, row):
+    """Write the changes of the rates of all switches to a row of `out`, after respond_to_impulses."""
+    if len(model.joints) > 0:
+        set_response_residual(model, work)
+    for k in range(len(model.switches)):
+        switch = model.switches[k]
+        if switch["row"] < 0:
+            out[row, k] = work.acceleration[switch["freedom"], 0]
+        else:
+            out[row, k] = work.right[switch["row"]]

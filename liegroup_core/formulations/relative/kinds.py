@@ -50,8 +50,9 @@ add_multipliers, add_own_forces, gather_forces, gather_residual = (
     by_space(name, residuals, plane_residuals)
     for name in ("add_multipliers", "add_own_forces", "gather_forces", "gather_residual")
 )
-set_free_residual, set_residual = (
-    by_space(name, residuals, plane_residuals) for name in ("set_free_residual", "set_residual")
+set_free_residual, set_present_residual, set_residual = (
+    by_space(name, residuals, plane_residuals)
+    for name in ("set_free_residual", "set_present_residual", "set_residual")
 )
 inverse_dynamics = by_space("inverse_dynamics", space_inverse_dynamics, plane_inverse_dynamics)
 link_coordinate, link_shift, add_effort, add_pair = (

@@ -19,7 +19,7 @@ from liegroup_core.status import DEPENDENT_ROWS, NOT_PROJECTED, OK
 
 from .coupled_rows import set_all_rows, set_gap
 from .kinds import displace, gather, lift_links, move_links, place_links, respond, spread_response
-from .matrix import REGULARISATION, factor, has_small_pivot, set_shared, solve
+from .matrix import REGULARISATION, factor, has_small_pivot, is_off, set_shared, solve
 
 SINGULAR, POOR = -2, -3
 
@@ -30,6 +30,8 @@ def _add_baumgarte(model, work):
     rate = model.baumgarte_rate
     set_gap(model, work)
     for r in range(len(work.bias)):
+        if is_off(model, work, r):
+            continue
         g = work.gap[model.row_residual[r]]
         work.bias[r] -= rate * (2.0 * work.slip[r] + rate * g)
 
@@ -92,6 +94,14 @@ def set_response_residual(model, work):
             for r in range(rows):
                 work.right[first + r] += work.response[at + r] * rate
             at += rows
+
+
+@kernel
+def apply_multipliers(model, work):
+    """Change u of the freedoms by the multipliers that are known: those of switches, not held."""
+    for r in range(len(work.right)):
+        work.right[r] = work.multipliers[r]
+    _subtract_responses(model, work)
 
 
 @subroutine

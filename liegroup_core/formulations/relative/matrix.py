@@ -104,9 +104,16 @@ def _mobility(model, W, r, first, rows):
 
 
 @kernel
+def is_off(model, work, r):
+    """Whether row r is that of a switch which is not held: it does not act."""
+    return model.switched[r] == 1 and work.held[len(work.freedoms) + r] == 0.0
+
+
+@kernel
 def factor(model, work, shift):
     """Factorise W + shift w = L D L^T, w the diagonal matrix of `_mobility`.
 
+    The multipliers of rows that do not act stay as they are.
     returns -1, or the joint of a dependent row
     """
     W, held = work.matrix, False
@@ -116,6 +123,9 @@ def factor(model, work, shift):
         first = model.joints[j]["first"]
         rows = model.joints[j]["rows"]
         for r in range(first, first + rows):
+            if is_off(model, work, r):
+                work.diagonal[r] = 0.0
+                continue
             begin = model.first_column[r]
             mobility = _mobility(model, W, r, first, rows)
             pivot = W[r, r] + shift * mobility

@@ -11,6 +11,8 @@ loops; only the part of their rows in the plane is left.
 import numpy as np
 
 from liegroup_core.joints.elements import PAIR
+from liegroup_core.joints.stops import CONE, DISTANCE
+from liegroup_core.scene.switches import switches_of
 
 from .spanning_tree import WORLD_NAME
 
@@ -28,6 +30,8 @@ def find_plane(scene, frames, parts):
     frames : its joint frames, see scene/consistency.py
     parts  : elements of its joints
     """
+    if any(switch.kind in (CONE, DISTANCE) for switch in switches_of(scene)):
+        return None
     poses = {body.name: body.pose for body in scene.bodies} | {WORLD_NAME: np.eye(4)}
     axes = [(poses[joint.child] @ F_b)[:3, 2] for joint, (_, F_b) in zip(scene.joints, frames)]
     for normal in _candidates(scene, axes):

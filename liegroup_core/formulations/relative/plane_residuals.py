@@ -84,6 +84,25 @@ def set_free_residual(model, work):
 
 
 @subroutine
+def set_present_residual(model, work):
+    """Residual of the rows at the accelerations in work.moved and work.acceleration, to work.right."""
+    for j in range(len(model.joints)):
+        joint = model.joints[j]
+        a, b = joint["parent"], joint["child"]
+        for row in range(joint["first"], joint["first"] + joint["rows"]):
+            value = 0.0
+            for c in range(3):
+                value += work.child_jacobian[row, 2 + c] * work.moved[b, c]
+                if a != WORLD:
+                    value += work.parent_jacobian[row, 2 + c] * work.moved[a, c]
+            work.right[row] = value - work.bias[row]
+    for c in range(len(model.couplings)):
+        row = model.couplings[c]["row"]
+        work.right[row] = coupled_rate(model, work.acceleration, c) - work.bias[row]
+    return 0
+
+
+@subroutine
 def set_residual(model, work):
     """Residual of the rows at work.moved and the response to u, to work.right."""
     for j in range(len(model.joints)):

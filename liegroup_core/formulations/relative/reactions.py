@@ -32,9 +32,8 @@ from liegroup_core.lie.vec3 import (
 from liegroup_core.scene.consistency import resolve_frames
 
 from .coordinates import coordinates, place_links
-from .couplings import add_pair
 from .dynamics import apply_forces, solve_equations
-from .impulses import clear_impulses, factor_rows, respond_to_impulses
+from .impulses import add_impulse, clear_impulses, factor_rows, respond_to_impulses
 from .spanning_tree import WORLD_NAME, spanning_tree
 from .switches import apply_switches
 from .trees import move_links
@@ -46,7 +45,8 @@ class ReactionTable(Struct):
     ends: np.ndarray  # (J, 2) body indices of parent and child; the parent may be WORLD
     frames: np.ndarray  # (J, 12) joint frame in the frame of the child: R row by row, then r
     order: np.ndarray  # (t, 3) tree joints, leaves first: joint, body behind it, body before it
-    owners: np.ndarray  # (c,) joint of each cut element that is solved for; -1: a coupling
+    owners: np.ndarray  # (c,) joint of each cut element that is solved for; -1: a coupling, or a
+    # stop of a joint of the tree
     motion: (
         np.ndarray
     )  # (n, 6) of each body: angular acceleration, specific force at the COM; own axes
@@ -75,7 +75,11 @@ def reaction_table(layout):
                     pending.append(behind)
                     order.append((j, behind, body))
     coupled = model.coupling >= 0
-    owners = [-1 if coupled[k] else layout.owners[model.owners[k]] for k in range(len(coupled))]
+    of_row = {int(s["row"]): int(s["joint"]) for s in model.switches if s["row"] >= 0}
+    owners = []
+    for k, joint in enumerate(model.joints):
+        own = -1 if coupled[k] else of_row.get(int(joint["first"]))
+        owners.append(layout.owners[model.owners[k]] if own is None else own)
     return ReactionTable(
         ends=np.array(ends, dtype=np.int64).reshape(-1, 2),
         frames=np.array(
@@ -238,9 +242,7 @@ def impulse_wrenches(model, work, table, impulses, out):
         return found
     clear_impulses(model, work)
     for k in range(len(model.switches)):
-        switch = model.switches[k]
-        b, component = switch["link"], switch["component"]
-        add_pair(model, work, b, component, -impulses[k], work.force, 1)
+        add_impulse(model, work, k, impulses[k])
     respond_to_impulses(model, work)
     _sweep(model, work, table, 0.0, out)
     return -1

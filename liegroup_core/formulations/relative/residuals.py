@@ -106,14 +106,20 @@ def _set_right(model, work):
 
 
 @subroutine
-def set_free_residual(model, work):
-    """Residual of the rows without cut joints, to work.right."""
-    spread(model, work)
+def set_present_residual(model, work):
+    """Residual of the rows at the accelerations in work.moved and work.acceleration, to work.right."""
     _set_right(model, work)
     for c in range(len(model.couplings)):
         row = model.couplings[c]["row"]
         work.right[row] = coupled_rate(model, work.acceleration, c) - work.bias[row]
     return 0
+
+
+@kernel
+def set_free_residual(model, work):
+    """Residual of the rows without cut joints, to work.right."""
+    spread(model, work)
+    set_present_residual(model, work)
 
 
 @subroutine

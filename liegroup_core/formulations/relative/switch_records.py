@@ -1,51 +1,89 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Table of the switches of a RelativeModel: freedoms with stops or dry friction."""
+"""Table of the switches of a RelativeModel: coordinates with stops or dry friction."""
 
 import math
 
 import numpy as np
 
-from liegroup_core.errors import SceneError
+from liegroup_core.joints.cone import CONE_ANGLE
+from liegroup_core.joints.distance import KIND
+from liegroup_core.joints.elements import PAIR, WORLD, Element
+from liegroup_core.joints.stops import CONE, DISTANCE, SLIDE, TURN
+from liegroup_core.scene.switches import switches_of
 
 from .arrays import SWITCH
 
+NAMES = {TURN: ("wz",), SLIDE: ("vz",)}
+DIRECTIONS = {TURN: np.eye(6)[2:3], SLIDE: np.eye(6)[5:]}
+STOPS = {
+    DISTANCE: Element(KIND, ("length",), np.eye(6)[3:]),
+    CONE: CONE_ANGLE,
+    **{kind: Element(PAIR, NAMES[kind], DIRECTIONS[kind]) for kind in NAMES},
+}
 
-def switch_records(scene, links, records):
-    """(k,) of SWITCH, in the order of the joints of a scene.
+
+def _links_of(links):
+    return {link.joint: b for b, link in enumerate(links) if link.joint is not None}
+
+
+def stop_rows(scene, links):
+    """[(joint, Element)] of the switches of joints that are no freedom of the tree, one row each."""
+    in_tree = _links_of(links)
+    return [
+        (switch.joint, STOPS[switch.kind])
+        for switch in switches_of(scene)
+        if switch.joint is not None and not (switch.kind in NAMES and switch.joint in in_tree)
+    ]
+
+
+def switch_arrays(scene, links, records, arrays, elements, places):
+    """Arrays of a RelativeModel: its switches, in the order of `switches_of`, and whose rows they are.
 
     links, records : links of the spanning tree, and their LINK records
-    Raises SceneError for a joint with stops or friction that is no joint of the tree.
+    arrays         : of the rows (cuts.py);  elements : those of the cut joints, stops and couplings
+    places         : {body: (link or WORLD, its pose there)}
     """
-    of_joint = {link.joint: b for b, link in enumerate(links) if link.joint is not None}
-    rows = []
-    for j, joint in enumerate(scene.joints):
-        if not joint.switches:
-            continue
-        if j not in of_joint:
-            key = "limits" if joint.limits else "friction"
-            raise SceneError(
-                f'joints[{j}] "{joint.name}": it has {key}, but so have all joints of a loop that it '
-                "closes, or its bodies are welded; leave one joint of each loop without stops and "
-                "friction",
-                ("joints", j, key),
-            )
-        b = of_joint[j]
-        rows.append(_record(joint, j, b, int(records[b]["freedom"]), links[b].sign))
-    return np.array(rows, dtype=SWITCH)
+    in_tree, found = _links_of(links), switches_of(scene)
+    freedoms, rows = int(records["freedoms"].sum()), len(arrays["row_residual"])
+    of_element = {int(joint["element"]): int(joint["first"]) for joint in arrays["joints"]}
+    couplings = len(scene.couplings) + sum(joint.driven for joint in scene.joints)
+    number = len(elements) - couplings - len(stop_rows(scene, links))
+    table, switched = np.zeros(len(found), dtype=SWITCH), np.zeros(rows, dtype=np.int64)
+    for record, switch in zip(table, found):
+        record["row"] = record["residual"] = record["joint"] = record["link"] = -1
+        sign = 1.0
+        if switch.kind in NAMES and switch.joint in in_tree:
+            b = record["link"] = in_tree[switch.joint]
+            second = switch.kind == SLIDE and scene.joints[switch.joint].type == "cylindrical"
+            record["component"], record["freedom"] = second, records[b]["freedom"] + second
+            sign = links[b].sign
+        else:
+            element = number
+            if switch.coupling is None:
+                number += 1
+                joint = scene.joints[switch.joint]
+                # cuts.cut_elements exchanges the ends of a joint whose child is fixed.
+                swapped = places[joint.child][0] == WORLD
+                sign = -1.0 if switch.kind in NAMES and swapped else 1.0
+                record["joint"] = -1 if switch.joint in in_tree else switch.joint
+            else:
+                element = len(elements) - couplings + switch.coupling
+            row = record["row"] = of_element[element]
+            record["residual"] = elements[element]["row_start"]
+            record["freedom"], switched[row] = freedoms + row, 1
+        record["turned"], record["sign"] = switch.is_angle, sign
+        _set_numbers(record, switch, sign)
+    return {"switches": table, "switched": switched, "has_switched_rows": bool(switched.any())}
 
 
-def _record(joint, j, link, freedom, sign):
-    limits, friction = joint.limits, joint.friction
+def _set_numbers(record, switch, sign):
+    limits, friction = switch.limits, switch.friction
     stops = (-math.inf, math.inf) if limits is None else (limits.least, limits.largest)
-    if sign < 0.0:
-        stops = -stops[1], -stops[0]
-    expected = 0.0 if limits is None else sign * limits.expected
-    restitution = stiffness = damping = 0.0
+    record["lower"], record["upper"] = stops if sign > 0.0 else (-stops[1], -stops[0])
     if limits is not None:
-        restitution, stiffness, damping = (
-            value or 0.0 for value in (limits.restitution, limits.stiffness, limits.damping)
-        )
-    dry = (0.0, 0.0, 0.0)
+        record["expected"] = sign * limits.expected
+        for key in ("restitution", "stiffness", "damping"):
+            record[key] = getattr(limits, key) or 0.0
     if friction is not None:
-        dry = friction.coulomb, friction.at_rest, friction.viscous
-    return j, link, freedom, 0, sign, *stops, expected, restitution, stiffness, damping, *dry
+        record["coulomb"], record["static"] = friction.coulomb, friction.at_rest
+        record["viscous"] = friction.viscous

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Freedoms of the tree with stops or dry friction: their forces, and how far the next event is.
+"""Coordinates with stops or dry friction: their forces, and how far the next event is.
 
-A switch is such a freedom. It is free or held. A held freedom does not accelerate: the sweeps of
-trees.py leave it in the inertia of its link, so that its rate stays exactly zero. What holds it, the
-contact at a rigid stop or the friction of a joint at rest, follows from what the equations of motion
-of its link lack. A free one has sliding friction, and the force of a compliant stop beyond it:
+A switch is such a coordinate. It is free or held. Most are freedoms of the tree. A held freedom does
+not accelerate: the sweeps of trees.py leave it in the inertia of its link, so that its rate stays
+exactly zero. What holds it, the contact at a rigid stop or the friction of a joint at rest, follows
+from what the equations of motion of its link lack. The others, the length of a cable, the slack of a
+coupling, the angle of a cone, the coordinate of a cut joint, are rows beside those of the cut joints:
+held, a row is solved for like them, and its multiplier is what holds it; else it does not act. A free
+switch has sliding friction, and the force of a compliant stop beyond it:
 
     -slip coulomb - viscous qdot   and, beyond a compliant stop,  stiffness depth + damping d depth/dt
 
@@ -19,15 +22,20 @@ import numpy as np
 from liegroup_core.compiling import kernel
 from liegroup_core.forces.turn import unwrapped
 
-from .arrays import SLIDE
+from .coupled_rows import set_gap
 from .kinds import (
     add_effort,
     add_multipliers,
     add_own_forces,
     gather_forces,
+    lift_links,
     link_coordinate,
     link_shift,
+    move_links,
+    place_links,
+    set_present_residual,
 )
+from .matrix import is_off
 
 # Columns of Work.modes.
 SLIP, SIDE, COORDINATE, KNOWN = 0, 1, 2, 3
@@ -59,22 +67,52 @@ def set_modes(model, work, modes):
 
 @kernel
 def coordinate(model, work, k, pose):
-    """Coordinate of switch k, rad in the turn of the last one, or m."""
+    """Coordinate of switch k, rad in the turn of the last one, or m; of a row: see `set_gap`."""
     switch = model.switches[k]
     b = switch["link"]
+    if b < 0:
+        return work.reach[k]
     if switch["component"] == 1:
         return link_shift(model, b, pose)
     q = link_coordinate(model, b, pose)
-    if model.bodies[b]["group"] == SLIDE:
+    if switch["turned"] == 0:
         return q
     return unwrapped(q, work.modes[k, COORDINATE])
 
 
 @kernel
+def _find_rows(model, work):
+    """Coordinates of the switches that are rows, at the links of the stage."""
+    if model.has_switched_rows:
+        lift_links(model, work)
+        set_gap(model, work)
+
+
+@kernel
 def count_coordinates(model, work):
-    """Keep the coordinates of all switches at the end of a step."""
+    """Keep the coordinates of all switches at the end of a step; held rows stay where they are held."""
+    if model.has_switched_rows:
+        move_links(model, work)
+        place_links(model, work)
+        _find_rows(model, work)
     for k in range(len(model.switches)):
-        work.modes[k, COORDINATE] = coordinate(model, work, k, work.stage_pose)
+        if model.switches[k]["row"] < 0 or work.held[model.switches[k]["freedom"]] == 0.0:
+            work.modes[k, COORDINATE] = coordinate(model, work, k, work.stage_pose)
+
+
+@kernel
+def set_rates(model, work, out):
+    """Rates and accelerations of all switches at the stage, to out (k, 2)."""
+    if model.has_switched_rows:
+        set_present_residual(model, work)
+    for k in range(len(model.switches)):
+        switch = model.switches[k]
+        r = switch["row"]
+        if r < 0:
+            out[k, 0] = work.stage_twist[len(model.parts) + switch["link"], switch["component"]]
+            out[k, 1] = work.acceleration[switch["freedom"], 0]
+        else:
+            out[k, 0], out[k, 1] = work.slip[r], work.right[r]
 
 
 @kernel
@@ -93,21 +131,43 @@ def _pressure(switch, q, rate, side):
 
 
 @kernel
+def _effort(model, work, k, rate):
+    """Friction and force of a compliant stop of switch k, which is not held, N m or N."""
+    switch, side = model.switches[k], work.modes[k, SIDE]
+    effort = -work.modes[k, SLIP] * switch["coulomb"] - switch["viscous"] * rate
+    if side != 0.0:
+        q = coordinate(model, work, k, work.stage_pose)
+        effort -= side * _pressure(switch, q, rate, side)
+    return effort
+
+
+@kernel
 def apply_switches(model, work):
-    """Apply friction and compliant stops to the links at the stage."""
+    """Apply friction and compliant stops of freedoms to the links at the stage."""
     n = len(model.parts)
     for k in range(len(model.switches)):
         switch = model.switches[k]
         b, component = switch["link"], switch["component"]
-        if work.held[switch["freedom"]] != 0.0:
-            continue
-        rate = work.stage_twist[n + b, component]
-        effort = -work.modes[k, SLIP] * switch["coulomb"] - switch["viscous"] * rate
-        side = work.modes[k, SIDE]
-        if side != 0.0:
-            q = coordinate(model, work, k, work.stage_pose)
-            effort -= side * _pressure(switch, q, rate, side)
-        add_effort(model, work, b, component, effort)
+        if b >= 0 and work.held[switch["freedom"]] == 0.0:
+            effort = _effort(model, work, k, work.stage_twist[n + b, component])
+            add_effort(model, work, b, component, effort)
+
+
+@kernel
+def set_row_efforts(model, work):
+    """Multipliers of the rows that are not held, by friction and compliant stops; whether there are any."""
+    compliant, found = False, False
+    for k in range(len(model.switches)):
+        if model.switches[k]["row"] >= 0 and work.modes[k, SIDE] != 0.0:
+            compliant = compliant or model.switches[k]["stiffness"] > 0.0
+    if compliant:
+        _find_rows(model, work)
+    for k in range(len(model.switches)):
+        r = model.switches[k]["row"]
+        if r >= 0 and is_off(model, work, r):
+            work.multipliers[r] = -_effort(model, work, k, work.slip[r])
+            found = found or work.multipliers[r] != 0.0
+    return found
 
 
 @kernel
@@ -139,23 +199,26 @@ def bounds(switch, side):
 @kernel
 def set_guards(model, work):
     """How far every switch is from its next event, to work.guards: negative if it is beyond."""
-    n, held = len(model.parts), False
+    held = False
     for k in range(len(model.switches)):
         for c in range(5):
             work.guards[k, c] = math.inf
         held = held or work.held[model.switches[k]["freedom"]] != 0.0
+    set_rates(model, work, work.now)
+    _find_rows(model, work)
     total = _hold(model, work) if held else 0.0
     for k in range(len(model.switches)):
         switch, guards, side = model.switches[k], work.guards, work.modes[k, SIDE]
         f = switch["freedom"]
         if work.held[f] != 0.0:
-            effort = -work.freedoms[f, 7]
+            row = switch["row"]
+            effort = -work.freedoms[f, 7] if row < 0 else -work.multipliers[row]
             least, most = bounds(switch, side)
             guards[k, LEAST] = effort - least + ROUND_OFF * total
             guards[k, MOST] = most - effort + ROUND_OFF * total
             continue
         q = coordinate(model, work, k, work.stage_pose)
-        rate = work.stage_twist[n + switch["link"], switch["component"]]
+        rate = work.now[k, 0]
         if switch["stiffness"] == 0.0:
             guards[k, LOWER], guards[k, UPPER] = q - switch["lower"], switch["upper"] - q
         else:
@@ -186,28 +249,20 @@ def _dip(g0, d0, g1, d1, h):
 
 
 @kernel
-def crossed(model, work, h, twist):
-    """Whether a guard is crossed in a step of size h to the stage; where, to work.crossed.
-
-    twist : at the start of the step
-    """
+def crossed(model, work, h):
+    """Whether a guard is crossed in a step of size h to the stage; where, to work.crossed."""
     set_guards(model, work)
-    n, found = len(model.parts), False
+    found = False
     for k in range(len(model.switches)):
         switch, guards, places = model.switches[k], work.guards, work.crossed
-        f, row, component = switch["freedom"], n + switch["link"], switch["component"]
         for c in range(5):
             places[k, c] = NONE
-        if work.held[f] != 0.0:
+        if work.held[switch["freedom"]] != 0.0:
             for c in range(LEAST, MOST + 1):
                 if guards[k, c] < 0.0:
                     places[k, c] = 1.0
         else:
-            q0, v0, v1 = (
-                work.modes[k, COORDINATE],
-                twist[row, component],
-                work.stage_twist[row, component],
-            )
+            q0, v0, v1 = work.modes[k, COORDINATE], work.since[k, 0], work.now[k, 0]
             for c in range(2):
                 sign = 1.0 if c == LOWER else -1.0
                 if switch["stiffness"] > 0.0:
@@ -225,7 +280,7 @@ def crossed(model, work, h, twist):
                 places[k, SLIDING] = 1.0
             elif guards[k, SLIDING] < math.inf:
                 sign = work.modes[k, SLIP]
-                a0, a1 = work.slopes[f, 1], work.acceleration[f, 0]
+                a0, a1 = work.since[k, 1], work.now[k, 1]
                 places[k, SLIDING] = _dip(sign * v0, sign * a0, sign * v1, sign * a1, h)
         for c in range(5):
             found = found or places[k, c] != NONE

@@ -4,11 +4,13 @@
 from liegroup_core.compiling import borrowed, stepper
 from liegroup_core.formulations.relative.dynamics import accelerations
 from liegroup_core.formulations.relative.impulses import (
+    add_impulse,
     clear_impulses,
     factor_rows,
     respond_to_impulses,
+    set_rate_changes,
 )
-from liegroup_core.formulations.relative.kinds import add_pair, move_links, place_links
+from liegroup_core.formulations.relative.kinds import move_links, place_links
 from liegroup_core.formulations.relative.switches import count_coordinates, set_guards
 from liegroup_core.integrators.link_state import begin, enter, leave
 from liegroup_core.status import DEPENDENT_ROWS, OK
@@ -29,10 +31,10 @@ def look(model, work, pose_in, twist_in, external_in):
 
 
 @stepper
-def respond(model, work, out):
-    """Changes of all rates, (k, f), by unit impulses at the switches; the stage is that of `look`.
+def respond(model, work, out, mobility):
+    """Changes by unit impulses at the switches: of all rates, (k, f), and of those of the switches, (k, k).
 
-    returns a status
+    The stage is that of `look`. Returns a status.
     """
     move_links(model, work)
     place_links(model, work)
@@ -40,12 +42,12 @@ def respond(model, work, out):
     if dependent >= 0:
         return DEPENDENT_ROWS + (model.owners[dependent] << 8)
     for k in range(len(model.switches)):
-        switch = model.switches[k]
         clear_impulses(model, work)
-        add_pair(model, work, switch["link"], switch["component"], -1.0, work.force, 1)
+        add_impulse(model, work, k, 1.0)
         respond_to_impulses(model, work)
-        for f in range(len(work.held)):
+        for f in range(len(work.freedoms)):
             out[k, f] = work.acceleration[f, 0]
+        set_rate_changes(model, work, mobility, k)
     return OK
 
 

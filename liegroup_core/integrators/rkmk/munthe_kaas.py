@@ -194,7 +194,7 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
                 if status == OK and not accepted:
                     continue
             if status == OK and watching:
-                if spaces.has_event(model, work, h - remaining, size, twist):
+                if spaces.has_event(model, work, h - remaining, size):
                     status = EVENT
             if status == OK and model.projects:
                 status = spaces.close(model, work)

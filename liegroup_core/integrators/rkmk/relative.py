@@ -13,7 +13,7 @@ from liegroup_core.formulations.relative.arrays import BALL, PLANE
 from liegroup_core.formulations.relative.dynamics import accelerations
 from liegroup_core.formulations.relative.kinds import displace, normalise
 from liegroup_core.formulations.relative.loops import project
-from liegroup_core.formulations.relative.switches import count_coordinates, crossed
+from liegroup_core.formulations.relative.switches import count_coordinates, crossed, set_rates
 from liegroup_core.integrators.link_state import begin as begin
 from liegroup_core.integrators.link_state import enter as enter
 from liegroup_core.integrators.link_state import leave as leave
@@ -96,6 +96,8 @@ def store_slopes(model, work, scheme, group, stage):
                 work.slopes[at + k, 0] = work.stage_twist[row, k]
         for k in range(link["freedoms"]):
             work.slopes[at + k, 1] = work.acceleration[f + k, 0]
+    if stage == 0 and len(model.switches) > 0:
+        set_rates(model, work, work.since)
 
 
 @kernel
@@ -161,9 +163,9 @@ def watches(model, work):
 
 
 @kernel
-def has_event(model, work, start, h, twist):
+def has_event(model, work, start, h):
     """Whether stops or friction change in a substep of size h that starts at a time of the step."""
-    if not crossed(model, work, h, twist):
+    if not crossed(model, work, h):
         return False
     work.watch[1], work.watch[2] = start, h
     return True

@@ -28,9 +28,9 @@ for a RelativeModel or a PlaneModel:
                             unwrap the angles of torsional springs at the end of the step
     watches(model, work) -> bool
                             whether stops and dry friction are looked at: see switching.py
-    has_event(model, work, start, h, twist) -> bool
-                            whether they change in a substep of size h from `twist`, start s after
-                            that of the step
+    has_event(model, work, start, h) -> bool
+                            whether they change in a substep of size h that starts `start` s after
+                            the step
 """
 
 from liegroup_core.formulations.relative.kinds import by_formulation

@@ -177,7 +177,7 @@ def watches(model, work):
 
 
 @kernel
-def has_event(model, work, start, h, twist):
+def has_event(model, work, start, h):
     """Whether stops or friction change in a substep; see `watches`."""
     return False
 

@@ -66,7 +66,7 @@ class JointEvent(NamedTuple):
     """What happened at a joint with stops or friction.
 
     time    : s
-    joint   : index in the scene
+    joint   : number of the switch
     kind    : "impact", "stop" (it stays at a stop), "leave" (a stop), "stick" or "slip"
     impulse : of an impact, on the joint's coordinate, N m s or N s
     energy  : change of the kinetic energy by this impulse, J; not positive in sum
@@ -110,11 +110,11 @@ class Switching:
     def __init__(self, model, work, take, control):
         self._model, self._work, self._take, self._control = model, work, take, control
         table = model.switches
-        self._rows, self._freedoms = len(model.parts) + table["link"], table["freedom"]
-        self._components = table["component"]
+        self._freedoms, self._is_row = table["freedom"], table["row"] >= 0
         self._rigid, self._dry = table["stiffness"] == 0.0, table["static"] > 0.0
-        self._responses = np.zeros((len(table), len(work.held)))
-        self._no_changes = np.zeros(len(work.held))
+        self._responses = np.zeros((len(table), len(work.freedoms)))
+        self._mobility = np.zeros((len(table), len(table)))
+        self._no_changes = np.zeros(len(work.freedoms))
         self._look, self._respond = SameTypes(look), SameTypes(respond)
         self._change_rates = SameTypes(change_rates)
         self.events, self.instants, self.count, self.parts = [], None, 0, 1
@@ -125,7 +125,7 @@ class Switching:
     def touch(self, pose, twist, external):
         """Call every kernel once; the state stays."""
         self._look(self._model, self._work, pose, twist, external)
-        self._respond(self._model, self._work, self._responses)
+        self._respond(self._model, self._work, self._responses, self._mobility)
         self._change_rates(self._model, self._work, self._no_changes, pose, twist)
 
     def adopt(self, other):
@@ -186,7 +186,7 @@ class Switching:
         if not known:
             beyond = (self._rigid[:, None] & (work.guards[:, : UPPER + 1] < -BEYOND)).any(axis=1)
             if beyond.any():
-                return BEYOND_STOP + (int(self._model.switches["joint"][beyond][0]) << 8)
+                return BEYOND_STOP + (int(np.argmax(beyond)) << 8)
             rates = self._rates()
             work.modes[:, SLIP] = np.where(self._dry, np.sign(rates), 0.0)
             soft = ~self._rigid
@@ -311,7 +311,16 @@ class Switching:
             part[:] = values
 
     def _rates(self):
-        return self._work.twist[self._rows, self._components].copy()
+        """(k,) rates where `look` was."""
+        return self._work.now[:, 0].copy()
+
+    def _stop(self, switches):
+        """Rates of freedoms become exactly zero."""
+        links, n = self._model.switches["link"], len(self._model.parts)
+        for k in switches:
+            if not self._is_row[k]:
+                row, component = n + links[k], self._model.switches["component"][k]
+                self._work.twist[row, component] = self._work.now[k, 0] = 0.0
 
     def _switch(self, time, state, crossed):
         """Impulses and new modes at an event; crossed: mask of the guards that are zero.
@@ -375,21 +384,19 @@ class Switching:
         towards = side[hit] * accelerations[hit]
         rebound = restitution * np.maximum(side[hit] * rates[hit], 0.0)
         restitution[rebound**2 <= 2.0 * SMALLEST_REBOUND * np.maximum(towards, 0.0)] = 0.0
-        A = self._responses[hit][:, self._freedoms[hit]]
+        A = self._mobility[np.ix_(hit, hit)]
         lo = np.where((side[hit] > 0.0) | stays[hit], -np.inf, 0.0)
         hi = np.where((side[hit] < 0.0) | stays[hit], np.inf, 0.0)
         approach = np.where(side[hit] * rates[hit] > 0.0, rates[hit], 0.0)
         for e in (restitution, np.full(len(hit), restitution.min())):
             p, _, at = solve(0.5 * (A + A.T), rates[hit] + e * approach, lo, hi)
-            changes = p @ self._responses[hit]
-            after = rates[hit] + changes[self._freedoms[hit]]
+            after = rates[hit] + p @ A
             after[(at == FREE) & (e * approach == 0.0)] = 0.0
             energy = 0.5 * p * (rates[hit] + after)
             if energy.sum() <= 0.0:
                 break
-        self._change_rates(model, work, changes, *state[:2])
-        still = hit[(at == FREE) & (e * approach == 0.0)]
-        work.twist[self._rows[still], self._components[still]] = 0.0
+        self._change_rates(model, work, p @ self._responses[hit], *state[:2])
+        self._stop(hit[(at == FREE) & (e * approach == 0.0)])
         signs = model.switches["sign"]
         if self.impacts is not None:
             impulses = np.zeros(len(signs))
@@ -397,18 +404,19 @@ class Switching:
             self.impacts.append((float(time), state[0].copy(), impulses))
         for k, impulse, loss in zip(hit, p, energy):
             if impulse != 0.0:
-                joint = int(model.switches["joint"][k])
                 self.events.append(
-                    JointEvent(time, joint, IMPACT, float(signs[k] * impulse), float(loss))
+                    JointEvent(time, int(k), IMPACT, float(signs[k] * impulse), float(loss))
                 )
-        return OK
+        return self._look(model, work, *state)
 
     def _look_and_respond(self, state):
         """(accelerations of the switches, status); the responses to unit impulses are kept."""
         status = self._look(self._model, self._work, *state)
-        accelerations = self._work.acceleration[self._freedoms, 0].copy()
+        accelerations = self._work.now[:, 1].copy()
         if status == OK:
-            status = self._respond(self._model, self._work, self._responses)
+            status = self._respond(
+                self._model, self._work, self._responses, self._mobility
+            )
         return accelerations, status
 
     def _choose(self, state, side, resting, rates, crossed, pressed):
@@ -426,11 +434,11 @@ class Switching:
         chosen = np.flatnonzero(resting)
         if not len(chosen):
             return OK
-        work.twist[self._rows[chosen], self._components[chosen]] = 0.0
+        self._stop(chosen)
         accelerations, status = self._look_and_respond(state)
         if status != OK:
             return status
-        A = self._responses[chosen][:, self._freedoms[chosen]]
+        A = self._mobility[np.ix_(chosen, chosen)]
         A, b = 0.5 * (A + A.T), accelerations[chosen]
         ends = np.array([bounds(table[k], side[k] if self._rigid[k] else 0.0) for k in chosen])
         lo, hi = ends.T.copy()
@@ -457,6 +465,8 @@ class Switching:
             if holds:
                 work.held[self._freedoms[k]] = 1.0
                 modes[k, SIDE] = side[k] if self._rigid[k] else modes[k, SIDE]
+                if self._is_row[k] and modes[k, SIDE] != 0.0:
+                    modes[k, COORDINATE] = table["lower" if side[k] < 0.0 else "upper"][k]
             elif self._dry[k]:
                 modes[k, SLIP] = -entry
         self._change_rates(model, work, self._no_changes, *state[:2])
@@ -483,13 +493,13 @@ class Switching:
         """Write what has changed to `events`."""
         held, modes = before
         now = self._work.held[self._freedoms]
-        for k, joint in enumerate(self._model.switches["joint"].tolist()):
+        for k in range(len(modes)):
             side, old = self._work.modes[k, SIDE], modes[k, SIDE]
             if side != 0.0 and old != side:
-                self.events.append(JointEvent(time, joint, STOP))
+                self.events.append(JointEvent(time, k, STOP))
             elif side == 0.0 and old != 0.0:
-                self.events.append(JointEvent(time, joint, LEAVE))
+                self.events.append(JointEvent(time, k, LEAVE))
             elif side == 0.0 and now[k] and not held[k]:
-                self.events.append(JointEvent(time, joint, STICK))
+                self.events.append(JointEvent(time, k, STICK))
             elif held[k] and not now[k] and self._dry[k]:
-                self.events.append(JointEvent(time, joint, SLIDE))
+                self.events.append(JointEvent(time, k, SLIDE))
