@@ -20,6 +20,7 @@ from scipy.optimize import lsq_linear
 
 # Of its terms: w below is zero, and x within what causes this w of a bound is at it.
 TOLERANCE = 1e-11
+DEPENDENT = 1e-10  # of its own mobility: what is left of it when others are held
 PATIENCE = 5  # rounds of block pivoting without fewer wrong entries
 FREE, LOW, HIGH = 0, -1, 1
 
@@ -33,6 +34,11 @@ def solve(A, b, lo, hi, fixed=0):
     k = len(b)
     fixed = np.broadcast_to(fixed, k)
     at = fixed.copy()
+    # What nothing moves goes its way, at the bound that this asks for.
+    still = (np.diagonal(A) <= 0.0) & (fixed == FREE)
+    at[still & (b > 0.0) & np.isfinite(lo)] = LOW
+    at[still & (b < 0.0) & np.isfinite(hi)] = HIGH
+    fixed = np.where(still, at, fixed)
     fewest, patience = k + 1, PATIENCE
     mobility = np.maximum(np.diagonal(A), 1e-300)
     for _ in range(20 + 10 * k + 2 ** min(k, 10)):
@@ -57,6 +63,21 @@ def solve(A, b, lo, hi, fixed=0):
     lo, hi = np.where(fixed == HIGH, hi, lo), np.where(fixed == LOW, lo, hi)
     x, w = _least_squares(A, b, lo, hi)
     return x, w, np.where(x <= lo, LOW, np.where(x >= hi, HIGH, FREE))
+
+
+def independent(A, free):
+    """(mask of free entries that are independent, mask of the others that depend on these).
+
+    The entries with the largest rest are taken first: Cholesky's factorisation with pivots.
+    """
+    rest, left = A.astype(float), free.copy()
+    held = np.zeros(len(A), dtype=bool)
+    least = DEPENDENT * np.diagonal(A)
+    while (left := left & (np.diagonal(rest) > least)).any():
+        k = np.argmax(np.where(left, np.diagonal(rest), -np.inf))
+        rest = rest - np.outer(rest[:, k], rest[k] / rest[k, k])
+        held[k], left[k] = True, False
+    return held, ~held & (np.diagonal(rest) <= least)
 
 
 def _with(A, b, lo, hi, at):

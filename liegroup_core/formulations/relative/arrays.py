@@ -214,8 +214,9 @@ class RelativeWork(Struct):
     external: np.ndarray  # (n, COLUMNS), see forces/external.py: external wrenches of the call
     pushed: np.ndarray  # (1,) 1 if any of them is not zero
     held: np.ndarray  # (f + m,) 1 if a freedom, or the row of a switch, is held: see switches.py
-    modes: np.ndarray  # (k, 4) of each switch: direction of slip; stop that it touches, -1 lower,
-    # 1 upper; coordinate at the start of the step, in its turn; 1 if these are known
+    modes: np.ndarray  # (k, 6) of each switch: direction of slip; stop that it touches, -1 lower,
+    # 1 upper; coordinate at the start of the step, in its turn; 1 if these are known; 1 if it rests
+    # because of others that are held, and its effort then
     reach: np.ndarray  # (k,) coordinate of each switch that is a row
     since: np.ndarray  # (k, 2) rate and acceleration of each at the start of the step
     now: np.ndarray  # (k, 2) and at the stage
@@ -277,7 +278,7 @@ def make_relative_work(model, work, stages):
         reach=np.zeros(len(model.switches)),
         since=np.zeros((len(model.switches), 2)),
         now=np.zeros((len(model.switches), 2)),
-        modes=np.zeros((len(model.switches), 4)),
+        modes=np.zeros((len(model.switches), 6)),
         guards=np.zeros((len(model.switches), 5)),
         crossed=np.zeros((len(model.switches), 5)),
         watch=np.zeros(3),

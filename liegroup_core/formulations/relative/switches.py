@@ -6,8 +6,10 @@ not accelerate: the sweeps of trees.py leave it in the inertia of its link, so t
 exactly zero. What holds it, the contact at a rigid stop or the friction of a joint at rest, follows
 from what the equations of motion of its link lack. The others, the length of a cable, the slack of a
 coupling, the angle of a cone, the coordinate of a cut joint, are rows beside those of the cut joints:
-held, a row is solved for like them, and its multiplier is what holds it; else it does not act. A free
-switch has sliding friction, and the force of a compliant stop beyond it:
+held, a row is solved for like them, and its multiplier is what holds it; else it does not act. Where
+more switches are at rest than the mechanism has freedoms, some are held, and the others rest with
+them, each with the effort that it had last. A free switch has sliding friction, and the force of a
+compliant stop beyond it:
 
     -slip coulomb - viscous qdot   and, beyond a compliant stop,  stiffness depth + damping d depth/dt
 
@@ -38,22 +40,24 @@ from .kinds import (
 from .matrix import is_off
 
 # Columns of Work.modes.
-SLIP, SIDE, COORDINATE, KNOWN = 0, 1, 2, 3
+SLIP, SIDE, COORDINATE, KNOWN, RESTS, EFFORT = range(6)
 # Columns of Work.guards; LOWER and UPPER are the stops, the last two the bounds of what holds.
 LOWER, UPPER, SLIDING, LEAST, MOST = 0, 1, 2, 3, 4
 # Of the wrenches on all links: what holds a freedom is known to this part.
 ROUND_OFF = 1e-13
+MOVES = 1e-9  # rad/s or m/s: what rests because of others moves from here on
 NONE = -1.0  # in Work.crossed: the guard is not crossed
 
 
 def modes_of(model, work):
-    """(k, 4) of each switch, in the coordinate of its joint: 1 if it is held, direction of slip,
+    """(k, 4) of each switch, in the coordinate of its joint: 1 if it is at rest, direction of slip,
     stop that it touches (-1 lower, 1 upper), coordinate.
     """
     table, modes = model.switches, work.modes
     signs = table["sign"][:, None]
     own = modes[:, [SLIP, SIDE, COORDINATE]] * signs
-    return np.hstack([work.held[table["freedom"], None], own])
+    at_rest = np.maximum(work.held[table["freedom"]], modes[:, RESTS])
+    return np.hstack([at_rest[:, None], own])
 
 
 def set_modes(model, work, modes):
@@ -62,7 +66,7 @@ def set_modes(model, work, modes):
     work.held[:] = 0.0
     work.held[table["freedom"]] = modes[:, 0]
     work.modes[:, [SLIP, SIDE, COORDINATE]] = modes[:, 1:] * table["sign"][:, None]
-    work.modes[:, KNOWN] = 1.0
+    work.modes[:, KNOWN], work.modes[:, RESTS] = 1.0, 0.0
 
 
 @kernel
@@ -134,6 +138,8 @@ def _pressure(switch, q, rate, side):
 def _effort(model, work, k, rate):
     """Friction and force of a compliant stop of switch k, which is not held, N m or N."""
     switch, side = model.switches[k], work.modes[k, SIDE]
+    if work.modes[k, RESTS] != 0.0:
+        return work.modes[k, EFFORT]
     effort = -work.modes[k, SLIP] * switch["coulomb"] - switch["viscous"] * rate
     if side != 0.0:
         q = coordinate(model, work, k, work.stage_pose)
@@ -217,8 +223,11 @@ def set_guards(model, work):
             guards[k, LEAST] = effort - least + ROUND_OFF * total
             guards[k, MOST] = most - effort + ROUND_OFF * total
             continue
-        q = coordinate(model, work, k, work.stage_pose)
         rate = work.now[k, 0]
+        if work.modes[k, RESTS] != 0.0:
+            guards[k, SLIDING] = MOVES - abs(rate)
+            continue
+        q = coordinate(model, work, k, work.stage_pose)
         if switch["stiffness"] == 0.0:
             guards[k, LOWER], guards[k, UPPER] = q - switch["lower"], switch["upper"] - q
         else:
@@ -257,8 +266,8 @@ def crossed(model, work, h):
         switch, guards, places = model.switches[k], work.guards, work.crossed
         for c in range(5):
             places[k, c] = NONE
-        if work.held[switch["freedom"]] != 0.0:
-            for c in range(LEAST, MOST + 1):
+        if work.held[switch["freedom"]] != 0.0 or work.modes[k, RESTS] != 0.0:
+            for c in range(SLIDING, MOST + 1):
                 if guards[k, c] < 0.0:
                     places[k, c] = 1.0
         else:

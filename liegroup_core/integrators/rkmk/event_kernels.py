@@ -31,10 +31,12 @@ def look(model, work, pose_in, twist_in, external_in):
 
 
 @stepper
-def respond(model, work, out, mobility):
+def respond(model, work, out, mobility, open_mobility):
     """Changes by unit impulses at the switches: of all rates, (k, f), and of those of the switches, (k, k).
 
-    The stage is that of `look`. Returns a status.
+    The stage is that of `look`. open_mobility (k,) : change of its own rate without closed loops, whose
+    round-off is that of `mobility`
+    returns a status
     """
     move_links(model, work)
     place_links(model, work)
@@ -44,7 +46,7 @@ def respond(model, work, out, mobility):
     for k in range(len(model.switches)):
         clear_impulses(model, work)
         add_impulse(model, work, k, 1.0)
-        respond_to_impulses(model, work)
+        open_mobility[k] = respond_to_impulses(model, work)
         for f in range(len(work.freedoms)):
             out[k, f] = work.acceleration[f, 0]
         set_rate_changes(model, work, mobility, k)

@@ -32,10 +32,12 @@ from scipy.optimize import brentq
 from liegroup_core.compiling import SameTypes
 from liegroup_core.formulations.relative.switches import (
     COORDINATE,
+    EFFORT,
     KNOWN,
     LEAST,
     LOWER,
     MOST,
+    RESTS,
     SIDE,
     SLIDING,
     SLIP,
@@ -43,7 +45,7 @@ from liegroup_core.formulations.relative.switches import (
     bounds,
     modes_of,
 )
-from liegroup_core.integrators.complementarity import FREE, HIGH, LOW, solve
+from liegroup_core.integrators.complementarity import FREE, HIGH, LOW, independent, solve
 from liegroup_core.status import BEYOND_STOP, EVENT, EVENTS_WITHOUT_END, MOST_EVENTS, OK
 
 from .event_kernels import change_rates, look, respond
@@ -57,6 +59,7 @@ TIME_STEP = 1e-15  # s; an event is found to this, and to round-off
 HALVINGS = 40
 MOST_KEPT = 100_000  # events that nobody has taken
 RETURNING = 1e-10  # of its terms: an acceleration below is zero
+IMMOBILE = 1e-13  # of its mobility without closed loops: a coordinate that loops hold at this pose
 LOOSE = 1e100  # tolerance of error control that no step fails
 
 IMPACT, STOP, LEAVE, STICK, SLIDE = "impact", "stop", "leave", "stick", "slip"
@@ -114,6 +117,7 @@ class Switching:
         self._rigid, self._dry = table["stiffness"] == 0.0, table["static"] > 0.0
         self._responses = np.zeros((len(table), len(work.freedoms)))
         self._mobility = np.zeros((len(table), len(table)))
+        self._open_mobility = np.zeros(len(table))
         self._no_changes = np.zeros(len(work.freedoms))
         self._look, self._respond = SameTypes(look), SameTypes(respond)
         self._change_rates = SameTypes(change_rates)
@@ -125,8 +129,17 @@ class Switching:
     def touch(self, pose, twist, external):
         """Call every kernel once; the state stays."""
         self._look(self._model, self._work, pose, twist, external)
-        self._respond(self._model, self._work, self._responses, self._mobility)
+        self._respond_at_stage()
         self._change_rates(self._model, self._work, self._no_changes, pose, twist)
+
+    def _respond_at_stage(self):
+        mobility, of_open = self._mobility, self._open_mobility
+        status = self._respond(self._model, self._work, self._responses, mobility, of_open)
+        # At a dead point of a loop nothing moves the coordinate: round-off is no mobility.
+        mobility[:] = 0.5 * (mobility + mobility.T)
+        dead = np.diagonal(mobility) <= IMMOBILE * of_open
+        mobility[dead], mobility[:, dead] = 0.0, 0.0
+        return status
 
     def adopt(self, other):
         """Continue with the modes of another one, at the same state."""
@@ -176,7 +189,7 @@ class Switching:
         inputs = (state[2].copy(), work.acting.copy(), work.wanted.copy(), work.motions.copy())
         same = self._inputs is not None and all(map(np.array_equal, inputs, self._inputs))
         self._inputs = inputs
-        if known and (same or not work.held.any()):
+        if known and (same or not self._at_rest().any()):
             return OK
         if not known:
             work.modes[:, COORDINATE] = self._model.switches["expected"]
@@ -314,6 +327,10 @@ class Switching:
         """(k,) rates where `look` was."""
         return self._work.now[:, 0].copy()
 
+    def _at_rest(self):
+        """(k,) 1 for what is held, or rests because of others that are."""
+        return np.maximum(self._work.held[self._freedoms], self._work.modes[:, RESTS])
+
     def _stop(self, switches):
         """Rates of freedoms become exactly zero."""
         links, n = self._model.switches["link"], len(self._model.parts)
@@ -333,7 +350,7 @@ class Switching:
             return status
         self.count += 1
         log = len(self.events)
-        modes, before = work.modes, (work.held[self._freedoms].copy(), work.modes.copy())
+        modes, before = work.modes, (self._at_rest(), work.modes.copy())
         for k, c in np.argwhere(crossed[:, : UPPER + 1] & ~self._rigid[:, None]):
             side = -1.0 if c == LOWER else 1.0
             modes[k, SIDE] = 0.0 if modes[k, SIDE] == side else side
@@ -374,7 +391,7 @@ class Switching:
         returns a status
         """
         model, work = self._model, self._work
-        work.held[:] = 0.0
+        work.held[:], work.modes[:, RESTS] = 0.0, 0.0
         work.modes[touching, SLIP] = 0.0
         accelerations, status = self._look_and_respond(state)
         if status != OK:
@@ -389,7 +406,7 @@ class Switching:
         hi = np.where((side[hit] < 0.0) | stays[hit], np.inf, 0.0)
         approach = np.where(side[hit] * rates[hit] > 0.0, rates[hit], 0.0)
         for e in (restitution, np.full(len(hit), restitution.min())):
-            p, _, at = solve(0.5 * (A + A.T), rates[hit] + e * approach, lo, hi)
+            p, _, at = solve(A, rates[hit] + e * approach, lo, hi)
             after = rates[hit] + p @ A
             after[(at == FREE) & (e * approach == 0.0)] = 0.0
             energy = 0.5 * p * (rates[hit] + after)
@@ -414,9 +431,7 @@ class Switching:
         status = self._look(self._model, self._work, *state)
         accelerations = self._work.now[:, 1].copy()
         if status == OK:
-            status = self._respond(
-                self._model, self._work, self._responses, self._mobility
-            )
+            status = self._respond_at_stage()
         return accelerations, status
 
     def _choose(self, state, side, resting, rates, crossed, pressed):
@@ -428,7 +443,7 @@ class Switching:
         """
         model, work = self._model, self._work
         modes, table = work.modes, model.switches
-        work.held[:] = 0.0
+        work.held[:], modes[:, RESTS] = 0.0, 0.0
         modes[:, SLIP] = np.where(self._dry & ~resting, np.sign(rates), 0.0)
         modes[self._rigid, SIDE] = 0.0
         chosen = np.flatnonzero(resting)
@@ -439,7 +454,7 @@ class Switching:
         if status != OK:
             return status
         A = self._mobility[np.ix_(chosen, chosen)]
-        A, b = 0.5 * (A + A.T), accelerations[chosen]
+        b = accelerations[chosen]
         ends = np.array([bounds(table[k], side[k] if self._rigid[k] else 0.0) for k in chosen])
         lo, hi = ends.T.copy()
         sliding = table["coulomb"][chosen]
@@ -453,22 +468,27 @@ class Switching:
                 released[back] = FREE
                 continue
             # What breaks away has the friction of sliding from then on, and others bear the rest.
-            away = (at != FREE) & (np.where(at == LOW, lo, hi) != 0.0)
+            held, rests = independent(A, at == FREE)
+            away = (at != FREE) & ~rests & (np.where(at == LOW, lo, hi) != 0.0)
             away &= np.abs(x) > sliding * (1.0 + 1e-15)
             if not away.any():
                 break
             lo[away & (at == LOW)] = -sliding[away & (at == LOW)]
             hi[away & (at != LOW)] = sliding[away & (at != LOW)]
-        still = np.abs(w) <= RETURNING * (np.abs(A) @ np.abs(x) + np.abs(b))
-        still &= (released == FREE) & pressed[chosen]
-        for k, entry, holds in zip(chosen, at, (at == FREE) | still):
-            if holds:
-                work.held[self._freedoms[k]] = 1.0
+        slow = np.abs(w) <= RETURNING * (np.abs(A) @ np.abs(x) + np.abs(b))
+        held |= slow & (released == FREE) & pressed[chosen] & ~rests
+        rests &= slow
+        for i, k in enumerate(chosen):
+            if held[i] or rests[i]:
                 modes[k, SIDE] = side[k] if self._rigid[k] else modes[k, SIDE]
+            if held[i]:
+                work.held[self._freedoms[k]] = 1.0
                 if self._is_row[k] and modes[k, SIDE] != 0.0:
                     modes[k, COORDINATE] = table["lower" if side[k] < 0.0 else "upper"][k]
+            elif rests[i]:
+                modes[k, RESTS], modes[k, EFFORT] = 1.0, x[i]
             elif self._dry[k]:
-                modes[k, SLIP] = -entry
+                modes[k, SLIP] = -at[i]
         self._change_rates(model, work, self._no_changes, *state[:2])
         return OK
 
@@ -492,7 +512,7 @@ class Switching:
     def _note(self, time, before):
         """Write what has changed to `events`."""
         held, modes = before
-        now = self._work.held[self._freedoms]
+        now = self._at_rest()
         for k in range(len(modes)):
             side, old = self._work.modes[k, SIDE], modes[k, SIDE]
             if side != 0.0 and old != side:
