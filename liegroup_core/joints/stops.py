@@ -107,6 +107,16 @@ class Friction(Described):
         None, description="largest friction at rest in N m or N, at least coulomb; default: coulomb"
     )
     viscous: NotNegative = Field(0.0, description="of the rate, in N m s/rad or N s/m")
+    mu: NotNegative = Field(
+        0.0,
+        description="coefficient of sliding friction by load, the force in the joint across its axis; not of a screw",
+    )
+    mu_static: NotNegative | None = Field(
+        None, description="coefficient of friction at rest by load, at least mu; default: mu"
+    )
+    radius: Positive | None = Field(
+        None, description="of the bearing in m, required with mu where the joint rotates"
+    )
 
     @model_validator(mode="after")
     def _check(self):
@@ -115,12 +125,23 @@ class Friction(Described):
                 f"static must be at least coulomb, got {self.static:g} and {self.coulomb:g}",
                 place=("static",),
             )
+        if self.mu_static is not None and self.mu_static < self.mu:
+            raise SceneError(
+                f"mu_static must be at least mu, got {self.mu_static:g} and {self.mu:g}",
+                place=("mu_static",),
+            )
         return self
 
     @property
     def at_rest(self):
-        """Largest friction at rest."""
+        """Largest constant friction at rest."""
         return self.coulomb if self.static is None else self.static
+
+    @property
+    def by_load(self):
+        """(sliding, at rest): friction for each N of load, N m or N."""
+        lever = 1.0 if self.radius is None else self.radius
+        return lever * self.mu, lever * (self.mu if self.mu_static is None else self.mu_static)
 
 
 class Cone(Stop):

@@ -32,10 +32,9 @@ from liegroup_core.lie.vec3 import (
 from liegroup_core.scene.consistency import resolve_frames
 
 from .coordinates import coordinates, place_links
-from .dynamics import apply_forces, solve_equations
+from .dynamics import apply_forces, balance
 from .impulses import add_impulse, clear_impulses, factor_rows, respond_to_impulses
 from .spanning_tree import WORLD_NAME, spanning_tree
-from .switches import apply_switches
 from .trees import move_links
 
 
@@ -217,8 +216,7 @@ def joint_wrenches(model, work, table, out):
     """
     _begin(model, work)
     apply_forces(model, work, work.external)
-    apply_switches(model, work)
-    found = solve_equations(model, work)
+    found = balance(model, work)
     if found >= 0:
         return found
     _sweep(model, work, table, 1.0, out)
