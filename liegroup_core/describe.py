@@ -16,7 +16,6 @@ from liegroup_core.layout import make_layout
 from liegroup_core.model.sparsity import operations
 from liegroup_core.model.symmetry import body_groups, conserved_momentum
 from liegroup_core.robots.description import COORDINATES
-from liegroup_core.scene.consistency import resolve_couplings
 from liegroup_core.scene.load import scene_from_robot
 
 from .integrators.families import check_options, choose_group, fitting_methods
@@ -65,7 +64,7 @@ def describe(layout):
     Raises SceneError.
     """
     scene, model = layout.scene, layout.model
-    dropped = layout.dropped_rows
+    dropped, coupled = layout.dropped_rows, resolve_couplings(layout.centred)
     rows = {joint.name: [] for joint in scene.joints}
     for owner, names in zip(layout.owners, layout.row_names):
         rows[scene.joints[owner].name] += names

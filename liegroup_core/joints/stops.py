@@ -109,7 +109,7 @@ class Friction(Described):
     viscous: NotNegative = Field(0.0, description="of the rate, in N m s/rad or N s/m")
     mu: NotNegative = Field(
         0.0,
-        description="coefficient of sliding friction by load, the force in the joint across its axis; not of a screw",
+        description="coefficient of sliding friction by load, the force across the axis; not of a screw",
     )
     mu_static: NotNegative | None = Field(
         None, description="coefficient of friction at rest by load, at least mu; default: mu"

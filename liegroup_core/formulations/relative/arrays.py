@@ -224,7 +224,9 @@ class RelativeWork(Struct):
     reach: np.ndarray  # (k,) coordinate of each switch that is a row
     since: np.ndarray  # (k, 2) rate and acceleration of each at the start of the step
     now: np.ndarray  # (k, 2) and at the stage
-    loads: np.ndarray  # (k, 4) force across the axis of each that its friction counts with, and that
+    loads: (
+        np.ndarray
+    )  # (k, 4) force across the axis of each that its friction counts with, and that
     # of the present accelerations, N; both of the iteration before: see loads.py
     iteration: np.ndarray  # (3,) 1: the loads are given; 1: they did not settle; scratch
     guards: np.ndarray  # (k, 5) how far each switch is from its next events

@@ -47,7 +47,14 @@ from liegroup_core.formulations.relative.switches import (
     modes_of,
 )
 from liegroup_core.integrators.complementarity import FREE, HIGH, LOW, independent, solve
-from liegroup_core.status import BEYOND_STOP, EVENT, EVENTS_WITHOUT_END, MOST_EVENTS, NO_FRICTION, OK
+from liegroup_core.status import (
+    BEYOND_STOP,
+    EVENT,
+    EVENTS_WITHOUT_END,
+    MOST_EVENTS,
+    NO_FRICTION,
+    OK,
+)
 
 from .event_kernels import change_rates, look, respond
 
@@ -116,8 +123,9 @@ class Switching:
         self._model, self._work, self._take, self._control = model, work, take, control
         table = model.switches
         self._freedoms, self._is_row = table["freedom"], table["row"] >= 0
-        self._rigid, self._dry = table["stiffness"] == 0.0, (
-            table["static"] + table["static_by_load"] > 0.0
+        self._rigid, self._dry = (
+            table["stiffness"] == 0.0,
+            (table["static"] + table["static_by_load"] > 0.0),
         )
         self._responses = np.zeros((len(table), len(work.freedoms)))
         self._mobility = np.zeros((len(table), len(table)))
