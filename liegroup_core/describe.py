@@ -16,6 +16,7 @@ from liegroup_core.layout import make_layout
 from liegroup_core.model.sparsity import operations
 from liegroup_core.model.symmetry import body_groups, conserved_momentum
 from liegroup_core.robots.description import COORDINATES
+from liegroup_core.scene.consistency import resolve_couplings
 from liegroup_core.scene.load import scene_from_robot
 
 from .integrators.families import check_options, choose_group, fitting_methods
@@ -120,7 +121,7 @@ def describe(layout):
         "degrees_of_freedom": 6 * len(model.bodies)
         - len(model.row_residual)
         - len(layout.relative.couplings)
-        + sum(entry.has_slack for entry in coupled),
+        + sum(coupling.backlash is not None for coupling in scene.couplings),
         "rows": int(model.elements["rows"].sum()),
         "solved_rows": len(model.row_residual),
         "dropped_rows": [list(entry) for entry in dropped],
