@@ -15,7 +15,7 @@ class JointBase(Described):
     """Joint of a scene between a body and another one or the world.
 
     A subclass has `elements(C_rel)`: the constraint elements for the initial pose C_rel (4, 4) of
-    the child's joint frame in the parent's one. It may override `locates_child` and `remedy`.
+    the child's joint frame in the parent's one. It may override `constrains`, `locates_child` and `remedy`.
     """
 
     name: Name = Field(description="name, unique among joints and forces")
@@ -71,6 +71,11 @@ class JointBase(Described):
             return []
         kind = SLIDE if self.type == "prismatic" else TURN
         return [Switch(self.name, kind, self.limits, self.friction)]
+
+    @property
+    def constrains(self):
+        """True if the joint takes freedoms from the mechanism."""
+        return True
 
     @property
     def locates_child(self):

@@ -23,7 +23,14 @@ from .pairs import LOWER_PAIRS, pair_coordinates, pair_element
 from .perpendicular import PERPENDICULAR
 from .stops import CONE, SLIDE, TURN, Cone, CylinderFriction, CylinderLimits, Switch
 
-__all__ = ["CableJoint", "CylindricalJoint", "DistanceJoint", "Joint", "ScrewJoint", "SphericalJoint"]
+__all__ = [
+    "CableJoint",
+    "CylindricalJoint",
+    "DistanceJoint",
+    "Joint",
+    "ScrewJoint",
+    "SphericalJoint",
+]
 
 TYPES = LOWER_PAIRS | {
     "universal": JointType(
@@ -70,7 +77,9 @@ class SphericalJoint(JointBase):
     """Ball joint, which may have a cone that its axes stay in."""
 
     type: Literal["spherical"] = Field("spherical", description="spherical")
-    limits: Cone | None = Field(None, description="cone that the child's z axis stays in; see there")
+    limits: Cone | None = Field(
+        None, description="cone that the child's z axis stays in; see there"
+    )
 
     def elements(self, C_rel):
         """One lower pair."""

@@ -259,7 +259,11 @@ def _check_stops(scene, start):
         off = -1.0 if switch.limits is None else switch.limits.excess(q)
         if off > TOLERANCE * (1.0 + abs(q)):
             unit = unit_of(switch, scene)
-            key, i = ("joints", switch.joint) if switch.coupling is None else ("couplings", switch.coupling)
+            key, i = (
+                ("joints", switch.joint)
+                if switch.coupling is None
+                else ("couplings", switch.coupling)
+            )
             raise SceneError(
                 f'{key}[{i}] "{switch.name}": it starts at {q:.6g} {unit}, {off:.3g} {unit} beyond a '
                 "stop; correct the initial poses or its limits",

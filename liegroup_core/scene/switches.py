@@ -10,7 +10,9 @@ from liegroup_core.joints.stops import BACKLASH, CONE, DISTANCE, SLIDE
 def switches_of(scene):
     """[Switch] of the joints of a scene, then of its couplings."""
     found = [
-        switch._replace(joint=j) for j, joint in enumerate(scene.joints) for switch in joint.switches
+        switch._replace(joint=j)
+        for j, joint in enumerate(scene.joints)
+        for switch in joint.switches
     ]
     return found + [
         switch._replace(coupling=c)
@@ -40,4 +42,3 @@ def coordinate_of(switch, joint, C_rel):
         return float(C_rel[2, 3])
     q = coordinate(joint, C_rel)
     return q if switch.limits is None else switch.limits.turn_of(q, True)
-
