@@ -40,6 +40,7 @@ from liegroup_core.formulations.relative.switches import (
     MOST,
     RESTING,
     RESTS,
+    ROUND_OFF,
     SIDE,
     SLIDING,
     SLIP,
@@ -412,12 +413,13 @@ class Switching:
         lo = np.where((side[hit] > 0.0) | stays[hit], -np.inf, 0.0)
         hi = np.where((side[hit] < 0.0) | stays[hit], np.inf, 0.0)
         approach = np.where(side[hit] * rates[hit] > 0.0, rates[hit], 0.0)
-        for e in (restitution, np.full(len(hit), restitution.min())):
+        smallest = restitution[side[hit] * rates[hit] > RESTING].min(initial=1.0)
+        for e in (restitution, np.full(len(hit), smallest)):
             p, _, at = solve(A, rates[hit] + e * approach, lo, hi)
             after = rates[hit] + p @ A
             after[(at == FREE) & (e * approach == 0.0)] = 0.0
             energy = 0.5 * p * (rates[hit] + after)
-            if energy.sum() <= 0.0:
+            if energy.sum() <= ROUND_OFF * np.abs(p * rates[hit]).sum():
                 break
         self._change_rates(model, work, p @ self._responses[hit], *state[:2])
         self._stop(hit[(at == FREE) & (e * approach == 0.0)])
