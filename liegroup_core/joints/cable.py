@@ -22,10 +22,8 @@ class CableJoint(JointBase, Stop):
     type: Literal["cable", "strut"] = Field("cable", description="cable or strut")
     parent_frame: Frame = Field(description="frame in the parent frame; only its origin is used")
     child_frame: Frame = Field(description="frame in the child frame; only its origin is used")
-    length: Positive | None = Field(
-        None,
-        description="largest distance of the origins in m, of a strut the least one; default: the initial "
-        "distance",
+    length: Positive = Field(
+        description="largest distance of the origins in m, of a strut the least one"
     )
 
     def elements(self, C_rel):
@@ -37,6 +35,11 @@ class CableJoint(JointBase, Stop):
         """[Switch]: the distance, with one stop."""
         ends = (self.length, None) if self.type == "strut" else (None, self.length)
         return [Switch(self.name, DISTANCE, self.between(*ends), None)]
+
+    @property
+    def constrains(self):
+        """False: slack, it is not there; taut, it is a stop."""
+        return False
 
     @property
     def locates_child(self):

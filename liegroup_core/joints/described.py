@@ -26,7 +26,7 @@ class JointBase(Described):
     """Joint of a scene between a body and another one or the world.
 
     A subclass has `elements(C_rel)`: the constraint elements for the initial pose C_rel (4, 4) of
-    the child's joint frame in the parent's one. It may override `locates_child` and `remedy`.
+    the child's joint frame in the parent's one. It may override `constrains`, `locates_child` and `remedy`.
     """
 
     name: Name = Field(description="name, unique among joints and forces")
@@ -79,6 +79,11 @@ class JointBase(Described):
     def switches(self):
         """[Switch]: coordinates of the joint with stops or friction."""
         return switches_of_joint(self)
+
+    @property
+    def constrains(self):
+        """True if the joint takes freedoms from the mechanism."""
+        return True
 
     @property
     def locates_child(self):

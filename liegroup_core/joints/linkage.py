@@ -147,7 +147,7 @@ class Linkage:
     def jacobian(self, poses):
         """Unit rows (rows, 6 bodies) for velocities (omega length, v)."""
         matrix = self.velocity_rows(poses)
-        matrix.reshape(len(matrix), -1, 6)[:, :, :3] /= self.length
+        matrix.reshape(len(matrix), matrix.shape[1] // 6, 6)[:, :, :3] /= self.length
         sizes = np.linalg.norm(matrix, axis=1, keepdims=True)
         return matrix / np.where(sizes > 0.0, sizes, 1.0)
 
@@ -243,7 +243,7 @@ class Linkage:
     def _step(self, poses, gap, matrix):
         """Poses with a smaller residual after a Newton step with a Jacobian, or None."""
         matrix /= self._units[:, None]
-        matrix.reshape(len(matrix), -1, 6)[:, :, :3] /= self.length
+        matrix.reshape(len(matrix), matrix.shape[1] // 6, 6)[:, :, :3] /= self.length
         step = -scipy.linalg.lstsq(matrix, gap, cond=RANK_TOLERANCE, lapack_driver="gelsy")[0]
         turn = np.abs(step.reshape(-1, 6)[:, :3]).max() / self.length
         part = 1.0 / max(1.0, turn / LARGEST_TURN)

@@ -100,15 +100,19 @@ def loop_groups(ends):
     return sorted(group for group in groups.values() if len(group) > 1)
 
 
+def _constrained_loops(scene):
+    """`loop_groups` of the joints of a scene that take freedoms: a cable closes no loop."""
+    numbers = [j for j, joint in enumerate(scene.joints) if joint.constrains]
+    ends = [(scene.joints[j].parent, scene.joints[j].child) for j in numbers]
+    return [[numbers[i] for i in group] for group in loop_groups(ends)]
+
+
 def dependent_groups(scene, couplings):
     """[(joints of loops, numbers of couplings)]: what can depend on each other.
 
     couplings : of consistency.ResolvedCoupling, or with their `joint` and `other`
     """
-    found = [
-        (set(loops), loops, [])
-        for loops in loop_groups([(j.parent, j.child) for j in scene.joints])
-    ]
+    found = [(set(loops), loops, []) for loops in _constrained_loops(scene)]
     for c, coupling in enumerate(couplings):
         own = {coupling.joint, coupling.other}
         touching = [part for part in found if part[0] & own]
@@ -131,7 +135,7 @@ def kept_rows(scene, frames, parts):
     Raises SceneError for a linkage in a pose that it cannot leave.
     """
     keep = [np.ones(sum(len(part.names) for part in elements), dtype=bool) for elements in parts]
-    for loops in loop_groups([(joint.parent, joint.child) for joint in scene.joints]):
+    for loops in _constrained_loops(scene):
         # Joints to ground first: SE(3) satisfies them exactly, so rows of others are eliminated.
         loops.sort(key=lambda j: scene.joints[j].parent != "world")
         _eliminate(scene, Linkage(scene, frames, parts, loops), loops, keep)

@@ -45,6 +45,8 @@ LOWER, UPPER, SLIDING, LEAST, MOST = 0, 1, 2, 3, 4
 ROUND_OFF = 1e-13
 MOVES = 1e-9  # rad/s or m/s: what rests because of others moves from here on
 NONE = -1.0  # in Work.crossed: the guard is not crossed
+# Less than this beyond a stop, rad or m, and of a larger one, is round-off; and so is a rate of RESTING.
+AT_STOP, RESTING = 1e-13, 1e-11
 
 
 def modes_of(model, work):
@@ -227,8 +229,11 @@ def set_guards(model, work):
 
 
 @kernel
-def _dip(g0, d0, g1, d1, h):
-    """Part of a step at which a cubic with these ends and slopes dips below zero, or NONE."""
+def _dip(g0, d0, g1, d1, h, least_depth):
+    """Part of a step at which a cubic with these ends and slopes dips so deep below zero, or NONE.
+
+    A coordinate that starts beyond zero has to dip below its start.
+    """
     if not (d0 < 0.0 < d1):
         return NONE
     a, b, c = (
@@ -240,7 +245,7 @@ def _dip(g0, d0, g1, d1, h):
     root = math.sqrt(max(b * b - 4.0 * a * c, 0.0))
     s = -2.0 * c / (b + root) if b + root > 0.0 else 1.0
     least = g0 + s * (c + s * (0.5 * b + s * a / 3.0))
-    return s if 0.0 < s < 1.0 and least < 0.0 else NONE
+    return s if 0.0 < s < 1.0 and least < min(g0, 0.0) - least_depth else NONE
 
 
 @kernel
@@ -266,17 +271,20 @@ def crossed(model, work, h):
                     continue
                 stop = switch["lower"] if c == LOWER else switch["upper"]
                 before, after = sign * (q0 - stop), guards[k, c]
+                # Rows that were held drift by round-off and the error of the method: one that leaves
+                # its stop may start beyond it, and leaves with the third power of time.
+                depth = AT_STOP * (1.0 + abs(stop))
                 if after < 0.0:
-                    if after < before or sign * v1 < 0.0:
+                    if after < min(before, 0.0) - depth or sign * v1 < -RESTING:
                         places[k, c] = 1.0
                 elif after < math.inf:
-                    places[k, c] = _dip(before, sign * v0, after, sign * v1, h)
+                    places[k, c] = _dip(before, sign * v0, after, sign * v1, h, depth)
             if guards[k, SLIDING] < 0.0:
                 places[k, SLIDING] = 1.0
             elif guards[k, SLIDING] < math.inf:
                 sign = work.modes[k, SLIP]
                 a0, a1 = work.since[k, 1], work.now[k, 1]
-                places[k, SLIDING] = _dip(sign * v0, sign * a0, sign * v1, sign * a1, h)
+                places[k, SLIDING] = _dip(sign * v0, sign * a0, sign * v1, sign * a1, h, 0.0)
         for c in range(5):
             found = found or places[k, c] != NONE
     return found

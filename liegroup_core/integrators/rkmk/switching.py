@@ -32,13 +32,16 @@ from scipy.optimize import brentq
 from liegroup_core.compiling import SameTypes
 from liegroup_core.formulations.relative.loads import FOUND, GIVEN, LOAD, MOST_ITERATIONS
 from liegroup_core.formulations.relative.switches import (
+    AT_STOP,
     COORDINATE,
     EFFORT,
     KNOWN,
     LEAST,
     LOWER,
     MOST,
+    RESTING,
     RESTS,
+    ROUND_OFF,
     SIDE,
     SLIDING,
     SLIP,
@@ -59,15 +62,13 @@ from liegroup_core.status import (
 from .event_kernels import change_rates, look, respond
 
 SMALLEST_REBOUND = 1e-10  # rad or m
-# Within this, rad or m, and round-off of a larger one, a coordinate is at a stop.
-AT_STOP = 1e-13
 BEYOND = 1e-9  # rad or m: a state that is set is not this far beyond a stop
-RESTING = 1e-11  # rad/s or m/s: a rate below is zero where an event is
 TIME_STEP = 1e-15  # s; an event is found to this, and to round-off
 HALVINGS = 40
 MOST_KEPT = 100_000  # events that nobody has taken
 RETURNING = 1e-10  # of its terms: an acceleration below is zero
 SAME_LOADS = 1e-12
+ACCELERATION = 1e-13  # of all accelerations of the mechanism: round-off of one
 IMMOBILE = 1e-13  # of its mobility without closed loops: a coordinate that loops hold at this pose
 LOOSE = 1e100  # tolerance of error control that no step fails
 
@@ -127,6 +128,11 @@ class Switching:
             table["stiffness"] == 0.0,
             (table["static"] + table["static_by_load"] > 0.0),
         )
+        # A guard that starts below this starts at its zero.
+        self._at_zero = np.zeros((len(table), 5))
+        for end, stop in ((LOWER, table["lower"]), (UPPER, table["upper"])):
+            self._at_zero[:, end] = AT_STOP * (1.0 + np.where(np.isfinite(stop), np.abs(stop), 0.0))
+        self._at_zero[:, SLIDING] = RESTING
         self._responses = np.zeros((len(table), len(work.freedoms)))
         self._mobility = np.zeros((len(table), len(table)))
         self._open_mobility = np.zeros(len(table))
@@ -274,7 +280,9 @@ class Switching:
             return work.guards.copy()
 
         def guard(tau, k, c):
-            return guards(tau)[k, c]
+            """Guard of a stop: beyond the place where it starts, if that is beyond the stop."""
+            start = min(guards(0.0)[k, c], 0.0) if c <= UPPER and self._rigid[k] else 0.0
+            return guards(tau)[k, c] - start
 
         found = []
         for k, c in np.argwhere(places >= 0.0):
@@ -299,7 +307,7 @@ class Switching:
     def _zero(self, guard, end, k, c):
         """Time of the zero of a guard before `end`, where it is negative."""
         begin = 0.0
-        if not guard(0.0, k, c) > 0.0:
+        if not guard(0.0, k, c) > self._at_zero[k, c]:
             # It starts at zero, after an event, and grows at first; else it is there already.
             begin = end
             for _ in range(HALVINGS):
@@ -417,12 +425,13 @@ class Switching:
         lo = np.where((side[hit] > 0.0) | stays[hit], -np.inf, 0.0)
         hi = np.where((side[hit] < 0.0) | stays[hit], np.inf, 0.0)
         approach = np.where(side[hit] * rates[hit] > 0.0, rates[hit], 0.0)
-        for e in (restitution, np.full(len(hit), restitution.min())):
+        smallest = restitution[side[hit] * rates[hit] > RESTING].min(initial=1.0)
+        for e in (restitution, np.full(len(hit), smallest)):
             p, _, at = solve(A, rates[hit] + e * approach, lo, hi)
             after = rates[hit] + p @ A
             after[(at == FREE) & (e * approach == 0.0)] = 0.0
             energy = 0.5 * p * (rates[hit] + after)
-            if energy.sum() <= 0.0:
+            if energy.sum() <= ROUND_OFF * np.abs(p * rates[hit]).sum():
                 break
         self._change_rates(model, work, p @ self._responses[hit], *state[:2])
         self._stop(hit[(at == FREE) & (e * approach == 0.0)])
@@ -500,6 +509,9 @@ class Switching:
         loads = work.loads[:, LOAD].copy()
         status = self._look_with_loads(state)
         b = work.now[chosen, 1].copy()
+        # Where a cable goes slack, for one, terms of the size of gravity leave nothing.
+        turning = np.abs(work.twist).max(initial=0.0) ** 2
+        round_off = ACCELERATION * (np.abs(work.acceleration).max(initial=0.0) + turning)
         if status == OK:
             status = self._respond_at_stage()
         if status != OK:
@@ -511,7 +523,7 @@ class Switching:
         sliding = (table["coulomb"] + table["sliding_by_load"] * loads)[chosen]
         for _ in range(2 * len(chosen)):
             x, w, at = solve(A, b, lo, hi, released)
-            back = released * w > RETURNING * (np.abs(A) @ np.abs(x) + np.abs(b))
+            back = released * w > RETURNING * (np.abs(A) @ np.abs(x) + np.abs(b)) + round_off
             if back.any():
                 released[back] = FREE
                 continue
