@@ -23,7 +23,9 @@ from liegroup_core.lie.groups import SE3
 
 ENDS = {"name": "j", "parent": "world", "child": "b", "parent_frame": {}, "child_frame": {}}
 # The parameters of each type that has some.
-PARAMETERS = {"screw": {"pitch": 0.3}, "distance": {"length": 0.7}}
+PARAMETERS = {"screw": {"pitch": 0.3}} | {
+    kind: {"length": 0.7} for kind in ("distance", "cable", "strut")
+}
 EPS = np.finfo(float).eps
 
 

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from stop_scenes import chain
 
 from liegroup_core.engine import Engine
+from liegroup_core.scene.centres import pose_matrix
 from liegroup_core.scene.load import scene_from_text
 
 pytestmark = pytest.mark.slow
@@ -50,6 +51,55 @@ def test_falling_robots(seed):
         assert sample.energy <= energy + 1e-5
         energy = sample.energy
     assert count >= 500
+
+
+def momentum_changes(engine):
+    """List that grows at every impact of an engine: pose of the first body, and the changes of linear
+    momentum and of angular momentum about the origin of the world, (6,).
+    """
+    switching, found = engine._switching, []
+    impact, bodies = switching._impact, engine.layout.model.bodies
+
+    def watched(time, state, *rest):
+        pose, twist = state[0].copy(), state[1].copy()
+        status = impact(time, state, *rest)
+        total = np.zeros(6)
+        for body, at, change in zip(bodies, pose, state[1] - twist):
+            R, I = at[:9].reshape(3, 3), body["inertia"].reshape(3, 3)
+            linear = body["mass"] * R @ change[3:]
+            total += np.concatenate([linear, R @ I @ change[:3] + np.cross(at[9:], linear)])
+        found.append((pose[0], total))
+        return status
+
+    switching._impact = watched
+    return found
+
+
+@pytest.mark.parametrize("seed", [1, 7])
+def test_momentum_at_every_impact_of_a_falling_robot(seed):
+    """What the impulse of the base gives the mechanism is the change of its momentum.
+
+    Both are sums over 21 bodies of impulses of up to 100 N s, with the round-off of the inverse of the
+    mass matrix: 1e-10.
+    """
+    scene = chain(seed, 20, False)
+    engine = Engine(scene, "rkmk4", 2e-3)
+    engine.drain_impacts()
+    changes, count = momentum_changes(engine), 0
+    names = [joint.name for joint in scene.joints]
+    base = engine.layout.joint_frames[names.index("j0")][1]
+    for _ in range(600):
+        engine.advance(1)
+        impacts = engine.drain_impacts()
+        assert len(impacts) == len(changes)
+        for impact, (pose, change) in zip(impacts, changes):
+            frame = pose_matrix(pose) @ base
+            force = frame[:3, :3] @ impact.impulses["j0"][3:]
+            torque = frame[:3, :3] @ impact.impulses["j0"][:3] + np.cross(frame[:3, 3], force)
+            assert np.abs(np.concatenate([force, torque]) - change).max() <= 1e-10
+            count += 1
+        changes.clear()
+    assert count >= 100
 
 
 def test_repeated_runs_and_parts_are_bit_equal():
