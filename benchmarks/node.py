@@ -218,9 +218,10 @@ def largest(listener, folder, seconds):
         print(f"{kind:<12} {good:8d} links hold real time: factor at least {HELD}")
 
 
-def trips(listener, out, back, count):
+def trips(listener, out, back, count, pause=2e-3):
     """Latency in us from publishing a command to receiving the state that shows its effect.
 
+    pause : s between two commands, at least; at most twice as much
     out  : topic, function: number -> message
     back : topic, message class, function: message -> number
     """
@@ -236,7 +237,7 @@ def trips(listener, out, back, count):
     times, sign = [], 1.0
     listener.spin(1.0)
     for _ in range(count):
-        listener.spin(random.uniform(2e-3, 4e-3))
+        listener.spin(random.uniform(pause, 2.0 * pause))
         message, sign = make(sign), -sign
         before = seen[-1] if seen else None
         seen.clear()
@@ -260,15 +261,19 @@ def round_trip(listener, folder, count):
     scene = folder / "puck.yaml"
     scene.write_text(PUCK)
 
+    found = {}
+
     def report(name, times):
         p50, p99 = statistics.median(times), sorted(times)[int(0.99 * len(times))]
+        found[name] = p50
         print(f"{name:<24} {p50:10.0f} {p99:9.0f}")
 
     def speed(message):
         return message.twist.linear.x
 
-    # A step of 1 ms: up to one to wait for the next tick. Of 0.1 ms: mostly transport.
-    for name, step, rate in (("node, 1 kHz", 1e-3, 1e3), ("node, 5 kHz", 2e-4, 5e3)):
+    # The state that shows a command does not wait for its tick.
+    for rate in (50.0, 100.0, 500.0, 1e3, 5e3):
+        name, step = f"node, {rate:g} Hz", min(1e-3, 1.0 / rate)
         with simulation(
             scene=scene,
             step=step,
@@ -279,13 +284,21 @@ def round_trip(listener, folder, count):
         ):
             listener.figures()
             out, back = ("/sim_node/wrench", pushed), ("/sim_node/puck/twist", TwistStamped, speed)
-            report(name, trips(listener, out, back, count))
+            pause = max(2e-3, 2.0 / rate)
+            report(name, trips(listener, out, back, count, pause))
             out = "/sim_node/joint_commands", lambda x: JointState(name=["axle"], effort=[x])
             back = "/sim_node/joint_states", JointState, lambda m: m.effort[0]
-            report(name + ", effort", trips(listener, out, back, count))
+            report(name + ", effort", trips(listener, out, back, count, pause))
     with Process(BARE, "echo"):
         out, back = ("/echo/wrench", pushed), ("/echo/puck/twist", TwistStamped, speed)
         report("bare echo node", trips(listener, out, back, count))
+    echo = found.pop("bare echo node")
+    ratios = ", ".join(
+        f"{name.removeprefix('node, ')} {p50 / echo:.2f}" for name, p50 in found.items()
+    )
+    print(
+        f"times the median of the bare echo: {ratios}; median {statistics.median(found.values()) / echo:.2f}"
+    )
 
 
 def cost_of(listener, path, seconds, scene, bodies):

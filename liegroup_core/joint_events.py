@@ -54,8 +54,8 @@ class JointEvents:
         impacts, self._switching.impacts = self._switching.impacts or [], []
         found = []
         for time, pose, impulses in impacts:
-            wrenches, mask = self.layout.reactions.of_impact(pose, impulses)
-            named = zip(self.layout.reactions.names, np.where(mask, np.nan, wrenches))
+            wrenches = self.layout.reactions.of_impact(pose, impulses)
+            named = zip(self.layout.reactions.names, wrenches)
             found.append(Impact(time, round(time * 1e9), dict(named)))
         return found
 

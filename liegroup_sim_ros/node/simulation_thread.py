@@ -84,7 +84,10 @@ class SimulationServer(SimulationCommands, threading.Thread):
         self._wake = threading.Event()
         self._lock = threading.Lock()
         self._commands = []  # (Future, bound method, arguments)
-        self._inbox = Inbox(simulation, follow_period, motion_time)
+        self._inbox = Inbox(simulation, follow_period, motion_time, self._wake.set)
+        # Steps between two samples; s, the stamp of the state from which inputs act that no sample shows.
+        self._sample_steps = min([steps for steps, _ in output.timed], default=1)
+        self._unseen = None
         self._stopping = False
         self._snapshots = {}
         self._base_ns = base_ns
@@ -203,7 +206,12 @@ class SimulationServer(SimulationCommands, threading.Thread):
         idle = max(0.0, self._next_diagnostics - time.monotonic())
         if self.state == "running":
             tick = self._next_tick()
-            if self.pacer.wait(self._stamp(tick) * 1e-9, idle):
+            if self._unseen is None and self._inbox.acts_before(self._stamp(tick)):
+                self._unseen = self._seconds()
+            # An input is answered at once, by the next sample: at most one period early.
+            if self.pacer.wait(self._stamp(tick) * 1e-9, idle, self._unseen):
+                if tick % self._sample_steps == 0:
+                    self._unseen = None
                 self._advance_to(tick)
         else:
             self._wake.wait(idle)

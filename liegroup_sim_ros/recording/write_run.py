@@ -94,7 +94,7 @@ class ArrayFile:
             if name in self._arrays:
                 self._arrays[name][self.count] = value
         if "reactions" in self._arrays:
-            self._arrays["reactions"][self.count] = list(sample.reactions.values())
+            self._arrays["reactions"][self.count] = sample.reaction_array
             self._arrays["efforts"][self.count] = list(sample.force_efforts.values())
         if "drive_efforts" in self._arrays:
             self._arrays["drive_efforts"][self.count] = list(sample.drive_efforts.values())

@@ -124,11 +124,7 @@ class TableFile(_Table):
             float(sample.energy),
             float(sample.constraint_residual),
             *(() if sample.errors is None else sample.errors.ravel().tolist()),
-            *(
-                number
-                for wrench in (sample.reactions.values() if self._reactions else ())
-                for number in wrench.tolist()
-            ),
+            *(sample.reaction_array.ravel().tolist() if self._reactions else ()),
             *(sample.force_efforts.values() if self._reactions else ()),
             *(sample.drive_efforts.values() if self._reactions else ()),
         )

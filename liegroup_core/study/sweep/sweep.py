@@ -327,8 +327,8 @@ def _run(sweep, values):
             "joints": max(sample.constraint_residual for sample in looks),
         }
         if sweep.reactions:
-            wrenches = [np.array(list(sample.reactions.values())) for sample in looks]
-            names = (f"{joint}.{part}" for joint in looks[0].reactions for part in WRENCH)
+            wrenches = [sample.reaction_array for sample in looks]
+            names = (f"{joint.name}.{part}" for joint in scene.joints for part in WRENCH)
             found |= dict(zip(names, np.abs(wrenches).max(axis=0).ravel()))
             efforts = np.abs([list(sample.force_efforts.values()) for sample in looks])
             forces = (f"{force}.effort" for force in looks[0].force_efforts)
@@ -347,7 +347,7 @@ def _run(sweep, values):
 def _look(simulation, reactions):
     sample = simulation.sample()
     if reactions:
-        _ = sample.reactions  # kept with the sample; raises here if there are none
+        _ = sample.reaction_array  # kept with the sample; raises here if there are none
     if not math.isfinite(sample.energy):
         raise ArithmeticError(f"the energy is not finite at t = {sample.time:.9g} s")
     return sample
