@@ -570,7 +570,7 @@ class Engine(Inputs, JointEvents):
         return sample
 
     def _modes_now(self):
-        """(k, 4) modes of the joints with stops or friction, see Sample.switching."""
+        """(k, 5) modes of the joints with stops or friction, see Sample.switching."""
         self._set_inputs(self.time, self.step)
         return self._switching.modes(self.time, (self._pose, self._twist, self._external))
 

@@ -120,8 +120,8 @@ class Layout:
 
     @cached_property
     def no_modes(self):
-        """(k, 4) modes of the joints with stops or friction that are all free, see Sample.switching."""
-        return np.zeros((len(self.switches), 4))
+        """(k, 5) modes of the joints with stops or friction that are all free, see Sample.switching."""
+        return np.zeros((len(self.switches), 5))
 
     @cached_property
     def motions(self):

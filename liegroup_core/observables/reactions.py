@@ -171,7 +171,7 @@ class Reactions:
         inputs      : (angles, acting, wanted, motions, modes, time); None if there are none:
                       angles (k,) rad, `Sample.angles`; acting, mask of the scene's applied wrenches;
                       wanted (k, 2) positions and velocities of the servos; motions (d, 7) of the driven
-                      joints; modes (k, 4) of the joints with stops or friction, None: as they are;
+                      joints; modes (k, 5) of the joints with stops or friction, None: as they are;
                       time in s
         table       : ReactionTable, with the components that are NaN; None: the undetermined ones
         wrenches, motion : see `joint_wrenches`;  efforts : of the driven joints, N m or N

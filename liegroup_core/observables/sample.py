@@ -35,8 +35,9 @@ class Sample:
     wanted : (k, 2) wanted positions and velocities of the servos, rad and rad/s, or m and m/s;
              None: those of the scene
     motions : (d, 7) prescribed motions of the driven joints; None: those of the scene
-    switching : (k, 4) modes of the joints with stops or friction, in the order of the scene: 1 if held,
-                direction of slip, stop that it touches (-1 lower, 1 upper), coordinate; None: all free
+    switching : (k, 5) modes of the joints with stops or friction, in the order of the scene: 1 if held,
+                2 if it rests because others are; direction of slip, stop that it touches (-1 lower, 1 upper),
+                coordinate, effort in case of 2; None: all free
     The constructor takes pose and twist at the centres of mass; all attributes refer to the body
     frames of the scene. Derived quantities are computed on first access and cached.
     """
@@ -183,7 +184,7 @@ class Sample:
         names = [switch.name for switch in self._layout.switches]
         return {
             name: "lower" if side < 0.0 else "upper" if side > 0.0 else "stick" if held else "free"
-            for name, (held, _, side, _) in zip(names, self._switching.tolist())
+            for name, (held, _, side, *_) in zip(names, self._switching.tolist())
         }
 
     @cached_property

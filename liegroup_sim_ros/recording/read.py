@@ -318,8 +318,8 @@ class Recording:
                "motions" columns (driven joint, "origin" or "c0" to "c5"): the commanded motion from
                          this time on, see liegroup_core/joints/motion.py; infinite origin: none
                "servo_targets" columns (joint, "position" or "velocity"): the wanted ones from then on
-               "joint_modes" columns (joint, "mode", "slip", "coordinate", "impulse" or "energy"): of
-                         joints with stops or friction, see messages/joint_modes.py
+               "joint_modes" columns (joint, "mode", "slip", "coordinate", "impulse", "energy" or
+                         "effort"): of joints with stops or friction, see messages/joint_modes.py
                "reactions" columns (joint, tx to fz): N m and N, NaN: undetermined
                "errors"  columns (body, "position", "attitude", "velocity" or "angular_velocity"):
                          estimated errors in m, rad, m/s, rad/s, as in `errors`

@@ -37,7 +37,7 @@ from .coordinates import coordinates, place_links
 from .dynamics import apply_forces, balance
 from .impulses import add_impulse, clear_impulses, factor_rows, respond_to_impulses
 from .spanning_tree import WORLD_NAME, spanning_tree
-from .switches import COORDINATE, KNOWN, RESTS, SIDE, SLIP
+from .switches import COORDINATE, EFFORT, KNOWN, RESTS, SIDE, SLIP
 from .trees import move_links
 
 
@@ -216,10 +216,10 @@ def copy_modes(from_model, from_work, model, work_out):
     known = True
     for k in range(len(model.switches)):
         there, here = from_model.switches[k], model.switches[k]
-        at_rest = max(from_work.held[there["freedom"]], from_work.modes[k, RESTS])
-        work_out.held[here["freedom"]], work_out.modes[k, RESTS] = at_rest, 0.0
+        work_out.held[here["freedom"]] = from_work.held[there["freedom"]]
+        work_out.modes[k, RESTS] = from_work.modes[k, RESTS]
         sign = there["sign"] * here["sign"]
-        for c in (SLIP, SIDE, COORDINATE):
+        for c in (SLIP, SIDE, COORDINATE, EFFORT):
             work_out.modes[k, c] = sign * from_work.modes[k, c]
         known = known and from_work.modes[k, KNOWN] != 0.0
         work_out.modes[k, KNOWN] = 1.0

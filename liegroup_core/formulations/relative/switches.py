@@ -50,13 +50,14 @@ AT_STOP, RESTING = 1e-13, 1e-11
 
 
 def modes_of(model, work):
-    """(k, 4) of each switch, in the coordinate of its joint: 1 if it is at rest, direction of slip,
-    stop that it touches (-1 lower, 1 upper), coordinate.
+    """(k, 5) of each switch, in the coordinate of its joint: 1 if it is held, 2 if it rests because of
+    others; direction of slip; stop that it touches (-1 lower, 1 upper); coordinate; effort if it rests.
     """
     table, modes = model.switches, work.modes
     signs = table["sign"][:, None]
-    own = modes[:, [SLIP, SIDE, COORDINATE]] * signs
-    at_rest = np.maximum(work.held[table["freedom"]], modes[:, RESTS])
+    own = modes[:, [SLIP, SIDE, COORDINATE, EFFORT]] * signs
+    own[:, 3] *= modes[:, RESTS]
+    at_rest = work.held[table["freedom"]] + 2.0 * modes[:, RESTS]
     return np.hstack([at_rest[:, None], own])
 
 
@@ -64,9 +65,9 @@ def set_modes(model, work, modes):
     """Write `modes_of` another model of the same scene."""
     table = model.switches
     work.held[:] = 0.0
-    work.held[table["freedom"]] = modes[:, 0]
-    work.modes[:, [SLIP, SIDE, COORDINATE]] = modes[:, 1:] * table["sign"][:, None]
-    work.modes[:, KNOWN], work.modes[:, RESTS] = 1.0, 0.0
+    work.held[table["freedom"]] = modes[:, 0] == 1.0
+    work.modes[:, [SLIP, SIDE, COORDINATE, EFFORT]] = modes[:, 1:] * table["sign"][:, None]
+    work.modes[:, KNOWN], work.modes[:, RESTS] = 1.0, modes[:, 0] == 2.0
 
 
 @kernel

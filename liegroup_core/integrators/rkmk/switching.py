@@ -96,7 +96,7 @@ class JointInstant(NamedTuple):
     """Modes of all joints with stops or friction where one of them changes.
 
     time   : s
-    modes  : (k, 4) from then on, as Sample.switching
+    modes  : (k, 5) from then on, as Sample.switching
     events : [JointEvent] of this time; none where a run starts
     """
 
@@ -557,7 +557,7 @@ class Switching:
         return modes_of(self._model, self._work)
 
     def modes(self, time, state):
-        """(k, 4) of all switches, see switches.modes_of; of a state that was set, the modes it will have."""
+        """(k, 5) of all switches, see switches.modes_of; of a state that was set, the modes it will have."""
         if self._work.modes[:, KNOWN].all():
             return self._modes()
         self._look(self._model, self._work, *state)  # the links have this state from here on
