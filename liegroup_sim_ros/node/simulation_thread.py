@@ -148,8 +148,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
 
     def check_jump(self, joint, position):
         """Raise BeyondLimits for a wanted position to which a servo cannot jump."""
-        before = self._simulation.wanted_position(joint)
-        self._simulation.layout.limits[joint].check_jump(before, position)
+        self._simulation.check_jump(joint, position)
 
     def clear(self, prefix):
         """End the wrenches of all sources whose names start with `prefix`."""
