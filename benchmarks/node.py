@@ -257,48 +257,47 @@ def pushed(force):
 
 
 def round_trip(listener, folder, count):
-    print("\ncommand out, state back      us p50       p99")
+    print("\ncommand out, state back      us p50       p99   of the echo beside it")
     scene = folder / "puck.yaml"
     scene.write_text(PUCK)
+    ratios = []
 
-    found = {}
-
-    def report(name, times):
+    def report(name, times, echo=None):
         p50, p99 = statistics.median(times), sorted(times)[int(0.99 * len(times))]
-        found[name] = p50
-        print(f"{name:<24} {p50:10.0f} {p99:9.0f}")
+        ratio = ""
+        if echo is not None:
+            ratios.append(p50 / echo)
+            ratio = f"{ratios[-1]:11.2f}"
+        print(f"{name:<24} {p50:10.0f} {p99:9.0f} {ratio}")
+        return p50
 
     def speed(message):
         return message.twist.linear.x
 
-    # The state that shows a command does not wait for its tick.
+    # The state that shows a command does not wait for its tick. The echo shares the machine with the
+    # node, at the same time and with the same pauses.
     for rate in (50.0, 100.0, 500.0, 1e3, 5e3):
-        name, step = f"node, {rate:g} Hz", min(1e-3, 1.0 / rate)
-        with simulation(
-            scene=scene,
-            step=step,
-            publish_rate=rate,
-            joint_state_rate=rate,
-            wrench_hold="timeout",
-            wrench_timeout=1e-3,
+        name, step, pause = f"{rate:g} Hz", min(1e-3, 1.0 / rate), max(2e-3, 2.0 / rate)
+        with (
+            simulation(
+                scene=scene,
+                step=step,
+                publish_rate=rate,
+                joint_state_rate=rate,
+                wrench_hold="timeout",
+                wrench_timeout=1e-3,
+            ),
+            Process(BARE, "echo"),
         ):
             listener.figures()
+            out, back = ("/echo/wrench", pushed), ("/echo/puck/twist", TwistStamped, speed)
+            echo = report(f"bare echo, {name}", trips(listener, out, back, count, pause))
             out, back = ("/sim_node/wrench", pushed), ("/sim_node/puck/twist", TwistStamped, speed)
-            pause = max(2e-3, 2.0 / rate)
-            report(name, trips(listener, out, back, count, pause))
+            report(f"node, {name}", trips(listener, out, back, count, pause), echo)
             out = "/sim_node/joint_commands", lambda x: JointState(name=["axle"], effort=[x])
             back = "/sim_node/joint_states", JointState, lambda m: m.effort[0]
-            report(name + ", effort", trips(listener, out, back, count, pause))
-    with Process(BARE, "echo"):
-        out, back = ("/echo/wrench", pushed), ("/echo/puck/twist", TwistStamped, speed)
-        report("bare echo node", trips(listener, out, back, count))
-    echo = found.pop("bare echo node")
-    ratios = ", ".join(
-        f"{name.removeprefix('node, ')} {p50 / echo:.2f}" for name, p50 in found.items()
-    )
-    print(
-        f"times the median of the bare echo: {ratios}; median {statistics.median(found.values()) / echo:.2f}"
-    )
+            report(f"node, {name}, effort", trips(listener, out, back, count, pause), echo)
+    print(f"median over the rates {statistics.median(ratios):.2f}")
 
 
 def cost_of(listener, path, seconds, scene, bodies):

@@ -64,6 +64,15 @@ class ReactionTrack(_ReactionTrack, _Timed):
     """Reactions of one joint, as in Sample.reactions."""
 
 
+class _ImpulseTrack(NamedTuple):
+    stamp_ns: np.ndarray  # (m,) int64, ns, of the impacts
+    impulse: np.ndarray  # (m, 6) (torque, force), N m s and N s; NaN: undetermined
+
+
+class ImpulseTrack(_ImpulseTrack, _Timed):
+    """Impulses of one joint at impacts, as in Engine.drain_impacts."""
+
+
 class MotionTrack(NamedTuple):
     """Commanded motions of all driven joints; see liegroup_core/joints/motion.py."""
 
