@@ -29,10 +29,11 @@ DEFAULT = 1e-4
 MINUTE = 60.0  # s, default of the horizon
 SMALLEST = 1e-13  # accuracy: rounding of a single step is not far below
 AIM, NEW = 0.1, 0.03
-# Of the motions so far the gain is 5 to 10, once it shows; less is not relied on.
-LEAST_GAIN = 2.0
+# Conservative motions have a gain of 5 to 10, once it shows. So at least this is assumed up to the part
+# SHOWN of the horizon, and from there on at least the error that it gives there.
+LEAST_GAIN, SHOWN = 2.0, 0.1
 # Tolerance in parts of the accuracy: at the start over a horizon of 1 s, and at most.
-FIRST, LARGEST = 0.03, 0.03
+FIRST, LARGEST = 0.01, 0.01
 LEAST_TOLERANCE = 1e-15
 FASTER, SLOWER = 4.0, 0.1  # bounds of the ratio of two successive tolerances
 _REMEMBERED = ("accuracy", "_begin", "_last", "_sum", "_double_sum", "ended", "_tolerance")
@@ -96,7 +97,8 @@ class AccuracyControl:
             return
         ahead = max(self.horizon, since)
         allowed = AIM * self.wanted(time + ahead)
-        gain = max(LEAST_GAIN, error / self._double_sum)
+        shown = min(1.0, SHOWN * self.horizon / since)
+        gain = max(LEAST_GAIN * shown**2, error / self._double_sum)
         committed = self._double_sum + self._sum * ahead
         tolerance = 2.0 * max(allowed / gain - committed, NEW * committed) / ahead**2
         self._set(min(max(tolerance, SLOWER * self._tolerance), FASTER * self._tolerance))

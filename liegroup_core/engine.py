@@ -215,12 +215,23 @@ class Engine(Inputs, JointEvents):
         k = len(self._work.angle)
         if angles is not None and (np.shape(angles) != (k,) or not np.isfinite(angles).all()):
             raise ValueError(f"expected {k} finite angles, as `Sample.angles`, got {angles!r}")
-        self._work.angle[:] = self.layout.angles(pose, angles)
-        self._pose, self._twist, self.steps = pose, twist, int(steps)
-        self._clear_inputs()
-        self._integrator.restart()
+        self._start_at(pose, twist, int(steps), self.layout.angles(pose, angles))
         if memory is not None:
             self._remember(memory)
+
+    def _start_at(self, pose, twist, steps, angles):
+        """Continue from a valid state, whose arrays become those of the engine."""
+        self._work.angle[:] = angles
+        self._pose, self._twist, self.steps = pose, twist, steps
+        self._clear_inputs()
+        self._integrator.restart()
+
+    def follow(self, other, steps):
+        """Continue from the state of another engine of the same scene at a step count, with its inputs."""
+        self._start_at(*other.state(), steps, other._work.angle)
+        self.take_modes(other)
+        for change in other.acting():
+            change.repeat(self)
 
     def place(self, poses=None, twists=None, joints=None) -> None:
         """Set poses and twists of bodies, and joint coordinates; all other bodies follow.
@@ -399,6 +410,10 @@ class Engine(Inputs, JointEvents):
         """Accepted and attempted substeps since the state was set; (0, 0) without error control."""
         return self._integrator.substeps
 
+    def limit_substeps(self, longest):
+        """Set the longest substep in s of a method with error control; call it at the start."""
+        self._integrator.limit(longest)
+
     def advance(self, steps: int = 1) -> None:
         """Take `steps` steps, an integer >= 0.
 
@@ -410,6 +425,10 @@ class Engine(Inputs, JointEvents):
         if isinstance(steps, bool) or not isinstance(steps, Integral) or steps < 0:
             raise ValueError(f"steps must be a whole number, 0 or more, got {steps!r}")
         self._advance(int(steps))
+
+    def advance_to(self, steps):
+        """As `advance`, up to a step count that is not before the present one."""
+        self._advance(steps - self.steps)
 
     def _advance(self, steps):
         end = self.steps + steps
@@ -469,19 +488,23 @@ class Engine(Inputs, JointEvents):
             changed = self._schedule.update(Instant(self.steps, time))
             # A part ends only where a total changes: the recorded totals repeat the same parts.
             if changed or time in self._timetable.inside(self.steps):
-                _, status = self._integrate(begin, time - begin, 1)
+                status = self._take_part(begin, time - begin)
                 if status != OK:
                     break
                 self._change_wrenches(time, changed)
                 begin = time
         else:
             last = self.step if begin == start else (self.steps + 1) * self.step - begin
-            _, status = self._integrate(begin, last, 1)
+            status = self._take_part(begin, last)
         if status != OK:
             self._pose[:], self._twist[:], self._work.angle[:] = good
             self._integrator.restart()
             return 0, status
         return 1, OK
+
+    def _take_part(self, start, h):
+        """Take a part of a step of size h from a time on; returns a status."""
+        return self._integrate(start, h / self._parts, self._parts)[1]
 
     def _integrate(self, start, h, steps):
         """Take steps of size h from a time on, in which no wrench changes.

@@ -296,7 +296,7 @@ class Inputs:
         """[(number, axes)] of the nonzero total wrenches, all servos, and commanded motions."""
         acting = {
             (int(i), axes)
-            for axes in AXES
+            for axes in (AXES if self._schedule else ())
             for i in np.flatnonzero(self._schedule.total[axes].any(axis=1))
         }
         commanded = np.isfinite(self._schedule.total[DRIVE][:, 0])

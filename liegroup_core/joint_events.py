@@ -44,6 +44,8 @@ class JointEvents:
     Without stops and friction, `_switching` is None, and there are none.
     """
 
+    _parts = 1  # see `divide_events`
+
     @property
     def event_count(self) -> int:
         """Number of events at stops and of dry friction since the state was set."""
@@ -75,7 +77,8 @@ class JointEvents:
         return found
 
     def divide_events(self, parts: int) -> None:
-        """Take the step that leads to an event at a stop or of friction in so many parts."""
+        """Take steps that lead to an event at a stop, of friction or of an input in so many parts."""
+        self._parts = parts
         if self._switching is not None:
             self._switching.parts = parts
 

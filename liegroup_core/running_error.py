@@ -8,17 +8,21 @@ method of order p then follows from the distance d = |x_h - x_qh| of the two sta
     order seen     : d / (q^p - 1), the errors being c h^p and c (q h)^p
     order not seen : about d, the two errors being independent of each other
 
-The estimate is SAFETY times a geometric mean of the two, with the weight SEEN on the first. They are
-close enough to each other (a factor of 2 for p = 4, of 3 for p = 8) that nothing has to be decided. For
-q = 2 the factor is 15 and 255: whether the order is seen has to be found from a third run, and is often
-found wrongly.
+The estimate is SAFETY times a geometric mean of the two, with the weight SEEN on the first, and at
+least LEAST times d. They are close enough to each other (a factor of 2 for p = 4, of 3 for p = 8) that
+nothing has to be decided. For q = 2 the factor is 15 and 255: whether the order is seen has to be found
+from a third run, and is often found wrongly.
 
 The two meet every 4 or 6 steps. An estimate is that of the last meeting, or FADING times the largest of
 the last checkpoints if that is more: a distance may pass through zero where the error does not.
 Checkpoints, after MEETINGS of them and more often at the start, depend on the step count alone, so that
-a repeated run has bit-identical estimates. If every meeting is one, as with an accuracy, an error that
-grew is taken to grow on until the next one. If the companion cannot continue, the estimate is infinite
-from then on. Before the first meeting it is NaN.
+a repeated run has bit-identical estimates. With an accuracy the two meet at checkpoints only, after
+about SUBSTEPS substeps; an error that grew is taken to grow on until the next one. If the companion
+cannot continue, the estimate is infinite from then on. Before the first meeting it is NaN.
+
+With error control the companion takes four steps in one: in steps as short as those of the simulation
+the last substep of each, which ends with the step, would often make the substeps of both equal. Without
+an accuracy its substeps are at most 4/3 of a step; with one its tolerances alone limit them.
 
 Coverage, that is estimate against true error: benchmarks/estimate_coverage.py,
 test/verification/test_running_error.py.
@@ -39,16 +43,20 @@ from .model.size import mechanism_size
 
 HIGH = 8  # order from which the steps are more similar
 MEETINGS = 32  # between checkpoints, a power of two
+SUBSTEPS, MOST = 32, 8  # between checkpoints with an accuracy: substeps, and steps at most
 WINDOW, FADING = 4, 0.5  # checkpoints
 FASTEST = 8.0  # growth between two meetings that is continued until the next one
 PARTS = 2  # of the step that leads to an event, whose size does not depend on that of the others
 SAFETY, SEEN, SEEN_CONTROLLED = 2.0, 0.6, 0.8
+LEAST = 0.5  # part of the distance: where the order is not seen it may all be the simulation's
 # Of the mechanism's size, and rad: an error of this size makes a motion unpredictable.
 UNPREDICTABLE = 0.1
 _KEPT = (
     "_set_at",
     "_start",
     "_next",
+    "_block",
+    "_substeps",
     "_alive",
     "_distance",
     "_window",
@@ -83,23 +91,25 @@ def distances(pose, twist, other_pose, other_twist, out):
 class RunningError:
     """Estimate of the global error of an Engine; `follow` keeps it up to date.
 
-    engine   : Engine, whose state `follow` reads
-    meetings : with the companion between two checkpoints, a power of two
+    engine  : Engine, whose state `follow` reads
+    by_work : checkpoints follow the number of substeps, and all meetings are checkpoints
 
     checkpoints : number of checkpoints so far
     """
 
-    def __init__(self, engine, meetings=MEETINGS):
-        self._engine = engine
-        order = METHODS[engine.method].order
+    def __init__(self, engine, by_work=False):
+        self._engine, self._by_work = engine, by_work
+        order, controlled = METHODS[engine.method].order, METHODS[engine.method].controlled
         # Steps of the engine and of its companion in the same time.
-        controlled = METHODS[engine.method].controlled
-        self.ours, self._theirs = (4, 3) if order < HIGH or controlled else (6, 5)
-        self._every = meetings * self.ours
-        ratio = self.ours / self._theirs
-        self._factor = SAFETY / (ratio**order - 1.0) ** (SEEN_CONTROLLED if controlled else SEEN)
+        self.ours, self._theirs = (4, 1) if controlled else (4, 3) if order < HIGH else (6, 5)
+        ratio = 4.0 / 3.0 if controlled else self.ours / self._theirs
+        seen = (ratio**order - 1.0) ** (SEEN_CONTROLLED if controlled else SEEN)
+        self._factor = max(LEAST, SAFETY / seen)
         self.size = mechanism_size(engine.layout.model) or 1.0
-        self._companion = self._make_companion(ratio * engine.step, ratio**order)
+        step = self.ours / self._theirs * engine.step
+        self._companion = self._make_companion(step, ratio**order)
+        if controlled and not by_work:
+            self._companion.limit_substeps(ratio * engine.step)
         n = len(engine.layout.body_names)
         self._distance = np.zeros((n, 4))
         self._window = np.zeros((WINDOW, n, 4))
@@ -133,6 +143,7 @@ class RunningError:
         """Forget the error so far: the state was set."""
         self._set_at = self._engine.steps
         self._start, self._next = None, 0  # steps at which the companion started, and meets next
+        self._block = self._substeps = 0  # steps to the next checkpoint, substeps at the last one
         self._alive = True
         self._distance[:] = self._window[:] = 0.0
         self.checkpoints = 0
@@ -143,15 +154,21 @@ class RunningError:
 
         The next checkpoint, otherwise the last meeting before the end.
         """
+        if not self._alive:
+            return end
         if self._start is None:
             return min(end, (steps // self.ours + 1) * self.ours)
-        checkpoint, meeting = self._next_checkpoint(steps), end // self.ours * self.ours
-        return checkpoint if checkpoint <= end else meeting if meeting > steps else end
+        if self._next <= end or self._by_work:
+            return min(self._next, end)
+        meeting = end // self.ours * self.ours
+        return meeting if meeting > steps else end
 
     def _next_checkpoint(self, steps):
+        if self._by_work:
+            return steps + self._block
         period, done = self.ours, steps - self._start
-        while period < self._every and period <= done:
-            period *= 2
+        while period < MEETINGS * self.ours and period <= done:
+            period = min(4 * period, MEETINGS * self.ours)
         return self._start + (done // period + 1) * period
 
     def changed(self, changes):
@@ -168,8 +185,10 @@ class RunningError:
         if self._start is None:
             self._begin(steps)
             return
+        if self._by_work and steps != self._next:
+            return
         try:
-            self._companion.advance(steps // self.ours * self._theirs - self._companion.steps)
+            self._companion.advance_to(steps // self.ours * self._theirs)
         except SimulationError:
             self._alive = False
             self._distance[:] = np.inf
@@ -177,19 +196,24 @@ class RunningError:
             return
         self._compare()
         if steps == self._next:
+            self._adapt()
             self._next = self._next_checkpoint(steps)
             self._keep()
 
+    def _adapt(self):
+        """Set the number of steps to the next checkpoint from the substeps since the last one."""
+        substeps = self._engine.substeps[0]
+        work, self._substeps = substeps - self._substeps, substeps
+        longest = min(MOST, 2 * self._block)
+        while longest > self.ours and longest * work > SUBSTEPS * self._block:
+            longest //= 2
+        self._block = longest
+
     def _begin(self, steps):
         """Start the companion at the state of the engine."""
-        engine, companion = self._engine, self._companion
-        companion.set_state(
-            *engine.state(), steps // self.ours * self._theirs, engine.sample().angles
-        )
-        companion.take_modes(engine)
-        for change in engine.acting():
-            change.repeat(companion)
-        self._start = steps
+        engine = self._engine
+        self._companion.follow(engine, steps // self.ours * self._theirs)
+        self._start, self._block, self._substeps = steps, self.ours, engine.substeps[0]
         self._next = self._next_checkpoint(steps)
 
     def _compare(self):
@@ -254,7 +278,8 @@ class RunningError:
     def memory(self):
         """Array from which `remember` restores the estimate."""
         companion = self._companion
-        own = self._set_at, -1 if self._start is None else self._start, self._alive, self._next
+        start = -1 if self._start is None else self._start
+        own = self._set_at, start, self._alive, self._next, self._block, self._substeps
         return np.concatenate(
             [
                 [*own, self.checkpoints, self.predictable_until, companion.steps],
@@ -270,15 +295,16 @@ class RunningError:
         """Restore the estimate from `memory`, at the same state of the engine."""
         n, k = len(self._distance), len(self._companion.sample().angles)
         own, distance, window, pose, twist, angles, rest = np.split(
-            memory, np.cumsum([7, 4 * n, 4 * n * WINDOW, 12 * n, 6 * n, k])
+            memory, np.cumsum([9, 4 * n, 4 * n * WINDOW, 12 * n, 6 * n, k])
         )
-        set_at, start, alive, following, checkpoints = (int(x) for x in own[:5])
+        set_at, start, alive, following, block, substeps, checkpoints = (int(x) for x in own[:7])
         self._companion.set_state(
-            pose.reshape(n, 12), twist.reshape(n, 6), int(own[6]), angles, rest.tobytes()
+            pose.reshape(n, 12), twist.reshape(n, 6), int(own[8]), angles, rest.tobytes()
         )
         self._set_at, self._start = set_at, None if start < 0 else start
         self._alive, self._next, self.checkpoints = bool(alive), following, checkpoints
-        self.predictable_until = float(own[5])
+        self._block, self._substeps = block, substeps
+        self.predictable_until = float(own[7])
         self._distance[:] = distance.reshape(n, 4)
         self._window[:] = window.reshape(WINDOW, n, 4)
 
@@ -290,10 +316,10 @@ class RunningError:
         return self._factor * self._growth() * kept
 
     def _growth(self):
-        """Growth since the last meeting, as between the two before, if each is a checkpoint."""
-        stale = self._engine.steps % self.ours / self.ours
-        if self._every > self.ours or not stale or self.checkpoints < 2:
+        """With an accuracy: growth since the last checkpoint, as between the two before."""
+        if not self._by_work or self.checkpoints < 2 or not self._block:
             return 1.0
+        stale = 1.0 - (self._next - self._engine.steps) / self._block
         last, before = (
             float(self._window[(self.checkpoints - k) % WINDOW, :, :2].max()) for k in (1, 2)
         )

@@ -24,12 +24,11 @@ log = logging.getLogger("liegroup_core")
 # Steps of a simulation to an accuracy, s; LONGER: with a horizon that is given. The longest is taken
 # that keeps to a PART of the horizon, and to SUBSTEPS in the first step.
 STEPS = tuple(float(f"{digit}e{power}") for power in range(-3, -8, -1) for digit in (10, 5, 2))
-LONGER = (0.1, 0.05, 0.02)
-PART = 0.01
+LONGER = (0.5, 0.2, 0.1, 0.05, 0.02)
+PART = 0.02
 SUBSTEPS = 20
 # Keys of every snapshot.
 SNAPSHOT = {"simulation", "doubt", "state", "memory", "schedule", "external", "wanted"}
-MEETINGS = 1  # of the two runs between two settings of the tolerance
 
 
 class Simulation(Engine):
@@ -41,7 +40,8 @@ class Simulation(Engine):
                size, or rad; later the error may grow by as much in each further horizon. Default 1e-4
     horizon  : s; default 60
     step     : s, times at which states can be had; of a sequence the longest suitable one. Default:
-               at most 10 ms, or a hundredth of a given horizon, or twenty steps of the error control
+               at most 10 ms, or with a given horizon a fiftieth of it and at most 0.5 s, in which the
+               error control takes at most twenty substeps
     stabilisation : default "projection" for joints that would drift, else "none"
 
     With a method, it takes the arguments of Engine, with their defaults.
@@ -111,7 +111,7 @@ class Simulation(Engine):
         if isinstance(step, (list, tuple)):
             step, layout = _suitable(step, scene, layout, settings, tolerances)
         super().__init__(scene, METHOD, step, *settings, quiet, layout, **tolerances)
-        self._running = RunningError(self, MEETINGS)
+        self._running = RunningError(self, by_work=True)
         for integrator in self._running.integrators:
             integrator.passes = True
         self._control = AccuracyControl(accuracy, float(horizon), self._tighten)
@@ -293,31 +293,30 @@ class Simulation(Engine):
             count = running.checkpoints
             running.follow()
             if running.checkpoints > count:
-                error = running.largest
                 if self._control is not None:
-                    self._control.follow(self.time, error, running.predictable_until == math.inf)
-                self._look(error)
+                    predictable = running.predictable_until == math.inf
+                    self._control.follow(self.time, running.largest, predictable)
+                self._look()
             if self.steps >= end:
                 return
 
-    def _look(self, error):
+    def _look(self):
         """Warn once if the error exceeds the accuracy, and once if it is large."""
         time = self.time
         if not self._exceeded and self.accurate_until <= time:
             self._exceeded = True
-            self._warn(error, f", above the accuracy of {self._control.wanted(time):.2g}")
+            self._warn(f", above the accuracy of {self._control.wanted(time):.2g}")
         if not self._lost and self.predictable_until <= time:
             self._lost = True
             self._warn(
-                error,
                 ": from here on this may be another motion"
-                + ("" if self._control else "; use a smaller step, or an accuracy"),
+                + ("" if self._control else "; use a smaller step, or an accuracy")
             )
 
-    def _warn(self, error, what):
+    def _warn(self, what):
         text = (
-            f"at t = {self.time:.6g} s the estimated error is {error:.2g} of the mechanism's size "
-            f"or rad{what}"
+            f"at t = {self.time:.6g} s the estimated error is {self.largest_error:.2g} of the "
+            f"mechanism's size or rad{what}"
         )
         self.doubt = f"{self.doubt}; {text}" if self.doubt else text
         if not self._quiet:

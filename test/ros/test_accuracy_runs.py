@@ -130,8 +130,8 @@ def test_a_node_says_when_its_motion_cannot_be_known_any_more(client, tmp_path):
     ):
         assert float(figures[key]) == pytest.approx(since, rel=1e-9)
         assert events_of_runs.number(told[name].text) == pytest.approx(since, rel=1e-8)
-        # The stamp is that of the first tick after the error was found, at every fourth step.
-        assert -1e-9 <= told[name].stamp_ns * 1e-9 - since < 0.07
+        # The stamp is that of the first tick after the error was found, at most eight steps later.
+        assert -1e-9 <= told[name].stamp_ns * 1e-9 - since < 0.11
     found = analyse(recording, reference_seconds=told["inaccurate"].stamp_ns * 1e-9 + 1.0).figures
     assert found["promise"]["kept"] is True and found["promise"]["beyond"] is True
     assert found["promise"]["seconds"] == pytest.approx(simulation.accurate_until, rel=1e-9)
@@ -398,8 +398,8 @@ def test_a_run_to_an_accuracy_is_checked_by_analyze(tmp_path, capsys, stabilised
     log, document = tmp_path / "a.mcap", tmp_path / "a.json"
     arguments = ["run", "four_bar", "--accuracy", "1e-6", "--horizon", "0.5", "--duration", "1.5"]
     assert main([*arguments, *stabilised, "--out", str(log)]) == 0
-    # A hundredth of the horizon.
-    assert "1.5 s in 300 steps, 301 samples" in capsys.readouterr().out
+    # A fiftieth of the horizon.
+    assert "1.5 s in 150 steps, 151 samples" in capsys.readouterr().out
     recording = repeats(log)
     promise = recording.settings["promise"]
     assert promise["accuracy"] == 1e-6 and promise["horizon"] == 0.5
@@ -416,7 +416,7 @@ def test_a_run_to_an_accuracy_is_checked_by_analyze(tmp_path, capsys, stabilised
     assert 0.0 < figures["promise"]["error"] < 3e-6
     # With the options that would make the same run.
     assert main(["replay", str(log), "--resimulate", "--method", METHOD]) == 0
-    assert "all 301 samples are bit-identical" in capsys.readouterr().out
+    assert "all 151 samples are bit-identical" in capsys.readouterr().out
     other = ["--method", "rkmk8", "--step", "1e-3", "--bound", "1e-5"]
     assert main(["replay", str(log), "--resimulate", *other]) == 0
 
@@ -432,7 +432,7 @@ def test_a_run_reports_that_its_error_exceeds_the_accuracy(tmp_path):
     simulation = Simulation(load_scene("double_pendulum"), step=0.01)
     simulation.advance(3000)
     since = simulation.accurate_until
-    assert 0.0 <= event.stamp_ns * 1e-9 - since < 0.1 + 0.07
+    assert 0.0 <= event.stamp_ns * 1e-9 - since < 0.1 + 0.11
     assert events_of_runs.number(event.text) == pytest.approx(since, rel=1e-8)
     assert 0.0 <= later.stamp_ns * 1e-9 - simulation.predictable_until < 0.1
     found = analyse(recording).figures["promise"]

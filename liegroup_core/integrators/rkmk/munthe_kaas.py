@@ -98,7 +98,10 @@ def _judge(model, work, scheme, h, size, status, twist, control):
     error = math.inf
     if status == OK:
         error = _error(model, work, scheme, size, twist, control[4], control[5])
-    control[0] = min(h, size * _change(error, len(scheme.error)))
+    change = _change(error, len(scheme.error))
+    # A substep that ends early, at a change of inputs, says little about the longer one before it.
+    kept = control[0] if change == LARGEST_GROWTH else 0.0
+    control[0] = min(control[6], max(kept, size * change))
     control[2] += 1.0
     if error <= 1.0:
         control[1] += 1.0
@@ -132,9 +135,9 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
 
     model, work     : Model and Work, or RelativeModel or PlaneModel and RelativeWork
     external        : external wrenches of these steps, see forces/external.py
-    control (6,)    : next substep in s, numbers of accepted and of attempted substeps so far, next
+    control (7,)    : next substep in s, numbers of accepted and of attempted substeps so far, next
                       substep at the start of the step, rtol of velocities, atol in rad, m, rad/s,
-                      m/s; only for schemes with error control
+                      m/s, longest substep in s; only for schemes with error control
     returns (steps done, status): fewer steps if status is not OK. Pose, twist and work.angle are
     those of the last valid step, after EVENT of the last valid substep. The low byte of status is
     the code. The other bytes are the element
@@ -244,8 +247,9 @@ class MuntheKaas:
         self._group, self._longest = GROUPS.get(group, SE3), step
         self._model, self._work, self.work, ending = model_and_work(layout, group, options, stages)
         self.kernels = "rkmk" + ending
-        self._control = np.zeros(6)
-        self._control[4:] = self._tolerances = options.get("rtol", 0.0), options.get("atol", 1.0)
+        self._control = np.zeros(7)
+        self._tolerances = options.get("rtol", 0.0), options.get("atol", 1.0)
+        self.tighten(1.0)
         self._advance = SameTypes(advance)
         self.switching = None
         if group == RELATIVE and len(self._model.switches):
@@ -266,6 +270,7 @@ class MuntheKaas:
     def restart(self):
         """Clear the memory between calls: the state was set."""
         self._control[:4] = self._longest, 0.0, 0.0, self._longest
+        self._control[6] = self._longest
         if self._work is not self.work:
             self._work.known[0] = 0.0
         if self.switching is not None:
@@ -275,6 +280,11 @@ class MuntheKaas:
         """Set the tolerances to a fraction of those of the options."""
         for k, tolerance in enumerate(self._tolerances):
             self._control[4 + k] = part * tolerance
+
+    def limit(self, longest):
+        """Set the longest substep in s, and restart."""
+        self._longest = longest
+        self.restart()
 
     @property
     def links(self):
@@ -301,13 +311,13 @@ class MuntheKaas:
         """Take steps, with larger tolerances where that is allowed and needed."""
         done, status = self._take(h, steps, pose, twist, external)
         while self.passes and status & 0xFF in TOO_TIGHT:
-            tolerances = self._control[4:].copy()
+            tolerances = self._control[4:6].copy()
             for factor in LOOSER:
-                self._control[4:] = factor * tolerances
+                self._control[4:6] = factor * tolerances
                 one, status = self._take(h, 1, pose, twist, external)
                 if one or status & 0xFF not in TOO_TIGHT:
                     break
-            self._control[4:] = tolerances
+            self._control[4:6] = tolerances
             if not one:
                 break
             done += 1
