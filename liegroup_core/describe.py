@@ -65,7 +65,7 @@ def describe(layout):
     Raises SceneError.
     """
     scene, model = layout.scene, layout.model
-    dropped = layout.dropped_rows
+    dropped, coupled = layout.dropped_rows, resolve_couplings(layout.centred)
     rows = {joint.name: [] for joint in scene.joints}
     for owner, names in zip(layout.owners, layout.row_names):
         rows[scene.joints[owner].name] += names

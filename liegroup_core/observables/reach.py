@@ -9,9 +9,9 @@ from liegroup_core.scene.centres import pose_matrix
 from liegroup_core.scene.consistency import (
     ResolvedCoupling,
     driven_joints,
-    rigid_couplings,
     resolve_elements,
     resolve_frames,
+    rigid_couplings,
 )
 from liegroup_core.scene.description import WORLD
 

@@ -36,9 +36,9 @@ from liegroup_core.scene.centres import pose_matrix
 from liegroup_core.scene.consistency import (
     ResolvedCoupling,
     driven_joints,
-    rigid_couplings,
     resolve_elements,
     resolve_frames,
+    rigid_couplings,
 )
 
 COMPONENTS = ("torque x", "torque y", "torque z", "force x", "force y", "force z")

@@ -32,9 +32,9 @@ from .consistency import (
     ResolvedCoupling,
     check_consistency,
     resolve_couplings,
-    rigid_couplings,
     resolve_elements,
     resolve_frames,
+    rigid_couplings,
 )
 from .description import WORLD
 from .massless import invertible_inertia, lack_of_inertia
