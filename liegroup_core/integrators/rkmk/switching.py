@@ -60,6 +60,7 @@ HALVINGS = 40
 MOST_KEPT = 100_000  # events that nobody has taken
 RETURNING = 1e-10  # of its terms: an acceleration below is zero
 ACCELERATION = 1e-13  # of all accelerations of the mechanism: round-off of one
+SPENT = 1e-9  # of its bound: the effort of what can give no more
 IMMOBILE = 1e-13  # of its mobility without closed loops: a coordinate that loops hold at this pose
 LOOSE = 1e100  # tolerance of error control that no step fails
 
@@ -452,6 +453,7 @@ class Switching:
         """
         model, work = self._model, self._work
         modes, table = work.modes, model.switches
+        shares = np.where(modes[:, RESTS] != 0.0, modes[:, EFFORT], 0.0)
         work.held[:], modes[:, RESTS] = 0.0, 0.0
         modes[:, SLIP] = np.where(self._dry & ~resting, np.sign(rates), 0.0)
         modes[self._rigid, SIDE] = 0.0
@@ -473,6 +475,11 @@ class Switching:
         released = np.where(
             crossed[chosen, LEAST], LOW, np.where(crossed[chosen, MOST], HIGH, FREE)
         )
+        if released.any():
+            # What rests beside others with all that it can give does not take over from them.
+            share = shares[chosen]
+            released[(share != 0.0) & (share <= lo * (1.0 - SPENT))] = LOW
+            released[(share != 0.0) & (share >= hi * (1.0 - SPENT))] = HIGH
         for _ in range(2 * len(chosen)):
             x, w, at = solve(A, b, lo, hi, released)
             back = released * w > RETURNING * (np.abs(A) @ np.abs(x) + np.abs(b)) + round_off
