@@ -121,7 +121,7 @@ def describe(layout):
         "degrees_of_freedom": 6 * len(model.bodies)
         - len(model.row_residual)
         - len(layout.relative.couplings)
-        + sum(entry.has_slack for entry in coupled),
+        + sum(coupling.backlash is not None for coupling in scene.couplings),
         "rows": int(model.elements["rows"].sum()),
         "solved_rows": len(model.row_residual),
         "dropped_rows": [list(entry) for entry in dropped],

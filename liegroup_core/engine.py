@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from liegroup_core.compiling import warm_up
 from liegroup_core.forces.schedule import DRIVE, Instant
-from liegroup_core.forces.timetable import Timetable
+from liegroup_core.forces.timetable import Timetable, acting_at, just_after
 from liegroup_core.integrators.methods import METHODS, is_positive
 from liegroup_core.integrators.rkmk.switching import BEYOND
 from liegroup_core.integrators.smaller_step import step_that_works
@@ -20,6 +20,7 @@ from liegroup_core.joints.coupling import COUPLED, gap, turns
 from liegroup_core.joints.motion import at, uniform
 from liegroup_core.model.build import initial_state
 from liegroup_core.observables.reach import beyond_reach
+from liegroup_core.observables.reactions import REGULAR
 from liegroup_core.observables.sample import Sample
 from liegroup_core.scene.centres import pose_matrix
 from liegroup_core.scene.consistency import joint_state, switch_coordinates
@@ -563,12 +564,52 @@ class Engine(Inputs, JointEvents):
         if len(self._work.wanted):
             sample.wanted = self._work.wanted.copy()
         if self._switching is not None:
-            self._set_inputs(self.time, self.step)
-            state = self._pose, self._twist, self._external
-            sample.switching = self._switching.modes(self.time, state)
+            sample.switching = self._modes_now()
         if len(self._work.motions):
             sample.motions = self.layout.motions_at(self.time, self._commanded)
         return sample
+
+    def _modes_now(self):
+        """(k, 5) modes of the joints with stops or friction, see Sample.switching."""
+        self._set_inputs(self.time, self.step)
+        return self._switching.modes(self.time, (self._pose, self._twist, self._external))
+
+    def reaction_array(self, out: Floats | None = None) -> Floats:
+        """Reactions of all joints at the present state, without a Sample: the same numbers.
+
+        out : (J, 6) array, of any memory layout, that takes them; None: a new one
+        returns (J, 6) torque N m, force N of the joints in the order of the scene; see
+        Sample.reactions. Raises SimulationError if they cannot be computed.
+        """
+        reactions = self.layout.reactions
+        if not reactions.names:
+            return self._given(np.empty((0, 6)), out)
+        found = reactions.empty()
+        if reactions.has_inputs:
+            reactions.take(*self._inputs_now())
+        external = self._external if self._schedule else reactions.idle
+        if reactions.present(self._pose, self._twist, external, found) != REGULAR:
+            return self._given(self.sample().reaction_array, out)  # a singular pose, or an error
+        return self._given(found[: len(reactions.names)], out)
+
+    @staticmethod
+    def _given(found, out):
+        if out is None:
+            return found
+        out[...] = found
+        return out
+
+    def _inputs_now(self):
+        """What reactions depend on beside the state and external wrenches; see Reactions.at."""
+        work, modes = self._work, None
+        if self._switching is not None:
+            if not self.layout.reactions.take_modes(*self._integrator.links):
+                modes = self._modes_now()
+        acting = work.acting
+        if len(acting):
+            acting = acting_at(self.layout.model.forces.applied_wrench, just_after(self.time))
+        motions = self.layout.motions_at(self.time, self._commanded)
+        return work.angle, acting, work.wanted, motions, modes, self.time
 
     def energy(self) -> float:
         """Kinetic energy plus potential energy of gravity and springs at the present state, J."""

@@ -21,6 +21,10 @@ class SceneError(LieGroupSimError, ValueError):
         self.place = None if place is None else tuple(place)
 
 
+class MissingFileError(SceneError):
+    """Scene that needs a file which is not there."""
+
+
 class SimulationError(LieGroupSimError, RuntimeError):
     """Integration that cannot continue; the simulation keeps its last valid state.
 

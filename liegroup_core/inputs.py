@@ -119,17 +119,15 @@ class Inputs:
         velocity : rad/s or m/s
         start, duration : as in `apply_wrench`; after its end the values of the scene hold
         Raises ValueError for a joint without a servo, or a number that is not finite, and BeyondLimits,
-        a ValueError, for a position or velocity beyond the limits of the joint (joints/limits.py). A
-        servo without stiffness has no wanted position.
+        a ValueError, for a position or velocity beyond the limits of the joint, or a position to which
+        it cannot jump (joints/limits.py). A servo without stiffness has no wanted position.
         """
-        number = self._servo(joint)
+        self._servo(joint)
         for name, value in (("position", position), ("velocity", velocity)):
             if isinstance(value, bool) or not (isinstance(value, Real) and math.isfinite(value)):
                 raise ValueError(f"a wanted {name} must be a finite number, got {value!r}")
-        limits = self.layout.limits[joint]
-        if servos(self.scene.forces)[number].stiffness > 0.0:
-            limits.check_position(position)
-        limits.check_velocity(velocity)
+        self.check_jump(joint, position)
+        self.layout.limits[joint].check_velocity(velocity)
         self.set_servo_target(joint, position, velocity, start, duration)
 
     def set_servo_target(
@@ -229,9 +227,12 @@ class Inputs:
         begin, _ = self._interval(start, None)
         self._schedule.command_motion(self._drive(joint), row, begin)
 
-    def wanted_position(self, joint):
-        """Wanted position of the servo of a joint, rad or m."""
-        return float(self._work.wanted[self.layout.servos[joint], 0])
+    def check_jump(self, joint, position):
+        """Raise BeyondLimits for a wanted position to which the servo of a joint cannot jump now."""
+        number = self._servo(joint)
+        if servos(self.scene.forces)[number].stiffness > 0.0:
+            before = float(self._work.wanted[number, 0])
+            self.layout.limits[joint].check_jump(before, position)
 
     def _drive(self, joint):
         """Number of a driven joint. Raises ValueError for another one."""

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from liegroup_core.integrators.rkmk.switching import JointEvent, JointInstant
+from liegroup_core.scene.description import Scene
 
 Floats = NDArray[np.float64]
 
@@ -15,12 +16,26 @@ class Impact(NamedTuple):
     """Impulses of all joints at an impact.
 
     time, time_ns : s, ns
-    impulses      : {joint: (6,)} N m s, N s on its child, with axes and NaN as Sample.reactions
+    array         : (J, 6) N m s, N s of the joints of the scene on their children, with axes and NaN as
+                    Sample.reactions
+    names         : of the joints
     """
 
     time: float
     time_ns: int
-    impulses: dict[str, Floats]
+    array: Floats
+    names: tuple[str, ...]
+
+    @property
+    def impulses(self) -> dict[str, Floats]:
+        """{joint: (6,)} N m s, N s."""
+        return dict(zip(self.names, self.array))
+
+
+def has_impacts(scene: Scene) -> bool:
+    """Whether a joint of a scene has rigid stops."""
+    limits = (joint.limits for joint in scene.joints)
+    return any(some is not None and some.stiffness is None for some in limits)
 
 
 class JointEvents:
@@ -54,9 +69,9 @@ class JointEvents:
         impacts, self._switching.impacts = self._switching.impacts or [], []
         found = []
         for time, pose, impulses in impacts:
-            wrenches, mask = self.layout.reactions.of_impact(pose, impulses)
-            named = zip(self.layout.reactions.names, np.where(mask, np.nan, wrenches))
-            found.append(Impact(time, round(time * 1e9), dict(named)))
+            array = self.layout.reactions.of_impact(pose, impulses)
+            names = self.layout.reactions.names
+            found.append(Impact(time, round(time * 1e9), array, names))
         return found
 
     def divide_events(self, parts: int) -> None:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Layout of a scene: its model, and the names and frames of its arrays."""
 
+import math
+from bisect import bisect_right
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -21,7 +23,7 @@ from .formulations.relative.spanning_tree import WORLD_NAME
 from .integrators.methods import RELATIVE
 from .joints.coupling import COUPLED
 from .joints.limits import limits_of
-from .joints.motion import COLUMNS, row_at
+from .joints.motion import COLUMNS
 from .joints.pairs import LOWER_PAIRS
 from .lie.groups import UNKNOWN_TURN
 from .model.arrays import Model
@@ -115,6 +117,11 @@ class Layout:
     def needs_events(self):
         """Text that the scene has stops or friction of joints, or ""."""
         return "its joints have limits or friction" if self.switches else ""
+
+    @cached_property
+    def no_modes(self):
+        """(k, 5) modes of the joints with stops or friction that are all free, see Sample.switching."""
+        return np.zeros((len(self.switches), 5))
 
     @cached_property
     def motions(self):
@@ -212,12 +219,24 @@ class Layout:
         """
         if not self.motions:
             return NO_MOTIONS
-        rows = [row_at(rows, time) for rows in self.motions.values()]
-        found = np.array(rows).reshape(-1, COLUMNS)
+        origins, table = self._rows_of_motions
+        if len(table) == len(origins):
+            found = table.copy()
+        else:
+            found = table[[max(0, bisect_right(some, time) - 1) + at for at, some in origins]]
         if commanded is not None:
-            given = np.isfinite(commanded[:, 0])
-            found[given] = commanded[given]
+            for joint, origin in enumerate(commanded[:, 0].tolist()):
+                if origin < math.inf:
+                    found[joint] = commanded[joint]
         return found
+
+    @cached_property
+    def _rows_of_motions(self):
+        """([(first row, origins in s) of each driven joint], all rows) of `motions`."""
+        counts = [len(rows) for rows in self.motions.values()]
+        origins = [rows[:, 0].tolist() for rows in self.motions.values()]
+        firsts = np.cumsum([0, *counts[:-1]]).tolist()
+        return list(zip(firsts, origins)), np.vstack(list(self.motions.values()))
 
     def sample(self, pose, twist, time=0.0, time_ns=0, steps=0, near=None):
         """Create a Sample from pose (n, 12) and twist (n, 6) of the body frames, as in a recording.

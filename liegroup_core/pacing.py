@@ -80,16 +80,17 @@ class Pacer:
     sleep  : function of seconds; if it returns early it must return a true value
 
     ticks      : times that `wait` returned True
+    early      : ticks before their deadline, as `earliest` allows
     overruns   : deadline misses: ticks whose deadline had passed when `wait` was called
     reanchored : number of anchor resets because of a delay beyond CATCH_UP
-    lateness   : LatenessHistogram of all ticks that had a deadline
+    lateness   : LatenessHistogram of all ticks that had a deadline, without those before it
     """
 
     def __init__(self, factor=1.0, clock=time.monotonic, sleep=time.sleep):
         self.factor = factor
         self._clock = clock
         self._sleep = sleep
-        self.ticks = self.overruns = self.reanchored = 0
+        self.ticks = self.early = self.overruns = self.reanchored = 0
         self.lateness = LatenessHistogram()
         self._anchor = self._start = self._last = self._mark = (0.0, 0.0)
         self._spans = (0.0, 0.0)  # simulated and wall seconds of the finished stretches
@@ -106,27 +107,34 @@ class Pacer:
         self._spans = self._totals()
         self._start = self._last
 
-    def wait(self, sim_time, longest=math.inf):
+    def wait(self, sim_time, longest=math.inf, earliest=None):
         """Wait until `sim_time` is due, at most about `longest` wall seconds.
 
+        earliest : simulated time from whose deadline on the tick may be taken before its own; the
+                   deadlines of later ticks stay. None: not before
         returns True if it is due: take the tick. False: call again.
         """
         now = self._clock()
         if self.factor > 0.0:
             t0, w0 = self._anchor
             deadline = w0 + (sim_time - t0) / self.factor
-            if deadline > now:
-                if deadline - now > WATCH:
+            allowed = deadline if earliest is None else w0 + (earliest - t0) / self.factor
+            if allowed > now:
+                if allowed - now > WATCH:
                     if (
-                        self._sleep(min(deadline - now - WATCH, longest))
-                        or deadline - self._clock() > WATCH
+                        self._sleep(min(allowed - now - WATCH, longest))
+                        or allowed - self._clock() > WATCH
                     ):
                         return False
-                while (now := self._clock()) < deadline:
+                while (now := self._clock()) < allowed:
                     pass
-            else:
+            elif deadline <= now:
                 self.overruns += 1
-            self.lateness.add(now - deadline)
+            if now < deadline:
+                self.early += 1
+                now = deadline  # the run is not faster than requested
+            else:
+                self.lateness.add(now - deadline)
             if now - deadline > CATCH_UP:
                 self._anchor = (sim_time, now)
                 self.reanchored += 1

@@ -16,6 +16,7 @@ NO_RATTLE_STEP = 9
 DIVERGED = 10
 EVENTS_WITHOUT_END = 11
 BEYOND_STOP = 13
+NO_FRICTION = 14
 # No failure: a stop, or friction that changes, within a step. It never leaves an integrator.
 EVENT = 12
 
@@ -51,6 +52,8 @@ MESSAGES = {
     BEYOND_STOP: "joint {joint} is beyond its stop: set a state between the stops",
     EVENTS_WITHOUT_END: "a step has more than {events} impacts or changes of friction: stops and friction "
     "let them follow each other without end; change their numbers",
+    NO_FRICTION: "friction by load has no solution, or several, at this pose (Painleve's paradox): mu times "
+    "radius is too large for the load that friction itself causes; make it smaller",
     NO_RATTLE_STEP: "RATTLE has no solution for body {body}: it rotates by {angle:.3g} rad in a "
     "step, and the limit is 1 rad; use a smaller step{hint}",
 }

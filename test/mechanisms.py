@@ -11,7 +11,7 @@ from scipy.linalg import null_space
 from liegroup_core import Scene
 from liegroup_core.integrators.methods import METHODS
 from liegroup_core.joints import forbidden_rows
-from liegroup_core.joints.kinds import TYPES
+from liegroup_core.joints.kinds import CONSTRAINTS
 from liegroup_core.lie.groups import SE3, SO3
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
 from liegroup_core.scene.description import (
@@ -25,7 +25,7 @@ from liegroup_core.scene.description import (
 
 GRAVITY = (0.3, -0.2, -9.81)
 PITCH = 0.3
-KINDS = tuple(TYPES)
+KINDS = tuple(CONSTRAINTS)
 
 
 def random_pose(rng, size=1.0):

@@ -62,13 +62,13 @@ class SameTypes:
 
     def __init__(self, called):
         self._called = called
-        self._machine_code = None
+        self.machine_code = None  # the callable, from the first call on
 
     def __call__(self, *arguments):
-        if self._machine_code is None:
+        if self.machine_code is None:
             entry = isinstance(self._called, Kernel)
-            self._machine_code = self._called.entry(*arguments) if entry else self._called
-        return self._machine_code(*arguments)
+            self.machine_code = self._called.entry(*arguments) if entry else self._called
+        return self.machine_code(*arguments)
 
     def __reduce__(self):
         return SameTypes, (self._called,)

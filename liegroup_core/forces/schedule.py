@@ -139,6 +139,9 @@ class WrenchSchedule:
         self._acting = {}
         self._arrived = 0
 
+    def __bool__(self):
+        return bool(self._waiting or self._acting)
+
     def __len__(self):
         """Number of wrenches that act or start later."""
         return len(self._waiting) + len(self._acting)

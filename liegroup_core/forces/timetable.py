@@ -19,6 +19,11 @@ def acting_at(rows, time):
     return (rows["start"] <= time) & (time < rows["end"])
 
 
+def just_after(time):
+    """A time in s at which an input that starts at `time`, computed otherwise, acts already."""
+    return time * (1.0 + ROUNDING)
+
+
 class Timetable:
     """Changes of the inputs of a scene, for steps of a given size.
 

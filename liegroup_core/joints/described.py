@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a scene says of every joint: the base of the classes of all types."""
 
+from typing import Annotated
+
 from pydantic import Field, model_validator
 
 from liegroup_core.errors import SceneError
@@ -8,7 +10,16 @@ from liegroup_core.fields.frames import Frame
 from liegroup_core.fields.values import Described, Flag, Name, Number, Text
 
 from .motion import Motion
-from .stops import SLIDE, TURN, Friction, Limits, Switch
+from .stops import (
+    Cone,
+    CylinderFriction,
+    CylinderLimits,
+    Friction,
+    Limits,
+    friction_of_type,
+    limits_of_type,
+    switches_of_joint,
+)
 
 
 class JointBase(Described):
@@ -46,11 +57,11 @@ class JointBase(Described):
     motion: Motion | None = Field(
         None, description="prescribed motion from the start on, of a driven joint; see there"
     )
-    limits: Limits | None = Field(
-        None, description="stops of a joint with one coordinate; see there"
+    limits: Annotated[Limits | Cone | CylinderLimits | None, limits_of_type] = Field(
+        None, description="stops of the joint; see there"
     )
-    friction: Friction | None = Field(
-        None, description="friction of a joint with one coordinate; see there"
+    friction: Annotated[Friction | CylinderFriction | None, friction_of_type] = Field(
+        None, description="friction of the joint; see there"
     )
     data: dict[Name, Number] | None = Field(
         None,
@@ -67,10 +78,7 @@ class JointBase(Described):
     @property
     def switches(self):
         """[Switch]: coordinates of the joint with stops or friction."""
-        if self.limits is None and self.friction is None:
-            return []
-        kind = SLIDE if self.type == "prismatic" else TURN
-        return [Switch(self.name, kind, self.limits, self.friction)]
+        return switches_of_joint(self)
 
     @property
     def constrains(self):

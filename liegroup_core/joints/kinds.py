@@ -21,29 +21,23 @@ from .distance import DistanceJoint
 from .elements import ELEMENT, PAIR, JointType
 from .pairs import LOWER_PAIRS, pair_coordinates, pair_element
 from .perpendicular import PERPENDICULAR
-from .stops import CONE, SLIDE, TURN, Cone, CylinderFriction, CylinderLimits, Switch
 
-__all__ = [
-    "CableJoint",
-    "CylindricalJoint",
-    "DistanceJoint",
-    "Joint",
-    "ScrewJoint",
-    "SphericalJoint",
-]
+__all__ = ["CableJoint", "DistanceJoint", "Joint", "ScrewJoint"]
 
-TYPES = LOWER_PAIRS | {
+# Types with rows.
+CONSTRAINTS = LOWER_PAIRS | {
     "universal": JointType(
         "the frames share their origin; the parent's x axis and the child's y axis are the arms "
         "of the cross"
     ),
     "distance": JointType("the origins of the frames keep their distance (rod)"),
+}
+TYPES = CONSTRAINTS | {
     "cable": JointType("the origins of the frames are at most its length apart"),
     "strut": JointType("the origins of the frames are at least its length apart"),
 }
-# Types with a class of their own; a name and two frames describe the others.
-OWN = ("screw", "spherical", "cylindrical")
-PLAIN = (*(name for name in LOWER_PAIRS if name not in OWN), "universal")
+# Types that a name and two frames describe.
+PLAIN = (*(name for name, pair in LOWER_PAIRS.items() if not pair.has_pitch), "universal")
 
 
 class Joint(JointBase):
@@ -73,49 +67,7 @@ class ScrewJoint(JointBase):
         return (pair_element("screw", self.pitch),)
 
 
-class SphericalJoint(JointBase):
-    """Ball joint, which may have a cone that its axes stay in."""
-
-    type: Literal["spherical"] = Field("spherical", description="spherical")
-    limits: Cone | None = Field(
-        None, description="cone that the child's z axis stays in; see there"
-    )
-
-    def elements(self, C_rel):
-        """One lower pair."""
-        return (pair_element("spherical"),)
-
-    @property
-    def switches(self):
-        """[Switch]: the angle of both z axes, if it has a limit."""
-        if self.limits is None:
-            return []
-        return [Switch(self.name, CONE, self.limits.between(None, self.limits.cone), None)]
-
-
-class CylindricalJoint(JointBase):
-    """Shaft in a sleeve: two coordinates, each with stops and friction of its own."""
-
-    type: Literal["cylindrical"] = Field("cylindrical", description="cylindrical")
-    limits: CylinderLimits | None = Field(None, description="stops; see there")
-    friction: CylinderFriction | None = Field(None, description="friction; see there")
-
-    def elements(self, C_rel):
-        """One lower pair."""
-        return (pair_element("cylindrical"),)
-
-    @property
-    def switches(self):
-        """[Switch]: the angle and the displacement, as far as they have stops or friction."""
-        found = []
-        for part, kind in (("rotation", TURN), ("translation", SLIDE)):
-            limits, friction = getattr(self.limits, part, None), getattr(self.friction, part, None)
-            if limits or friction:
-                found.append(Switch(f"{self.name}/{part}", kind, limits, friction))
-        return found
-
-
-JOINTS = (Joint, ScrewJoint, SphericalJoint, CylindricalJoint, DistanceJoint, CableJoint)
+JOINTS = (Joint, ScrewJoint, DistanceJoint, CableJoint)
 
 
 @kernel

@@ -4,7 +4,7 @@
 import math
 from typing import Any, NamedTuple
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import Described, NotNegative, Number, Positive
@@ -107,6 +107,17 @@ class Friction(Described):
         None, description="largest friction at rest in N m or N, at least coulomb; default: coulomb"
     )
     viscous: NotNegative = Field(0.0, description="of the rate, in N m s/rad or N s/m")
+    mu: NotNegative | None = Field(
+        None,
+        description="coefficient of sliding friction by load, the force across the axis; not of a screw; "
+        "default 0",
+    )
+    mu_static: NotNegative | None = Field(
+        None, description="coefficient of friction at rest by load, at least mu; default: mu"
+    )
+    radius: Positive | None = Field(
+        None, description="of the bearing in m, required with mu where the joint rotates"
+    )
 
     @model_validator(mode="after")
     def _check(self):
@@ -115,12 +126,24 @@ class Friction(Described):
                 f"static must be at least coulomb, got {self.static:g} and {self.coulomb:g}",
                 place=("static",),
             )
+        if self.mu_static is not None and self.mu_static < (self.mu or 0.0):
+            raise SceneError(
+                f"mu_static must be at least mu, got {self.mu_static:g} and {self.mu:g}",
+                place=("mu_static",),
+            )
         return self
 
     @property
     def at_rest(self):
-        """Largest friction at rest."""
+        """Largest constant friction at rest."""
         return self.coulomb if self.static is None else self.static
+
+    @property
+    def by_load(self):
+        """(sliding, at rest): friction for each N of load, N m or N."""
+        lever = 1.0 if self.radius is None else self.radius
+        mu = self.mu or 0.0
+        return lever * mu, lever * (mu if self.mu_static is None else self.mu_static)
 
 
 class Cone(Stop):
@@ -193,3 +216,35 @@ class Switch(NamedTuple):
     def is_angle(self):
         """True if poses determine the coordinate modulo 2 pi."""
         return self.kind == TURN
+
+
+def _by_type(usual, **others):
+    """Validator of a value whose class depends on the type of its joint."""
+
+    def make(value, info: ValidationInfo):
+        cls = others.get(info.data.get("type"), usual)
+        return value if value is None or isinstance(value, cls) else cls.model_validate(value)
+
+    return BeforeValidator(make)
+
+
+limits_of_type = _by_type(Limits, spherical=Cone, cylindrical=CylinderLimits)
+friction_of_type = _by_type(Friction, cylindrical=CylinderFriction)
+
+
+def switches_of_joint(joint):
+    """[Switch] of a joint with `limits` and `friction`."""
+    limits, friction = joint.limits, joint.friction
+    if limits is None and friction is None:
+        return []
+    if joint.type == "spherical":
+        return [Switch(joint.name, CONE, limits and limits.between(None, limits.cone), None)]
+    if joint.type != "cylindrical":
+        kind = SLIDE if joint.type == "prismatic" else TURN
+        return [Switch(joint.name, kind, limits, friction)]
+    found = []
+    for part, kind in (("rotation", TURN), ("translation", SLIDE)):
+        own = getattr(limits, part, None), getattr(friction, part, None)
+        if any(own):
+            found.append(Switch(f"{joint.name}/{part}", kind, *own))
+    return found

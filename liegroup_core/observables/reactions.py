@@ -10,7 +10,7 @@ Source: Wojtyra, Joint reactions in rigid body mechanisms with dependent constra
 Machine Theory 44 (2009) 2265.
 """
 
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -18,9 +18,10 @@ import numpy as np
 from liegroup_core.compiling import SameTypes
 from liegroup_core.errors import SimulationError
 from liegroup_core.forces.external import no_wrenches
-from liegroup_core.forces.kinds import limits, wanted_values
+from liegroup_core.forces.kinds import limits
 from liegroup_core.formulations.relative.arrays import make_relative_work
 from liegroup_core.formulations.relative.reactions import (
+    copy_modes,
     impulse_wrenches,
     joint_wrenches,
     reaction_table,
@@ -60,29 +61,29 @@ class _Rows(NamedTuple):
 
 
 NO_EFFORTS = np.zeros(0)
+REGULAR = -1  # what `joint_wrenches` returns at a pose that is not singular
 
 
 class Reactions:
     """Reactions of all joints of a layout.
 
-    names : of the joints, in the order of all arrays
+    names      : of the joints, in the order of all arrays
+    has_inputs : whether they depend on more than the state and the external wrenches
+    idle       : no external wrenches
     """
 
     def __init__(self, layout):
         self._forces = layout.joint_forces
         self._bodies = layout.body_names
         self.names = tuple(joint.name for joint in layout.scene.joints)
-        model = layout.relative_in_space
-        self._model, self._table = model, reaction_table(layout)
-        self._joint_wrenches = SameTypes(joint_wrenches)
-        given = model.couplings[model.couplings["motion"] >= 0]
+        self._model, self._layout = layout.relative_in_space, layout
+        given = self._model.couplings[self._model.couplings["motion"] >= 0]
         self._drive_rows = given["row"][np.argsort(given["motion"])]
-        self._out, self._idle = np.empty((len(self.names), 6)), no_wrenches(layout.offsets)
-        self._work = make_relative_work(model, make_work(layout.model, 0), 0)
-        self._work.external[:] = self._idle
-        n = len(self._bodies)
-        self._pose, self._twist = self._work.pose[:n], self._work.twist[:n]
-        self._is_idle = True  # no external wrenches are in work.external
+        self.idle = no_wrenches(layout.offsets)
+        self._copy_modes = SameTypes(copy_modes)
+        self._work = work = make_relative_work(self._model, make_work(layout.model, 0), 0)
+        inputs = (work.angle, work.acting, work.wanted, work.motions, self._model.switches)
+        self.has_inputs = any(map(len, inputs))
         self._scene = scene = layout.centred
         couplings = rigid_couplings(scene)
         couplings += [ResolvedCoupling(j, j, 0.0, 0.0) for j in driven_joints(scene)]
@@ -106,15 +107,37 @@ class Reactions:
 
     def warm_up(self):
         """Compile the kernels and analyse the linkage, at the start of the scene."""
-        state = initial_state(self._scene)
-        angles, acting = (
-            np.zeros(len(self._work.angle)),
-            np.zeros(len(self._work.acting), dtype=bool),
-        )
-        forces, motions = self._model.space.forces, self._model.space.motions
-        modes = np.zeros((len(self._model.switches), 4))
-        self.at(*state, angles, acting, wanted_values(forces), None, motions, modes, 0.0)
-        self._forces.at(forces, angles, *state, np.zeros(len(limits(forces))))
+        pose, twist = initial_state(self._scene)
+        _ = self.present
+        forces, angles = self._model.space.forces, np.zeros(len(self._work.angle))
+        self._forces.at(forces, angles, pose, twist, np.zeros(len(limits(forces))))
+
+    @cached_property
+    def _table(self):
+        table = reaction_table(self._layout)
+        table.hidden[:] = self.undetermined
+        return table
+
+    @cached_property
+    def _joint_wrenches(self):
+        """Compiled `joint_wrenches`, for arrays that can be written, as the engine's."""
+        call = SameTypes(joint_wrenches)
+        arguments = self._model, self._work, self._table, *initial_state(self._scene), self.idle
+        call(*arguments, self.empty())
+        return call
+
+    @cached_property
+    def present(self):
+        """Function (pose, twist, external, out) of `joint_wrenches` for arrays as the engine's.
+
+        One call of compiled code: no check, no copy. The inputs are those of the last `take`.
+        """
+        _ = self._joint_wrenches
+        return partial(self._joint_wrenches.machine_code, self._model, self._work, self._table)
+
+    def empty(self):
+        """Array for the results of `joint_wrenches`."""
+        return np.empty((len(self.names) + len(self._bodies), 6))
 
     @cached_property
     def undetermined(self):
@@ -125,11 +148,6 @@ class Reactions:
             for poses in generic_poses(linkage):
                 mask[group] |= _undetermined(_rows(linkage, poses))
         return mask
-
-    @cached_property
-    def all_determined(self):
-        """True if redundant constraints leave no component undetermined at a regular pose."""
-        return not self.undetermined.any()
 
     def reasons(self, mask):
         """{joint: why some of its components are undetermined}; mask : (J, 6)."""
@@ -145,70 +163,87 @@ class Reactions:
                 found[self.names[j]] = f"{parts}: redundant constraints, {shared}"
         return found
 
-    def at(self, pose, twist, angles, acting, wanted, external, motions, modes, time):
-        """(wrenches (J, 6), mask of the undetermined components (J, 6), motion (n, 6), efforts (d,)).
+    def at(self, pose, twist, external=None, inputs=None, table=None):
+        """(wrenches and motion (J + n, 6), mask of the undetermined components (J, 6), efforts (d,)).
 
         pose, twist : (n, 12), (n, 6) of frames at the centres of mass
-        angles      : (k,) rad, `Sample.angles`;  acting : mask of the scene's applied wrenches
-        wanted      : (k, 2) wanted positions and velocities of the servos
         external    : (n, COLUMNS), see forces/external.py; None: no external wrenches
-        motions     : (d, 7) prescribed motions of the driven joints;  time : s
-        modes       : (k, 4) of the joints with stops or friction, see Sample.switching
-        motion      : angular acceleration and specific force (acceleration less gravity) of every
-                      centre of mass, body axes
-        efforts     : of the driven joints, N m or N
+        inputs      : (angles, acting, wanted, motions, modes, time); None if there are none:
+                      angles (k,) rad, `Sample.angles`; acting, mask of the scene's applied wrenches;
+                      wanted (k, 2) positions and velocities of the servos; motions (d, 7) of the driven
+                      joints; modes (k, 5) of the joints with stops or friction, None: as they are;
+                      time in s
+        table       : ReactionTable, with the components that are NaN; None: the undetermined ones
+        wrenches, motion : see `joint_wrenches`;  efforts : of the driven joints, N m or N
         Raises SimulationError if the accelerations cannot be computed.
         """
-        work = self._work
-        for given, to in ((angles, work.angle), (acting, work.acting), (wanted, work.wanted)):
-            if len(to):
-                to[:] = given
-        if len(motions):
-            work.motions[:], work.clock[2] = motions, time
-        if len(modes):
-            set_modes(self._model, work, modes)
-        self._pose[:], self._twist[:] = pose, twist
-        if external is not None or not self._is_idle:
-            work.external[:] = self._idle if external is None else external
-            self._is_idle = external is None
-        before = work.report[2]
-        if self._joint_wrenches(self._model, work, self._table, self._out) >= 0:
+        work, out = self._work, self.empty()
+        if inputs is not None:
+            self.take(*inputs)
+        external = self.idle if external is None else external
+        table = self._table if table is None else table
+        found = self._joint_wrenches(self._model, work, table, pose, twist, external, out)
+        if found >= 0:
             raise SimulationError("the reactions cannot be computed: constraint rows are dependent")
-        out, motion = self._out.copy(), self._table.motion.copy()
-        efforts = -work.multipliers[self._drive_rows] if len(motions) else NO_EFFORTS
-        if work.report[2] == before:
-            return out, self.undetermined, motion, efforts
+        efforts = -work.multipliers[self._drive_rows] if len(self._drive_rows) else NO_EFFORTS
+        if found == REGULAR:
+            return out, self.undetermined, efforts
         mask = self.undetermined.copy()  # a singular pose
         places = self._places(pose)
         for group, _, linkage in self._groups:
             mask[group] |= _undetermined(_rows(linkage, places))
-        return out, mask, motion, efforts
+        if table is self._table:
+            out[: len(mask)][mask] = np.nan
+        return out, mask, efforts
+
+    def take(self, angles, acting, wanted, motions, modes, time):
+        """Set the inputs of a state, see `at`."""
+        work = self._work
+        if len(angles):
+            work.angle[:] = angles
+        if len(acting):
+            work.acting[:] = acting
+        if len(wanted):
+            work.wanted[:] = wanted
+        if len(motions):
+            work.motions[:], work.clock[2] = motions, time
+        if modes is not None and len(modes):
+            set_modes(self._model, work, modes)
+
+    def take_modes(self, model, work):
+        """Set the modes of the joints with stops or friction to those of an integrator's arrays.
+
+        returns whether they were known
+        """
+        return self._copy_modes(model, work, self._model, self._work)
 
     def of_impact(self, pose, impulses):
-        """(J, 6) impulses of all joints at an impact, N m s and N s, and the mask of `undetermined`.
+        """(J, 6) impulses of all joints at an impact, N m s and N s; NaN: undetermined.
 
         pose     : (n, 12) of frames at the centres of mass
         impulses : (k,) of the stops, on the coordinates of the joints with stops or friction
         Raises SimulationError if they cannot be computed.
         """
-        work, n = self._work, len(pose)
-        work.pose[:n], work.twist[:n] = pose, 0.0
+        work, out = self._work, self.empty()
         work.held[:] = 0.0
-        on_links = impulses * self._model.switches["sign"]
-        if impulse_wrenches(self._model, work, self._table, on_links, self._out) >= 0:
+        on_links, still = impulses * self._model.switches["sign"], np.zeros((len(pose), 6))
+        arguments = work, self._table, pose, still, on_links, out
+        if impulse_wrenches(self._model, *arguments) >= 0:
             raise SimulationError("the impulses cannot be computed: constraint rows are dependent")
-        return self._out.copy(), self.undetermined
+        return out[: len(self.names)]
 
     def _places(self, pose):
         """{body: (4, 4)} of frames at the centres of mass, with the world."""
         places = dict(zip(self._bodies, map(pose_matrix, pose)))
         return places | {WORLD_NAME: np.eye(4)}
 
-    def minimum_norm(self, pose, wrenches):
+    def minimum_norm(self, pose, *others):
         """(J, 6) wrenches with the smallest multipliers of unit rows, among all that are possible.
 
-        Torques are compared with forces at the linkage's characteristic length.
+        Arguments as of `at`. Torques are compared with forces at the linkage's characteristic length.
         """
+        table = self._table.replace(hidden=np.zeros_like(self._table.hidden))
+        wrenches = self.at(pose, *others, table)[0][: len(self.names)]
         out, places = wrenches.copy(), self._places(pose)
         for group, _, linkage in self._groups:
             rows = _rows(linkage, places)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from liegroup_core.forces import kinds
-from liegroup_core.forces.timetable import ROUNDING, acting_at
+from liegroup_core.forces.timetable import acting_at, just_after
 from liegroup_core.formulations.absolute import invariants
 from liegroup_core.formulations.absolute.constraints import position_residuals
 from liegroup_core.joints import motion
@@ -35,8 +35,9 @@ class Sample:
     wanted : (k, 2) wanted positions and velocities of the servos, rad and rad/s, or m and m/s;
              None: those of the scene
     motions : (d, 7) prescribed motions of the driven joints; None: those of the scene
-    switching : (k, 4) modes of the joints with stops or friction, in the order of the scene: 1 if held,
-                direction of slip, stop that it touches (-1 lower, 1 upper), coordinate; None: all free
+    switching : (k, 5) modes of the joints with stops or friction, in the order of the scene: 1 if held,
+                2 if it rests because others are; direction of slip, stop that it touches (-1 lower, 1 upper),
+                coordinate, effort in case of 2; None: all free
     The constructor takes pose and twist at the centres of mass; all attributes refer to the body
     frames of the scene. Derived quantities are computed on first access and cached.
     """
@@ -154,20 +155,25 @@ class Sample:
         rows = self._layout.model.forces.applied_wrench
         if not len(rows):
             return NONE_ACT
-        return acting_at(rows, self.time * (1.0 + ROUNDING))
+        return acting_at(rows, just_after(self.time))
+
+    @property
+    def _inputs(self):
+        """What the reactions depend on beside the state and external wrenches; see Reactions.at."""
+        if not self._layout.reactions.has_inputs:
+            return None
+        given = self.angles, self._acting, self._wanted, self._motions, self._switching
+        return *given, self.time
 
     @cached_property
     def _reactions(self):
-        inputs = self.angles, self._acting, self._wanted, self.external
-        return self._layout.reactions.at(
-            *self._state, *inputs, self._motions, self._switching, self.time
-        )
+        return self._layout.reactions.at(*self._state, self.external, self._inputs)
 
     @property
     def _switching(self):
         if self.switching is not None:
             return self.switching
-        return np.zeros((len(self._layout.switches), 4))
+        return self._layout.no_modes
 
     @property
     def modes(self) -> dict[str, str]:
@@ -178,7 +184,7 @@ class Sample:
         names = [switch.name for switch in self._layout.switches]
         return {
             name: "lower" if side < 0.0 else "upper" if side > 0.0 else "stick" if held else "free"
-            for name, (held, _, side, _) in zip(names, self._switching.tolist())
+            for name, (held, _, side, *_) in zip(names, self._switching.tolist())
         }
 
     @cached_property
@@ -186,10 +192,15 @@ class Sample:
         """(d, 7) prescribed motions of the driven joints."""
         if self.motions is not None:
             return self.motions
-        return self._layout.motions_at(self.time * (1.0 + ROUNDING))
+        return self._layout.motions_at(just_after(self.time))
 
     def _by_joint(self, values):
         return dict(zip(self._layout.reactions.names, values))
+
+    @property
+    def reaction_array(self) -> NDArray[np.float64]:
+        """(J, 6) `reactions` of all joints, in the order of the scene."""
+        return self._reactions[0][: len(self._layout.reactions.names)]
 
     @cached_property
     def reactions(self) -> dict[str, NDArray[np.float64]]:
@@ -202,11 +213,7 @@ class Sample:
         joints. External wrenches are those of the last step. At the end of a tree of n bodies, errors
         are about n times those of a wrench: test/verification/test_reactions.py.
         """
-        wrenches, mask, *_ = self._reactions
-        known = (
-            mask is self._layout.reactions.undetermined and self._layout.reactions.all_determined
-        )
-        return self._by_joint(wrenches if known else np.where(mask, np.nan, wrenches))
+        return self._by_joint(self._reactions[0])
 
     @cached_property
     def force_efforts(self) -> dict[str, float]:
@@ -241,7 +248,7 @@ class Sample:
 
         Under the same wrenches as `reactions`.
         """
-        _, _, motion, _ = self._reactions
+        motion = self._reactions[0][len(self._layout.reactions.names) :]
         R = self.pose[:, :9].reshape(-1, 3, 3)
         w, dw = self.twist[:, :3], motion[:, :3]
         arm = -self._layout.offsets.com
@@ -270,8 +277,8 @@ class Sample:
 
         Torques are compared with forces at the characteristic length of the closed loop.
         """
-        wrenches, *_ = self._reactions
-        return self._by_joint(self._layout.reactions.minimum_norm(self._state[0], wrenches))
+        given = *self._state, self.external, self._inputs
+        return self._by_joint(self._layout.reactions.minimum_norm(*given))
 
     @cached_property
     def undetermined(self) -> dict[str, str]:
@@ -327,7 +334,7 @@ class Sample:
         """
         if not self._layout.motions:
             return {}
-        _, mask, _, efforts = self._reactions
+        _, mask, efforts = self._reactions
         lost = dict(zip(self._layout.reactions.names, mask))
         types = {joint.name: joint.type for joint in self.scene.joints}
         return {

@@ -19,7 +19,7 @@ from contextlib import suppress
 from pathlib import Path
 from xml.dom import expatbuilder, minidom
 
-from liegroup_core.errors import SceneError
+from liegroup_core.errors import MissingFileError, SceneError
 from liegroup_core.fields.values import suggestion
 
 from .description import refusal
@@ -31,6 +31,7 @@ LOOK = 0.02  # s between looks at the memory of a tool
 LARGEST_OUTPUT = 32 * 2**20  # bytes; large models have 1 MB, read they take ten times as much
 MISSING = 3  # exit code: the package of the tool is not installed
 ADVISED = 4  # exit code: the message says what to do
+ABSENT = 5  # exit code: so it does, about a file that is not there
 # Parts of the messages of the tools for a lack of memory.
 NO_MEMORY = ("MemoryError", "bad_alloc", "Could not allocate memory", "unknown exception")
 PACKAGES = {"xacro": "xacro", "mjcf": "mujoco"}
@@ -81,8 +82,9 @@ def run_apart(tool, path, arguments=()):
     if not line.isdecimal() or file == str(Path(path).resolve()):
         file = path
     line = int(line) if line.isdecimal() else 0
-    advice = "" if returncode == ADVISED else "; correct the file"
-    raise refusal(file, line, f"{tool}: {(' '.join(text) or 'failed')[-400:]}{advice}")
+    advice = "" if returncode in (ADVISED, ABSENT) else "; correct the file"
+    kind = MissingFileError if returncode == ABSENT else SceneError
+    raise refusal(file, line, f"{tool}: {(' '.join(text) or 'failed')[-400:]}{advice}", kind)
 
 
 def _ended(command, **options):
@@ -206,7 +208,7 @@ def main(tool, *arguments):
         return 1
     except SceneError as error:
         print(error, file=sys.stderr)
-        return ADVISED
+        return ABSENT if isinstance(error, MissingFileError) else ADVISED
     except RecursionError:
         print("it contains itself, or is nested too deep", file=sys.stderr)
         return 1

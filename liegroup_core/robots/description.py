@@ -289,11 +289,11 @@ class Robot:
                     self.leave_out(f"unknown parts of the {self.kind} file", where, moves)
 
 
-def refusal(file, line, message):
-    """SceneError at a line of a file."""
+def refusal(file, line, message, kind=SceneError):
+    """SceneError, or one of this kind, at a line of a file."""
     if len(message) > LONGEST_MESSAGE:
         message = f"{message[:LONGEST_MESSAGE]}..."
-    return SceneError(f"{file}:{line}: {message}" if line else f"{file}: {message}")
+    return kind(f"{file}:{line}: {message}" if line else f"{file}: {message}")
 
 
 def place(position=(0.0, 0.0, 0.0), rotation=None):

@@ -74,11 +74,11 @@ def _with_line(error, root, path):
     for element in root.iter():
         name = element.get("file")
         if name and text.startswith(head) and f"{name}'" in text:
-            return refusal(path, element.sourceline, text.removeprefix(head))
+            return refusal(path, element.sourceline, text.removeprefix(head), type(error))
     line = re.search(r", line ([1-9]\d*)", text)
     # A line of an included file is counted in that file, whose name the message does not have.
     if line and text.startswith(head) and root.find(".//include") is None:
-        return refusal(path, int(line[1]), text.removeprefix(head))
+        return refusal(path, int(line[1]), text.removeprefix(head), type(error))
     return error
 
 

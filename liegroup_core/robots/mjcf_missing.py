@@ -9,7 +9,7 @@ import os
 
 import mujoco
 
-from liegroup_core.errors import SceneError
+from liegroup_core.errors import MissingFileError
 
 MESH_SCALE = (1.0, 1.0, 1.0)
 
@@ -17,7 +17,7 @@ MESH_SCALE = (1.0, 1.0, 1.0)
 def compiled_without_files(path):
     """(compiled model, {number of a geom: address of its mesh} of the meshes that are not there).
 
-    Raises SceneError if the mass of a body follows from such a mesh.
+    Raises MissingFileError if the mass of a body follows from such a mesh.
     """
     spec = mujoco.MjSpec.from_file(path)
     missing = {}
@@ -31,7 +31,7 @@ def compiled_without_files(path):
     for geom in without:
         if _has_mass(geom, spec):
             body = f'body "{geom.parent.name}"' if geom.parent.name else "a body without a name"
-            raise SceneError(
+            raise MissingFileError(
                 f"mesh file '{missing[geom.meshname]}' is not there, and the mass of {body} follows "
                 "from it: supply the file, or give the body an <inertial>"
             )

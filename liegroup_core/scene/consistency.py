@@ -79,7 +79,6 @@ class ResolvedCoupling(NamedTuple):
     other: int
     ratio: float
     offset: float
-    has_slack: bool = False
 
     @property
     def is_given(self):
@@ -101,14 +100,14 @@ def resolve_couplings(scene):
         if offset is None:
             offset = values[0] - coupling.ratio * values[1]
         joints = index[coupling.joint], index[coupling.other]
-        slack = coupling.backlash is not None
-        found.append(ResolvedCoupling(*joints, coupling.ratio, offset, slack))
+        found.append(ResolvedCoupling(*joints, coupling.ratio, offset))
     return found
 
 
 def rigid_couplings(scene):
     """`resolve_couplings` without those that have slack: those that are constraints."""
-    return [entry for entry in resolve_couplings(scene) if not entry.has_slack]
+    pairs = zip(scene.couplings, resolve_couplings(scene))
+    return [entry for coupling, entry in pairs if coupling.backlash is None]
 
 
 def driven_joints(scene):
@@ -191,7 +190,7 @@ def _check_couplings(scene, start):
     """Raise SceneError for the first coupling that the initial poses or twists violate."""
     frames = resolve_frames(scene) if scene.couplings else []
     for i, (found, values) in enumerate(zip(resolve_couplings(scene), _coupled_coordinates(scene))):
-        if found.has_slack:
+        if scene.couplings[i].backlash:
             continue
         ends = [scene.joints[j] for j in (found.joint, found.other)]
         rates = []

@@ -5,7 +5,7 @@ from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import suggestion
 from liegroup_core.joints.coupling import COUPLED
 from liegroup_core.joints.kinds import TYPES
-from liegroup_core.joints.stops import WITH_STOPS
+from liegroup_core.joints.stops import SLIDE, TURN, WITH_STOPS
 
 WORLD = "world"
 
@@ -142,12 +142,29 @@ def refuse_switches(joint, i):
         reason = None
         if joint.type not in WITH_STOPS and not (joint.type == "spherical" and key == "limits"):
             reason = f"a {joint.type} joint has none; only {', '.join(WITH_STOPS)} joints do"
+        elif key == "friction" and (text := _unfit_load(joint)):
+            reason = text
         elif joint.driven:
             reason = "a driven joint moves as prescribed; remove driven, or this"
         if reason:
             raise SceneError(
                 f'joints[{i}] "{joint.name}": {key}: {reason}', place=("joints", i, key)
             )
+
+
+def _unfit_load(joint):
+    """Text that friction by load does not fit its joint, or ""."""
+    for switch in joint.switches:
+        friction = switch.friction
+        if friction is None or not friction.by_load[1]:
+            continue
+        if joint.type == "screw":
+            return "mu: the thread of a screw has none; give coulomb and static"
+        if switch.kind == TURN and friction.radius is None:
+            return "mu requires the radius of the bearing, in m"
+        if switch.kind == SLIDE and friction.radius is not None:
+            return "radius: a translation has none; remove it"
+    return ""
 
 
 def refuse_coupling(coupling, kinds, i):

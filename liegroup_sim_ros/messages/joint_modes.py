@@ -3,7 +3,8 @@
 
 ~/joint_modes has a message for every instant at which a mode changes or a stop is hit: a matrix with a
 row for each such joint, in the order of the scene. Column `mode` is one of the constants below, `slip` the
-sign of the velocity that sliding friction opposes. `impulse` and `energy` are those of an impact at
+sign of the velocity that sliding friction opposes, `effort` what it bears if it rests only because others
+are held, else NaN. `impulse` and `energy` are those of an impact at
 this instant. Imports no ROS.
 """
 
@@ -21,8 +22,8 @@ from .commands import joint_labels
 
 TYPE = matrices.TYPE
 # rad or m, N m s or N s, J.
-COLUMNS = ("mode", "slip", "coordinate", "impulse", "energy")
-MODE, SLIP, COORDINATE, IMPULSE, ENERGY = range(5)
+COLUMNS = ("mode", "slip", "coordinate", "impulse", "energy", "effort")
+MODE, SLIP, COORDINATE, IMPULSE, ENERGY, EFFORT = range(6)
 # Free; at rest at a stop, or by friction alone; moving beyond a compliant stop.
 FREE, LOWER, UPPER, STICK, BEYOND_LOWER, BEYOND_UPPER = range(6)
 IMPACT = "impact"
@@ -30,18 +31,19 @@ LINES = 20  # instants a second of simulated time that have a line of their own
 
 
 def encoder(layout):
-    """Function (modes (k, 4) as Sample.switching, [JointEvent]) -> serialized Float64MultiArray."""
+    """Function (modes (k, 5) as Sample.switching, [JointEvent]) -> serialized Float64MultiArray."""
     names = [switch.name for switch in layout.switches]
     pack = matrices.encoder(joint_labels(names, layout.scene.robot), COLUMNS)
     row = {name: k for k, name in enumerate(names)}
 
     def encode(modes, events=()):
-        held, slip, side, coordinate = modes.T
+        held, slip, side, coordinate, effort = modes.T
         values = np.zeros((len(names), len(COLUMNS)))
         at_rest = np.where(side < 0.0, LOWER, np.where(side > 0.0, UPPER, STICK))
         moving = np.where(side < 0.0, BEYOND_LOWER, np.where(side > 0.0, BEYOND_UPPER, FREE))
         values[:, MODE] = np.where(held != 0.0, at_rest, moving)
         values[:, SLIP], values[:, COORDINATE] = slip, coordinate
+        values[:, EFFORT] = np.where(held == 2.0, effort, math.nan)
         for event in events:
             values[row[event.joint], IMPULSE] += event.impulse
             values[row[event.joint], ENERGY] += event.energy
@@ -59,12 +61,15 @@ def decode(payload):
 
 
 def switching(values):
-    """(..., k, 4) modes as Sample.switching, of the numbers (..., k, 5) of messages."""
+    """(..., k, 5) modes as Sample.switching, of the numbers (..., k, 6) of messages."""
     mode = values[..., MODE]
     side = np.where(np.isin(mode, (LOWER, BEYOND_LOWER)), -1.0, 0.0)
     side[np.isin(mode, (UPPER, BEYOND_UPPER))] = 1.0
-    held = np.isin(mode, (LOWER, UPPER, STICK))
-    return np.stack([held, values[..., SLIP], side, values[..., COORDINATE]], axis=-1)
+    rests = np.isfinite(values[..., EFFORT])
+    held = np.where(rests, 2.0, np.isin(mode, (LOWER, UPPER, STICK)))
+    effort = np.where(rests, values[..., EFFORT], 0.0)
+    own = values[..., SLIP], side, values[..., COORDINATE]
+    return np.stack([held, *own, effort], axis=-1)
 
 
 class Report(NamedTuple):

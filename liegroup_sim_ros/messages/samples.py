@@ -171,10 +171,7 @@ def reactions(layout, world_frame, frame_prefix=""):
     or force with the name of a body has ~/NAME_reaction/wrench. Raises ValueError if that is taken, too.
     """
     joints, forces = [joint.name for joint in layout.scene.joints], layout.joint_forces
-    labels = {
-        name: f"{name}{REACTION}" if name in layout.body_names else name
-        for name in (*joints, *forces.names)
-    }
+    labels = _labels(layout, (*joints, *forces.names))
     taken = {*layout.body_names, *labels, *(sensor.name for sensor in layout.scene.sensors)}
     for name, label in labels.items():
         if label != name and label in taken:
@@ -200,6 +197,29 @@ def reactions(layout, world_frame, frame_prefix=""):
         (f"~/{labels[name]}/wrench", WrenchStampedCodec.TYPE, encode)
         for name, encode in encoders.items()
     ]
+
+
+def impulses(layout, frame_prefix=""):
+    """[(topic, message type, function (stamp in ns, impulse (6,)) -> message)] of all joints.
+
+    geometry_msgs/WrenchStamped in N m s and N s: what a joint exerts on its child at an impact. Names
+    and frames are those of `reactions`.
+    """
+    joints = [joint.name for joint in layout.scene.joints]
+    labels = _labels(layout, joints)
+    return [
+        (
+            f"~/{labels[name]}/impulse",
+            WrenchStampedCodec.TYPE,
+            WrenchStampedCodec(f"{frame_prefix}{name}{REACTION}").encode,
+        )
+        for name in joints
+    ]
+
+
+def _labels(layout, names):
+    """{joint or force: its name in topics}."""
+    return {name: f"{name}{REACTION}" if name in layout.body_names else name for name in names}
 
 
 def fixed_frames(layout, frame_prefix=""):

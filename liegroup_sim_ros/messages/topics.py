@@ -53,6 +53,7 @@ MOTIONS = Topic("~/motions", ARRAY, "transient_local", 10)  # each message has a
 # Each message has all joints with stops or friction.
 # Impacts come in bursts: each has a message, the first ones of a second a line.
 JOINT_MODES = Topic("~/joint_modes", joint_modes.TYPE, "transient_local", 100)
+IMPULSES_KEPT = 100  # messages of ~/JOINT/impulse: impacts come in bursts
 EVENTS = Topic("~/events", LogCodec.TYPE, "transient_local", 50)
 STATIC_TRANSFORMS = Topic("/tf_static", "tf2_msgs/msg/TFMessage", "transient_local", 1)
 DESCRIPTION = Topic("~/robot_description", description.TYPE, "transient_local", 1)

@@ -19,13 +19,14 @@ class Inbox:
     simulation    : liegroup_core.Simulation
     follow_period : s, for which wanted values of a trajectory are constant
     motion_time   : s, in which a driven joint comes to rest
+    wake          : function that wakes the simulation thread
 
     replaced : number of accepted inputs that never acted: a later one of the same source and start
                replaced them, or a state was set, before the simulation thread took them
     """
 
-    def __init__(self, simulation, follow_period, motion_time):
-        self._simulation = simulation
+    def __init__(self, simulation, follow_period, motion_time, wake):
+        self._simulation, self._wake = simulation, wake
         self._follower = Follower(simulation, follow_period, motion_time)
         self._lock = threading.Lock()
         self._pushes = {}  # key -> (Push or command, duration, function that refuses it)
@@ -44,10 +45,13 @@ class Inbox:
         # While the simulation is paused, a later command with the same start replaces the earlier
         # one, so that the queue is bounded.
         with self._lock:
+            first = not self._pushes
             for push in pushes:
                 if self._pushes.pop(push.key, None) is not None:
                     self.replaced += 1
                 self._pushes[push.key] = push, duration, refuse
+        if first:  # once for each delivery: a storm does not wake the thread for every message
+            self._wake()
 
     def follow(self, trajectory, refuse=log.warning):
         """Follow a Trajectory; it replaces one that waits, and the present one when it starts.
@@ -57,6 +61,7 @@ class Inbox:
         with self._lock:
             self.replaced += self._trajectory is not None
             self._trajectory = trajectory, refuse
+        self._wake()
 
     def clear(self, prefix):
         """Forget the wrenches of all sources whose names start with `prefix`."""
@@ -68,6 +73,16 @@ class Inbox:
         return len(self._pushes)
 
     # In the simulation thread:
+
+    def acts_before(self, stamp_ns):
+        """Whether an input waits that starts before a stamp."""
+        if not self._pushes and self._trajectory is None:
+            return False
+        with self._lock:
+            starts = [push.start_ns for push, *_ in self._pushes.values()]
+            if self._trajectory is not None:
+                starts.append(self._trajectory[0].stamp_ns)
+        return any(not start or start < stamp_ns for start in starts)
 
     def deliver(self, base_ns, until):
         """Give everything to the simulation, and the wanted values of a trajectory up to a time in s.

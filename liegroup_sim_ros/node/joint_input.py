@@ -27,7 +27,7 @@ class JointInput(CountedInput):
     """Counter of messages that name joints of a scene.
 
     layout  : Layout
-    present : SimulationServer, or an object with its `check_motion` and `wanted_position`; None: the
+    present : SimulationServer, or an object with its `check_motion` and `check_jump`; None: the
               motions of driven joints, and jumps of servos, are not compared with limits
     The others as CountedInput.
 

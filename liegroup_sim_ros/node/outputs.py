@@ -15,6 +15,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from liegroup_core.forces.external import AXES
 from liegroup_core.forces.kinds import wanted_values
+from liegroup_core.joint_events import has_impacts
 from liegroup_core.joints.motion import FROM_SCENE
 from liegroup_sim_ros.messages import (
     commands,
@@ -118,6 +119,7 @@ class Outputs:
     acting                   : {(body, axes): total wrench in these axes}, without zero wrenches
     targets                  : {joint: (position, velocity)} of the servos that were commanded
     motions                  : {joint: (7,)} of the driven joints that were commanded
+    impulses                 : [(Stream, encoder)] of the joints, if they are published
     """
 
     def __init__(self, node, layout, values, figures, overrides):
@@ -154,6 +156,14 @@ class Outputs:
         if layout.switches:
             self._joint_modes = self._stream(*topics.JOINT_MODES)
             self._encode_modes = joint_modes.encoder(layout)
+        self.impulses = []
+        if values.steps["reaction_rate"] and has_impacts(layout.scene):
+            self.impulses = [
+                (self._stream(topic, message_type, depth=topics.IMPULSES_KEPT), encode)
+                for topic, message_type, encode in sample_messages.impulses(
+                    layout, values.frame_prefix
+                )
+            ]
         self._events = self._stream(*topics.EVENTS)
         # For viewers only: the recording has the scene.
         self._description = Stream(node, overrides, *topics.DESCRIPTION)
@@ -321,6 +331,11 @@ class Outputs:
     def joint_modes(self, stamp_ns, data):
         """Publish the modes of all joints with stops or friction, a serialized message."""
         self._joint_modes.send(stamp_ns, data)
+
+    def impact(self, stamp_ns, array):
+        """Publish the impulses (J, 6) of all joints at an impact."""
+        for (stream, encode), impulse in zip(self.impulses, array):
+            stream.send(stamp_ns, encode(stamp_ns, impulse))
 
     def record_acting(self, stamp_ns, sample):
         """Record all that acts again, without publishing, at the start of a new file."""

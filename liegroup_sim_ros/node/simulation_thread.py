@@ -40,8 +40,9 @@ class SimulationServer(SimulationCommands, threading.Thread):
 
     simulation : liegroup_core.Simulation; only this thread uses it from `start` to its end
     output     : Outputs, or an object with the attributes timed, clock_steps, state_steps, acting,
-                 targets, motions and the methods clock, state, applied_wrench, servo_targets,
-                 prescribed, event, diagnostics; joint_modes if joints have stops or friction
+                 targets, motions, impulses and the methods clock, state, applied_wrench, servo_targets,
+                 prescribed, event, diagnostics; joint_modes if joints have stops or friction; impact
+                 if impulses is not empty
     factor     : real-time factor, 0: as fast as possible
     follow_period : s, for which wanted values of a trajectory are constant
     motion_time   : s, in which a driven joint comes to rest
@@ -84,7 +85,10 @@ class SimulationServer(SimulationCommands, threading.Thread):
         self._wake = threading.Event()
         self._lock = threading.Lock()
         self._commands = []  # (Future, bound method, arguments)
-        self._inbox = Inbox(simulation, follow_period, motion_time)
+        self._inbox = Inbox(simulation, follow_period, motion_time, self._wake.set)
+        # Steps between two samples; s, the stamp of the state from which inputs act that no sample shows.
+        self._sample_steps = min([steps for steps, _ in output.timed], default=1)
+        self._unseen = None
         self._stopping = False
         self._snapshots = {}
         self._base_ns = base_ns
@@ -144,8 +148,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
 
     def check_jump(self, joint, position):
         """Raise BeyondLimits for a wanted position to which a servo cannot jump."""
-        before = self._simulation.wanted_position(joint)
-        self._simulation.layout.limits[joint].check_jump(before, position)
+        self._simulation.check_jump(joint, position)
 
     def clear(self, prefix):
         """End the wrenches of all sources whose names start with `prefix`."""
@@ -192,6 +195,8 @@ class SimulationServer(SimulationCommands, threading.Thread):
         self._event("start", f"{scene} at step {steps}, {self.state}{self._origin}")
         self._send_changes(self.stamp_ns, self._simulation.acting())
         self._send_reports("begin")
+        if self._output.impulses:
+            self._simulation.drain_impacts()  # they are kept from here on
         self._send_outputs(everything=steps > 0)
         self._reference_energy = self._simulation.sample().energy
         self._next_diagnostics = time.monotonic() + DIAGNOSTICS_PERIOD
@@ -203,7 +208,12 @@ class SimulationServer(SimulationCommands, threading.Thread):
         idle = max(0.0, self._next_diagnostics - time.monotonic())
         if self.state == "running":
             tick = self._next_tick()
-            if self.pacer.wait(self._stamp(tick) * 1e-9, idle):
+            if self._unseen is None and self._inbox.acts_before(self._stamp(tick)):
+                self._unseen = self._seconds()
+            # An input is answered at once, by the next sample: at most one period early.
+            if self.pacer.wait(self._stamp(tick) * 1e-9, idle, self._unseen):
+                if tick % self._sample_steps == 0:
+                    self._unseen = None
                 self._advance_to(tick)
         else:
             self._wake.wait(idle)
@@ -273,6 +283,11 @@ class SimulationServer(SimulationCommands, threading.Thread):
         ]
         if self._reports is not None:
             due += [(r.time_ns, partial(self._send_report, r)) for r in self._reports.drain()]
+            if self._output.impulses:
+                due += [
+                    (i.time_ns, partial(self._output.impact, self._base_ns + i.time_ns, i.array))
+                    for i in self._simulation.drain_impacts()
+                ]
             due.sort(key=itemgetter(0))
         for _, send in due:
             send()

@@ -9,6 +9,7 @@ from urllib.parse import unquote, urlparse
 import yaml
 
 from liegroup_core import SceneError, load_scene
+from liegroup_core.errors import MissingFileError
 from liegroup_core.robots.read import is_robot_file
 from liegroup_core.scene.load import example_scenes, find_scene, scene_from_text
 
@@ -150,6 +151,8 @@ def _scene(path, text):
         )
     try:
         return load_scene(path)
+    except MissingFileError as error:
+        raise Refused(MISSING_ASSETS, str(error)) from None
     except SceneError as error:
         raise Refused(PARSE_ERROR, str(error)) from None
 

@@ -88,6 +88,18 @@ def data_frame(recording, what):
             if recording.reactions
             else pandas.DataFrame()
         )
+    elif what == "impulses":
+        frame = (
+            pandas.concat(
+                {
+                    joint: pandas.DataFrame(track.impulse, track.time, WRENCH)
+                    for joint, track in recording.impulses.items()
+                },
+                axis=1,
+            )
+            if recording.impulses
+            else pandas.DataFrame()
+        )
     elif what == "errors":
         track = recording.errors
         columns = pandas.MultiIndex.from_product([recording.bodies, ERRORS])
@@ -107,7 +119,7 @@ def data_frame(recording, what):
     else:
         raise ValueError(
             "what must be motion, wrench, joints, motions, servo_targets, joint_modes, reactions, "
-            f"errors or events, got {what!r}"
+            f"impulses, errors or events, got {what!r}"
         )
     frame.index.name = "time_s"
     return frame

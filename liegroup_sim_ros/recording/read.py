@@ -32,6 +32,7 @@ from .tracks import (
     AppliedWrench,
     ErrorTrack,
     Event,
+    ImpulseTrack,
     JointTrack,
     ModeTrack,
     MotionTrack,
@@ -46,6 +47,7 @@ __all__ = [
     "AppliedWrench",
     "ErrorTrack",
     "Event",
+    "ImpulseTrack",
     "JointTrack",
     "ModeTrack",
     "PoseTrack",
@@ -60,6 +62,7 @@ __all__ = [
 
 FORMAT = 1  # of settings.json and the other attachments
 REACTION = "/wrench"  # ending of the topics of reactions; inputs are not recorded
+IMPULSE = "/impulse"  # ending of the topics of impulses at impacts
 OF_BODY = "_reaction"  # before it, if the joint has the name of a body
 # Numbers in a piece of `samples`, and the largest offset between two topics of a file in samples.
 PIECE, MOST_APART = 200_000, 100_000
@@ -167,22 +170,40 @@ class Recording:
     @cached_property
     def reactions(self) -> dict[str, ReactionTrack]:
         """{joint: ReactionTrack} of ~/JOINT/wrench; by their names also forces and force-torque sensors."""
+        rows = self._of_joints(REACTION)
+        return {
+            joint: ReactionTrack(
+                np.array([stamp for stamp, _, _ in of_joint]),
+                np.array([row for *_, row in of_joint]),
+            )
+            for joint, of_joint in rows.items()
+        }
+
+    @cached_property
+    def impulses(self) -> dict[str, ImpulseTrack]:
+        """{joint: ImpulseTrack} of ~/JOINT/impulse; {} if they were not recorded, or there was no impact."""
+        rows = self._of_joints(IMPULSE)
+        return {
+            joint: ImpulseTrack(
+                np.array([stamp for stamp, _, _ in of_joint]),
+                np.array([row for *_, row in of_joint]),
+            )
+            for joint, of_joint in rows.items()
+        }
+
+    def _of_joints(self, ending):
+        """{joint: [(stamp, frame_id, six numbers)]} of the wrenches on topics ~/JOINT + ending."""
         found: dict[str, list] = {}
         with ErrorsWithPath(self.path):
             for messages, channels in self._source.messages(self.channels):
                 for channel, index in channels:
-                    if channel.type == WrenchStampedCodec.TYPE and channel.topic.endswith(REACTION):
-                        joint = channel.topic.removesuffix(REACTION).rpartition("/")[2]
+                    if channel.type == WrenchStampedCodec.TYPE and channel.topic.endswith(ending):
+                        joint = channel.topic.removesuffix(ending).rpartition("/")[2]
                         if joint.removesuffix(OF_BODY) in self.bodies:
                             joint = joint.removesuffix(OF_BODY)
                         rows = found.setdefault(joint, [])
                         rows += (WrenchStampedCodec.decode_one(messages.payload(k)) for k in index)
-        return {
-            joint: ReactionTrack(
-                np.array([stamp for stamp, _, _ in rows]), np.array([row for *_, row in rows])
-            )
-            for joint, rows in found.items()
-        }
+        return found
 
     def samples(self) -> Iterator[Samples]:
         """Iterator over the samples of all bodies in the order of time: Samples in pieces.
@@ -318,8 +339,9 @@ class Recording:
                "motions" columns (driven joint, "origin" or "c0" to "c5"): the commanded motion from
                          this time on, see liegroup_core/joints/motion.py; infinite origin: none
                "servo_targets" columns (joint, "position" or "velocity"): the wanted ones from then on
-               "joint_modes" columns (joint, "mode", "slip", "coordinate", "impulse" or "energy"): of
-                         joints with stops or friction, see messages/joint_modes.py
+               "joint_modes" columns (joint, "mode", "slip", "coordinate", "impulse", "energy" or
+                         "effort"): of joints with stops or friction, see messages/joint_modes.py
+               "impulses"  columns (joint, tx to fz): N m s and N s at impacts, NaN: undetermined
                "reactions" columns (joint, tx to fz): N m and N, NaN: undetermined
                "errors"  columns (body, "position", "attitude", "velocity" or "angular_velocity"):
                          estimated errors in m, rad, m/s, rad/s, as in `errors`

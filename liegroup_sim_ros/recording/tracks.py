@@ -64,6 +64,15 @@ class ReactionTrack(_ReactionTrack, _Timed):
     """Reactions of one joint, as in Sample.reactions."""
 
 
+class _ImpulseTrack(NamedTuple):
+    stamp_ns: np.ndarray  # (m,) int64, ns, of the impacts
+    impulse: np.ndarray  # (m, 6) (torque, force), N m s and N s; NaN: undetermined
+
+
+class ImpulseTrack(_ImpulseTrack, _Timed):
+    """Impulses of one joint at impacts, as in Engine.drain_impacts."""
+
+
 class MotionTrack(NamedTuple):
     """Commanded motions of all driven joints; see liegroup_core/joints/motion.py."""
 
@@ -75,14 +84,14 @@ class MotionTrack(NamedTuple):
 class _ModeTrack(NamedTuple):
     stamp_ns: np.ndarray  # (m,) int64, ns
     names: tuple  # of k joints
-    values: np.ndarray  # (m, k, 5) mode, slip, coordinate; impulse and energy of impacts
+    values: np.ndarray  # (m, k, 6) mode, slip, coordinate; impulse and energy of impacts; effort
 
 
 class ModeTrack(_ModeTrack, _Timed):
     """Modes of the joints with stops or friction from each stamp on; see messages/joint_modes.py."""
 
     def switching(self, stamp_ns):
-        """(k, 4) of a sample with this stamp, for Sample.switching; None before the first message."""
+        """(k, 5) of a sample with this stamp, for Sample.switching; None before the first message."""
         last = np.searchsorted(self.stamp_ns, stamp_ns, "right") - 1
         return joint_modes.switching(self.values[last]) if last >= 0 else None
 

@@ -7,10 +7,13 @@ the run ended early, or None. Existing files are never overwritten.
 """
 
 import json
+from functools import partial
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
 
+from liegroup_core.joint_events import has_impacts
 from liegroup_sim_ros.messages import estimates, events, schemas, topics
 from liegroup_sim_ros.messages import samples as sample_messages
 from liegroup_sim_ros.messages.codecs import LogCodec
@@ -34,14 +37,18 @@ class ArrayFile:
     residual (k,) largest joint residual, m or rad; errors (k, n, 4) estimated errors, m, rad, m/s
     and rad/s, if the simulation carries an estimate; on request joints (j,) names and reactions
     (k, j, 6), see Sample.reactions, forces (f,) names and efforts (k, f), see Sample.force_efforts,
-    driven (d,) names and drive_efforts (k, d); sensors/NAME (k, m) of each sensor of the scene, see
+    driven (d,) names and drive_efforts (k, d), with rigid stops impact_time (i,) s and impulses (i, j, 6)
+    of all joints, see Engine.drain_impacts; sensors/NAME (k, m) of each sensor of the scene, see
     Sample.sensors; scene and settings: texts, YAML and JSON
     """
 
     def __init__(self, path, simulation, every, samples, reactions=False):
         self.count, self.last_step = 0, -1
         self._path, self._every = Path(path), every
-        self._names = {}
+        self._names, self._simulation = {}, simulation
+        self._impacts = [] if reactions and has_impacts(simulation.scene) else None
+        if self._impacts is not None:
+            simulation.drain_impacts()  # they are kept from here on
         if reactions:
             forces = simulation.layout.joint_forces.names
             self._names = {"joints": np.array(joint_names(simulation)), "forces": np.array(forces)}
@@ -94,18 +101,24 @@ class ArrayFile:
             if name in self._arrays:
                 self._arrays[name][self.count] = value
         if "reactions" in self._arrays:
-            self._arrays["reactions"][self.count] = list(sample.reactions.values())
+            self._arrays["reactions"][self.count] = sample.reaction_array
             self._arrays["efforts"][self.count] = list(sample.force_efforts.values())
         if "drive_efforts" in self._arrays:
             self._arrays["drive_efforts"][self.count] = list(sample.drive_efforts.values())
         for sensor, numbers in sample.sensors.items():
             self._arrays[f"sensors/{sensor}"][self.count] = numbers
+        if self._impacts is not None:
+            self._impacts += self._simulation.drain_impacts()
         self.count, self.last_step = self.count + 1, sample.steps
 
     def finish(self, simulation, stopped, failed, wall_seconds):
         """Write everything. Raises OutputError."""
         settings = attachments.settings(simulation, self._every)
         settings |= {"stopped": stopped, "failed": failed, "wall_seconds": wall_seconds}
+        if self._impacts is not None:
+            impulses = [impact.array for impact in self._impacts]
+            self._names["impact_time"] = np.array([impact.time for impact in self._impacts])
+            self._names["impulses"] = np.reshape(impulses, (-1, len(self._names["joints"]), 6))
         try:
             np.savez(
                 self._stream,
@@ -135,6 +148,10 @@ class LogFile:
         if layout.motions or layout.servos:
             on_request += sample_messages.joint_states(layout, WORLD_FRAME)
         on_request += sample_messages.sensors(layout, WORLD_FRAME)
+        impulses = []
+        if reactions and has_impacts(layout.scene):
+            impulses = sample_messages.impulses(layout)
+            simulation.drain_impacts()  # they are kept from here on
         if layout.motions or layout.scene.sensors:
             layout.reactions.warm_up()  # for the efforts of driven joints, and force-torque sensors
         bodies = layout.body_names
@@ -182,6 +199,10 @@ class LogFile:
             (self._channel(topics.Topic(name, message_type)), encode)
             for name, message_type, encode in on_request
         ]
+        self._impulses = [
+            (self._channel(topics.Topic(name, kind, depth=topics.IMPULSES_KEPT)), encode)
+            for name, kind, encode in impulses
+        ]
         self._events = self._channel(topics.EVENTS)
         self._event(
             simulation.time_ns,
@@ -209,11 +230,23 @@ class LogFile:
         """Record what happened at joints with stops or friction."""
         if self._reports is None:
             return
-        for report in getattr(self._reports, which)():
-            if report.modes is not None:
-                self._recorder.write(self._modes, report.time_ns, report.modes)
-            if report.line is not None:
-                self._event(report.time_ns, "joint", report.line)
+        due = [(r.time_ns, partial(self._write, r)) for r in getattr(self._reports, which)()]
+        if self._impulses:
+            impacts = self._simulation.drain_impacts()
+            due += [(i.time_ns, partial(self._impact, i)) for i in impacts]
+            due.sort(key=itemgetter(0))
+        for _, write in due:
+            write()
+
+    def _write(self, report):
+        if report.modes is not None:
+            self._recorder.write(self._modes, report.time_ns, report.modes)
+        if report.line is not None:
+            self._event(report.time_ns, "joint", report.line)
+
+    def _impact(self, impact):
+        for (channel, encode), impulse in zip(self._impulses, impact.array):
+            self._recorder.write(channel, impact.time_ns, encode(impact.time_ns, impulse))
 
     def sample(self, sample):
         """Record poses, twists, estimated errors of all bodies, and events at joints."""

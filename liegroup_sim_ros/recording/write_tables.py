@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from liegroup_core.joint_events import has_impacts
+
 from .errors import OutputError
 
 
@@ -62,7 +64,9 @@ class TableFile(_Table):
     rad/s, or m and m/s); energy (J); largest constraint residual (m or rad); estimated errors of
     each body, if the simulation carries an estimate; on request the reaction of each joint, torque
     tx ty tz (N m) and force fx fy fz (N), see Sample.reactions, and the effort (N m or N) of each
-    spring, motor and servo at a joint, see Sample.force_efforts, and of each driven joint.
+    spring, motor and servo at a joint, see Sample.force_efforts, and of each driven joint; with rigid
+    stops the sum of the impulses of each joint at the impacts since the last row (N m s, N s), see
+    Engine.drain_impacts.
     """
 
     BODY = (
@@ -80,9 +84,17 @@ class TableFile(_Table):
 
     REACTION = (*(f"t{axis} [N m]" for axis in "xyz"), *(f"f{axis} [N]" for axis in "xyz"))
 
+    IMPULSE = (
+        *(f"impulse_t{axis} [N m s]" for axis in "xyz"),
+        *(f"impulse_f{axis} [N s]" for axis in "xyz"),
+    )
+
     def __init__(self, path, simulation, _every, _samples, reactions=False):
         super().__init__(path)
-        self._reactions = reactions
+        self._reactions, self._simulation = reactions, simulation
+        self._has_impacts = reactions and has_impacts(simulation.scene)
+        if self._has_impacts:
+            simulation.drain_impacts()  # they are kept from here on
         layout = simulation.layout
         self._joints = layout.coordinates.names
         units = layout.coordinates.units
@@ -111,6 +123,11 @@ class TableFile(_Table):
                 f"{joint}.drive_effort [{'N' if units.get(joint) == 'm' else 'N m'}]"
                 for joint in (layout.motions if reactions else ())
             ),
+            *(
+                f"{joint}.{name}"
+                for joint in (joint_names(simulation) if self._has_impacts else ())
+                for name in self.IMPULSE
+            ),
         )
 
     def sample(self, sample):
@@ -124,15 +141,19 @@ class TableFile(_Table):
             float(sample.energy),
             float(sample.constraint_residual),
             *(() if sample.errors is None else sample.errors.ravel().tolist()),
-            *(
-                number
-                for wrench in (sample.reactions.values() if self._reactions else ())
-                for number in wrench.tolist()
-            ),
+            *(sample.reaction_array.ravel().tolist() if self._reactions else ()),
             *(sample.force_efforts.values() if self._reactions else ()),
             *(sample.drive_efforts.values() if self._reactions else ()),
+            *(self._impulses() if self._has_impacts else ()),
         )
         self.count, self.last_step = self.count + 1, sample.steps
+
+    def _impulses(self):
+        """Impulses of all joints since the last row, [N m s, N s]."""
+        total = np.zeros((len(joint_names(self._simulation)), 6))
+        for impact in self._simulation.drain_impacts():
+            total += impact.array
+        return total.ravel().tolist()
 
 
 class TorqueFile(_Table):

@@ -129,6 +129,23 @@ forces:
 """
 
 
+def test_a_servo_without_limits_of_position_does_not_jump_beyond_what_it_covers_in_a_second():
+    """4 rad from its wanted position, which moves with every command; rails without stiffness may."""
+    scene = SERVOS.replace("lower: 0.5, upper: 2.0, velocity: 4.0", "velocity: 4.0")
+    simulation = Simulation(scene_from_text(scene), "rkmk4", 1e-3)
+    text = "joint 'hinge' cannot jump from 0 to 4.1 rad: approach it in steps of at most 4 rad"
+    with pytest.raises(BeyondLimits, match=text):
+        simulation.command_servo("hinge", 4.1)
+    assert simulation.input_count == 0
+    simulation.command_servo("hinge", 4.0)
+    simulation.advance(1)
+    simulation.command_servo("hinge", 8.0)
+    with pytest.raises(BeyondLimits, match="from 4 to -0.1 rad"):
+        simulation.command_servo("hinge", -0.1)
+    simulation.command_servo("rail", 1e9, 1.0)
+    simulation.set_servo_target("hinge", 100.0, 0.0)  # as a run that is repeated had it
+
+
 def test_efforts_and_servos_beyond_the_limits_are_refused():
     """A servo without stiffness has no position. A state may be set beyond them, a run repeated."""
     simulation = Simulation(scene_from_text(SERVOS), "rkmk4", 1e-3)

@@ -157,6 +157,25 @@ def test_wait_ends_early_on_request():
     assert clock.now - start == pytest.approx(0.01, abs=2 * GLANCE)
 
 
+def test_a_tick_may_be_early_and_the_deadlines_of_the_others_stay():
+    """From the deadline of an earlier time on; it is neither late nor faster than requested."""
+    pacer, clock = make()
+    pacer.start(0.0)
+    start = clock.now
+    run(pacer, clock, 1)
+    clock.now += 0.002
+    assert pacer.wait(0.02, earliest=0.01)
+    assert clock.now - start == pytest.approx(0.012, abs=5 * GLANCE)
+    assert pacer.wait(0.03, earliest=0.02)  # at most one tick ahead
+    assert clock.now - start == pytest.approx(0.02, abs=5 * GLANCE)
+    assert run(pacer, clock, 2, first=4) - start == pytest.approx([0.04, 0.05], abs=5 * GLANCE)
+    report = pacer.report()
+    assert (report["ticks"], report["overruns"], pacer.early) == (5, 0, 2)
+    assert report["real_time_factor"] == pytest.approx(1.0, rel=1e-3)
+    clock.now += 0.03  # two deadlines passed: what is late is no early tick
+    assert pacer.wait(0.06, earliest=0.05) and pacer.overruns == 1 and pacer.early == 2
+
+
 def test_the_recent_real_time_factor_covers_only_the_last_interval():
     pacer, clock = make()
     pacer.start(0.0)

@@ -423,6 +423,29 @@ def test_the_largest_reactions_of_each_run_are_columns():
     assert again == sweep
 
 
+def test_the_largest_impulses_at_impacts_are_columns():
+    """For three masses of the leaf, those of a simulation; zero in a run without an impact."""
+    settings = {"method": "rkmk4", "step": 1e-3}
+    scene = load_scene("door")
+    vary = [f"bodies.{scene.bodies[0].name}.shape.mass=20:40"]
+    sweep = Sweep.of(scene, vary, 2, 3000, every=500, settings=settings, reactions=True)
+    columns = joined(sweep.run(range(2), workers=1))
+    assert list(sweep.columns) == [*columns, "cpu_s"]
+    simulation = sweep.simulation(1)
+    simulation.drain_impacts()
+    simulation.advance(3000)
+    largest = np.max([np.abs(impact.array) for impact in simulation.drain_impacts()], axis=0)
+    joint = scene.joints[0].name
+    parts = ("tx", "ty", "tz", "fx", "fy", "fz")
+    found = [columns[f"{joint}.impulse_{part}"][1] for part in parts]
+    assert np.array_equal(found, largest[0], equal_nan=True) and np.nanmax(found) > 10.0
+    short = Sweep.of(scene, vary, 2, 100, settings=settings, reactions=True)
+    few = joined(short.run(range(2), workers=1))
+    assert [few[f"{joint}.impulse_{part}"][0] for part in parts] == [0.0] * 6
+    without = Sweep.of(scene, vary, 2, 100, settings=settings)
+    assert not any("impulse" in name for name in without.columns)
+
+
 def test_the_largest_efforts_of_forces_at_joints_are_columns_beside_the_reactions():
     text = """
 name: pair

@@ -30,7 +30,7 @@ def simulation():
 
 
 def test_what_never_acts_is_counted(simulation):
-    inbox, refused = Inbox(simulation, 2e-3, 0.02), []
+    inbox, refused = Inbox(simulation, 2e-3, 0.02, lambda: None), []
     for value in (1.0, 2.0, 3.0):
         inbox.push([Motion("free", value, 0.0, 0.05, 0)], None, refused.append)
     assert (len(inbox), inbox.replaced) == (1, 2)
@@ -45,7 +45,7 @@ def test_what_never_acts_is_counted(simulation):
 
 def test_a_command_that_cannot_be_followed_when_it_starts_is_refused(simulation):
     """It was within the limits from where the joint was when it arrived."""
-    inbox, refused = Inbox(simulation, 2e-3, 0.02), []
+    inbox, refused = Inbox(simulation, 2e-3, 0.02, lambda: None), []
     inbox.push([Motion("free", 18.0, 0.0, 0.02, 0)], None, refused.append)
     inbox.push([Motion("thread", 0.5, 0.0, 0.02, 0)], None, refused.append)
     inbox.deliver(0, 0.0)
@@ -61,7 +61,7 @@ def test_a_command_that_cannot_be_followed_when_it_starts_is_refused(simulation)
 
 
 def test_an_effort_is_delivered(simulation):
-    inbox = Inbox(simulation, 2e-3, 0.02)
+    inbox = Inbox(simulation, 2e-3, 0.02, lambda: None)
     inbox.push([JointEffort("a", "free", 3.0, 0)], None)
     inbox.deliver(0, 0.0)
     simulation.advance(1)

@@ -48,18 +48,19 @@ def test_modes_survive_the_message():
     """All that a sample needs for reactions, in every combination of rest, side and slip."""
     layout = make_layout(scene_from_text(SCENE))
     encode = encoder(layout)
-    for held in (0.0, 1.0):
+    for held in (0.0, 1.0, 2.0):
         for side in (-1.0, 0.0, 1.0):
             for slip in (-1.0, 0.0, 1.0):
-                modes = np.array([[held, slip, side, 0.25], [0.0, 0.0, 0.0, -1.5]])
+                effort = 0.7 if held == 2.0 else 0.0
+                modes = np.array([[held, slip, side, 0.25, effort], [0.0, 0.0, 0.0, -1.5, 0.0]])
                 payload = encode(modes)
                 names, numbers = decode(payload)
                 assert names == ("cushion", "block")
-                values = np.array(numbers).reshape(2, 5)
+                values = np.array(numbers).reshape(2, 6)
                 assert np.array_equal(switching(values), modes)
                 message = deserialize_message(bytes(payload), Float64MultiArray)
-                assert list(message.data) == list(numbers)
-                assert message.layout.dim[1].label == "mode slip coordinate impulse energy"
+                assert np.array_equal(message.data, numbers, equal_nan=True)
+                assert message.layout.dim[1].label == "mode slip coordinate impulse energy effort"
 
 
 def test_another_matrix_is_refused():

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from commanded import STEP, Commanded
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import WrenchStamped
 from node_process import COMPILING, NodeProcess, stamp_ns
 from rcl_interfaces.msg import Log, Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParametersAtomically
@@ -22,7 +23,7 @@ from std_srvs.srv import Trigger
 from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.commands.main import main
-from liegroup_sim_ros.messages.joint_modes import FREE, LOWER, STICK, UPPER
+from liegroup_sim_ros.messages.joint_modes import FREE, IMPULSE, LOWER, STICK, UPPER
 from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording.motion import Motion
 from liegroup_sim_ros.recording.read import read_recording
@@ -76,8 +77,11 @@ def process(client, tmp_path_factory):
     with NodeProcess(parameters, remap=[f"__node:={NODE[1:]}"]) as process:
         events = client.listen(f"{NODE}/events", Log, LATCHED)
         modes = client.listen(f"{NODE}/joint_modes", Float64MultiArray, LATCHED)
+        impulses = client.listen(f"{NODE}/track/impulse", WrenchStamped)
         node = Commanded(client, NODE)
-        yield SimpleNamespace(process=process, node=node, events=events, modes=modes, folder=folder)
+        yield SimpleNamespace(
+            process=process, node=node, events=events, modes=modes, impulses=impulses, folder=folder
+        )
 
 
 @pytest.fixture
@@ -222,7 +226,7 @@ def test_every_part_of_the_recording_is_repeated_and_analysed(client, process, n
     assert code == 0, log
     paths = sorted(process.folder.glob("*.mcap"))
     assert len(paths) > 3
-    compared = 0
+    compared = compared_impulses = 0
     for path in paths:
         recording = read_recording(path)
         figures = resimulate(recording)
@@ -231,7 +235,10 @@ def test_every_part_of_the_recording_is_repeated_and_analysed(client, process, n
         assert modes.names == ("track", "shoulder", "elbow")
         assert modes.stamp_ns[0] == recording.initial_state["stamp_ns"]
         compared += check_reactions(recording)
-    assert compared > 1000
+        compared_impulses += check_impulses(recording)
+    assert compared > 1000 and compared_impulses > 50
+    assert len(process.impulses) > 50 and process.impulses[0].header.frame_id == "track_reaction"
+    assert process.impulses[0].wrench.force.z == pytest.approx(2.0 * math.sqrt(2.0 * G) * (1.0 + E))
     out = process.folder / "out.json"
     assert main(["analyze", *map(str, paths), "--json", str(out)]) == 0
     found = json.loads(out.read_text())
@@ -242,6 +249,21 @@ def test_every_part_of_the_recording_is_repeated_and_analysed(client, process, n
     assert sum(entry["joints"]["elbow"]["slip"] for entry in events) >= 1
     assert sum(entry["joints"]["track"]["stop"] for entry in events) >= 1
     assert all(entry["impact_energy_J"] <= 0.0 for entry in events)
+
+
+def check_impulses(recording):
+    """Impulses of the ball's track are those of the modes, at the same stamps; others have them, too."""
+    modes = recording.joint_modes
+    hits = modes.values[:, :, IMPULSE].any(axis=1)
+    if not hits.any():
+        return 0
+    assert set(recording.impulses) == {"track", "shoulder", "elbow"}
+    track = recording.impulses["track"]
+    assert track.stamp_ns.tolist() == modes.stamp_ns[hits].tolist()
+    # In the scene's plane none is undetermined; z is the axis of the track.
+    expected = modes.values[hits, 0, IMPULSE]
+    np.testing.assert_allclose(track.impulse[:, 5], expected, rtol=0, atol=1e-12)
+    return len(expected)
 
 
 def check_reactions(recording):

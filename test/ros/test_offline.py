@@ -17,6 +17,7 @@ from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.messages.codecs import LogCodec, WrenchStampedCodec
 from liegroup_sim_ros.messages.sensors import sensors
+from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording.read import read_recording
 from liegroup_sim_ros.report.plots import make_plots
 
@@ -375,6 +376,44 @@ def test_a_run_writes_the_efforts_of_forces_at_joints_beside_the_reactions(tmp_p
     assert set(recorded) == {"hinge", "rail", "drive", "spring"}
     assert recorded["drive"].wrench[1].tolist() == [0, 0, written[0], 0, 0, 0]
     assert recorded["spring"].wrench[1].tolist() == [0, 0, 0, 0, 0, written[1]]
+
+
+def test_a_run_writes_the_impulses_of_all_joints_at_impacts(tmp_path):
+    """Arrays, table and recording have those of a repeated simulation, bit by bit."""
+    scene = load_scene("door")
+    settings = {"method": "rkmk4", "step": 1e-3}
+    simulation = Simulation(scene, **settings, quiet=True)
+    assert simulation.drain_impacts() == []
+    simulation.advance(3000)
+    impacts = simulation.drain_impacts()
+    assert len(impacts) == 2 and np.abs(impacts[0].array).max() > 10.0
+    arguments = ["run", "door", "--method", "rkmk4", "--step", "1e-3", "--every", "100"]
+    for name in ("run.npz", "run.csv", "run.mcap"):
+        out = ["--duration", "3", "--reactions", "--out", str(tmp_path / name)]
+        assert main([*arguments, *out]) == 0
+    arrays = np.load(tmp_path / "run.npz")
+    assert arrays["impact_time"].tolist() == [impact.time for impact in impacts]
+    expected = np.array([impact.array for impact in impacts])
+    assert np.array_equal(arrays["impulses"], expected, equal_nan=True)
+    joint = scene.joints[0].name
+    recording = read_recording(tmp_path / "run.mcap")
+    track = recording.impulses[joint]
+    assert track.stamp_ns.tolist() == [impact.time_ns for impact in impacts]
+    assert np.array_equal(track.impulse, expected[:, 0], equal_nan=True)
+    frame = recording.to_pandas("impulses")
+    assert frame[joint, "fx"].tolist() == expected[:, 0, 3].tolist()
+    assert list(recording.reactions) == [joint]  # impulses are not among them
+    figures = resimulate(recording)
+    assert figures["identical"] == figures["samples"] == 31
+    with open(tmp_path / "run.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    hits = [row for row in rows if float(row[f"{joint}.impulse_fx [N s]"]) != 0.0]
+    assert len(rows) == 31 and len(hits) == 2
+    for row, impulse in zip(hits, expected[:, 0]):
+        names = [name for name in row if ".impulse_" in name]
+        assert [float(row[name]) for name in names] == impulse.tolist()
+    assert main([*arguments, "--duration", "1", "--out", str(tmp_path / "plain.npz")]) == 0
+    assert "impulses" not in np.load(tmp_path / "plain.npz")
 
 
 SENSED = """

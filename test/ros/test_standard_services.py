@@ -422,6 +422,27 @@ def test_a_world_without_its_meshes_is_refused_unless_they_are_ignored(node, fil
     assert load(node, (files / "rig.yaml").as_uri())[0] == 1
 
 
+def test_a_robot_whose_mass_follows_from_a_missing_mesh_lacks_an_asset(node, files):
+    """It cannot be loaded without: ignored or not, the answer is the same, and names the mesh."""
+    path = files / "mass.xml"
+    path.write_text(
+        '<mujoco model="arm"><asset><mesh name="m" file="nope.stl"/></asset><worldbody>\n'
+        '<body name="arm"><joint type="hinge"/><geom type="mesh" mesh="m"/></body>'
+        "</worldbody></mujoco>"
+    )
+    beside = files / "mass.yaml"
+    beside.write_text("robot: mass.xml\n")
+    for file in (path, beside):
+        for ignore in (False, True):
+            result, error, world = load(
+                node, str(file), ignore_missing_or_unsupported_assets=ignore
+            )
+            assert result == 104 and world.name == "", error
+            assert "nope.stl' is not there" in error and "\n" not in error
+    (files / "broken.xml").write_text('<mujoco><worldbody><body name="a"></worldbody></mujoco>')
+    assert load(node, str(files / "broken.xml"))[0] == 103  # what cannot be read still is
+
+
 def send_goal(client, steps):
     """(goal handle, list that grows with the feedback) of the action."""
     from rclpy.action import ActionClient

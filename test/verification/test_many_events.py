@@ -5,63 +5,13 @@ import numpy as np
 import pytest
 import yaml
 from scipy.spatial.transform import Rotation
+from stop_scenes import chain
 
 from liegroup_core.engine import Engine
+from liegroup_core.scene.centres import pose_matrix
 from liegroup_core.scene.load import scene_from_text
 
 pytestmark = pytest.mark.slow
-
-
-def chain(seed, joints, floating):
-    """Random tree of hinges and slides with stops, most of them with friction.
-
-    floating : True: in space, tumbling; False: held by the world, falling
-    """
-    rng = np.random.default_rng(seed)
-    bodies, links = [], []
-    for i in range(joints + 1):
-        bodies.append(
-            {
-                "name": f"b{i}",
-                "mass": float(rng.uniform(0.5, 2.0)),
-                "inertia": [0.02, 0.03, 0.025],
-                "position": [0.3 * i, 0.0, 0.0],
-            }
-        )
-        if i == 0:
-            continue
-        size = 1.0 if rng.random() < 0.8 else 0.2
-        joint = {
-            "name": f"j{i}",
-            "type": "revolute" if size == 1.0 else "prismatic",
-            "parent": f"b{i - 1 if rng.random() < 0.8 else int(rng.integers(i))}",
-            "child": f"b{i}",
-            "child_frame": {
-                "position": [-0.3, 0.0, 0.0],
-                "rotation_vector": rng.uniform(-1.5, 1.5, 3).tolist(),
-            },
-            "limits": {
-                "lower": float(-rng.uniform(0.2, 1.0) * size),
-                "upper": float(rng.uniform(0.2, 1.0) * size),
-                "restitution": float(rng.choice([0.0, 0.3, 0.8])),
-            },
-        }
-        if rng.random() < 0.7:
-            coulomb = float(rng.uniform(0.01, 0.5)) * (0.1 if floating else 10.0)
-            joint["friction"] = {"coulomb": coulomb, "static": coulomb * float(rng.uniform(1, 1.5))}
-        links.append(joint)
-    if floating:
-        # As one rigid body: all joints are at rest at the start.
-        spin, at = np.array([2.0, 3.0, -4.0]), np.array([0.0, 0.1, 0.2])
-        for body in bodies:
-            body["angular_velocity"] = spin.tolist()
-            body["linear_velocity"] = (at + np.cross(spin, body["position"])).tolist()
-    else:
-        hinge = {"name": "j0", "type": "revolute", "parent": "world", "child": "b0"}
-        links.append(hinge | {"child_frame": {"axis": [0.1, 1.0, 0.2]}})
-    gravity = [0.0, 0.0, 0.0 if floating else -9.81]
-    scene = {"name": "chain", "gravity": gravity, "bodies": bodies, "joints": links}
-    return scene_from_text(yaml.safe_dump(scene))
 
 
 def test_momentum_of_a_floating_chain():
@@ -101,6 +51,55 @@ def test_falling_robots(seed):
         assert sample.energy <= energy + 1e-5
         energy = sample.energy
     assert count >= 500
+
+
+def momentum_changes(engine):
+    """List that grows at every impact of an engine: pose of the first body, and the changes of linear
+    momentum and of angular momentum about the origin of the world, (6,).
+    """
+    switching, found = engine._switching, []
+    impact, bodies = switching._impact, engine.layout.model.bodies
+
+    def watched(time, state, *rest):
+        pose, twist = state[0].copy(), state[1].copy()
+        status = impact(time, state, *rest)
+        total = np.zeros(6)
+        for body, at, change in zip(bodies, pose, state[1] - twist):
+            R, I = at[:9].reshape(3, 3), body["inertia"].reshape(3, 3)
+            linear = body["mass"] * R @ change[3:]
+            total += np.concatenate([linear, R @ I @ change[:3] + np.cross(at[9:], linear)])
+        found.append((pose[0], total))
+        return status
+
+    switching._impact = watched
+    return found
+
+
+@pytest.mark.parametrize("seed", [1, 7])
+def test_momentum_at_every_impact_of_a_falling_robot(seed):
+    """What the impulse of the base gives the mechanism is the change of its momentum.
+
+    Both are sums over 21 bodies of impulses of up to 100 N s, with the round-off of the inverse of the
+    mass matrix: 1e-10.
+    """
+    scene = chain(seed, 20, False)
+    engine = Engine(scene, "rkmk4", 2e-3)
+    engine.drain_impacts()
+    changes, count = momentum_changes(engine), 0
+    names = [joint.name for joint in scene.joints]
+    base = engine.layout.joint_frames[names.index("j0")][1]
+    for _ in range(600):
+        engine.advance(1)
+        impacts = engine.drain_impacts()
+        assert len(impacts) == len(changes)
+        for impact, (pose, change) in zip(impacts, changes):
+            frame = pose_matrix(pose) @ base
+            force = frame[:3, :3] @ impact.impulses["j0"][3:]
+            torque = frame[:3, :3] @ impact.impulses["j0"][:3] + np.cross(frame[:3, 3], force)
+            assert np.abs(np.concatenate([force, torque]) - change).max() <= 1e-10
+            count += 1
+        changes.clear()
+    assert count >= 100
 
 
 def test_repeated_runs_and_parts_are_bit_equal():

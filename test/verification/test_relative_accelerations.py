@@ -40,7 +40,7 @@ import pytest
 import random_mechanisms
 
 from liegroup_core.engine import Engine
-from liegroup_core.joints.kinds import TYPES
+from liegroup_core.joints.kinds import CONSTRAINTS
 from liegroup_core.layout import make_layout
 from liegroup_core.model.redundancy import loop_joints
 from liegroup_core.scene.description import FORCES
@@ -165,7 +165,7 @@ def test_every_type_of_joint_and_force_is_among_them():
             joints |= {joint.type for joint in scene.joints}
             forces |= {force.type for force in scene.forces}
             axes |= {push[2] for push in wrenches}
-    assert joints == set(TYPES)
+    assert joints == set(CONSTRAINTS)
     assert forces == {cls.model_fields["type"].default for cls in FORCES}
     assert axes == {"body", "world"}
 

@@ -31,7 +31,7 @@ from liegroup_core.engine import Engine
 from liegroup_core.integrators.families import ON_JOINTS
 from liegroup_core.integrators.methods import METHODS
 from liegroup_core.joints import forbidden_rows
-from liegroup_core.joints.kinds import TYPES
+from liegroup_core.joints.kinds import CONSTRAINTS
 from liegroup_core.lie.groups import SE3
 from liegroup_core.model.size import mechanism_size
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
@@ -39,7 +39,7 @@ from liegroup_core.scene.consistency import resolve_elements, resolve_frames
 STEPS = int(os.environ.get("STEPS", "2000"))
 SAMPLES = 10
 ROUNDINGS, ROUND_OFF = 16.0, 2.0**-53
-KINDS = tuple(kind for kind in TYPES if kind != "distance")
+KINDS = tuple(kind for kind in CONSTRAINTS if kind != "distance")
 ON_TREES = tuple(name for name, method in METHODS.items() if method.family in ON_JOINTS)
 
 

@@ -104,6 +104,9 @@ SWITCH = np.dtype(
         ("coulomb", "f8"),
         ("static", "f8"),
         ("viscous", "f8"),
+        ("sliding_by_load", "f8"),  # friction for each N of load: N m or N
+        ("static_by_load", "f8"),
+        ("bearing", "i8"),  # cut joint whose load it is; -1: that of the link
     ],
     align=True,
 )
@@ -139,6 +142,7 @@ class RelativeModel(Struct):
     switches: np.ndarray  # (k,) of SWITCH
     switched: np.ndarray  # (m,) 1: the row is that of a switch
     has_switched_rows: bool  # any of them
+    has_loads: bool  # any friction by load
     first_column: np.ndarray  # (m,) first nonzero column of each row of the factor of W
     refinements: int  # steps of iterative refinement that each solve takes
     projects: bool
@@ -220,6 +224,11 @@ class RelativeWork(Struct):
     reach: np.ndarray  # (k,) coordinate of each switch that is a row
     since: np.ndarray  # (k, 2) rate and acceleration of each at the start of the step
     now: np.ndarray  # (k, 2) and at the stage
+    loads: (
+        np.ndarray
+    )  # (k, 4) force across the axis of each that its friction counts with, and that
+    # of the present accelerations, N; both of the iteration before: see loads.py
+    iteration: np.ndarray  # (3,) 1: the loads are given; 1: they did not settle; scratch
     guards: np.ndarray  # (k, 5) how far each switch is from its next events
     crossed: np.ndarray  # (k, 5) part of the step at which each is at the latest, or -1
     watch: np.ndarray  # (3,) 1 if events are looked for; start of the substep with one, its size
@@ -278,6 +287,8 @@ def make_relative_work(model, work, stages):
         reach=np.zeros(len(model.switches)),
         since=np.zeros((len(model.switches), 2)),
         now=np.zeros((len(model.switches), 2)),
+        loads=np.zeros((len(model.switches), 4)),
+        iteration=np.zeros(3),
         modes=np.zeros((len(model.switches), 6)),
         guards=np.zeros((len(model.switches), 5)),
         crossed=np.zeros((len(model.switches), 5)),

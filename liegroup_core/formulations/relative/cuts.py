@@ -64,7 +64,8 @@ def cut_rows(scene, frames, parts, tree, links, places, stops, coupled):
             element += 1
     joints = len(cut)
     cut += [(j, -1, part) for j, part in stops]
-    rigid = [c for c, (coupling, _) in enumerate(coupled) if not coupling.has_slack]
+    loose = {c for c, coupling in enumerate(scene.couplings) if coupling.backlash}
+    rigid = [c for c in range(len(coupled)) if c not in loose]
     first = len(cut)
     cut += [(None, element + i, COUPLING_PART) for i in range(len(coupled))]
     if not cut:

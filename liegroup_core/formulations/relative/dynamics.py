@@ -20,6 +20,7 @@ from .kinds import (
     spread,
     spread_response,
 )
+from .loads import GIVEN, MOST_ITERATIONS, begin_loads, settle_loads
 from .loops import POOR, SINGULAR, apply_multipliers, close_loops, set_loops
 from .switches import apply_switches, set_row_efforts
 
@@ -104,6 +105,24 @@ def solve_equations(model, work):
 
 
 @kernel
+def balance(model, work):
+    """Apply stops and friction and find the accelerations; friction by load with them: see loads.py.
+
+    returns as `accelerations`
+    """
+    begin_loads(model, work)
+    apply_switches(model, work)
+    found = -1
+    for iteration in range(MOST_ITERATIONS):
+        found = solve_equations(model, work)
+        if found >= 0 or not model.has_loads or work.iteration[GIVEN] != 0.0:
+            break
+        if settle_loads(model, work, iteration):
+            break
+    return found
+
+
+@kernel
 def accelerations(model, work, external):
     """Accelerations of all freedoms at the stage, to work.acceleration.
 
@@ -116,6 +135,4 @@ def accelerations(model, work, external):
         place_links(model, work)
     if applied:
         apply_forces(model, work, external)
-    if len(model.switches) > 0:
-        apply_switches(model, work)
-    return solve_equations(model, work)
+    return balance(model, work)

@@ -30,7 +30,7 @@ def find_plane(scene, frames, parts):
     frames : its joint frames, see scene/consistency.py
     parts  : elements of its joints
     """
-    if any(switch.kind in (CONE, DISTANCE) for switch in switches_of(scene)):
+    if any(_leaves_plane(switch) for switch in switches_of(scene)):
         return None
     poses = {body.name: body.pose for body in scene.bodies} | {WORLD_NAME: np.eye(4)}
     axes = [(poses[joint.child] @ F_b)[:3, 2] for joint, (_, F_b) in zip(scene.joints, frames)]
@@ -46,6 +46,12 @@ def find_plane(scene, frames, parts):
             cut = (part for j, of in enumerate(parts) if j not in joints for part in of)
             return (normal, joints) if all(part.kind == PAIR for part in cut) else None
     return None
+
+
+def _leaves_plane(switch):
+    """True if stops or friction need more than the plane: a load has parts that are normal to it."""
+    by_load = switch.friction is not None and switch.friction.by_load[1] > 0.0
+    return by_load or switch.kind in (CONE, DISTANCE)
 
 
 def _candidates(scene, axes):

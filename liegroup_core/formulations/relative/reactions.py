@@ -9,9 +9,11 @@ scene: it also finds what a weld transmits, and in a planar mechanism what is no
 Source: Featherstone, Rigid Body Dynamics Algorithms, section 5.3 (recursive Newton-Euler).
 """
 
+import math
+
 import numpy as np
 
-from liegroup_core.compiling import Struct, kernel, stepper
+from liegroup_core.compiling import Struct, borrowed, kernel, stepper
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.se3 import se3_Ad_inverse
 from liegroup_core.lie.vec3 import (
@@ -32,10 +34,10 @@ from liegroup_core.lie.vec3 import (
 from liegroup_core.scene.consistency import resolve_frames
 
 from .coordinates import coordinates, place_links
-from .dynamics import apply_forces, solve_equations
+from .dynamics import apply_forces, balance
 from .impulses import add_impulse, clear_impulses, factor_rows, respond_to_impulses
 from .spanning_tree import WORLD_NAME, spanning_tree
-from .switches import apply_switches
+from .switches import COORDINATE, EFFORT, KNOWN, RESTS, SIDE, SLIP
 from .trees import move_links
 
 
@@ -47,9 +49,7 @@ class ReactionTable(Struct):
     order: np.ndarray  # (t, 3) tree joints, leaves first: joint, body behind it, body before it
     owners: np.ndarray  # (c,) joint of each cut element that is solved for; -1: a coupling, or a
     # stop of a joint of the tree
-    motion: (
-        np.ndarray
-    )  # (n, 6) of each body: angular acceleration, specific force at the COM; own axes
+    hidden: np.ndarray  # (J, 6) bool: components that are NaN in the results
     lacking: np.ndarray  # (n, 6) scratch: wrench that a body lacks, world axes, about its COM
 
 
@@ -87,18 +87,18 @@ def reaction_table(layout):
         ).reshape(-1, 12),
         order=np.array(order[::-1], dtype=np.int64).reshape(-1, 3),
         owners=np.array(owners, dtype=np.int64),
-        motion=np.zeros((len(scene.bodies), 6)),
+        hidden=np.zeros((len(ends), 6), dtype=bool),
         lacking=np.zeros((len(scene.bodies), 6)),
     )
 
 
 @kernel
-def _set_lacking(model, work, table, weight):
-    """Wrench that each body lacks without its joints, to table.lacking; its motion, to table.motion.
+def _set_lacking(model, work, table, weight, out):
+    """Wrench that each body lacks without its joints, to table.lacking; its motion, to out[J:].
 
     weight : 1, or 0 without gravity
     """
-    poses = work.space.stage_pose
+    poses, first = work.space.stage_pose, len(table.ends)
     for i in range(len(model.parts)):
         part, body, rot = model.parts[i], model.space.bodies[i], load9(poses, i, 0)
         b, turn, at = part["link"], matrix3(part["rotation"]), vector3(part["point"])
@@ -113,8 +113,8 @@ def _set_lacking(model, work, table, weight):
         inertia = matrix3(body["inertia"])
         torque = add3(matvec3(inertia, dw), cross3(w, matvec3(inertia, w)))
         dv = add3(dv, cross3(w, v))
-        store3(dw, table.motion, i, 0)
-        store3(dv, table.motion, i, 3)
+        store3(dw, out, first + i, 0)
+        store3(dv, out, first + i, 3)
         force = scale3(body["mass"], dv)
         torque, force = (
             sub3(torque, load3(work.wrench, i, 0)),
@@ -159,14 +159,14 @@ def _take_cut_joints(model, work, table, out):
 
 
 @kernel
-def _begin(model, work):
-    """Set the stage to the state in the first n rows of work.pose and work.twist."""
+def _begin(model, work, pose, twist):
+    """Set the stage to a state: pose (n, 12), twist (n, 6) of the bodies."""
     n = len(model.parts)
     for i in range(n):
         for c in range(12):
-            work.stage_pose[i, c] = work.space.stage_pose[i, c] = work.pose[i, c]
+            work.pose[i, c] = work.stage_pose[i, c] = work.space.stage_pose[i, c] = pose[i, c]
         for c in range(6):
-            work.stage_twist[i, c] = work.space.stage_twist[i, c] = work.twist[i, c]
+            work.twist[i, c] = work.stage_twist[i, c] = work.space.stage_twist[i, c] = twist[i, c]
     coordinates(model, work, work.pose, work.twist)
     for b in range(n, n + len(model.bodies)):
         for c in range(12):
@@ -180,10 +180,10 @@ def _begin(model, work):
 @kernel
 def _sweep(model, work, table, weight, out):
     """Wrenches of all joints for the accelerations of the links; see joint_wrenches."""
-    for j in range(len(out)):
+    for j in range(len(table.ends)):
         for c in range(6):
             out[j, c] = 0.0
-    _set_lacking(model, work, table, weight)
+    _set_lacking(model, work, table, weight, out)
     _take_cut_joints(model, work, table, out)
     lacking, poses = table.lacking, work.space.stage_pose
     for k in range(len(table.order)):
@@ -196,44 +196,69 @@ def _sweep(model, work, table, weight, out):
         torque = add3(torque, cross3(sub3(at, load3(poses, child, 9)), force))
         store3(scale3(sign, torque), out, j, 0)
         store3(scale3(sign, force), out, j, 3)
-    for j in range(len(out)):
+    for j in range(len(table.ends)):
         rot = load9(poses, table.ends[j, 1], 0)
         force = load3(out, j, 3)
         torque = sub3(load3(out, j, 0), cross3(matvec3(rot, load3(table.frames, j, 9)), force))
         axes = matmul3(rot, load9(table.frames, j, 0))
         store3(tmatvec3(axes, torque), out, j, 0)
         store3(tmatvec3(axes, force), out, j, 3)
+        for c in range(6):
+            if table.hidden[j, c]:
+                out[j, c] = math.nan
+
+
+@kernel
+def copy_modes(from_model, from_work, model, work_out):
+    """Write the modes of the switches of another model of the same scene; True if they are known."""
+    for f in range(len(work_out.held)):
+        work_out.held[f] = 0.0
+    known = True
+    for k in range(len(model.switches)):
+        there, here = from_model.switches[k], model.switches[k]
+        work_out.held[here["freedom"]] = from_work.held[there["freedom"]]
+        work_out.modes[k, RESTS] = from_work.modes[k, RESTS]
+        sign = there["sign"] * here["sign"]
+        for c in (SLIP, SIDE, COORDINATE, EFFORT):
+            work_out.modes[k, c] = sign * from_work.modes[k, c]
+        known = known and from_work.modes[k, KNOWN] != 0.0
+        work_out.modes[k, KNOWN] = 1.0
+    return known
 
 
 @stepper
-def joint_wrenches(model, work, table, out):
-    """Wrench (J, 6) of every joint on its child: torque, force in the axes of the child's joint frame.
+def joint_wrenches(model, work, table, pose_in, twist_in, external_in, out_in):
+    """Wrench of every joint on its child: torque, force in the axes of the child's joint frame.
 
-    The first n rows of work.pose and work.twist have the state, work.external the external wrenches.
+    pose (n, 12), twist (n, 6) : of the bodies;  external : (n, COLUMNS), see forces/external.py
+    out : (J + n, 6) the wrenches, NaN where table.hidden; then of each body angular acceleration and
+          specific force (acceleration less gravity) at the centre of mass, in its axes
     The torque is about the origin of that frame. Redundant rows, which are eliminated, transmit
     nothing. A coupling acts in the freedoms of its joints. Springs, motors and other forces are no
-    part of it; stops and friction are, in the modes of work.held and work.modes. Returns -1, or the
-    joint with dependent rows if the solve fails.
+    part of it; stops and friction are, in the modes of work.held and work.modes. Returns -1, -2 at a
+    singular pose, or the joint with dependent rows if the solve fails.
     """
-    _begin(model, work)
-    apply_forces(model, work, work.external)
-    apply_switches(model, work)
-    found = solve_equations(model, work)
+    pose, twist = borrowed(pose_in), borrowed(twist_in)
+    external, out = borrowed(external_in), borrowed(out_in)
+    regular = work.report[2]
+    _begin(model, work, pose, twist)
+    apply_forces(model, work, external)
+    found = balance(model, work)
     if found >= 0:
         return found
     _sweep(model, work, table, 1.0, out)
-    return -1
+    return -1 if work.report[2] == regular else -2
 
 
 @stepper
-def impulse_wrenches(model, work, table, impulses, out):
-    """Impulses (J, 6) of every joint on its child at an impact; as joint_wrenches, N m s and N s.
+def impulse_wrenches(model, work, table, pose, twist, impulses, out):
+    """Impulses of every joint on its child at an impact; as joint_wrenches, in N m s and N s.
 
-    The first n rows of work.pose have the pose, those of work.twist are zero.
+    pose     : (n, 12) of the bodies;  twist : (n, 6) zeros
     impulses : (k,) of the stops on the coordinates of the links of the switches
     returns -1, or the joint with dependent rows if the solve fails
     """
-    _begin(model, work)
+    _begin(model, work, pose, twist)
     for i in range(len(model.parts)):
         for c in range(6):
             work.wrench[i, c] = 0.0

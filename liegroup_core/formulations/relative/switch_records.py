@@ -13,6 +13,7 @@ from liegroup_core.scene.switches import switches_of
 
 from .arrays import SWITCH
 
+FRAMES = ("parent", "child", "parent_point", "parent_rotation", "child_point", "child_rotation")
 NAMES = {TURN: ("wz",), SLIDE: ("vz",)}
 DIRECTIONS = {TURN: np.eye(6)[2:3], SLIDE: np.eye(6)[5:]}
 STOPS = {
@@ -72,8 +73,24 @@ def switch_arrays(scene, links, records, arrays, elements, places):
             record["residual"] = elements[element]["row_start"]
             record["freedom"], switched[row] = freedoms + row, 1
         record["turned"], record["sign"] = switch.is_angle, sign
+        record["bearing"] = -1
         _set_numbers(record, switch, sign)
-    return {"switches": table, "switched": switched, "has_switched_rows": bool(switched.any())}
+        if record["static_by_load"] and record["row"] >= 0:
+            record["bearing"] = _bearing(arrays["joints"], elements, record["row"])
+    return {"switches": table, "switched": switched, "has_switched_rows": bool(switched.any())} | {
+        "has_loads": bool(table["static_by_load"].any())
+    }
+
+
+def _bearing(joints, elements, row):
+    """Number of the cut joint with the same frames as that of a row, and other rows."""
+    (own,) = (elements[joint["element"]] for joint in joints if joint["first"] == row)
+    for j, joint in enumerate(joints):
+        element = elements[joint["element"]]
+        same = all(np.array_equal(element[key], own[key]) for key in FRAMES)
+        if same and joint["first"] != row:
+            return j
+    return -1
 
 
 def _set_numbers(record, switch, sign):
@@ -87,3 +104,4 @@ def _set_numbers(record, switch, sign):
     if friction is not None:
         record["coulomb"], record["static"] = friction.coulomb, friction.at_rest
         record["viscous"] = friction.viscous
+        record["sliding_by_load"], record["static_by_load"] = friction.by_load

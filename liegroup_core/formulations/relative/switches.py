@@ -27,9 +27,6 @@ from liegroup_core.forces.turn import unwrapped
 from .coupled_rows import set_gap
 from .kinds import (
     add_effort,
-    add_multipliers,
-    add_own_forces,
-    gather_forces,
     lift_links,
     link_coordinate,
     link_shift,
@@ -37,6 +34,7 @@ from .kinds import (
     place_links,
     set_present_residual,
 )
+from .loads import FOUND, LOAD, find_loads, gather_lacking
 from .matrix import is_off
 
 # Columns of Work.modes.
@@ -52,13 +50,14 @@ AT_STOP, RESTING = 1e-13, 1e-11
 
 
 def modes_of(model, work):
-    """(k, 4) of each switch, in the coordinate of its joint: 1 if it is at rest, direction of slip,
-    stop that it touches (-1 lower, 1 upper), coordinate.
+    """(k, 5) of each switch, in the coordinate of its joint: 1 if it is held, 2 if it rests because of
+    others; direction of slip; stop that it touches (-1 lower, 1 upper); coordinate; effort if it rests.
     """
     table, modes = model.switches, work.modes
     signs = table["sign"][:, None]
-    own = modes[:, [SLIP, SIDE, COORDINATE]] * signs
-    at_rest = np.maximum(work.held[table["freedom"]], modes[:, RESTS])
+    own = modes[:, [SLIP, SIDE, COORDINATE, EFFORT]] * signs
+    own[:, 3] *= modes[:, RESTS]
+    at_rest = work.held[table["freedom"]] + 2.0 * modes[:, RESTS]
     return np.hstack([at_rest[:, None], own])
 
 
@@ -66,9 +65,9 @@ def set_modes(model, work, modes):
     """Write `modes_of` another model of the same scene."""
     table = model.switches
     work.held[:] = 0.0
-    work.held[table["freedom"]] = modes[:, 0]
-    work.modes[:, [SLIP, SIDE, COORDINATE]] = modes[:, 1:] * table["sign"][:, None]
-    work.modes[:, KNOWN], work.modes[:, RESTS] = 1.0, 0.0
+    work.held[table["freedom"]] = modes[:, 0] == 1.0
+    work.modes[:, [SLIP, SIDE, COORDINATE, EFFORT]] = modes[:, 1:] * table["sign"][:, None]
+    work.modes[:, KNOWN], work.modes[:, RESTS] = 1.0, modes[:, 0] == 2.0
 
 
 @kernel
@@ -142,7 +141,8 @@ def _effort(model, work, k, rate):
     switch, side = model.switches[k], work.modes[k, SIDE]
     if work.modes[k, RESTS] != 0.0:
         return work.modes[k, EFFORT]
-    effort = -work.modes[k, SLIP] * switch["coulomb"] - switch["viscous"] * rate
+    sliding = switch["coulomb"] + switch["sliding_by_load"] * work.loads[k, LOAD]
+    effort = -work.modes[k, SLIP] * sliding - switch["viscous"] * rate
     if side != 0.0:
         q = coordinate(model, work, k, work.stage_pose)
         effort -= side * _pressure(switch, q, rate, side)
@@ -179,28 +179,11 @@ def set_row_efforts(model, work):
 
 
 @kernel
-def _hold(model, work):
-    """Efforts that hold the held freedoms, to u of the freedoms with the opposite sign.
+def bounds(most, side):
+    """(least, largest) effort that can hold a switch which touches the rigid stop of a side, or none.
 
-    returns the sum of the magnitudes of all wrenches on single links
+    most : friction at rest
     """
-    for b in range(len(model.bodies)):
-        for c in range(work.moved.shape[1]):
-            work.force[b, c] = 0.0
-    add_multipliers(model, work)
-    add_own_forces(model, work)
-    total = 0.0
-    for b in range(len(model.bodies)):
-        for c in range(work.moved.shape[1]):
-            total += abs(work.force[b, c])
-    gather_forces(model, work)
-    return total
-
-
-@kernel
-def bounds(switch, side):
-    """(least, largest) effort that can hold a switch which touches the rigid stop of a side, or none."""
-    most = switch["static"]
     return (-math.inf if side > 0.0 else -most, math.inf if side < 0.0 else most)
 
 
@@ -214,14 +197,18 @@ def set_guards(model, work):
         held = held or work.held[model.switches[k]["freedom"]] != 0.0
     set_rates(model, work, work.now)
     _find_rows(model, work)
-    total = _hold(model, work) if held else 0.0
+    total = 0.0
+    if held or model.has_loads:
+        total = gather_lacking(model, work)
+        find_loads(model, work)
     for k in range(len(model.switches)):
         switch, guards, side = model.switches[k], work.guards, work.modes[k, SIDE]
         f = switch["freedom"]
         if work.held[f] != 0.0:
             row = switch["row"]
             effort = -work.freedoms[f, 7] if row < 0 else -work.multipliers[row]
-            least, most = bounds(switch, side)
+            at_rest = switch["static"] + switch["static_by_load"] * work.loads[k, FOUND]
+            least, most = bounds(at_rest, side)
             guards[k, LEAST] = effort - least + ROUND_OFF * total
             guards[k, MOST] = most - effort + ROUND_OFF * total
             continue
@@ -238,7 +225,7 @@ def set_guards(model, work):
                 depth, _ = _depth(switch, q, rate, at)
                 acting = min(depth, _pressure(switch, q, rate, at))
                 guards[k, end] = acting if side == at else -acting
-        if switch["coulomb"] > 0.0 or switch["static"] > 0.0:
+        if switch["static"] > 0.0 or switch["static_by_load"] > 0.0:
             guards[k, SLIDING] = work.modes[k, SLIP] * rate
 
 

@@ -11,9 +11,10 @@ from liegroup_core.formulations.relative.impulses import (
     set_rate_changes,
 )
 from liegroup_core.formulations.relative.kinds import move_links, place_links
+from liegroup_core.formulations.relative.loads import UNSETTLED
 from liegroup_core.formulations.relative.switches import count_coordinates, set_guards
 from liegroup_core.integrators.link_state import begin, enter, leave
-from liegroup_core.status import DEPENDENT_ROWS, OK
+from liegroup_core.status import DEPENDENT_ROWS, NO_FRICTION, OK
 
 
 @stepper
@@ -28,6 +29,9 @@ def look(model, work, pose_in, twist_in, external_in):
     # The guards need the applied forces of the stage, which the coordinates do not leave.
     set_guards(model, work)
     count_coordinates(model, work)
+    if work.iteration[UNSETTLED] != 0.0:
+        work.iteration[UNSETTLED] = 0.0
+        return NO_FRICTION
     return status
 
 

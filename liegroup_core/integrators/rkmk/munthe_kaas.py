@@ -277,6 +277,11 @@ class MuntheKaas:
             self._control[4 + k] = part * tolerance
 
     @property
+    def links(self):
+        """(RelativeModel, RelativeWork) of a method in relative coordinates."""
+        return self._model, self._work
+
+    @property
     def memory(self):
         """Arrays of the memory between calls: substeps of error control, relative coordinates."""
         control = (self._control[:4],) if self.controlled else ()

@@ -12,6 +12,7 @@ from liegroup_core.forces import kinds
 from liegroup_core.formulations.relative.arrays import BALL, PLANE
 from liegroup_core.formulations.relative.dynamics import accelerations
 from liegroup_core.formulations.relative.kinds import displace, normalise
+from liegroup_core.formulations.relative.loads import UNSETTLED
 from liegroup_core.formulations.relative.loops import project
 from liegroup_core.formulations.relative.switches import count_coordinates, crossed, set_rates
 from liegroup_core.integrators.link_state import begin as begin
@@ -24,7 +25,7 @@ from liegroup_core.lie.coefficients import dexpinv_coefficients, truncated_dexpi
 from liegroup_core.lie.se3 import se3_dexpinv_of
 from liegroup_core.lie.so3 import so3_dexpinv_of
 from liegroup_core.lie.vec3 import dot3, load3
-from liegroup_core.status import LARGEST_ROTATION, NOT_FINITE, OK, ROTATION_TOO_LARGE
+from liegroup_core.status import LARGEST_ROTATION, NO_FRICTION, NOT_FINITE, OK, ROTATION_TOO_LARGE
 
 from .relative_errors import error_square as error_square
 
@@ -137,6 +138,9 @@ def _store_curved(link, scheme, rates, row, slopes, at):
 @kernel
 def check_end(model, work, h):
     """Check the end of a step of size h; see spaces.py."""
+    if work.iteration[UNSETTLED] != 0.0:
+        work.iteration[UNSETTLED] = 0.0
+        return NO_FRICTION
     return end_status(model.space.forces, h, work.stage_pose, work.stage_twist)
 
 

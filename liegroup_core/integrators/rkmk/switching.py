@@ -30,6 +30,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from liegroup_core.compiling import SameTypes
+from liegroup_core.formulations.relative.loads import FOUND, GIVEN, LOAD, MOST_ITERATIONS
 from liegroup_core.formulations.relative.switches import (
     AT_STOP,
     COORDINATE,
@@ -49,7 +50,14 @@ from liegroup_core.formulations.relative.switches import (
     modes_of,
 )
 from liegroup_core.integrators.complementarity import FREE, HIGH, LOW, independent, solve
-from liegroup_core.status import BEYOND_STOP, EVENT, EVENTS_WITHOUT_END, MOST_EVENTS, OK
+from liegroup_core.status import (
+    BEYOND_STOP,
+    EVENT,
+    EVENTS_WITHOUT_END,
+    MOST_EVENTS,
+    NO_FRICTION,
+    OK,
+)
 
 from .event_kernels import change_rates, look, respond
 
@@ -59,6 +67,7 @@ TIME_STEP = 1e-15  # s; an event is found to this, and to round-off
 HALVINGS = 40
 MOST_KEPT = 100_000  # events that nobody has taken
 RETURNING = 1e-10  # of its terms: an acceleration below is zero
+SAME_LOADS = 1e-12
 ACCELERATION = 1e-13  # of all accelerations of the mechanism: round-off of one
 SPENT = 1e-9  # of its bound: the effort of what can give no more
 IMMOBILE = 1e-13  # of its mobility without closed loops: a coordinate that loops hold at this pose
@@ -88,7 +97,7 @@ class JointInstant(NamedTuple):
     """Modes of all joints with stops or friction where one of them changes.
 
     time   : s
-    modes  : (k, 4) from then on, as Sample.switching
+    modes  : (k, 5) from then on, as Sample.switching
     events : [JointEvent] of this time; none where a run starts
     """
 
@@ -116,7 +125,10 @@ class Switching:
         self._model, self._work, self._take, self._control = model, work, take, control
         table = model.switches
         self._freedoms, self._is_row = table["freedom"], table["row"] >= 0
-        self._rigid, self._dry = table["stiffness"] == 0.0, table["static"] > 0.0
+        self._rigid, self._dry = (
+            table["stiffness"] == 0.0,
+            (table["static"] + table["static_by_load"] > 0.0),
+        )
         # A guard that starts below this starts at its zero.
         self._at_zero = np.zeros((len(table), 5))
         for end, stop in ((LOWER, table["lower"]), (UPPER, table["upper"])):
@@ -452,29 +464,68 @@ class Switching:
         pressed : which ones were held, or came back to their stop: they are held where both are possible
         """
         model, work = self._model, self._work
-        modes, table = work.modes, model.switches
+        modes = work.modes
         shares = np.where(modes[:, RESTS] != 0.0, modes[:, EFFORT], 0.0)
-        work.held[:], modes[:, RESTS] = 0.0, 0.0
         modes[:, SLIP] = np.where(self._dry & ~resting, np.sign(rates), 0.0)
         modes[self._rigid, SIDE] = 0.0
         chosen = np.flatnonzero(resting)
         if not len(chosen):
+            work.held[:], modes[:, RESTS] = 0.0, 0.0
             return OK
         self._stop(chosen)
-        accelerations, status = self._look_and_respond(state)
-        if status != OK:
-            return status
-        A = self._mobility[np.ix_(chosen, chosen)]
-        b = accelerations[chosen]
-        # Where a cable goes slack, for one, terms of the size of gravity leave nothing.
-        turning = np.abs(work.twist).max(initial=0.0) ** 2
-        round_off = ACCELERATION * (np.abs(work.acceleration).max(initial=0.0) + turning)
-        ends = np.array([bounds(table[k], side[k] if self._rigid[k] else 0.0) for k in chosen])
-        lo, hi = ends.T.copy()
-        sliding = table["coulomb"][chosen]
         released = np.where(
             crossed[chosen, LEAST], LOW, np.where(crossed[chosen, MOST], HIGH, FREE)
         )
+        status = OK
+        for _ in range(MOST_ITERATIONS):
+            status = self._distribute(state, side, chosen, released, pressed, shares)
+            if status != OK or not model.has_loads:
+                break
+            # The loads for which the modes were chosen are those that they cause, or it is repeated.
+            status = self._look_with_loads(state)
+            loads = work.loads
+            if status != OK or np.abs(loads[:, FOUND] - loads[:, LOAD]).max() <= SAME_LOADS * (
+                loads[:, FOUND].max()
+            ):
+                break
+        else:
+            status = NO_FRICTION
+        if status == OK:
+            self._change_rates(model, work, self._no_changes, *state[:2])
+        return status
+
+    def _look_with_loads(self, state):
+        """`look` for friction of given loads: those that were found last. Returns a status."""
+        work = self._work
+        work.iteration[GIVEN] = 1.0
+        status = self._look(self._model, work, *state)
+        work.iteration[GIVEN] = 0.0
+        return status
+
+    def _distribute(self, state, side, chosen, released, pressed, shares):
+        """What the switches at rest bear, and which of them move: new modes. Returns a status.
+
+        shares : (k,) efforts of those that rested beside others until now
+        """
+        model, work = self._model, self._work
+        modes, table = work.modes, model.switches
+        work.held[:], modes[:, RESTS], modes[chosen, SLIP] = 0.0, 0.0, 0.0
+        work.loads[:, LOAD] = work.loads[:, FOUND]
+        loads = work.loads[:, LOAD].copy()
+        status = self._look_with_loads(state)
+        b = work.now[chosen, 1].copy()
+        # Where a cable goes slack, for one, terms of the size of gravity leave nothing.
+        turning = np.abs(work.twist).max(initial=0.0) ** 2
+        round_off = ACCELERATION * (np.abs(work.acceleration).max(initial=0.0) + turning)
+        if status == OK:
+            status = self._respond_at_stage()
+        if status != OK:
+            return status
+        A = self._mobility[np.ix_(chosen, chosen)]
+        at_rest = table["static"] + table["static_by_load"] * loads
+        ends = [bounds(at_rest[k], side[k] if self._rigid[k] else 0.0) for k in chosen]
+        lo, hi = np.array(ends).T.copy()
+        sliding = (table["coulomb"] + table["sliding_by_load"] * loads)[chosen]
         if released.any():
             # What rests beside others with all that it can give does not take over from them.
             share = shares[chosen]
@@ -498,8 +549,9 @@ class Switching:
         held |= slow & (released == FREE) & pressed[chosen] & ~rests
         rests &= slow
         for i, k in enumerate(chosen):
-            if held[i] or rests[i]:
-                modes[k, SIDE] = side[k] if self._rigid[k] else modes[k, SIDE]
+            modes[k, SIDE] = 0.0 if self._rigid[k] else modes[k, SIDE]
+            if self._rigid[k] and (held[i] or rests[i]):
+                modes[k, SIDE] = side[k]
             if held[i]:
                 work.held[self._freedoms[k]] = 1.0
                 if self._is_row[k] and modes[k, SIDE] != 0.0:
@@ -508,14 +560,14 @@ class Switching:
                 modes[k, RESTS], modes[k, EFFORT] = 1.0, x[i]
             elif self._dry[k]:
                 modes[k, SLIP] = -at[i]
-        self._change_rates(model, work, self._no_changes, *state[:2])
+        work.loads[:, LOAD] = loads
         return OK
 
     def _modes(self):
         return modes_of(self._model, self._work)
 
     def modes(self, time, state):
-        """(k, 4) of all switches, see switches.modes_of; of a state that was set, the modes it will have."""
+        """(k, 5) of all switches, see switches.modes_of; of a state that was set, the modes it will have."""
         if self._work.modes[:, KNOWN].all():
             return self._modes()
         self._look(self._model, self._work, *state)  # the links have this state from here on

@@ -20,6 +20,7 @@ from scipy.stats.qmc import LatinHypercube
 
 from liegroup_core.compiling import source_digest
 from liegroup_core.errors import LieGroupSimError
+from liegroup_core.joint_events import has_impacts
 from liegroup_core.observables.joint_forces import names_of_forces
 from liegroup_core.scene.assembly import assembled
 from liegroup_core.scene.load import scene_as_written
@@ -189,6 +190,8 @@ class Sweep:
         largest = [f"{joint}.{part}" for joint in joints for part in WRENCH]
         if self.reactions:
             largest += [f"{force}.effort" for force in names_of_forces(scene)]
+        if has_impacts(scene):
+            largest += [f"{joint}.impulse_{part}" for joint in joints for part in WRENCH]
         floats = ("time", *state, "energy_start", "energy_drift", "joints", *largest)
         return (
             {"run": "int"}
@@ -303,16 +306,23 @@ def simulate(work, limit=math.inf):
 def _run(sweep, values):
     """One run as {column: value}; columns that it did not reach are absent."""
     start = time.thread_time()
-    looks, simulation, status = [], None, OK
+    looks, impulses, simulation, status = [], [], None, OK
     with listening() as said:
         try:
             scene = sweep._scene_at(values)
             said += filter(None, [sweep._unlike(values, scene)])
             simulation = Simulation(scene, **dict(sweep.settings))
+            hits = sweep.reactions and has_impacts(scene)
+            if hits:
+                impulses.append(np.zeros((len(scene.joints), 6)))
+                simulation.drain_impacts()  # they are kept from here on
             looks.append(_look(simulation, sweep.reactions))
             while simulation.steps < sweep.steps:
                 simulation.advance(min(sweep.every, sweep.steps - simulation.steps))
                 looks.append(_look(simulation, sweep.reactions))
+                if hits:
+                    impulses += (np.abs(impact.array) for impact in simulation.drain_impacts())
+                    impulses = [np.max(impulses, axis=0)]  # NaN where one is undetermined
         except (LieGroupSimError, ValueError, ArithmeticError) as error:
             status = " ".join(str(error).split()) or type(error).__name__
             if looks and simulation.steps > looks[-1].steps:
@@ -327,12 +337,15 @@ def _run(sweep, values):
             "joints": max(sample.constraint_residual for sample in looks),
         }
         if sweep.reactions:
-            wrenches = [np.array(list(sample.reactions.values())) for sample in looks]
-            names = (f"{joint}.{part}" for joint in looks[0].reactions for part in WRENCH)
+            wrenches = [sample.reaction_array for sample in looks]
+            names = (f"{joint.name}.{part}" for joint in scene.joints for part in WRENCH)
             found |= dict(zip(names, np.abs(wrenches).max(axis=0).ravel()))
             efforts = np.abs([list(sample.force_efforts.values()) for sample in looks])
             forces = (f"{force}.effort" for force in looks[0].force_efforts)
             found |= dict(zip(forces, efforts.max(axis=0)))
+            if impulses:
+                names = (f"{j.name}.impulse_{part}" for j in scene.joints for part in WRENCH)
+                found |= dict(zip(names, impulses[0].ravel()))
         states = np.array([_state(sample) for sample in (looks if sweep.keep else looks[-1:])])
         names = [
             "time",
@@ -347,7 +360,7 @@ def _run(sweep, values):
 def _look(simulation, reactions):
     sample = simulation.sample()
     if reactions:
-        _ = sample.reactions  # kept with the sample; raises here if there are none
+        _ = sample.reaction_array  # kept with the sample; raises here if there are none
     if not math.isfinite(sample.energy):
         raise ArithmeticError(f"the energy is not finite at t = {sample.time:.9g} s")
     return sample
