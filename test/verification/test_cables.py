@@ -11,6 +11,7 @@ from scipy.optimize import brentq
 
 from liegroup_core import Simulation
 from liegroup_core.engine import Engine
+from liegroup_core.model.symmetry import conserved_momentum
 from liegroup_core.scene.load import scene_from_text
 
 pytestmark = pytest.mark.slow
@@ -448,3 +449,8 @@ def test_cables_in_parallel():
     loads = [np.linalg.norm(sample.reactions[rope["name"]][3:]) for rope in ropes]
     assert sum(loads) == pytest.approx(2.0 * G, abs=1e-11)
     assert set(sample.modes.values()) == {"upper"}
+
+
+def test_momentum_that_a_cable_does_not_keep():
+    """A scene of cables can be described and analysed: nothing is said of its momentum."""
+    assert conserved_momentum(bob([0, 0, -0.5], [0, 0, 0], {})) == ()

@@ -26,8 +26,9 @@ def look(model, work, pose_in, twist_in, external_in):
     dependent = accelerations(model, work, external)
     if dependent >= 0:
         return DEPENDENT_ROWS + (model.owners[dependent] << 8)
-    count_coordinates(model, work)
+    # The guards need the applied forces of the stage, which the coordinates do not leave.
     set_guards(model, work)
+    count_coordinates(model, work)
     if work.iteration[UNSETTLED] != 0.0:
         work.iteration[UNSETTLED] = 0.0
         return NO_FRICTION

@@ -69,6 +69,7 @@ MOST_KEPT = 100_000  # events that nobody has taken
 RETURNING = 1e-10  # of its terms: an acceleration below is zero
 SAME_LOADS = 1e-12
 ACCELERATION = 1e-13  # of all accelerations of the mechanism: round-off of one
+SPENT = 1e-9  # of its bound: the effort of what can give no more
 IMMOBILE = 1e-13  # of its mobility without closed loops: a coordinate that loops hold at this pose
 LOOSE = 1e100  # tolerance of error control that no step fails
 
@@ -464,6 +465,7 @@ class Switching:
         """
         model, work = self._model, self._work
         modes = work.modes
+        shares = np.where(modes[:, RESTS] != 0.0, modes[:, EFFORT], 0.0)
         modes[:, SLIP] = np.where(self._dry & ~resting, np.sign(rates), 0.0)
         modes[self._rigid, SIDE] = 0.0
         chosen = np.flatnonzero(resting)
@@ -476,7 +478,7 @@ class Switching:
         )
         status = OK
         for _ in range(MOST_ITERATIONS):
-            status = self._distribute(state, side, chosen, released, pressed)
+            status = self._distribute(state, side, chosen, released, pressed, shares)
             if status != OK or not model.has_loads:
                 break
             # The loads for which the modes were chosen are those that they cause, or it is repeated.
@@ -500,8 +502,11 @@ class Switching:
         work.iteration[GIVEN] = 0.0
         return status
 
-    def _distribute(self, state, side, chosen, released, pressed):
-        """What the switches at rest bear, and which of them move: new modes. Returns a status."""
+    def _distribute(self, state, side, chosen, released, pressed, shares):
+        """What the switches at rest bear, and which of them move: new modes. Returns a status.
+
+        shares : (k,) efforts of those that rested beside others until now
+        """
         model, work = self._model, self._work
         modes, table = work.modes, model.switches
         work.held[:], modes[:, RESTS], modes[chosen, SLIP] = 0.0, 0.0, 0.0
@@ -521,6 +526,11 @@ class Switching:
         ends = [bounds(at_rest[k], side[k] if self._rigid[k] else 0.0) for k in chosen]
         lo, hi = np.array(ends).T.copy()
         sliding = (table["coulomb"] + table["sliding_by_load"] * loads)[chosen]
+        if released.any():
+            # What rests beside others with all that it can give does not take over from them.
+            share = shares[chosen]
+            released[(share != 0.0) & (share <= lo * (1.0 - SPENT))] = LOW
+            released[(share != 0.0) & (share >= hi * (1.0 - SPENT))] = HIGH
         for _ in range(2 * len(chosen)):
             x, w, at = solve(A, b, lo, hi, released)
             back = released * w > RETURNING * (np.abs(A) @ np.abs(x) + np.abs(b)) + round_off
