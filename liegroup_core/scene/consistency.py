@@ -281,7 +281,11 @@ def _open(joint, elements, rows, C_rel, poses):
     gap, tilt = _parts(rows, position_residual(elements, C_rel))
     size = max(np.abs(pose[:3, 3]).max() for pose in poses)
     if max(gap, tilt) <= TOLERANCE * (1.0 + size):
-        if not joint.locates_child and np.linalg.norm(C_rel[:3, 3]) <= TOLERANCE * (1.0 + size):
+        if (
+            joint.constrains
+            and not joint.locates_child
+            and np.linalg.norm(C_rel[:3, 3]) <= TOLERANCE * (1.0 + size)
+        ):
             return (
                 "the two points coincide, so the distance has no direction; use a spherical "
                 "joint, or move one of the frames"

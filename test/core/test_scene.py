@@ -19,7 +19,14 @@ from scene_files import ROOT, SCENES, each_scene
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import Described
 from liegroup_core.joints.motion import Motion
-from liegroup_core.joints.stops import Friction, Limits
+from liegroup_core.joints.stops import (
+    Backlash,
+    Cone,
+    CylinderFriction,
+    CylinderLimits,
+    Friction,
+    Limits,
+)
 from liegroup_core.scene import (
     Body,
     DistanceJoint,
@@ -438,8 +445,12 @@ MODELS = (
     *JOINTS,
     Motion,
     Limits,
+    Cone,
+    CylinderLimits,
     Friction,
+    CylinderFriction,
     Coupling,
+    Backlash,
     Frame,
     *FORCES,
     *SENSORS,

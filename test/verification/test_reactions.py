@@ -22,6 +22,7 @@ import random_mechanisms
 
 from liegroup_core import Scene, Simulation, load_scene
 from liegroup_core.engine import Engine
+from liegroup_core.joints.kinds import TYPES
 from liegroup_core.scene.consistency import resolve_frames
 
 pytestmark = pytest.mark.slow
@@ -84,8 +85,7 @@ def test_reactions_at_the_ground_are_the_rate_of_momentum(name):
 
     Central differences of fourth order with steps of 1e-4 s of motions at round-off: their error is
     that of the momentum, 1e-13 of its size, over the step, plus h^4 of a motion at up to 100 rad/s,
-    1e-8. Loads of the scene that act from the world are part of it (the scenes here have none but
-    torques along ground joints, which are compared along the other axes).
+    1e-8. Motors, servos and springs at joints to the world are part of it.
     """
     scene, h = load_scene(name), 1e-4
     engine = Engine(scene, "rkmk8", h, quiet=True)
@@ -112,8 +112,12 @@ def test_reactions_at_the_ground_are_the_rate_of_momentum(name):
     for force in scene.forces:  # motors and springs between the world and a body
         joint = next((j for j in scene.joints if j.name == getattr(force, "joint", None)), None)
         if joint is not None and joint.parent == "world":
-            axis = (sample.poses[joint.child] @ joint.child_frame.pose)[:3, 2]
-            wrench[:3] += axis * (rate[:3] - wrench[:3]) @ axis
+            frame = sample.poses[joint.child] @ joint.child_frame.pose
+            effort = frame[:3, 2] * sample.force_efforts[force.name]
+            if TYPES[joint.type].turns:
+                wrench[:3] += effort
+            else:
+                wrench += [*np.cross(frame[:3, 3], effort), *effort]
         elif getattr(force, "parent", None) == "world":
             pytest.skip("a spring from the world")
     size = np.abs(rate).max() + 1e-13 * np.abs(momenta).max() / h + 1.0
