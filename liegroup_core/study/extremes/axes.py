@@ -237,6 +237,22 @@ AXES = (
         stops.friction,
         quick=(0.13,),
     ),
+    Axis(
+        "cable",
+        "restitution of a cable",
+        "",
+        (0.0, 0.1, 0.5, 0.9, 0.99, 1.0),
+        stops.cable,
+        quick=(0.5,),
+    ),
+    Axis(
+        "simultaneous",
+        "balls in a row, simultaneous impacts",
+        "",
+        (2, 3, 5, 10, 30),
+        stops.simultaneous,
+        quick=(5,),
+    ),
     Axis("bounces", "bounces between two stops", "1/s", _powers(0, 5), stops.bounces, quick=(1e2,)),
     Axis(
         "steps",

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Problems with stops and dry friction for the robustness map: a slider with closed forms."""
+"""Problems with stops and dry friction for the robustness map: sliders with closed forms."""
 
 import math
 
 import numpy as np
 
+from liegroup_core.joints.cable import CableJoint
 from liegroup_core.joints.stops import Friction, Limits
 from liegroup_core.scene.description import Body, Frame, Joint, LinearSpringDamper, Scene
 from liegroup_core.scene.library import GRAVITY
@@ -16,36 +17,39 @@ STEP = 0.01  # s
 SMALLEST = 1e-13  # of a speed: slower rebounds are over
 
 
-def _slider(place, steps, start, speed=0.0, gravity=0.0, forces=(), **keys):
-    """Mass of 1 kg on a vertical slide; place : function of times -> its coordinate in m."""
-    body = Body(
-        name="slider",
-        mass=1.0,
-        inertia=(0.1, 0.1, 0.1),
-        position=(0.0, 0.0, start),
-        linear_velocity=(0.0, 0.0, speed),
-    )
-    joint = Joint(
-        name="slide",
-        type="prismatic",
-        parent="world",
-        child="slider",
-        parent_frame=Frame(),
-        child_frame=Frame(),
-        **keys,
-    )
+def _body(name, **start):
+    return Body(name=name, mass=1.0, inertia=(0.1, 0.1, 0.1), **start)
+
+
+def _slide(body, **keys):
+    """Vertical slide of a body in the world."""
+    ends = dict(parent="world", child=body.name, parent_frame=Frame(), child_frame=Frame())
+    return Joint(name=f"slide_{body.name}", type="prismatic", **ends, **keys)
+
+
+def _problem(bodies, joints, place, steps, gravity=0.0, forces=()):
+    """Problem of masses of 1 kg that move vertically.
+
+    place : function of times -> their heights in m, (times,) of one or (times, bodies)
+    """
     scene = Scene(
-        name="slider", gravity=(0, 0, -gravity), bodies=[body], joints=[joint], forces=forces
+        name="sliders", gravity=(0, 0, -gravity), bodies=bodies, joints=joints, forces=forces
     )
 
     def motion(times):
-        found = place(times)
-        position = np.zeros((len(times), 1, 3))
-        position[:, 0, 2] = found
-        rotation = np.broadcast_to(np.eye(3), (len(times), 1, 3, 3))
+        found = place(times).reshape(len(times), len(bodies))
+        position = np.zeros((len(times), len(bodies), 3))
+        position[:, :, 2] = found
+        rotation = np.broadcast_to(np.eye(3), (len(times), len(bodies), 3, 3))
         return Truth(rotation, position, 1e-11 * (1.0 + np.abs(found).max()))
 
     return Problem(scene, STEP, steps, motion, 1.0)
+
+
+def _slider(place, steps, start, speed=0.0, gravity=0.0, forces=(), **keys):
+    """One mass on a slide with stops or friction; place : function of times -> its height in m."""
+    body = _body("mass", position=(0.0, 0.0, start), linear_velocity=(0.0, 0.0, speed))
+    return _problem([body], [_slide(body, **keys)], place, steps, gravity, forces)
 
 
 def _by_pieces(pieces):
@@ -62,8 +66,8 @@ def _by_pieces(pieces):
     return place
 
 
-def restitution(e):
-    """Ball that falls by 1 m on a rigid stop, over 3 s."""
+def _bouncing(e):
+    """Height of a ball over what it bounces on, function of times; it falls from 1 m."""
 
     def pieces():
         begin, speed = math.sqrt(2.0 / GRAVITY), math.sqrt(2.0 * GRAVITY)
@@ -76,8 +80,52 @@ def restitution(e):
             yield end, lambda t, s=speed, b=begin: (t - b) * (s - 0.5 * GRAVITY * (t - b))
             begin = end
 
+    return _by_pieces(pieces)
+
+
+def restitution(e):
+    """Ball that falls by 1 m on a rigid stop, over 3 s."""
     limits = Limits(lower=0.0, restitution=e)
-    return _slider(_by_pieces(pieces), 300, 1.0, gravity=GRAVITY, limits=limits)
+    return _slider(_bouncing(e), 300, 1.0, gravity=GRAVITY, limits=limits)
+
+
+def cable(e):
+    """Ball that falls by 1 m until its cable of 1.5 m is taut, over 3 s."""
+    ball, height = _body("ball", position=(0.0, 0.0, -0.5)), _bouncing(e)
+    ends = dict(parent="world", child="ball", parent_frame=Frame(), child_frame=Frame())
+    rope = CableJoint(name="rope", length=1.5, restitution=e, **ends)
+    return _problem([ball], [rope], lambda times: height(times) - 1.5, 300, GRAVITY)
+
+
+def simultaneous(count):
+    """Ball at 1 m/s that hits a row of balls which touch, restitution 0.7: one impact at all contacts."""
+    e, size, gap = 0.7, 0.1, 0.4137
+    heights = [0.0, *(gap + size * k for k in range(1, count))]
+    bodies = [
+        _body(f"ball{k}", position=(0.0, 0.0, height), linear_velocity=(0.0, 0.0, float(k == 0)))
+        for k, height in enumerate(heights)
+    ]
+    touch = [
+        CableJoint(
+            name=f"touch{k}",
+            type="strut",
+            parent=f"ball{k - 1}",
+            child=f"ball{k}",
+            parent_frame=Frame(),
+            child_frame=Frame(),
+            length=size,
+            restitution=e,
+        )
+        for k in range(1, count)
+    ]
+    after = np.array([1.0 - (count - 1) * e, *[1.0 + e] * (count - 1)]) / count
+    before = np.array([1.0, *[0.0] * (count - 1)])
+
+    def place(times):
+        late = np.maximum(times - gap, 0.0)[:, None]
+        return np.array(heights) + np.minimum(times, gap)[:, None] * before + late * after
+
+    return _problem(bodies, [*map(_slide, bodies), *touch], place, 100)
 
 
 def stop_stiffness(stiffness):
