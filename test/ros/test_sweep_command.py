@@ -139,14 +139,14 @@ def test_a_sweep_to_an_accuracy_has_one_step_and_resumes(fall, capsys):
     at = fall.index("--method")
     fall[at : at + 4] = ["--accuracy", "1e-6", "--horizon", "0.5"]
     assert main(fall) == 0
-    said = "20 runs of 0.5 s, accuracy 1e-06 in 0.5 s, states at 5 ms; 0 failed"
+    said = "20 runs of 0.5 s, accuracy 1e-06 in 0.5 s, states at 10 ms; 0 failed"
     assert said in capsys.readouterr().out
     description = SweepFile("a.parquet").description
     assert description["settings"]["accuracy"] == 1e-6
     assert description["settings"]["horizon"] == 0.5
     frame = pandas.read_parquet("a.parquet")
     height = frame["gravity.2"] * 0.5**2 / 2 + frame["bodies.stone.linear_velocity.2"] * 0.5
-    # Exact for a method of order 8; 100 steps, of at least one substep each.
+    # Exact for a method of order 8; 50 steps, of at least one substep each.
     assert np.allclose(frame["stone.z"], height, rtol=0, atol=1e-12)
     assert main(fall) == 0
     assert SweepFile("a.parquet").description == description

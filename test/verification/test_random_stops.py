@@ -104,7 +104,7 @@ class Excess:
 @pytest.mark.parametrize("floating", [False, True])
 @pytest.mark.parametrize("seed", range(10))
 def test_random_mechanisms(seed, floating):
-    """Over 0.8 s (floating: 1 s) no stop is passed by 1e-9, no energy gained, and momentum is kept.
+    """Over 2 s (floating: 1 s) no stop is passed by 1e-9, no energy gained, and momentum is kept.
 
     rkmk8 with 1 ms (floating: 0.5 ms) and projection: its errors between events are below 1e-9 of 50 J,
     and 1e-11 of the angular momentum, up to 80 kg m^2/s.
@@ -113,7 +113,7 @@ def test_random_mechanisms(seed, floating):
     engine, excess = Engine(scene, "rkmk8", step, stabilisation="projection"), Excess(scene)
     sample, count = engine.sample(), 0
     energy, momentum = sample.energy, sample.spatial_momentum
-    for _ in range(2000 if floating else 800):
+    for _ in range(2000):
         engine.advance(1)
         events, sample = engine.drain_events(), engine.sample()
         count += len(events)

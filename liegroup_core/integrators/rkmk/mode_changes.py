@@ -23,6 +23,7 @@ import numpy as np
 from liegroup_core.compiling import SameTypes
 from liegroup_core.formulations.relative.loads import FOUND, GIVEN, LOAD, MOST_ITERATIONS
 from liegroup_core.formulations.relative.switches import (
+    AT_STOP,
     COORDINATE,
     EFFORT,
     LEAST,
@@ -86,6 +87,12 @@ class ModeChanges:
         self._look, self._respond = SameTypes(look), SameTypes(respond)
         self._change_rates = SameTypes(change_rates)
         self.events, self.impacts = [], None
+        self.is_dense = False  # impacts follow each other without end: they are plastic
+
+    @property
+    def reach(self):
+        """What is not further from a stop is at it, rad or m."""
+        return SMALLEST_REBOUND if self.is_dense else AT_STOP
 
     def _respond_at_stage(self):
         mobility, of_open = self._mobility, self._open_mobility
@@ -127,6 +134,8 @@ class ModeChanges:
         restitution = model.switches["restitution"][hit]
         towards = side[hit] * accelerations[hit]
         rebound = restitution * np.maximum(side[hit] * rates[hit], 0.0)
+        if self.is_dense:
+            restitution[:] = 0.0
         restitution[rebound**2 <= 2.0 * SMALLEST_REBOUND * np.maximum(towards, 0.0)] = 0.0
         A = self._mobility[np.ix_(hit, hit)]
         lo = np.where((side[hit] > 0.0) | stays[hit], -np.inf, 0.0)

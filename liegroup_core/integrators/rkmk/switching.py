@@ -34,6 +34,9 @@ from .mode_changes import JointEvent, ModeChanges
 BEYOND = 1e-9  # rad or m: a state that is set is not this far beyond a stop
 TIME_STEP = 1e-15  # s; an event is found to this, and to round-off
 HALVINGS = 40
+# Impacts of several contacts that follow each other without end become plastic: after half of
+# MOST_EVENTS in a step, where so many are in this part of it.
+DENSE, SHORT = 50, 0.005
 MOST_KEPT = 100_000  # events that nobody has taken
 LOOSE = 1e100  # tolerance of error control that no step fails
 
@@ -162,8 +165,13 @@ class Switching(ModeChanges):
 
     def _finish(self, h, start, state):
         """Take the step in which the next event is, from the substep with it on. Returns a status."""
+        status = self._take_events(h, start, state)
+        self.is_dense = False
+        return status
+
+    def _take_events(self, h, start, state):
         work = self._work
-        elapsed = 0.0
+        elapsed, times = 0.0, []
         for _ in range(MOST_EVENTS):
             begin_of_substep, size = elapsed + work.watch[1], work.watch[2]
             work.clock[0], work.clock[1] = 0.0, start + begin_of_substep
@@ -172,6 +180,10 @@ class Switching(ModeChanges):
                 return status
             elapsed = begin_of_substep + tau
             if crossed is not None:
+                times.append(elapsed)
+                # Those that converge do so by then; so many in so short a time are far too many.
+                many = len(times) > MOST_EVENTS // 2
+                self.is_dense = many and elapsed - times[-DENSE] < SHORT * h
                 status = self._switch(start + elapsed, state, crossed)
                 if status != OK:
                     return status
@@ -287,7 +299,7 @@ class Switching(ModeChanges):
         side = np.where(self._rigid, 0.0, modes[:, SIDE])
         for end, (stop, sign) in enumerate(((table["lower"], -1.0), (table["upper"], 1.0))):
             with np.errstate(invalid="ignore"):
-                near = sign * (q - stop) >= -AT_STOP * (1.0 + np.abs(stop))
+                near = sign * (q - stop) >= -self.reach * (1.0 + np.abs(stop))
             side[self._rigid & np.isfinite(stop) & (near | crossed[:, end])] = sign
         touching = self._rigid & (side != 0.0)
         rates = self._rates()
