@@ -170,7 +170,7 @@ def friction(ratio):
         moving = centre + sign * swing * np.cos(omega * (turns - 0.5 * half))
         return np.where(half < ends, moving, sign * (1.0 - 2.0 * ends * ratio))
 
-    spring = LinearSpringDamper(name="spring", joint="slide", stiffness=omega**2)
+    spring = LinearSpringDamper(name="spring", joint="slide_mass", stiffness=omega**2)
     law = Friction(coulomb=ratio * omega**2)
     return _slider(place, 300, 1.0, forces=[spring], friction=law)
 
