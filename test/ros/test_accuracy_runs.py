@@ -234,7 +234,7 @@ def test_parts_with_joint_commands_repeat_alone(ros_node, tmp_path, monkeypatch)
         ros_node,
         tmp_path / "arm.yaml",
         record=tmp_path / "run.mcap",
-        record_split_duration=0.43,
+        record_split_duration=0.23,
         clock_rate=50.0,
         real_time_factor=5.0,
     )
