@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from liegroup_core.integrators.rkmk.switching import JointEvent, JointInstant
 from liegroup_core.scene.description import Scene
+from liegroup_core.scene.switches import switches_of
 
 Floats = NDArray[np.float64]
 
@@ -33,8 +34,8 @@ class Impact(NamedTuple):
 
 
 def has_impacts(scene: Scene) -> bool:
-    """Whether a joint of a scene has rigid stops."""
-    limits = (joint.limits for joint in scene.joints)
+    """Whether a joint or coupling of a scene has rigid stops."""
+    limits = (switch.limits for switch in switches_of(scene))
     return any(some is not None and some.stiffness is None for some in limits)
 
 

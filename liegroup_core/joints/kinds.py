@@ -18,9 +18,10 @@ from . import cone, distance, perpendicular
 from .cable import CableJoint
 from .described import JointBase
 from .distance import DistanceJoint
-from .elements import ELEMENT, PAIR, JointType
+from .elements import ELEMENT, PAIR, Element, JointType
 from .pairs import LOWER_PAIRS, pair_coordinates, pair_element
 from .perpendicular import PERPENDICULAR
+from .stops import CONE, DISTANCE, SLIDE, TURN
 
 __all__ = ["CableJoint", "DistanceJoint", "Joint", "ScrewJoint"]
 
@@ -35,6 +36,13 @@ CONSTRAINTS = LOWER_PAIRS | {
 TYPES = CONSTRAINTS | {
     "cable": JointType("the origins of the frames are at most its length apart"),
     "strut": JointType("the origins of the frames are at least its length apart"),
+}
+# Coordinates of joints with stops or friction, by the kind of their Switch: residuals of these.
+COORDINATES = {
+    TURN: Element(PAIR, ("wz",), np.eye(6)[2:3]),
+    SLIDE: Element(PAIR, ("vz",), np.eye(6)[5:]),
+    DISTANCE: Element(distance.KIND, ("length",), np.eye(6)[3:]),
+    CONE: cone.CONE_ANGLE,
 }
 # Types that a name and two frames describe.
 PLAIN = (*(name for name, pair in LOWER_PAIRS.items() if not pair.has_pitch), "universal")

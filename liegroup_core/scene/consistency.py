@@ -238,7 +238,7 @@ def switch_coordinates(scene, start, frames):
         if switch.joint is not None:
             joint = scene.joints[switch.joint]
             C_rel = _relative(start, joint, *frames[switch.joint])
-            found.append((switch, coordinate_of(switch, joint, C_rel)))
+            found.append((switch, coordinate_of(switch, C_rel)))
             continue
         entry = couplings[switch.coupling]
         ends = [scene.joints[j] for j in (entry.joint, entry.other)]

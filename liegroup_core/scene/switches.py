@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Coordinates of a scene with stops or dry friction, in the order of all arrays."""
 
-import math
-
-from liegroup_core.joints.coupling import coordinate, turns
-from liegroup_core.joints.stops import BACKLASH, CONE, DISTANCE, SLIDE
+from liegroup_core.joints.coupling import turns
+from liegroup_core.joints.kinds import COORDINATES, position_residual
+from liegroup_core.joints.stops import BACKLASH, DISTANCE, SLIDE
 
 
 def switches_of(scene):
@@ -29,16 +28,10 @@ def unit_of(switch, scene):
     return "m" if switch.kind in (SLIDE, DISTANCE) else "rad"
 
 
-def coordinate_of(switch, joint, C_rel):
+def coordinate_of(switch, C_rel):
     """Coordinate of a Switch of a joint, rad or m; C_rel (4, 4): child's joint frame in the parent's.
 
     An angle about z is in the turn that its stops expect.
     """
-    if switch.kind == DISTANCE:
-        return math.hypot(*C_rel[:3, 3])
-    if switch.kind == CONE:
-        return math.atan2(math.hypot(C_rel[0, 2], C_rel[1, 2]), C_rel[2, 2])
-    if switch.kind == SLIDE:
-        return float(C_rel[2, 3])
-    q = coordinate(joint, C_rel)
-    return q if switch.limits is None else switch.limits.turn_of(q, True)
+    (q,) = position_residual((COORDINATES[switch.kind],), C_rel).tolist()
+    return q if switch.limits is None else switch.limits.turn_of(q, switch.is_angle)

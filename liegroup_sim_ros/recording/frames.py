@@ -76,30 +76,13 @@ def data_frame(recording, what):
                 pandas.MultiIndex.from_product([track.names, MODE_COLUMNS]),
             )
         )
-    elif what == "reactions":
-        frame = (
-            pandas.concat(
-                {
-                    joint: pandas.DataFrame(track.wrench, track.time, WRENCH)
-                    for joint, track in recording.reactions.items()
-                },
-                axis=1,
-            )
-            if recording.reactions
-            else pandas.DataFrame()
-        )
-    elif what == "impulses":
-        frame = (
-            pandas.concat(
-                {
-                    joint: pandas.DataFrame(track.impulse, track.time, WRENCH)
-                    for joint, track in recording.impulses.items()
-                },
-                axis=1,
-            )
-            if recording.impulses
-            else pandas.DataFrame()
-        )
+    elif what in ("reactions", "impulses"):
+        # (stamp_ns, time, wrench or impulse) of each joint.
+        parts = {
+            joint: pandas.DataFrame(track[-1], track.time, WRENCH)
+            for joint, track in getattr(recording, what).items()
+        }
+        frame = pandas.concat(parts, axis=1) if parts else pandas.DataFrame()
     elif what == "errors":
         track = recording.errors
         columns = pandas.MultiIndex.from_product([recording.bodies, ERRORS])

@@ -11,6 +11,7 @@ from scipy.optimize import brentq
 
 from liegroup_core import Simulation
 from liegroup_core.engine import Engine
+from liegroup_core.joint_events import has_impacts
 from liegroup_core.model.symmetry import conserved_momentum
 from liegroup_core.scene.load import scene_from_text
 
@@ -454,3 +455,28 @@ def test_cables_in_parallel():
 def test_momentum_that_a_cable_does_not_keep():
     """A scene of cables can be described and analysed: nothing is said of its momentum."""
     assert conserved_momentum(bob([0, 0, -0.5], [0, 0, 0], {})) == ()
+
+
+@pytest.mark.parametrize(
+    "kind, more, expected",
+    [
+        ("cable", {"length": 0.9}, True),
+        ("cable", {"length": 0.9, "stiffness": 1e4}, False),
+        ("cylindrical", {"limits": {"translation": {"upper": 1.0}}}, True),
+        ("cylindrical", {"limits": {"translation": {"upper": 1.0, "stiffness": 1e4}}}, False),
+        ("cylindrical", {"friction": {"rotation": {"coulomb": 1.0}}}, False),
+        ("spherical", {"limits": {"cone": 1.0}}, True),
+        ("revolute", {"limits": {"upper": 1.0}}, True),
+        ("revolute", {}, False),
+    ],
+)
+def test_what_has_impacts(kind, more, expected):
+    """Rigid stops of every kind have impacts; compliant ones and friction have none."""
+    joint = {"name": "j", "type": kind, "parent": "world", "child": "bob", "parent_frame": {}}
+    scene = {
+        "name": "bob",
+        "gravity": [0, 0, -G],
+        "bodies": [{"name": "bob", "mass": 1.5, "inertia": [0.01, 0.02, 0.015]}],
+        "joints": [joint | {"child_frame": {}} | more],
+    }
+    assert has_impacts(scene_from_text(yaml.safe_dump(scene))) == expected

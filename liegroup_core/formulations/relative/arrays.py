@@ -34,6 +34,9 @@ FREE = 6  # SE(3)
 LARGEST_ROWS = 6  # of a joint
 FREEDOMS = (1, 1, 1, 2, 3, 3, 6)
 
+# Columns of Work.modes.
+SLIP, SIDE, COORDINATE, KNOWN, RESTS, EFFORT = range(6)
+
 # How the coordinates of a link are found from poses of bodies.
 OWN, CROSS, AFTER_CROSS = 0, 1, 2
 
@@ -87,8 +90,7 @@ COUPLED = np.dtype(
 
 SWITCH = np.dtype(
     [  # coordinate with stops or dry friction: of a link of the tree, or of a row; see switches.py
-        ("row", "i8"),
-        ("residual", "i8"),  # of this row, and of its residual; -1: a freedom of the tree
+        ("row", "i8"),  # -1: a freedom of the tree
         ("joint", "i8"),  # cut joint whose wrench the row is, else -1
         ("link", "i8"),
         ("freedom", "i8"),  # of the tree; of row r: f + r
@@ -218,9 +220,11 @@ class RelativeWork(Struct):
     external: np.ndarray  # (n, COLUMNS), see forces/external.py: external wrenches of the call
     pushed: np.ndarray  # (1,) 1 if any of them is not zero
     held: np.ndarray  # (f + m,) 1 if a freedom, or the row of a switch, is held: see switches.py
-    modes: np.ndarray  # (k, 6) of each switch: direction of slip; stop that it touches, -1 lower,
-    # 1 upper; coordinate at the start of the step, in its turn; 1 if these are known; 1 if it rests
-    # because of others that are held, and its effort then
+    modes: (
+        np.ndarray
+    )  # (k, 6) of each switch: SLIP, its direction; SIDE of the stop that it touches,
+    # -1 lower, 1 upper; COORDINATE at the start of the step, in its turn; 1 if these are KNOWN; 1 if
+    # it RESTS because of others that are held, and its EFFORT then
     reach: np.ndarray  # (k,) coordinate of each switch that is a row
     since: np.ndarray  # (k, 2) rate and acceleration of each at the start of the step
     now: np.ndarray  # (k, 2) and at the stage

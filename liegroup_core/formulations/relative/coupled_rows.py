@@ -13,10 +13,9 @@ from liegroup_core.formulations.absolute.constraints import position_residuals
 from liegroup_core.formulations.absolute.projection import ROUND_OFF
 from liegroup_core.joints.motion import acceleration, position, rate
 
+from .arrays import COORDINATE
 from .kinds import link_coordinate, set_rows
 from .matrix import is_off
-
-COORDINATE = 2  # column of Work.modes, see switches.py
 
 
 @kernel

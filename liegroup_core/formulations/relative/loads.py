@@ -18,10 +18,9 @@ import math
 from liegroup_core.compiling import kernel
 from liegroup_core.lie.vec3 import ZERO3, axpy3, dot3, load3
 
+from .arrays import RESTS, SLIP
 from .kinds import add_effort, add_multipliers, add_own_forces, gather_forces
 
-# Columns of Work.modes, see switches.py.
-SLIP, RESTS = 0, 4
 # Columns of Work.loads.
 LOAD, FOUND, OLD_LOAD, OLD_FOUND = 0, 1, 2, 3
 GIVEN, UNSETTLED = 0, 1  # of Work.iteration
@@ -86,11 +85,17 @@ def begin_loads(model, work):
 
 
 @kernel
+def _is_free(model, work, k):
+    """Whether switch k neither is held nor rests because of others."""
+    return work.held[model.switches[k]["freedom"]] == 0.0 and work.modes[k, RESTS] == 0.0
+
+
+@kernel
 def _apply(model, work, k, load):
     """Let switch k slide with another load."""
     switch = model.switches[k]
     b = switch["link"]
-    if b >= 0 and work.held[switch["freedom"]] == 0.0 and work.modes[k, RESTS] == 0.0:
+    if b >= 0 and _is_free(model, work, k):
         change = -work.modes[k, SLIP] * switch["sliding_by_load"] * (load - work.loads[k, LOAD])
         add_effort(model, work, b, switch["component"], change)
     work.loads[k, LOAD] = load
@@ -101,10 +106,8 @@ def settle_loads(model, work, iteration):
     """Change the loads after a solve. Returns whether they have settled, or cannot."""
     slides = False
     for k in range(len(model.switches)):
-        free = work.held[model.switches[k]["freedom"]] == 0.0 and work.modes[k, RESTS] == 0.0
-        slides = slides or (
-            free and model.switches[k]["sliding_by_load"] * work.modes[k, SLIP] != 0.0
-        )
+        by_load = model.switches[k]["sliding_by_load"] * work.modes[k, SLIP]
+        slides = slides or (by_load != 0.0 and _is_free(model, work, k))
     if not slides:
         return True
     gather_lacking(model, work)

@@ -33,11 +33,11 @@ from liegroup_core.lie.vec3 import (
 )
 from liegroup_core.scene.consistency import resolve_frames
 
+from .arrays import COORDINATE, EFFORT, KNOWN, RESTS, SIDE, SLIP
 from .coordinates import coordinates, place_links
 from .dynamics import apply_forces, balance
 from .impulses import add_impulse, clear_impulses, factor_rows, respond_to_impulses
 from .spanning_tree import WORLD_NAME, spanning_tree
-from .switches import COORDINATE, EFFORT, KNOWN, RESTS, SIDE, SLIP
 from .trees import move_links
 
 

@@ -5,22 +5,15 @@ import math
 
 import numpy as np
 
-from liegroup_core.joints.cone import CONE_ANGLE
-from liegroup_core.joints.distance import KIND
-from liegroup_core.joints.elements import PAIR, WORLD, Element
-from liegroup_core.joints.stops import CONE, DISTANCE, SLIDE, TURN
+from liegroup_core.joints.elements import WORLD
+from liegroup_core.joints.kinds import COORDINATES
+from liegroup_core.joints.stops import SLIDE, TURN
 from liegroup_core.scene.switches import switches_of
 
 from .arrays import SWITCH
 
 FRAMES = ("parent", "child", "parent_point", "parent_rotation", "child_point", "child_rotation")
-NAMES = {TURN: ("wz",), SLIDE: ("vz",)}
-DIRECTIONS = {TURN: np.eye(6)[2:3], SLIDE: np.eye(6)[5:]}
-STOPS = {
-    DISTANCE: Element(KIND, ("length",), np.eye(6)[3:]),
-    CONE: CONE_ANGLE,
-    **{kind: Element(PAIR, NAMES[kind], DIRECTIONS[kind]) for kind in NAMES},
-}
+FREEDOMS = (TURN, SLIDE)  # kinds that a freedom of a link can be
 
 
 def _links_of(links):
@@ -31,9 +24,9 @@ def stop_rows(scene, links):
     """[(joint, Element)] of the switches of joints that are no freedom of the tree, one row each."""
     in_tree = _links_of(links)
     return [
-        (switch.joint, STOPS[switch.kind])
+        (switch.joint, COORDINATES[switch.kind])
         for switch in switches_of(scene)
-        if switch.joint is not None and not (switch.kind in NAMES and switch.joint in in_tree)
+        if switch.joint is not None and not (switch.kind in FREEDOMS and switch.joint in in_tree)
     ]
 
 
@@ -51,9 +44,9 @@ def switch_arrays(scene, links, records, arrays, elements, places):
     number = len(elements) - couplings - len(stop_rows(scene, links))
     table, switched = np.zeros(len(found), dtype=SWITCH), np.zeros(rows, dtype=np.int64)
     for record, switch in zip(table, found):
-        record["row"] = record["residual"] = record["joint"] = record["link"] = -1
+        record["row"] = record["joint"] = record["link"] = -1
         sign = 1.0
-        if switch.kind in NAMES and switch.joint in in_tree:
+        if switch.kind in FREEDOMS and switch.joint in in_tree:
             b = record["link"] = in_tree[switch.joint]
             second = switch.kind == SLIDE and scene.joints[switch.joint].type == "cylindrical"
             record["component"], record["freedom"] = second, records[b]["freedom"] + second
@@ -65,12 +58,11 @@ def switch_arrays(scene, links, records, arrays, elements, places):
                 joint = scene.joints[switch.joint]
                 # cuts.cut_elements exchanges the ends of a joint whose child is fixed.
                 swapped = places[joint.child][0] == WORLD
-                sign = -1.0 if switch.kind in NAMES and swapped else 1.0
+                sign = -1.0 if switch.kind in FREEDOMS and swapped else 1.0
                 record["joint"] = -1 if switch.joint in in_tree else switch.joint
             else:
                 element = len(elements) - couplings + switch.coupling
             row = record["row"] = of_element[element]
-            record["residual"] = elements[element]["row_start"]
             record["freedom"], switched[row] = freedoms + row, 1
         record["turned"], record["sign"] = switch.is_angle, sign
         record["bearing"] = -1

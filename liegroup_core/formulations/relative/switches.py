@@ -24,6 +24,7 @@ import numpy as np
 from liegroup_core.compiling import kernel
 from liegroup_core.forces.turn import unwrapped
 
+from .arrays import COORDINATE, EFFORT, KNOWN, RESTS, SIDE, SLIP
 from .coupled_rows import set_gap
 from .kinds import (
     add_effort,
@@ -37,8 +38,6 @@ from .kinds import (
 from .loads import FOUND, LOAD, find_loads, gather_lacking
 from .matrix import is_off
 
-# Columns of Work.modes.
-SLIP, SIDE, COORDINATE, KNOWN, RESTS, EFFORT = range(6)
 # Columns of Work.guards; LOWER and UPPER are the stops, the last two the bounds of what holds.
 LOWER, UPPER, SLIDING, LEAST, MOST = 0, 1, 2, 3, 4
 # Of the wrenches on all links: what holds a freedom is known to this part.

@@ -21,18 +21,14 @@ from typing import NamedTuple
 import numpy as np
 
 from liegroup_core.compiling import SameTypes
+from liegroup_core.formulations.relative.arrays import COORDINATE, EFFORT, RESTS, SIDE, SLIP
 from liegroup_core.formulations.relative.loads import FOUND, GIVEN, LOAD, MOST_ITERATIONS
 from liegroup_core.formulations.relative.switches import (
     AT_STOP,
-    COORDINATE,
-    EFFORT,
     LEAST,
     MOST,
     RESTING,
-    RESTS,
     ROUND_OFF,
-    SIDE,
-    SLIP,
     bounds,
 )
 from liegroup_core.integrators.complementarity import FREE, HIGH, LOW, independent, solve
@@ -127,7 +123,10 @@ class ModeChanges:
         model, work = self._model, self._work
         work.held[:], work.modes[:, RESTS] = 0.0, 0.0
         work.modes[touching, SLIP] = 0.0
-        accelerations, status = self._look_and_respond(state)
+        status = self._look(model, work, *state)
+        accelerations = work.now[:, 1].copy()
+        if status == OK:
+            status = self._respond_at_stage()
         if status != OK:
             return status
         hit = np.flatnonzero(touching)
@@ -162,14 +161,6 @@ class ModeChanges:
                     JointEvent(time, int(k), IMPACT, float(signs[k] * impulse), float(loss))
                 )
         return self._look(model, work, *state)
-
-    def _look_and_respond(self, state):
-        """(accelerations of the switches, status); the responses to unit impulses are kept."""
-        status = self._look(self._model, self._work, *state)
-        accelerations = self._work.now[:, 1].copy()
-        if status == OK:
-            status = self._respond_at_stage()
-        return accelerations, status
 
     def _choose(self, state, side, resting, rates, crossed, pressed):
         """Modes of all switches from here on. Returns a status.

@@ -15,15 +15,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
+from liegroup_core.formulations.relative.arrays import COORDINATE, KNOWN, SIDE, SLIP
 from liegroup_core.formulations.relative.switches import (
     AT_STOP,
-    COORDINATE,
-    KNOWN,
     LOWER,
     RESTING,
-    SIDE,
     SLIDING,
-    SLIP,
     UPPER,
     modes_of,
 )
