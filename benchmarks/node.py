@@ -274,6 +274,12 @@ def round_trip(listener, folder, count):
     def speed(message):
         return message.twist.linear.x
 
+    def driven(x):
+        return JointState(name=["axle"], effort=[x])
+
+    def effort(message):
+        return message.effort[0]
+
     # The state that shows a command does not wait for its tick. The echo shares the machine with the
     # node, at the same time and with the same pauses.
     for rate in (50.0, 100.0, 500.0, 1e3, 5e3):
@@ -290,13 +296,18 @@ def round_trip(listener, folder, count):
             Process(BARE, "echo"),
         ):
             listener.figures()
-            out, back = ("/echo/wrench", pushed), ("/echo/puck/twist", TwistStamped, speed)
-            echo = report(f"bare echo, {name}", trips(listener, out, back, count, pause))
-            out, back = ("/sim_node/wrench", pushed), ("/sim_node/puck/twist", TwistStamped, speed)
-            report(f"node, {name}", trips(listener, out, back, count, pause), echo)
-            out = "/sim_node/joint_commands", lambda x: JointState(name=["axle"], effort=[x])
-            back = "/sim_node/joint_states", JointState, lambda m: m.effort[0]
-            report(f"node, {name}, effort", trips(listener, out, back, count, pause), echo)
+            for kind, command, make, state, message_class, value in (
+                ("wrench", "wrench", pushed, "puck/twist", TwistStamped, speed),
+                ("effort", "joint_commands", driven, "joint_states", JointState, effort),
+            ):
+                echo = None
+                for who in ("echo", "sim_node"):
+                    out, back = (
+                        (f"/{who}/{command}", make),
+                        (f"/{who}/{state}", message_class, value),
+                    )
+                    times = trips(listener, out, back, count, pause)
+                    echo = report(f"{who}, {name}, {kind}", times, echo)
     print(f"median over the rates {statistics.median(ratios):.2f}")
 
 

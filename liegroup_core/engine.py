@@ -171,6 +171,7 @@ class Engine(Inputs, JointEvents):
             sample.spatial_momentum,
             sample.quaternions,
             sample.rows,
+            sample.joint_coordinates,
             sample.constraint_residual,
         )
 

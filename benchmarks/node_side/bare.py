@@ -3,7 +3,7 @@
 
     python bare.py paced SECONDS             ready bytes of pose, twist and clock at 1 kHz
     python bare.py objects|bytes SECONDS     the three as fast as it goes, built or ready
-    python bare.py echo                      a WrenchStamped in, a TwistStamped out
+    python bare.py echo                      a WrenchStamped in, a TwistStamped out; JointState both ways
     python bare.py storm RATE SECONDS        wrenches, every second one wrong, at a rate
 
 and each prints one line of JSON, `echo` none.
@@ -20,6 +20,7 @@ from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
 
 from liegroup_core.pacing import Pacer
 
@@ -74,14 +75,20 @@ def flat_out(node, seconds, objects):
 
 
 def echo(node):
-    stream = node.create_publisher(TwistStamped, "echo/puck/twist", 10)
-    answer = TwistStamped()
+    twists = node.create_publisher(TwistStamped, "echo/puck/twist", 10)
+    states = node.create_publisher(JointState, "echo/joint_states", 10)
+    twist, state = TwistStamped(), JointState(position=[0.0], velocity=[0.0])
 
-    def take(message):
-        answer.twist.linear.x = message.wrench.force.x
-        stream.publish(answer)
+    def take_wrench(message):
+        twist.twist.linear.x = message.wrench.force.x
+        twists.publish(twist)
 
-    node.create_subscription(WrenchStamped, "echo/wrench", take, 100)
+    def take_command(message):
+        state.name, state.effort = message.name, message.effort
+        states.publish(state)
+
+    node.create_subscription(WrenchStamped, "echo/wrench", take_wrench, 100)
+    node.create_subscription(JointState, "echo/joint_commands", take_command, 100)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:

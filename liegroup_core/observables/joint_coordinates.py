@@ -12,9 +12,68 @@ import math
 
 import numpy as np
 
+from liegroup_core.compiling import SameTypes, kernel
 from liegroup_core.joints.kinds import TYPES
 from liegroup_core.lie.groups import within_a_turn
+from liegroup_core.lie.vec3 import (
+    ZERO3,
+    add3,
+    cross3,
+    dot3,
+    load3,
+    load9,
+    matmul3,
+    matvec3,
+    sub3,
+    tmatmul3,
+)
 from liegroup_core.scene.consistency import resolve_couplings
+
+
+@kernel
+def _placed(frames, j, start, pose, body):
+    """Rotation and origin of a joint frame, columns from `start` of row j, in world axes."""
+    rot, point = load9(frames, j, start), load3(frames, j, start + 9)
+    if body == len(pose):
+        return rot, point
+    turn = load9(pose, body, 0)
+    return matmul3(turn, rot), add3(load3(pose, body, 9), matvec3(turn, point))
+
+
+@kernel
+def _motion(pose, twist, body, point):
+    """Angular velocity of a body, and its velocity at a point; world axes."""
+    if body == len(pose):
+        return ZERO3, ZERO3
+    turn = load9(pose, body, 0)
+    spin, speed = matvec3(turn, load3(twist, body, 0)), matvec3(turn, load3(twist, body, 3))
+    return spin, add3(speed, cross3(spin, sub3(point, load3(pose, body, 9))))
+
+
+@SameTypes
+@kernel
+def _coordinates(ends, slides, frames, pose, twist, out):
+    """Positions and velocities of joints, out (k, 2).
+
+    ends (k, 2) parent and child, the world has the index after the last body; slides (k,);
+    frames (k, 24) of the parent and of the child: R row by row, point in m
+    """
+    for j in range(len(ends)):
+        a, b = ends[j]
+        R_A, p_A = _placed(frames, j, 0, pose, a)
+        R_B, p_B = _placed(frames, j, 12, pose, b)
+        (spin_a, speed_a), (spin_b, speed_b) = (
+            _motion(pose, twist, a, p_B),
+            _motion(pose, twist, b, p_B),
+        )
+        z_B = (R_B[2], R_B[5], R_B[8])
+        if slides[j]:
+            out[j, 0] = dot3((R_A[2], R_A[5], R_A[8]), sub3(p_B, p_A))
+            out[j, 1] = dot3(z_B, sub3(speed_b, speed_a))
+        else:
+            R = tmatmul3(R_A, R_B)
+            out[j, 0] = math.atan2(R[3] - R[1], R[0] + R[4])
+            out[j, 1] = dot3(z_B, sub3(spin_b, spin_a))
 
 
 class JointCoordinates:
@@ -34,11 +93,12 @@ class JointCoordinates:
         ]
         self.names = tuple(joint.name for joint, _ in found)
         self.units = {joint.name: TYPES[joint.type].coordinate for joint, _ in found}
-        # The world has the index after the last body.
-        self._parent = [place.get(joint.parent, len(place)) for joint, _ in found]
-        self._child = [place[joint.child] for joint, _ in found]
-        self._parent_frame = np.array([pair[0] for _, pair in found]).reshape(-1, 4, 4)
-        self._child_frame = np.array([pair[1] for _, pair in found]).reshape(-1, 4, 4)
+        n = len(place)
+        ends = [(place.get(joint.parent, n), place[joint.child]) for joint, _ in found]
+        self._ends = np.array(ends, dtype=np.int64).reshape(-1, 2)
+        self._slides = np.array([self.units[name] == "m" for name in self.names], dtype=bool)
+        rows = [[*C[:3, :3].ravel(), *C[:3, 3]] for _, pair in found for C in pair]
+        self._frames = np.array(rows, dtype=float).reshape(-1, 24)
         counted = [joint for joint, _ in scene.unwrapped]
         # Angles that follow from a coupling: (joint, other, ratio, offset).
         self._coupled = [
@@ -46,7 +106,11 @@ class JointCoordinates:
             for entry, numbers in zip(scene.couplings, resolve_couplings(scene))
             if self.units.get(entry.joint) == "rad" and entry.other in self.units
         ]
-        self._counted = [counted.index(name) if name in counted else None for name in self.names]
+        self._counted = {
+            name: counted.index(name)
+            for name in self.names
+            if name in counted and self.units[name] == "rad"
+        }
 
     def at(self, pose, twist, angles):
         """{joint: (position, velocity)}: rad and rad/s, or m and m/s.
@@ -56,34 +120,12 @@ class JointCoordinates:
         """
         if not self.names:
             return {}
-        R = np.concatenate([pose[:, :9].reshape(-1, 3, 3), np.eye(3)[None]])
-        r = np.concatenate([pose[:, 9:], np.zeros((1, 3))])
-        spin, speed = np.zeros((2, len(R), 3))  # world axes
-        spin[:-1] = np.einsum("nij,nj->ni", R[:-1], twist[:, :3])
-        speed[:-1] = np.einsum("nij,nj->ni", R[:-1], twist[:, 3:])
-        a, b = self._parent, self._child
-        R_A, R_B = R[a] @ self._parent_frame[:, :3, :3], R[b] @ self._child_frame[:, :3, :3]
-        p_A = r[a] + np.einsum("nij,nj->ni", R[a], self._parent_frame[:, :3, 3])
-        p_B = r[b] + np.einsum("nij,nj->ni", R[b], self._child_frame[:, :3, 3])
-        R_rel = R_A.transpose(0, 2, 1) @ R_B
-        turn = np.arctan2(R_rel[:, 1, 0] - R_rel[:, 0, 1], R_rel[:, 0, 0] + R_rel[:, 1, 1])
-        way = np.einsum("ni,ni->n", R_A[:, :, 2], p_B - p_A)
-        turn_rate = np.einsum("ni,ni->n", R_B[:, :, 2], spin[b] - spin[a])
-        way_rate = np.einsum(
-            "ni,ni->n",
-            R_B[:, :, 2],
-            speed[b] + np.cross(spin[b], p_B - r[b]) - speed[a] - np.cross(spin[a], p_B - r[a]),
-        )
-        found = {}
-        for j, name in enumerate(self.names):
-            if self.units[name] == "m":
-                found[name] = float(way[j]), float(way_rate[j])
-            else:
-                angle = float(turn[j])
-                if self._counted[j] is not None:
-                    counted = angles[self._counted[j]]
-                    angle += 2.0 * math.pi * round((counted - angle) / (2.0 * math.pi))
-                found[name] = angle, float(turn_rate[j])
+        out = np.empty((len(self.names), 2))
+        _coordinates(self._ends, self._slides, self._frames, pose, twist, out)
+        found = dict(zip(self.names, map(tuple, out.tolist())))
+        for name, number in self._counted.items():
+            angle, rate = found[name]
+            found[name] = within_a_turn(angle, float(angles[number])), rate
         for name, other, ratio, offset in self._coupled:
             angle, rate = found[name]
             found[name] = within_a_turn(angle, ratio * found[other][0] + offset), rate
