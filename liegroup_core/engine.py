@@ -306,8 +306,9 @@ class Engine(Inputs, JointEvents):
             q = q if given is None else given
             if limits.excess(q) > BEYOND:
                 unit = unit_of(switch, self.scene)
+                what = "joint" if switch.coupling is None else "coupling"
                 raise SceneError(
-                    f"joint {switch.name} would be beyond its stop: its position {q:.9g} {unit} is not "
+                    f"{what} {switch.name} would be beyond its stop: its position {q:.9g} {unit} is not "
                     f"between {limits.least:g} and {limits.largest:g}; set a state between the stops"
                 )
 

@@ -231,7 +231,7 @@ def consistent_velocities(scene, given, linkage, poses, rates, fixed, kept=()):
         )
     miss = wanted - J @ V
     scale = np.abs(J) @ np.abs(V) + np.abs(wanted)
-    if (np.abs(miss) > TOLERANCE * (scale.max() + 1.0)).any():
+    if (np.abs(miss) > TOLERANCE * (scale.max(initial=0.0) + 1.0)).any():
         raise _contradiction(linkage, J, owner, miss)
     return given | dict(zip(linkage.bodies, V.reshape(-1, 6)))
 

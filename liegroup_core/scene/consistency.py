@@ -19,6 +19,7 @@ from liegroup_core.errors import SceneError
 from liegroup_core.joints.coupling import coordinate, gap, rate_row, turns
 from liegroup_core.joints.kinds import forbidden_rows, position_residual
 from liegroup_core.joints.motion import prescribed
+from liegroup_core.joints.stops import BACKLASH, DISTANCE
 from liegroup_core.lie.groups import SE3
 
 from .description import WORLD
@@ -28,6 +29,8 @@ from .switches import coordinate_of, switches_of, unit_of
 # size, and sums over a long chain to 1e-12. Values rounded to six digits are not consistent: they
 # are refused, and the error names consistent values.
 TOLERANCE = 1e-9
+# What sets the stops of a coordinate, if not `limits`.
+STOPPED_BY = {DISTANCE: "its length", BACKLASH: "its offset and gap"}
 
 
 def _start(scene):
@@ -265,7 +268,7 @@ def _check_stops(scene, start):
             )
             raise SceneError(
                 f'{key}[{i}] "{switch.name}": it starts at {q:.6g} {unit}, {off:.3g} {unit} beyond a '
-                "stop; correct the initial poses or its limits",
+                f"stop; correct the initial poses or {STOPPED_BY.get(switch.kind, 'its limits')}",
                 place=(key, i),
             )
 

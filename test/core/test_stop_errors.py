@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Wrong stops and friction in a scene, and states beyond a stop: one line each, nothing changes."""
+
+import math
+
+import numpy as np
+import pytest
+import yaml
+
+from liegroup_core.engine import Engine
+from liegroup_core.errors import SceneError
+from liegroup_core.scene.load import scene_from_text
+
+BODY = {"mass": 1.0, "inertia": [0.01, 0.02, 0.015]}
+HALF = {"position": [0.0, 0.0, 0.5]}
+SPARE = {  # a body on a hinge beside the first one
+    "name": "spare_hinge",
+    "type": "revolute",
+    "parent": "world",
+    "child": "spare",
+    "parent_frame": {"position": [1.0, 0.0, 0.0]},
+    "child_frame": HALF,
+}
+
+
+def text_of(kind, coupling=None, **more):
+    """Scene of a body 0.5 m below the origin, on a joint of a type; at z with its frame there."""
+    joint = {"name": "j", "type": kind, "parent": "world", "child": "a", "parent_frame": {}}
+    joint |= {"child_frame": {} if kind in ("cable", "strut") else HALF} | more
+    bodies = [
+        {"name": "a", "position": [0.0, 0.0, -0.5]} | BODY,
+        {"name": "spare", "position": [1.0, 0.0, -0.5]} | BODY,
+    ]
+    scene = {"name": "s", "gravity": [0.0, 0.0, -9.81], "bodies": bodies, "joints": [joint, SPARE]}
+    if coupling is not None:
+        gears = {"name": "gears", "joint": "j", "other": "spare_hinge", "ratio": 2.0}
+        scene["couplings"] = [gears | coupling]
+    return yaml.safe_dump(scene)
+
+
+TURNS, SLIDES = {"axis": [1.0, 0.0, 0.0]}, "cylindrical"
+WRONG = [
+    ("cable", {"length": 0.3}, "it starts at 0.5 m, 0.2 m beyond .* or its length$"),
+    ("strut", {"length": 0.9}, "it starts at 0.5 m, 0.4 m beyond .* or its length$"),
+    ("cable", {}, "length is missing: give the largest distance"),
+    ("cable", {"length": 0.0}, "length must be greater than 0, got 0"),
+    ("cable", {"length": math.nan}, "length must be finite, got nan"),
+    ("cable", {"length": 1, "lenght": 1}, "unknown key 'lenght'; did you mean \"length\""),
+    ("cable", {"length": 1, "restitution": 1.5}, "restitution must be at most 1, got 1.5"),
+    ("cable", {"length": 1, "damping": 1.5}, "damping requires a stiffness"),
+    ("cable", {"length": 1, "stiffness": 9, "restitution": 0}, "keep one of them"),
+    ("cable", {"length": 1, "friction": {"coulomb": 1}}, "friction: a cable joint has none"),
+    ("cable", {"length": 1, "limits": {"upper": 1}}, "limits: a cable joint has none"),
+    ("cable", {"length": 1, "driven": True}, "a cable joint cannot be driven"),
+    ("spherical", {"limits": {"cone": 0}}, "limits.cone must be greater than 0, got 0"),
+    ("spherical", {"limits": {"cone": 4}}, "limits: cone must be below pi, got 4"),
+    ("spherical", {"limits": {"upper": 1}}, "limits: unknown key 'upper'; choose .* cone"),
+    ("spherical", {"friction": {"coulomb": 1}}, "friction: a spherical joint has none"),
+    (
+        "spherical",
+        {"limits": {"cone": 0.2}, "parent_frame": TURNS},
+        r"it starts at 1.5708 rad, 1.37 rad beyond a stop; .* its limits$",
+    ),
+    (SLIDES, {"limits": {"upper": 1}}, "unknown key 'upper'; choose one of: rotation, translation"),
+    (SLIDES, {"limits": {}}, "limits: give rotation, translation or both"),
+    (SLIDES, {"limits": {"rotation": {"lower": 2, "upper": 1}}}, "limits.rotation: lower must be"),
+    (SLIDES, {"limits": {"translation": {"lower": 2}}}, '"j/translation": it starts at 0 m, 2 m'),
+    (SLIDES, {"friction": {"rotation": {"mu": 0.1}}}, "mu requires the radius of the bearing"),
+    (SLIDES, {"friction": {"translation": {"mu": 1, "radius": 1}}}, "a translation has none"),
+    ("revolute", {"limits": [0, 1]}, "limits must be a mapping with the keys"),
+    ("revolute", {"limits": {"lower": math.nan}}, "limits.lower must be finite, got nan"),
+    ("revolute", {"limits": {"lower": 2, "upper": 1}}, "lower must be below upper, got 2 and 1"),
+    ("revolute", {"limits": {"lower": 1, "upper": 2}}, "it starts at 0 rad, 1 rad beyond a stop"),
+    ("revolute", {"friction": {"coulomb": -1}}, "friction.coulomb must not be negative, got -1"),
+    ("revolute", {"friction": {"coulomb": 2, "static": 1}}, "static must be at least coulomb"),
+    ("revolute", {"friction": {"mu": 0.2}}, "mu requires the radius of the bearing, in m"),
+    ("planar", {"friction": {"coulomb": 1}}, "friction: a planar joint has none"),
+    ("revolute", {"coupling": {"backlash": {}}}, "gap is missing: give the play"),
+    ("revolute", {"coupling": {"backlash": 0.1}}, "backlash must be a mapping with the keys"),
+    ("revolute", {"coupling": {"backlash": {"gap": 0}}}, "gap must be greater than 0, got 0"),
+    (
+        "revolute",
+        {"coupling": {"backlash": {"gap": 0.1}, "offset": 1.0}},
+        'couplings.0. "gears": it starts at -1 rad, 0.95 rad beyond .* its offset and gap$',
+    ),
+]
+
+
+@pytest.mark.parametrize("kind, more, message", WRONG)
+def test_wrong_stops_are_refused_in_one_line(kind, more, message):
+    """The line begins with the place in the file and the joint or coupling."""
+    with pytest.raises(SceneError, match=message) as refused:
+        scene_from_text(text_of(kind, **more))
+    what = r"couplings\[0\] .gears" if "coupling" in more else r"joints\[0\] .j"
+    assert "\n" not in str(refused.value)
+    refused.match(rf"^scene:\d+: {what}")
+
+
+def tilted(angle):
+    """Pose of the body if its joint turns about x."""
+    pose = np.eye(4)
+    pose[1:3, 1:3] = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
+    pose[:3, 3] = -0.5 * pose[:3, 2]
+    return pose
+
+
+def lowered(z):
+    """Pose of the body at a height."""
+    pose = np.eye(4)
+    pose[2, 3] = z
+    return pose
+
+
+BEYOND = [
+    ("cable", {"length": 0.9}, lowered(-1.2), "1.2 m is not between -inf and 0.9"),
+    ("cable", {"length": 0.9}, lowered(-0.9), None),
+    ("cable", {"length": 0.9, "stiffness": 1e4}, lowered(-1.2), None),
+    ("strut", {"length": 0.4}, lowered(-0.3), "0.3 m is not between 0.4 and inf"),
+    ("spherical", {"limits": {"cone": 0.4}}, tilted(1.0), "1 rad is not between -inf and 0.4"),
+    ("spherical", {"limits": {"cone": 0.4}}, tilted(0.3), None),
+    (SLIDES, {"limits": {"translation": {"upper": 0.2}}}, lowered(0.0), "0.5 m is not between"),
+    (SLIDES, {"limits": {"translation": {"upper": 0.2}}}, lowered(-0.4), None),
+]
+
+
+@pytest.mark.parametrize("kind, more, pose, message", BEYOND)
+def test_a_place_beyond_a_stop_is_refused(kind, more, pose, message):
+    """Rigid stops refuse it with one line, and nothing changes; other poses are taken."""
+    engine = Engine(scene_from_text(text_of(kind, **more)), "rkmk4", 1e-3)
+    engine.advance(3)
+    before = engine.state()
+    if message is None:
+        engine.place({"a": pose})
+        assert np.abs(engine.sample().poses["a"] - pose).max() <= 1e-12
+        engine.advance(2)
+        return
+    with pytest.raises(SceneError, match=f"would be beyond its stop: its position {message}"):
+        engine.place({"a": pose})
+    assert all(map(np.array_equal, engine.state(), before))
+
+
+def test_a_place_beyond_the_backlash_of_a_coupling_is_refused():
+    """Within the gap each joint is set alone; beyond it both must be."""
+    text = text_of("revolute", {"backlash": {"gap": 0.1}})
+    engine = Engine(scene_from_text(text), "rkmk4", 1e-3)
+    engine.place(joints={"j": (0.04, 0.0)})
+    assert engine.sample().joint_coordinates["spare_hinge"] == (0.0, 0.0)
+    with pytest.raises(SceneError, match="coupling gears would be beyond its stop: .* 0.4 rad"):
+        engine.place(joints={"j": (0.4, 0.0)})
+    engine.place(joints={"j": (0.4, 0.0), "spare_hinge": (0.2, 0.0)})
+    assert engine.modes == {"gears": "free"}
