@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Running estimate of the global error of a simulation, from a companion with a larger step.
 
-The companion follows the simulation with steps of q h under the same wrenches, q = 4/3, or 6/5 for
+The companion follows the simulation with steps of q h under the same wrenches, q = 3/2, or 5/4 for
 orders from 8. With error control q = 4/3, and its tolerances are q^p times as large. The error of a
 method of order p then follows from the distance d = |x_h - x_qh| of the two states:
 
@@ -9,11 +9,11 @@ method of order p then follows from the distance d = |x_h - x_qh| of the two sta
     order not seen : about d, the two errors being independent of each other
 
 The estimate is SAFETY times a geometric mean of the two, with the weight SEEN on the first, and at
-least LEAST times d. They are close enough to each other (a factor of 2 for p = 4, of 3 for p = 8) that
+least LEAST times d. They are close enough to each other (a factor of 4 for p = 4, of 5 for p = 8) that
 nothing has to be decided. For q = 2 the factor is 15 and 255: whether the order is seen has to be found
 from a third run, and is often found wrongly.
 
-The two meet every 4 or 6 steps. An estimate is that of the last meeting, or FADING times the largest of
+The two meet every 3 or 5 steps, with error control every 4. An estimate is that of the last meeting, or FADING times the largest of
 the last checkpoints if that is more: a distance may pass through zero where the error does not.
 Checkpoints, after MEETINGS of them and more often at the start, depend on the step count alone, so that
 a repeated run has bit-identical estimates. With an accuracy the two meet at checkpoints only, after
@@ -42,12 +42,12 @@ from .lie.vec3 import load3, load9, sub3, tmatmul3
 from .model.size import mechanism_size
 
 HIGH = 8  # order from which the steps are more similar
-MEETINGS = 32  # between checkpoints, a power of two
+FIRST_MEETINGS, MEETINGS = 4, 128  # to the first checkpoint, and between two of them at most
 SUBSTEPS, MOST = 32, 8  # between checkpoints with an accuracy: substeps, and steps at most
 WINDOW, FADING = 4, 0.5  # checkpoints
 FASTEST = 8.0  # growth between two meetings that is continued until the next one
 PARTS = 2  # of the step that leads to an event, whose size does not depend on that of the others
-SAFETY, SEEN, SEEN_CONTROLLED = 2.0, 0.6, 0.8
+SAFETY, SEEN, SEEN_CONTROLLED = 1.8, 0.7, 0.8
 LEAST = 0.5  # part of the distance: where the order is not seen it may all be the simulation's
 # Of the mechanism's size, and rad: an error of this size makes a motion unpredictable.
 UNPREDICTABLE = 0.1
@@ -77,7 +77,11 @@ def _norm(v):
 
 @kernel
 def distances(pose, twist, other_pose, other_twist, out):
-    """Distances of two states per body, out (n, 4): m, rad, m/s, rad/s; twists in body axes."""
+    """Distances of two states per body, out (n, 4): m, rad, m/s, rad/s; twists in body axes.
+
+    returns the largest m and rad
+    """
+    position = angle = 0.0
     for i in range(len(pose)):
         d = sub3(load3(pose, i, 9), load3(other_pose, i, 9))
         r = tmatmul3(load9(pose, i, 0), load9(other_pose, i, 0))
@@ -86,6 +90,8 @@ def distances(pose, twist, other_pose, other_twist, out):
         v = sub3(load3(twist, i, 3), load3(other_twist, i, 3))
         out[i, 0], out[i, 2], out[i, 3] = _norm(d), _norm(v), _norm(w)
         out[i, 1] = math.atan2(_norm(sine), 0.5 * (r[0] + r[4] + r[8] - 1.0))
+        position, angle = max(position, out[i, 0]), max(angle, out[i, 1])
+    return position, angle
 
 
 class RunningError:
@@ -101,7 +107,7 @@ class RunningError:
         self._engine, self._by_work = engine, by_work
         order, controlled = METHODS[engine.method].order, METHODS[engine.method].controlled
         # Steps of the engine and of its companion in the same time.
-        self.ours, self._theirs = (4, 1) if controlled else (4, 3) if order < HIGH else (6, 5)
+        self.ours, self._theirs = (4, 1) if controlled else (3, 2) if order < HIGH else (5, 4)
         ratio = 4.0 / 3.0 if controlled else self.ours / self._theirs
         seen = (ratio**order - 1.0) ** (SEEN_CONTROLLED if controlled else SEEN)
         self._factor = max(LEAST, SAFETY / seen)
@@ -166,7 +172,7 @@ class RunningError:
     def _next_checkpoint(self, steps):
         if self._by_work:
             return steps + self._block
-        period, done = self.ours, steps - self._start
+        period, done = FIRST_MEETINGS * self.ours, steps - self._start
         while period < MEETINGS * self.ours and period <= done:
             period = min(4 * period, MEETINGS * self.ours)
         return self._start + (done // period + 1) * period
@@ -192,13 +198,13 @@ class RunningError:
         except SimulationError:
             self._alive = False
             self._distance[:] = np.inf
-            self._keep()
+            self._keep(math.inf, math.inf)
             return
-        self._compare()
+        largest = self._compare()
         if steps == self._next:
             self._adapt()
             self._next = self._next_checkpoint(steps)
-            self._keep()
+            self._keep(*largest)
 
     def _adapt(self):
         """Set the number of steps to the next checkpoint from the substeps since the last one."""
@@ -217,14 +223,13 @@ class RunningError:
         self._next = self._next_checkpoint(steps)
 
     def _compare(self):
-        distances(*self._engine.at_bodies(), *self._companion.at_bodies(), self._distance)
+        return distances(*self._engine.at_bodies(), *self._companion.at_bodies(), self._distance)
 
-    def _keep(self):
-        """Store the distance of a checkpoint."""
+    def _keep(self, position, angle):
+        """Store the distance of a checkpoint, the largest in m and rad."""
         self._window[self.checkpoints % WINDOW] = self._distance
         self.checkpoints += 1
-        position, angle = self._factor * self._distance[:, :2].max(axis=0)
-        if position > UNPREDICTABLE * self.size or angle > UNPREDICTABLE:
+        if self._factor * max(position / self.size, angle) > UNPREDICTABLE:
             self.predictable_until = min(self.predictable_until, self._engine.time)
 
     @property
@@ -310,10 +315,16 @@ class RunningError:
 
     def errors(self):
         """(n, 4) estimates of the errors of the bodies: m, rad, m/s, rad/s."""
-        if not self.checkpoints and self._alive and self._engine.steps != self._set_at:
+        if self._engine.steps != self._set_at and not self._have_met:
             return np.full_like(self._distance, np.nan)
         kept = np.maximum(self._distance, FADING * self._window.max(axis=0))
         return self._factor * self._growth() * kept
+
+    @property
+    def _have_met(self):
+        if self._start is None:
+            return False
+        return not self._alive or self._companion.steps > self._start // self.ours * self._theirs
 
     def _growth(self):
         """With an accuracy: growth since the last checkpoint, as between the two before."""
