@@ -13,8 +13,9 @@ least LEAST times d. They are close enough to each other (a factor of 4 for p = 
 nothing has to be decided. For q = 2 the factor is 15 and 255: whether the order is seen has to be found
 from a third run, and is often found wrongly.
 
-The two meet every 3 or 5 steps, with error control every 4. An estimate is that of the last meeting, or FADING times the largest of
-the last checkpoints if that is more: a distance may pass through zero where the error does not.
+The two meet every 3 or 5 steps, with error control every 4. An estimate is that of the last meeting, or
+FADING times the largest of the last checkpoints if that is more: a distance may pass through zero where
+the error does not.
 Checkpoints, after MEETINGS of them and more often at the start, depend on the step count alone, so that
 a repeated run has bit-identical estimates. With an accuracy the two meet at checkpoints only, after
 about SUBSTEPS substeps; an error that grew is taken to grow on until the next one. If the companion

@@ -44,6 +44,7 @@ LOWER, UPPER, SLIDING, LEAST, MOST = 0, 1, 2, 3, 4
 ROUND_OFF = 1e-13
 MOVES = 1e-9  # rad/s or m/s: what rests because of others moves from here on
 NONE = -1.0  # in Work.crossed: the guard is not crossed
+POINTS, DOUBT = 16, 4.0  # of a step at which its gap is tested; see `lowest`
 # Less than this beyond a stop, rad or m, and of a larger one, is round-off; and so is a rate of RESTING.
 AT_STOP, RESTING = 1e-13, 1e-11
 
@@ -229,11 +230,8 @@ def set_guards(model, work):
 
 
 @kernel
-def _dip(g0, d0, g1, d1, h, least_depth):
-    """Part of a step at which a cubic with these ends and slopes dips so deep below zero, or NONE.
-
-    A coordinate that starts beyond zero has to dip below its start.
-    """
+def _dip(g0, d0, g1, d1, h):
+    """Part of a step at which a cubic with these ends and slopes dips below zero, or NONE."""
     if not (d0 < 0.0 < d1):
         return NONE
     a, b, c = (
@@ -245,7 +243,48 @@ def _dip(g0, d0, g1, d1, h, least_depth):
     root = math.sqrt(max(b * b - 4.0 * a * c, 0.0))
     s = -2.0 * c / (b + root) if b + root > 0.0 else 1.0
     least = g0 + s * (c + s * (0.5 * b + s * a / 3.0))
-    return s if 0.0 < s < 1.0 and least < min(g0, 0.0) - least_depth else NONE
+    return s if 0.0 < s < 1.0 and least < min(g0, 0.0) else NONE
+
+
+@kernel
+def lowest(g0, v0, a0, g1, v1, a1, h, depth):
+    """Part of a step at which a gap may be deepest below zero, or NONE: it stays above.
+
+    g, v, a : gap, rate and acceleration at the start and at the end of a step of size h. A gap that
+              starts below zero has to become less than it was
+    Between its ends the gap is near the polynomial of degree five with these values. How near, shows
+    the distance to that of degree three: DOUBT times it is taken off. Where the gap is not smooth,
+    as that of a point that passes another one, this is about as much as it could have closed.
+    """
+    p0, p1, r0, r1 = v0 * h, v1 * h, 0.5 * a0 * h * h, 0.5 * a1 * h * h
+    if min(g0, g1) > abs(p0) + abs(p1) + abs(r0) + abs(r1):
+        return NONE
+    rise = g1 - g0
+    b, c = 3.0 * rise - 2.0 * p0 - p1, p0 + p1 - 2.0 * rise
+    first, last = r0 - b, r1 - b - 3.0 * c
+    doubt = DOUBT * max(abs(first), abs(last))
+    place, least = NONE, min(g0, 0.0) - depth
+    before, now, after = g0, g0, g0
+    for i in range(POINTS + 1):
+        before, now = now, after
+        if i < POINTS:
+            s = (i + 1) / POINTS
+            more = s * s * (1.0 - s) * (1.0 - s) * (first + s * (last - first) - doubt)
+            after = g0 + s * (p0 + s * (b + s * c)) + more
+        # A parabola through three points; at an end, through two with the slope there.
+        slope, bend = 0.5 * (after - before), after - 2.0 * now + before
+        if i == 0:
+            slope = p0 / POINTS
+            bend = 2.0 * (after - now - slope)
+        elif i == POINTS:
+            slope = p1 / POINTS
+            bend = 2.0 * (before - now + slope)
+        aside = -slope / bend if bend > 0.0 else math.inf
+        if abs(aside) <= 1.0 and 0.0 <= i + aside <= POINTS:
+            gap = now + 0.5 * slope * aside
+            if gap < least:
+                place, least = (i + aside) / POINTS, gap
+    return place
 
 
 @kernel
@@ -263,28 +302,28 @@ def crossed(model, work, h):
                     places[k, c] = 1.0
         else:
             q0, v0, v1 = work.modes[k, COORDINATE], work.since[k, 0], work.now[k, 0]
+            a0, a1, soft = work.since[k, 1], work.now[k, 1], switch["stiffness"] > 0.0
             for c in range(2):
                 sign = 1.0 if c == LOWER else -1.0
-                if switch["stiffness"] > 0.0:
-                    if guards[k, c] < 0.0:
-                        places[k, c] = 1.0
-                    continue
                 stop = switch["lower"] if c == LOWER else switch["upper"]
-                before, after = sign * (q0 - stop), guards[k, c]
                 # Rows that were held drift by round-off and the error of the method: one that leaves
                 # its stop may start beyond it, and leaves with the third power of time.
-                depth = AT_STOP * (1.0 + abs(stop))
-                if after < 0.0:
-                    if after < min(before, 0.0) - depth or sign * v1 < -RESTING:
+                before, depth = sign * (q0 - stop), AT_STOP * (1.0 + abs(stop))
+                if guards[k, c] < 0.0:
+                    further = guards[k, c] < min(before, 0.0) - depth
+                    if soft or further or sign * v1 < -RESTING:
                         places[k, c] = 1.0
-                elif after < math.inf:
-                    places[k, c] = _dip(before, sign * v0, after, sign * v1, h, depth)
+                elif before < math.inf and not (soft and work.modes[k, SIDE] != 0.0):
+                    after = guards[k, c]
+                    if soft:
+                        after = sign * (coordinate(model, work, k, work.stage_pose) - stop)
+                    v, w, a, b = sign * v0, sign * v1, sign * a0, sign * a1
+                    places[k, c] = lowest(before, v, a, after, w, b, h, depth)
             if guards[k, SLIDING] < 0.0:
                 places[k, SLIDING] = 1.0
             elif guards[k, SLIDING] < math.inf:
                 sign = work.modes[k, SLIP]
-                a0, a1 = work.since[k, 1], work.now[k, 1]
-                places[k, SLIDING] = _dip(sign * v0, sign * a0, sign * v1, sign * a1, h, 0.0)
+                places[k, SLIDING] = _dip(sign * v0, sign * a0, sign * v1, sign * a1, h)
         for c in range(5):
             found = found or places[k, c] != NONE
     return found

@@ -22,6 +22,7 @@ from liegroup_core.formulations.relative.switches import (
     RESTING,
     SLIDING,
     UPPER,
+    lowest,
     modes_of,
 )
 from liegroup_core.status import BEYOND_STOP, EVENT, EVENTS_WITHOUT_END, MOST_EVENTS, OK
@@ -30,7 +31,7 @@ from .mode_changes import JointEvent, ModeChanges
 
 BEYOND = 1e-9  # rad or m: a state that is set is not this far beyond a stop
 TIME_STEP = 1e-15  # s; an event is found to this, and to round-off
-HALVINGS = 40
+HALVINGS, MOST_LOOKS = 40, 400
 # Impacts of several contacts that follow each other without end become plastic: after half of
 # MOST_EVENTS in a step, where so many are in this part of it.
 DENSE, SHORT = 50, 0.005
@@ -81,6 +82,7 @@ class Switching(ModeChanges):
     def touch(self, pose, twist, external):
         """Call every kernel once; the state stays."""
         self._look(self._model, self._work, pose, twist, external)
+        lowest(*np.ones(8).tolist())
         self._respond_at_stage()
         self._change_rates(self._model, self._work, self._no_changes, pose, twist)
 
@@ -204,27 +206,38 @@ class Switching(ModeChanges):
         failed = []
 
         @functools.cache
-        def guards(tau):
+        def seen(tau):
+            """(guards, coordinates, rates and accelerations) at a time."""
             self._return(kept, *state[:2])
             status = self._single(tau, state) if tau > 0.0 else OK
             if status != OK:
                 failed.append(status)
-                return np.full_like(work.guards, np.nan)
+                return np.full_like(work.guards, np.nan), None, None
             self._look(self._model, work, *state)
-            return work.guards.copy()
+            return work.guards.copy(), work.modes[:, COORDINATE].copy(), work.now.copy()
 
         def guard(tau, k, c):
             """Guard of a stop: beyond the place where it starts, if that is beyond the stop."""
-            start = min(guards(0.0)[k, c], 0.0) if c <= UPPER and self._rigid[k] else 0.0
-            return guards(tau)[k, c] - start
+            start = min(seen(0.0)[0][k, c], 0.0) if c <= UPPER and self._rigid[k] else 0.0
+            return seen(tau)[0][k, c] - start
+
+        def gap(tau, k, c):
+            """(gap of a stop, its rate, its acceleration)."""
+            sign, stop = (1.0, "lower") if c == LOWER else (-1.0, "upper")
+            _, q, rates = seen(tau)
+            return sign * (q[k] - self._model.switches[stop][k]), *(sign * rates[k])
 
         found = []
         for k, c in np.argwhere(places >= 0.0):
             end = places[k, c] * size
             if not guard(end, k, c) < 0.0:
+                end = None
+                if c <= UPPER and not failed:
+                    end = self._dip(guard, gap, size, k, c, failed)
                 if failed:
                     return 0.0, None, failed[0]
-                continue  # a guard that only seemed to dip below zero
+                if end is None:
+                    continue  # a guard that only seemed to dip below zero
             found.append((self._zero(guard, end, k, c), k, c))
         if failed:
             return 0.0, None, failed[0]
@@ -237,6 +250,23 @@ class Switching(ModeChanges):
         for at, k, c in found:
             crossed[k, c] = at <= tau + 10.0 * TIME_STEP
         return tau, crossed, OK
+
+    def _dip(self, guard, gap, size, k, c, failed):
+        """First time found at which the guard of a stop is negative in a substep, or None."""
+        spans, depth = [(0.0, size)], self._at_zero[k, c]
+        for _ in range(MOST_LOOKS):
+            if failed or not spans:
+                return None
+            begin, end = spans.pop()
+            ends = gap(begin, k, c), gap(end, k, c)
+            place = lowest(*ends[0], *ends[1], end - begin, depth)
+            if place < 0.0 or end - begin < TIME_STEP:
+                continue
+            middle = begin + min(max(place, 0.25), 0.75) * (end - begin)
+            if guard(middle, k, c) < 0.0:
+                return middle
+            spans += (middle, end), (begin, middle)
+        return None
 
     def _zero(self, guard, end, k, c):
         """Time of the zero of a guard before `end`, where it is negative."""
