@@ -150,7 +150,7 @@ class Engine(Inputs, JointEvents):
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
         rows, motions = self.layout.model.forces.applied_wrench, self.layout.motions.values()
         self._timetable = Timetable(rows, self.step, motions)
-        self._warned = self._warned_singular = quiet
+        self._warned = self._warned_singular = self._warned_endless = quiet
         self._start = initial_state(self.layout.centred)
         warm_up(self._touch, self._integrator.kernels)
 
@@ -461,6 +461,15 @@ class Engine(Inputs, JointEvents):
                 "the mechanism only passes this configuration, use stabilisation projection. "
                 "If it is always in one, remove a redundant joint",
                 self.time,
+            )
+        if self._switching is not None and self._switching.endless and not self._warned_endless:
+            self._warned_endless = True
+            time, numbers = self._switching.endless
+            log.warning(
+                "At t = %.9g s impacts follow each other without end at %s: they are plastic until the end "
+                "of the step, which takes energy",
+                time,
+                ", ".join(sorted({self.layout.switches[k].name for k in numbers})),
             )
         if not self._warned and self._work.report[0] > LARGE_ROTATION**2:
             self._warned = True

@@ -64,6 +64,7 @@ class Switching(ModeChanges):
               of parts shows its error, see RunningError
     instants : [JointInstant] since they were taken; None: not wanted
     count   : of all events since the state was set
+    endless : (time in s, switches) of the first impacts without end that became plastic, or None
     """
 
     def __init__(self, model, work, take, control):
@@ -76,6 +77,7 @@ class Switching(ModeChanges):
             self._at_zero[:, end] = AT_STOP * (1.0 + np.where(np.isfinite(stop), np.abs(stop), 0.0))
         self._at_zero[:, SLIDING] = RESTING
         self.instants, self.count, self.parts = None, 0, 1
+        self.endless = None
         self._inputs = None
         work.watch[0] = 1.0
 
@@ -95,7 +97,7 @@ class Switching(ModeChanges):
         """Forget the modes: the state was set."""
         self._work.held[:] = 0.0
         self._work.modes[:] = 0.0
-        self.events, self.count, self._inputs = [], 0, None
+        self.events, self.count, self._inputs, self.endless = [], 0, None, None
         self.instants = None if self.instants is None else []
         self.impacts = None if self.impacts is None else []
 
@@ -183,6 +185,8 @@ class Switching(ModeChanges):
                 # Those that converge do so by then; so many in so short a time are far too many.
                 many = len(times) > MOST_EVENTS // 2
                 self.is_dense = many and elapsed - times[-DENSE] < SHORT * h
+                if self.is_dense and self.endless is None:
+                    self.endless = start + elapsed, np.argwhere(crossed)[:, 0].tolist()
                 status = self._switch(start + elapsed, state, crossed)
                 if status != OK:
                     return status
