@@ -299,6 +299,7 @@ joints:
 """
     engine = Engine(scene_from_text(scene), "rkmk4", 1e-2)
     engine.advance(2)
-    (warning,) = [record.getMessage() for record in caplog.records]
-    assert "impacts follow each other without end at track: they are plastic" in warning
+    messages = [record.getMessage() for record in caplog.records]
+    expected = "impacts follow each other without end at track: they are plastic"
+    assert sum(expected in message for message in messages) == 1
     assert engine.energy() == 0.0
