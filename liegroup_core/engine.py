@@ -286,7 +286,7 @@ class Engine(Inputs, JointEvents):
         self._refuse_beyond_stops(*state, joints)
         commanded, before = self._commanded.copy(), self._schedule
         self.set_state(*state, self.steps, np.array([angles[joint] for joint in counted]))
-        for number, motion in enumerate(self._motions_after(commanded)):
+        for number, motion in enumerate(self._motions_after(commanded, joints)):
             if motion is None:
                 self._schedule.resume(before.motions_of(number))
             else:
@@ -326,13 +326,18 @@ class Engine(Inputs, JointEvents):
             if wanted(joint):
                 yield joint, joint_state(start, joint, *frames)
 
-    def _motions_after(self, commanded):
-        """Motions of the driven joints that a new state moves: at constant rate; None for the others."""
+    def _motions_after(self, commanded, joints):
+        """Motions of the driven joints that a new state moves: at constant rate; None for the others.
+
+        joints : {joint: (position, velocity)} that were given, with their whole turns
+        """
         driven = self._joint_states(*self.state(), lambda joint: joint.driven)
         motions = self.layout.motions_at(self.time, commanded)  # in the order of the joints, too
         for (joint, (q, v)), motion in zip(driven, motions):
             was = at(motion, self.time)
-            off = gap(q, was[0], 1.0, 0.0, turns(joint))
+            near, _ = joints.get(joint.name, (None, None))
+            near = was[0] if near is None else near
+            off = near + gap(q, near, 1.0, 0.0, turns(joint)) - was[0]
             kept = max(abs(off), abs(v - was[1])) <= MOVED * (1.0 + abs(was[0]) + abs(v))
             yield None if kept else uniform(self.time, was[0] + off, v)
 

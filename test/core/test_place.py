@@ -236,6 +236,17 @@ def test_a_loop_closes_about_a_joint_that_is_set():
     assert all(np.array_equal(a, b) for a, b in zip(before, engine.state()))
 
 
+def test_a_driven_joint_keeps_the_turns_that_it_is_given():
+    simulation = Simulation(load_scene("driven_arm"))
+    for turns in (7.0, -30.0, 0.5):
+        simulation.place(joints={"elbow": (turns, None)})
+        assert simulation.sample().prescribed["elbow"][0] == pytest.approx(turns, abs=1e-12)
+    simulation.place(joints={"elbow": (7.0, 0.0), "shoulder": (None, 0.0)})
+    simulation.place(joints={"shoulder": (0.2, None)})
+    simulation.advance(10)
+    assert simulation.sample().prescribed["elbow"][:2] == pytest.approx((7.0, 0.0), abs=1e-12)
+
+
 GEARS = """
 name: gears
 gravity: [0, 0, 0]
