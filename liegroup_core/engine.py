@@ -244,8 +244,8 @@ class Engine(Inputs, JointEvents):
         The given ones are kept exactly. Joints that are not given keep their coordinates and
         velocities if `joints` are given and no loop prevents it. Otherwise the others are the nearest
         that satisfy all joints. Bodies without a path of joints to a given one are not changed. Step
-        count and time continue. The wrenches of `apply_wrench` are cleared. A driven joint that is moved
-        goes on from there at its new velocity.
+        count and time continue. The wrenches of `apply_wrench` are cleared. A driven joint keeps its
+        velocity unless what is given prevents it; one that is moved goes on at its new velocity.
         Raises SceneError with the joint, and its residual or its stop, if the joints do not allow it,
         ValueError for an unknown body or joint, NaN or a matrix that is no rotation. The state is then
         unchanged.
@@ -280,8 +280,18 @@ class Engine(Inputs, JointEvents):
                 )
         counted = [joint for joint, _ in self.scene.unwrapped]
         angles = dict(zip(counted, self._work.angle.tolist()))
+        motions = self.layout.motions_at(self.time, self._commanded)
+        driven = {
+            name: at(motion, self.time)[1] for name, motion in zip(self.layout.motions, motions)
+        }
         *state, angles = rearranged(
-            self.layout.centred, *self.state(), centred_poses, centred_twists, joints, angles
+            self.layout.centred,
+            *self.state(),
+            centred_poses,
+            centred_twists,
+            joints,
+            angles,
+            driven,
         )
         self._refuse_beyond_stops(*state, joints)
         commanded, before = self._commanded.copy(), self._schedule
