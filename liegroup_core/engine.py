@@ -244,8 +244,8 @@ class Engine(Inputs, JointEvents):
         The given ones are kept exactly. Joints that are not given keep their coordinates and
         velocities if `joints` are given and no loop prevents it. Otherwise the others are the nearest
         that satisfy all joints. Bodies without a path of joints to a given one are not changed. Step
-        count and time continue. The wrenches of `apply_wrench` are cleared. A driven joint that is moved
-        goes on from there at its new velocity.
+        count and time continue. The wrenches of `apply_wrench` are cleared. A driven joint keeps its
+        velocity unless what is given prevents it; one that is moved goes on at its new velocity.
         Raises SceneError with the joint, and its residual or its stop, if the joints do not allow it,
         ValueError for an unknown body or joint, NaN or a matrix that is no rotation. The state is then
         unchanged.
@@ -280,13 +280,23 @@ class Engine(Inputs, JointEvents):
                 )
         counted = [joint for joint, _ in self.scene.unwrapped]
         angles = dict(zip(counted, self._work.angle.tolist()))
+        motions = self.layout.motions_at(self.time, self._commanded)
+        driven = {
+            name: at(motion, self.time)[1] for name, motion in zip(self.layout.motions, motions)
+        }
         *state, angles = rearranged(
-            self.layout.centred, *self.state(), centred_poses, centred_twists, joints, angles
+            self.layout.centred,
+            *self.state(),
+            centred_poses,
+            centred_twists,
+            joints,
+            angles,
+            driven,
         )
         self._refuse_beyond_stops(*state, joints)
         commanded, before = self._commanded.copy(), self._schedule
         self.set_state(*state, self.steps, np.array([angles[joint] for joint in counted]))
-        for number, motion in enumerate(self._motions_after(commanded)):
+        for number, motion in enumerate(self._motions_after(commanded, joints)):
             if motion is None:
                 self._schedule.resume(before.motions_of(number))
             else:
@@ -326,13 +336,18 @@ class Engine(Inputs, JointEvents):
             if wanted(joint):
                 yield joint, joint_state(start, joint, *frames)
 
-    def _motions_after(self, commanded):
-        """Motions of the driven joints that a new state moves: at constant rate; None for the others."""
+    def _motions_after(self, commanded, joints):
+        """Motions of the driven joints that a new state moves: at constant rate; None for the others.
+
+        joints : {joint: (position, velocity)} that were given, with their whole turns
+        """
         driven = self._joint_states(*self.state(), lambda joint: joint.driven)
         motions = self.layout.motions_at(self.time, commanded)  # in the order of the joints, too
         for (joint, (q, v)), motion in zip(driven, motions):
             was = at(motion, self.time)
-            off = gap(q, was[0], 1.0, 0.0, turns(joint))
+            near, _ = joints.get(joint.name, (None, None))
+            near = was[0] if near is None else near
+            off = near + gap(q, near, 1.0, 0.0, turns(joint)) - was[0]
             kept = max(abs(off), abs(v - was[1])) <= MOVED * (1.0 + abs(was[0]) + abs(v))
             yield None if kept else uniform(self.time, was[0] + off, v)
 

@@ -10,7 +10,7 @@ import math
 from typing import NamedTuple
 
 from .coupling import turns
-from .motion import peak_rate
+from .motion import extremes, peak_rate
 
 SPEED = 1e3  # rad/s, or characteristic lengths per s
 ROUNDING = 1e-9  # relative; limits are printed with fewer digits than they have
@@ -32,12 +32,15 @@ class CommandLimits(NamedTuple):
 
     def check_position(self, position):
         """Raises BeyondLimits."""
-        slack = ROUNDING * max(1.0, abs(position))
-        if not self.lower - slack <= position <= self.upper + slack:
+        if not self._holds(position):
             raise BeyondLimits(
                 f"position {position:.6g} {self.unit} of joint {self.joint!r} is beyond its limits, "
                 f"{self.lower:.6g} to {self.upper:.6g} {self.unit}"
             )
+
+    def _holds(self, position):
+        slack = ROUNDING * max(1.0, abs(position))
+        return self.lower - slack <= position <= self.upper + slack
 
     def check_velocity(self, velocity):
         """Raises BeyondLimits."""
@@ -69,27 +72,40 @@ class CommandLimits(NamedTuple):
                 f"it in steps of at most {self.speed:.6g} {self.unit}"
             )
 
-    def check_motion(self, rows, positions, velocities):
-        """Check a motion of a driven joint to positions and velocities, or to velocities alone.
+    def check_motion(self, rows, positions, velocities, start=None):
+        """Check a motion to positions and velocities, with all between them, or to velocities alone.
 
-        rows : (m + 1, COLUMNS) of joints/motion.py. A joint may go on as fast as it is
+        rows  : (m + 1, COLUMNS) of joints/motion.py
+        start : (position, rate) of the joint; None: those with which the rows begin. It may go on as
+                fast as it is, and return from beyond its limits
         Raises BeyondLimits.
         """
+        position, rate = rows[0][1:3] if start is None else start
         for velocity in () if velocities is None else velocities:
             self.check_velocity(velocity)
         if positions is None:
             return
-        for position in positions:
-            self.check_position(position)
-        most = max(self.speed, abs(rows[0][2])) * (1.0 + ROUNDING)
-        for row, after, position in zip(rows, rows[1:], positions):
-            needed = peak_rate(row, after[0] - row[0], most)
+        for end in positions:
+            self.check_position(end)
+        most = max(self.speed, abs(rate)) * (1.0 + ROUNDING)
+        returns = not self._holds(position)
+        for row, after in zip(rows, rows[1:]):
+            duration, end = after[0] - row[0], after[1]
+            needed = peak_rate(row, duration, most)
             if not needed <= most:
                 raise BeyondLimits(
                     f"joint {self.joint!r} would need {needed:.6g} {self.unit}/s to reach "
-                    f"{position:.6g} {self.unit} in time, beyond its limit of {self._speed}: give a nearer "
+                    f"{end:.6g} {self.unit} in time, beyond its limit of {self._speed}: give a nearer "
                     "position, or more time"
                 )
+            for between in () if returns else extremes(row, duration, self.lower, self.upper):
+                if not self._holds(between):
+                    raise BeyondLimits(
+                        f"joint {self.joint!r} would pass {between:.6g} {self.unit} on its way to "
+                        f"{end:.6g} {self.unit}, beyond its limits, {self.lower:.6g} to {self.upper:.6g} "
+                        f"{self.unit}: give a lower velocity, or less time"
+                    )
+            returns = False
 
     @property
     def _speed(self):

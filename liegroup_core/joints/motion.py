@@ -122,10 +122,28 @@ def peak_rate(motion, duration, enough):
     bound = float(np.abs(rates).sum())
     if bound <= enough or not math.isfinite(bound):
         return bound
-    curve = np.polynomial.Polynomial(rates)
+    return float(np.abs(_extremes(np.polynomial.Polynomial(rates))).max())
+
+
+def extremes(motion, duration, least, largest):
+    """(least, largest) position of a row of COLUMNS from its origin on, for a duration.
+
+    least, largest : if simple bounds are between them, the bounds are returned
+    """
+    parts = np.asarray(motion[1:], dtype=float) * duration ** np.arange(6.0)
+    reach = float(np.abs(parts[1:]).sum())
+    bounds = float(parts[0]) - reach, float(parts[0]) + reach
+    if (least <= bounds[0] and bounds[1] <= largest) or not math.isfinite(reach):
+        return bounds
+    found = _extremes(np.polynomial.Polynomial(parts))
+    return float(found.min()), float(found.max())
+
+
+def _extremes(curve):
+    """Values of a polynomial at 0, 1 and where it turns between them."""
     turning = curve.deriv().roots()
     inside = turning.real[(np.abs(turning.imag) < 1e-9) & (turning.real > 0) & (turning.real < 1)]
-    return float(np.abs(curve(np.array([0.0, 1.0, *inside]))).max())
+    return curve(np.array([0.0, 1.0, *inside]))
 
 
 def uniform(origin, q, v):

@@ -29,7 +29,7 @@ ROUNDED = 1e-6
 SMALLEST_STEP = 1.0 / 16
 
 
-def rearranged(scene, pose, twist, poses, twists, joints=None, angles=None):
+def rearranged(scene, pose, twist, poses, twists, joints=None, angles=None, driven=None):
     """Nearest consistent state with what is given.
 
     scene  : with body frames at the centres of mass (scene.centres), like all states here
@@ -37,24 +37,25 @@ def rearranged(scene, pose, twist, poses, twists, joints=None, angles=None):
     poses, twists : {body: (12,)}, {body: (6,)} of the bodies that are set
     joints : {joint: (coordinate, rate)} of the joints that are set, rad or m; None: not given
     angles : {joint: rad} present unwrapped angles
+    driven : {joint: rate} of driven joints, kept where what is given allows it
     returns pose (n, 12), twist (n, 6), {joint: rad} angles to which those of the result are near
     Coordinates that cannot be reached at once are approached in steps from the present state.
     Raises SceneError with the joint that cannot be satisfied and its residual.
     """
-    present, angles = (pose, twist), angles or {}
+    present, angles, driven = (pose, twist), angles or {}, driven or {}
     try:
-        return _at_once(scene, *present, poses, twists, joints or {}, angles)
+        return _at_once(scene, *present, poses, twists, joints or {}, angles, driven)
     except SceneError:
         # Bodies that are set stay where they are, so that there is no way to them.
         if poses or twists or not any(q is not None for q, _ in (joints or {}).values()):
             raise
-        found = _in_steps(scene, *present, joints, angles)
+        found = _in_steps(scene, *present, joints, angles, driven)
         if found is None:
             raise
         return found
 
 
-def _in_steps(scene, pose, twist, joints, angles):
+def _in_steps(scene, pose, twist, joints, angles, driven):
     """As _at_once, through states between the present one and that of the joints; None: no way.
 
     A joint without an unwrapped angle takes the shorter way. A step that fails is halved.
@@ -78,7 +79,7 @@ def _in_steps(scene, pose, twist, joints, angles):
         between = {scene.joints[j].name: (begin[j] + part * ways[j], None) for j in moved}
         try:
             pose, twist, angles = _at_once(
-                scene, pose, twist, {}, {}, joints if part == 1.0 else between, angles
+                scene, pose, twist, {}, {}, joints if part == 1.0 else between, angles, driven
             )
         except SceneError:
             step /= 2.0
@@ -89,7 +90,7 @@ def _in_steps(scene, pose, twist, joints, angles):
     return pose, twist, angles
 
 
-def _at_once(scene, pose, twist, poses, twists, joints, angles):
+def _at_once(scene, pose, twist, poses, twists, joints, angles, driven):
     """As `rearranged`, in one step."""
     place = {body.name: i for i, body in enumerate(scene.bodies)}
     pose, twist = np.array(pose, dtype=float), np.array(twist, dtype=float)
@@ -138,8 +139,13 @@ def _at_once(scene, pose, twist, poses, twists, joints, angles):
     found = _closed(linked, free, start, poses, kept)
     for body in {*free.bodies, *poses}:
         pose[place[body]] = np.concatenate([found[body][:3, :3].ravel(), found[body][:3, 3]])
+    driven = {
+        at[number[name]]: rate
+        for name, rate in driven.items()
+        if number[name] in at and number[name] not in rates
+    }
     rates = {at[j]: rate for j, rate in rates.items()}
-    moving = _moving(scene, given, free, found, set(twists), rates)
+    moving = _moving(scene, given, free, found, set(twists), rates, driven)
     for body in {*free.bodies, *twists}:
         twist[place[body]] = moving[body]
     return pose, twist, {scene.joints[j].name: angle for j, angle in near.items()}
@@ -198,13 +204,28 @@ def _closed(linked, free, start, given, kept):
     raise cannot_close(held, found)
 
 
-def _moving(scene, given, linkage, poses, fixed, rates):
+def _moving(scene, given, linkage, poses, fixed, rates, driven):
     """Twists {body: (6,)} that satisfy all joints: with those of `fixed`, or changed by ROUNDED.
 
-    rates : {index of a joint of the linkage: rate}, kept in the same way
+    rates  : {index of a joint of the linkage: rate}, kept in the same way
+    driven : the same, of joints that keep theirs unless the others prevent it
     """
+
+    def solved(kept):
+        return consistent_velocities(scene, given, linkage, poses, rates | kept, fixed)
+
     try:
-        return consistent_velocities(scene, given, linkage, poses, rates, fixed)
+        return solved(driven)
+    except SceneError:
+        kept = {}
+        for i, rate in driven.items():
+            try:
+                solved(kept | {i: rate})
+            except SceneError:
+                continue
+            kept[i] = rate
+    try:
+        return solved(kept)
     except SceneError:
         found = consistent_velocities(scene, given, linkage, poses, {}, set())
         sizes = [np.abs(given[body]).max() for body in linkage.bodies]

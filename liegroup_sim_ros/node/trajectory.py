@@ -16,6 +16,8 @@ import copy
 import logging
 import math
 
+from liegroup_core.joints.motion import COLUMNS, uniform
+
 log = logging.getLogger("liegroup_core")
 
 # Attributes of a Follower that say what it follows, from when on, and how far.
@@ -62,6 +64,25 @@ class Trajectory:
             return self._times, positions, velocities, None
         return self._times, positions, velocities, [*accelerations[:-1], 0.0]  # it comes to rest
 
+    def check_servo(self, joint, limits, state=None):
+        """Raise BeyondLimits for wanted values of a joint's servo beyond its CommandLimits.
+
+        state : (position, velocity) from which it starts; None: check from the first point on
+        """
+        times, points = self._times, self._points[self.joints.index(joint)]
+        _, positions, velocities, _ = self.points_of(joint)
+        if state is None:
+            state = positions[0], 0.0
+        else:
+            times, points = [0.0, *times], [(*state, None), *points]
+        rows = [
+            (time, *coefficients(*ends, after - time), 0.0, 0.0, 0.0, 0.0)[:COLUMNS]
+            for time, after, ends in zip(times, times[1:], zip(points, points[1:]))
+            if after > time
+        ]
+        rows.append(uniform(times[-1], positions[-1], 0.0))
+        limits.check_motion(rows, positions, velocities, state)
+
     def begin(self, states):
         """Start from [(position, velocity)] of the joints."""
         self._times.insert(0, 0.0)
@@ -79,35 +100,38 @@ class Trajectory:
         return [between(points[k], points[k + 1], length, since) for points in self._points]
 
 
-def between(first, last, length, time):
-    """(position, velocity) at a time in s after the first of two points, `length` s apart.
+def coefficients(first, last, length):
+    """Coefficients of the position between two points, `length` s apart, from the constant one on.
 
     first, last : (position, velocity or None, acceleration or None)
     """
     (p, v, a), (q, w, b) = first, last
     way = q - p
     if v is None or w is None:
-        return p + way * time / length, way / length
+        return p, way / length
     if a is None or b is None:
-        coefficients = (
+        return (
             p,
             v,
             (3.0 * way - (2.0 * v + w) * length) / length**2,
             (-2.0 * way + (v + w) * length) / length**3,
         )
-    else:
-        coefficients = (
-            p,
-            v,
-            0.5 * a,
-            (20.0 * way - (12.0 * v + 8.0 * w) * length - (3.0 * a - b) * length**2)
-            / (2.0 * length**3),
-            (-30.0 * way + (16.0 * v + 14.0 * w) * length + (3.0 * a - 2.0 * b) * length**2)
-            / (2.0 * length**4),
-            (12.0 * way - 6.0 * (v + w) * length + (b - a) * length**2) / (2.0 * length**5),
-        )
+    return (
+        p,
+        v,
+        0.5 * a,
+        (20.0 * way - (12.0 * v + 8.0 * w) * length - (3.0 * a - b) * length**2)
+        / (2.0 * length**3),
+        (-30.0 * way + (16.0 * v + 14.0 * w) * length + (3.0 * a - 2.0 * b) * length**2)
+        / (2.0 * length**4),
+        (12.0 * way - 6.0 * (v + w) * length + (b - a) * length**2) / (2.0 * length**5),
+    )
+
+
+def between(first, last, length, time):
+    """(position, velocity) at a time in s after the first of two points; see `coefficients`."""
     position = velocity = 0.0
-    for coefficient in reversed(coefficients):
+    for coefficient in reversed(coefficients(first, last, length)):
         velocity = velocity * time + position
         position = position * time + coefficient
     return position, velocity
@@ -168,7 +192,10 @@ class Follower:
         """Command the wanted values up to a time in s."""
         if self._waiting is not None and self._waiting[1] < until:
             trajectory, start = self._waiting
-            if not self._can_begin(trajectory, start):
+            coordinates = self._simulation.sample().joint_coordinates
+            # Driven joints follow their own motions.
+            states = [coordinates.get(joint, (0.0, 0.0)) for joint in trajectory.joints]
+            if not self._can_begin(trajectory, start, states):
                 self._waiting = None
                 self._feed(until)
                 return
@@ -176,18 +203,20 @@ class Follower:
             self._stop(start, trajectory.joints)
             for joint in self._driven & set(trajectory.joints):
                 self._simulation.command_motion(joint, *trajectory.points_of(joint), start)
-            coordinates = self._simulation.sample().joint_coordinates
-            # Driven joints follow their own motions.
-            trajectory.begin([coordinates.get(joint, (0.0, 0.0)) for joint in trajectory.joints])
+            trajectory.begin(states)
             self._active, self._waiting = trajectory, None
             self._start, self._sent, self._ends = start, 0, {}
         self._feed(until)
 
-    def _can_begin(self, trajectory, start):
-        """Whether all driven joints can follow; otherwise the trajectory is refused as a whole."""
+    def _can_begin(self, trajectory, start, states):
+        """Whether all joints can follow from their states; otherwise the trajectory is refused as a whole."""
+        limits = self._simulation.layout.limits
         try:
-            for joint in self._driven & set(trajectory.joints):
-                self._simulation.check_motion(joint, *trajectory.points_of(joint), start)
+            for joint, state in zip(trajectory.joints, states):
+                if joint in self._driven:
+                    self._simulation.check_motion(joint, *trajectory.points_of(joint), start)
+                else:
+                    trajectory.check_servo(joint, limits[joint], state)
         except ValueError as error:
             self.refuse(str(error))
             return False

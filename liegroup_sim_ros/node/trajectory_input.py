@@ -100,18 +100,15 @@ class TrajectoryInput(JointInput):
     def _check_limits(self, trajectory, k, name):
         """Raise BeyondLimits for a motion of joint number k of a trajectory beyond its limits."""
         joint = trajectory.joints[k]
-        limits, (times, positions, *rates) = self.limits[joint], trajectory.points_of(joint)
-        if name in self.driven:
-            if self._present is not None:
-                self._present.check_motion(joint, trajectory.stamp_ns, times, positions, *rates)
+        times, positions, *rates = trajectory.points_of(joint)
+        if name not in self.driven:
+            # The simulation thread checks the first segment when it starts, from the state then.
+            trajectory.check_servo(joint, self.limits[joint])
+        if self._present is None:
             return
-        for position in positions:
-            limits.check_position(position)
-        for velocity in rates[0] or ():
-            limits.check_velocity(velocity)
-        for since, time, before, after in zip(times, times[1:], positions, positions[1:]):
-            limits.check_velocity((after - before) / (time - since))
-        if self._present is not None:
+        if name in self.driven:
+            self._present.check_motion(joint, trajectory.stamp_ns, times, positions, *rates)
+        elif times[0] == 0.0:
             self._present.check_jump(joint, positions[0])
 
     def _check_point(self, k, point, count):

@@ -9,7 +9,7 @@ import pytest
 from liegroup_core import Simulation
 from liegroup_core.forces.schedule import AppliedTarget
 from liegroup_core.joints.limits import SPEED, BeyondLimits
-from liegroup_core.joints.motion import peak_rate, through
+from liegroup_core.joints.motion import extremes, peak_rate, through
 from liegroup_core.scene.load import scene_from_text
 
 SCENE = """
@@ -56,10 +56,19 @@ def simulation():
             "velocity -3.1 m/s of joint 'rail' is beyond its limit of 3",
         ),
         ("rail", ([1.0], [1.7]), "'rail' would need 3.1875 m/s to reach 1.7 m in time"),
+        (
+            "rail",
+            ([4.0], [2.0], [-1.0]),
+            "'rail' would pass 2.54437 m on its way to 2 m, beyond its limits, -0.5 to 2 m",
+        ),
     ],
 )
 def test_a_motion_beyond_the_limits_is_refused(simulation, joint, points, text):
-    """The rest-to-rest quintic needs 15/8 of its mean rate in the middle: 1.875 * 1.7 = 3.1875."""
+    """The rest-to-rest quintic needs 15/8 of its mean rate in the middle: 1.875 * 1.7 = 3.1875.
+
+    From rest at 0 to 2 m and -1 m/s after 4 s, with s = t/4: 36 s^3 - 58 s^4 + 24 s^5 m,
+    largest at s = 0.7811.
+    """
     before = simulation.snapshot()["external"].tobytes(), len(simulation.commanded_motions)
     with pytest.raises(BeyondLimits, match=text) as caught:
         simulation.command_motion(joint, *points)
@@ -104,6 +113,29 @@ def test_the_peak_rate_is_that_of_a_fine_grid(seed):
     missed = curvature * (duration / 20_000) ** 2
     assert abs(peak_rate(row, duration, 0.0) - np.abs(rates).max()) <= missed + 1e-12
     assert peak_rate(row, duration, math.inf) >= np.abs(rates).max() - 1e-12
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_extreme_positions_are_those_of_a_fine_grid(seed):
+    rng = np.random.default_rng(seed)
+    start, duration = rng.normal(size=3), rng.uniform(0.1, 3.0)
+    row, _ = through(start, [1.0, 1.0 + duration], rng.normal(size=1), rng.normal(size=1))
+    curve = np.polynomial.Polynomial(row[1:])
+    s = np.linspace(0.0, duration, 20_001)
+    missed = np.abs(curve.deriv(2)(s)).max() * (duration / 20_000) ** 2
+    least, largest = extremes(row, duration, math.inf, -math.inf)
+    assert abs(least - curve(s).min()) <= missed + 1e-12
+    assert abs(largest - curve(s).max()) <= missed + 1e-12
+    bounds = extremes(row, duration, -math.inf, math.inf)
+    assert bounds[0] <= least + 1e-12 and largest <= bounds[1] + 1e-12
+
+
+def test_a_joint_beyond_its_limits_can_return(simulation):
+    simulation.reset()
+    simulation.place(joints={"rail": (2.2, 0.5)})
+    simulation.command_motion("rail", [2.0], [1.5], [0.0])
+    simulation.advance(2000)
+    assert simulation.sample().joint_coordinates["rail"] == pytest.approx((1.5, 0.0), abs=1e-12)
 
 
 def test_limits_of_the_scene_and_the_defaults(simulation):

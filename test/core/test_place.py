@@ -236,6 +236,56 @@ def test_a_loop_closes_about_a_joint_that_is_set():
     assert all(np.array_equal(a, b) for a, b in zip(before, engine.state()))
 
 
+def test_a_driven_joint_keeps_the_turns_that_it_is_given():
+    simulation = Simulation(load_scene("driven_arm"))
+    for turns in (7.0, -30.0, 0.5):
+        simulation.place(joints={"elbow": (turns, None)})
+        assert simulation.sample().prescribed["elbow"][0] == pytest.approx(turns, abs=1e-12)
+    simulation.place(joints={"elbow": (7.0, 0.0), "shoulder": (None, 0.0)})
+    simulation.place(joints={"shoulder": (0.2, None)})
+    simulation.advance(10)
+    assert simulation.sample().prescribed["elbow"][:2] == pytest.approx((7.0, 0.0), abs=1e-12)
+
+
+CARRIED = """
+name: carried
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: upper, mass: 3, inertia: [0.05, 0.2, 0.2], position: [0.4, 0, 0]}
+  - {name: lower, mass: 2, inertia: [0.02, 0.1, 0.1], position: [1.1, 0, 0]}
+  - {name: tip, mass: 1, inertia: [0.01, 0.02, 0.02], position: [1.5, 0, 0]}
+joints:
+  - {name: shoulder, type: revolute, parent: world, child: upper,
+     parent_frame: {axis: [0, 1, 0]}, child_frame: {position: [-0.4, 0, 0], axis: [0, 1, 0]}}
+  - {name: elbow, type: revolute, parent: upper, child: lower, driven: true,
+     parent_frame: {position: [0.4, 0, 0], axis: [0, 1, 0]}, child_frame: {position: [-0.3, 0, 0], axis: [0, 1, 0]},
+     motion: {times: [0, 1], positions: [0, 0.5]}}
+  - {name: wrist, type: revolute, parent: lower, child: tip, driven: true, rate: 2,
+     parent_frame: {position: [0.3, 0, 0], axis: [1, 0, 0]}, child_frame: {position: [-0.1, 0, 0], axis: [1, 0, 0]}}
+assemble: true
+"""
+
+
+def test_driven_joints_keep_their_rates_unless_a_twist_that_is_given_prevents_it():
+    """Their motions go on, too. Only the elbow gives way if the bodies on both sides are set."""
+    engine = Engine(scene_from_text(CARRIED), "rkmk4", 1e-3, quiet=True)
+    engine.advance(300)
+    engine.place(twists={"upper": [0, 0.1, 0, 0, 0, -0.04]})
+    assert not engine.commanded_motions
+    before = engine.sample()
+    assert before.joint_coordinates["shoulder"][1] == pytest.approx(0.1, abs=1e-9)
+    for joint in ("elbow", "wrist"):
+        rate = before.prescribed[joint][1]
+        assert before.joint_coordinates[joint][1] == pytest.approx(rate, abs=1e-9) and rate > 0.1
+    engine.place(twists={"upper": np.zeros(6), "lower": np.zeros(6)})
+    assert engine.commanded_motions == ("elbow",)
+    after = engine.sample()
+    assert after.prescribed["elbow"][1] == pytest.approx(0.0, abs=1e-12)
+    assert after.joint_coordinates["wrist"][1] == pytest.approx(2.0, abs=1e-9)
+    engine.place(joints={"shoulder": (0.3, 0.0)})
+    assert engine.sample().prescribed["wrist"][1] == pytest.approx(2.0, abs=1e-12)
+
+
 GEARS = """
 name: gears
 gravity: [0, 0, 0]

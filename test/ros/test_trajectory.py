@@ -122,6 +122,52 @@ def followed(trajectory, step=1e-3, period=2e-3, seconds=1.0, more=lambda *_: No
     return np.array(times), np.array(positions), follower
 
 
+LIMITED = SCENE.replace("pin, type", "pin, data: {lower: -2.5, upper: 2.5, velocity: 8}, type")
+BEYOND = [
+    (points(((2.0,), (), (), 0.01)), None, "would need 200 rad/s to reach 2 rad in time"),
+    (
+        points(((2.4,), (8.0,), (), 1.0), ((2.4,), (0.0,), (), 1.5)),
+        "would pass 2.99259 rad on its way to 2.4 rad",
+        None,
+    ),
+    (points(((0.1,), (), (), 0.5), ((2.4,), (), (), 0.6)), "would need 23 rad/s", None),
+    (points(((0.0,), (9.0,), (), 1.0), ((0.0,), (), (), 2.0)), None, "would need 9 rad/s"),
+    (points(((0.0,), (6.0,), (), 9.0), ((0.0,), (0.0,), (), 9.5)), None, "would pass -8 rad"),
+]
+
+
+@pytest.mark.parametrize("rows, at_once, at_start", BEYOND)
+def test_wanted_values_of_a_servo_beyond_its_limits_are_refused(rows, at_once, at_start):
+    """Segments between points at once, the first one when it starts, as it depends on the state then.
+
+    A cubic to rest at the same position in time T goes 4/27 v T farther: from 8 rad/s in 0.5 s 0.5926 rad.
+    """
+    simulation = Simulation(scene_from_text(LIMITED), "rkmk4", 1e-3, estimate=False)
+    serialized = message(["pin"], [(1e-9 * row.time_ns, *row[:3]) for row in rows])
+    reader = TrajectoryInput(simulation.layout)
+    if at_once is not None:
+        with pytest.raises(Refusal, match=at_once) as caught:
+            reader.read(serialized, NOW)
+        assert caught.value.reason == "beyond_limits"
+        return
+    trajectory, refused = reader.read(serialized, NOW), []
+    follower = Follower(simulation, 2e-3, 0.02)
+    follower.refuse = refused.append
+    follower.follow(trajectory, 0.0)
+    follower.command(0.01)
+    assert len(refused) == 1 and at_start in refused[0] and "\n" not in refused[0]
+    assert follower.is_idle and simulation.input_count == 0
+
+
+def test_a_servo_joint_beyond_its_limits_can_return():
+    simulation = Simulation(scene_from_text(LIMITED), "rkmk4", 1e-3, estimate=False)
+    simulation.place(joints={"pin": (2.6, 9.0)})
+    follower = Follower(simulation, 2e-3, 0.02)
+    follower.follow(Trajectory(["pin"], points(((2.0,), (0.0,), (), 1.0))), 0.0)
+    follower.command(0.01)
+    assert not follower.is_idle
+
+
 def test_servos_follow_a_trajectory():
     """A stiff servo of 100 rad/s, a slow quintic: within what it lags, acceleration / 100^2."""
     target = Trajectory(["pin"], points(((1.0,), (0.0,), (0.0,), 0.5)))
