@@ -146,7 +146,7 @@ def modes_of(switch):
         "free",
         *(["lower"] if limits and limits.lower is not None else []),
         *(["upper"] if limits and limits.upper is not None else []),
-        *(["stick"] if friction and friction.at_rest > 0.0 else []),
+        *(["stick"] if friction and (friction.at_rest > 0.0 or friction.by_load[1] > 0.0) else []),
     ]
 
 

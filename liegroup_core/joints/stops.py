@@ -71,16 +71,26 @@ class Limits(Stop):
 
     @property
     def expected(self):
-        """Coordinate next to which an angle is expected, whatever turn a pose leaves open."""
-        if self.lower is None:
-            return min(self.upper - WITHIN_A_TURN, 0.0)
-        if self.upper is None:
-            return max(self.lower + WITHIN_A_TURN, 0.0)
-        return 0.5 * (self.lower + self.upper)
+        """Coordinate next to which an angle is expected, whatever turn a pose leaves open.
+
+        An angle in (-pi, pi] between the stops is next to it.
+        """
+        first, last = self.least + WITHIN_A_TURN, self.largest - WITHIN_A_TURN
+        return 0.5 * (first + last) if first > last else min(max(first, 0.0), last)
 
     def turn_of(self, q, is_angle):
         """The coordinate q, an angle in the turn that is expected."""
         return within_a_turn(q, self.expected) if is_angle else q
+
+    def at_start(self, q):
+        """The coordinate of a scene's start, rad; q: of `turn_of`.
+
+        Stops less than a turn apart leave one turn, and so do those wholly beyond pi. Else the angle is
+        in (-pi, pi], also where only another turn is between the stops.
+        """
+        only = self.largest - self.least < 2.0 * math.pi
+        only = only or self.least > math.pi or self.largest < -math.pi
+        return q if only or abs(q) <= math.pi * (1.0 + 1e-9) else within_a_turn(q)
 
     def excess(self, q):
         """How far a coordinate is beyond a stop, rad or m; negative between the stops."""
@@ -131,6 +141,10 @@ class Friction(Described):
                 f"mu_static must be at least mu, got {self.mu_static:g} and {self.mu:g}",
                 place=("mu_static",),
             )
+        if self.radius is not None and self.mu is None and self.mu_static is None:
+            raise SceneError("radius requires mu", place=("radius",))
+        if not self.model_fields_set:
+            raise SceneError("give coulomb, static, viscous or mu")
         return self
 
     @property

@@ -85,6 +85,7 @@ class RobotJoint:
     parent_frame  : (4, 4) in the frame of the parent; child_frame: in that of the child
     closes        : True for a joint that is no part of the file's tree
     damping       : N m s/rad or N s/m;  stiffness, rest: N m/rad or N/m, and its coordinate without torque
+    stop          : {"stiffness": N m/rad or N/m, "damping": N m s/rad or N s/m} of compliant stops
     coordinate, rate : at the start, kept by assembly, rad or m, rad/s or m/s; None: any
     data          : {name: number} that the simulation does not use: lower, upper, ...
     """
@@ -102,6 +103,7 @@ class RobotJoint:
     damping: float = 0.0
     stiffness: float = 0.0
     rest: float = 0.0
+    stop: dict = field(default_factory=dict)
     coordinate: float | None = None
     rate: float | None = None
     data: dict = field(default_factory=dict)

@@ -196,9 +196,16 @@ def _joint(robot, joint, parent, child, placement, line):
     for key in ("armature", "friction"):
         if joint[key]:
             found.data[key] = joint[key]
-    if joint["range"] is not None:
-        zero = 0.0 if joint["type"] == "ball" else joint["zero"]
-        found.data["lower"], found.data["upper"] = (value - zero for value in joint["range"])
+    if joint["range"] is not None and joint["type"] == "ball":
+        robot.leave_out(
+            "limits of the rotation angle of ball joints, another angle than that of a cone",
+            joint["label"],
+            changes_motion=True,
+        )
+    elif joint["range"] is not None:
+        found.data["lower"], found.data["upper"] = (
+            value - joint["zero"] for value in joint["range"]
+        )
     return found
 
 

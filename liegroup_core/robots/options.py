@@ -161,14 +161,23 @@ class Options:
             if joint.type in ONE_COORDINATE and joint.name not in self.driven:
                 if (lower is not None or upper is not None) and lower != upper:
                     stops = {"lower": lower, "upper": upper}
-                    found["stops"][joint.name] = {k: v for k, v in stops.items() if v is not None}
+                    stops = {k: v for k, v in stops.items() if v is not None} | joint.stop
+                    found["stops"][joint.name] = stops
                 if joint.data.get("friction", 0.0) > 0.0:
                     found["friction"][joint.name] = {"coulomb": joint.data["friction"]}
         for key, known in found.items():
             names = getattr(self, key)
             for name in names:
-                if name not in known and name != ALL:
-                    raise self.unknown((key,), f"{key}: joint that can have them", name, known)
+                if name in known or name == ALL:
+                    continue
+                if name not in {joint.name for joint in moving}:
+                    raise self.unknown((key,), f"{key}: joint that moves", name, known)
+                what = "limits" if key == "stops" else "friction"
+                raise self.error(
+                    (key,),
+                    f'{key}: joint "{name}" cannot have {key}; joints with one coordinate and {what} in '
+                    f"the file can, unless driven: {', '.join(sorted(known)) or 'there are none'}",
+                )
             if ALL not in names:
                 found[key] = {name: known[name] for name in names}
         return found["stops"], found["friction"]

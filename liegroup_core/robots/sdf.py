@@ -32,6 +32,7 @@ TYPES = {
 }
 
 OWN_RULES = (1, 7)  # version from which the axes of joints are read by the same rules
+RIGID = 1e8  # stiffness of stops that the format has where none is given
 DEEPEST = 20  # nested models and includes
 # {element: (children, attributes)} that are read, or that change nothing.
 KNOWN = {
@@ -322,6 +323,19 @@ def _law(reader, robot, model, element, joint):
                 # The format writes 1e16 and inf for no limit, and -1 for no effort or velocity.
                 if abs(number) < 1e15 and (part in ("lower", "upper") or number >= 0.0):
                     joint.data[part] = number
+            joint.stop = _stop(reader, limit)
+
+
+def _stop(reader, limit):
+    """Stiffness and damping of compliant stops; {}: rigid, as with the format's stiffness of 1e8."""
+    found = []
+    for part, usual in (("stiffness", RIGID), ("dissipation", 1.0)):
+        value = text_of(limit, part)
+        found.append(usual if value is None else _limit(reader, limit, value, part))
+    stiffness, damping = found
+    if not 0.0 < stiffness < RIGID or not 0.0 <= damping < math.inf:
+        return {}
+    return {"stiffness": stiffness, "damping": damping}
 
 
 def _limit(reader, element, text, part):

@@ -258,7 +258,10 @@ def _check_stops(scene, start):
     if not switches_of(scene):
         return
     for switch, q in switch_coordinates(scene, start, resolve_frames(scene)):
-        off = -1.0 if switch.limits is None else switch.limits.excess(q)
+        if switch.limits is None:
+            continue
+        q = switch.limits.at_start(q) if switch.is_angle else q
+        off = switch.limits.excess(q)
         if off > TOLERANCE * (1.0 + abs(q)):
             unit = unit_of(switch, scene)
             key, i = (

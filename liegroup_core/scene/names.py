@@ -141,7 +141,7 @@ def refuse_switches(joint, i):
             continue
         reason = None
         if joint.type not in WITH_STOPS and not (joint.type == "spherical" and key == "limits"):
-            reason = f"a {joint.type} joint has none; only {', '.join(WITH_STOPS)} joints do"
+            reason = _kinds_that_have(key, joint.type)
         elif key == "friction" and (text := _unfit_load(joint)):
             reason = text
         elif joint.driven:
@@ -150,6 +150,14 @@ def refuse_switches(joint, i):
             raise SceneError(
                 f'joints[{i}] "{joint.name}": {key}: {reason}', place=("joints", i, key)
             )
+
+
+def _kinds_that_have(key, kind):
+    """Text that a joint of a kind has no stops or friction, and which joints do."""
+    if key == "limits" and kind in ("cable", "strut"):
+        return f"a {kind} has its length as its stop; give length, and restitution or stiffness"
+    which = [*WITH_STOPS, "spherical"] if key == "limits" else WITH_STOPS
+    return f"a {kind} joint has none; only {', '.join(which[:-1])} and {which[-1]} joints do"
 
 
 def _unfit_load(joint):

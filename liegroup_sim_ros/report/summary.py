@@ -159,6 +159,8 @@ def _error_rows(figures):
 
 
 def _estimate_rows(figures):
+    reference = figures.get("reference", {"failed": "compared with no reference"})
+    nothing = reference.get("failed", "no error above the reference uncertainty to compare with")
     return [
         (
             text,
@@ -167,7 +169,7 @@ def _estimate_rows(figures):
             f"{counted(entry['samples'], 'sample')}, at most ten times in "
             f"{_percent(entry['close'])}"
             if entry["samples"]
-            else "no error above the reference uncertainty to compare with",
+            else nothing,
         )
         for text, entry in _named(figures["estimate"])
     ]

@@ -48,6 +48,18 @@ def test_a_loop_names_its_redundant_constraint_row():
     assert "rkmk4" in facts["methods"] and "stoermer_verlet" not in facts["methods"]
 
 
+def test_friction_by_load_can_stick():
+    """The gripper holds its part by friction by load alone."""
+    facts = describe(make_layout(load_scene("gripper")))
+    modes = {entry["joint"]: entry["modes"] for entry in facts["stops_and_friction"]}
+    by_load = [
+        entry["joint"]
+        for entry in facts["stops_and_friction"]
+        if entry["friction"] and not entry["friction"].get("coulomb")
+    ]
+    assert by_load and all("stick" in modes[joint] for joint in by_load)
+
+
 def test_row_counts_of_all_joint_kinds_without_conserved_momentum():
     layout = make_layout(mechanisms.named("every kind"))
     facts = describe(layout)

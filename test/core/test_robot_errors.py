@@ -784,3 +784,34 @@ def test_a_coordinate_is_of_joints_that_have_one(tmp_path):
             "joints: [{name: j, type: spherical, parent: world, child: a, child_frame: {},"
             " coordinate: 1}]\n"
         )
+
+
+@pytest.mark.parametrize(
+    "options, message",
+    [
+        (
+            {"stops": ["tip"]},
+            'stops: joint "tip" cannot have stops; joints with .* limits .*: elbow$',
+        ),
+        (
+            {"stops": ["elbow"], "driven": {"elbow": None}},
+            'stops: joint "elbow" cannot have stops; .* unless driven: there are none$',
+        ),
+        (
+            {"friction": ["tip"]},
+            'friction: joint "tip" cannot have friction; .* friction .*: elbow$',
+        ),
+        ({"stops": ["elbo"]}, "stops: joint that moves 'elbo' is not in the robot; .*elbow"),
+    ],
+)
+def test_a_joint_without_limits_or_friction_cannot_have_them(options, message, tmp_path):
+    link = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    path = tmp_path / "two.urdf"
+    path.write_text(
+        f"""<robot name="two"><link name="base"/><link name="a">{link}</link><link name="b">{link}</link>
+        <joint name="elbow" type="revolute"><parent link="base"/><child link="a"/><dynamics friction="1"/>
+        <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+        <joint name="tip" type="continuous"><parent link="a"/><child link="b"/></joint></robot>"""
+    )
+    with pytest.raises(SceneError, match=message):
+        scene_from_robot(path, Options(**options))

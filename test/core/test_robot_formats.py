@@ -453,3 +453,47 @@ def test_model_config_names_the_file_of_a_model(tmp_path, monkeypatch):
     assert len(load_scene(sdf(tmp_path, world.format(""))).bodies) == 2
     with pytest.raises(SceneError, match="merge"):
         load_scene(sdf(tmp_path, world.format(" merge='true'")))
+
+
+@pytest.mark.parametrize(
+    "stop, expected",
+    [
+        ("<stiffness>1000</stiffness><dissipation>2</dissipation>", (1000.0, 2.0)),
+        ("<stiffness>1000</stiffness>", (1000.0, 1.0)),
+        ("<stiffness>1e8</stiffness><dissipation>1</dissipation>", (None, None)),
+        ("<stiffness>1000</stiffness><dissipation>inf</dissipation>", (None, None)),
+        ("<stiffness>inf</stiffness>", (None, None)),
+        ("", (None, None)),
+    ],
+)
+def test_stops_of_sdf_are_compliant_if_they_are_not_its_defaults(stop, expected, tmp_path):
+    """1e8 N m/rad and 1 N m s/rad are the defaults of <limit>."""
+    axis = (
+        f"<axis><xyz>0 1 0</xyz><limit><lower>-0.3</lower><upper>0.6</upper>{stop}</limit></axis>"
+    )
+    text = (
+        f'<model name="m"><link name="l">{INERTIAL}</link><joint name="w" type="revolute">'
+        f"<parent>world</parent><child>l</child>{axis}</joint></model>"
+    )
+    path = sdf(tmp_path, text)
+    (joint,) = scene_from_robot(path, Options(stops=["all"])).joints
+    limits = joint.limits
+    assert (limits.lower, limits.upper) == (-0.3, 0.6)
+    assert (limits.stiffness, limits.damping) == expected
+    assert load_scene(path).joints[0].limits is None
+
+
+def test_a_limit_of_a_ball_joint_of_mjcf_is_no_cone(tmp_path):
+    """MuJoCo limits the angle of the rotation about any axis, also about the bone."""
+    path = tmp_path / "ball.xml"
+    path.write_text(
+        """<mujoco><compiler angle="radian"/><worldbody><body pos="0 0 1">
+        <joint name="s" type="ball" range="0 0.7"/><geom size="0.1" mass="1" pos="0 0 -0.4"/>
+        </body></worldbody></mujoco>"""
+    )
+    scene = scene_from_robot(path, Options(stops=["all"]))
+    assert scene.joints[0].limits is None
+    assert (
+        "changes the motion: limits of the rotation angle of ball joints, another angle than that of a "
+        "cone, left out: s" in scene.notes
+    )

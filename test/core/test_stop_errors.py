@@ -50,7 +50,11 @@ WRONG = [
     ("cable", {"length": 1, "damping": 1.5}, "damping requires a stiffness"),
     ("cable", {"length": 1, "stiffness": 9, "restitution": 0}, "keep one of them"),
     ("cable", {"length": 1, "friction": {"coulomb": 1}}, "friction: a cable joint has none"),
-    ("cable", {"length": 1, "limits": {"upper": 1}}, "limits: a cable joint has none"),
+    (
+        "cable",
+        {"length": 1, "limits": {"upper": 1}},
+        "limits: a cable has its length as its stop; give",
+    ),
     ("cable", {"length": 1, "driven": True}, "a cable joint cannot be driven"),
     ("spherical", {"limits": {"cone": 0}}, "limits.cone must be greater than 0, got 0"),
     ("spherical", {"limits": {"cone": 4}}, "limits: cone must be below pi, got 4"),
@@ -71,9 +75,29 @@ WRONG = [
     ("revolute", {"limits": {"lower": math.nan}}, "limits.lower must be finite, got nan"),
     ("revolute", {"limits": {"lower": 2, "upper": 1}}, "lower must be below upper, got 2 and 1"),
     ("revolute", {"limits": {"lower": 1, "upper": 2}}, "it starts at 0 rad, 1 rad beyond a stop"),
+    # Another turn is between these stops, and the pose does not say so.
+    ("revolute", {"limits": {"lower": 0.5}}, "it starts at 0 rad, 0.5 rad beyond a stop"),
+    ("revolute", {"limits": {"upper": -0.5}}, "it starts at 0 rad, 0.5 rad beyond a stop"),
+    ("revolute", {"limits": {"lower": 0.5, "upper": 7}}, "it starts at 0 rad, 0.5 rad beyond"),
+    (SLIDES, {"limits": {"rotation": {"lower": 1}}}, '"j/rotation": it starts at 0 rad, 1 rad'),
     ("revolute", {"friction": {"coulomb": -1}}, "friction.coulomb must not be negative, got -1"),
     ("revolute", {"friction": {"coulomb": 2, "static": 1}}, "static must be at least coulomb"),
+    ("revolute", {"friction": {}}, "friction: give coulomb, static, viscous or mu$"),
+    ("revolute", {"friction": {"radius": 0.1}}, "friction: radius requires mu$"),
+    ("revolute", {"friction": {"coulomb": 1, "radius": 0.1}}, "friction: radius requires mu$"),
+    (SLIDES, {"friction": {"rotation": {}}}, "friction.rotation: give coulomb, static, viscous or"),
     ("revolute", {"friction": {"mu": 0.2}}, "mu requires the radius of the bearing, in m"),
+    (
+        "strut",
+        {"length": 0.4, "limits": {"lower": 1}},
+        "limits: a strut has its length as its stop",
+    ),
+    ("planar", {"limits": {"upper": 1}}, "only .*, screw, cylindrical and spherical joints do$"),
+    (
+        "planar",
+        {"friction": {"coulomb": 1}},
+        "only .*, prismatic, screw and cylindrical joints do$",
+    ),
     ("planar", {"friction": {"coulomb": 1}}, "friction: a planar joint has none"),
     ("revolute", {"coupling": {"backlash": {}}}, "gap is missing: give the play"),
     ("revolute", {"coupling": {"backlash": 0.1}}, "backlash must be a mapping with the keys"),
@@ -94,6 +118,27 @@ def test_wrong_stops_are_refused_in_one_line(kind, more, message):
     what = r"couplings\[0\] .gears" if "coupling" in more else r"joints\[0\] .j"
     assert "\n" not in str(refused.value)
     refused.match(rf"^scene:\d+: {what}")
+
+
+STARTS = [
+    ({"lower": -1.0, "upper": 20.0}, 0.0, 0.0),
+    ({"lower": -9.0, "upper": -1.0}, -1.5, -1.5),
+    ({"lower": 0.0}, math.pi, math.pi),
+    ({"upper": 0.0}, -math.pi, -math.pi),
+    ({"lower": 0.0, "upper": 4.7}, 4.0, 4.0),
+    ({"lower": 4.0, "upper": 8.0}, 0.0, 2.0 * math.pi),
+    ({"lower": 4.0}, 0.0, 2.0 * math.pi),
+    ({"lower": -20.0, "upper": -4.0}, 0.5, 0.5 - 2.0 * math.pi),
+]
+
+
+@pytest.mark.parametrize("limits, angle, coordinate", STARTS)
+def test_the_turn_of_a_start(limits, angle, coordinate):
+    """An angle in (-pi, pi] between the stops is taken as it is; else the only turn is taken."""
+    scene = yaml.safe_load(text_of("revolute", limits=limits))
+    scene["joints"][0]["parent_frame"] = {"rotation_vector": [0.0, 0.0, -angle]}
+    engine = Engine(scene_from_text(yaml.safe_dump(scene)), "rkmk4", 1e-3)
+    assert engine.sample().switching[0, 3] == pytest.approx(coordinate, abs=1e-12)
 
 
 def tilted(angle):

@@ -104,6 +104,26 @@ def test_a_run_records_its_modes_and_is_repeated_bit_by_bit(recording):
     assert frame["block", "impulse"].tolist() == modes.values[:, 1, 3].tolist()
 
 
+def test_an_impact_at_the_start_is_recorded(tmp_path):
+    """The joint starts at its stop with 2 rad/s: J = 0.02 + 0.25 kg m2, loss J (1 - 0.36) w^2 / 2."""
+    moving = "position: [0, 1, 0], angular_velocity: [0, 2, 0], linear_velocity: [0, 0, 0]"
+    text = SCENE.replace("position: [0, 1, 0]}\n  - {name: free", moving + "}\n  - {name: free")
+    text = text.replace("{upper: 0.5, restitution: 0.6}", "{upper: 0, restitution: 0.6}")
+    (tmp_path / "stops.yaml").write_text(text)
+    out = str(tmp_path / "run.mcap")
+    assert main(["run", str(tmp_path / "stops.yaml"), "--duration", "0.05", "--out", out]) == 0
+    recording = read_recording(out)
+    events = [event.text for event in recording.events if "block impact" in event.text]
+    assert len(events) == 1 and events[0].startswith("0.000000000 s: block impact, impulse -0.864 ")
+    found = tmp_path / "figures.json"
+    assert main(["analyze", out, "--no-reference", "--json", str(found)]) == 0
+    (log,) = json.loads(found.read_text())["logs"]
+    figures = log["joint_events"]["joints"]["block"]
+    assert figures["impact"] == 1
+    assert figures["impact_energy_J"] == pytest.approx(-0.27 * 0.64 * 2.0)
+    assert resimulate(recording)["identical"] == 6
+
+
 def test_reactions_of_recorded_poses_are_those_of_the_run(recording):
     layout = make_layout(scene_from_text(SCENE))
     poses, stamps = recording.pose, recording.pose["soft"].stamp_ns
@@ -141,9 +161,10 @@ def recorded_sample(layout, recording, row):
     return sample
 
 
-def test_the_analysis_counts_the_events_of_the_run(recording, tmp_path):
+def test_the_analysis_counts_the_events_of_the_run(recording, tmp_path, capsys):
     out, page = tmp_path / "out.json", tmp_path / "page.html"
     assert main(["analyze", str(recording.path), "--json", str(out), "--html", str(page)]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
     document = json.loads(out.read_text())
     jsonschema.validate(document, json.loads(SCHEMA.read_text()))
     found = document["logs"][0]["joint_events"]
@@ -160,3 +181,4 @@ def test_the_analysis_counts_the_events_of_the_run(recording, tmp_path):
     assert found["joints"]["block"]["impact"] > 5
     assert found["joints"]["cushion"]["stop"] >= 1
     assert "events at joints" in page.read_text()
+    assert "has no stops and no friction" in shown and "no error above" not in shown

@@ -225,6 +225,43 @@ def test_the_modes_before_the_first_step_are_those_of_the_first_step():
             each.reset()
 
 
+def test_an_impact_at_the_start_is_an_event():
+    """1 m/s towards the stop that it touches, and e = 0.9: p = m (1 + e) v, loss m (1 - e^2) v^2 / 2."""
+    text = BALL.replace("RESTITUTION", "0.9")
+    text = text.replace("position: [0, 0, 1]", "linear_velocity: [0, 0, -1]")
+    engine = Engine(scene_from_text(text), "rkmk4", 0.01)
+    engine.drain_impacts()
+    engine.drain_instants()
+    for speed, place in ((1.0, False), (2.0, True)):
+        if place:
+            engine.place(joints={"track": (0.0, -speed)})
+        start = engine.time
+        engine.sample()  # it shows the modes of the first step, and neither uses nor doubles events
+        assert engine.event_count == 0
+        assert engine.drain_events() == engine.drain_impacts() == engine.drain_instants() == []
+        engine.advance(1)
+        (event,) = engine.drain_events()
+        assert event == (start, "track", "impact", pytest.approx(3.8 * speed), event.energy)
+        assert event.energy == pytest.approx(-0.19 * speed**2)
+        assert engine.event_count == 1
+        (instant,) = engine.drain_instants()
+        assert instant.events == [event]
+        (impact,) = engine.drain_impacts()
+        assert impact.impulses["track"][5] == pytest.approx(3.8 * speed)
+
+
+def test_a_start_at_a_stop_is_no_event():
+    """A ball that lies on its stop, and one that falls on it at the start and stays there."""
+    text = BALL.replace("RESTITUTION", "0").replace("position: [0, 0, 1]", "")
+    engine = Engine(scene_from_text(text), "rkmk4", 0.01)
+    engine.advance(1)
+    assert engine.modes == {"track": "lower"} and engine.drain_events() == []
+    engine.place(joints={"track": (0.0, -1.0)})
+    engine.advance(1)
+    assert [event.kind for event in engine.drain_events()] == ["impact", "stop"]
+    assert engine.event_count == 2
+
+
 def test_instants_have_the_modes_after_their_events():
     """The modes of the last instant are those of the state; an undone step leaves none behind."""
     engine = Engine(scene_from_text(BALL.replace("RESTITUTION", "0.5")), "rkmk4", 0.01)

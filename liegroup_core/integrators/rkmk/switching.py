@@ -27,7 +27,7 @@ from liegroup_core.formulations.relative.switches import (
 )
 from liegroup_core.status import BEYOND_STOP, EVENT, EVENTS_WITHOUT_END, MOST_EVENTS, OK
 
-from .mode_changes import JointEvent, ModeChanges
+from .mode_changes import IMPACT, JointEvent, ModeChanges
 
 BEYOND = 1e-9  # rad or m: a state that is set is not this far beyond a stop
 TIME_STEP = 1e-15  # s; an event is found to this, and to round-off
@@ -123,6 +123,7 @@ class Switching(ModeChanges):
                 else:
                     self._return(kept, pose, twist)
                     self._change_rates(self._model, work, self._no_changes, pose, twist)
+                    self.count -= len(self.events) - log
                     del self.events[log:]
                     self.impacts = self.impacts and self.impacts[:impacts]
                     if self.instants:
@@ -155,10 +156,12 @@ class Switching(ModeChanges):
             work.modes[:, KNOWN] = 1.0
             log, count = len(self.events), self.count
             status = self._switch(time, state, np.zeros(work.guards.shape, dtype=bool))
-            del self.events[log:]
-            self.count = count
+            # A joint that starts at rest or at its stop is no event. One that hits its stop is.
+            hit = {event.joint for event in self.events[log:] if event.kind == IMPACT}
+            self.events[log:] = [event for event in self.events[log:] if event.joint in hit]
+            self.count = count + len(self.events) - log
             if self.instants and status == OK:
-                self.instants[-1] = self.instants[-1]._replace(events=[])
+                self.instants[-1] = self.instants[-1]._replace(events=self.events[log:])
             return status
         if (work.guards[:, SLIDING + 1 :] >= 0.0).all():
             return OK
@@ -320,7 +323,6 @@ class Switching(ModeChanges):
         status = self._look(model, work, *state)
         if status != OK:
             return status
-        self.count += 1
         log = len(self.events)
         modes, before = work.modes, (self._at_rest(), work.modes.copy())
         for k, c in np.argwhere(crossed[:, : UPPER + 1] & ~self._rigid[:, None]):
@@ -348,6 +350,7 @@ class Switching(ModeChanges):
         if status != OK:
             return status
         self._note(time, before)
+        self.count += len(self.events) - log
         if self.instants is not None:
             self.instants.append(JointInstant(time, self._modes(), self.events[log:]))
         return OK
