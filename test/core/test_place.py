@@ -258,10 +258,12 @@ joints:
   - {name: shoulder, type: revolute, parent: world, child: upper,
      parent_frame: {axis: [0, 1, 0]}, child_frame: {position: [-0.4, 0, 0], axis: [0, 1, 0]}}
   - {name: elbow, type: revolute, parent: upper, child: lower, driven: true,
-     parent_frame: {position: [0.4, 0, 0], axis: [0, 1, 0]}, child_frame: {position: [-0.3, 0, 0], axis: [0, 1, 0]},
+     parent_frame: {position: [0.4, 0, 0], axis: [0, 1, 0]},
+     child_frame: {position: [-0.3, 0, 0], axis: [0, 1, 0]},
      motion: {times: [0, 1], positions: [0, 0.5]}}
   - {name: wrist, type: revolute, parent: lower, child: tip, driven: true, rate: 2,
-     parent_frame: {position: [0.3, 0, 0], axis: [1, 0, 0]}, child_frame: {position: [-0.1, 0, 0], axis: [1, 0, 0]}}
+     parent_frame: {position: [0.3, 0, 0], axis: [1, 0, 0]},
+     child_frame: {position: [-0.1, 0, 0], axis: [1, 0, 0]}}
 assemble: true
 """
 
