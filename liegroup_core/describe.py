@@ -12,6 +12,7 @@ from liegroup_core.errors import SceneError
 from liegroup_core.formulations.relative.build import tree_of
 from liegroup_core.formulations.relative.cost import absolute_cost, relative_cost
 from liegroup_core.joints.elements import PAIR, WORLD
+from liegroup_core.joints.limits import BeyondLimits
 from liegroup_core.layout import make_layout
 from liegroup_core.model.sparsity import operations
 from liegroup_core.model.symmetry import body_groups, conserved_momentum
@@ -38,7 +39,8 @@ def describe(layout):
     layout : layout.Layout, from `make_layout(scene)` or `Simulation.layout`
     returns dict of
         scene, description, gravity  of the scene; gravity in m/s^2
-        notes               remarks of the scene, such as what an import merged and left out
+        notes               remarks of the scene, such as what an import merged and left out, and
+                            motions of driven joints beyond the limits in their data
         import              what the import of a robot saved, see `imported`; None for other scenes
         bodies              [{name, mass}], kg
         joints              [{name, type, parent, child, rows, dropped}]: names of all rows, wx..vz,
@@ -74,7 +76,7 @@ def describe(layout):
         "scene": scene.name,
         "description": scene.description,
         "gravity": list(scene.gravity),
-        "notes": list(scene.notes),
+        "notes": [*scene.notes, *_motions_beyond(layout)],
         "import": imported(layout),
         "bodies": [
             {"name": body.name, "mass": float(mass)}
@@ -148,6 +150,17 @@ def modes_of(switch):
         *(["upper"] if limits and limits.upper is not None else []),
         *(["stick"] if friction and (friction.at_rest > 0.0 or friction.by_load[1] > 0.0) else []),
     ]
+
+
+def _motions_beyond(layout):
+    """Notes of motions of the scene that would be refused as commands."""
+    notes = []
+    for joint, rows in layout.motions.items():
+        try:
+            layout.limits[joint].check_motion(rows, rows[1:, 1], rows[1:, 2])
+        except BeyondLimits as error:
+            notes.append(f"motion beyond the joint limits, which do not act on it: {error}")
+    return notes
 
 
 def formulation(layout):

@@ -155,7 +155,7 @@ def _within_a_turn(vector):
 def _direction(vector):
     # The inverse of a smaller length is out of range.
     if not math.hypot(*vector) >= 1.0 / LARGEST_NUMBER:
-        raise ValueError("must not be zero: give the direction of the joint's axis")
+        raise ValueError("must not be zero: give the direction of the axis")
     return vector
 
 

@@ -12,7 +12,7 @@ from liegroup_core.fields.values import Described, Name
 
 def _seed(value):
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**32:
-        raise ValueError(f"must be a whole number from 0 to {2**32 - 1}, got {value!r}")
+        raise ValueError(f"must be a whole number from 0 to {2**32 - 1}")
     return value
 
 
@@ -22,8 +22,8 @@ Seed = Annotated[int, BeforeValidator(_seed)]
 class Sensor(Described):
     """Sensor of a scene, at a body, at a joint or between two bodies.
 
-    A subclass has `measure(sample)`: its numbers without noise, and `noise`, their standard
-    deviations, both of the length of `parts`, the names and units of its numbers.
+    A subclass has `measure(sample)`: its numbers without noise, of the length of `parts`, their names
+    and units.
 
     needs_coordinate : True: its joint has one angle or displacement
     """
@@ -32,12 +32,16 @@ class Sensor(Described):
     needs_coordinate: ClassVar = False
     name: Name = Field(description="name, unique among all bodies, joints, forces and sensors")
     type: str
-    seed: Seed = Field(0, description="of the noise, a whole number")
 
-    @property
-    def noise(self):
-        """Standard deviations of the numbers; 0 without noise."""
-        return np.zeros(len(self.parts))
+    def read(self, sample):
+        """Numbers of a Sample."""
+        return self.measure(sample)
+
+
+class NoisySensor(Sensor):
+    """Sensor with noise. A subclass has `noise`, the standard deviations of its numbers, 0 without noise."""
+
+    seed: Seed = Field(0, description="of the noise, a whole number")
 
     def read(self, sample):
         """Numbers with noise: white, of the same values at the same step in every run.

@@ -8,10 +8,10 @@ from pydantic import Field
 
 from liegroup_core.fields.values import NotNegative, Text, Vector3
 
-from .described import Sensor
+from .described import NoisySensor
 
 
-class Distance(Sensor):
+class Distance(NoisySensor):
     """Distance between a point of one body, or the world, and a point of another."""
 
     parts = ("distance [m]", "rate [m/s]")

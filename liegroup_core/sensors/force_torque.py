@@ -10,13 +10,13 @@ from liegroup_core.fields.frames import Frame
 from liegroup_core.fields.values import NotNegative, Text
 from liegroup_core.lie.groups import SE3, SO3
 
-from .described import Sensor
+from .described import NoisySensor
 
 MEASURED = {"reaction": "reactions", "transmitted": "transmitted"}  # attributes of a Sample
 ROUND_OFF = 1e-14  # of rotations
 
 
-class ForceTorque(Sensor):
+class ForceTorque(NoisySensor):
     """Force-torque sensor in a joint, such as a fixed joint between hand and arm."""
 
     parts = (*("tx [N m]", "ty [N m]", "tz [N m]"), *("fx [N]", "fy [N]", "fz [N]"))

@@ -14,10 +14,10 @@ from liegroup_core.fields.frames import Frame
 from liegroup_core.fields.values import NotNegative, Text, Vector3
 from liegroup_core.lie.groups import SO3
 
-from .described import Sensor, frame_pose
+from .described import NoisySensor, frame_pose
 
 
-class Imu(Sensor):
+class Imu(NoisySensor):
     """Inertial measurement unit on a body."""
 
     parts = (

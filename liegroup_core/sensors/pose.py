@@ -10,10 +10,10 @@ from liegroup_core.fields.frames import Frame
 from liegroup_core.fields.values import NotNegative, Text
 from liegroup_core.lie.groups import SO3
 
-from .described import Sensor, frame_pose
+from .described import NoisySensor, frame_pose
 
 
-class Pose(Sensor):
+class Pose(NoisySensor):
     """Pose and twist of a frame of a body."""
 
     parts = (

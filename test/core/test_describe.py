@@ -13,7 +13,30 @@ from liegroup_core.layout import make_layout
 from liegroup_core.model.arrays import VERTEX, make_work
 from liegroup_core.model.build import initial_state
 from liegroup_core.model.sparsity import block_layout, operations
+from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.chapter.joint_runs import four_bar
+
+
+def test_a_motion_of_the_scene_beyond_the_limits_of_its_joint_is_a_note():
+    """It acts; the same command is refused. 1.875 rad/s is the peak of a quintic over 1 rad in 1 s."""
+
+    def notes(motion, data):
+        joint = f"{{name: j, type: revolute, parent: world, child: b, child_frame: {{}}, driven: true{motion}"
+        text = (
+            "{name: s, gravity: [0, 0, 0], bodies: [{name: b, mass: 1, inertia: [1, 1, 1]}], "
+            f"joints: [{joint}, data: {data}}}]}}"
+        )
+        return describe(make_layout(scene_from_text(text)))["notes"]
+
+    turn = ", motion: {times: [0, 1], positions: [0, 1], velocities: [0, 0]}"
+    for data, text in (
+        ("{lower: -1, upper: 0.9}", "position 1 rad of joint 'j' is beyond its limits, -1 to 0.9"),
+        ("{velocity: 1.8}", "joint 'j' would need 1.875 rad/s"),
+    ):
+        (note,) = notes(turn, data)
+        assert note.startswith("motion beyond the joint limits") and text in note
+    assert notes(turn, "{lower: -1, upper: 1, velocity: 1.9}") == []
+    assert notes("", "{lower: 0.5, upper: 1, velocity: 0.1}") == []
 
 
 def test_heavy_top():
