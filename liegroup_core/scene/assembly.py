@@ -183,6 +183,7 @@ def consistent_velocities(scene, given, linkage, poses, rates, fixed, kept=()):
     """
     if not linkage.bodies:
         return given
+    rates = dict(sorted(rates.items()))  # as their rows
     rate_rows = [np.zeros((0, 6))] * len(linkage.joints)
     for j in rates:
         joint, (_, F_b) = linkage.joints[j], linkage.frames[j]

@@ -243,6 +243,11 @@ def test_a_driven_joint_keeps_the_turns_that_it_is_given():
         assert simulation.sample().prescribed["elbow"][0] == pytest.approx(turns, abs=1e-12)
     simulation.place(joints={"elbow": (7.0, 0.0), "shoulder": (None, 0.0)})
     simulation.place(joints={"shoulder": (0.2, None)})
+    for rates in ((2.0, 1.0), (0.0, 0.0)):  # in any order
+        given = {"elbow": (7.0, rates[0]), "shoulder": (None, rates[1])}
+        simulation.place(joints=given)
+        found = simulation.sample().prescribed
+        assert (found["elbow"][1], found["shoulder"][1]) == pytest.approx(rates, abs=1e-12)
     simulation.advance(10)
     assert simulation.sample().prescribed["elbow"][:2] == pytest.approx((7.0, 0.0), abs=1e-12)
 
