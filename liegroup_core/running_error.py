@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Running estimate of the global error of a simulation, from a companion with a larger step.
 
-The companion follows the simulation with steps of q h under the same wrenches, q = 3/2, or 5/4 for
+The companion follows the simulation with steps of q h under the same wrenches, q = 4/3, or 6/5 for
 orders from 8. With error control q = 4/3, and its tolerances are q^p times as large. The error of a
 method of order p then follows from the distance d = |x_h - x_qh| of the two states:
 
@@ -9,11 +9,11 @@ method of order p then follows from the distance d = |x_h - x_qh| of the two sta
     order not seen : about d, the two errors being independent of each other
 
 The estimate is SAFETY times a geometric mean of the two, with the weight SEEN on the first, and at
-least LEAST times d. They are close enough to each other (a factor of 4 for p = 4, of 5 for p = 8) that
+least LEAST times d. They are close enough to each other (a factor of 2 for p = 4, of 3 for p = 8) that
 nothing has to be decided. For q = 2 the factor is 15 and 255: whether the order is seen has to be found
 from a third run, and is often found wrongly.
 
-The two meet every 3 or 5 steps, with error control every 4. An estimate is that of the last meeting, or
+The two meet every 4 or 6 steps. An estimate is that of the last meeting, or
 FADING times the largest of the last checkpoints if that is more: a distance may pass through zero where
 the error does not.
 Checkpoints, after MEETINGS of them and more often at the start, depend on the step count alone, so that
@@ -48,7 +48,7 @@ SUBSTEPS, MOST = 32, 8  # between checkpoints with an accuracy: substeps, and st
 WINDOW, FADING = 4, 0.5  # checkpoints
 FASTEST = 8.0  # growth between two meetings that is continued until the next one
 PARTS = 2  # of the step that leads to an event, whose size does not depend on that of the others
-SAFETY, SEEN, SEEN_CONTROLLED = 1.8, 0.7, 0.8
+SAFETY, SEEN, SEEN_CONTROLLED = 2.0, 0.6, 0.8
 LEAST = 0.5  # part of the distance: where the order is not seen it may all be the simulation's
 # Of the mechanism's size, and rad: an error of this size makes a motion unpredictable.
 UNPREDICTABLE = 0.1
@@ -108,7 +108,7 @@ class RunningError:
         self._engine, self._by_work = engine, by_work
         order, controlled = METHODS[engine.method].order, METHODS[engine.method].controlled
         # Steps of the engine and of its companion in the same time.
-        self.ours, self._theirs = (4, 1) if controlled else (3, 2) if order < HIGH else (5, 4)
+        self.ours, self._theirs = (4, 1) if controlled else (4, 3) if order < HIGH else (6, 5)
         ratio = 4.0 / 3.0 if controlled else self.ours / self._theirs
         seen = (ratio**order - 1.0) ** (SEEN_CONTROLLED if controlled else SEEN)
         self._factor = max(LEAST, SAFETY / seen)
@@ -155,6 +155,7 @@ class RunningError:
         self._distance[:] = self._window[:] = 0.0
         self.checkpoints = 0
         self.predictable_until = math.inf
+        self._events = self._engine.event_count
 
     def next_stop(self, steps, end):
         """First step after `steps` at which `follow` must be called on the way to step `end`.
@@ -224,6 +225,7 @@ class RunningError:
         self._next = self._next_checkpoint(steps)
 
     def _compare(self):
+        self._events = self._engine.event_count
         return distances(*self._engine.at_bodies(), *self._companion.at_bodies(), self._distance)
 
     def _keep(self, position, angle):
@@ -247,12 +249,14 @@ class RunningError:
     def snapshot(self):
         """Copy of the estimate and of its companion, for `restore`."""
         kept = {name: copy.deepcopy(getattr(self, name)) for name in _KEPT}
+        kept["recent_events"] = self._engine.event_count - self._events
         return kept | {"companion": self._companion.snapshot()}
 
     def restore(self, snapshot):
         """Return to a snapshot, at the same state of the engine."""
         for name in _KEPT:
             setattr(self, name, copy.deepcopy(snapshot[name]))
+        self._events = self._engine.event_count - snapshot["recent_events"]
         self._companion.restore(snapshot["companion"])
 
     @property
@@ -319,6 +323,9 @@ class RunningError:
         if self._engine.steps != self._set_at and not self._have_met:
             return np.full_like(self._distance, np.nan)
         kept = np.maximum(self._distance, FADING * self._window.max(axis=0))
+        if self._engine.event_count != self._events and not self._by_work:
+            # An impact since the last meeting hands errors on from body to body.
+            kept = np.maximum(kept, kept.max(axis=0))
         return self._factor * self._growth() * kept
 
     @property

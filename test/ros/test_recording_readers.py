@@ -188,5 +188,6 @@ def test_chunks_of_the_node_do_not_overlap_in_time(log):
 def test_chunks_of_run_do_not_overlap_in_time(tmp_path, capfd):
     path = tmp_path / "run.mcap"
     assert main(["run", "four_bar", "--step", "1e-3", "--duration", "2", "--out", str(path)]) == 0
-    gaps = overlaps(path)
-    assert len(gaps) > 8 and min(gaps) > 0
+    *gaps, last = overlaps(path)
+    assert len(gaps) > 7 and min(gaps) > 0
+    assert last >= 0  # a checkpoint at the last sample ends its chunk before the event `stop`

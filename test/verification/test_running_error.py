@@ -20,7 +20,7 @@ CASES = [
     ("four_bar", "generalized_alpha", 2e-4, "none"),
     ("double_pendulum", "generalized_alpha", 1e-3, "none"),
     ("heavy_top", "constrained_rattle", 1e-3, "none"),
-    ("four_bar", "rkmk4", 4e-4, "projection"),
+    ("four_bar", "rkmk4", 5e-4, "projection"),
     ("four_bar", "rkmk2", 1e-4, "baumgarte"),
     ("double_pendulum", "rkmk4", 5e-3, "none"),
     ("double_pendulum", "constrained_rattle4", 5e-3, "none"),
@@ -49,8 +49,7 @@ def test_estimates_cover_the_true_error_through_a_push(name, method, step, stabi
 
     In many more mechanisms: benchmarks/estimate_coverage.py. Errors that oscillate pass through zero,
     where the estimate stays above them. As a function of the step too: that of the four-bar, which
-    has one degree of freedom, does so near 1 ms. At 0.6 ms it has the error that its companion has at
-    0.9 ms, so that no distance shows it.
+    has one degree of freedom, does so near 1 ms.
     """
     scene = load_scene(name)
     simulation, changes = pushed(scene, method, step, stabilisation)
@@ -120,9 +119,9 @@ def test_a_chaotic_motion_is_unpredictable_from_some_time_on():
 
 
 def test_a_companion_that_cannot_continue_makes_the_estimate_infinite():
-    """5.5 rad a step can be integrated, 3/2 of it cannot. That shows at the first checkpoint."""
+    """5.5 rad a step can be integrated, 4/3 of it cannot. That shows at the first checkpoint."""
     simulation = Simulation(load_scene("free_body"), "rkmk4")
     simulation.set_state(simulation.state()[0], [[0.0, 0.0, 5500.0, 0.0, 0.0, 0.0]])
     simulation.advance(100)
     assert np.isinf(simulation.sample().errors).all()
-    assert simulation.predictable_until == pytest.approx(12e-3)
+    assert simulation.predictable_until == pytest.approx(16e-3)
