@@ -43,7 +43,7 @@ from .lie.vec3 import load3, load9, sub3, tmatmul3
 from .model.size import mechanism_size
 
 HIGH = 8  # order from which the steps are more similar
-FIRST_MEETINGS, MEETINGS = 4, 128  # to the first checkpoint, and between two of them at most
+FIRST_MEETINGS, MEETINGS = 2, 32  # to the first checkpoint, and between two of them at most
 SUBSTEPS, MOST = 32, 8  # between checkpoints with an accuracy: substeps, and steps at most
 WINDOW, FADING = 4, 0.5  # checkpoints
 FASTEST = 8.0  # growth between two meetings that is continued until the next one

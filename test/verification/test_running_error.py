@@ -124,4 +124,4 @@ def test_a_companion_that_cannot_continue_makes_the_estimate_infinite():
     simulation.set_state(simulation.state()[0], [[0.0, 0.0, 5500.0, 0.0, 0.0, 0.0]])
     simulation.advance(100)
     assert np.isinf(simulation.sample().errors).all()
-    assert simulation.predictable_until == pytest.approx(16e-3)
+    assert simulation.predictable_until == pytest.approx(8e-3)
