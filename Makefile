@@ -17,7 +17,7 @@ endif
 # If either of the two changes, .venv is rebuilt.
 MADE = .venv/$(VERSION)-$(ROS)
 
-help: ## list the targets; ARGS="..." is passed to demo, test, quick and bench
+help: ## list the targets; ARGS="..." is passed to demo, test, plain, quick and bench
 	@sed -n 's/^\([a-z]*\):.*## /make \1 \t/p' Makefile
 
 demo: .venv/installed ## simulate, record, analyse
@@ -31,7 +31,7 @@ test: .venv/installed ## run all tests against the installed package (about 6 mi
 	@$(PYTEST) -m "not compiler" $(ARGS)
 
 plain: .venv/installed ## run the tests of the plain compilation of every method family (about 5 min)
-	@$(PYTEST) -m compiler --dist load test/core/test_plain_numba.py
+	@$(PYTEST) -m compiler --dist load test/core/test_plain_numba.py $(ARGS)
 
 quick: .venv/installed ## run the quick tests of the core (below 60 s once the kernels are compiled)
 	@$(PYTEST) -m "not slow and not compiler" test/contract test/core $(ARGS)

@@ -150,7 +150,8 @@ class Engine(Inputs, JointEvents):
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
         rows, motions = self.layout.model.forces.applied_wrench, self.layout.motions.values()
         self._timetable = Timetable(rows, self.step, motions)
-        self._warned = self._warned_singular = self._warned_endless = quiet
+        self._warned = self._warned_singular = quiet
+        self._warned_endless = self._warned_crowded = quiet
         self._start = initial_state(self.layout.centred)
         warm_up(self._touch, self._integrator.kernels)
 
@@ -393,6 +394,29 @@ class Engine(Inputs, JointEvents):
             "wanted": self._work.wanted.copy(),
         }
 
+    def _warn_of_events(self):
+        endless, crowded = self._switching.endless, self._switching.crowded
+        if endless and not self._warned_endless:
+            self._warned_endless = True
+            log.warning(
+                "At t = %.9g s impacts follow each other without end at %s: they are plastic until the end "
+                "of the step, which takes energy",
+                endless[0],
+                self._names_of_switches(endless[1]),
+            )
+        if crowded and not self._warned_crowded:
+            self._warned_crowded = True
+            log.warning(
+                "At t = %.9g s events follow each other at intervals of %.2g s at %s: each of them is found, "
+                "so the run is slow. Widen the gap, reduce the restitution, or use a compliant stop",
+                crowded[0],
+                crowded[2],
+                self._names_of_switches(crowded[1]),
+            )
+
+    def _names_of_switches(self, numbers):
+        return ", ".join(sorted({self.layout.switches[k].name for k in numbers}))
+
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Return to a snapshot of this simulation. The continuation is bit-identical."""
         self.set_state(*snapshot["state"])
@@ -477,15 +501,8 @@ class Engine(Inputs, JointEvents):
                 "If it is always in one, remove a redundant joint",
                 self.time,
             )
-        if self._switching is not None and self._switching.endless and not self._warned_endless:
-            self._warned_endless = True
-            time, numbers = self._switching.endless
-            log.warning(
-                "At t = %.9g s impacts follow each other without end at %s: they are plastic until the end "
-                "of the step, which takes energy",
-                time,
-                ", ".join(sorted({self.layout.switches[k].name for k in numbers})),
-            )
+        if self._switching is not None:
+            self._warn_of_events()
         if not self._warned and self._work.report[0] > LARGE_ROTATION**2:
             self._warned = True
             turned = math.sqrt(self._work.report[0])

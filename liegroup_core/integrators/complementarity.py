@@ -84,8 +84,10 @@ def _with(A, b, lo, hi, at):
     """(x, w) for an active set; of redundant free entries the smallest ones."""
     x = np.where(at == LOW, lo, np.where(at == HIGH, hi, 0.0))
     free = np.flatnonzero(at == FREE)
-    if len(free):
-        right = -(b + A @ x)[free]
+    right = -(b + A @ x)[free]
+    if len(free) == 1 and A[free[0], free[0]] > 0.0:
+        x[free] = right / A[free[0], free[0]]
+    elif len(free):
         x[free] = np.linalg.lstsq(A[np.ix_(free, free)], right, rcond=1e-12)[0]
     w = A @ x + b
     w[free] = 0.0

@@ -21,12 +21,12 @@ def slow(had, wanted, time, share, share_of_messages, accuracy):
 
     had, wanted : real-time factors
     time        : s
-    share       : of a core, that the integration takes in real time
+    share       : of a core, that the integration takes in real time where it takes most
     accuracy    : that holds; None with a method
     """
     return (
         f"{had:.3g} is the real-time factor at t = {time:.6g} s, of {wanted:g}: in real time the "
-        f"integration takes {_percent(share)} of a core"
+        f"integration takes up to {_percent(share)} of a core"
         + (f" at the accuracy of {accuracy:g}" if accuracy else "")
         + f", messages {_percent(share_of_messages)}"
     )

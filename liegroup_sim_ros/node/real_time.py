@@ -28,7 +28,7 @@ class RealTime:
     def __init__(self, simulation, pacer):
         self._simulation, self._pacer = simulation, pacer
         self.share = self.share_of_messages = 0.0
-        self.factor = 0.0
+        self.factor, self._most = 0.0, (0.0, 0.0)
         self.restart()
 
     def restart(self):
@@ -66,6 +66,7 @@ class RealTime:
         in_real_time = self._pacer.factor / self._advanced
         self.share = self._cpu * in_real_time
         self.share_of_messages = self._cpu_of_messages * in_real_time
+        self._most = max(self._most, (self.share, self.share_of_messages), key=sum)
         simulation = self._simulation
         steps = self._advanced / simulation.step
         substeps = (simulation.substeps[1] - self._substeps_before) / steps
@@ -91,14 +92,10 @@ class RealTime:
         self.factor = self._pacer.recent_factor()
         factor = self._pacer.factor
         before, self._slow = self._slow, running and 0.0 < self.factor < SLOW * factor
+        most, self._most = self._most, (0.0, 0.0)
         if not (before and self._slow):
             return None
         promise = self._simulation.promise
         return events.slow(
-            self.factor,
-            factor,
-            self._simulation.time,
-            self.share,
-            self.share_of_messages,
-            promise and promise["accuracy"],
+            self.factor, factor, self._simulation.time, *most, promise and promise["accuracy"]
         )

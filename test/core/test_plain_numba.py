@@ -24,11 +24,11 @@ for scene, method in json.loads(sys.argv[1]):
     results[scene + " " + method] = [array.tobytes().hex() for array in simulation.state()]
 json.dump([backend.chosen().name, results], sys.stdout)
 """
-# Plain Numba needs 20 to 75 s to compile a family, so all but one run in `make plain` only, which
-# .ci/run calls. Scenes of one family share a process, which compiles its kernels once.
+# Plain Numba needs 20 to 75 s to compile a family, so they run in `make plain` only, which
+# .ci/run calls for two of them. Scenes of one family share a process, which compiles its kernels once.
 LONG = pytest.mark.compiler
 CASES = [
-    (["lagrangian_top"], "stoermer_verlet"),
+    pytest.param(["lagrangian_top"], "stoermer_verlet", marks=LONG),
     pytest.param(["heavy_top", "ball_chain"], "rkmk4", marks=LONG),
     pytest.param(["four_bar"], "rkmk54", marks=LONG),
     pytest.param(["double_pendulum"], "generalized_alpha", marks=LONG),

@@ -3,7 +3,7 @@
 
     python test/verification/test_relative_accelerations.py [COUNT [SPACE ...]]
 
-prints a table for COUNT (500) mechanisms. As a test it takes 120, or MECHANISMS of the environment.
+prints a table for COUNT (500) mechanisms. As a test it takes 60, or MECHANISMS of the environment.
 
 What a body does must come out to the digits that its data determine. Of a body with acceleration a
 an error, in rad/s^2 or m/s^2 (bodies and arms are 0.1 to 1 m long), may be
@@ -127,7 +127,7 @@ def judged(name, seed, spaces):
 
 @pytest.mark.parametrize("name", random_mechanisms.CLASSES)
 def test_accelerations_have_the_digits_that_the_data_determine(name):
-    total = count(name, int(os.environ.get("MECHANISMS", 120)))
+    total = count(name, int(os.environ.get("MECHANISMS", 60)))
     wrong, done = [], 0
     for seed in range(total):
         results = judged(name, seed, SPACES)
@@ -160,7 +160,7 @@ def test_rounded_rows_of_the_engine_meet_the_bound_if_they_are_solved_exactly(na
 def test_every_type_of_joint_and_force_is_among_them():
     joints, forces, axes = set(), set(), set()
     for name in random_mechanisms.CLASSES:
-        for seed in range(count(name, 120)):
+        for seed in range(count(name, 60)):
             scene, wrenches = random_mechanisms.random_mechanism(name, seed)
             joints |= {joint.type for joint in scene.joints}
             forces |= {force.type for force in scene.forces}

@@ -323,9 +323,7 @@ def test_impulses_in_a_closed_loop_are_the_changes_of_momentum():
     assert world[:2] == pytest.approx(change[:2], abs=5e-3 * np.abs(change).max())
 
 
-def test_impacts_without_end_are_plastic_with_a_warning(caplog):
-    """Between two elastic stops 0.5 um apart: 20 000 impacts in a step of 10 ms; no energy is gained."""
-    scene = """
+SHUTTLE = """
 name: shuttle
 gravity: [0, 0, 0]
 bodies:
@@ -334,9 +332,26 @@ joints:
   - {name: track, type: prismatic, parent: world, child: block, parent_frame: {}, child_frame: {},
      limits: {lower: 0, upper: 5.0e-7, restitution: 1.0}}
 """
-    engine = Engine(scene_from_text(scene), "rkmk4", 1e-2)
+
+
+def test_impacts_without_end_are_plastic_with_a_warning(caplog):
+    """Between two elastic stops 0.5 um apart: 20 000 impacts in a step of 10 ms; no energy is gained."""
+    engine = Engine(scene_from_text(SHUTTLE), "rkmk4", 1e-2)
     engine.advance(2)
     messages = [record.getMessage() for record in caplog.records]
     expected = "impacts follow each other without end at track: they are plastic"
     assert sum(expected in message for message in messages) == 1
     assert engine.energy() == 0.0
+
+
+def test_events_at_very_short_intervals_are_found_with_a_warning(caplog):
+    """Between two elastic stops 50 um apart at 1 m/s: an impact each 50 us, and no energy is lost."""
+    scene = SHUTTLE.replace("5.0e-7", "5.0e-5")
+    engine = Engine(scene_from_text(scene), "rkmk4", 1e-3)
+    for _ in range(60):
+        engine.advance(1)
+    messages = [record.getMessage() for record in caplog.records]
+    expected = "events follow each other at intervals of 5e-05 s at track: each of them is found"
+    assert sum(expected in message for message in messages) == 1
+    assert engine.event_count in (1199, 1200)  # the last one is at 0.06 s
+    assert engine.energy() == 0.5

@@ -10,6 +10,7 @@ More than MOST_EVENTS in a step are a fault.
 """
 
 import functools
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -31,10 +32,17 @@ from .mode_changes import IMPACT, JointEvent, ModeChanges
 
 BEYOND = 1e-9  # rad or m: a state that is set is not this far beyond a stop
 TIME_STEP = 1e-15  # s; an event is found to this, and to round-off
+DIGIT = 1e-17  # rad, m, rad/s, m/s, N m or N: no guard is known better
+SAME_TIME = 10.0 * TIME_STEP  # s; events that are closer are one
 HALVINGS, MOST_LOOKS = 40, 400
+BEFORE, AFTER = 0.8, 1.25  # times the expected time of a zero: it is sought there at first
 # Impacts of several contacts that follow each other without end become plastic: after half of
 # MOST_EVENTS in a step, where so many are in this part of it.
 DENSE, SHORT = 50, 0.005
+CROWD, CROWDED = (
+    1000,
+    0.1,
+)  # events, and the time in s in which so many take far more time than that
 MOST_KEPT = 100_000  # events that nobody has taken
 LOOSE = 1e100  # tolerance of error control that no step fails
 
@@ -65,6 +73,7 @@ class Switching(ModeChanges):
     instants : [JointInstant] since they were taken; None: not wanted
     count   : of all events since the state was set
     endless : (time in s, switches) of the first impacts without end that became plastic, or None
+    crowded : (time in s, switches, s between two) of the first CROWD events in the time CROWDED, or None
     """
 
     def __init__(self, model, work, take, control):
@@ -77,8 +86,8 @@ class Switching(ModeChanges):
             self._at_zero[:, end] = AT_STOP * (1.0 + np.where(np.isfinite(stop), np.abs(stop), 0.0))
         self._at_zero[:, SLIDING] = RESTING
         self.instants, self.count, self.parts = None, 0, 1
-        self.endless = None
-        self._inputs = None
+        self.endless = self.crowded = self._inputs = None
+        self._crowd = 0, 0.0  # events and time from which on they are counted
         work.watch[0] = 1.0
 
     def touch(self, pose, twist, external):
@@ -97,7 +106,8 @@ class Switching(ModeChanges):
         """Forget the modes: the state was set."""
         self._work.held[:] = 0.0
         self._work.modes[:] = 0.0
-        self.events, self.count, self._inputs, self.endless = [], 0, None, None
+        self.events, self.count, self._crowd = [], 0, (0, 0.0)
+        self.endless = self.crowded = self._inputs = None
         self.instants = None if self.instants is None else []
         self.impacts = None if self.impacts is None else []
 
@@ -193,6 +203,7 @@ class Switching(ModeChanges):
                 status = self._switch(start + elapsed, state, crossed)
                 if status != OK:
                     return status
+                self._watch_crowd(start + elapsed, crossed)
             if not elapsed < h * (1.0 - 1e-13):
                 return OK
             work.clock[0], work.clock[1] = 0.0, start + elapsed
@@ -200,6 +211,14 @@ class Switching(ModeChanges):
             if status != EVENT:
                 return status
         return EVENTS_WITHOUT_END
+
+    def _watch_crowd(self, time, crossed):
+        count, since = self._crowd
+        if self.count >= count + CROWD:
+            if time - since < CROWDED and self.crowded is None:
+                between = (time - since) / (self.count - count)
+                self.crowded = time, np.argwhere(crossed)[:, 0].tolist(), between
+            self._crowd = self.count, time
 
     def _locate(self, size, state):
         """Go to the first zero of a guard in a substep.
@@ -234,29 +253,37 @@ class Switching(ModeChanges):
             _, q, rates = seen(tau)
             return sign * (q[k] - self._model.switches[stop][k]), *(sign * rates[k])
 
-        found = []
+        ends = []
         for k, c in np.argwhere(places >= 0.0):
             end = places[k, c] * size
             if not guard(end, k, c) < 0.0:
                 end = None
                 if c <= UPPER and not failed:
                     end = self._dip(guard, gap, size, k, c, failed)
-                if failed:
-                    return 0.0, None, failed[0]
-                if end is None:
-                    continue  # a guard that only seemed to dip below zero
-            found.append((self._zero(guard, end, k, c), k, c))
+            if failed:
+                return 0.0, None, failed[0]
+            if end is not None:  # else it only seemed to dip below zero
+                above = max(guard(0.0, k, c), 0.0)
+                ends.append((end * above / (above - guard(end, k, c)), end, k, c))
+        tau, crossed = size, np.zeros(places.shape, dtype=bool)
+        for _, end, k, c in sorted(ends):  # by linear interpolation
+            later = tau + SAME_TIME
+            if crossed.any():
+                if end > later and not guard(later, k, c) < 0.0:
+                    continue  # its zero is later
+                end = min(end, later)
+            if end == later and tau > SAME_TIME and guard(tau - SAME_TIME, k, c) > 0.0:
+                crossed[k, c] = True
+                continue
+            at = self._zero(guard, gap, end, k, c)
+            if at < tau - SAME_TIME:
+                crossed[:] = False
+            tau, crossed[k, c] = min(at, tau), True
         if failed:
             return 0.0, None, failed[0]
-        tau = min((entry[0] for entry in found), default=size)
         self._return(kept, *state[:2])
         status = self._single(tau, state) if tau > 0.0 else OK
-        if not found or status != OK:
-            return tau, None, status
-        crossed = np.zeros(places.shape, dtype=bool)
-        for at, k, c in found:
-            crossed[k, c] = at <= tau + 10.0 * TIME_STEP
-        return tau, crossed, OK
+        return tau, crossed if crossed.any() and status == OK else None, status
 
     def _dip(self, guard, gap, size, k, c, failed):
         """First time found at which the guard of a stop is negative in a substep, or None."""
@@ -275,10 +302,16 @@ class Switching(ModeChanges):
             spans += (middle, end), (begin, middle)
         return None
 
-    def _zero(self, guard, end, k, c):
+    def _zero(self, guard, gap, end, k, c):
         """Time of the zero of a guard before `end`, where it is negative."""
-        begin = 0.0
-        if not guard(0.0, k, c) > self._at_zero[k, c]:
+        begin, starts = 0.0, guard(0.0, k, c) > self._at_zero[k, c]
+        # Near its zero for a constant acceleration: a small part of the substep, after an impact.
+        near = _first_zero(*gap(0.0, k, c)) if c <= UPPER else end
+        if AFTER * near < end and guard(AFTER * near, k, c) < 0.0:
+            end = AFTER * near
+            if guard(BEFORE * near, k, c) > 0.0:
+                begin, starts = BEFORE * near, True
+        if not starts:
             # It starts at zero, after an event, and grows at first; else it is there already.
             begin = end
             for _ in range(HALVINGS):
@@ -287,7 +320,8 @@ class Switching(ModeChanges):
                     break
             else:
                 return 0.0
-        return brentq(guard, begin, end, args=(k, c), xtol=TIME_STEP, rtol=1e-15)
+        slope = (guard(begin, k, c) - guard(end, k, c)) / (end - begin)
+        return brentq(guard, begin, end, (k, c), max(TIME_STEP, DIGIT / slope), 1e-15)
 
     def _single(self, tau, state):
         """Take one step of size tau, or its parts, without events and without error control."""
@@ -391,3 +425,14 @@ class Switching(ModeChanges):
                 self.events.append(JointEvent(time, k, STICK))
             elif held[k] and not now[k] and self._dry[k]:
                 self.events.append(JointEvent(time, k, SLIDE))
+
+
+def _first_zero(gap, rate, acceleration):
+    """Time at which a gap closes with a constant acceleration, or inf."""
+    gap = max(gap, 0.0)
+    root = rate * rate - 2.0 * acceleration * gap
+    if root < 0.0:
+        return math.inf
+    if rate < 0.0:
+        return 2.0 * gap / (-rate + math.sqrt(root))
+    return (rate + math.sqrt(root)) / -acceleration if acceleration < 0.0 else math.inf
