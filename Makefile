@@ -27,10 +27,10 @@ demo: .venv/installed ## simulate, record, analyse
 # Two workers: more of them disturb the tests that measure time.
 PYTEST = PYTHONSAFEPATH=1 .venv/bin/python -m pytest -n 2 --dist loadfile
 
-test: .venv/installed ## run all tests against the installed package (about 6 min on two cores)
+test: .venv/installed ## run all tests against the installed package (20 to 30 min on two cores)
 	@$(PYTEST) -m "not compiler" $(ARGS)
 
-plain: .venv/installed ## run the tests of the plain compilation of every method family (about 5 min)
+plain: .venv/installed ## run the tests of the plain compilation of every method family (5 to 10 min)
 	@$(PYTEST) -m compiler --dist load test/core/test_plain_numba.py $(ARGS)
 
 quick: .venv/installed ## run the quick tests of the core (below 60 s once the kernels are compiled)

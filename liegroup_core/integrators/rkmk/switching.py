@@ -36,6 +36,7 @@ DIGIT = 1e-17  # rad, m, rad/s, m/s, N m or N: no guard is known better
 SAME_TIME = 10.0 * TIME_STEP  # s; events that are closer are one
 HALVINGS, MOST_LOOKS = 40, 400
 BEFORE, AFTER = 0.8, 1.25  # times the expected time of a zero: it is sought there at first
+NEWTON = 6  # steps, which converge or start too far away
 # Impacts of several contacts that follow each other without end become plastic: after half of
 # MOST_EVENTS in a step, where so many are in this part of it.
 DENSE, SHORT = 50, 0.005
@@ -307,6 +308,10 @@ class Switching(ModeChanges):
         begin, starts = 0.0, guard(0.0, k, c) > self._at_zero[k, c]
         # Near its zero for a constant acceleration: a small part of the substep, after an impact.
         near = _first_zero(*gap(0.0, k, c)) if c <= UPPER else end
+        if c <= UPPER and self._rigid[k]:
+            time = self._closed(guard, gap, near, end, k, c)
+            if time is not None:
+                return time
         if AFTER * near < end and guard(AFTER * near, k, c) < 0.0:
             end = AFTER * near
             if guard(BEFORE * near, k, c) > 0.0:
@@ -322,6 +327,21 @@ class Switching(ModeChanges):
                 return 0.0
         slope = (guard(begin, k, c) - guard(end, k, c)) / (end - begin)
         return brentq(guard, begin, end, (k, c), max(TIME_STEP, DIGIT / slope), 1e-15)
+
+    def _closed(self, guard, gap, near, end, k, c):
+        """Time at which a gap closes, by Newton's method from `near`, or None."""
+        time = near
+        for _ in range(NEWTON):
+            if not 0.0 < time < end:
+                return None
+            value, rate = guard(time, k, c), gap(time, k, c)[1]
+            if not rate < 0.0:
+                return None
+            change = -value / rate
+            if abs(value) <= DIGIT or abs(change) <= TIME_STEP:
+                return time
+            time += change
+        return None
 
     def _single(self, tau, state):
         """Take one step of size tau, or its parts, without events and without error control."""
