@@ -76,7 +76,7 @@ def _inlining():
     """Module inlining, if all parts of Numba that it replaces are as expected."""
     global _chosen
     inlining = _module("inlining")
-    inlining.check_signatures()
+    _module("assumed").check_signatures()
     folder = inlining.cache()
     done = None if folder is None else folder / "checked"
     if done is None or not done.exists():

@@ -3,19 +3,42 @@
 
 import operator
 
+from llvmlite import ir
 from numba.core import cgutils, types
 from numba.core.datamodel import models
 from numba.core.errors import TypingError
 from numba.core.registry import cpu_target
-from numba.extending import intrinsic, lower_builtin, register_model, typeof_impl
+from numba.extending import (
+    NativeValue,
+    intrinsic,
+    lower_builtin,
+    register_model,
+    typeof_impl,
+    unbox,
+)
 from numba.np import arrayobj
 
-from .struct_types import DATA, SHAPE, WORD, array_value, digest
+from .struct_types import WORD, digest
 from .structs import Borrowed
+
+DATA, SHAPE = 0, 1  # members of the model of an array
+
+
+def array_value(context, builder, kind, data, shape):
+    """LLVM value of an array: its address and shape."""
+    array = ir.Constant(context.get_data_type(kind), None)
+    pointer = builder.inttoptr(data, array.type.elements[DATA])
+    array = builder.insert_value(array, pointer, DATA)
+    for axis in range(kind.ndim):
+        array = builder.insert_value(array, shape[axis], (SHAPE, axis))
+    return array
 
 
 class BorrowedArray(types.Array):
-    """Type of a C-contiguous array whose references are not counted: its owner is elsewhere."""
+    """Type of a C-contiguous array whose references are not counted: its owner is elsewhere.
+
+    It is its address and its shape only, which shortens the code of every access.
+    """
 
     def __init__(self, dtype, ndim):
         super().__init__(dtype, ndim, "C")
@@ -29,23 +52,17 @@ class BorrowedArray(types.Array):
 class _BorrowedArrayModel(models.StructModel):
     def __init__(self, manager, kind):
         shape = types.UniTuple(types.intp, kind.ndim)
-        super().__init__(
-            manager,
-            kind,
-            [
-                ("meminfo", types.voidptr),
-                ("parent", types.voidptr),
-                ("nitems", types.intp),
-                ("itemsize", types.intp),
-                ("data", types.CPointer(kind.dtype)),
-                ("shape", shape),
-                ("strides", shape),
-            ],
-        )
+        super().__init__(manager, kind, [("data", types.CPointer(kind.dtype)), ("shape", shape)])
+
+
+@unbox(BorrowedArray)
+def _not_from_python(kind, array, c):
+    c.pyapi.err_set_string("PyExc_TypeError", "a borrowed array is an argument of kernels only")
+    return NativeValue(ir.Constant(c.context.get_value_type(kind), None), is_error=cgutils.true_bit)
 
 
 def _element(context, builder, kind, array, index_type, index):
-    """Address of an element; None if the index selects a subarray.
+    """Address of an element. Subarrays are not supported.
 
     Negative indices are not supported: testing for them took a third of the time of a step. With
     NUMBA_BOUNDSCHECK=1 they raise IndexError.
@@ -54,7 +71,7 @@ def _element(context, builder, kind, array, index_type, index):
     if isinstance(index_type, types.BaseTuple):
         kinds, indices = index_type.types, cgutils.unpack_tuple(builder, index)
     if len(kinds) < kind.ndim or not all(isinstance(each, types.Integer) for each in kinds):
-        return None
+        raise TypingError(f"{index_type} does not select an element of {kind}")
     place = None
     for axis, (value, each) in enumerate(zip(indices, kinds)):
         value = context.cast(builder, value, each, types.intp)
@@ -70,12 +87,6 @@ def _element(context, builder, kind, array, index_type, index):
 def _get(context, builder, signature, arguments):
     kind, index_type = signature.args
     address = _element(context, builder, kind, arguments[0], index_type, arguments[1])
-    if address is None:
-        return (
-            arrayobj.getitem_array_tuple(context, builder, signature, arguments)
-            if (isinstance(index_type, types.BaseTuple))
-            else (arrayobj.getitem_arraynd_intp(context, builder, signature, arguments))
-        )
     return arrayobj.load_item(context, builder, kind, address)
 
 
@@ -83,8 +94,6 @@ def _get(context, builder, signature, arguments):
 def _set(context, builder, signature, arguments):
     kind, index_type, value_type = signature.args
     address = _element(context, builder, kind, arguments[0], index_type, arguments[1])
-    if address is None:
-        return arrayobj.setitem_array(context, builder, signature, arguments)
     value = context.cast(builder, arguments[2], value_type, kind.dtype)
     return arrayobj.store_item(context, builder, kind, value, address)
 
@@ -102,13 +111,8 @@ def _borrow(typing_context, array):
 
     def codegen(context, builder, signature, arguments):
         given = context.make_array(array)(context, builder, arguments[0])
-        return array_value(
-            context,
-            builder,
-            kind,
-            builder.ptrtoint(given.data, WORD),
-            cgutils.unpack_tuple(builder, given.shape),
-        )
+        shape = cgutils.unpack_tuple(builder, given.shape)
+        return array_value(context, builder, kind, builder.ptrtoint(given.data, WORD), shape)
 
     return kind(array), codegen
 

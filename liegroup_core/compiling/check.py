@@ -37,10 +37,10 @@ _either = Choice("either", {Inner: _of_inner, Outer: _of_outer})
 
 
 @subroutine
-def _sum(array):
+def _sum(matrix, row):
     total = 0.0
-    for i in range(len(array)):
-        total += array[i]
+    for i in range(matrix.shape[1]):
+        total += matrix[row, i]
     return total
 
 
@@ -49,11 +49,20 @@ def _shared(outer, factor, flag):
     return outer.count * factor if flag else -1
 
 
+@shared
+def _halve(first, array):
+    array[0] *= 0.5
+    return 0
+
+
+_shared_choice = Choice("shared", {Inner: _halve, Outer: _halve})
+
+
 @kernel
 def _move(outer, array):
-    outer.inner.matrix[1, 0] = _sum(outer.inner.matrix[1]) + outer.rows[1]["vector"][2]
+    outer.inner.matrix[1, 0] = _sum(outer.inner.matrix, 1) + outer.rows[1]["vector"][2]
     outer.rows[0]["number"] = _shared(outer, 3, True) + _shared(outer, 5, outer.flag)
-    array[0] *= 0.5
+    _shared_choice(outer, array)
     return _either(outer, 2.0) + _either(outer.inner, 2.0)
 
 

@@ -41,16 +41,36 @@ def native_array(dtype, ndim):
     return types.Array(dtype, ndim, "C")
 
 
-array_type = native_array  # of the arrays in Structs
+DATA, SHAPE, STRIDES = 4, 5, 6  # members of Numba's model of an array
+
+
+def native_value(context, builder, kind, data, shape):
+    """LLVM value of an array of Numba's own type, without an owner."""
+    size = ir.Constant(WORD, context.get_abi_sizeof(context.get_data_type(kind.dtype)))
+    strides = [size]
+    for length in shape[:0:-1]:
+        strides.insert(0, builder.mul(strides[0], length))
+    count = shape[0]
+    for length in shape[1:]:
+        count = builder.mul(count, length)
+    array = ir.Constant(context.get_data_type(kind), None)
+    pointer = builder.inttoptr(data, array.type.elements[DATA])
+    for member, value in enumerate((count, size, pointer), start=2):
+        array = builder.insert_value(array, value, member)
+    for axis in range(kind.ndim):
+        array = builder.insert_value(array, shape[axis], (SHAPE, axis))
+        array = builder.insert_value(array, strides[axis], (STRIDES, axis))
+    return array
+
+
+# Type of the arrays in Structs, and the function that makes their values.
+array_type, array_value = native_array, native_value
 
 
 # Constructing the type of every field anew was half of the time to build a Simulation.
 @functools.lru_cache(maxsize=None)
 def _array_type(make, dtype, ndim):
     return make(from_dtype(dtype), ndim)
-
-
-DATA, SHAPE, STRIDES = 4, 5, 6  # members of Numba's model of an array
 
 
 class StructType(types.Type):
@@ -150,22 +170,3 @@ def _load(context, builder, struct, pointer, name):
     if kind == types.float64:
         return word(0, ir.DoubleType())
     return builder.trunc(word(0), ir.IntType(1)) if kind == types.boolean else word(0)
-
-
-def array_value(context, builder, kind, data, shape):
-    """LLVM value of an array without an owner: its references are not counted."""
-    size = ir.Constant(WORD, context.get_abi_sizeof(context.get_data_type(kind.dtype)))
-    strides = [size]
-    for length in shape[:0:-1]:
-        strides.insert(0, builder.mul(strides[0], length))
-    count = shape[0]
-    for length in shape[1:]:
-        count = builder.mul(count, length)
-    array = ir.Constant(context.get_data_type(kind), None)
-    pointer = builder.inttoptr(data, array.type.elements[DATA])
-    for member, value in enumerate((count, size, pointer), start=2):
-        array = builder.insert_value(array, value, member)
-    for axis in range(kind.ndim):
-        array = builder.insert_value(array, shape[axis], (SHAPE, axis))
-        array = builder.insert_value(array, strides[axis], (STRIDES, axis))
-    return array

@@ -19,7 +19,7 @@ import sys
 
 import numpy as np
 
-from liegroup_core.compiling import Struct, kernel
+from liegroup_core.compiling import Struct, borrowed, kernel, shared
 
 from . import (
     applied_wrench,
@@ -83,6 +83,7 @@ class Forces(Struct):
     drag: np.ndarray
     applied_wrench: np.ndarray
     counted: np.ndarray  # springs without stiffness, at joints of couplings, then of servos
+    exist: bool  # any but the last
 
 
 def make_forces(described, index, ends, counted=()):
@@ -106,12 +107,8 @@ def make_forces(described, index, ends, counted=()):
             [(*turn.fields(*ends[joint]), 0.0, 0.0, 0.0) for joint in [*counted, *servos]],
             dtype=torsional_spring_damper.ROW,
         ),
+        exist=len(described) > 0,
     )
-
-
-def has_forces(forces):
-    """True if any force but gravity acts."""
-    return any(len(getattr(forces, kind)) for kind in KINDS)
 
 
 def servos(described):
@@ -146,6 +143,20 @@ def add_wrenches(forces, angle, acting, wanted, pose, twist, wrench_out):
     wanted : (k, 2) wanted position and velocity of each servo
     pose (n, 12), twist (n, 6)
     """
+    if forces.exist:
+        _add_wrenches(
+            forces,
+            borrowed(angle),
+            borrowed(acting),
+            borrowed(wanted),
+            borrowed(pose),
+            borrowed(twist),
+            borrowed(wrench_out),
+        )
+
+
+@shared
+def _add_wrenches(forces, angle, acting, wanted, pose, twist, wrench_out):
     spring_damper.add_wrench(forces.spring_damper, pose, twist, wrench_out)
     torsional_spring_damper.add_wrench(
         forces.torsional_spring_damper, angle, pose, twist, wrench_out
@@ -157,6 +168,7 @@ def add_wrenches(forces, angle, acting, wanted, pose, twist, wrench_out):
     linear_servo.add_wrench(forces.linear_servo, wanted, pose, twist, wrench_out)
     drag.add_wrench(forces.drag, twist, wrench_out)
     applied_wrench.add_wrench(forces.applied_wrench, acting, pose, wrench_out)
+    return 0
 
 
 @kernel

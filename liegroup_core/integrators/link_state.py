@@ -5,7 +5,7 @@ The coordinates and rates of the links are the state; the bodies follow from the
 formulations/relative/coordinates.py.
 """
 
-from liegroup_core.compiling import kernel
+from liegroup_core.compiling import borrowed, kernel, shared
 from liegroup_core.formulations.relative.arrays import make_relative_work
 from liegroup_core.formulations.relative.kinds import (
     coordinates,
@@ -72,9 +72,10 @@ def begin(model, work, group, pose, twist):
             work.stage_twist[n + b, k] = twist[n + b, k]
 
 
-@kernel
+@shared
 def place(model, work, pose_out, twist_out):
     """Poses and twists of the bodies, from the links at the stage."""
     move_links(model, work)
     place_links(model, work)
-    place_bodies(model, work, pose_out, twist_out)
+    place_bodies(model, work, borrowed(pose_out), borrowed(twist_out))
+    return 0

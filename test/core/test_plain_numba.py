@@ -107,15 +107,15 @@ def test_a_changed_numba_internal_selects_plain_numba(tmp_path, change):
 
 
 def test_every_assumed_numba_signature_is_checked(monkeypatch):
-    from liegroup_core.compiling import inlining
+    from liegroup_core.compiling import assumed
 
-    inlining.check_signatures()
-    for owner, parts in inlining.ASSUMED.items():
+    assumed.check_signatures()
+    for owner, parts in assumed.ASSUMED.items():
         for part in parts:
             with monkeypatch.context() as changed:
                 changed.setattr(owner, part, lambda another: None)
                 with pytest.raises(TypeError, match=f"{owner.__name__}.{part} takes"):
-                    inlining.check_signatures()
+                    assumed.check_signatures()
 
 
 def test_without_extensions_kernels_run_as_plain_python(tmp_path):

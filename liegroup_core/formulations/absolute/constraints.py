@@ -19,7 +19,7 @@ Baumgarte's terms damp the residuals of position and velocity, gddot + 2 a gdot 
 add -2 a J V - a^2 g to the bias.
 """
 
-from liegroup_core.compiling import borrowed, kernel, subroutine
+from liegroup_core.compiling import borrowed, kernel, shared, subroutine
 from liegroup_core.joints.elements import PAIR, WORLD
 from liegroup_core.joints.kinds import variable_residual, variable_row
 from liegroup_core.joints.pairs import pair_coordinates
@@ -52,7 +52,7 @@ def _frame(pose, body, rotation, point):
     return matmul3(rot, rotation), add3(load3(pose, body, 9), matvec3(rot, point))
 
 
-@subroutine
+@shared
 def position_residuals(model, pose, residual_out):
     """Position residuals of all rows of all elements, rad and m; see joints/elements.py.
 
@@ -91,6 +91,7 @@ def position_residuals(model, pose, residual_out):
                         forbidden[6 * r + c] * angular[c] + forbidden[6 * r + 3 + c] * linear[c]
                     )
                 residual_out[first + r] = total
+    return 0
 
 
 @kernel

@@ -125,7 +125,6 @@ class RelativeModel(Struct):
         np.ndarray
     )  # (f, 2) freedoms of every link in the order of elimination, and components of
     # a twist that they are
-    has_forces: bool  # any force other than gravity
     elements: np.ndarray  # of ELEMENT: those of the cut joints, between links
     joints: np.ndarray  # (c,) of JOINT: cut elements with rows that are solved for
     owners: np.ndarray  # (c,) their elements in `space`

@@ -3,7 +3,6 @@
 
 import numpy as np
 
-from liegroup_core.forces.kinds import has_forces
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.model.build import are_unlike
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
@@ -61,7 +60,6 @@ def relative_model(scene, model, in_space=False):
             ],
             dtype=np.int64,
         ).reshape(-1, 2),
-        has_forces=has_forces(model.forces),
         elements=elements,
         **switch_arrays(scene, links, records, arrays, elements, places),
         refinements=_refinements(model, len(arrays["joints"]) > 0),

@@ -9,7 +9,7 @@ round-off of poses to them, always to the same side: 1e-15 in a step of a mechan
 
 import math
 
-from liegroup_core.compiling import kernel
+from liegroup_core.compiling import kernel, shared
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.coefficients import exp_coefficients
 from liegroup_core.lie.se3 import se3_Ad_inverse, se3_compose, se3_exp
@@ -203,7 +203,7 @@ def nearest_turn(c, s):
     return (c / length, s / length) if length > 0.0 else (1.0, 0.0)
 
 
-@kernel
+@shared
 def coordinates(model, work, pose, twist):
     """Write the rows of the links in pose and twist (n + L, ...) from the rows of the bodies.
 
@@ -289,6 +289,7 @@ def coordinates(model, work, pose, twist):
         _store_rates(
             link, sub3(load3(velocities, b, 0), w), sub3(load3(velocities, b, 3), v), twist, row
         )
+    return 0
 
 
 @kernel

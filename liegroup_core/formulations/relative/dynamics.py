@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Index-1 accelerations in relative coordinates, with applied wrenches, forces and loops."""
 
-from liegroup_core.compiling import kernel, subroutine
+from liegroup_core.compiling import kernel, shared, subroutine
 from liegroup_core.forces.external import external_wrench
 from liegroup_core.forces.kinds import add_wrenches
 from liegroup_core.lie.vec3 import store3
@@ -122,7 +122,7 @@ def balance(model, work):
     return found
 
 
-@kernel
+@shared
 def accelerations(model, work, external):
     """Accelerations of all freedoms at the stage, to work.acceleration.
 
@@ -130,7 +130,7 @@ def accelerations(model, work, external):
     returns -1, or the joint with dependent rows if the regularised solve fails too
     """
     move_links(model, work)
-    applied = model.has_forces or work.pushed[0] > 0.0
+    applied = model.space.forces.exist or work.pushed[0] > 0.0
     if applied or len(model.joints) > 0:
         place_links(model, work)
     if applied:

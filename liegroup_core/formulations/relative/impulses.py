@@ -4,8 +4,14 @@
 from liegroup_core.compiling import kernel
 
 from .coupled_rows import set_all_rows
-from .kinds import add_pair, gather, gather_forces, lift_links, spread_response
-from .loops import apply_multipliers, close_loops, set_response_residual, set_responses
+from .kinds import add_pair, gather_forces, lift_links, spread_response
+from .loops import (
+    apply_multipliers,
+    close_loops,
+    gather_alone,
+    set_response_residual,
+    set_responses,
+)
 from .matrix import REGULARISATION, factor
 
 
@@ -15,7 +21,7 @@ def factor_rows(model, work):
 
     returns -1, or the joint with dependent rows if the regularised solve fails, too
     """
-    gather(model, work)
+    gather_alone(model, work)
     if len(model.joints) == 0:
         return -1
     lift_links(model, work)

@@ -13,7 +13,7 @@ Positions are projected in the coordinates of the tree: M dq + J^T lambda = 0, J
 Newton's method, and velocities likewise: the tree stays exactly closed.
 """
 
-from liegroup_core.compiling import kernel, subroutine
+from liegroup_core.compiling import kernel, shared, subroutine
 from liegroup_core.formulations.absolute.projection import MAX_ITERATIONS, is_satisfied
 from liegroup_core.status import DEPENDENT_ROWS, NOT_PROJECTED, OK
 
@@ -22,6 +22,13 @@ from .kinds import displace, gather, lift_links, move_links, place_links, respon
 from .matrix import REGULARISATION, factor, has_small_pivot, is_off, set_shared, solve
 
 SINGULAR, POOR = -2, -3
+
+
+@shared
+def gather_alone(model, work):
+    """`gather`, compiled once for all but the accelerations, which inline it."""
+    gather(model, work)
+    return 0
 
 
 @kernel
@@ -58,7 +65,7 @@ def set_responses(model, work):
     set_shared(model, work)
 
 
-@subroutine
+@shared
 def set_loops(model, work):
     """Rows of the cut joints, and the factor of W.
 
@@ -114,7 +121,7 @@ def close_loops(model, work):
     return 0
 
 
-@subroutine
+@shared
 def project(model, work):
     """Project the links at the stage onto the cut joints, in place.
 
@@ -125,7 +132,7 @@ def project(model, work):
         move_links(model, work)
         place_links(model, work)
         lift_links(model, work)
-        gather(model, work)
+        gather_alone(model, work)
         set_all_rows(model, work)
         set_gap(model, work)
         satisfied = is_satisfied(model, work, work.world)

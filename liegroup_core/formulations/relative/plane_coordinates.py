@@ -6,7 +6,7 @@ the joint and its motion in one. Links are displaced by products from the right,
 needs the placement. Link frames have the normal of the plane as z axis.
 """
 
-from liegroup_core.compiling import kernel
+from liegroup_core.compiling import kernel, shared
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.coefficients import turn_coefficients
 from liegroup_core.lie.vec3 import (
@@ -85,7 +85,7 @@ def _place_from_body(model, work, pose, twist, b):
     store3((w, dot3(row_x, v) + py * w, dot3(row_y, v) - px * w), work.velocities, b, 0)
 
 
-@kernel
+@shared
 def coordinates(model, work, pose, twist):
     """Write the rows of the links in pose and twist (n + L, ...) from the rows of the bodies.
 
@@ -121,6 +121,7 @@ def coordinates(model, work, pose, twist):
             twist[row, 0] = vx
         else:
             store3((w - wa, vx, vy), twist, row, 0)
+    return 0
 
 
 @kernel

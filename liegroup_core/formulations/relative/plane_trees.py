@@ -159,7 +159,7 @@ def _pass_whole(work, row, b, a):
     return 0
 
 
-@subroutine
+@kernel
 def gather(model, work):
     """Articulated inertias and bias forces, from the leaves to the world."""
     n = len(model.parts)
@@ -216,7 +216,6 @@ def gather(model, work):
         xx, xy, yy = s * s * yy, -c * s * yy, c * c * yy
         fx, fy = c * fx - s * fy, s * fx + c * fy
         _add_at(work, a, x, y, ww, wx, wy, xx, xy, yy, torque, fx, fy)
-    return 0
 
 
 @subroutine

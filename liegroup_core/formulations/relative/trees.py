@@ -152,7 +152,7 @@ def _start(model, work):
         store3(sub3(force, load3(work.applied, b, 3)), work.force, b, 3)
 
 
-@subroutine
+@kernel
 def gather(model, work):
     """Articulated inertias and bias forces for work.applied, from the leaves to the world."""
     _start(model, work)
@@ -187,7 +187,6 @@ def gather(model, work):
             torque, force = add3(torque, dw), add3(force, dv)
             add_inertia(m, rot, p, work.inertia, a)
         add_wrench(torque, force, rot, p, work.force, a)
-    return 0
 
 
 @kernel

@@ -83,7 +83,7 @@ def residual(model, work, memory, numbers, group, h, pose, external):
     f = len(memory.rate)
     for r in range(len(work.multipliers)):
         work.multipliers[r] = memory.x[f + r]
-    applied = model.has_forces or work.pushed[0] > 0.0
+    applied = model.space.forces.exist or work.pushed[0] > 0.0
     move_links(model, work)
     if applied or len(model.joints) > 0:
         place_links(model, work)

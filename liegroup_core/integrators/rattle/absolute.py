@@ -169,12 +169,13 @@ def first_half(model, work, memory, h, fresh):
         k = iteration % HISTORY
         _correct(model, work, memory, h, k)
         for r in range(rows):
-            memory.target[r] += memory.corrections[k, r]
+            memory.correction[r] = memory.corrections[k, r]
+            memory.target[r] += memory.correction[r]
         status = respond(
             model,
             work,
             memory.impulse,
-            memory.corrections[k],
+            memory.correction,
             False,
             0.0,
             work.stage_pose,

@@ -19,6 +19,7 @@ class Memory(Struct):
     impulse: np.ndarray  # (n, 6) N m s and N s, right-hand side of the bodies
     target: np.ndarray  # (rows,) right-hand side of the rows: required J V', or change of J V
     corrections: np.ndarray  # (HISTORY, rows) of J V' in this substep
+    correction: np.ndarray  # (rows,) the last of them
     bias: np.ndarray  # (rows,) (2/h) J V' of the last substep
     growth: np.ndarray  # (rows,) time derivative of `bias`
     size: np.ndarray  # (1,) s, the last substep; 0: none yet
@@ -56,6 +57,7 @@ def make_memory(model):
         impulse=np.zeros((n, 6)),
         target=np.zeros(rows),
         corrections=np.zeros((HISTORY, rows)),
+        correction=np.zeros(rows),
         bias=np.zeros(rows),
         growth=np.zeros(rows),
         size=np.zeros(1),

@@ -26,17 +26,22 @@ from liegroup_core.formulations.relative.dynamics import apply_forces, solve_equ
 from liegroup_core.formulations.relative.kinds import (
     add_multipliers,
     by_space,
-    gather,
     gather_forces,
     move_links,
     normalise,
     place_links,
     spread_response,
 )
-from liegroup_core.formulations.relative.loops import close_loops, set_loops, set_response_residual
-from liegroup_core.integrators import link_state
+from liegroup_core.formulations.relative.loops import (
+    close_loops,
+    gather_alone,
+    set_loops,
+    set_response_residual,
+)
 from liegroup_core.integrators.broyden import broyden
 from liegroup_core.integrators.link_state import enter as enter
+from liegroup_core.integrators.link_state import leave as leave
+from liegroup_core.integrators.link_state import place
 from liegroup_core.integrators.motion import end_status
 from liegroup_core.status import (
     DEPENDENT_ROWS,
@@ -68,24 +73,10 @@ weigh, add_applied, set_momentum = map(_of, ("weigh", "add_applied", "set_moment
 transport, set_at_rest = map(_of, ("transport", "set_at_rest"))
 
 
-@subroutine
-def _place(model, work, pose_out, twist_out):
-    """Poses and twists of the bodies at the stage."""
-    link_state.place(model, work, borrowed(pose_out), borrowed(twist_out))
-    return 0
-
-
-@kernel
-def leave(model, work, pose, twist, pose_out, twist_out):
-    """Write poses and twists of the bodies to the caller's arrays."""
-    link_state.begin(model, work, 0, pose, twist)
-    _place(model, work, pose_out, twist_out)
-
-
 @kernel
 def _has_applied(model, work):
     """Whether anything but gravity acts."""
-    return model.has_forces or work.pushed[0] > 0.0
+    return model.space.forces.exist or work.pushed[0] > 0.0
 
 
 @subroutine
@@ -214,7 +205,7 @@ def first_half(model, work, memory, h, fresh):
     fresh : True: the matrices at the start are not factorised yet
     """
     if fresh:
-        gather(model, work)
+        gather_alone(model, work)
         if len(model.joints) > 0:
             found = set_loops(model, work)
             if found >= 0:
@@ -357,7 +348,7 @@ def keep(model, work, memory):
 def finish(model, work, h):
     """Check the end of a step, place the bodies if needed, and unwrap angles. Returns a status."""
     if len(work.angle) > 0:
-        _place(model, work, work.stage_pose, work.stage_twist)
+        place(model, work, work.stage_pose, work.stage_twist)
     status = end_status(model.space.forces, h, work.stage_pose, work.stage_twist)
     if status == OK:
         count_turns(model.space.forces, work.stage_pose, work.angle)
