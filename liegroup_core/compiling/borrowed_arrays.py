@@ -10,6 +10,7 @@ from numba.core.errors import TypingError
 from numba.core.registry import cpu_target
 from numba.extending import (
     NativeValue,
+    box,
     intrinsic,
     lower_builtin,
     register_model,
@@ -18,7 +19,7 @@ from numba.extending import (
 )
 from numba.np import arrayobj
 
-from .struct_types import WORD, digest
+from .struct_types import WORD, digest, native_array, native_value
 from .structs import Borrowed
 
 DATA, SHAPE = 0, 1  # members of the model of an array
@@ -53,6 +54,15 @@ class _BorrowedArrayModel(models.StructModel):
     def __init__(self, manager, kind):
         shape = types.UniTuple(types.intp, kind.ndim)
         super().__init__(manager, kind, [("data", types.CPointer(kind.dtype)), ("shape", shape)])
+
+
+@box(BorrowedArray)
+def _to_python(kind, array, c):
+    """NumPy's view of the memory; the owner must outlive it."""
+    native = native_array(kind.dtype, kind.ndim)
+    data = c.builder.ptrtoint(c.builder.extract_value(array, DATA), WORD)
+    shape = cgutils.unpack_tuple(c.builder, c.builder.extract_value(array, SHAPE))
+    return c.box(native, native_value(c.context, c.builder, native, data, shape))
 
 
 @unbox(BorrowedArray)
