@@ -182,7 +182,7 @@ class Layout:
     @cached_property
     def joint_forces(self):
         """JointForces of the scene."""
-        return JointForces(self.centred, self.joint_frames)
+        return JointForces(self.centred)
 
     @cached_property
     def unit_efforts(self):

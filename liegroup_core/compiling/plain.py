@@ -82,6 +82,7 @@ def _same(array):
 
 
 struct_types.array_type = struct_types.native_array
+struct_types.array_value = struct_types.native_value
 
 
 @typeof_impl.register(Kernel)

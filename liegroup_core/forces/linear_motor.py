@@ -44,12 +44,16 @@ def make_row(motor, index, ends):
 
 
 @kernel
+def effort(row, pose, twist):
+    """Force on the child, N."""
+    return row["force"] - row["slope"] * slide.rate(row, pose, twist)
+
+
+@kernel
 def add_wrench(rows, pose, twist, wrench_out):
     """Add the wrenches of all rows."""
     for e in range(len(rows)):
-        row = rows[e]
-        force = row["force"] - row["slope"] * slide.rate(row, pose, twist)
-        slide.apply(row, pose, force, wrench_out)
+        slide.apply(rows[e], pose, effort(rows[e], pose, twist), wrench_out)
 
 
 @kernel

@@ -50,14 +50,19 @@ def make_row(spring, index, ends):
 
 
 @kernel
+def effort(row, pose, twist):
+    """Force on the child, N."""
+    force = row["stiffness"] * (row["rest_position"] - slide.coordinate(row, pose))
+    if row["damping"] > 0.0:
+        force -= row["damping"] * slide.rate(row, pose, twist)
+    return force
+
+
+@kernel
 def add_wrench(rows, pose, twist, wrench_out):
     """Add the wrenches of all rows."""
     for e in range(len(rows)):
-        row = rows[e]
-        force = row["stiffness"] * (row["rest_position"] - slide.coordinate(row, pose))
-        if row["damping"] > 0.0:
-            force -= row["damping"] * slide.rate(row, pose, twist)
-        slide.apply(row, pose, force, wrench_out)
+        slide.apply(rows[e], pose, effort(rows[e], pose, twist), wrench_out)
 
 
 @kernel

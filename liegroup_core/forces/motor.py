@@ -46,13 +46,17 @@ def make_row(motor, index, ends):
 
 
 @kernel
+def effort(row, pose, twist, n):
+    """Torque on the child, N m; n: see turn.axis."""
+    return row["torque"] - row["slope"] * turn.rate(row, pose, twist, n)
+
+
+@kernel
 def add_wrench(rows, pose, twist, wrench_out):
     """Add the torques of all rows."""
     for e in range(len(rows)):
-        row = rows[e]
-        n = turn.axis(row, pose)
-        torque = row["torque"] - row["slope"] * turn.rate(row, pose, twist, n)
-        turn.apply(row, pose, n, torque, wrench_out)
+        n = turn.axis(rows[e], pose)
+        turn.apply(rows[e], pose, n, effort(rows[e], pose, twist, n), wrench_out)
 
 
 @kernel

@@ -51,15 +51,21 @@ def make_row(spring, index, ends):
 
 
 @kernel
+def effort(row, near, pose, twist, n):
+    """Torque on the child, N m; near: the angle after the last step, n: see turn.axis."""
+    torque = row["stiffness"] * (row["rest_angle"] - turn.angle(row, pose, near))
+    if row["damping"] > 0.0:
+        torque -= row["damping"] * turn.rate(row, pose, twist, n)
+    return torque
+
+
+@kernel
 def add_wrench(rows, angle, pose, twist, wrench_out):
     """Add the torques of all rows; angle: (k,) rad after the last step."""
     for e in range(len(rows)):
         row = rows[e]
         n = turn.axis(row, pose)
-        torque = row["stiffness"] * (row["rest_angle"] - turn.angle(row, pose, angle[e]))
-        if row["damping"] > 0.0:
-            torque -= row["damping"] * turn.rate(row, pose, twist, n)
-        turn.apply(row, pose, n, torque, wrench_out)
+        turn.apply(row, pose, n, effort(row, angle[e], pose, twist, n), wrench_out)
 
 
 @kernel

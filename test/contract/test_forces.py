@@ -155,7 +155,7 @@ def flat(matrices):
 def test_every_kind_is_known_everywhere():
     types = [cls.model_fields["type"].default for cls in FORCES]
     assert list(kinds.KINDS) == types
-    assert list(kinds.Forces.__dataclass_fields__) == [*types, "counted"]
+    assert list(kinds.Forces.__dataclass_fields__) == [*types, "counted", "exist"]
     assert set(EXAMPLES) == set(types)
 
 
