@@ -6,7 +6,7 @@ import inspect
 from llvmlite import binding
 from numba.core import cgutils, types
 from numba.core.base import BaseContext
-from numba.core.caching import FunctionCache
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.callconv import CPUCallConv
 from numba.core.codegen import CPUCodegen, JITCodeLibrary
 from numba.core.compiler import Compiler
@@ -67,7 +67,14 @@ ASSUMED = {
         "__init__": "self py_func",
         "load_overload": "self sig target_context",
         "save_overload": "self sig data",
-        "flush": "self",
+    },
+    IndexDataCacheFile: {
+        "__init__": "self cache_path filename_base source_stamp",
+        "load": "self key",
+        "save": "self key data",
+        "_data_name": "self number",
+        "_load_data": "self name",
+        "_save_data": "self name data",
     },
     cgutils: {
         "get_or_insert_function": "module fnty name",

@@ -19,7 +19,7 @@ from numba.extending import (
 )
 from numba.np import arrayobj
 
-from .struct_types import WORD, digest, native_array, native_value
+from .struct_types import WORD, digest, native_array, native_value, text
 from .structs import Borrowed
 
 DATA, SHAPE = 0, 1  # members of the model of an array
@@ -42,11 +42,11 @@ class BorrowedArray(types.Array):
     """
 
     def __init__(self, dtype, ndim):
-        super().__init__(dtype, ndim, "C")
+        super().__init__(dtype, ndim, "C", name=f"borrowed({dtype}, {ndim}d)")
 
     @property
     def mangling_args(self):
-        return "borrowed", (digest(self.dtype), self.ndim)
+        return "borrowed", (digest(text(self.dtype)), self.ndim)
 
 
 @register_model(BorrowedArray)

@@ -15,7 +15,6 @@ Replaced: steps of a code library (libraries.py), compiler passes (passes.py), t
 assumed.py and the package's README.md state what is assumed of Numba.
 """
 
-import hashlib
 import logging
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -24,7 +23,7 @@ import numba
 from llvmlite import binding
 from numba import njit
 from numba.core import cgutils, types
-from numba.core.caching import FunctionCache
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.datamodel import models
 from numba.core.imputils import lower_constant
 from numba.extending import intrinsic, register_model, typeof_impl
@@ -33,6 +32,7 @@ from . import borrowed_arrays, struct_types
 from .cache import cache_folder
 from .kernels import Choice, Kernel
 from .passes import Flushing, Inner, Outer
+from .struct_types import digest, text
 
 log = logging.getLogger("liegroup_core")
 
@@ -52,17 +52,41 @@ def _inner(function, always):
     )(function)
 
 
+class _Files(IndexDataCacheFile):
+    """A file for each type of arguments, without an index of them.
+
+    Numba numbers the files in an index. Two processes that compile a function for different
+    types at the same time may give both the same number: one of them later runs the code of the other.
+    """
+
+    def _name(self, key):
+        arguments, target, sources = key
+        texts = *map(text, arguments), repr(target), repr(sources)
+        return self._data_name(int(digest(*texts), 16))
+
+    def load(self, key):
+        try:
+            return self._load_data(self._name(key))
+        except FileNotFoundError:
+            return None
+
+    def save(self, key, data):
+        self._save_data(self._name(key), data)
+
+
 class _Cache(FunctionCache):
     """Disk cache: unreadable files are replaced, files that cannot be written are omitted."""
 
     warned = False
 
+    def __init__(self, function):
+        super().__init__(function)
+        self._cache_file = _Files(self.cache_path, self._impl.filename_base, None)
+
     def load_overload(self, *arguments):
         try:
             return super().load_overload(*arguments)
         except Exception:  # a truncated or corrupt file can raise any exception
-            with self._forgiving():
-                self.flush()
             return None
 
     def save_overload(self, *arguments):
@@ -96,8 +120,8 @@ class _Symbol:
 
     @property
     def name(self):
-        text = f"{self.function.__module__}.{self.function.__qualname__} {self.arguments}"
-        return f"liegroup_core.{hashlib.sha256(text.encode()).hexdigest()[:16]}"
+        function = f"{self.function.__module__}.{self.function.__qualname__}"
+        return f"liegroup_core.{digest(function, *map(text, self.arguments))}"
 
     def __call__(self):
         dispatcher = self.function.dispatcher

@@ -31,9 +31,16 @@ from .structs import Struct
 WORD = ir.IntType(64)
 
 
-def digest(kind):
-    """Short text of a type for mangled names, the same in every process."""
-    return hashlib.sha256(str(kind).encode()).hexdigest()[:8]
+def text(kind):
+    """Text of a type, the same in every process, and another one for every other type."""
+    if isinstance(kind, StructType):
+        return f"{kind} {[(name, word, text(field)) for name, word, field in kind.key[1]]}"
+    return str(kind)
+
+
+def digest(*parts):
+    """Short text that stands for other texts."""
+    return hashlib.sha256(" ".join(parts).encode()).hexdigest()[:16]
 
 
 def native_array(dtype, ndim):
@@ -96,7 +103,7 @@ class StructType(types.Type):
 
     @property
     def mangling_args(self):
-        return self.instance_class.__name__, (digest(self._fields),)
+        return self.instance_class.__name__, (digest(text(self)),)
 
 
 register_model(StructType)(models.OpaqueModel)

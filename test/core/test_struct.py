@@ -206,7 +206,7 @@ def test_subnormals_are_flushed_to_zero_only_in_steps(numbers, ended):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("harm", ["nothing", "index", "code", "full"])
+@pytest.mark.parametrize("harm", ["nothing", "empty", "code", "full"])
 def test_cached_kernels_load_despite_a_damaged_cache(tmp_path, harm):
     """Also where a file of it is damaged, or no file can be written, as on a full disk; the caller
     of a shared function is loaded before that.
@@ -256,13 +256,42 @@ def test_cached_kernels_load_despite_a_damaged_cache(tmp_path, harm):
             assert run(nothing_is_written, told=1) == [[7, -11], 2]
         return
     assert run() == [[7, -11], 2]
-    files = sorted(tmp_path.glob("cache/*/**/*.nb" + {"index": "i"}.get(harm, "c")))
+    files = sorted(tmp_path.glob("cache/*/**/*.nbc"))
     assert len(files) >= 2
     if harm != "nothing":
         for file in files:
             file.write_bytes(file.read_bytes()[:40] if harm == "code" else b"")
         assert run() == [[7, -11], 2]
     assert run() == [[7, -11], 0]
+
+
+@pytest.mark.slow
+def test_the_file_of_compiled_code_depends_on_the_types_alone(tmp_path):
+    """Else processes that compile for different types at once would overwrite each other's code."""
+    if not compiled() or backend.chosen().cache() is None:
+        pytest.skip("nothing is compiled, or nothing is kept")
+    (tmp_path / "kernels.py").write_text("""if True:
+        import numpy as np
+        from liegroup_core.compiling import kernel
+        @kernel
+        def first(values):
+            return values[0] + 1
+        """)
+
+    def files(*types):
+        folder = tmp_path / "-".join(types)
+        calls = [f"first(np.zeros(2, dtype={kind!r}))" for kind in types]
+        code = f"from kernels import *; {'; '.join(calls)}"
+        subprocess.run(
+            [sys.executable, "-c", f"import sys; sys.path.append({str(tmp_path)!r}); {code}"],
+            check=True,
+            env={**os.environ, "LIEGROUP_CACHE_DIR": str(folder)},
+        )
+        return {file.name for file in folder.glob("*/*/kernels*.nb*")}
+
+    numbers, integers = files("f8"), files("i8")
+    assert len(numbers) == len(integers) == 1 and not numbers & integers
+    assert files("i8", "f8") == numbers | integers
 
 
 @pytest.mark.parametrize("again", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])

@@ -111,7 +111,7 @@ def drive(client, tmp_path, scene, task, name="sim_node"):
         "scene": scene,
         "joint_state_rate": 500.0,
         "clock_rate": 500.0,
-        "real_time_factor": 0.5,  # a busy machine delays the controller by half as much of its time
+        "real_time_factor": 0.25,  # a busy machine delays the controller by a quarter as much of its time
         "command_timeout": 0.5,
         "command_stamps": "false",
         "start_paused": "true",
