@@ -33,6 +33,7 @@ bodies:
 
 PATIENCE = 30.0  # s; for what takes at most 3 s on an idle machine
 COMPILING = 180.0  # s; the first start on a machine compiles
+UNDISCOVERED = 10.0  # s
 
 
 def _free_domain():
@@ -163,6 +164,8 @@ class Client:
         """
         if name not in self._clients:
             self._clients[name] = self.node.create_client(service, name)
+            # The answer to the first request is lost if the service has not yet discovered the client.
+            again = min(again, UNDISCOVERED)
         client = self._clients[name]
         self.until(client.service_is_ready, COMPILING, f"service {name}")
         futures, sent = [], -math.inf
