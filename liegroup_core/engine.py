@@ -565,8 +565,8 @@ class Engine(Inputs, JointEvents):
         if len(work.motions):
             # The middle is away from all changes: round-off has no influence.
             work.motions[:] = self.layout.motions_at(start + 0.5 * h, self._commanded)
-        whole = h == self.step and start == self.time
-        work.clock[:] = self.steps if whole else 0.0, 0.0 if whole else start, start
+        clock, whole = work.clock, h == self.step and start == self.time
+        clock[0], clock[1], clock[2] = (self.steps, 0.0, start) if whole else (0.0, start, start)
 
     def _joint_name(self, element):
         """Name of the scene joint to which an element of the model belongs, or of a coupling."""

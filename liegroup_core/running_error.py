@@ -34,7 +34,7 @@ import math
 
 import numpy as np
 
-from .compiling import kernel
+from .compiling import SameTypes, kernel
 from .engine import BAUMGARTE_STEPS, Engine
 from .errors import SimulationError
 from .forces.schedule import DRIVE, SERVO
@@ -60,7 +60,9 @@ _KEPT = (
     "_substeps",
     "_alive",
     "_distance",
+    "_largest",
     "_window",
+    "_windows_largest",
     "checkpoints",
     "predictable_until",
 )
@@ -95,6 +97,11 @@ def distances(pose, twist, other_pose, other_twist, out):
     return position, angle
 
 
+def _largest(distance):
+    """Largest m and rad of distances (n, 4), as `distances` returns them."""
+    return tuple(distance[:, :2].max(axis=0).tolist())
+
+
 class RunningError:
     """Estimate of the global error of an Engine; `follow` keeps it up to date.
 
@@ -120,6 +127,7 @@ class RunningError:
         n = len(engine.layout.body_names)
         self._distance = np.zeros((n, 4))
         self._window = np.zeros((WINDOW, n, 4))
+        self._distances = SameTypes(distances)
         self._compare()  # compiles it
         self.restart()
 
@@ -153,6 +161,8 @@ class RunningError:
         self._block = self._substeps = 0  # steps to the next checkpoint, substeps at the last one
         self._alive = True
         self._distance[:] = self._window[:] = 0.0
+        # Largest m and rad of all bodies, of the distance and of each part of the window.
+        self._largest, self._windows_largest = (0.0, 0.0), [(0.0, 0.0)] * WINDOW
         self.checkpoints = 0
         self.predictable_until = math.inf
         self._events = self._engine.event_count
@@ -200,13 +210,15 @@ class RunningError:
         except SimulationError:
             self._alive = False
             self._distance[:] = np.inf
-            self._keep(math.inf, math.inf)
+            self._largest = math.inf, math.inf
+            self._keep()
             return
-        largest = self._compare()
+        self._compare()
         if steps == self._next:
-            self._adapt()
+            if self._by_work:
+                self._adapt()
             self._next = self._next_checkpoint(steps)
-            self._keep(*largest)
+            self._keep()
 
     def _adapt(self):
         """Set the number of steps to the next checkpoint from the substeps since the last one."""
@@ -226,12 +238,16 @@ class RunningError:
 
     def _compare(self):
         self._events = self._engine.event_count
-        return distances(*self._engine.at_bodies(), *self._companion.at_bodies(), self._distance)
+        self._largest = self._distances(
+            *self._engine.at_bodies(), *self._companion.at_bodies(), self._distance
+        )
 
-    def _keep(self, position, angle):
-        """Store the distance of a checkpoint, the largest in m and rad."""
-        self._window[self.checkpoints % WINDOW] = self._distance
+    def _keep(self):
+        """Store the distance of a checkpoint."""
+        part = self.checkpoints % WINDOW
+        self._window[part], self._windows_largest[part] = self._distance, self._largest
         self.checkpoints += 1
+        position, angle = self._largest
         if self._factor * max(position / self.size, angle) > UNPREDICTABLE:
             self.predictable_until = min(self.predictable_until, self._engine.time)
 
@@ -243,8 +259,14 @@ class RunningError:
     @property
     def largest(self):
         """Largest estimated error of a pose: parts of the mechanism's size, or rad."""
-        position, angle = self.errors()[:, :2].max(axis=0)
-        return max(float(position) / self.size, float(angle))
+        if self._unknown:
+            return math.nan
+        position, angle = (
+            max(now, FADING * max(before))
+            for now, before in zip(self._largest, zip(*self._windows_largest))
+        )
+        factor = self._factor * self._growth()
+        return max(factor * position / self.size, factor * angle)
 
     def snapshot(self):
         """Copy of the estimate and of its companion, for `restore`."""
@@ -317,10 +339,12 @@ class RunningError:
         self.predictable_until = float(own[7])
         self._distance[:] = distance.reshape(n, 4)
         self._window[:] = window.reshape(WINDOW, n, 4)
+        self._largest = _largest(self._distance)
+        self._windows_largest = [_largest(part) for part in self._window]
 
     def errors(self):
         """(n, 4) estimates of the errors of the bodies: m, rad, m/s, rad/s."""
-        if self._engine.steps != self._set_at and not self._have_met:
+        if self._unknown:
             return np.full_like(self._distance, np.nan)
         kept = np.maximum(self._distance, FADING * self._window.max(axis=0))
         if self._engine.event_count != self._events and not self._by_work:
@@ -329,17 +353,18 @@ class RunningError:
         return self._factor * self._growth() * kept
 
     @property
-    def _have_met(self):
-        if self._start is None:
+    def _unknown(self):
+        """Whether the two have not met since the state was set."""
+        if self._engine.steps == self._set_at or not self._alive:
             return False
-        return not self._alive or self._companion.steps > self._start // self.ours * self._theirs
+        return (
+            self._start is None or self._companion.steps <= self._start // self.ours * self._theirs
+        )
 
     def _growth(self):
         """With an accuracy: growth since the last checkpoint, as between the two before."""
         if not self._by_work or self.checkpoints < 2 or not self._block:
             return 1.0
         stale = 1.0 - (self._next - self._engine.steps) / self._block
-        last, before = (
-            float(self._window[(self.checkpoints - k) % WINDOW, :, :2].max()) for k in (1, 2)
-        )
+        last, before = (max(self._windows_largest[(self.checkpoints - k) % WINDOW]) for k in (1, 2))
         return min(FASTEST, max(1.0, last / before)) ** stale if before > 0.0 else 1.0

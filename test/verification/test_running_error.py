@@ -125,3 +125,30 @@ def test_a_companion_that_cannot_continue_makes_the_estimate_infinite():
     simulation.advance(100)
     assert np.isinf(simulation.sample().errors).all()
     assert simulation.predictable_until == pytest.approx(8e-3)
+
+
+@pytest.mark.parametrize("arguments", [{"accuracy": 1e-6}, {"method": "rkmk4", "step": 1e-3}])
+def test_the_largest_error_is_that_of_the_samples(arguments):
+    """Bit for bit, at all times; also after a return to a snapshot."""
+    scene = load_scene("double_pendulum")
+    simulation = Simulation(scene, **arguments)
+    size = Simulation(scene).promise["length"]
+
+    def check(steps):
+        found = []
+        for _ in range(steps):
+            simulation.advance(1)
+            position, angle = (
+                np.array([list(e) for e in simulation.sample().error.values()])[:, :2]
+            ).max(axis=0)
+            found.append(simulation.largest_error)
+            same = max(position / size, angle)
+            assert found[-1] == same or (math.isnan(same) and math.isnan(found[-1]))
+        return found
+
+    check(90)
+    kept = simulation.snapshot()
+    later = check(90)
+    assert min(later) > 0.0
+    simulation.restore(kept)
+    assert check(90) == later
