@@ -474,19 +474,12 @@ class Engine(Inputs, JointEvents):
     def _advance(self, steps):
         end = self.steps + steps
         while True:
+            change = min(end, self._timetable.next_change(self.steps))
             if self._schedule:
                 start = self._schedule.boundary(self.steps)
                 self._change_wrenches(start.time, self._schedule.update(start))
-            inside = self._times_inside()
-            wanted = (
-                min(
-                    end,
-                    self._schedule.next_change(self.steps),
-                    self._timetable.next_change(self.steps),
-                )
-                - self.steps
-            )
-            done, status = self._take_steps(wanted, inside)
+                change = min(change, self._schedule.next_change(self.steps))
+            done, status = self._take_steps(change - self.steps, self._times_inside())
             self.steps += done
             if status != OK:
                 raise SimulationError(self._explain(status), status & 0xFF)

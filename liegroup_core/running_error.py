@@ -39,7 +39,7 @@ from .engine import BAUMGARTE_STEPS, Engine
 from .errors import SimulationError
 from .forces.schedule import DRIVE, SERVO
 from .integrators.methods import METHODS
-from .lie.vec3 import load3, load9, sub3, tmatmul3
+from .lie.vec3 import cross3, load3, load9, matvec3, sub3, tmatmul3
 from .model.size import mechanism_size
 
 HIGH = 8  # order from which the steps are more similar
@@ -79,18 +79,22 @@ def _norm(v):
 
 
 @kernel
-def distances(pose, twist, other_pose, other_twist, out):
-    """Distances of two states per body, out (n, 4): m, rad, m/s, rad/s; twists in body axes.
+def distances(com, pose, twist, other_pose, other_twist, out):
+    """Distances of the body frames of two states, out (n, 4): m, rad, m/s, rad/s; twists in body axes.
 
+    com : (n, 3) m, of the frames at the centres of mass, to which the states refer, in body frames
     returns the largest m and rad
     """
     position = angle = 0.0
     for i in range(len(pose)):
+        c, mine, other = load3(com, i, 0), load9(pose, i, 0), load9(other_pose, i, 0)
         d = sub3(load3(pose, i, 9), load3(other_pose, i, 9))
-        r = tmatmul3(load9(pose, i, 0), load9(other_pose, i, 0))
+        d = sub3(d, sub3(matvec3(mine, c), matvec3(other, c)))
+        r = tmatmul3(mine, other)
         sine = 0.5 * (r[7] - r[5]), 0.5 * (r[2] - r[6]), 0.5 * (r[3] - r[1])
         w = sub3(load3(twist, i, 0), load3(other_twist, i, 0))
         v = sub3(load3(twist, i, 3), load3(other_twist, i, 3))
+        v = sub3(v, cross3(w, c))
         out[i, 0], out[i, 2], out[i, 3] = _norm(d), _norm(v), _norm(w)
         out[i, 1] = math.atan2(_norm(sine), 0.5 * (r[0] + r[4] + r[8] - 1.0))
         position, angle = max(position, out[i, 0]), max(angle, out[i, 1])
@@ -238,8 +242,14 @@ class RunningError:
 
     def _compare(self):
         self._events = self._engine.event_count
+        mine, other = self._engine, self._companion
         self._largest = self._distances(
-            *self._engine.at_bodies(), *self._companion.at_bodies(), self._distance
+            mine.layout.offsets.com,
+            mine._pose,
+            mine._twist,
+            other._pose,
+            other._twist,
+            self._distance,
         )
 
     def _keep(self):
