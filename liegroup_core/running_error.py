@@ -373,7 +373,7 @@ class RunningError:
 
     def _growth(self):
         """With an accuracy: growth since the last checkpoint, as between the two before."""
-        if not self._by_work or self.checkpoints < 2 or not self._block:
+        if not (self._by_work and self._alive and self._block) or self.checkpoints < 2:
             return 1.0
         stale = 1.0 - (self._next - self._engine.steps) / self._block
         last, before = (max(self._windows_largest[(self.checkpoints - k) % WINDOW]) for k in (1, 2))

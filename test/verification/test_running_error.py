@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from true_error import distance_at
 
-from liegroup_core import Simulation, load_scene
+from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.reference import Reference, WrenchChange
 
 FORCE = {"heavy_top": 40.0, "four_bar": 5.0, "double_pendulum": 2.0, "free_body": 20.0}  # N
@@ -152,3 +152,20 @@ def test_the_largest_error_is_that_of_the_samples(arguments):
     assert min(later) > 0.0
     simulation.restore(kept)
     assert check(90) == later
+
+
+@pytest.mark.parametrize("arguments", [{"accuracy": 1e-4}, {"method": "rkmk4", "step": 1e-3}])
+def test_without_its_companion_the_estimate_is_infinite_to_the_end(arguments, monkeypatch):
+    simulation = Simulation(load_scene("free_body"), quiet=True, **arguments)
+    simulation.advance(200)
+    assert 0.0 < simulation.largest_error < 1.0
+
+    def stop(steps):
+        raise SimulationError("stopped")
+
+    monkeypatch.setattr(simulation._running._companion, "advance_to", stop)
+    for _ in range(3):
+        simulation.advance(4000)
+        assert simulation.largest_error == math.inf
+        assert all(np.isinf(error).all() for error in simulation.sample().error.values())
+    assert simulation.predictable_until < simulation.time
