@@ -8,10 +8,11 @@ method of order p then follows from the distance d = |x_h - x_qh| of the two sta
     order seen     : d / (q^p - 1), the errors being c h^p and c (q h)^p
     order not seen : about d, the two errors being independent of each other
 
-The estimate is SAFETY times a geometric mean of the two, with the weight SEEN on the first, and at
-least LEAST times d. They are close enough to each other (a factor of 2 for p = 4, of 3 for p = 8) that
-nothing has to be decided. For q = 2 the factor is 15 and 255: whether the order is seen has to be found
-from a third run, and is often found wrongly.
+The estimate is the larger of the two, the first one times SEEN. They are close to each other (a factor
+of 2 for p = 4, of 3 for p = 8), so nothing has to be decided. For q = 2 the factor is 15 and 255:
+whether the order is seen has to be found from a third run, and is often found wrongly. It is multiplied
+by up to 1 + LARGE, in proportion up to NOT_SMALL of the mechanism: two errors of that size do not
+follow the linearised motion, and their difference may be a fraction of either by chance.
 
 The two meet every 4 or 6 steps. An estimate is that of the last meeting, or
 FADING times the largest of the last checkpoints if that is more: a distance may pass through zero where
@@ -48,8 +49,9 @@ SUBSTEPS, MOST = 32, 8  # between checkpoints with an accuracy: substeps, and st
 WINDOW, FADING = 4, 0.5  # checkpoints
 FASTEST = 8.0  # growth between two meetings that is continued until the next one
 PARTS = 2  # of the step that leads to an event, whose size does not depend on that of the others
-SAFETY, SEEN, SEEN_CONTROLLED = 2.0, 0.6, 0.8
-LEAST = 0.5  # part of the distance: where the order is not seen it may all be the simulation's
+SEEN = 1.25
+LEAST, LEAST_CONTROLLED = 1.0, 0.8  # of the distance, where the order is not seen
+LARGE, NOT_SMALL = 3.0, 0.05
 # Of the mechanism's size, and rad: an error of this size makes a motion unpredictable.
 UNPREDICTABLE = 0.1
 _KEPT = (
@@ -121,8 +123,8 @@ class RunningError:
         # Steps of the engine and of its companion in the same time.
         self.ours, self._theirs = (4, 1) if controlled else (4, 3) if order < HIGH else (6, 5)
         ratio = 4.0 / 3.0 if controlled else self.ours / self._theirs
-        seen = (ratio**order - 1.0) ** (SEEN_CONTROLLED if controlled else SEEN)
-        self._factor = max(LEAST, SAFETY / seen)
+        least = LEAST_CONTROLLED if controlled else LEAST
+        self._factor = max(least, SEEN / (ratio**order - 1.0))
         self.size = mechanism_size(engine.layout.model) or 1.0
         step = self.ours / self._theirs * engine.step
         self._companion = self._make_companion(step, ratio**order)
@@ -257,8 +259,7 @@ class RunningError:
         part = self.checkpoints % WINDOW
         self._window[part], self._windows_largest[part] = self._distance, self._largest
         self.checkpoints += 1
-        position, angle = self._largest
-        if self._factor * max(position / self.size, angle) > UNPREDICTABLE:
+        if self.largest > UNPREDICTABLE:
             self.predictable_until = min(self.predictable_until, self._engine.time)
 
     @property
@@ -271,12 +272,22 @@ class RunningError:
         """Largest estimated error of a pose: parts of the mechanism's size, or rad."""
         if self._unknown:
             return math.nan
-        position, angle = (
+        position, angle = self._kept_largest()
+        scale = self._scale(position, angle)
+        return max(scale * position / self.size, scale * angle)
+
+    def _kept_largest(self):
+        """Largest m and rad of the distances that count now."""
+        return tuple(
             max(now, FADING * max(before))
             for now, before in zip(self._largest, zip(*self._windows_largest))
         )
+
+    def _scale(self, position, angle):
+        """Estimate divided by distance, for a largest distance in m and rad."""
         factor = self._factor * self._growth()
-        return max(factor * position / self.size, factor * angle)
+        error = factor * max(position / self.size, angle)
+        return factor * (1.0 + LARGE * min(1.0, error / NOT_SMALL))
 
     def snapshot(self):
         """Copy of the estimate and of its companion, for `restore`."""
@@ -360,7 +371,7 @@ class RunningError:
         if self._engine.event_count != self._events and not self._by_work:
             # An impact since the last meeting hands errors on from body to body.
             kept = np.maximum(kept, kept.max(axis=0))
-        return self._factor * self._growth() * kept
+        return self._scale(*self._kept_largest()) * kept
 
     @property
     def _unknown(self):
