@@ -26,6 +26,9 @@ With error control the companion takes four steps in one: in steps as short as t
 the last substep of each, which ends with the step, would often make the substeps of both equal. Without
 an accuracy its substeps are at most 4/3 of a step; with one its tolerances alone limit them.
 
+What both runs get wrong alike, whatever the step, is no distance: see integrators/added_inertia.py. There
+the estimate is infinite.
+
 Coverage, that is estimate against true error: benchmarks/estimate_coverage.py,
 test/verification/test_running_error.py.
 """
@@ -35,13 +38,14 @@ import math
 
 import numpy as np
 
-from .compiling import SameTypes, kernel
+from .compiling import SameTypes
 from .engine import BAUMGARTE_STEPS, Engine
 from .errors import SimulationError
 from .forces.schedule import DRIVE, SERVO
+from .integrators.added_inertia import AddedInertia
 from .integrators.methods import METHODS
-from .lie.vec3 import cross3, load3, load9, matvec3, sub3, tmatmul3
 from .model.size import mechanism_size
+from .observables.distances import distances, largest_of
 
 HIGH = 8  # order from which the steps are more similar
 FIRST_MEETINGS, MEETINGS = 2, 32  # to the first checkpoint, and between two of them at most
@@ -70,44 +74,6 @@ _KEPT = (
 )
 
 
-@kernel
-def _norm(v):
-    """Norm of a vector, without underflow or overflow of the squares."""
-    size = max(abs(v[0]), abs(v[1]), abs(v[2]))
-    if not 0.0 < size < math.inf:
-        return size
-    x, y, z = v[0] / size, v[1] / size, v[2] / size
-    return size * math.sqrt(x * x + y * y + z * z)
-
-
-@kernel
-def distances(com, pose, twist, other_pose, other_twist, out):
-    """Distances of the body frames of two states, out (n, 4): m, rad, m/s, rad/s; twists in body axes.
-
-    com : (n, 3) m, of the frames at the centres of mass, to which the states refer, in body frames
-    returns the largest m and rad
-    """
-    position = angle = 0.0
-    for i in range(len(pose)):
-        c, mine, other = load3(com, i, 0), load9(pose, i, 0), load9(other_pose, i, 0)
-        d = sub3(load3(pose, i, 9), load3(other_pose, i, 9))
-        d = sub3(d, sub3(matvec3(mine, c), matvec3(other, c)))
-        r = tmatmul3(mine, other)
-        sine = 0.5 * (r[7] - r[5]), 0.5 * (r[2] - r[6]), 0.5 * (r[3] - r[1])
-        w = sub3(load3(twist, i, 0), load3(other_twist, i, 0))
-        v = sub3(load3(twist, i, 3), load3(other_twist, i, 3))
-        v = sub3(v, cross3(w, c))
-        out[i, 0], out[i, 2], out[i, 3] = _norm(d), _norm(v), _norm(w)
-        out[i, 1] = math.atan2(_norm(sine), 0.5 * (r[0] + r[4] + r[8] - 1.0))
-        position, angle = max(position, out[i, 0]), max(angle, out[i, 1])
-    return position, angle
-
-
-def _largest(distance):
-    """Largest m and rad of distances (n, 4), as `distances` returns them."""
-    return tuple(distance[:, :2].max(axis=0).tolist())
-
-
 class RunningError:
     """Estimate of the global error of an Engine; `follow` keeps it up to date.
 
@@ -134,6 +100,7 @@ class RunningError:
         self._distance = np.zeros((n, 4))
         self._window = np.zeros((WINDOW, n, 4))
         self._distances = SameTypes(distances)
+        self._added = AddedInertia.of(METHODS[engine.method], engine.layout.model)
         self._compare()  # compiles it
         self.restart()
 
@@ -215,11 +182,14 @@ class RunningError:
             self._companion.advance_to(steps // self.ours * self._theirs)
         except SimulationError:
             self._alive = False
-            self._distance[:] = np.inf
-            self._largest = math.inf, math.inf
+            self._set_infinite()
             self._keep()
             return
         self._compare()
+        if self._added is not None:
+            own, steps = self._engine, self._engine.steps - self._set_at
+            if self._added.wrong_turn(own._twist, own.step, steps) > UNPREDICTABLE:
+                self._set_infinite()
         if steps == self._next:
             if self._by_work:
                 self._adapt()
@@ -253,6 +223,10 @@ class RunningError:
             other._twist,
             self._distance,
         )
+
+    def _set_infinite(self):
+        self._distance[:] = np.inf
+        self._largest = math.inf, math.inf
 
     def _keep(self):
         """Store the distance of a checkpoint."""
@@ -360,8 +334,8 @@ class RunningError:
         self.predictable_until = float(own[7])
         self._distance[:] = distance.reshape(n, 4)
         self._window[:] = window.reshape(WINDOW, n, 4)
-        self._largest = _largest(self._distance)
-        self._windows_largest = [_largest(part) for part in self._window]
+        self._largest = largest_of(self._distance)
+        self._windows_largest = [largest_of(part) for part in self._window]
 
     def errors(self):
         """(n, 4) estimates of the errors of the bodies: m, rad, m/s, rad/s."""
