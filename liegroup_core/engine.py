@@ -389,7 +389,7 @@ class Engine(Inputs, JointEvents):
         return {
             "state": (*self.state(), self.steps, self._work.angle.copy()),
             "memory": Engine.memory(self),
-            "schedule": copy.deepcopy(self._schedule),
+            "schedule": self._schedule.copy(),
             "external": self._external.copy(),
             "wanted": self._work.wanted.copy(),
         }
@@ -419,9 +419,10 @@ class Engine(Inputs, JointEvents):
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Return to a snapshot of this simulation. The continuation is bit-identical."""
-        self.set_state(*snapshot["state"])
+        self._pose[:], self._twist[:], self.steps, self._work.angle[:] = snapshot["state"]
+        self._integrator.restart()
         Engine._remember(self, snapshot["memory"])
-        self._schedule = copy.deepcopy(snapshot["schedule"])
+        self._schedule, self._applied = snapshot["schedule"].copy(), []
         self._external[:] = snapshot["external"]
         self._work.wanted[:] = snapshot["wanted"]
         self._commanded[:] = self._schedule.total[DRIVE]
@@ -476,13 +477,11 @@ class Engine(Inputs, JointEvents):
         while True:
             change = min(end, self._timetable.next_change(self.steps))
             if self._schedule:
-                start = self._schedule.boundary(self.steps)
-                self._change_wrenches(start.time, self._schedule.update(start))
+                self._update_wrenches()
                 change = min(change, self._schedule.next_change(self.steps))
             done, status = self._take_steps(change - self.steps, self._times_inside())
             self.steps += done
-            if status != OK:
-                raise SimulationError(self._explain(status), status & 0xFF)
+            self._checked(status)
             if self.steps >= end:
                 break
         if self._work.report[2] and not self._warned_singular:
@@ -509,34 +508,61 @@ class Engine(Inputs, JointEvents):
                 LARGE_ROTATION / turned * self.step,
             )
 
+    def peek(self, steps: int, part: float) -> tuple[Floats, Floats]:
+        """State after some steps and a part of one, as `state`; the present one stays.
+
+        Raises SimulationError, as `advance`.
+        """
+        kept = Engine.snapshot(self)
+        try:
+            self._advance(steps)
+            if part:
+                self._update_wrenches()
+                end = (self.steps + part) * self.step
+                inside = [time for time in self._times_inside() if time < end]
+                self._checked(self._take_in_parts(inside, part * self.step, end))
+            return self.state()
+        finally:
+            Engine.restore(self, kept)
+
+    def _update_wrenches(self):
+        """Let the wrenches act that start at the present step."""
+        start = self._schedule.boundary(self.steps)
+        self._change_wrenches(start.time, self._schedule.update(start))
+
+    def _checked(self, status):
+        if status != OK:
+            raise SimulationError(self._explain(status), status & 0xFF)
+
     def _take_steps(self, steps, inside):
         """Take steps in which no wrench changes, or one step in parts if one changes.
 
         inside : times inside the first step at which a wrench may start or end
         returns (steps done, status)
         """
-        start = self.steps * self.step
         if not inside or steps == 0:
-            return self._integrate(start, self.step, steps)
+            return self._integrate(self.time, self.step, steps)
         good = self._pose.copy(), self._twist.copy(), self._work.angle.copy()
-        begin = start
+        status = self._take_in_parts(inside, self.step, (self.steps + 1) * self.step)
+        if status != OK:
+            self._pose[:], self._twist[:], self._work.angle[:] = good
+            self._integrator.restart()
+            return 0, status
+        return 1, OK
+
+    def _take_in_parts(self, inside, h, end):
+        """Take a step of size h, up to a time, in parts between the times inside; returns a status."""
+        start = begin = self.time
         for time in sorted(inside):
             changed = self._schedule.update(Instant(self.steps, time))
             # A part ends only where a total changes: the recorded totals repeat the same parts.
             if changed or time in self._timetable.inside(self.steps):
                 status = self._take_part(begin, time - begin)
                 if status != OK:
-                    break
+                    return status
                 self._change_wrenches(time, changed)
                 begin = time
-        else:
-            last = self.step if begin == start else (self.steps + 1) * self.step - begin
-            status = self._take_part(begin, last)
-        if status != OK:
-            self._pose[:], self._twist[:], self._work.angle[:] = good
-            self._integrator.restart()
-            return 0, status
-        return 1, OK
+        return self._take_part(begin, h if begin == start else end - begin)
 
     def _take_part(self, start, h):
         """Take a part of a step of size h from a time on; returns a status."""

@@ -14,12 +14,14 @@ whether the order is seen has to be found from a third run, and is often found w
 by up to 1 + LARGE, in proportion up to NOT_SMALL of the mechanism: two errors of that size do not
 follow the linearised motion, and their difference may be a fraction of either by chance.
 
-The two meet every 4 or 6 steps. An estimate is that of the last meeting, or
-FADING times the largest of the last checkpoints if that is more: a distance may pass through zero where
-the error does not.
+The two meet every 4 or 6 steps. Whoever reads an estimate in between gets that of the present step: the
+companion goes there by whole steps and a part of one, and returns (`Engine.peek`). An estimate is at
+least FADING times the largest of the last checkpoints: a distance may pass through zero where the error
+does not.
 Checkpoints, after MEETINGS of them and more often at the start, depend on the step count alone, so that
 a repeated run has bit-identical estimates. With an accuracy the two meet at checkpoints only, after
-about SUBSTEPS substeps; an error that grew is taken to grow on until the next one. If the companion
+about SUBSTEPS substeps, and no estimate in between is computed: an error that grew is taken to grow on
+until the next one. If the companion
 cannot continue, the estimate is infinite from then on. Before the first meeting it is NaN.
 
 With error control the companion takes four steps in one: in steps as short as those of the simulation
@@ -97,7 +99,7 @@ class RunningError:
         if controlled and not by_work:
             self._companion.limit_substeps(ratio * engine.step)
         n = len(engine.layout.body_names)
-        self._distance = np.zeros((n, 4))
+        self._distance, self._seen = np.zeros((n, 4)), np.zeros((n, 4))
         self._window = np.zeros((WINDOW, n, 4))
         self._distances = SameTypes(distances)
         self._added = AddedInertia.of(METHODS[engine.method], engine.layout.model)
@@ -138,7 +140,7 @@ class RunningError:
         self._largest, self._windows_largest = (0.0, 0.0), [(0.0, 0.0)] * WINDOW
         self.checkpoints = 0
         self.predictable_until = math.inf
-        self._events = self._engine.event_count
+        self._seen_at = -1
 
     def next_stop(self, steps, end):
         """First step after `steps` at which `follow` must be called on the way to step `end`.
@@ -180,6 +182,7 @@ class RunningError:
             return
         try:
             self._companion.advance_to(steps // self.ours * self._theirs)
+            self._companion.drain_applied()  # nobody else does
         except SimulationError:
             self._alive = False
             self._set_infinite()
@@ -213,16 +216,33 @@ class RunningError:
         self._next = self._next_checkpoint(steps)
 
     def _compare(self):
-        self._events = self._engine.event_count
-        mine, other = self._engine, self._companion
-        self._largest = self._distances(
-            mine.layout.offsets.com,
-            mine._pose,
-            mine._twist,
-            other._pose,
-            other._twist,
-            self._distance,
-        )
+        other = self._companion
+        self._largest = self._measure((other._pose, other._twist), self._distance)
+
+    def _measure(self, other, out):
+        """Distances of the engine from another state; returns the largest m and rad."""
+        own = self._engine
+        return self._distances(own.layout.offsets.com, own._pose, own._twist, *other, out)
+
+    def _now(self):
+        """Distances at the present step, and their largest m and rad.
+
+        Between two meetings the companion is asked for its state then. With an accuracy they are those of
+        the last meeting.
+        """
+        since = self._engine.steps - self._companion.steps * self.ours // self._theirs
+        if self._by_work or not self._alive or since <= 0:
+            return self._distance, self._largest
+        if self._seen_at != self._engine.steps:
+            steps, part = divmod(since * self._theirs, self.ours)
+            try:
+                other = self._companion.peek(steps, part / self.ours)
+            except SimulationError:
+                self._seen[:], self._seen_largest = math.inf, (math.inf, math.inf)
+            else:
+                self._seen_largest = self._measure(other, self._seen)
+            self._seen_at = self._engine.steps
+        return self._seen, self._seen_largest
 
     def _set_infinite(self):
         self._distance[:] = np.inf
@@ -254,7 +274,7 @@ class RunningError:
         """Largest m and rad of the distances that count now."""
         return tuple(
             max(now, FADING * max(before))
-            for now, before in zip(self._largest, zip(*self._windows_largest))
+            for now, before in zip(self._now()[1], zip(*self._windows_largest))
         )
 
     def _scale(self, position, angle):
@@ -266,14 +286,13 @@ class RunningError:
     def snapshot(self):
         """Copy of the estimate and of its companion, for `restore`."""
         kept = {name: copy.deepcopy(getattr(self, name)) for name in _KEPT}
-        kept["recent_events"] = self._engine.event_count - self._events
         return kept | {"companion": self._companion.snapshot()}
 
     def restore(self, snapshot):
         """Return to a snapshot, at the same state of the engine."""
         for name in _KEPT:
             setattr(self, name, copy.deepcopy(snapshot[name]))
-        self._events = self._engine.event_count - snapshot["recent_events"]
+        self._seen_at = -1
         self._companion.restore(snapshot["companion"])
 
     @property
@@ -341,10 +360,7 @@ class RunningError:
         """(n, 4) estimates of the errors of the bodies: m, rad, m/s, rad/s."""
         if self._unknown:
             return np.full_like(self._distance, np.nan)
-        kept = np.maximum(self._distance, FADING * self._window.max(axis=0))
-        if self._engine.event_count != self._events and not self._by_work:
-            # An impact since the last meeting hands errors on from body to body.
-            kept = np.maximum(kept, kept.max(axis=0))
+        kept = np.maximum(self._now()[0], FADING * self._window.max(axis=0))
         return self._scale(*self._kept_largest()) * kept
 
     @property

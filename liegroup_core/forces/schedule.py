@@ -15,6 +15,7 @@ motion of a driven joint, which holds until the next one: a new one also replace
 """
 
 import bisect
+import copy
 import math
 from functools import reduce
 from operator import add
@@ -140,6 +141,13 @@ class WrenchSchedule:
         self._waiting = []
         self._acting = {}
         self._arrived = 0
+
+    def copy(self):
+        """Schedule of the same wrenches."""
+        other = copy.copy(self)
+        other.total = {axes: total.copy() for axes, total in self.total.items()}
+        other._waiting, other._acting = self._waiting.copy(), self._acting.copy()
+        return other
 
     def __bool__(self):
         return bool(self._waiting or self._acting)
