@@ -2,7 +2,6 @@
 """Engine: integrates one scene with one method and one step size."""
 
 import copy
-import logging
 import math
 from numbers import Integral
 from typing import Any
@@ -14,39 +13,19 @@ from liegroup_core.compiling import warm_up
 from liegroup_core.forces.schedule import DRIVE, Instant
 from liegroup_core.forces.timetable import Timetable, acting_at, just_after
 from liegroup_core.integrators.methods import METHODS, is_positive
-from liegroup_core.integrators.rkmk.switching import BEYOND
-from liegroup_core.integrators.smaller_step import step_that_works
-from liegroup_core.joints.coupling import COUPLED, gap, turns
-from liegroup_core.joints.motion import at, uniform
 from liegroup_core.model.build import initial_state
-from liegroup_core.observables.reach import beyond_reach
 from liegroup_core.observables.reactions import REGULAR
 from liegroup_core.observables.sample import Sample
-from liegroup_core.scene.centres import pose_matrix
-from liegroup_core.scene.consistency import joint_state, switch_coordinates
-from liegroup_core.scene.description import WORLD, Scene
-from liegroup_core.scene.rearrange import rearranged
-from liegroup_core.scene.switches import unit_of
+from liegroup_core.scene.description import Scene
 
-from .errors import SceneError, SimulationError
+from .errors import SimulationError
 from .inputs import Inputs
 from .integrators.families import check_group, check_options, choose_group, make_integrator
 from .joint_events import JointEvents
 from .layout import Layout, make_layout
-from .status import (
-    BEYOND_STOP,
-    DEPENDENT_ROWS,
-    LARGE_ROTATION,
-    MESSAGES,
-    MOST_EVENTS,
-    NO_RATTLE_STEP,
-    NOT_CONVERGED,
-    OK,
-    ROTATION_TOO_LARGE,
-    TURNS_NOT_COUNTED,
-)
-
-log = logging.getLogger("liegroup_core")
+from .placing import Placing
+from .reports import Reports
+from .status import OK
 
 Floats = NDArray[np.float64]
 
@@ -57,9 +36,6 @@ BAUMGARTE_STEPS = 10
 # Largest entry of R R^T - 1 that `set_state` accepts.
 NO_ROTATION = 1e-6
 METHOD, STEP = "rkmk4", 1e-3  # defaults; s
-# Steps after the last valid one at which a driven joint may be beyond the reach of its loop.
-STEPS_AHEAD = (1, 2, 4)
-MOVED = 1e-9  # relative change of a driven joint's coordinate or rate by which `place` moves it
 
 
 def _stabilised(model, kind, time, step):
@@ -82,7 +58,7 @@ def _stabilised(model, kind, time, step):
     )
 
 
-class Engine(Inputs, JointEvents):
+class Engine(Inputs, JointEvents, Placing, Reports):
     """Mechanism that is integrated on its Lie group by one method with one step size.
 
     scene  : Scene, from `load_scene` or built in code
@@ -235,123 +211,6 @@ class Engine(Inputs, JointEvents):
         for change in other.acting():
             change.repeat(self)
 
-    def place(self, poses=None, twists=None, joints=None) -> None:
-        """Set poses and twists of bodies, and joint coordinates; all other bodies follow.
-
-        poses  : {body: (4, 4)} homogeneous poses of body frames
-        twists : {body: (6,)} omega rad/s, v m/s; body axes, v of the body frame's origin
-        joints : {joint: (position, velocity)} of revolute, prismatic and screw joints, rad and rad/s,
-                 or m and m/s; None for one that is not set. Positions may exceed 2 pi
-        The given ones are kept exactly. Joints that are not given keep their coordinates and
-        velocities if `joints` are given and no loop prevents it. Otherwise the others are the nearest
-        that satisfy all joints. Bodies without a path of joints to a given one are not changed. Step
-        count and time continue. The wrenches of `apply_wrench` are cleared. A driven joint keeps its
-        velocity unless what is given prevents it; one that is moved goes on at its new velocity.
-        Raises SceneError with the joint, and its residual or its stop, if the joints do not allow it,
-        ValueError for an unknown body or joint, NaN or a matrix that is no rotation. The state is then
-        unchanged.
-        """
-        poses, twists, joints = poses or {}, twists or {}, joints or {}
-        for body in {*poses, *twists} - self._body.keys():
-            raise ValueError(f"unknown body {body!r}; choose one of: {', '.join(self._body)}")
-        com = self.layout.offsets.com
-        centred_poses, centred_twists = {}, {}
-        for body, given in poses.items():
-            pose = np.array(given, dtype=float)
-            if pose.shape != (4, 4) or not np.isfinite(pose).all():
-                raise ValueError(f"expected a finite pose (4, 4) of {body}, got {given!r}")
-            position = pose[:3, 3] + pose[:3, :3] @ com[self._body[body]]
-            centred_poses[body] = np.concatenate([pose[:3, :3].ravel(), position])
-        for body, given in twists.items():
-            twist = np.array(given, dtype=float)
-            if twist.shape != (6,) or not np.isfinite(twist).all():
-                raise ValueError(f"expected a finite twist (6,) of {body}, got {given!r}")
-            twist[3:] += np.cross(twist[:3], com[self._body[body]])
-            centred_twists[body] = twist
-        known = [joint.name for joint in self.scene.joints if joint.type in COUPLED]
-        for joint, values in joints.items():
-            if joint not in known:
-                names = ", ".join(known) or "the scene has none"
-                raise ValueError(
-                    f"joint {joint!r} is not a joint with one coordinate; choose one of: {names}"
-                )
-            if not all(value is None or math.isfinite(value) for value in values):
-                raise ValueError(
-                    f"position and velocity of {joint} must be finite, got {tuple(values)!r}"
-                )
-        counted = [joint for joint, _ in self.scene.unwrapped]
-        angles = dict(zip(counted, self._work.angle.tolist()))
-        motions = self.layout.motions_at(self.time, self._commanded)
-        driven = {
-            name: at(motion, self.time)[1] for name, motion in zip(self.layout.motions, motions)
-        }
-        *state, angles = rearranged(
-            self.layout.centred,
-            *self.state(),
-            centred_poses,
-            centred_twists,
-            joints,
-            angles,
-            driven,
-        )
-        self._refuse_beyond_stops(*state, joints)
-        commanded, before = self._commanded.copy(), self._schedule
-        self.set_state(*state, self.steps, np.array([angles[joint] for joint in counted]))
-        for number, motion in enumerate(self._motions_after(commanded, joints)):
-            if motion is None:
-                self._schedule.resume(before.motions_of(number))
-            else:
-                self._schedule.act(number, motion, DRIVE)
-        if len(commanded):
-            self._schedule.update(self._schedule.boundary(self.steps))
-            self._commanded[:] = self._schedule.total[DRIVE]
-
-    def _refuse_beyond_stops(self, pose, twist, joints):
-        """Raise SceneError if a rigid stop does not allow a state, or a coordinate that was given."""
-        for switch, q in switch_coordinates(
-            self.layout.centred, self._start_of(pose, twist), self.layout.joint_frames
-        ):
-            limits, (given, _) = switch.limits, joints.get(switch.name, (None, None))
-            if limits is None or limits.stiffness is not None:
-                continue
-            q = q if given is None else given
-            if limits.excess(q) > BEYOND:
-                unit = unit_of(switch, self.scene)
-                what = "joint" if switch.coupling is None else "coupling"
-                raise SceneError(
-                    f"{what} {switch.name} would be beyond its stop: its position {q:.9g} {unit} is not "
-                    f"between {limits.least:g} and {limits.largest:g}; set a state between the stops"
-                )
-
-    def _start_of(self, pose, twist):
-        """{name: (pose (4, 4), twist (6,))} of the bodies and the world, at a state of `state()`."""
-        start = {WORLD: (np.eye(4), np.zeros(6))}
-        for body, *of_body in zip(self.layout.centred.bodies, pose, twist):
-            start[body.name] = pose_matrix(of_body[0]), of_body[1]
-        return start
-
-    def _joint_states(self, pose, twist, wanted):
-        """(joint of the scene, (position, velocity)) of those that are wanted, at a state of `state()`."""
-        start = self._start_of(pose, twist)
-        for joint, frames in zip(self.layout.centred.joints, self.layout.joint_frames):
-            if wanted(joint):
-                yield joint, joint_state(start, joint, *frames)
-
-    def _motions_after(self, commanded, joints):
-        """Motions of the driven joints that a new state moves: at constant rate; None for the others.
-
-        joints : {joint: (position, velocity)} that were given, with their whole turns
-        """
-        driven = self._joint_states(*self.state(), lambda joint: joint.driven)
-        motions = self.layout.motions_at(self.time, commanded)  # in the order of the joints, too
-        for (joint, (q, v)), motion in zip(driven, motions):
-            was = at(motion, self.time)
-            near, _ = joints.get(joint.name, (None, None))
-            near = was[0] if near is None else near
-            off = near + gap(q, near, 1.0, 0.0, turns(joint)) - was[0]
-            kept = max(abs(off), abs(v - was[1])) <= MOVED * (1.0 + abs(was[0]) + abs(v))
-            yield None if kept else uniform(self.time, was[0] + off, v)
-
     def _remember(self, memory):
         arrays = self._integrator.memory
         if len(memory) != (size := sum(array.nbytes for array in arrays)):
@@ -393,29 +252,6 @@ class Engine(Inputs, JointEvents):
             "external": self._external.copy(),
             "wanted": self._work.wanted.copy(),
         }
-
-    def _warn_of_events(self):
-        endless, crowded = self._switching.endless, self._switching.crowded
-        if endless and not self._warned_endless:
-            self._warned_endless = True
-            log.warning(
-                "At t = %.9g s impacts follow each other without end at %s: they are plastic until the end "
-                "of the step, which takes energy",
-                endless[0],
-                self._names_of_switches(endless[1]),
-            )
-        if crowded and not self._warned_crowded:
-            self._warned_crowded = True
-            log.warning(
-                "At t = %.9g s events follow each other at intervals of %.2g s at %s: each of them is found, "
-                "so the run is slow. Widen the gap, reduce the restitution, or use a compliant stop",
-                crowded[0],
-                crowded[2],
-                self._names_of_switches(crowded[1]),
-            )
-
-    def _names_of_switches(self, numbers):
-        return ", ".join(sorted({self.layout.switches[k].name for k in numbers}))
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Return to a snapshot of this simulation. The continuation is bit-identical."""
@@ -484,29 +320,7 @@ class Engine(Inputs, JointEvents):
             self._checked(status)
             if self.steps >= end:
                 break
-        if self._work.report[2] and not self._warned_singular:
-            self._warned_singular = True
-            log.warning(
-                "Singular configuration before t = %g s: some constraint equations are "
-                "redundant there, and the mass distribution decides the remaining motion. If "
-                "the mechanism only passes this configuration, use stabilisation projection. "
-                "If it is always in one, remove a redundant joint",
-                self.time,
-            )
-        if self._switching is not None:
-            self._warn_of_events()
-        if not self._warned and self._work.report[0] > LARGE_ROTATION**2:
-            self._warned = True
-            turned = math.sqrt(self._work.report[0])
-            log.warning(
-                "%s, step %g s: a body rotated by more than pi within one step (%.3g rad "
-                "before t = %g s), so the result is inaccurate. Use a step below %.2g s",
-                self.method,
-                self.step,
-                turned,
-                self.time,
-                LARGE_ROTATION / turned * self.step,
-            )
+        self._give_warnings()
 
     def peek(self, steps: int, part: float) -> tuple[Floats, Floats]:
         """State after some steps and a part of one, as `state`; the present one stays.
@@ -586,57 +400,6 @@ class Engine(Inputs, JointEvents):
             work.motions[:] = self.layout.motions_at(start + 0.5 * h, self._commanded)
         clock, whole = work.clock, h == self.step and start == self.time
         clock[0], clock[1], clock[2] = (self.steps, 0.0, start) if whole else (0.0, start, start)
-
-    def _joint_name(self, element):
-        """Name of the scene joint to which an element of the model belongs, or of a coupling."""
-        owners = self.layout.owners
-        if element >= len(owners):
-            return self.scene.couplings[element - len(owners)].name
-        return self.scene.joints[owners[element]].name
-
-    def _explain(self, status):
-        joint = force = body = hint = ""
-        # RATTLE reports the rotation of its step equation, which includes the effect of the torque.
-        angle = math.sqrt(self._work.report[1])
-        if status & 0xFF == NO_RATTLE_STEP:
-            body = self.layout.body_names[status >> 8]
-        # If a wrench of the scene changes within the step, no smaller step can be suggested.
-        if status & 0xFF in (NO_RATTLE_STEP, NOT_CONVERGED) and not self._times_inside():
-            self._work.clock[:] = 0.0, self.time, self.time
-            works = step_that_works(self._integrator, self.step, *self.state(), self._external)
-            hint = f": {works:g} s works from here" if works else ""
-        if status & 0xFF == ROTATION_TOO_LARGE and self.stabilisation != "projection":
-            if self.layout.drifts(self.group):
-                hint = ", or stabilisation projection near a singular configuration"
-        if status & 0xFF == ROTATION_TOO_LARGE:
-            hint += "".join(f"; {note}" for note in self.scene.notes if note.startswith("stiff:"))
-        if status & 0xFF == DEPENDENT_ROWS:
-            joint = self._joint_name(status >> 8)
-        if status & 0xFF == BEYOND_STOP:
-            joint = self.layout.switches[status >> 8].name
-        if status & 0xFF == TURNS_NOT_COUNTED:
-            force = self.scene.unwrapped[status >> 8][1]
-        stopped = f"stopped at t = {self.time:.9g} s (step {self.steps}, h = {self.step:g} s): "
-        if self.layout.motions and (text := self._beyond_reach()):
-            return stopped + text
-        return stopped + MESSAGES[status & 0xFF].format(
-            joint=joint, force=force, body=body, angle=angle, hint=hint, events=MOST_EVENTS
-        )
-
-    def _beyond_reach(self):
-        """Text on driven joints whose motion leads where their loops do not, or ""."""
-        for ahead in STEPS_AHEAD:
-            time = self.time + ahead * self.step
-            positions = [at(m, time)[0] for m in self.layout.motions_at(time, self._commanded)]
-            found = beyond_reach(self.layout.centred, self._pose, positions)
-            if found:
-                limits = self.layout.limits
-                shown = ", ".join(f"{j!r} at {q:.6g} {limits[j].unit}" for j, q in found)
-                return (
-                    f"the motion of driven joints leads beyond their reach: {shown}, t = {time:.9g} s, "
-                    "where the closed loop cannot follow; command positions within its reach"
-                )
-        return ""
 
     def sample(self) -> Sample:
         """Create a Sample of the present state."""

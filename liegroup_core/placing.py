@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""States of an Engine that are set by poses, twists or joint coordinates of some bodies and joints."""
+
+import math
+
+import numpy as np
+
+from liegroup_core.forces.schedule import DRIVE
+from liegroup_core.integrators.rkmk.switching import BEYOND
+from liegroup_core.joints.coupling import COUPLED, gap, turns
+from liegroup_core.joints.motion import at, uniform
+from liegroup_core.scene.centres import pose_matrix
+from liegroup_core.scene.consistency import joint_state, switch_coordinates
+from liegroup_core.scene.description import WORLD
+from liegroup_core.scene.rearrange import rearranged
+from liegroup_core.scene.switches import unit_of
+
+from .errors import SceneError
+
+MOVED = 1e-9  # relative change of a driven joint's coordinate or rate by which `place` moves it
+
+
+class Placing:
+    """Setting of states of an Engine, its base class."""
+
+    def place(self, poses=None, twists=None, joints=None) -> None:
+        """Set poses and twists of bodies, and joint coordinates; all other bodies follow.
+
+        poses  : {body: (4, 4)} homogeneous poses of body frames
+        twists : {body: (6,)} omega rad/s, v m/s; body axes, v of the body frame's origin
+        joints : {joint: (position, velocity)} of revolute, prismatic and screw joints, rad and rad/s,
+                 or m and m/s; None for one that is not set. Positions may exceed 2 pi
+        The given ones are kept exactly. Joints that are not given keep their coordinates and
+        velocities if `joints` are given and no loop prevents it. Otherwise the others are the nearest
+        that satisfy all joints. Bodies without a path of joints to a given one are not changed. Step
+        count and time continue. The wrenches of `apply_wrench` are cleared. A driven joint keeps its
+        velocity unless what is given prevents it; one that is moved goes on at its new velocity.
+        Raises SceneError with the joint, and its residual or its stop, if the joints do not allow it,
+        ValueError for an unknown body or joint, NaN or a matrix that is no rotation. The state is then
+        unchanged.
+        """
+        poses, twists, joints = poses or {}, twists or {}, joints or {}
+        for body in {*poses, *twists} - self._body.keys():
+            raise ValueError(f"unknown body {body!r}; choose one of: {', '.join(self._body)}")
+        com = self.layout.offsets.com
+        centred_poses, centred_twists = {}, {}
+        for body, given in poses.items():
+            pose = np.array(given, dtype=float)
+            if pose.shape != (4, 4) or not np.isfinite(pose).all():
+                raise ValueError(f"expected a finite pose (4, 4) of {body}, got {given!r}")
+            position = pose[:3, 3] + pose[:3, :3] @ com[self._body[body]]
+            centred_poses[body] = np.concatenate([pose[:3, :3].ravel(), position])
+        for body, given in twists.items():
+            twist = np.array(given, dtype=float)
+            if twist.shape != (6,) or not np.isfinite(twist).all():
+                raise ValueError(f"expected a finite twist (6,) of {body}, got {given!r}")
+            twist[3:] += np.cross(twist[:3], com[self._body[body]])
+            centred_twists[body] = twist
+        known = [joint.name for joint in self.scene.joints if joint.type in COUPLED]
+        for joint, values in joints.items():
+            if joint not in known:
+                names = ", ".join(known) or "the scene has none"
+                raise ValueError(
+                    f"joint {joint!r} is not a joint with one coordinate; choose one of: {names}"
+                )
+            if not all(value is None or math.isfinite(value) for value in values):
+                raise ValueError(
+                    f"position and velocity of {joint} must be finite, got {tuple(values)!r}"
+                )
+        counted = [joint for joint, _ in self.scene.unwrapped]
+        angles = dict(zip(counted, self._work.angle.tolist()))
+        motions = self.layout.motions_at(self.time, self._commanded)
+        driven = {
+            name: at(motion, self.time)[1] for name, motion in zip(self.layout.motions, motions)
+        }
+        *state, angles = rearranged(
+            self.layout.centred,
+            *self.state(),
+            centred_poses,
+            centred_twists,
+            joints,
+            angles,
+            driven,
+        )
+        self._refuse_beyond_stops(*state, joints)
+        commanded, before = self._commanded.copy(), self._schedule
+        self.set_state(*state, self.steps, np.array([angles[joint] for joint in counted]))
+        for number, motion in enumerate(self._motions_after(commanded, joints)):
+            if motion is None:
+                self._schedule.resume(before.motions_of(number))
+            else:
+                self._schedule.act(number, motion, DRIVE)
+        if len(commanded):
+            self._schedule.update(self._schedule.boundary(self.steps))
+            self._commanded[:] = self._schedule.total[DRIVE]
+
+    def _refuse_beyond_stops(self, pose, twist, joints):
+        """Raise SceneError if a rigid stop does not allow a state, or a coordinate that was given."""
+        for switch, q in switch_coordinates(
+            self.layout.centred, self._start_of(pose, twist), self.layout.joint_frames
+        ):
+            limits, (given, _) = switch.limits, joints.get(switch.name, (None, None))
+            if limits is None or limits.stiffness is not None:
+                continue
+            q = q if given is None else given
+            if limits.excess(q) > BEYOND:
+                unit = unit_of(switch, self.scene)
+                what = "joint" if switch.coupling is None else "coupling"
+                raise SceneError(
+                    f"{what} {switch.name} would be beyond its stop: its position {q:.9g} {unit} is not "
+                    f"between {limits.least:g} and {limits.largest:g}; set a state between the stops"
+                )
+
+    def _start_of(self, pose, twist):
+        """{name: (pose (4, 4), twist (6,))} of the bodies and the world, at a state of `state()`."""
+        start = {WORLD: (np.eye(4), np.zeros(6))}
+        for body, *of_body in zip(self.layout.centred.bodies, pose, twist):
+            start[body.name] = pose_matrix(of_body[0]), of_body[1]
+        return start
+
+    def _joint_states(self, pose, twist, wanted):
+        """(joint of the scene, (position, velocity)) of those that are wanted, at a state of `state()`."""
+        start = self._start_of(pose, twist)
+        for joint, frames in zip(self.layout.centred.joints, self.layout.joint_frames):
+            if wanted(joint):
+                yield joint, joint_state(start, joint, *frames)
+
+    def _motions_after(self, commanded, joints):
+        """Motions of the driven joints that a new state moves: at constant rate; None for the others.
+
+        joints : {joint: (position, velocity)} that were given, with their whole turns
+        """
+        driven = self._joint_states(*self.state(), lambda joint: joint.driven)
+        motions = self.layout.motions_at(self.time, commanded)  # in the order of the joints, too
+        for (joint, (q, v)), motion in zip(driven, motions):
+            was = at(motion, self.time)
+            near, _ = joints.get(joint.name, (None, None))
+            near = was[0] if near is None else near
+            off = near + gap(q, near, 1.0, 0.0, turns(joint)) - was[0]
+            kept = max(abs(off), abs(v - was[1])) <= MOVED * (1.0 + abs(was[0]) + abs(v))
+            yield None if kept else uniform(self.time, was[0] + off, v)
