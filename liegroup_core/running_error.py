@@ -21,8 +21,8 @@ does not.
 Checkpoints, after MEETINGS of them and more often at the start, depend on the step count alone, so that
 a repeated run has bit-identical estimates. With an accuracy the two meet at checkpoints only, after
 about SUBSTEPS substeps, and no estimate in between is computed: an error that grew is taken to grow on
-until the next one. If the companion
-cannot continue, the estimate is infinite from then on. Before the first meeting it is NaN.
+until the next one. If the companion cannot continue, the estimate is infinite from then on. Before the
+first meeting it is NaN.
 
 With error control the companion takes four steps in one: in steps as short as those of the simulation
 the last substep of each, which ends with the step, would often make the substeps of both equal. Without
@@ -57,7 +57,7 @@ FASTEST = 8.0  # growth between two meetings that is continued until the next on
 PARTS = 2  # of the step that leads to an event, whose size does not depend on that of the others
 SEEN = 1.25
 LEAST, LEAST_CONTROLLED = 1.0, 0.8  # of the distance, where the order is not seen
-LARGE, NOT_SMALL = 3.0, 0.05
+LARGE, NOT_SMALL = 3.0, 0.03
 # Of the mechanism's size, and rad: an error of this size makes a motion unpredictable.
 UNPREDICTABLE = 0.1
 _KEPT = (
@@ -341,7 +341,7 @@ class RunningError:
         """Restore the estimate from `memory`, at the same state of the engine."""
         n, k = len(self._distance), len(self._companion.sample().angles)
         own, distance, window, pose, twist, angles, rest = np.split(
-            memory, np.cumsum([9, 4 * n, 4 * n * WINDOW, 12 * n, 6 * n, k])
+            memory, np.cumsum([9, 4 * n, self._window.size, 12 * n, 6 * n, k])
         )
         set_at, start, alive, following, block, substeps, checkpoints = (int(x) for x in own[:7])
         self._companion.set_state(
@@ -352,7 +352,7 @@ class RunningError:
         self._block, self._substeps = block, substeps
         self.predictable_until = float(own[7])
         self._distance[:] = distance.reshape(n, 4)
-        self._window[:] = window.reshape(WINDOW, n, 4)
+        self._window[:] = window.reshape(self._window.shape)
         self._largest = largest_of(self._distance)
         self._windows_largest = [largest_of(part) for part in self._window]
 
