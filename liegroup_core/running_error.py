@@ -50,7 +50,7 @@ from .model.size import mechanism_size
 from .observables.distances import distances, largest_of
 
 HIGH = 8  # order from which the steps are more similar
-FIRST_MEETINGS, MEETINGS = 2, 32  # to the first checkpoint, and between two of them at most
+FIRST_MEETINGS, MEETINGS = 2, 48  # to the first checkpoint, and between two of them at most
 SUBSTEPS, MOST = 32, 8  # between checkpoints with an accuracy: substeps, and steps at most
 WINDOW, FADING = 4, 0.5  # checkpoints
 FASTEST = 8.0  # growth between two meetings that is continued until the next one
@@ -70,7 +70,8 @@ _KEPT = (
     "_distance",
     "_largest",
     "_window",
-    "_windows_largest",
+    "_window_m",
+    "_window_rad",
     "checkpoints",
     "predictable_until",
 )
@@ -137,7 +138,7 @@ class RunningError:
         self._alive = True
         self._distance[:] = self._window[:] = 0.0
         # Largest m and rad of all bodies, of the distance and of each part of the window.
-        self._largest, self._windows_largest = (0.0, 0.0), [(0.0, 0.0)] * WINDOW
+        self._largest, self._window_m, self._window_rad = (0.0, 0.0), [0.0] * WINDOW, [0.0] * WINDOW
         self.checkpoints = 0
         self.predictable_until = math.inf
         self._seen_at = -1
@@ -251,9 +252,10 @@ class RunningError:
     def _keep(self):
         """Store the distance of a checkpoint."""
         part = self.checkpoints % WINDOW
-        self._window[part], self._windows_largest[part] = self._distance, self._largest
+        self._window[part] = self._distance
+        self._window_m[part], self._window_rad[part] = self._largest
         self.checkpoints += 1
-        if self.largest > UNPREDICTABLE:
+        if self._largest_error(self._largest) > UNPREDICTABLE:
             self.predictable_until = min(self.predictable_until, self._engine.time)
 
     @property
@@ -264,17 +266,19 @@ class RunningError:
     @property
     def largest(self):
         """Largest estimated error of a pose: parts of the mechanism's size, or rad."""
-        if self._unknown:
-            return math.nan
-        position, angle = self._kept_largest()
+        return math.nan if self._unknown else self._largest_error(self._now()[1])
+
+    def _largest_error(self, largest):
+        """Largest estimated error for the largest m and rad of the present distances."""
+        position, angle = self._kept_largest(largest)
         scale = self._scale(position, angle)
         return max(scale * position / self.size, scale * angle)
 
-    def _kept_largest(self):
-        """Largest m and rad of the distances that count now."""
-        return tuple(
-            max(now, FADING * max(before))
-            for now, before in zip(self._now()[1], zip(*self._windows_largest))
+    def _kept_largest(self, largest):
+        """The largest m and rad that count: those of the checkpoints fade."""
+        return (
+            max(largest[0], FADING * max(self._window_m)),
+            max(largest[1], FADING * max(self._window_rad)),
         )
 
     def _scale(self, position, angle):
@@ -354,14 +358,15 @@ class RunningError:
         self._distance[:] = distance.reshape(n, 4)
         self._window[:] = window.reshape(self._window.shape)
         self._largest = largest_of(self._distance)
-        self._windows_largest = [largest_of(part) for part in self._window]
+        self._window_m, self._window_rad = map(list, zip(*map(largest_of, self._window)))
 
     def errors(self):
         """(n, 4) estimates of the errors of the bodies: m, rad, m/s, rad/s."""
         if self._unknown:
             return np.full_like(self._distance, np.nan)
-        kept = np.maximum(self._now()[0], FADING * self._window.max(axis=0))
-        return self._scale(*self._kept_largest()) * kept
+        now, largest = self._now()
+        kept = np.maximum(now, FADING * self._window.max(axis=0))
+        return self._scale(*self._kept_largest(largest)) * kept
 
     @property
     def _unknown(self):
@@ -377,5 +382,6 @@ class RunningError:
         if not (self._by_work and self._alive and self._block) or self.checkpoints < 2:
             return 1.0
         stale = 1.0 - (self._next - self._engine.steps) / self._block
-        last, before = (max(self._windows_largest[(self.checkpoints - k) % WINDOW]) for k in (1, 2))
+        parts = [(self.checkpoints - k) % WINDOW for k in (1, 2)]
+        last, before = (max(self._window_m[k], self._window_rad[k]) for k in parts)
         return min(FASTEST, max(1.0, last / before)) ** stale if before > 0.0 else 1.0

@@ -247,8 +247,10 @@ def test_parts_with_joint_commands_repeat_alone(ros_node, tmp_path, monkeypatch)
         time.sleep(0.1)
         run.server.push([Target("hinge", -0.4, 0.0, 0), JointEffort("test", "slide", 3.0, 0)], None)
         time.sleep(0.25)
-        run.server.follow(Trajectory(["hinge", "slide"], points, run.server.stamp_ns + 123_456_789))
-        time.sleep(0.3)
+        start = run.server.stamp_ns + 123_456_789
+        run.server.follow(Trajectory(["hinge", "slide"], points, start))
+        while run.server.stamp_ns < start + points[0].time_ns:
+            time.sleep(0.01)
         run.server.push([Target("slide", 0.05, 0.0, 0)], 0.3)
         run.server.call("reset").result(30.0)
         time.sleep(0.1)
