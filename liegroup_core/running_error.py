@@ -55,7 +55,7 @@ SUBSTEPS, MOST = 32, 8  # between checkpoints with an accuracy: substeps, and st
 WINDOW, FADING = 4, 0.5  # checkpoints
 FASTEST = 8.0  # growth between two meetings that is continued until the next one
 PARTS = 2  # of the step that leads to an event, whose size does not depend on that of the others
-SEEN = 1.25
+SEEN = 1.5
 LEAST, LEAST_CONTROLLED = 1.0, 0.8  # of the distance, where the order is not seen
 LARGE, NOT_SMALL = 3.0, 0.03
 # Of the mechanism's size, and rad: an error of this size makes a motion unpredictable.
