@@ -173,7 +173,8 @@ class RunningError:
 
     def follow(self):
         """Advance the companion to the present step if they can meet, and estimate the error."""
-        steps = self._engine.steps
+        engine = self._engine
+        steps = engine.steps
         if not self._alive or steps % self.ours:
             return
         if self._start is None:
@@ -191,8 +192,8 @@ class RunningError:
             return
         self._compare()
         if self._added is not None:
-            own, steps = self._engine, self._engine.steps - self._set_at
-            if self._added.wrong_turn(own._twist, own.step, steps) > UNPREDICTABLE:
+            since = steps - self._set_at
+            if self._added.wrong_turn(engine._twist, engine.step, since) > UNPREDICTABLE:
                 self._set_infinite()
         if steps == self._next:
             if self._by_work:
