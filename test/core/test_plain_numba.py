@@ -25,7 +25,7 @@ for scene, method in json.loads(sys.argv[1]):
 json.dump([backend.chosen().name, results], sys.stdout)
 """
 # Plain Numba needs 20 to 75 s to compile a family, so they run in `make plain` only, which
-# .ci/run calls for two of them. Scenes of one family share a process, which compiles its kernels once.
+# .ci/run calls for one of them. Scenes of one family share a process, which compiles its kernels once.
 LONG = pytest.mark.compiler
 CASES = [
     pytest.param(["lagrangian_top"], "stoermer_verlet", marks=LONG),
