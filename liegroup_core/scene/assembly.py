@@ -37,7 +37,7 @@ from .consistency import (
     rigid_couplings,
 )
 from .description import WORLD
-from .massless import invertible_inertia, lack_of_inertia
+from .massless import NO_INERTIA
 
 # Largest change of given coordinates that contradict each other: rad, and relative to the length of the
 # linkage. Three digits of an angle.
@@ -45,6 +45,9 @@ COORDINATE_ROUNDING = 1e-3
 
 # Largest residual of the velocities, relative to the velocities involved: round-off.
 TOLERANCE = 1e-10
+
+# Square root of a part of the largest inertia, below which a motion has no kinetic energy: round-off.
+FLAT = 1e-12
 
 # Position residual of a joint that is not satisfied: far above round-off, in units as above.
 OPEN = 1e-9
@@ -209,27 +212,26 @@ def consistent_velocities(scene, given, linkage, poses, rates, fixed, kept=()):
     )
     V = np.concatenate([given[name] for name in linkage.bodies])
 
-    # With M = L L^T and V = V0 + L^-T x, the least-squares x has the least kinetic energy.
-    bodies = {body.name: body for body in scene.bodies}
-    free = [name for name in linkage.bodies if name not in fixed]
-    inverse = np.zeros((len(V), 6 * len(free)))  # L^-T of the bodies that are free
-    for i, name in enumerate(free):
-        at = linkage.place[name]
-        block = np.linalg.inv(np.linalg.cholesky(invertible_inertia(bodies[name])))
-        inverse[at : at + 3, 6 * i : 6 * i + 3] = block.T
-        inverse[at + 3 : at + 6, 6 * i + 3 : 6 * i + 6] = np.eye(3) / np.sqrt(bodies[name].mass)
-    A = J @ inverse
+    # The rank is that of the joints alone, in velocities (omega length, v): slender and light bodies
+    # would make conditions on the others look dependent.
+    moves = np.repeat([name not in fixed for name in linkage.bodies], 6)
+    unit = np.tile([1.0 / linkage.length] * 3 + [1.0] * 3, len(linkage.bodies))[moves]
+    A = J[:, moves] * unit
     size = np.linalg.norm(A, axis=1)
     size[size == 0.0] = 1.0
-    for _ in range(2):  # once more for round-off
-        miss = wanted - J @ V
-        V = V + inverse @ np.linalg.lstsq(A / size[:, None], miss / size, rcond=RANK_TOLERANCE)[0]
-    if lack_of_inertia(scene):
-        start = np.concatenate([given[name] for name in linkage.bodies])
-        moves = inverse.any(axis=1)
-        V[moves] += _to_least_energy(
-            A / size[:, None], inverse[moves], free, bodies, (V - start)[moves]
-        )
+    left, values, directions = np.linalg.svd(A / size[:, None])
+    rank = int((values > RANK_TOLERANCE * values.max(initial=0.0)).sum())
+    across, along = directions[:rank].T * unit[:, None], directions[rank:].T * unit[:, None]
+
+    def correction():
+        """Shortest change that meets the conditions."""
+        return across @ (left[:, :rank].T @ ((wanted - J @ V) / size) / values[:rank])
+
+    start = V[moves]
+    V[moves] += correction()
+    root = _root_of_inertia(scene, [name for name in linkage.bodies if name not in fixed])
+    V[moves] -= along @ np.linalg.lstsq(root @ along, root @ (V[moves] - start), rcond=FLAT)[0]
+    V[moves] += correction()  # once more for round-off
     miss = wanted - J @ V
     scale = np.abs(J) @ np.abs(V) + np.abs(wanted)
     if (np.abs(miss) > TOLERANCE * (scale.max(initial=0.0) + 1.0)).any():
@@ -237,20 +239,15 @@ def consistent_velocities(scene, given, linkage, poses, rates, fixed, kept=()):
     return given | dict(zip(linkage.bodies, V.reshape(-1, 6)))
 
 
-def _to_least_energy(A, inverse, free, bodies, change):
-    """What to add to a change of velocities (6 n,), so that it has the least kinetic energy.
-
-    For bodies without inertia about an axis, whose M is singular: `change` is that with inertia.
-    A, inverse : A L^-T of the conditions, unit rows, and L^-T with that inertia; free : n bodies
-    """
-    motions = inverse @ scipy.linalg.null_space(A, rcond=RANK_TOLERANCE)
-    root = np.zeros((len(change), len(change)))
-    for i, name in enumerate(free):
-        moments, axes = np.linalg.eigh(bodies[name].inertia_matrix)
-        at = 6 * i
-        root[at : at + 3, at : at + 3] = np.sqrt(np.maximum(moments, 0.0))[:, None] * axes.T
-        root[at + 3 : at + 6, at + 3 : at + 6] = np.sqrt(bodies[name].mass) * np.eye(3)
-    return -motions @ np.linalg.lstsq(root @ motions, root @ change, rcond=RANK_TOLERANCE)[0]
+def _root_of_inertia(scene, names):
+    """Matrix (6 n, 6 n) R of n bodies: R^T R is their mass matrix, singular without some inertia."""
+    bodies = {body.name: body for body in scene.bodies}
+    blocks = []
+    for body in (bodies[name] for name in names):
+        moments, axes = np.linalg.eigh(body.inertia_matrix)
+        moments[moments <= NO_INERTIA * moments[2]] = 0.0
+        blocks += [np.sqrt(moments)[:, None] * axes.T, np.sqrt(body.mass) * np.eye(3)]
+    return scipy.linalg.block_diag(*blocks)
 
 
 def _with_start(scene, centred, length, poses, twists):
