@@ -7,8 +7,9 @@ The example scenes and N random mechanisms (one to six bodies, all types of join
 dampers, drag) are simulated for 2 s with two pushes at random times, in body and in world axes. The
 true error is the distance from the independent reference integration, where that is known ten times
 better. `under`: share of the samples with an estimate below half of the true error; `over`: above ten
-times; `silent`: runs whose largest error so far is above 5 % of the motion at a time when the largest
-estimate so far is below half of it. `kept`: of the runs to an accuracy, those whose true error is below
+times; `wrong`: runs whose largest error so far is above 5 % of the motion at a time when the largest
+estimate so far is below half of it; `silent`: those that had not said before that the motion is not
+predictable, or not within the accuracy. `kept`: of the runs to an accuracy, those whose true error is below
 it until they say otherwise, and the largest true error as a part of it.
 """
 
@@ -85,7 +86,7 @@ def pushes(scene, scale, rng):
 
 
 def compare(job):
-    """[(method, step, stabilisation, ratios, silent, known, runs ended)] of one scene."""
+    """[(method, step, stabilisation, ratios, wrong, silent, part of the accuracy)] of one scene."""
     logging.disable(logging.CRITICAL)
     name, seed, methods = job
     scene = load_scene(name) if seed is None else random_scene(seed)
@@ -141,8 +142,8 @@ def motion_of(exact):
 
 
 def follow(simulation, times, exact, uncertainty, size):
-    """(ratios of estimate and true error, first silent sample or None, part of the accuracy)."""
-    ratios, silent, promise, part = [], None, simulation.promise, 0.0
+    """(ratios of estimate and true error, first wrong sample or None, whether silent, part kept)."""
+    ratios, wrong, silent, promise, part = [], None, False, simulation.promise, 0.0
     largest_error, largest_estimate = np.zeros(4), np.zeros(4)
     for k, time in enumerate(times):
         try:
@@ -161,11 +162,13 @@ def follow(simulation, times, exact, uncertainty, size):
         largest_error = np.maximum(largest_error, np.where(known, error, 0.0).max(axis=0))
         largest_estimate = np.fmax(largest_estimate, sample.errors.max(axis=0))
         missed = (largest_error > 0.05 * size) & (largest_estimate < 0.5 * largest_error)
-        if missed.any() and silent is None:
+        if missed.any() and wrong is None:
             column = int(np.argmax(missed))
             ratio = float(largest_estimate[column] / largest_error[column])
-            silent = (float(time), PARTS[column], ratio)
-    return np.concatenate(ratios) if ratios else np.zeros(0), silent, part
+            wrong = (float(time), PARTS[column], ratio)
+            said = simulation.accurate_until if promise else simulation.predictable_until
+            silent = not said <= time
+    return np.concatenate(ratios) if ratios else np.zeros(0), wrong, silent, part
 
 
 def main():
@@ -184,12 +187,14 @@ def main():
         found = list(pool.imap_unordered(compare, jobs))
     console = Console()
     table = Table(title=f"Running error: estimate over true error, {len(jobs)} mechanisms")
-    for title in ("method", "runs", "samples", "under", "over", "median", "silent runs"):
+    for title in ("method", "runs", "samples", "under", "over", "median", "wrong", "silent"):
         table.add_column(title, justify="right")
-    rows = [(name, *row) for name, rows in found for row in rows if len(row) == 6]
-    silent = [row for row in rows if row[5]]
-    for method in (*METHODS, ACCURATE, "all"):
-        mine = [row for row in rows if method in (row[1], "all")]
+    rows = [(name, *row) for name, rows in found for row in rows if len(row) == 7]
+    wrong = [row for row in rows if row[5]]
+    of_method = {method: [row for row in rows if row[1] == method] for method in METHODS}
+    of_method["all methods"] = [row for mine in of_method.values() for row in mine]
+    of_method[ACCURATE] = [row for row in rows if row[1] == ACCURATE]
+    for method, mine in of_method.items():
         ratios = np.concatenate([row[4] for row in mine] or [np.zeros(0)])
         if not len(ratios):
             continue
@@ -201,19 +206,21 @@ def main():
             f"{100 * np.mean(ratios > 10.0):.2f} %",
             f"{np.median(ratios):.2f}",
             str(sum(bool(row[5]) for row in mine)),
+            str(sum(row[6] for row in mine)),
         )
     console.print(table)
     unknown = [name for name, rows in found if not rows or rows[0][0] == "reference"]
     console.print(f"without a reference or refused: {len(unknown)} mechanisms")
-    parts = np.array([row[6] for row in rows if row[1] == ACCURATE] or [0.0])
+    parts = np.array([row[7] for row in rows if row[1] == ACCURATE] or [0.0])
     console.print(
         f"accuracy kept: {np.mean(parts <= 1.0):.4f} of {len(parts)} runs, largest part {parts.max():.3g}"
     )
     for row in rows:
-        if row[6] > 1.0:
-            console.print(f"not kept: {row[0]}, {row[2]:g}: {row[6]:.3g} times")
-    for name, method, step, stabilisation, _, misses, _ in silent[:40]:
-        console.print(f"silent: {name}, {method}, {step:g} s, {stabilisation}: {misses}")
+        if row[7] > 1.0:
+            console.print(f"not kept: {row[0]}, {row[2]:g}: {row[7]:.3g} times")
+    for name, method, step, stabilisation, _, misses, unsaid, _ in wrong:
+        kind = "silent" if unsaid else "wrong"
+        console.print(f"{kind}: {name}, {method}, {step:g} s, {stabilisation}: {misses}")
     if args.json:
         misses = [
             [*row[:4], float(np.mean(row[4] < 0.5)), float(np.mean(row[4] > 10.0)), row[5]]

@@ -2,17 +2,24 @@
 """Running estimate of the global error of a simulation, from a companion with a larger step.
 
 The companion follows the simulation with steps of q h under the same wrenches, q = 4/3, or 6/5 for
-orders from 8. With error control q = 4/3, and its tolerances are q^p times as large. The error of a
-method of order p then follows from the distance d = |x_h - x_qh| of the two states:
+orders from 8. With error control its tolerances are q^p times as large, q = 4/3, or 1.7 with an
+accuracy. The error of a method of order p then follows from the distance d = |x_h - x_qh| of the two
+states:
 
     order seen     : d / (q^p - 1), the errors being c h^p and c (q h)^p
     order not seen : about d, the two errors being independent of each other
 
-The estimate is the larger of the two, the first one times SEEN. They are close to each other (a factor
-of 2 for p = 4, of 3 for p = 8), so nothing has to be decided. For q = 2 the factor is 15 and 255:
-whether the order is seen has to be found from a third run, and is often found wrongly. It is multiplied
-by up to 1 + LARGE, in proportion up to NOT_SMALL of the mechanism: two errors of that size do not
-follow the linearised motion, and their difference may be a fraction of either by chance.
+The estimate is the larger of the two, the first one times SEEN, the second one times LEAST. They are
+close to each other (a factor of 2 for p = 4, of 3 for p = 8), so nothing has to be decided. For q = 2 the
+factor is 15 and 255: whether the order is seen has to be found from a third run, and is often found
+wrongly. The estimate of a body is multiplied by up to 1 + LARGE, in proportion up to NOT_SMALL of the
+mechanism: two errors of that size do not follow the linearised motion, and their difference may be a
+fraction of either by chance.
+
+LEAST is below 1 where d is more often far above the error than below it, by measurement: with order 8,
+whose errors fall faster than h^8 before they are rounding, and with error control, whose substeps differ
+by more than q at times. With an accuracy q is larger, so that two errors are hardly ever equal by chance,
+and the estimate sets the tolerance: it may be far above the error, but not below it.
 
 The two meet every 4 or 6 steps. Whoever reads an estimate in between gets that of the present step: the
 companion goes there by whole steps and a part of one, and returns (`Engine.peek`). An estimate is at
@@ -50,14 +57,15 @@ from .model.size import mechanism_size
 from .observables.distances import distances, largest_of
 
 HIGH = 8  # order from which the steps are more similar
-FIRST_MEETINGS, MEETINGS = 2, 48  # to the first checkpoint, and between two of them at most
+FIRST_MEETINGS, MEETINGS = 2, 192  # to the first checkpoint, and between two of them at most
 SUBSTEPS, MOST = 32, 8  # between checkpoints with an accuracy: substeps, and steps at most
-WINDOW, FADING = 4, 0.5  # checkpoints
+WINDOW, FADING = 4, 0.15  # checkpoints
 FASTEST = 8.0  # growth between two meetings that is continued until the next one
 PARTS = 2  # of the step that leads to an event, whose size does not depend on that of the others
-SEEN = 1.5
-LEAST, LEAST_CONTROLLED = 1.0, 0.8  # of the distance, where the order is not seen
-LARGE, NOT_SMALL = 3.0, 0.03
+SEEN = 1.4
+LEAST, LEAST_HIGH = 1.0, 0.8  # of the distance, where the order is not seen
+CONTROLLED, BY_WORK = (4.0 / 3.0, 0.55), (1.7, 0.4)  # q and LEAST of error control
+LARGE, NOT_SMALL = 2.5, 0.03
 # Of the mechanism's size, and rad: an error of this size makes a motion unpredictable.
 UNPREDICTABLE = 0.1
 _KEPT = (
@@ -91,8 +99,10 @@ class RunningError:
         order, controlled = METHODS[engine.method].order, METHODS[engine.method].controlled
         # Steps of the engine and of its companion in the same time.
         self.ours, self._theirs = (4, 1) if controlled else (4, 3) if order < HIGH else (6, 5)
-        ratio = 4.0 / 3.0 if controlled else self.ours / self._theirs
-        least = LEAST_CONTROLLED if controlled else LEAST
+        if controlled:
+            ratio, least = BY_WORK if by_work else CONTROLLED
+        else:
+            ratio, least = self.ours / self._theirs, LEAST if order < HIGH else LEAST_HIGH
         self._factor = max(least, SEEN / (ratio**order - 1.0))
         self.size = mechanism_size(engine.layout.model) or 1.0
         step = self.ours / self._theirs * engine.step
@@ -365,9 +375,10 @@ class RunningError:
         """(n, 4) estimates of the errors of the bodies: m, rad, m/s, rad/s."""
         if self._unknown:
             return np.full_like(self._distance, np.nan)
-        now, largest = self._now()
-        kept = np.maximum(now, FADING * self._window.max(axis=0))
-        return self._scale(*self._kept_largest(largest)) * kept
+        kept = np.maximum(self._now()[0], FADING * self._window.max(axis=0))
+        # Element by element as `largest` has it, whose bits are the same.
+        scales = [self._scale(position, angle) for position, angle in kept[:, :2].tolist()]
+        return np.array(scales)[:, None] * kept
 
     @property
     def _unknown(self):
