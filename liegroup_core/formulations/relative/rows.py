@@ -1,5 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rows of the cut joints, and their responses in the freedoms of the tree; see loops.py."""
+"""Rows of the cut joints, and their responses in the freedoms of the tree; see loops.py.
+
+Stages of a step leave small gaps. The force of a ball joint acts on each of its links at that
+link's own point, whatever the gap: at the point of the other link it would have a moment about a rod
+between two balls, which has next to no inertia there and would spin. So rows and bias of a ball
+joint are those of the accelerations of the two points, in world axes.
+"""
 
 from liegroup_core.compiling import kernel
 from liegroup_core.joints.elements import PAIR, WORLD
@@ -13,10 +19,12 @@ from liegroup_core.lie.vec3 import (
     dot3,
     load3,
     load9,
+    matvec3,
     store3,
     sub3,
     tmatmul3,
     tmatvec3,
+    vector3,
 )
 
 from .arrays import LARGEST_ROWS
@@ -34,19 +42,25 @@ def set_rows(model, work):
         a, b, first, rows = joint["parent"], joint["child"], joint["first"], joint["rows"]
         rot_b, r_b = load9(work.world, b, 0), load3(work.world, b, 9)
         w_b, v_b = load3(work.velocities, b, 0), load3(work.velocities, b, 3)
+        element = model.elements[joint["element"]]
+        turn = w_b
         if a == WORLD:
             rot, p = se3_inverse(rot_b, r_b)
             w_a, v_a = ZERO3, ZERO3
         else:
             rot = tmatmul3(rot_b, load9(work.world, a, 0))
             p = tmatvec3(rot_b, sub3(load3(work.world, a, 9), r_b))
+            if element["turns_freely"] == 1:
+                # The parent, moved by the gap: its point is that of the child.
+                point = matvec3(rot, vector3(element["parent_point"]))
+                p = sub3(vector3(element["child_point"]), point)
             w_a, v_a = se3_Ad(rot, p, load3(work.velocities, a, 0), load3(work.velocities, a, 3))
+            if element["turns_freely"] == 1:
+                turn = add3(w_b, w_a)
         error_w, error_v = sub3(w_b, w_a), sub3(v_b, v_a)
         rate = 0.0
         if joint["kind"] != PAIR:
-            row_w, row_v, rate = variable_row(
-                model.elements[joint["element"]], rot, p, error_w, error_v
-            )
+            row_w, row_v, rate = variable_row(element, rot, p, error_w, error_v)
             store3(row_w, work.child_jacobian, first, 0)
             store3(row_v, work.child_jacobian, first, 3)
         e = ZERO3
@@ -59,7 +73,7 @@ def set_rows(model, work):
             back = tmatvec3(rot, beta)
             store3((-back[0], -back[1], -back[2]), work.parent_jacobian, r, 3)
         bracket_w, bracket_v = se3_ad(w_b, v_b, w_a, v_a)
-        bracket_v = add3(bracket_v, cross3(w_b, e))
+        bracket_v = add3(bracket_v, cross3(turn, e))
         for r in range(first, first + rows):
             work.bias[r] = -rate - (
                 dot3(load3(work.child_jacobian, r, 0), bracket_w)
