@@ -573,3 +573,56 @@ def test_flyball_governor_against_minimal_coordinates():
         assert sample.spatial_momentum[2] == pytest.approx(
             sampled(scene, 5e-5, [0.0])[0].spatial_momentum[2], rel=1e-9
         )
+
+
+# ------------------------------------------------------- spatial four-bar
+
+
+def test_a_rod_between_two_balls_does_not_spin():
+    """Hinge, ball, ball, hinge, from rest: no moment acts on the coupler about itself.
+
+    Its moment of inertia there is a 600th of that across it, so a force beside its axis would show.
+    """
+    ends = {
+        "crank": ((0.0, 0.0, 0.0), (0.2, 0.0, 0.0)),
+        "coupler": ((0.2, 0.0, 0.0), (0.6, 0.3, 0.5)),
+        "rocker": ((0.6, 0.3, 0.0), (0.6, 0.3, 0.5)),
+    }
+    starts = {name: np.array(start) for name, (start, _) in ends.items()}
+    along = {name: np.subtract(end, start) for name, (start, end) in ends.items()}
+    bodies = []
+    for name, line in along.items():
+        length = np.linalg.norm(line)
+        axis = np.outer(line, line) / length**2
+        J = length**2 / 12 * (np.eye(3) - axis) + 0.02**2 / 6 * axis
+        bodies.append(
+            Body(
+                name=name,
+                mass=1.0,
+                position=starts[name] + line / 2,
+                inertia=J[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]],
+            )
+        )
+    half = {name: line / 2 for name, line in along.items()}
+    joints = [
+        ("revolute", "world", "crank", Frame(position=-half["crank"], axis=(0.3, 0.2, 1.0))),
+        ("spherical", "crank", "coupler", Frame(position=-half["coupler"])),
+        ("revolute", "world", "rocker", Frame(position=-half["rocker"], axis=(0.2, 1.0, 0.0))),
+        ("spherical", "coupler", "rocker", Frame(position=half["rocker"])),
+    ]
+    scene = Scene(
+        name="spatial_four_bar",
+        gravity=(0.0, 0.0, -G),
+        bodies=bodies,
+        joints=[
+            Joint(name=f"{a}_{b}", type=kind, parent=a, child=b, child_frame=frame)
+            for kind, a, b, frame in joints
+        ],
+    )
+    axis = along["coupler"] / np.linalg.norm(along["coupler"])
+    fastest, spin = 0.0, 0.0
+    for sample in sampled(scene, 5e-3, np.arange(0.05, 2.01, 0.05), group="relative"):
+        omega = sample.twist[1, :3]
+        fastest, spin = max(fastest, np.abs(omega).max()), max(spin, abs(omega @ axis))
+    assert fastest > 0.5
+    assert spin < 1e-8

@@ -1,5 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rows of the cut joints, and their responses in the freedoms of the tree; see loops.py."""
+"""Rows of the cut joints, and their responses in the freedoms of the tree; see loops.py.
+
+Stages of a step leave small gaps. The force of a ball joint acts on each of its links at that
+link's own point, whatever the gap: at the point of the other link it would have a moment about a rod
+between two balls, which has next to no inertia there and would spin. So rows and bias of a ball
+joint are those of the accelerations of the two points, in world axes.
+"""
 
 from liegroup_core.compiling import kernel
 from liegroup_core.joints.elements import PAIR, WORLD
@@ -13,17 +19,19 @@ from liegroup_core.lie.vec3 import (
     dot3,
     load3,
     load9,
+    matvec3,
     store3,
     sub3,
     tmatmul3,
     tmatvec3,
+    vector3,
 )
 
-from .arrays import LARGEST_ROWS
+from .arrays import BALL, FREE, HINGE, LARGEST_ROWS, SLIDE
 from .couplings import add_coupling
 from .matrix import set_block
 from .residuals import eliminate
-from .trees import pass_on
+from .trees import add_wrench
 
 
 @kernel
@@ -34,19 +42,25 @@ def set_rows(model, work):
         a, b, first, rows = joint["parent"], joint["child"], joint["first"], joint["rows"]
         rot_b, r_b = load9(work.world, b, 0), load3(work.world, b, 9)
         w_b, v_b = load3(work.velocities, b, 0), load3(work.velocities, b, 3)
+        element = model.elements[joint["element"]]
+        turn = w_b
         if a == WORLD:
             rot, p = se3_inverse(rot_b, r_b)
             w_a, v_a = ZERO3, ZERO3
         else:
             rot = tmatmul3(rot_b, load9(work.world, a, 0))
             p = tmatvec3(rot_b, sub3(load3(work.world, a, 9), r_b))
+            if element["turns_freely"] == 1:
+                # The parent, moved by the gap: its point is that of the child.
+                point = matvec3(rot, vector3(element["parent_point"]))
+                p = sub3(vector3(element["child_point"]), point)
             w_a, v_a = se3_Ad(rot, p, load3(work.velocities, a, 0), load3(work.velocities, a, 3))
+            if element["turns_freely"] == 1:
+                turn = add3(w_b, w_a)
         error_w, error_v = sub3(w_b, w_a), sub3(v_b, v_a)
         rate = 0.0
         if joint["kind"] != PAIR:
-            row_w, row_v, rate = variable_row(
-                model.elements[joint["element"]], rot, p, error_w, error_v
-            )
+            row_w, row_v, rate = variable_row(element, rot, p, error_w, error_v)
             store3(row_w, work.child_jacobian, first, 0)
             store3(row_v, work.child_jacobian, first, 3)
         e = ZERO3
@@ -59,7 +73,7 @@ def set_rows(model, work):
             back = tmatvec3(rot, beta)
             store3((-back[0], -back[1], -back[2]), work.parent_jacobian, r, 3)
         bracket_w, bracket_v = se3_ad(w_b, v_b, w_a, v_a)
-        bracket_v = add3(bracket_v, cross3(w_b, e))
+        bracket_v = add3(bracket_v, cross3(turn, e))
         for r in range(first, first + rows):
             work.bias[r] = -rate - (
                 dot3(load3(work.child_jacobian, r, 0), bracket_w)
@@ -87,15 +101,53 @@ def respond(model, work, j):
         add_coupling(model, work, model.coupling[j], 1.0, carried, LARGEST_ROWS)
     for p in range(model.paths[j, 0], model.paths[j, 1]):
         i = model.path_links[p]
-        link = model.bodies[i]
-        start, parent, pitch = LARGEST_ROWS * i, link["parent"], link["pitch"]
-        for k in range(link["freedom"], link["freedom"] + link["freedoms"]):
-            f, axis = model.order[k, 0], model.order[k, 1]
-            # The rows do not depend on each other: a processor works on several at once.
-            for r in range(rows):
-                work.response[at + r] = eliminate(work, f, axis, pitch, carried, start + r)
-            at += rows
-        if parent != WORLD:
-            for r in range(rows):
-                pass_on(work, i, carried, start + r, LARGEST_ROWS * parent + r)
+        parent = model.bodies[i]["parent"]
+        # The rows do not depend on each other: a processor works on several at once.
+        for r in range(rows):
+            w, v = _without_freedoms(model, work, i, LARGEST_ROWS * i + r, at + r, rows)
+            if parent != WORLD:
+                rot, shift = load9(work.relative, i, 0), load3(work.relative, i, 9)
+                add_wrench(w, v, rot, shift, carried, LARGEST_ROWS * parent + r)
+        at += rows * model.bodies[i]["freedoms"]
     set_block(model, work, j)
+
+
+@kernel
+def _leave(work, f, y, w, v, place):
+    """Wrench w - U y / D of freedom f, whose component y goes to a place of work.response."""
+    work.response[place] = y
+    share = -y * work.freedoms[f, 6]
+    return axpy3(share, load3(work.freedoms, f, 0), w), axpy3(share, load3(work.freedoms, f, 3), v)
+
+
+@kernel
+def _without_freedoms(model, work, i, row, place, rows):
+    """The wrench on link i in a row of work.carried, after `eliminate` for all its freedoms.
+
+    place : of the response in the first of them; that in the next one is `rows` further on
+
+    It stays in registers where links are hinges, slides, balls or free: that is a fifth faster.
+    """
+    link = model.bodies[i]
+    group, f = link["group"], link["freedom"]
+    w, v = load3(work.carried, row, 0), load3(work.carried, row, 3)
+    if group == HINGE:
+        w, v = _leave(work, f, w[2], w, v, place)
+        return (w[0], w[1], 0.0 if work.held[f] == 0.0 else w[2]), v
+    if group == SLIDE:
+        w, v = _leave(work, f, v[2], w, v, place)
+        return w, (v[0], v[1], 0.0 if work.held[f] == 0.0 else v[2])
+    if group == BALL or group == FREE:
+        w, v = _leave(work, f + 2, w[2], w, v, place)
+        w, v = _leave(work, f, w[0], (w[0], w[1], 0.0), v, place + rows)
+        w, v = _leave(work, f + 1, w[1], (0.0, w[1], 0.0), v, place + 2 * rows)
+        if group == FREE:
+            # Its parent is the world: nothing is left to carry on.
+            w, v = _leave(work, f + 3, v[0], ZERO3, v, place + 3 * rows)
+            w, v = _leave(work, f + 4, v[1], ZERO3, v, place + 4 * rows)
+            w, v = _leave(work, f + 5, v[2], ZERO3, v, place + 5 * rows)
+        return ZERO3, v
+    for k in range(f, f + link["freedoms"]):
+        y = eliminate(work, model.order[k, 0], model.order[k, 1], link["pitch"], work.carried, row)
+        work.response[place + (k - f) * rows] = y
+    return load3(work.carried, row, 0), load3(work.carried, row, 3)
