@@ -34,10 +34,12 @@ class Reports:
             self._warned_singular = True
             log.warning(
                 "Singular configuration before t = %g s: some constraint equations are "
-                "redundant there, and the mass distribution decides the remaining motion. If "
-                "the mechanism only passes this configuration, use stabilisation projection. "
+                "redundant there, and the mass distribution decides the remaining motion. %s"
                 "If it is always in one, remove a redundant joint",
                 self.time,
+                ""
+                if self.layout.model.projects
+                else "If the mechanism only passes this configuration, use stabilisation projection. ",
             )
         if self._switching is not None:
             self._warn_of_events()

@@ -41,7 +41,8 @@ LARGEST_GROWTH, LARGEST_CUT, SAFETY = 5.0, 0.2, 0.9
 SMALLEST_SUBSTEP = 1e-9
 MOST_SUBSTEPS = 100_000
 # If no substep meets the tolerance, as next to a singular pose, a step is repeated with these multiples.
-LOOSER = (1e2, 1e4, 1e6, 1e8)
+# With the last one only stages that cannot be computed reject a substep.
+LOOSER = (1e2, 1e4, 1e6, 1e8, 1e100)
 TOO_TIGHT = (DEPENDENT_ROWS, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS)
 
 
@@ -200,7 +201,7 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
                 if spaces.has_event(model, work, h - remaining, size):
                     status = EVENT
             if status == OK and model.projects:
-                status = spaces.close(model, work)
+                status = spaces.close(model, work, controlled)
             if status != OK:
                 break
             if controlled:

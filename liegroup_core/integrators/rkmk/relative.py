@@ -145,10 +145,13 @@ def check_end(model, work, h):
 
 
 @kernel
-def close(model, work):
-    """Project the end of a step onto the cut joints. Returns a status."""
+def close(model, work, controlled):
+    """Project the end of a step onto the cut joints. Returns a status.
+
+    The tolerance of the next substep depends on the twists of the bodies.
+    """
     status = project(model, work)
-    if status == OK and len(work.angle) > 0:
+    if status == OK and (controlled or len(work.angle) > 0):
         place(model, work, work.stage_pose, work.stage_twist)
     return status
 

@@ -22,7 +22,7 @@ for a RelativeModel or a PlaneModel:
                             TURNS_NOT_COUNTED + (spring << 8) if its angle cannot be unwrapped
     error_square(model, work, scheme, row, h, twist, i, rtol, atol) -> float
                             square of an error estimate of body i for the step from `twist`
-    close(model, work) -> status
+    close(model, work, controlled) -> status
                             project the end of the step onto the constraints
     count_turns(model, work)
                             unwrap the angles of torsional springs at the end of the step

@@ -165,7 +165,7 @@ def error_square(model, work, scheme, row, h, twist, i, rtol, atol):
 
 
 @kernel
-def close(model, work):
+def close(model, work, controlled):
     """Project the end of a step onto the constraints. Returns a status."""
     return close_joints(model, work)
 
