@@ -32,8 +32,9 @@ until the next one. If the companion cannot continue, the estimate is infinite f
 first meeting it is NaN.
 
 With error control the companion takes four steps in one: in steps as short as those of the simulation
-the last substep of each, which ends with the step, would often make the substeps of both equal. Without
-an accuracy its substeps are at most 4/3 of a step; with one its tolerances alone limit them.
+the last substep of each, which ends with the step, would often make the substeps of both equal. Its
+substeps are at most 4/3 of a step, with an accuracy only where joints have stops or friction: it would
+step over contacts that the simulation meets.
 
 What both runs get wrong alike, whatever the step, is no distance: see integrators/added_inertia.py. There
 the estimate is infinite.
@@ -107,8 +108,8 @@ class RunningError:
         self.size = mechanism_size(engine.layout.model) or 1.0
         step = self.ours / self._theirs * engine.step
         self._companion = self._make_companion(step, ratio**order)
-        if controlled and not by_work:
-            self._companion.limit_substeps(ratio * engine.step)
+        if controlled and (engine.has_switches or not by_work):
+            self._companion.limit_substeps(CONTROLLED[0] * engine.step)
         n = len(engine.layout.body_names)
         self._distance, self._seen = np.zeros((n, 4)), np.zeros((n, 4))
         self._window = np.zeros((WINDOW, n, 4))

@@ -338,6 +338,8 @@ def default_steps(horizon=None):
 
 def _suitable(steps, scene, layout, settings, tolerances):
     """The longest step that takes at most SUBSTEPS substeps at the start of the scene, and the layout."""
+    if not steps:
+        raise ValueError(f"expected a step in s or several of them, got {steps!r}")
     for step in steps:
         engine = Engine(scene, METHOD, step, *settings, True, layout, **tolerances)
         try:
