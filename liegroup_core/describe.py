@@ -174,7 +174,9 @@ def formulation(layout):
                          group; None for a floating link
         cut              [{joint, rows, dropped}] of the joints that close loops: names of the rows that
                          are solved for, and of the redundant ones
-        predicted_ns     {group: predicted cost of a stage on a core of 3 GHz, ns}
+        predicted_ns     {group: predicted cost of a stage on a core of 3 GHz, ns} of the groups that can
+                         hold the scene
+        only             text why only relative coordinates can hold it, or ""
     """
     scene, relative = layout.centred, layout.relative
     tree = tree_of(scene)
@@ -187,7 +189,9 @@ def formulation(layout):
             for r, name in enumerate(names):
                 kept = r in relative.kept_rows(element)
                 entry["rows" if kept else "dropped"].append(name)
-    predicted = {"relative": relative_cost(relative), "se3": absolute_cost(layout.model)}
+    predicted = {"relative": relative_cost(relative)}
+    if not layout.needs_relative:
+        predicted["se3"] = absolute_cost(layout.model)
     return {
         "group": choose_group("rkmk4", "auto", check_options("rkmk4", {}), layout),
         "coordinates": int(relative.bodies["freedoms"].sum()),
@@ -202,6 +206,7 @@ def formulation(layout):
         ],
         "cut": list(cut.values()),
         "predicted_ns": {group: round(cost) for group, cost in predicted.items()},
+        "only": layout.needs_relative,
     }
 
 

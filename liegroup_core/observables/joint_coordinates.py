@@ -4,8 +4,8 @@
 With the joint frames A on the parent and B on the child, z_A and z_B their axes in the world,
     revolute   theta = atan2(R10 - R01, R00 + R11) of R = R_A^T R_B,   z_B . (omega_b - omega_a)
     prismatic  z_A . (p_B - p_A),                                      z_B . (v_b - v_a) at p_B
-Their error is of the order of the joint's residual. An angle is unwrapped if the joint has a
-torsional spring or is coupled; other angles are between -pi and pi.
+Their error is of the order of the joint's residual. An angle is unwrapped if the joint has a torsional
+spring or a servo, is coupled or driven; other angles are between -pi and pi.
 """
 
 import math
