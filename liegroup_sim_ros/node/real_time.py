@@ -5,7 +5,7 @@ from liegroup_core.pacing import SLOW
 from liegroup_sim_ros.messages import events
 
 # Of a core, what the integration may take in real time, and what it may take with the messages;
-# checked over so much wall time, in s. If they take more, the accuracy is raised by a factor, up to
+# checked over so much wall time, in s. If they take more, the accuracy is made coarser by a factor, up to
 # the largest one.
 SHARE, SHARE_OF_ALL, SHARE_PERIOD = 0.5, 0.9, 0.2
 COARSER, COARSEST = 10.0, 0.1
