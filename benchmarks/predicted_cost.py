@@ -74,10 +74,10 @@ def main():
         predicted = relative_cost(engine.layout.relative)
         if engine.layout.needs_relative:
             continue
-        chosen_here = is_cheaper(engine.layout.relative)
+        chosen_relative = is_cheaper(engine.layout.relative)
         there, engine = nanoseconds(scene, "se3")
         predicted_there = absolute_cost(engine.layout.model)
-        chosen = here if chosen_here else there
+        chosen = here if chosen_relative else there
         loss = chosen / min(here, there)
         worst = max(worst, loss)
         table.add_row(

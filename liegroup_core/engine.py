@@ -288,11 +288,6 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         """Accepted and attempted substeps since the state was set; (0, 0) without error control."""
         return self._integrator.substeps
 
-    @property
-    def has_switches(self):
-        """Whether joints have stops or friction."""
-        return self._switching is not None
-
     def limit_substeps(self, longest):
         """Set the longest substep in s of a method with error control; call it at the start."""
         self._integrator.limit(longest)

@@ -108,7 +108,7 @@ class RunningError:
         self.size = mechanism_size(engine.layout.model) or 1.0
         step = self.ours / self._theirs * engine.step
         self._companion = self._make_companion(step, ratio**order)
-        if controlled and (engine.has_switches or not by_work):
+        if controlled and (engine.layout.switches or not by_work):
             self._companion.limit_substeps(CONTROLLED[0] * engine.step)
         n = len(engine.layout.body_names)
         self._distance, self._seen = np.zeros((n, 4)), np.zeros((n, 4))
