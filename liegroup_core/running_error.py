@@ -58,14 +58,14 @@ from .model.size import mechanism_size
 from .observables.distances import distances, largest_of
 
 HIGH = 8  # order from which the steps are more similar
-FIRST_MEETINGS, MEETINGS = 2, 192  # to the first checkpoint, and between two of them at most
+FIRST_MEETINGS, MEETINGS = 2, 48  # to the first checkpoint, and between two of them at most
 SUBSTEPS, MOST = 32, 8  # between checkpoints with an accuracy: substeps, and steps at most
-WINDOW, FADING = 4, 0.15  # checkpoints
+WINDOW, FADING = 4, 0.45  # checkpoints
 FASTEST = 8.0  # growth between two meetings that is continued until the next one
 PARTS = 2  # of the step that leads to an event, whose size does not depend on that of the others
-SEEN = 1.4
-LEAST, LEAST_HIGH = 1.0, 0.8  # of the distance, where the order is not seen
-CONTROLLED, BY_WORK = (4.0 / 3.0, 0.55), (1.7, 0.4)  # q and LEAST of error control
+SEEN = 1.3
+LEAST, LEAST_HIGH = 1.0, 0.75  # of the distance, where the order is not seen
+CONTROLLED, BY_WORK = (4.0 / 3.0, 0.5), (1.7, 0.4)  # q and LEAST of error control
 LARGE, NOT_SMALL = 2.5, 0.03
 # Of the mechanism's size, and rad: an error of this size makes a motion unpredictable.
 UNPREDICTABLE = 0.1

@@ -214,6 +214,9 @@ class RelativeWork(Struct):
     stage_twist: np.ndarray  # (n + L, 6)
     start_pose: np.ndarray  # (n + L, 12)
     start_twist: np.ndarray  # (n + L, 6)
+    middle_pose: np.ndarray  # (n + L, 12) the stage at a singular pose, see singular_poses.py
+    middle_twist: np.ndarray  # (n + L, 6)
+    middle: np.ndarray  # (f, 2) its regularised accelerations, and their mean beside it
     velocity: np.ndarray  # (L, 6) qdot at the start of the step
     slopes: np.ndarray  # ((s + 1) f, 2) k: algebra, then qdot part
     external: np.ndarray  # (n, COLUMNS), see forces/external.py: external wrenches of the call
@@ -264,6 +267,10 @@ class RelativeWork(Struct):
     errors: np.ndarray  # (2 L, 12) error estimates of the links: xi, eta, dw, dv
 
 
+POSES = ("pose", "stage_pose", "start_pose", "middle_pose")
+TWISTS = ("twist", "stage_twist", "start_twist", "middle_twist")
+
+
 def make_relative_work(model, work, stages):
     """Allocate the scratch memory of a RelativeModel; work: Work of the same mechanism."""
     n, links, rows = len(model.parts), len(model.bodies), len(model.row_residual)
@@ -279,8 +286,9 @@ def make_relative_work(model, work, stages):
         clock=work.clock,
         start_angle=work.start_angle,
         report=work.report,
-        **{name: np.zeros((n + links, 12)) for name in ("pose", "stage_pose", "start_pose")},
-        **{name: np.zeros((n + links, 6)) for name in ("twist", "stage_twist", "start_twist")},
+        **{name: np.zeros((n + links, 12)) for name in POSES},
+        **{name: np.zeros((n + links, 6)) for name in TWISTS},
+        middle=np.zeros((freedoms, 2)),
         known=np.zeros(1),
         velocity=np.zeros((links, 6)),
         slopes=np.zeros(((stages + 1) * freedoms, 2)),

@@ -5,6 +5,7 @@ from liegroup_core.compiling import kernel, shared, subroutine
 from liegroup_core.forces.external import external_wrench
 from liegroup_core.forces.kinds import add_wrenches
 from liegroup_core.lie.vec3 import store3
+from liegroup_core.status import OK
 
 from .kinds import (
     add_multipliers,
@@ -21,7 +22,9 @@ from .kinds import (
     spread_response,
 )
 from .loads import GIVEN, MOST_ITERATIONS, begin_loads, settle_loads
-from .loops import POOR, SINGULAR, apply_multipliers, close_loops, set_loops
+from .loops import POOR, SINGULAR, apply_multipliers, close_loops, project, set_loops
+from .matrix import AT, NEAR
+from .singular_poses import SIDES, WEIGHTS, add_aside, begin_aside, end_aside, go_aside
 from .switches import apply_switches, set_row_efforts
 
 # Each refinement multiplies the error in regular directions by the shift of W divided by its pivot.
@@ -83,6 +86,7 @@ def solve_equations(model, work):
     """
     gather(model, work)
     refinements = model.refinements
+    work.report[3] = 1.0
     if len(model.joints) > 0:
         found = set_loops(model, work)
         if found >= 0:
@@ -126,13 +130,39 @@ def balance(model, work):
 def accelerations(model, work, external):
     """Accelerations of all freedoms at the stage, to work.acceleration.
 
+    Near a singular pose the stage is displaced meanwhile: see singular_poses.py.
+
     external : (n, COLUMNS), see forces/external.py
     returns -1, or the joint with dependent rows if the regularised solve fails too
     """
-    move_links(model, work)
     applied = model.space.forces.exist or work.pushed[0] > 0.0
-    if applied or len(model.joints) > 0:
-        place_links(model, work)
-    if applied:
-        apply_forces(model, work, external)
-    return balance(model, work)
+    regular, d, sides = work.report[2], 0.0, 0
+    for side in range(len(SIDES)):
+        if side > 0:
+            go_aside(model, work, SIDES[side] * d)
+            if project(model, work) != OK:
+                break
+        move_links(model, work)
+        if applied or len(model.joints) > 0:
+            place_links(model, work)
+        if applied:
+            apply_forces(model, work, external)
+        found = balance(model, work)
+        pivot = work.report[3]
+        if side == 0:
+            if found >= 0 or pivot >= NEAR or len(model.switches) > 0:
+                return found
+            d, sides = begin_aside(model, work), len(SIDES) - 1
+            if pivot >= AT:
+                d, sides = 0.0, 1
+            continue
+        if found >= 0 or pivot < AT:
+            break
+        add_aside(work, WEIGHTS[side] if sides > 1 else 1.0)
+        if side == sides:
+            end_aside(model, work, 1)
+            work.report[2] = regular
+            return -1
+    # Singular everywhere: the masses decide.
+    end_aside(model, work, 0)
+    return -1

@@ -19,9 +19,11 @@ from liegroup_core.status import DEPENDENT_ROWS, NOT_PROJECTED, OK
 
 from .coupled_rows import set_all_rows, set_gap
 from .kinds import displace, gather, lift_links, move_links, place_links, respond, spread_response
-from .matrix import REGULARISATION, factor, has_small_pivot, is_off, set_shared, solve
+from .matrix import AT, REGULARISATION, factor, has_small_pivot, is_off, set_shared, solve
 
 SINGULAR, POOR = -2, -3
+# Each iteration multiplies the residual of the rows that are determined by AT divided by their pivot.
+ITERATIONS_WHEN_SINGULAR = 4
 
 
 @shared
@@ -125,10 +127,13 @@ def close_loops(model, work):
 def project(model, work):
     """Project the links at the stage onto the cut joints, in place.
 
+    At a singular pose only in the directions that are determined there: what a row leaves open in
+    another one is the second order of a displacement, and vanishes at the next pose.
+
     returns a status: OK, NOT_PROJECTED or DEPENDENT_ROWS + (element of `space` << 8)
     """
     n, links = len(model.parts), len(model.bodies)
-    for _ in range(MAX_ITERATIONS + 1):
+    for iteration in range(MAX_ITERATIONS + 1):
         move_links(model, work)
         place_links(model, work)
         lift_links(model, work)
@@ -138,8 +143,11 @@ def project(model, work):
         satisfied = is_satisfied(model, work, work.world)
         set_responses(model, work)
         dependent = factor(model, work, 0.0)
-        if dependent >= 0:
-            return DEPENDENT_ROWS + (model.owners[dependent] << 8)
+        if dependent >= 0 or work.report[3] < AT:
+            satisfied = satisfied or iteration >= ITERATIONS_WHEN_SINGULAR
+            dependent = factor(model, work, AT)
+            if dependent >= 0:
+                return DEPENDENT_ROWS + (model.owners[dependent] << 8)
         for r in range(len(work.right)):
             work.right[r] = work.slip[r] if satisfied else work.gap[model.row_residual[r]]
         solve(model, work)

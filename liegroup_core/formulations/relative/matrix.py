@@ -11,6 +11,8 @@ SMALLEST_MOBILITY = 1e-12
 # A solve loses the digits of the largest ratio of a diagonal entry and its pivot, and the refinement
 # that follows gains them back: from here on.
 SMALL_PIVOT = 1e-2
+# Smallest pivots as parts of the mobility: of a pose near a singular one, and of one that counts as it.
+NEAR, AT = 1e-3, 1e-6
 # Shift of W at a singular pose.
 REGULARISATION = 1e-8
 
@@ -116,7 +118,7 @@ def factor(model, work, shift):
     The multipliers of rows that do not act stay as they are.
     returns -1, or the joint of a dependent row
     """
-    W, held = work.matrix, False
+    W, held, smallest = work.matrix, False, 1.0
     for k in range(len(model.switches)):
         held = held or work.held[model.switches[k]["freedom"]] != 0.0
     for j in range(len(model.joints)):
@@ -146,6 +148,9 @@ def factor(model, work, shift):
                 work.diagonal[r] = 0.0
                 continue
             work.diagonal[r] = 1.0 / pivot
+            if pivot < smallest * mobility:
+                smallest = pivot / mobility
+    work.report[3] = smallest
     return -1
 
 

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Accelerations of loops near a singular pose, where two branches of their motion cross.
+
+At a distance t from such a pose a row of the cut joints, or a sum of rows, is J_s = t B. At a stage that is
+off the constraints by e the accelerations are wrong by about e / t^2: they are those of another mechanism,
+whose branches do not cross. On the constraints they are smooth in t. So the stage is projected before they
+are computed. That fails nearer to the pose, where round-off is e. There they are interpolated from both
+sides, from the poses displaced by +- d V and +- 2 d V and projected, up to O(d^4).
+
+Every method passes these poses with steps of its normal size: test/core/test_redundancy.py.
+"""
+
+from liegroup_core.compiling import kernel
+
+from .kinds import displace
+
+# Displacement d V of the fastest joint, rad or m: ten times the distance at which a pose counts as singular.
+ASIDE = 5e-3
+# Displacements in d, and weights of the interpolation: Richardson's extrapolation of the mean.
+SIDES = (0.0, 1.0, -1.0, 2.0, -2.0)
+WEIGHTS = (0.0, 2.0 / 3.0, 2.0 / 3.0, -1.0 / 6.0, -1.0 / 6.0)
+
+
+@kernel
+def _copy_links(n, pose, twist, pose_out, twist_out):
+    """Copy coordinates and rates of all links: rows from n on."""
+    for row in range(n, len(pose)):
+        for c in range(12):
+            pose_out[row, c] = pose[row, c]
+        for c in range(6):
+            twist_out[row, c] = twist[row, c]
+
+
+@kernel
+def begin_aside(model, work):
+    """Keep the stage and its accelerations; returns d in s."""
+    n, fastest = len(model.parts), 0.0
+    _copy_links(n, work.stage_pose, work.stage_twist, work.middle_pose, work.middle_twist)
+    for b in range(len(model.bodies)):
+        for k in range(model.bodies[b]["freedoms"]):
+            fastest = max(fastest, abs(work.stage_twist[n + b, k]))
+    for f in range(len(work.freedoms)):
+        work.middle[f, 0] = work.acceleration[f, 0]
+        work.middle[f, 1] = 0.0
+    return ASIDE / fastest if fastest > 0.0 else 0.0
+
+
+@kernel
+def go_aside(model, work, d):
+    """Displace the stage by the time d along its velocities and kept accelerations."""
+    n = len(model.parts)
+    for b in range(len(model.bodies)):
+        f = model.bodies[b]["freedom"]
+        for k in range(model.bodies[b]["freedoms"]):
+            rate = work.middle_twist[n + b, k]
+            work.total[f + k, 0] = d * rate
+            work.stage_twist[n + b, k] = rate + d * work.middle[f + k, 0]
+        displace(model, b, work.middle_pose, work.total, f, work.stage_pose)
+
+
+@kernel
+def add_aside(work, weight):
+    """Add the accelerations of a displaced stage to their sum."""
+    for f in range(len(work.freedoms)):
+        work.middle[f, 1] += weight * work.acceleration[f, 0]
+
+
+@kernel
+def end_aside(model, work, column):
+    """Return to the kept stage; its accelerations are the sum, column 1, or as they were, 0."""
+    n = len(model.parts)
+    _copy_links(n, work.middle_pose, work.middle_twist, work.stage_pose, work.stage_twist)
+    for f in range(len(work.freedoms)):
+        work.acceleration[f, 0] = work.middle[f, column]
