@@ -95,9 +95,9 @@ class Work(Struct):
     start_angle: np.ndarray        # angle there
     velocity: np.ndarray           # (n, 6) velocity on the group at the start of the step
     slopes: np.ndarray             # ((s + 1) n, 12) k of stages and end: algebra, then velocity part
-    report: np.ndarray             # (4,) largest squared rotation of a stage, rad^2: so far, this step;
-                                   # number of solves at a singular pose; smallest pivot of W in
-                                   # relative coordinates
+    report: np.ndarray             # (5,) largest squared rotation of a stage, rad^2: so far, this step;
+                                   # number of solves at a singular pose; in relative coordinates
+                                   # smallest pivot of W, round-off in accelerations of this step
     acceleration: np.ndarray = None    # (n, 6) those 6 n of `solution`: Q, then Vdot
 
     def __post_init__(self):
@@ -122,4 +122,4 @@ def make_work(model, stages):
         wanted=wanted_values(model.forces), motions=model.motions.copy(), clock=np.zeros(3),
         stage_pose=np.zeros((n, 12)), stage_twist=np.zeros((n, 6)),
         start_pose=np.zeros((n, 12)), start_twist=np.zeros((n, 6)), velocity=np.zeros((n, 6)),
-        slopes=np.zeros(((stages + 1) * n, 12)), report=np.zeros(4))
+        slopes=np.zeros(((stages + 1) * n, 12)), report=np.zeros(5))

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """diagnostic_msgs/DiagnosticArray of a simulation: its figures and their severity."""
 
+import math
 import sys
 
 from liegroup_core.pacing import SLOW
@@ -52,4 +53,8 @@ def judge(figures):
     requested, achieved = figures["real_time_factor_wanted"], figures["real_time_factor"]
     if figures["state"] == "running" and 0.0 < achieved < SLOW * requested:
         return WARN, f"too slow: real-time factor {achieved:.3g} of {requested:.3g}"
+    if figures.get("predictable_until_s", math.inf) < math.inf:
+        return WARN, f"not predictable from t = {figures['predictable_until_s']:.9g} s on"
+    if figures.get("accurate_until_s", math.inf) < math.inf:
+        return WARN, f"accurate until t = {figures['accurate_until_s']:.9g} s only"
     return OK, figures["state"]

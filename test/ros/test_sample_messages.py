@@ -509,6 +509,29 @@ def test_diagnostics(number, text, state):
         assert float(values["number"]) == pytest.approx(number, rel=1e-8)
 
 
+@pytest.mark.parametrize(
+    "broken, text",
+    [
+        ({}, "running"),
+        ({"accurate_until_s": 2.5}, "accurate until t = 2.5 s only"),
+        ({"accurate_until_s": 2.5, "predictable_until_s": 4.0}, "not predictable from t = 4 s on"),
+        ({"real_time_factor": 0.5}, "too slow: real-time factor 0.5 of 1"),
+    ],
+)
+def test_diagnostics_warn_if_what_was_promised_does_not_hold(broken, text):
+    figures = {
+        "state": "running",
+        "real_time_factor_wanted": 1.0,
+        "real_time_factor": 1.0,
+        "accurate_until_s": math.inf,
+        "predictable_until_s": math.inf,
+    }
+    message = diagnostics.encode(STAMP, "/node: simulation", figures | broken)
+    (status,) = as_ros_serializes(message, DiagnosticArray).status
+    assert status.message == text
+    assert status.level == (b"\x01" if broken else b"\x00")
+
+
 @given(st.integers(0, 10**18), st.text(st.characters(codec="utf-8", exclude_characters="\0")))
 @settings(max_examples=50)
 def test_log(stamp_ns, text):

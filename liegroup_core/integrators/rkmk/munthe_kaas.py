@@ -75,6 +75,7 @@ def _change(error, estimates):
 def _error(model, work, scheme, h, twist, rtol, atol):
     """Norm of the error estimate of a step from `twist`; a step is accepted up to 1."""
     largest = 0.0
+    atol += h * work.report[4]
     for i in range(len(model.bodies)):
         error = spaces.error_square(model, work, scheme, 0, h, twist, i, rtol, atol)
         if len(scheme.error) == 2:
@@ -170,7 +171,7 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
                 count = max(1, math.ceil(remaining / control[0] - 1e-6))
             size = remaining / count
             attempts += 1
-            work.report[1] = 0.0
+            work.report[1] = work.report[4] = 0.0
             spaces.begin(model, work, group, pose, twist)
             # The end is one more stage. Accelerations there are for the error estimate only.
             for stage in range(first, stages + 1):
