@@ -5,10 +5,7 @@ References: the independent integration of liegroup_core.reference, or SciPy's D
 written here.
 """
 
-import os
 import re
-import subprocess
-import sys
 
 import mechanisms
 import numpy as np
@@ -408,33 +405,3 @@ def test_applicable_methods_of_a_scene():
     assert fitting_methods(make_layout(mechanisms.rotors())) == list(METHODS)
     others = fitting_methods(make_layout(load_scene("four_bar")))
     assert others == [name for name in METHODS if name not in ROTATION]
-
-
-def test_steps_allocate_nothing():
-    """Numba's allocation count is the same for 10 and for 400 steps in one call, without checks."""
-    code = (
-        "import sys; sys.path.insert(0, sys.argv[1]); import mechanisms\n"
-        "from numba.core.runtime import rtsys\n"
-        "from liegroup_core.engine import Engine\n"
-        "from liegroup_core.integrators.methods import METHODS\n"
-        "for name, method in METHODS.items():\n"
-        "    if method.family != 'rotation': continue\n"
-        "    s, counts = Engine(mechanisms.rotors(), method=name, step=1e-3), []\n"
-        "    for steps in (10, 10, 400):\n"
-        "        before = rtsys.get_allocation_stats().alloc\n"
-        "        s.advance(steps)\n"
-        "        counts.append(rtsys.get_allocation_stats().alloc - before)\n"
-        "    print(*counts)"
-    )
-    here = os.path.dirname(os.path.dirname(__file__))
-    lines = subprocess.run(
-        [sys.executable, "-c", code, here],
-        capture_output=True,
-        text=True,
-        check=True,
-        env={**os.environ, "NUMBA_NRT_STATS": "1"},
-    ).stdout.split("\n")
-    counts = [list(map(int, line.split())) for line in lines if line]
-    assert len(counts) == len(ROTATION)
-    for _, few, many in counts:
-        assert few == many

@@ -167,7 +167,7 @@ def random_tree(n):
 
 @pytest.mark.parametrize("method", ON_TREES)
 def test_random_trees_stay_closed(method):
-    for n, step in ((12, 0.01), (30, 0.005), (70, 0.002), (200, 0.001)):
+    for n, step in ((12, 0.05), (12, 0.01), (30, 0.005), (70, 0.002), (200, 0.001), (200, 0.05)):
         assert_closed(random_tree(n), method, step)
 
 

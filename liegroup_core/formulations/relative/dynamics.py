@@ -153,6 +153,8 @@ def accelerations(model, work, external):
             if found >= 0 or pivot >= NEAR or len(model.switches) > 0:
                 return found
             d, sides = begin_aside(model, work), len(SIDES) - 1
+            if d == 0.0:
+                return found
             if pivot >= AT:
                 d, sides = 0.0, 1
             continue

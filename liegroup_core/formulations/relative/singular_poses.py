@@ -37,7 +37,7 @@ def _copy_links(n, pose, twist, pose_out, twist_out):
 
 @kernel
 def begin_aside(model, work):
-    """Keep the stage and its accelerations; returns d in s."""
+    """Keep the stage and its accelerations; returns d in s, or 0 at rest."""
     n, fastest = len(model.parts), 0.0
     _copy_links(n, work.stage_pose, work.stage_twist, work.middle_pose, work.middle_twist)
     for b in range(len(model.bodies)):
