@@ -70,8 +70,11 @@ def _plane(axes, title, plot):
         axes.set_yscale("log")
         if "range" in layout["yaxis"]:
             axes.set_ylim(*(10.0**edge for edge in layout["yaxis"]["range"]))
-    for band in layout["shapes"]:
-        axes.axvspan(band["x0"], band["x1"], color=COLOURS["--red"], alpha=0.18, lw=0)
+    for shape in layout["shapes"]:
+        if shape["xref"] == "paper":
+            axes.axhline(shape["y0"], color=COLOURS["--grey"], lw=0.7, ls=":")
+        else:
+            axes.axvspan(shape["x0"], shape["x1"], color=COLOURS["--red"], alpha=0.18, lw=0)
     axes.set_xlabel("time / s", fontsize=8)
     axes.set_ylabel(layout["yaxis"]["title"]["text"], fontsize=8)
     axes.tick_params(labelsize=7)

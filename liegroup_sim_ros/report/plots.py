@@ -9,6 +9,8 @@ from html import escape
 
 import numpy as np
 
+from liegroup_sim_ros.analysis.estimate import LEAST, MOST
+
 BINS = 1000  # of a curve; the minimum and the maximum of each bin are drawn
 PATH_POINTS = 4000
 HEIGHT = 340  # px
@@ -37,6 +39,16 @@ def make_plots(analysis):
                 _plane(_error_traces(curves["reference"]), bands, "m, rad", log=True),
             )
         )
+        ratios = _coverage_traces(curves["reference"])
+        if ratios:
+            plots.append(
+                (
+                    "Coverage",
+                    f"estimate divided by error, where the reference knows it; lines at {LEAST:g} and "
+                    f"{MOST:g}",
+                    _ratio_plane(ratios, bands),
+                )
+            )
     if curves["energy"]:
         plots.append(
             (
@@ -108,6 +120,45 @@ def _error_traces(parts):
         _line(name, times, _joined([part[k + 1] for part in parts]), colour, dash)
         for k, (name, colour, dash) in enumerate(names[: len(parts[0]) - 1])
     ]
+
+
+def _coverage_traces(parts):
+    """Estimate divided by error: curves of position and attitude, where they are known."""
+    with_estimate = [part for part in parts if len(part) > 5]
+    if not with_estimate:
+        return []
+    times, traces = _joined([part[0] for part in with_estimate]), []
+    for k, (name, colour) in enumerate((("position", "--blue"), ("attitude", "--orange"))):
+        ratios = []
+        for part in with_estimate:
+            error, uncertainty, estimate = part[1 + k], part[3 + k], part[5 + k]
+            with np.errstate(invalid="ignore", divide="ignore"):
+                ratios.append(np.where(error > uncertainty, estimate / error, np.nan))
+        if any(np.isfinite(ratio).any() for ratio in ratios):
+            traces.append(_line(name, times, _joined(ratios), colour))
+    return traces
+
+
+def _ratio_plane(traces, bands):
+    """Plot of `_coverage_traces` with lines at the bounds of an estimate that covers the error."""
+    lines = [
+        {
+            "type": "line",
+            "xref": "paper",
+            "yref": "y",
+            "x0": 0,
+            "x1": 1,
+            "y0": value,
+            "y1": value,
+            "line": {"color": "--grey", "width": 1, "dash": "dot"},
+        }
+        for value in (LEAST, MOST)
+    ]
+    plot = _plane(traces, bands + lines, "estimate / error", log=True)
+    values = [v for trace in traces for v in trace["y"] if v is not None and v > 0.0]
+    ends = min(0.5 * LEAST, *values), max(2.0 * MOST, *values)
+    plot["layout"]["yaxis"]["range"] = [math.log10(end) for end in ends]
+    return plot
 
 
 def _interval_traces(named):

@@ -381,6 +381,24 @@ def test_estimates_of_a_later_part_are_not_compared(tmp_path):
     assert {y for trace in error["data"][4:] for y in trace["y"]} == {None}
 
 
+def test_the_coverage_is_the_estimate_divided_by_the_error(tmp_path):
+    log = run(tmp_path / "a.mcap", load_scene("double_pendulum"), duration=2.0, estimate=True)
+    analysis = analyse(read_recording(log))
+    plots = {title: plot for title, _, plot in make_plots(analysis)}
+    coverage, error = plots["Coverage"]["data"], plots["Error"]["data"]
+    assert [trace["name"] for trace in coverage] == ["position", "attitude"]
+    known = 0
+    for k, trace in enumerate(coverage):
+        true, uncertainty, estimate = (error[j + k]["y"] for j in (0, 2, 4))
+        for ratio, *parts in zip(trace["y"], true, uncertainty, estimate):
+            if ratio is not None:
+                assert (
+                    ratio == pytest.approx(parts[2] / parts[0], rel=1e-5) and parts[0] >= parts[1]
+                )
+                known += 1
+    assert known > 20
+
+
 def test_missing_estimates_are_nan(tmp_path, monkeypatch):
     """Every second message is missing, and the file is read in many pieces."""
     monkeypatch.setattr(read, "PIECE", 1)
