@@ -386,6 +386,20 @@ def test_an_accuracy_is_not_given_away_if_that_does_not_help(
     assert "accuracy" not in {event.name for event in recording.events}
 
 
+@pytest.mark.parametrize("share, raised", [(2.0, [1e-3]), (3.0, [])])
+def test_an_accuracy_is_given_away_only_if_the_coarsest_one_would_do(share, raised):
+    """0.1 instead of 1e-4 takes 1e-3^(1/8) = 0.42 of the substeps of a method of order 8."""
+    given = []
+    simulation = SimpleNamespace(
+        step=0.01, substeps=(0, 0), time=1.0, promise={"accuracy": 1e-4}, set_accuracy=given.append
+    )
+    real = real_time.RealTime(simulation, SimpleNamespace(factor=1.0))
+    for count in (1, 2):  # twice in succession
+        simulation.substeps = (0, 2000 * count)
+        real.add(20, share * 0.2, 0.0)
+    assert given == pytest.approx(raised)
+
+
 def test_as_fast_as_possible_has_no_share_of_real_time(ros_node, tmp_path, monkeypatch):
     monkeypatch.setattr(real_time, "SHARE", 0.0)
     run = scene_run(ros_node, "heavy_top", record=tmp_path / "run.mcap", real_time_factor=0.0)
