@@ -126,7 +126,7 @@ TABLE = (
     Entry(
         "estimate",
         True,
-        "carry an estimate of the global error, at about 1.9 times the cost: in ~/state, "
+        "carry an estimate of the global error, at about 1.8 times the cost: in ~/state, "
         "/diagnostics, ~/errors and the covariances of ~/BODY/odometry and "
         "~/BODY/pose_with_covariance",
     ),
