@@ -127,8 +127,8 @@ def close_loops(model, work):
 def project(model, work):
     """Project the links at the stage onto the cut joints, in place.
 
-    At a singular pose only in the directions that are determined there: what a row leaves open in
-    another one is the second order of a displacement, and vanishes at the next pose.
+    At a singular pose only what is determined there is corrected. The gap that stays is of second order
+    in the displacement, and is closed at the next pose.
 
     returns a status: OK, NOT_PROJECTED or DEPENDENT_ROWS + (element of `space` << 8)
     """
