@@ -13,11 +13,12 @@ Every method passes these poses with steps of its normal size: test/core/test_re
 
 from liegroup_core.compiling import kernel
 
+from .arrays import BALL, SLIDE
 from .kinds import displace
 
-# Displacement d V of the fastest joint, rad or m: three times the distance at which a pose counts as singular.
+# Displacement d V of the joint that turns fastest, rad: three times the distance at which a pose is singular.
 ASIDE = 2e-2
-# Round-off in accelerations as a part of the square of the fastest joint's velocity: a tenth of that of a pose,
+# Round-off in accelerations as a part of the square of the fastest rate of rotation: a tenth of that of a pose,
 # 3e-16, divided by the cube of the distance at which it counts as singular.
 NOISE = 4e-10
 # Displacements in d, and weights of the interpolation.
@@ -37,11 +38,13 @@ def _copy_links(n, pose, twist, pose_out, twist_out):
 
 @kernel
 def begin_aside(model, work):
-    """Keep the stage and its accelerations; returns d in s, or 0 at rest."""
+    """Keep the stage and its accelerations; returns d in s, or 0 if no joint turns."""
     n, fastest = len(model.parts), 0.0
     _copy_links(n, work.stage_pose, work.stage_twist, work.middle_pose, work.middle_twist)
     for b in range(len(model.bodies)):
-        for k in range(model.bodies[b]["freedoms"]):
+        group = model.bodies[b]["group"]
+        turning = 0 if group == SLIDE else 3 if group >= BALL else 1
+        for k in range(turning):
             fastest = max(fastest, abs(work.stage_twist[n + b, k]))
     for f in range(len(work.freedoms)):
         work.middle[f, 0] = work.acceleration[f, 0]
