@@ -136,7 +136,7 @@ def accelerations(model, work, external):
     returns -1, or the joint with dependent rows if the regularised solve fails too
     """
     applied = model.space.forces.exist or work.pushed[0] > 0.0
-    regular, d, sides = work.report[2], 0.0, 0
+    regular, d, sides, first = work.report[2], 0.0, 0, 0.0
     for side in range(len(SIDES)):
         if side > 0:
             go_aside(model, work, SIDES[side] * d)
@@ -150,21 +150,24 @@ def accelerations(model, work, external):
         found = balance(model, work)
         pivot = work.report[3]
         if side == 0:
-            if found >= 0 or pivot >= NEAR or len(model.switches) > 0:
+            # With unlike masses, which are refined, pivots are small everywhere.
+            if found >= 0 or pivot >= NEAR or len(model.switches) > 0 or model.refinements > 0:
                 return found
             d, sides = begin_aside(model, work), len(SIDES) - 1
             if d == 0.0:
                 return found
+            first = pivot
             if pivot >= AT:
-                d, sides = 0.0, 1
+                d, sides, first = 0.0, 1, 0.0
             continue
-        if found >= 0 or pivot < AT:
+        # Beside a singular pose pivots grow as the square of the distance.
+        if found >= 0 or pivot < max(AT, 2.0 * SIDES[side] * SIDES[side] * first):
             break
         add_aside(work, WEIGHTS[side] if sides > 1 else 1.0)
         if side == sides:
             end_aside(model, work, 1)
             work.report[2] = regular
             return -1
-    # Singular everywhere: the masses decide.
+    # Not singular, or singular everywhere: then the masses decide.
     end_aside(model, work, 0)
     return -1
