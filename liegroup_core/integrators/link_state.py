@@ -13,11 +13,10 @@ from liegroup_core.formulations.relative.kinds import (
     place_bodies,
     place_links,
 )
-from liegroup_core.model.arrays import make_work
+from liegroup_core.model.arrays import copy_state, make_work
 from liegroup_core.status import OK
 
 from .methods import RELATIVE
-from .motion import copy_state
 
 
 def model_and_work(layout, group, options, stages):

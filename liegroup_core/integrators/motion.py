@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Operations of all integrators on a state: velocity on the group, displacement, copy."""
+"""Operations of all integrators on a state: velocity on the group, displacement."""
 
 import math
 
@@ -69,16 +69,6 @@ def rotation_status(squared):
     if squared < math.inf:
         return ROTATION_TOO_LARGE
     return NOT_FINITE
-
-
-@kernel
-def copy_state(source_pose, source_twist, pose_out, twist_out):
-    """Copy pose (n, 12) and twist (n, 6) of a state."""
-    for i in range(len(source_pose)):
-        for c in range(12):
-            pose_out[i, c] = source_pose[i, c]
-        for c in range(6):
-            twist_out[i, c] = source_twist[i, c]
 
 
 @kernel

@@ -15,7 +15,7 @@ Each array is structured: one record per body, element, joint or vertex.
 """
 import numpy as np
 
-from liegroup_core.compiling import Struct
+from liegroup_core.compiling import Struct, kernel
 from liegroup_core.forces.kinds import count_of_angles, wanted_values
 
 BODY = np.dtype([
@@ -123,3 +123,13 @@ def make_work(model, stages):
         stage_pose=np.zeros((n, 12)), stage_twist=np.zeros((n, 6)),
         start_pose=np.zeros((n, 12)), start_twist=np.zeros((n, 6)), velocity=np.zeros((n, 6)),
         slopes=np.zeros(((stages + 1) * n, 12)), report=np.zeros(5))
+
+
+@kernel
+def copy_state(source_pose, source_twist, pose_out, twist_out):
+    """Copy pose (n, 12) and twist (n, 6) of a state."""
+    for i in range(len(source_pose)):
+        for c in range(12):
+            pose_out[i, c] = source_pose[i, c]
+        for c in range(6):
+            twist_out[i, c] = source_twist[i, c]

@@ -165,9 +165,9 @@ def accelerations(model, work, external):
             break
         add_aside(work, WEIGHTS[side] if sides > 1 else 1.0)
         if side == sides:
-            end_aside(model, work, 1)
+            end_aside(work, 1)
             work.report[2] = regular
             return -1
     # Not singular, or singular everywhere: then the masses decide.
-    end_aside(model, work, 0)
+    end_aside(work, 0)
     return -1

@@ -8,10 +8,12 @@ are computed. That fails nearer to the pose, where round-off is e. There they ar
 sides, from the poses displaced by +- d V, +- 2 d V and +- 3 d V and projected, up to O(d^6).
 What is left is round-off in the accelerations: error control does not resolve it.
 
-Every method passes these poses with steps of its normal size: test/core/test_redundancy.py.
+Steps keep their normal size at these poses: test/verification/test_accuracy.py. Scenes with stops or
+friction, and mechanisms whose solves are refined, are left to the regularisation of loops.py.
 """
 
 from liegroup_core.compiling import kernel
+from liegroup_core.model.arrays import copy_state
 
 from .arrays import BALL, SLIDE
 from .kinds import displace
@@ -27,20 +29,10 @@ WEIGHTS = (0.0, 0.75, 0.75, -0.3, -0.3, 0.05, 0.05)
 
 
 @kernel
-def _copy_links(n, pose, twist, pose_out, twist_out):
-    """Copy coordinates and rates of all links: rows from n on."""
-    for row in range(n, len(pose)):
-        for c in range(12):
-            pose_out[row, c] = pose[row, c]
-        for c in range(6):
-            twist_out[row, c] = twist[row, c]
-
-
-@kernel
 def begin_aside(model, work):
     """Keep the stage and its accelerations; returns d in s, or 0 if no joint turns."""
     n, fastest = len(model.parts), 0.0
-    _copy_links(n, work.stage_pose, work.stage_twist, work.middle_pose, work.middle_twist)
+    copy_state(work.stage_pose, work.stage_twist, work.middle_pose, work.middle_twist)
     for b in range(len(model.bodies)):
         group = model.bodies[b]["group"]
         turning = 0 if group == SLIDE else 3 if group >= BALL else 1
@@ -74,9 +66,8 @@ def add_aside(work, weight):
 
 
 @kernel
-def end_aside(model, work, column):
+def end_aside(work, column):
     """Return to the kept stage; its accelerations are the sum, column 1, or as they were, 0."""
-    n = len(model.parts)
-    _copy_links(n, work.middle_pose, work.middle_twist, work.stage_pose, work.stage_twist)
+    copy_state(work.middle_pose, work.middle_twist, work.stage_pose, work.stage_twist)
     for f in range(len(work.freedoms)):
         work.acceleration[f, 0] = work.middle[f, column]

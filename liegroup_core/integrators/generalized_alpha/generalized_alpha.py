@@ -34,7 +34,7 @@ from liegroup_core.forces.external import COLUMNS as EXTERNAL_COLUMNS
 from liegroup_core.formulations.relative.arrays import links_of
 from liegroup_core.integrators.link_state import model_and_work
 from liegroup_core.integrators.methods import GROUPS, SE3, refuse_stabilisation
-from liegroup_core.integrators.motion import copy_state
+from liegroup_core.model.arrays import copy_state
 from liegroup_core.status import DEPENDENT_ROWS, OK
 
 from . import spaces

@@ -14,7 +14,7 @@ from liegroup_core.formulations.absolute.projection import is_satisfied
 from liegroup_core.integrators.body_state import enter as enter
 from liegroup_core.integrators.body_state import leave as leave
 from liegroup_core.integrators.broyden import broyden
-from liegroup_core.integrators.motion import copy_state, end_status, rotation_status
+from liegroup_core.integrators.motion import end_status, rotation_status
 from liegroup_core.integrators.rotation.maps import turn, velocity
 from liegroup_core.integrators.rotation.newton import EXPONENTIAL, newton
 from liegroup_core.lie.so3 import so3_nearest
@@ -32,6 +32,7 @@ from liegroup_core.lie.vec3 import (
     store9,
     tmatvec3,
 )
+from liegroup_core.model.arrays import copy_state
 from liegroup_core.status import NOT_CONVERGED, OK
 
 from .arrays import HISTORY

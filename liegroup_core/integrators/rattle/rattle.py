@@ -40,7 +40,7 @@ from liegroup_core.compiling import SameTypes, borrowed, stepper
 from liegroup_core.formulations.relative.arrays import PlaneModel, links_of
 from liegroup_core.integrators.link_state import model_and_work
 from liegroup_core.integrators.methods import refuse_stabilisation
-from liegroup_core.integrators.motion import copy_state
+from liegroup_core.model.arrays import copy_state
 from liegroup_core.status import OK
 
 from . import spaces

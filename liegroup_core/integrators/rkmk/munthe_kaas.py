@@ -29,7 +29,7 @@ from liegroup_core.compiling import SameTypes, Struct, borrowed, kernel, stepper
 from liegroup_core.formulations.relative.arrays import links_of
 from liegroup_core.integrators.link_state import model_and_work
 from liegroup_core.integrators.methods import EXACT, GROUPS, RELATIVE, SE3, is_positive
-from liegroup_core.integrators.motion import copy_state
+from liegroup_core.model.arrays import copy_state
 from liegroup_core.status import DEPENDENT_ROWS, EVENT, OK, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS
 
 from . import spaces

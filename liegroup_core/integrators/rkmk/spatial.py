@@ -15,13 +15,7 @@ from liegroup_core.formulations.absolute.projection import close_joints
 from liegroup_core.integrators.body_state import enter as enter
 from liegroup_core.integrators.body_state import leave as leave
 from liegroup_core.integrators.methods import EXACT, SE3
-from liegroup_core.integrators.motion import (
-    copy_state,
-    displace,
-    end_status,
-    error_norm_square,
-    group_velocity,
-)
+from liegroup_core.integrators.motion import displace, end_status, error_norm_square, group_velocity
 from liegroup_core.lie.coefficients import dexpinv_coefficients, truncated_dexpinv_coefficients
 from liegroup_core.lie.se3 import se3_dexpinv_of
 from liegroup_core.lie.so3 import so3_dexpinv_of, so3_nearest
@@ -39,6 +33,7 @@ from liegroup_core.lie.vec3 import (
     store9,
     tmatvec3,
 )
+from liegroup_core.model.arrays import copy_state
 from liegroup_core.status import LARGEST_ROTATION, NOT_FINITE, OK, ROTATION_TOO_LARGE
 
 

@@ -34,9 +34,9 @@ from liegroup_core.forces.external import external_wrench
 from liegroup_core.forces.gravity import add_wrench as add_gravity
 from liegroup_core.forces.kinds import add_wrenches
 from liegroup_core.integrators.methods import METHODS, refuse_stabilisation
-from liegroup_core.integrators.motion import copy_state, is_finite
+from liegroup_core.integrators.motion import is_finite
 from liegroup_core.lie.vec3 import store3
-from liegroup_core.model.arrays import make_work
+from liegroup_core.model.arrays import copy_state, make_work
 from liegroup_core.status import DIVERGED, HOPELESS_ROTATION, NOT_CONVERGED, NOT_FINITE, OK
 
 from .bodies import COLUMNS, make_spinners
