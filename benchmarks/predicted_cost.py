@@ -49,7 +49,7 @@ def scenes():
     return found
 
 
-def nanoseconds(scene, group, steps=60, repeat=10):
+def nanoseconds(scene, group, steps=200, repeat=20):
     """(CPU ns of a stage, Engine)."""
     engine = Engine(scene, "rkmk4", STEP, group=group, quiet=True)
     engine.advance(5)

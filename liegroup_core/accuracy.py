@@ -28,15 +28,17 @@ METHOD = "rkmk853"
 DEFAULT = 1e-4
 MINUTE = 60.0  # s, default of the horizon
 SMALLEST = 1e-13  # accuracy: rounding of a single step is not far below
-AIM, NEW = 0.1, 0.03
+AIM, NEW = 0.2, 0.1
+KEPT = 0.85  # of the gain, from one checkpoint to the next: where motions oscillate, so does it
 # Conservative motions have a gain of 5 to 10, once it shows. So at least this is assumed up to the part
 # SHOWN of the horizon, and from there on at least the error that it gives there.
 LEAST_GAIN, SHOWN = 2.0, 0.1
-# Tolerance in parts of the accuracy: at the start over a horizon of 1 s, and at most.
-FIRST, LARGEST = 0.01, 0.01
+# Tolerance in parts of the accuracy: at the start over a horizon of 1 s, and at most. It starts small,
+# as the errors of the first steps stay, and grows to what is allowed within a few checkpoints.
+FIRST, LARGEST = 3e-4, 0.03
 LEAST_TOLERANCE = 1e-15
 FASTER, SLOWER = 4.0, 0.1  # bounds of the ratio of two successive tolerances
-_REMEMBERED = ("accuracy", "_begin", "_last", "_sum", "_double_sum", "ended", "_tolerance")
+_REMEMBERED = ("accuracy", "_begin", "_last", "_sum", "_double_sum", "_gain", "ended", "_tolerance")
 
 
 class AccuracyControl:
@@ -59,7 +61,7 @@ class AccuracyControl:
         """Forget the errors so far, and changes of the accuracy: the state was set."""
         self.accuracy = self.given
         self._begin = self._last = time
-        self._sum = self._double_sum = 0.0
+        self._sum = self._double_sum = self._gain = 0.0
         self.ended = math.inf
         self._set(self._first)
 
@@ -98,7 +100,8 @@ class AccuracyControl:
         ahead = max(self.horizon, since)
         allowed = AIM * self.wanted(time + ahead)
         shown = min(1.0, SHOWN * self.horizon / since)
-        gain = max(LEAST_GAIN * shown**2, error / self._double_sum)
+        self._gain = max(error / self._double_sum, KEPT * self._gain)
+        gain = max(LEAST_GAIN * shown**2, self._gain)
         committed = self._double_sum + self._sum * ahead
         tolerance = 2.0 * max(allowed / gain - committed, NEW * committed) / ahead**2
         self._set(min(max(tolerance, SLOWER * self._tolerance), FASTER * self._tolerance))

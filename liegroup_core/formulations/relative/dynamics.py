@@ -127,47 +127,55 @@ def balance(model, work):
 
 
 @shared
+def _accelerations_of_stage(model, work, external):
+    """Accelerations of the stage as it is; returns as `accelerations`."""
+    move_links(model, work)
+    applied = model.space.forces.exist or work.pushed[0] > 0.0
+    if applied or len(model.joints) > 0:
+        place_links(model, work)
+    if applied:
+        apply_forces(model, work, external)
+    return balance(model, work)
+
+
+@shared
+def _accelerations_aside(model, work, external):
+    """Accelerations near a singular pose, from displaced stages; returns -1: see singular_poses.py.
+
+    Where they are not determined beside the pose either, they stay those of the stage, by the masses.
+    """
+    regular, pivot = work.report[2], work.report[3]
+    d, sides, first = begin_aside(model, work), len(SIDES) - 1, pivot
+    if d == 0.0:
+        return -1
+    if pivot >= AT:
+        d, sides, first = 0.0, 1, 0.0
+    for side in range(1, sides + 1):
+        go_aside(model, work, SIDES[side] * d)
+        # Beside a singular pose pivots grow as the square of the distance.
+        least = max(AT, 2.0 * SIDES[side] * SIDES[side] * first)
+        if (
+            project(model, work) != OK
+            or _accelerations_of_stage(model, work, external) >= 0
+            or work.report[3] < least
+        ):
+            end_aside(work, 0)
+            return -1
+        add_aside(work, WEIGHTS[side] if sides > 1 else 1.0)
+    end_aside(work, 1)
+    work.report[2] = regular
+    return -1
+
+
+@kernel
 def accelerations(model, work, external):
     """Accelerations of all freedoms at the stage, to work.acceleration.
-
-    Near a singular pose the stage is displaced meanwhile: see singular_poses.py.
 
     external : (n, COLUMNS), see forces/external.py
     returns -1, or the joint with dependent rows if the regularised solve fails too
     """
-    applied = model.space.forces.exist or work.pushed[0] > 0.0
-    regular, d, sides, first = work.report[2], 0.0, 0, 0.0
-    for side in range(len(SIDES)):
-        if side > 0:
-            go_aside(model, work, SIDES[side] * d)
-            if project(model, work) != OK:
-                break
-        move_links(model, work)
-        if applied or len(model.joints) > 0:
-            place_links(model, work)
-        if applied:
-            apply_forces(model, work, external)
-        found = balance(model, work)
-        pivot = work.report[3]
-        if side == 0:
-            # With unlike masses, which are refined, pivots are small everywhere.
-            if found >= 0 or pivot >= NEAR or len(model.switches) > 0 or model.refinements > 0:
-                return found
-            d, sides = begin_aside(model, work), len(SIDES) - 1
-            if d == 0.0:
-                return found
-            first = pivot
-            if pivot >= AT:
-                d, sides, first = 0.0, 1, 0.0
-            continue
-        # Beside a singular pose pivots grow as the square of the distance.
-        if found >= 0 or pivot < max(AT, 2.0 * SIDES[side] * SIDES[side] * first):
-            break
-        add_aside(work, WEIGHTS[side] if sides > 1 else 1.0)
-        if side == sides:
-            end_aside(work, 1)
-            work.report[2] = regular
-            return -1
-    # Not singular, or singular everywhere: then the masses decide.
-    end_aside(work, 0)
-    return -1
+    found = _accelerations_of_stage(model, work, external)
+    # With unlike masses, which are refined, pivots are small everywhere.
+    if work.report[3] < NEAR and found < 0 and len(model.switches) == 0 and model.refinements == 0:
+        return _accelerations_aside(model, work, external)
+    return found
