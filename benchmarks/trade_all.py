@@ -7,7 +7,8 @@
 Cached measurements of the same scene, version and processor are reused, so an interrupted call
 resumes. To measure again, remove the folder `trades` in the cache folder (~/.cache/liegroup_core,
 or LIEGROUP_CACHE_DIR). For each scene and accuracy, a simulation to that accuracy is compared with a
-reference integration at times other than those of the trade.
+reference integration at times other than those of the trade. Scenes that the reference does not support,
+with stops, friction or cables, are left out.
 """
 
 import argparse
@@ -21,7 +22,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from side_by_side import trade_page
 
-from liegroup_core import Simulation, load_scene
+from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.model.build import initial_state
 from liegroup_core.reference import Reference, Trajectory, distance
 from liegroup_core.study.trade.reference_solution import scaled
@@ -136,7 +137,11 @@ def main():
     for name in () if args.write else names:
         print(name, flush=True)
         scene = load_scene(name)
-        trade, part = measure(scene, args.methods, args.workers, args.budget)
+        try:
+            trade, part = measure(scene, args.methods, args.workers, args.budget)
+        except SimulationError as error:
+            print(f"  left out: {error}", flush=True)
+            continue
         known[name] = condensed(part) | {"promises": promises(scene, trade)}
         parts = [known[key] for key in sorted(known)]
         DATA.write_text(

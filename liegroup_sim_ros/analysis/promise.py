@@ -85,10 +85,10 @@ def promise_text(found):
         False: "is not kept",
         None: "cannot be checked with this reference",
     }
-    text = f"{accuracy} {verdicts[found['kept']]}: {error} in the first {found['seconds']:.4g} s"
-    if found["beyond"]:
-        text += (
-            ". Later the run itself reports a larger error: "
-            f"{found['error_of_all']:.3g} over the whole run"
-        )
-    return text
+    verdict, span = verdicts[found["kept"]], f"in the first {found['seconds']:.4g} s"
+    if not found["beyond"]:
+        return f"{accuracy} {verdict}: {error} {span}"
+    return (
+        f"{accuracy} {verdict} {span}: {error}. Then the run itself reports a larger error: "
+        f"{found['error_of_all']:.3g} over the whole run"
+    )

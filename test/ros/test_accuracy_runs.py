@@ -135,7 +135,7 @@ def test_a_node_says_when_its_motion_cannot_be_known_any_more(client, tmp_path):
     found = analyse(recording, reference_seconds=told["inaccurate"].stamp_ns * 1e-9 + 1.0).figures
     assert found["promise"]["kept"] is True and found["promise"]["beyond"] is True
     assert found["promise"]["seconds"] == pytest.approx(simulation.accurate_until, rel=1e-9)
-    assert "Later the run itself reports a larger error" in found["verdict"]
+    assert "Then the run itself reports a larger error" in found["verdict"]
 
 
 def scene_run(ros_node, scene, before=None, **parameters):
