@@ -36,9 +36,11 @@ METHODS = (
     ("rkmk4", {}),
     ("rkmk4", {"stabilisation": "projection"}),
     ("rkmk4", {"group": "se3"}),
+    ("rkmk4", {"group": "se3", "stabilisation": "projection"}),
     ("rkmk8", {}),
     ("rkmk8", {"stabilisation": "projection"}),
     ("rkmk8", {"group": "se3"}),
+    ("rkmk8", {"group": "se3", "stabilisation": "projection"}),
 )
 SAMPLES, BLOCKS = 2000, 10
 
