@@ -77,6 +77,17 @@ def test_rows_of_windows_pass_all_their_flat_poses(n):
     assert simulation.predictable_until == math.inf
 
 
+@pytest.mark.parametrize("horizon", [1.0, 3.0, 10.0])
+@pytest.mark.parametrize("accuracy", [1e-4, 1e-6])
+@pytest.mark.parametrize("n", [1, 5])
+def test_no_accuracy_is_given_up_that_is_kept(n, accuracy, horizon):
+    """The estimate stays below the accuracy at the steps of a long and of a short horizon, too."""
+    for step in (0.01, horizon / 50.0):
+        simulation = Simulation(four_bar_windows(n), accuracy=accuracy, horizon=horizon, step=step)
+        simulation.advance(round(horizon / step))
+        assert simulation.accurate_until == math.inf, (step, simulation.doubt)
+
+
 @pytest.mark.parametrize("accuracy", [1e-4, 1e-6, 1e-9])
 def test_flat_poses_are_passed_with_steps_of_normal_size(accuracy):
     """Ten seconds pass ten of them. A relative error of the accuracy is one of the energy, too."""
