@@ -28,7 +28,7 @@ METHOD = "rkmk853"
 DEFAULT = 1e-4
 MINUTE = 60.0  # s, default of the horizon
 SMALLEST = 1e-13  # accuracy: rounding of a single step is not far below
-AIM, NEW = 0.2, 0.1
+AIM, NEW = 0.1, 0.03
 KEPT = 0.85  # of the gain, from one checkpoint to the next: where motions oscillate, so does it
 # Conservative motions have a gain of 5 to 10, once it shows. So at least this is assumed up to the part
 # SHOWN of the horizon, and from there on at least the error that it gives there.
