@@ -33,8 +33,9 @@ first meeting it is NaN.
 
 With error control the companion takes four steps in one: in steps as short as those of the simulation
 the last substep of each, which ends with the step, would often make the substeps of both equal. Its
-substeps are at most 4/3 of a step, and two steps with an accuracy: longer ones would be far less accurate
-than those of the simulation, and step over contacts that it meets.
+substeps are at most 4/3 of a step, as longer ones would step over contacts that the simulation meets. With
+an accuracy and without stops or friction they are at most two steps: longer ones would be far less
+accurate than those of the simulation.
 
 What both runs get wrong alike, whatever the step, is no distance: see integrators/added_inertia.py. There
 the estimate is infinite.
@@ -110,6 +111,8 @@ class RunningError:
         step = self.ours / self._theirs * engine.step
         self._companion = self._make_companion(step, ratio**order)
         if controlled:
+            if engine.layout.switches:
+                longest = CONTROLLED[2]
             self._companion.limit_substeps(longest * engine.step)
         n = len(engine.layout.body_names)
         self._distance, self._seen = np.zeros((n, 4)), np.zeros((n, 4))
