@@ -37,7 +37,7 @@ LEAST_GAIN, SHOWN = 2.0, 0.1
 # as the errors of the first steps stay, and grows to what is allowed within a few checkpoints.
 FIRST, LARGEST = 3e-4, 0.03
 LEAST_TOLERANCE = 1e-15
-FASTER, SLOWER = 4.0, 0.1  # bounds of the ratio of two successive tolerances
+FASTER, SLOWER = 2.0, 0.1  # bounds of the ratio of two successive tolerances
 _REMEMBERED = ("accuracy", "_begin", "_last", "_sum", "_double_sum", "_gain", "ended", "_tolerance")
 
 

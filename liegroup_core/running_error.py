@@ -33,9 +33,8 @@ first meeting it is NaN.
 
 With error control the companion takes four steps in one: in steps as short as those of the simulation
 the last substep of each, which ends with the step, would often make the substeps of both equal. Its
-substeps are at most 4/3 of a step, as longer ones would step over contacts that the simulation meets. With
-an accuracy and without stops or friction they are at most two steps: longer ones would be far less
-accurate than those of the simulation.
+substeps are at most 4/3 of a step, with an accuracy only where joints have stops or friction: it would
+step over contacts that the simulation meets.
 
 What both runs get wrong alike, whatever the step, is no distance: see integrators/added_inertia.py. There
 the estimate is infinite.
@@ -66,8 +65,7 @@ FASTEST = 8.0  # growth between two meetings that is continued until the next on
 PARTS = 2  # of the step that leads to an event, whose size does not depend on that of the others
 SEEN = 1.35
 LEAST, LEAST_HIGH = 1.0, 0.75  # of the distance, where the order is not seen
-# Of error control: q, LEAST, and the longest substep of the companion in steps.
-CONTROLLED, BY_WORK = (4.0 / 3.0, 0.5, 4.0 / 3.0), (1.7, 0.4, 2.0)
+CONTROLLED, BY_WORK = (4.0 / 3.0, 0.5), (1.7, 0.4)  # q and LEAST of error control
 LARGE, NOT_SMALL = 2.5, 0.03
 # Of the mechanism's size, and rad: an error of this size makes a motion unpredictable.
 UNPREDICTABLE = 0.1
@@ -103,17 +101,15 @@ class RunningError:
         # Steps of the engine and of its companion in the same time.
         self.ours, self._theirs = (4, 1) if controlled else (4, 3) if order < HIGH else (6, 5)
         if controlled:
-            ratio, least, longest = BY_WORK if by_work else CONTROLLED
+            ratio, least = BY_WORK if by_work else CONTROLLED
         else:
             ratio, least = self.ours / self._theirs, LEAST if order < HIGH else LEAST_HIGH
         self._factor = max(least, SEEN / (ratio**order - 1.0))
         self.size = mechanism_size(engine.layout.model) or 1.0
         step = self.ours / self._theirs * engine.step
         self._companion = self._make_companion(step, ratio**order)
-        if controlled:
-            if engine.layout.switches:
-                longest = CONTROLLED[2]
-            self._companion.limit_substeps(longest * engine.step)
+        if controlled and (engine.layout.switches or not by_work):
+            self._companion.limit_substeps(CONTROLLED[0] * engine.step)
         n = len(engine.layout.body_names)
         self._distance, self._seen = np.zeros((n, 4)), np.zeros((n, 4))
         self._window = np.zeros((WINDOW, n, 4))
