@@ -44,6 +44,7 @@ ASSUMED = {
     BaseContext: {
         "insert_user_function": "self func fndesc libs",
         "subtarget": "self kws",
+        "get_abi_sizeof": "self ty",
         "get_dummy_value": "self",
         "cast": "self builder val fromty toty",
     },

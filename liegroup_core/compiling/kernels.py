@@ -124,12 +124,17 @@ def shared(function):
 
 @contextmanager
 def _no_collection():
-    """Switch the garbage collector off: with millions of objects of Numba it is a tenth of compiling."""
+    """Switch the garbage collector off: with millions of objects of Numba it is a tenth of compiling.
+
+    At the end they are old objects. As young ones they would be searched at once, and again later.
+    """
     was = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
+        gc.freeze()
+        gc.unfreeze()
         if was:
             gc.enable()
 

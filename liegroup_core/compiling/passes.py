@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Passes of the compiler: those of Numba that kernels need, and those that are replaced."""
 
+import functools
+
 from llvmlite import binding, ir
 from numba.core import cgutils
+from numba.core.base import BaseContext
 from numba.core.compiler import Compiler
 from numba.core.compiler_machinery import register_pass
 from numba.core.ir import Return
@@ -38,6 +41,10 @@ WORD32 = ir.IntType(32)
 FLUSH_TO_ZERO_AND_DENORMALS_ARE_ZERO = ir.Constant(WORD32, 0x8040)  # bits of MXCSR
 
 
+# LLVM is asked for the size of a type once: each time, Numba writes a module for it that is parsed.
+_size = functools.cache(BaseContext.get_abi_sizeof)
+
+
 class _Lower(Lower):
     """Mark Structs as dereferenceable, so that LLVM moves loads out of loops.
 
@@ -47,8 +54,9 @@ class _Lower(Lower):
     _counted = {}
 
     def __init__(self, context, *arguments, **options):
-        typing = Typing(context.typing_context)
-        super().__init__(context.subtarget(typing_context=typing), *arguments, **options)
+        typing, size = Typing(context.typing_context), functools.partial(_size, context)
+        context = context.subtarget(typing_context=typing, get_abi_sizeof=size)
+        super().__init__(context, *arguments, **options)
 
     def _counts(self, kind):
         if kind not in self._counted:
@@ -115,7 +123,7 @@ class _FlushingLower(_Lower):
         return place
 
 
-@register_pass(mutates_CFG=True, analysis_only=False)
+@register_pass(mutates_CFG=False, analysis_only=False)
 class _InnerLowering(NativeLowering):
     _name = "inner_lowering"
     lowering_class = _Lower
@@ -131,7 +139,7 @@ class _InnerLowering(NativeLowering):
         return True
 
 
-@register_pass(mutates_CFG=True, analysis_only=False)
+@register_pass(mutates_CFG=False, analysis_only=False)
 class _OuterLowering(NativeLowering):
     _name = "outer_lowering"
     lowering_class = _Lower
@@ -142,13 +150,13 @@ class _OuterLowering(NativeLowering):
         return super().run_pass(state)
 
 
-@register_pass(mutates_CFG=True, analysis_only=False)
+@register_pass(mutates_CFG=False, analysis_only=False)
 class _FlushingLowering(_OuterLowering):
     _name = "flushing_lowering"
     lowering_class = _FlushingLower
 
 
-@register_pass(mutates_CFG=True, analysis_only=False)
+@register_pass(mutates_CFG=False, analysis_only=False)
 class _TypeInference(NopythonTypeInference):
     _name = "type_inference"
 
