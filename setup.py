@@ -44,6 +44,7 @@ setup(
         "pyyaml",
         "rich",
         "scipy>=1.11",
+        "threadpoolctl",
         "zstandard",
     ],
     extras_require={

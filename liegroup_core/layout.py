@@ -39,6 +39,7 @@ from .scene.consistency import resolve_drives, resolve_frames
 from .scene.description import Scene
 from .scene.massless import lack_of_inertia
 from .scene.switches import switches_of
+from .threads import one_blas_thread
 
 NO_MOTIONS = np.zeros((0, COLUMNS))
 NO_ANGLES = np.zeros(0)
@@ -263,6 +264,7 @@ class Layout:
         return angles
 
 
+@one_blas_thread()
 def make_layout(scene):
     """Build the Layout of a scene. Raises SceneError."""
     try:

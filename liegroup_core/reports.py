@@ -17,11 +17,15 @@ from .status import (
     NO_RATTLE_STEP,
     NOT_CONVERGED,
     ROTATION_TOO_LARGE,
+    SUBSTEP_TOO_SMALL,
+    TOO_MANY_SUBSTEPS,
     TURNS_NOT_COUNTED,
 )
 
 log = logging.getLogger("liegroup_core")
 
+# What fast motion, among others, leads to.
+FAST = {ROTATION_TOO_LARGE, NOT_CONVERGED, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS}
 # Steps after the last valid one at which a driven joint may be beyond the reach of its loop.
 STEPS_AHEAD = (1, 2, 4)
 
@@ -111,9 +115,12 @@ class Reports:
         stopped = f"stopped at t = {self.time:.9g} s (step {self.steps}, h = {self.step:g} s): "
         if self.layout.motions and (text := self._beyond_reach()):
             return stopped + text
-        return stopped + MESSAGES[status & 0xFF].format(
+        text = MESSAGES[status & 0xFF].format(
             joint=joint, force=force, body=body, angle=angle, hint=hint, events=MOST_EVENTS
         )
+        if status & 0xFF in FAST and self.layout.lack_of_inertia:
+            text += f"; or, as {self.layout.lack_of_inertia}, a freedom has no inertia at this pose"
+        return stopped + text
 
     def _beyond_reach(self):
         """Text on driven joints whose motion leads where their loops do not, or ""."""

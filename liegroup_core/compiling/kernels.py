@@ -139,6 +139,15 @@ def _no_collection():
             gc.enable()
 
 
+@functools.cache
+def _warn_of_plain_python():
+    """Log once that nothing is compiled."""
+    log.warning(
+        "Numba is not installed or is disabled. The simulation runs as plain Python, "
+        "about a hundred times slower. Install it: pip install numba"
+    )
+
+
 def warm_up(call, name):
     """Run `call` once so that its kernels are compiled; log a warning if that takes time.
 
@@ -150,10 +159,7 @@ def warm_up(call, name):
     folder = compiler.cache()
     done = None if folder is None else folder / f"complete-{name}"
     if compiler.name == "python":
-        log.warning(
-            "Numba is not installed or is disabled. The simulation runs as plain Python, "
-            "about a hundred times slower. Install it: pip install numba"
-        )
+        _warn_of_plain_python()
     elif done is None or not done.exists():
         log.warning("first start on this machine: compiling (about 20 s). The result is cached")
     start = time.perf_counter()

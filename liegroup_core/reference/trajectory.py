@@ -12,6 +12,7 @@ from liegroup_core.joints.motion import at, row_at
 from liegroup_core.scene.assembly import assembled
 from liegroup_core.scene.centres import Offsets, at_centres_of_mass
 from liegroup_core.scene.consistency import resolve_drives
+from liegroup_core.threads import one_blas_thread
 
 from .equations import STATE
 from .rigid_body_dae import rate, scaled_equations
@@ -111,8 +112,7 @@ def integrate(scene, pose, twist, times, changes=(), start=0.0, rtol=TIGHT):
     Angles of torsional springs are in (-pi, pi] at `start` and unwrapped from there.
     Raises SimulationError if the integration cannot continue, for instance at a singular pose.
     Accuracy: test_reference.py, against 45-digit end states; test_reference_kinds.py, every kind
-    of joint and force against the engine. Use one BLAS thread (OPENBLAS_NUM_THREADS=1): on a busy
-    machine, several threads make these small solves many times slower.
+    of joint and force against the engine.
     """
     times = np.asarray(times, dtype=float)
     if len(times) and (times[0] < start or np.any(np.diff(times) < 0.0)):
@@ -149,6 +149,7 @@ class Reference:
         """Number of steps so far of the integration with the smaller tolerance."""
         return self._runs[0].steps_taken
 
+    @one_blas_thread()
     def at(self, times):
         """Trajectory at times (k,), increasing and after earlier calls, with its uncertainty so far."""
         times = np.asarray(times, dtype=float)

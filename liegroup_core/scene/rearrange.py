@@ -16,6 +16,7 @@ from liegroup_core.errors import SceneError
 from liegroup_core.joints.coupling import rate_row, turns
 from liegroup_core.joints.linkage import Linkage
 from liegroup_core.lie.groups import within_a_turn
+from liegroup_core.threads import one_blas_thread
 
 from .assembly import cannot_close, consistent_velocities, not_kept
 from .carried import carried, coordinates_at, with_coupled
@@ -29,6 +30,7 @@ ROUNDED = 1e-6
 SMALLEST_STEP = 1.0 / 16
 
 
+@one_blas_thread()
 def rearranged(scene, pose, twist, poses, twists, joints=None, angles=None, driven=None):
     """Nearest consistent state with what is given.
 

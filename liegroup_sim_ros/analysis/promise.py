@@ -74,7 +74,7 @@ def promise_text(found):
     """Result of the check as text; found : as returned by Promise.figures."""
     accuracy = f"the accuracy of {found['accuracy']:g} in {found['horizon']:g} s"
     if found["seconds"] is None:
-        return f"{accuracy} cannot be checked: that takes a reference from the start of the run"
+        return f"{accuracy} cannot be checked: there is no reference from the start of the run"
     error = (
         f"below {found['uncertainty']:.3g}"
         if found["error"] <= found["uncertainty"]

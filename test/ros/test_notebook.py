@@ -35,7 +35,7 @@ def test_a_simulation_is_shown_from_its_current_state_and_not_changed(tmp_path):
     shown = show(simulation, seconds=0.3)
     assert "double_pendulum, 0.3 s" in repr(shown)
     # The copy starts later: what it began with counts for the original.
-    assert "cannot be checked: that takes a reference from the start of the run" in repr(shown)
+    assert "cannot be checked: there is no reference from the start of the run" in repr(shown)
     assert simulation.steps == 10
     assert all(np.array_equal(a, b) for a, b in zip(before, simulation.state()))
 

@@ -6,6 +6,7 @@ import numpy as np
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.model.build import are_unlike
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
+from liegroup_core.threads import one_blas_thread
 
 from .arrays import PART, PLANE_LINK, PlaneModel, RelativeModel
 from .cuts import coupled_links, cut_elements, cut_rows, loop_arrays
@@ -16,6 +17,7 @@ from .spanning_tree import WORLD_NAME, spanning_tree
 from .switch_records import stop_rows, switch_arrays
 
 
+@one_blas_thread()
 def relative_model(scene, model, in_space=False):
     """RelativeModel of a mechanism; a PlaneModel if it is planar.
 

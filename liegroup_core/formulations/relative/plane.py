@@ -34,15 +34,16 @@ def find_plane(scene, frames, parts):
         return None
     poses = {body.name: body.pose for body in scene.bodies} | {WORLD_NAME: np.eye(4)}
     axes = [(poses[joint.child] @ F_b)[:3, 2] for joint, (_, F_b) in zip(scene.joints, frames)]
-    for normal in _candidates(scene, axes):
-        joints = [
-            j
-            for j, (joint, axis) in enumerate(zip(scene.joints, axes))
-            if joint.type == "fixed"
-            or (joint.type in TURNS and np.abs(np.cross(normal, axis)).max() <= PARALLEL)
-            or (joint.type in SLIDES and abs(normal @ axis) <= PARALLEL)
-        ]
-        if _connect(scene, joints):
+    axes = np.reshape(axes, (-1, 3))
+    types = np.array([joint.type for joint in scene.joints], dtype=str)
+    turns, slides = np.isin(types, TURNS), np.isin(types, SLIDES)
+    for normal in _candidates(axes[turns], axes[slides]):
+        normal_to = np.abs(np.cross(axes, normal)).max(axis=1) <= PARALLEL
+        within = np.abs(axes @ normal) <= PARALLEL
+        joints = np.flatnonzero(
+            (types == "fixed") | (turns & normal_to) | (slides & within)
+        ).tolist()
+        if len(joints) >= len(scene.bodies) and _connect(scene, joints):
             cut = (part for j, of in enumerate(parts) if j not in joints for part in of)
             return (normal, joints) if all(part.kind == PAIR for part in cut) else None
     return None
@@ -54,25 +55,27 @@ def _leaves_plane(switch):
     return by_load or switch.kind in (CONE, DISTANCE)
 
 
-def _candidates(scene, axes):
-    """Unit normals that may be those of the plane; world axes exactly."""
-    turns = [axis for joint, axis in zip(scene.joints, axes) if joint.type in TURNS]
-    slides = [axis for joint, axis in zip(scene.joints, axes) if joint.type in SLIDES]
-    if turns:
-        found = turns
-    else:
-        found = list(np.eye(3)[::-1])
-        if slides:
-            across = [np.cross(slides[0], axis) for axis in (*slides[1:], *np.eye(3))]
-            found += [axis for axis in across if np.linalg.norm(axis) > 0.5]
+def _candidates(turns, slides):
+    """Unit normals that may be those of the plane; world axes exactly.
+
+    turns, slides : (k, 3) axes of the joints that turn, and that slide
+    """
+    found = turns
+    if not len(turns):
+        found = np.eye(3)[::-1]
+        if len(slides):
+            across = np.cross(slides[0], [*slides[1:], *np.eye(3)])
+            found = np.concatenate([found, across[np.linalg.norm(across, axis=1) > 0.5]])
+    found = found / np.linalg.norm(found, axis=1)[:, None]
+    near = np.round(found)
+    exact = np.abs(found - near).max(axis=1) <= PARALLEL
+    found[exact] = near[exact]
+    largest = np.abs(found).argmax(axis=1)[:, None]
+    found = found * np.sign(np.take_along_axis(found, largest, axis=1)) + 0.0
     normals = []
-    for axis in found:
-        axis = axis / np.linalg.norm(axis)
-        near = np.round(axis)
-        normal = near if np.abs(axis - near).max() <= PARALLEL else axis
-        normal = normal * np.sign(normal[np.abs(normal).argmax()]) + 0.0
-        if not any(np.abs(normal - other).max() <= PARALLEL for other in normals):
-            normals.append(normal)
+    while len(found):
+        normals.append(found[0])
+        found = found[np.abs(found - found[0]).max(axis=1) > PARALLEL]
     return normals
 
 

@@ -164,6 +164,7 @@ def gather(model, work):
     """Articulated inertias and bias forces, from the leaves to the world."""
     n = len(model.parts)
     pose, inertia, force = work.stage_pose, work.inertia, work.force
+    switches = len(model.switches) > 0
     for b in range(len(model.links) - 1, -1, -1):
         link = model.links[b]
         group, f, a, row = link["group"], link["freedom"], link["parent"], n + b
@@ -176,7 +177,7 @@ def gather(model, work):
         if group == SLIDE:
             D, u = inertia[b, 3], -fx
         inverse = _inverse(D)
-        if work.held[f] != 0.0:
+        if switches and work.held[f] != 0.0:
             _store_freedom(work.freedoms, f, 0.0, 0.0, 0.0, 0.0, 0.0)
             if a != WORLD:
                 _pass_whole(work, row, b, a)
