@@ -209,17 +209,20 @@ def refinements(bodies, inertias, ends, elements):
     ends   : (parent, child) of each joint; elements : of ELEMENT
     """
     inverse = bodies["inverse_inertia"].reshape(-1, 3, 3)
-    turned = []
+    unlike = are_unlike(bodies["mass"], inertias, ends, levers(bodies["mass"], inverse, elements))
+    mixed = _mixed_turns(inverse, elements, _outer_ends(len(bodies), ends, elements))
+    return max(int(unlike), int(np.searchsorted(SLENDER, mixed)))
+
+
+def levers(masses, inverse, elements):
+    """m p^2 / I of every end of an element on a body, p its lever; inverse : (n, 3, 3) of I."""
+    found = []
     for end in ("parent", "child"):
         held = elements[elements[end] != WORLD]
         lever = np.cross(np.eye(3), held[f"{end}_point"][:, None, :])
-        turned.extend(
-            bodies["mass"][held[end]]
-            * np.einsum("eri,eij,erj->e", lever, inverse[held[end]], lever)
-        )
-    unlike = are_unlike(bodies["mass"], inertias, ends, turned)
-    mixed = _mixed_turns(inverse, elements, _outer_ends(len(bodies), ends, elements))
-    return max(int(unlike), int(np.searchsorted(SLENDER, mixed)))
+        turned = np.einsum("eri,eij,erj->e", lever, inverse[held[end]], lever)
+        found.extend(masses[held[end]] * turned)
+    return found
 
 
 def _mixed_turns(inverse, elements, outer):
@@ -267,8 +270,7 @@ def are_unlike(masses, inertias, ends, turned):
     """True if masses differ so much that the solve loses more than about three digits.
 
     ends   : (parent, child) of each joint: masses and inertias are compared with their neighbours'
-    turned : m p^2 / I of every end of an element, p the lever: ratio of the mobilities of that
-             point by rotation and by translation of the body
+    turned : of `levers`: ratio of the mobilities of a point by rotation and by translation of its body
     """
     ratios = [1.0] + [
         sizes[a] / sizes[b] for sizes in (masses, inertias) for a, b in ends if a != WORLD

@@ -140,6 +140,31 @@ def test_accelerations_have_the_digits_that_the_data_determine(name):
     assert done >= 0.8 * total
 
 
+def as_thin_rods(scene, normal, thickness):
+    """The scene with bodies that have a part of their inertia about the normal about an axis across it."""
+    bodies = []
+    for body in scene.bodies:
+        n = body.rotation.T @ normal
+        along = np.cross(n, [0.3, 0.5, 0.8])
+        along /= np.linalg.norm(along)
+        J = (n @ body.inertia_matrix @ n) * (np.eye(3) - (1.0 - thickness) * np.outer(along, along))
+        inertia = (J[0, 0], J[1, 1], J[2, 2], J[0, 1], J[0, 2], J[1, 2])
+        bodies.append(body.model_copy(update={"inertia": tuple(map(float, inertia))}))
+    return scene.model_copy(update={"bodies": type(scene.bodies)(bodies)})
+
+
+@pytest.mark.parametrize("thickness", [1e-3, 1e-6])
+def test_rods_of_any_thickness_need_no_refinement_in_a_plane(thickness):
+    for seed in range(6):
+        scene, wrenches = random_mechanisms.random_mechanism("planar loops", seed)
+        scene = as_thin_rods(scene, make_layout(scene).normal, thickness)
+        layout = make_layout(scene)
+        assert layout.relative.refinements == 0 and layout.model.refinements > 0
+        exact = precise.accelerations(scene, wrenches)
+        found = engine.engine_accelerations(scene, wrenches, group="relative")
+        assert (precise.errors(exact, found).max(axis=1) <= bound(scene, exact)).all()
+
+
 @pytest.mark.parametrize("name", ["tree", "loops", "planar loops", "mass ratios"])
 def test_rounded_rows_of_the_engine_meet_the_bound_if_they_are_solved_exactly(name):
     """The bound asks for what rounded numbers allow, and two derivations of the rows agree.

@@ -4,7 +4,7 @@
 import numpy as np
 
 from liegroup_core.joints.elements import WORLD
-from liegroup_core.model.build import are_unlike
+from liegroup_core.model.build import are_unlike, levers
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
 from liegroup_core.threads import one_blas_thread
 
@@ -64,7 +64,7 @@ def relative_model(scene, model, in_space=False):
         ).reshape(-1, 2),
         elements=elements,
         **switch_arrays(scene, links, records, arrays, elements, places),
-        refinements=_refinements(model, len(arrays["joints"]) > 0),
+        refinements=_refinements(scene, model, len(arrays["joints"]) > 0, normal),
         projects=bool(model.projects and len(arrays["joints"])),
         baumgarte_rate=model.baumgarte_rate,
         **arrays,
@@ -118,11 +118,12 @@ def _plane_arrays(model, links, records, places, scene, normal):
     }
 
 
-def _refinements(model, has_cuts):
+def _refinements(scene, model, has_cuts, normal):
     """Number of refinements that each solve takes, for all its digits.
 
     One where neighbours differ so much that articulated inertias lose digits; slender bodies and
-    long levers lose none. W of cut joints loses twice as many, and some with slender bodies
+    long levers lose none. W of cut joints loses twice as many, and some with long levers and, in space,
+    with slender bodies: in a plane a body has one moment of inertia
     (test/verification/test_relative_accelerations.py).
     """
     bodies, elements = model.bodies, model.elements
@@ -130,7 +131,17 @@ def _refinements(model, has_cuts):
     traces = bodies["inertia"][:, [0, 4, 8]].sum(axis=1)
     traces[traces <= 0.0] = traces.max() or 1.0  # point masses
     unlike = int(are_unlike(bodies["mass"], traces, ends, []))
-    return max(2 * unlike, model.refinements) if has_cuts else unlike
+    if not has_cuts:
+        return unlike
+    if normal is None:
+        return max(2 * unlike, model.refinements)
+    # About the normal only.
+    axes = np.array([body.rotation.T @ normal for body in scene.bodies])
+    moments = np.einsum("bi,bij,bj->b", axes, bodies["inertia"].reshape(-1, 3, 3), axes)
+    moments[moments <= 0.0] = moments.max() or 1.0
+    inverse = axes[:, :, None] * axes[:, None, :] / moments[:, None, None]
+    long = are_unlike([], [], [], levers(bodies["mass"], inverse, elements))
+    return max(2 * unlike, int(long))
 
 
 def refuse_freedoms_without_inertia(scene):
