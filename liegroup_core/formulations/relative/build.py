@@ -4,7 +4,7 @@
 import numpy as np
 
 from liegroup_core.joints.elements import WORLD
-from liegroup_core.model.build import are_unlike, levers
+from liegroup_core.model.build import LARGE_RATIO, are_unlike, levers
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
 from liegroup_core.threads import one_blas_thread
 
@@ -128,8 +128,8 @@ def _refinements(scene, model, has_cuts, normal):
     """
     bodies, elements = model.bodies, model.elements
     ends = list(zip(elements["parent"].tolist(), elements["child"].tolist()))
-    traces = bodies["inertia"][:, [0, 4, 8]].sum(axis=1)
-    traces[traces <= 0.0] = traces.max() or 1.0  # point masses
+    inertia = bodies["inertia"].reshape(-1, 3, 3)
+    traces = _without_zeros(np.trace(inertia, axis1=1, axis2=2))
     unlike = int(are_unlike(bodies["mass"], traces, ends, []))
     if not has_cuts:
         return unlike
@@ -137,11 +137,15 @@ def _refinements(scene, model, has_cuts, normal):
         return max(2 * unlike, model.refinements)
     # About the normal only.
     axes = np.array([body.rotation.T @ normal for body in scene.bodies])
-    moments = np.einsum("bi,bij,bj->b", axes, bodies["inertia"].reshape(-1, 3, 3), axes)
-    moments[moments <= 0.0] = moments.max() or 1.0
+    moments = _without_zeros(np.einsum("bi,bij,bj->b", axes, inertia, axes))
     inverse = axes[:, :, None] * axes[:, None, :] / moments[:, None, None]
-    long = are_unlike([], [], [], levers(bodies["mass"], inverse, elements))
-    return max(2 * unlike, int(long))
+    longest = max(levers(bodies["mass"], inverse, elements), default=0.0)
+    return max(2 * unlike, int(longest > LARGE_RATIO))
+
+
+def _without_zeros(moments):
+    """Moments of inertia (n,) with the largest one in place of zeros, those of point masses."""
+    return np.where(moments > 0.0, moments, moments.max() or 1.0)
 
 
 def refuse_freedoms_without_inertia(scene):
