@@ -156,6 +156,11 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
     stages = scheme.a.shape[1]
     controlled = len(scheme.error) > 0
     watching = spaces.watches(model, work)
+    # Accelerations at the end serve events, the next substep unless the end is projected, and estimates
+    # that have a weight for them.
+    ending = watching or controlled and not model.projects
+    for row in range(len(scheme.error)):
+        ending = ending or scheme.error[row, stages] != 0.0
     first = 0  # 1: the last substep has already written the derivatives of stage 0
     done = 0
     while done < steps and status == OK:
@@ -173,7 +178,7 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
             attempts += 1
             work.report[1] = work.report[4] = 0.0
             spaces.begin(model, work, group, pose, twist)
-            # The end is one more stage. Accelerations there are for the error estimate only.
+            # The end is one more stage.
             for stage in range(first, stages + 1):
                 if stage > 0:
                     status = spaces.move(
@@ -182,7 +187,7 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
                     if status != OK:
                         break
                 work.clock[2] = start + (h - remaining) + scheme.nodes[stage] * size
-                if stage < stages or controlled or watching:
+                if stage < stages or ending:
                     dependent = spaces.accelerate(model, work, external)
                     if dependent >= 0:
                         status = DEPENDENT_ROWS + (dependent << 8)
