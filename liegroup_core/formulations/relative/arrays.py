@@ -53,6 +53,7 @@ LINK = np.dtype(
         ("point", "f8", (3,)),  # T
         ("body_rotation", "f8", (9,)),
         ("body_point", "f8", (3,)),  # D: pose of `body` in the link
+        ("aligned", "i8"),  # 1: T turns about x, and then about z
         ("pitch", "f8"),
         ("mass", "f8"),  # m/rad, kg
         ("moment", "f8", (3,)),

@@ -67,7 +67,7 @@ def add_inertia(m, rot, p, out, row):
     b0 = (dot3(r0, t0), dot3(r0, t1), dot3(r0, t2))
     b1 = (dot3(r1, t0), dot3(r1, t1), dot3(r1, t2))
     b2 = (dot3(r2, t0), dot3(r2, t1), dot3(r2, t2))
-    _add_shifted(A, b0, b1, b2, m, r0, r1, r2, p, out, row)
+    _add_shifted(A, b0, b1, b2, _turned_mass(m, r0, r1, r2), p, out, row)
 
 
 @kernel
@@ -88,7 +88,47 @@ def add_hinge_inertia(m, rot, p, out, row):
     b0 = axpy3(x[0], s, scale3(y[0], t))
     b1 = axpy3(x[1], s, scale3(y[1], t))
     b2 = axpy3(x[2], s, scale3(y[2], t))
-    _add_shifted(A, b0, b1, b2, m, r0, r1, r2, p, out, row)
+    _add_shifted(A, b0, b1, b2, _turned_mass(m, r0, r1, r2), p, out, row)
+
+
+@kernel
+def _turned_block(xx, xy, yy, c, s):
+    """Block (xx, xy, yy) of a symmetric matrix, turned in its plane.
+
+    A small moment beside a large one keeps its digits: they mix by no more than the angle makes them.
+    """
+    g = s * (xx - yy) + 2.0 * c * xy
+    return xx - s * g, c * g - xy, yy + s * g
+
+
+@kernel
+def _turned_pair(x, y, c, s):
+    """Components of a vector, turned in their plane."""
+    return c * x - s * y, s * x + c * y
+
+
+@kernel
+def add_aligned_hinge_inertia(m, rot, p, out, row):
+    """`add_hinge_inertia` for rot = Rx Rz: two rotations in a plane, one after the other."""
+    # About z.
+    c, s = rot[0], -rot[1]
+    a, b, d = _turned_block(m[0], m[1], m[3], c, s)
+    xx, xy, yy = _turned_block(m[15], m[16], m[18], c, s)
+    xz, yz = _turned_pair(m[17], m[19], c, s)
+    difference, total = m[6] - m[10], m[7] + m[9]
+    g, k = s * (s * difference + c * total), s * (c * difference - s * total)
+    u, w = _turned_pair(m[8], m[11], c, s)
+    b0, b1 = (m[6] - g, m[7] + k, u), (m[9] + k, m[10] + g, w)
+    # About x.
+    c, s = rot[8], -rot[5]
+    C = _turned_pair(xy, xz, c, s)
+    C = (xx, C[0], C[1], *_turned_block(yy, yz, m[20], c, s))
+    t = c * d
+    A = (a, c * b, s * b, c * t, s * t, s * s * d)
+    q, u = _turned_pair(b0[1], b0[2], c, s)
+    t, w = _turned_pair(b1[1], b1[2], c, s)
+    b1, b2 = (c * b1[0], c * t, c * w), (s * b1[0], s * t, s * w)
+    _add_shifted(A, (b0[0], q, u), b1, b2, C, p, out, row)
 
 
 @kernel
@@ -125,12 +165,8 @@ def _add_linear(d0, d1, d2, C, out, row):
 
 
 @kernel
-def _add_shifted(A, b0, b1, b2, m, r0, r1, r2, p, out, row):
-    """Add an inertia at p to row `row` of `out`.
-
-    A, b0, b1, b2 : R A R^T and the rows of R B R^T; r0, r1, r2: rows of R; C is in m
-    """
-    C = _turned_mass(m, r0, r1, r2)
+def _add_shifted(A, b0, b1, b2, C, p, out, row):
+    """Add an inertia at p, in axes of the parent, to row `row` of `out`; b0, b1, b2: rows of B."""
     # B' = B1 + [p] C, A' = A1 - B' [p] + [p] B1^T.
     d0, d1, d2 = _moved_mass(C, p)
     d0, d1, d2 = add3(b0, d0), add3(b1, d1), add3(b2, d2)

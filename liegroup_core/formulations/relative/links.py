@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Links of the spanning tree of a scene, and their records."""
 
+import math
+
 import numpy as np
 
 from liegroup_core.joints.elements import WORLD
@@ -60,7 +62,12 @@ class Link:
         self.joint, self.group, self.parent, self.placement = joint, group, parent, placement
         self.coordinates, self.pitch, self.bodies = coordinates, pitch, {}
         self.components = COMPONENTS[group]
-        self.sign = 1.0
+        self.sign, self.aligned = 1.0, False
+
+    @property
+    def is_plain_hinge(self):
+        """Whether it is a revolute joint: not one of the two axes of a universal joint."""
+        return self.group == HINGE and self.coordinates == OWN
 
     def directions(self):
         """S (6, freedoms)."""
@@ -120,7 +127,37 @@ def find_links(scene, frames, tree, normal):
                 align(pose)
         for name in bodies:
             places[name] = (len(links) - 1, links[-1].bodies[name])
+    if normal is None:
+        _align_hinges(links)
     return links, places
+
+
+def _align_hinges(links):
+    """Turn the frames of hinges about their axes, so that the next axis of a chain is normal to x.
+
+    Then its placement turns about x, and about z, and so does its pose in its parent: less work for
+    add_aligned_hinge_inertia. The coordinates stay. The frame of a hinge with several children follows
+    the first of them.
+    """
+    turns = {}
+    for link in links:
+        parent = links[link.parent] if link.parent != WORLD else None
+        if parent is not None and parent.is_plain_hinge and link.is_plain_hinge:
+            if link.parent not in turns:
+                x, y = link.placement[:2, 2]
+                turns[link.parent], link.aligned = math.atan2(x, -y), True
+    for i, angle in turns.items():
+        turn = np.eye(4)
+        turn[:2, :2] = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
+        links[i].placement[:] = links[i].placement @ turn
+        for place in [
+            *links[i].bodies.values(),
+            *(link.placement for link in links if link.parent == i),
+        ]:
+            place[:] = turn.T @ place
+    for link in links:
+        if link.aligned:
+            link.placement[0, 2] = 0.0
 
 
 def _index(scene, name):
@@ -179,6 +216,7 @@ def link_records(scene, links, index):
                 link.placement[:3, 3],
                 pose[:3, :3].ravel(),
                 pose[:3, 3],
+                link.aligned,
                 link.pitch,
                 mass,
                 moment,

@@ -38,6 +38,7 @@ from liegroup_core.lie.vec3 import (
 
 from .arrays import BALL, CYLINDER, FREE, HINGE, PLANE, SCREW, SLIDE
 from .articulated import (
+    add_aligned_hinge_inertia,
     add_hinge_inertia,
     add_inertia,
     add_mass,
@@ -178,7 +179,10 @@ def gather(model, work):
                 force[1] + (m[7] * w[0] + m[10] * w[1] + m[16] * v[0] + m[18] * v[1]),
                 force[2] + (m[8] * w[0] + m[11] * w[1] + m[17] * v[0] + m[19] * v[1]),
             )
-            add_hinge_inertia(m, rot, p, work.inertia, a)
+            if link["aligned"] == 1:
+                add_aligned_hinge_inertia(m, rot, p, work.inertia, a)
+            else:
+                add_hinge_inertia(m, rot, p, work.inertia, a)
         elif group == BALL:
             force = add3(force, mass_times(m, v))
             add_mass(m, rot, p, work.inertia, a)
