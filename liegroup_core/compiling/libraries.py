@@ -23,9 +23,16 @@ class _Library(JITCodeLibrary):
 
 
 class InnerLibrary(_Library):
-    """LLVM code for callers, without machine code and without the functions that it calls."""
+    """LLVM code for callers, without machine code and without the functions that it calls.
+
+    Callers link the code itself. Numba would make a copy for them to mark its functions in.
+    """
 
     def finalize(self):
+        for function in self._final_module.functions:
+            if not function.is_declaration and function.linkage == binding.Linkage.external:
+                function.linkage = "linkonce_odr"
+        self._shared_module = self._final_module
         self._finalized = True
 
 
