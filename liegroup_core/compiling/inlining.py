@@ -16,6 +16,7 @@ assumed.py and the package's README.md state what is assumed of Numba.
 """
 
 import logging
+import weakref
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -171,11 +172,19 @@ def _shared(kernel):
 class InnerFunction(types.Dispatcher):
     """Type of a function for compiled callers: constant arguments do not compile it again.
 
-    LLVM sees the constants where it inlines the function.
+    LLVM sees the constants where it inlines the function. Its signature is found once for given types.
     """
 
+    _found = weakref.WeakKeyDictionary()  # of all dispatchers: this type is made at every use
+
     def get_call_type(self, context, args, kws):
-        return super().get_call_type(context, tuple(map(types.unliteral, args)), kws)
+        args = tuple(map(types.unliteral, args))
+        if kws:
+            return super().get_call_type(context, args, kws)
+        found = self._found.setdefault(self.dispatcher, {})
+        if args not in found:
+            found[args] = super().get_call_type(context, args, kws)
+        return found[args]
 
 
 class ChoiceType(types.Callable, types.Dummy):
