@@ -9,8 +9,11 @@ from numba.core.base import BaseContext
 from numba.core.compiler import Compiler
 from numba.core.compiler_machinery import register_pass
 from numba.core.ir import Return
+from numba.core.ir_utils import build_definitions
 from numba.core.lowering import Lower
-from numba.core.typed_passes import NativeLowering, NopythonTypeInference
+from numba.core.ssa import reconstruct_ssa
+from numba.core.typed_passes import NativeLowering, NopythonTypeInference, PreLowerStripPhis
+from numba.core.untyped_passes import ReconstructSSA
 
 from .libraries import InnerLibrary, OuterLibrary
 from .signatures import Typing
@@ -18,7 +21,9 @@ from .struct_types import StructType
 
 # Passes of Numba's compiler for what kernels do not have: closures, generators, expressions of
 # whole arrays, functions that are typed by values, parallel loops, annotated listings.
+# IRProcessing finds control flow and lifetimes, which GenericRewrites does again.
 OMITTED = {
+    "IRProcessing",
     "WithLifting",
     "InlineClosureLikes",
     "RewriteSemanticConstants",
@@ -165,12 +170,42 @@ class _TypeInference(NopythonTypeInference):
         return super().run_pass(state)
 
 
+# Numba finds the lifetimes of all variables after each of the next two passes. They are used
+# only after IRLegalization, which finds them again.
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _SingleAssignment(ReconstructSSA):
+    _name = "single_assignment"
+
+    def run_pass(self, state):
+        state.func_ir = reconstruct_ssa(state.func_ir)
+        self._patch_locals(state)
+        state.func_ir._definitions = build_definitions(state.func_ir.blocks)
+        return True
+
+
+@register_pass(mutates_CFG=False, analysis_only=False)
+class _NoPhis(PreLowerStripPhis):
+    _name = "no_phis"
+
+    def run_pass(self, state):
+        state.func_ir = self._strip_phi_nodes(state.func_ir)
+        state.func_ir._definitions = build_definitions(state.func_ir.blocks)
+        return True
+
+
 class Inner(Compiler):
     lowering = _InnerLowering
 
     def define_pipelines(self):
         managers = super().define_pipelines()
-        own = {NativeLowering: self.lowering, NopythonTypeInference: _TypeInference}
+        own = {
+            NativeLowering: self.lowering,
+            NopythonTypeInference: _TypeInference,
+            PreLowerStripPhis: _NoPhis,
+            ReconstructSSA: _SingleAssignment,
+        }
         for manager in managers:
             manager.passes = [
                 (own.get(each, each), text)
