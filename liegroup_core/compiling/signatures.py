@@ -2,6 +2,7 @@
 """Types of built-in functions that remember the signatures that Numba has found for them."""
 
 import operator
+from contextlib import nullcontext
 
 from numba.core import types
 from numba.core.datamodel import models
@@ -26,13 +27,40 @@ class Operator(types.Function):
         return self._found[args]
 
 
+class _Calls:
+    """Stack of the functions that are being typed; they do not collect the warnings of Numba.
+
+    Numba changes and restores Python's filters of warnings at every assignment.
+    """
+
+    def __init__(self, calls):
+        self._calls = calls
+
+    def __getattr__(self, name):
+        return getattr(self._calls, name)
+
+    def __getitem__(self, index):
+        return self._calls[index]
+
+    def __len__(self):
+        return len(self._calls)
+
+    def register(self, target, inference, *function):
+        inference.warnings.catch_warnings = self._nothing
+        return self._calls.register(target, inference, *function)
+
+    @staticmethod
+    def _nothing(**place):
+        return nullcontext()
+
+
 class Typing:
     """Numba's typing context with built-in functions that remember their signatures."""
 
     _operators = {}
 
     def __init__(self, context):
-        self._context = context
+        self._context, self.callstack = context, _Calls(context.callstack)
 
     def __getattr__(self, name):
         return getattr(self._context, name)
