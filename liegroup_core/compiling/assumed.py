@@ -4,16 +4,19 @@
 import inspect
 
 from llvmlite import binding
-from numba.core import cgutils, types
+from numba.core import cgutils, ssa, types
 from numba.core.base import BaseContext
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.callconv import CPUCallConv
 from numba.core.codegen import CPUCodegen, JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.datamodel import models
+from numba.core.errors import WarningsFixer
 from numba.core.lowering import Lower
-from numba.core.typed_passes import NativeLowering, NopythonTypeInference
+from numba.core.typed_passes import NativeLowering, NopythonTypeInference, PreLowerStripPhis
 from numba.core.typing.context import BaseContext as TypingContext
+from numba.core.typing.context import CallStack
+from numba.core.untyped_passes import ReconstructSSA
 from numba.np import arrayobj
 
 # Inner parts that are overridden or called, with their parameters.
@@ -27,6 +30,7 @@ ASSUMED = {
         "_finalize_dynamic_globals": "self",
         "enable_object_caching": "self",
         "get_pointer_to_function": "self name",
+        "_get_module_for_linking": "self",
     },
     CPUCodegen: {"_module_pass_manager": "self kwargs", "_pass_builder": "self kwargs"},
     Lower: {
@@ -40,6 +44,11 @@ ASSUMED = {
     },
     NativeLowering: {"run_pass": "self state"},
     NopythonTypeInference: {"run_pass": "self state"},
+    PreLowerStripPhis: {"run_pass": "self state", "_strip_phi_nodes": "self func_ir"},
+    ReconstructSSA: {"run_pass": "self state", "_patch_locals": "self state"},
+    ssa: {"reconstruct_ssa": "func_ir"},
+    CallStack: {"register": "self target typeinfer func_id args"},
+    WarningsFixer: {"catch_warnings": "self filename lineno"},
     Compiler: {"define_pipelines": "self"},
     BaseContext: {
         "insert_user_function": "self func fndesc libs",
