@@ -11,7 +11,7 @@ import math
 
 from liegroup_core.compiling import kernel, shared
 from liegroup_core.joints.elements import WORLD
-from liegroup_core.lie.coefficients import exp_coefficients
+from liegroup_core.lie.coefficients import turn_coefficients
 from liegroup_core.lie.se3 import se3_Ad_inverse, se3_compose, se3_exp
 from liegroup_core.lie.so3 import so3_exp, so3_nearest
 from liegroup_core.lie.vec3 import (
@@ -113,7 +113,7 @@ def displace(model, b, coordinates, screws, at, out):
         out[row, 0], out[row, 1] = 1.0, 0.0
         out[row, 4] = coordinates[row, 4] + psi
         return 0.0
-    sinc, versinc, _ = exp_coefficients(psi * psi)
+    sinc, versinc = turn_coefficients(psi * psi)
     c, s = 1.0 - psi * psi * versinc, psi * sinc
     c0, s0 = coordinates[row, 0], coordinates[row, 1]
     if group == SCREW:

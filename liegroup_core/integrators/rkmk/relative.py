@@ -34,18 +34,13 @@ from .relative_errors import error_square as error_square
 def _add_slopes(h, weights, row, stages, slopes, count, to):
     """Write the sums h weights[row, l] k_l over the first stages l to rows of slopes from `to` on."""
     for f in range(count):
-        slopes[to + f, 0] = 0.0
-        slopes[to + f, 1] = 0.0
-    for stage in range(stages):
-        weight = weights[row, stage]
-        if weight != 0.0:
-            start = stage * count
-            for f in range(count):
-                slopes[to + f, 0] += weight * slopes[start + f, 0]
-                slopes[to + f, 1] += weight * slopes[start + f, 1]
-    for f in range(count):
-        slopes[to + f, 0] *= h
-        slopes[to + f, 1] *= h
+        psi, dq = 0.0, 0.0
+        for stage in range(stages):
+            weight = weights[row, stage]
+            if weight != 0.0:
+                psi += weight * slopes[stage * count + f, 0]
+                dq += weight * slopes[stage * count + f, 1]
+        slopes[to + f, 0], slopes[to + f, 1] = h * psi, h * dq
 
 
 @kernel
