@@ -145,19 +145,17 @@ def _align_hinges(links):
         if parent is not None and parent.is_plain_hinge and link.is_plain_hinge:
             if link.parent not in turns:
                 x, y = link.placement[:2, 2]
-                turns[link.parent], link.aligned = math.atan2(x, -y), True
-    for i, angle in turns.items():
-        turn = np.eye(4)
-        turn[:2, :2] = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
-        links[i].placement[:] = links[i].placement @ turn
-        for place in [
-            *links[i].bodies.values(),
-            *(link.placement for link in links if link.parent == i),
-        ]:
-            place[:] = turn.T @ place
-    for link in links:
+                link.aligned = True
+                turns[link.parent] = SE3.exp([0, 0, math.atan2(x, -y), 0, 0, 0])
+    for i, link in enumerate(links):
+        if link.parent in turns:
+            link.placement[:] = turns[link.parent].T @ link.placement
         if link.aligned:
             link.placement[0, 2] = 0.0
+        if i in turns:
+            link.placement[:] = link.placement @ turns[i]
+            for pose in link.bodies.values():
+                pose[:] = turns[i].T @ pose
 
 
 def _index(scene, name):
