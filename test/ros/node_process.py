@@ -55,6 +55,8 @@ ENVIRONMENT = {
     "ROS_DOMAIN_ID": str(DOMAIN),
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
     "PYTHONUNBUFFERED": "1",
+    # rclpy's warning of an answer that nobody receives: its client is not discovered yet, see `call`.
+    "PYTHONWARNINGS": "ignore:failed to send response:RuntimeWarning",
 }
 NODE = "import sys; from liegroup_sim_ros.node.entry import main; sys.exit(main())"
 PUSH = "import sys; from liegroup_sim_ros.commands.main import main; sys.exit(main())"
