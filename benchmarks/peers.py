@@ -101,7 +101,9 @@ def main():
     parser.add_argument(
         "--quick", action="store_true", help="coarser ladders, fewer rounds, no run above a second"
     )
-    parser.add_argument("--only", nargs="+", metavar="P", help="begin of a problem's name: P1..S8")
+    parser.add_argument(
+        "--only", nargs="+", metavar="P", help="first words of a problem's name: P1..S8"
+    )
     parser.add_argument(
         "--group",
         nargs="+",
@@ -132,7 +134,7 @@ def main():
     groups = options.group
     data, missed, start = {}, [], time.perf_counter()
     for name, make in cases().items():
-        if options.only and not name.startswith(tuple(options.only)):
+        if options.only and not any(f"{name} ".startswith(f"{only} ") for only in options.only):
             continue
         variants = make()
         problem = variants[0]

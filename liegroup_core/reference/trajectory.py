@@ -129,6 +129,7 @@ class Reference:
     The other arguments are those of `integrate`.
     """
 
+    @one_blas_thread()
     def __init__(
         self, scene, pose, twist, changes=(), start=0.0, end=np.inf, rtol=TIGHT, angles=None
     ):
