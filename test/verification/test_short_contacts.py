@@ -146,7 +146,7 @@ def test_no_dip_of_a_gap_is_overlooked():
         (q0, *more0), (q1, *more1) = gap(0.0), gap(1.0)
         if q0 - stop > 0.0 and q1 - stop > 0.0:
             found += 1
-            assert lowest(q0 - stop, *more0, q1 - stop, *more1, 1.0, 1e-13) != NONE
+            assert lowest(q0 - stop, *more0, q1 - stop, *more1, 1.0, 1e-13, 0.0) != NONE
     assert found > 300
 
 

@@ -247,37 +247,43 @@ def _dip(g0, d0, g1, d1, h):
 
 
 @kernel
-def lowest(g0, v0, a0, g1, v1, a1, h, depth):
+def lowest(g0, v0, a0, g1, v1, a1, h, depth, lag):
     """Part of a step at which a gap may be deepest below zero, or NONE: it stays above.
 
     g, v, a : gap, rate and acceleration at the start and at the end of a step of size h. A gap that
               starts below zero has to become less than it was
+    lag     : s; what may be below zero is the gap and `lag` times its rate
     Between its ends the gap is near the polynomial of degree five with these values. How near, shows
     the distance to that of degree three: DOUBT times it is taken off. Where the gap is not smooth,
     as that of a point that passes another one, this is about as much as it could have closed.
     """
-    p0, p1, r0, r1 = v0 * h, v1 * h, 0.5 * a0 * h * h, 0.5 * a1 * h * h
-    if min(g0, g1) > abs(p0) + abs(p1) + abs(r0) + abs(r1):
+    p0, p1, r0, r1, lag = v0 * h, v1 * h, 0.5 * a0 * h * h, 0.5 * a1 * h * h, lag / h
+    if lag == 0.0 and min(g0, g1) > abs(p0) + abs(p1) + abs(r0) + abs(r1):
         return NONE
     rise = g1 - g0
     b, c = 3.0 * rise - 2.0 * p0 - p1, p0 + p1 - 2.0 * rise
     first, last = r0 - b, r1 - b - 3.0 * c
     doubt = DOUBT * max(abs(first), abs(last))
-    place, least = NONE, min(g0, 0.0) - depth
-    before, now, after = g0, g0, g0
+    after = g0 + lag * p0
+    place, least = NONE, min(after, 0.0) - depth
+    before, now = after, after
     for i in range(POINTS + 1):
         before, now = now, after
         if i < POINTS:
             s = (i + 1) / POINTS
-            more = s * s * (1.0 - s) * (1.0 - s) * (first + s * (last - first) - doubt)
-            after = g0 + s * (p0 + s * (b + s * c)) + more
+            bump, more = s * (1.0 - s), first + s * (last - first)
+            after = g0 + s * (p0 + s * (b + s * c)) + bump * bump * (more - doubt)
+            if lag != 0.0:
+                slope = p0 + s * (2.0 * b + s * 3.0 * c) + bump * bump * (last - first)
+                bend = 2.0 * bump * (1.0 - 2.0 * s)
+                after += lag * (slope + bend * more - abs(bend) * doubt)
         # A parabola through three points; at an end, through two with the slope there.
         slope, bend = 0.5 * (after - before), after - 2.0 * now + before
         if i == 0:
-            slope = p0 / POINTS
+            slope = (p0 + 2.0 * lag * r0) / POINTS
             bend = 2.0 * (after - now - slope)
         elif i == POINTS:
-            slope = p1 / POINTS
+            slope = (p1 + 2.0 * lag * r1) / POINTS
             bend = 2.0 * (before - now + slope)
         aside = -slope / bend if bend > 0.0 else math.inf
         if abs(aside) <= 1.0 and 0.0 <= i + aside <= POINTS:
@@ -308,17 +314,21 @@ def crossed(model, work, h):
                 stop = switch["lower"] if c == LOWER else switch["upper"]
                 # Rows that were held drift by round-off and the error of the method: one that leaves
                 # its stop may start beyond it, and leaves with the third power of time.
-                before, depth = sign * (q0 - stop), AT_STOP * (1.0 + abs(stop))
+                before, depth, lag = sign * (q0 - stop), AT_STOP * (1.0 + abs(stop)), 0.0
                 if guards[k, c] < 0.0:
                     further = guards[k, c] < min(before, 0.0) - depth
                     if soft or further or sign * v1 < -RESTING:
                         places[k, c] = 1.0
-                elif before < math.inf and not (soft and work.modes[k, SIDE] != 0.0):
+                elif before < math.inf:
                     after = guards[k, c]
                     if soft:
                         after = sign * (coordinate(model, work, k, work.stage_pose) - stop)
+                    if soft and work.modes[k, SIDE] == -sign:
+                        # It ends where its pressure does.
+                        sign, before, after = -sign, -before, -after
+                        lag = switch["damping"] / switch["stiffness"]
                     v, w, a, b = sign * v0, sign * v1, sign * a0, sign * a1
-                    places[k, c] = lowest(before, v, a, after, w, b, h, depth)
+                    places[k, c] = lowest(before, v, a, after, w, b, h, depth, lag)
             if guards[k, SLIDING] < 0.0:
                 places[k, SLIDING] = 1.0
             elif guards[k, SLIDING] < math.inf:

@@ -86,6 +86,8 @@ class Switching(ModeChanges):
         for end, stop in ((LOWER, table["lower"]), (UPPER, table["upper"])):
             self._at_zero[:, end] = AT_STOP * (1.0 + np.where(np.isfinite(stop), np.abs(stop), 0.0))
         self._at_zero[:, SLIDING] = RESTING
+        # Of compliant stops, s: how long before its depth the pressure of one that returns is zero.
+        self._lag = table["damping"] / np.where(self._rigid, np.inf, table["stiffness"])
         self.instants, self.count, self.parts = None, 0, 1
         self.endless = self.crowded = self._inputs = None
         self._crowd = 0, 0.0  # events and time from which on they are counted
@@ -94,7 +96,7 @@ class Switching(ModeChanges):
     def touch(self, pose, twist, external):
         """Call every kernel once; the state stays."""
         self._look(self._model, self._work, pose, twist, external)
-        lowest(*np.ones(8).tolist())
+        lowest(*np.ones(9).tolist())
         self._respond_at_stage()
         self._change_rates(self._model, self._work, self._no_changes, pose, twist)
 
@@ -249,8 +251,10 @@ class Switching(ModeChanges):
             return seen(tau)[0][k, c] - start
 
         def gap(tau, k, c):
-            """(gap of a stop, its rate, its acceleration)."""
+            """(gap of a stop, its rate, its acceleration); of a compliant one that acts, its depth."""
             sign, stop = (1.0, "lower") if c == LOWER else (-1.0, "upper")
+            if self._acts(k, c):
+                sign = -sign
             _, q, rates = seen(tau)
             return sign * (q[k] - self._model.switches[stop][k]), *(sign * rates[k])
 
@@ -286,15 +290,20 @@ class Switching(ModeChanges):
         status = self._single(tau, state) if tau > 0.0 else OK
         return tau, crossed if crossed.any() and status == OK else None, status
 
+    def _acts(self, k, c):
+        """Whether a compliant stop acts."""
+        return not self._rigid[k] and self._work.modes[k, SIDE] == (-1.0 if c == LOWER else 1.0)
+
     def _dip(self, guard, gap, size, k, c, failed):
         """First time found at which the guard of a stop is negative in a substep, or None."""
         spans, depth = [(0.0, size)], self._at_zero[k, c]
+        lag = self._lag[k] if self._acts(k, c) else 0.0
         for _ in range(MOST_LOOKS):
             if failed or not spans:
                 return None
             begin, end = spans.pop()
             ends = gap(begin, k, c), gap(end, k, c)
-            place = lowest(*ends[0], *ends[1], end - begin, depth)
+            place = lowest(*ends[0], *ends[1], end - begin, depth, lag)
             if place < 0.0 or end - begin < TIME_STEP:
                 continue
             middle = begin + min(max(place, 0.25), 0.75) * (end - begin)
