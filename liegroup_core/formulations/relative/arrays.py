@@ -36,6 +36,7 @@ FREEDOMS = (1, 1, 1, 2, 3, 3, 6)
 
 # Columns of Work.modes.
 SLIP, SIDE, COORDINATE, KNOWN, RESTS, EFFORT = range(6)
+NODES = 6  # stages of a step whose guards are kept, at most
 
 # How the coordinates of a link are found from poses of bodies.
 OWN, CROSS, AFTER_CROSS = 0, 1, 2
@@ -237,6 +238,9 @@ class RelativeWork(Struct):
     # of the present accelerations, N; both of the iteration before: see loads.py
     iteration: np.ndarray  # (3,) 1: the loads are given; 1: they did not settle; scratch
     guards: np.ndarray  # (k, 5) how far each switch is from its next events
+    course: (
+        np.ndarray
+    )  # (NODES, k, 2) the last two of them at some stages: see integrators/rkmk/crossings.py
     crossed: np.ndarray  # (k, 5) part of the step at which each is at the latest, or -1
     watch: np.ndarray  # (3,) 1 if events are looked for; start of the substep with one, its size
     wrench: np.ndarray  # (n, 6) wrenches on the bodies
@@ -303,6 +307,7 @@ def make_relative_work(model, work, stages):
         iteration=np.zeros(3),
         modes=np.zeros((len(model.switches), 6)),
         guards=np.zeros((len(model.switches), 5)),
+        course=np.zeros((NODES, len(model.switches), 2)),
         crossed=np.zeros((len(model.switches), 5)),
         watch=np.zeros(3),
         wrench=np.zeros((n, 6)),

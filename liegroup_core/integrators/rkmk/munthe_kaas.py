@@ -33,6 +33,7 @@ from liegroup_core.model.arrays import copy_state
 from liegroup_core.status import DEPENDENT_ROWS, EVENT, OK, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS
 
 from . import spaces
+from .crossings import rows_and_weights
 from .switching import Switching
 
 # Bounds of the ratio of two successive substeps, and safety factor of the next one.
@@ -51,6 +52,8 @@ class Scheme(Struct):
 
     a: np.ndarray  # (s + 1, s) the tableau's a, below it its b
     nodes: np.ndarray  # (s + 1,) its c, then 1: times of the stages in parts of a step
+    rows: np.ndarray  # (s + 1,) and weights: see crossings.py
+    weights: np.ndarray
     error: np.ndarray  # (0 to 2, s + 1) weights of the error estimates
     highest: int  # last power of ad in dexpinv, or EXACT
 
@@ -193,6 +196,8 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
                         status = DEPENDENT_ROWS + (dependent << 8)
                         break
                     spaces.store_slopes(model, work, scheme, group, stage)
+                    if watching:
+                        spaces.note_stage(model, work, scheme, stage)
             if status == OK:
                 status = spaces.check_end(model, work, size)
             if controlled:
@@ -204,7 +209,7 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
                 if status == OK and not accepted:
                     continue
             if status == OK and watching:
-                if spaces.has_event(model, work, h - remaining, size):
+                if spaces.has_event(model, work, scheme, h - remaining, size):
                     status = EVENT
             if status == OK and model.projects:
                 status = spaces.close(model, work, controlled)
@@ -245,9 +250,11 @@ class MuntheKaas:
         tableau = method.tableau
         stages = len(tableau.b)
         self.controlled = method.controlled
+        times = np.append(tableau.c, 1.0)
         self._scheme = Scheme(
             np.vstack([tableau.a, tableau.b]),
-            np.append(tableau.c, 1.0),
+            times,
+            *rows_and_weights(times),
             tableau.e,
             EXACT if options["dexpinv"] == "exact" else max(method.order - 2, 0),
         )

@@ -14,7 +14,7 @@ from liegroup_core.formulations.relative.dynamics import accelerations
 from liegroup_core.formulations.relative.kinds import displace, normalise
 from liegroup_core.formulations.relative.loads import UNSETTLED
 from liegroup_core.formulations.relative.loops import project
-from liegroup_core.formulations.relative.switches import count_coordinates, crossed, set_rates
+from liegroup_core.formulations.relative.switches import count_coordinates, set_rates
 from liegroup_core.integrators.link_state import begin as begin
 from liegroup_core.integrators.link_state import enter as enter
 from liegroup_core.integrators.link_state import leave as leave
@@ -27,6 +27,7 @@ from liegroup_core.lie.so3 import so3_dexpinv_of
 from liegroup_core.lie.vec3 import dot3, load3
 from liegroup_core.status import LARGEST_ROTATION, NO_FRICTION, NOT_FINITE, OK, ROTATION_TOO_LARGE
 
+from .crossings import begin_at_end, crossed, note_guards
 from .relative_errors import error_square as error_square
 
 
@@ -165,9 +166,16 @@ def watches(model, work):
 
 
 @kernel
-def has_event(model, work, start, h):
+def note_stage(model, work, scheme, stage):
+    """Guards of what is held; at the end those of all switches."""
+    note_guards(model, work, scheme.rows[stage])
+
+
+@kernel
+def has_event(model, work, scheme, start, h):
     """Whether stops or friction change in a substep of size h that starts at a time of the step."""
-    if not crossed(model, work, h):
+    if not crossed(model, work, h, scheme.weights):
+        begin_at_end(work)
         return False
     work.watch[1], work.watch[2] = start, h
     return True

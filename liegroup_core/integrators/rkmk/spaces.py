@@ -28,7 +28,9 @@ for a RelativeModel or a PlaneModel:
                             unwrap the angles of torsional springs at the end of the step
     watches(model, work) -> bool
                             whether stops and dry friction are looked at: see switching.py
-    has_event(model, work, start, h) -> bool
+    note_stage(model, work, scheme, stage)
+                            keep what they need to know of a stage, or of the end, of the step
+    has_event(model, work, scheme, start, h) -> bool
                             whether they change in a substep of size h that starts `start` s after
                             the step
 """
@@ -45,4 +47,5 @@ def _of(name):
 enter, leave, begin, move = map(_of, ("enter", "leave", "begin", "move"))
 store_slopes, check_end, error_square = map(_of, ("store_slopes", "check_end", "error_square"))
 close, count_turns = map(_of, ("close", "count_turns"))
-accelerate, watches, has_event = map(_of, ("accelerate", "watches", "has_event"))
+accelerate, watches = map(_of, ("accelerate", "watches"))
+note_stage, has_event = map(_of, ("note_stage", "has_event"))

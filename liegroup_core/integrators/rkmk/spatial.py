@@ -172,7 +172,12 @@ def watches(model, work):
 
 
 @kernel
-def has_event(model, work, start, h):
+def note_stage(model, work, scheme, stage):
+    """Nothing: see `watches`."""
+
+
+@kernel
+def has_event(model, work, scheme, start, h):
     """Whether stops or friction change in a substep; see `watches`."""
     return False
 
