@@ -197,10 +197,14 @@ class Layout:
         return {servo.joint: i for i, servo in enumerate(kinds.servos(self.scene.forces))}
 
     @cached_property
+    def size(self):
+        """Mechanism's size in m."""
+        return mechanism_size(self.model, self.scene.joints)
+
+    @cached_property
     def limits(self):
         """{joint: CommandLimits} of what is commanded to the joints with one coordinate, screws included."""
-        size = mechanism_size(self.model) or 1.0
-        return {j.name: limits_of(j, size) for j in self.scene.joints if j.type in COUPLED}
+        return {j.name: limits_of(j, self.size) for j in self.scene.joints if j.type in COUPLED}
 
     @cached_property
     def names_of_inputs(self):

@@ -54,7 +54,6 @@ from .errors import SimulationError
 from .forces.schedule import DRIVE, SERVO
 from .integrators.added_inertia import AddedInertia
 from .integrators.methods import METHODS
-from .model.size import mechanism_size
 from .observables.distances import distances, largest_of
 
 HIGH = 8  # order from which the steps are more similar
@@ -105,7 +104,7 @@ class RunningError:
         else:
             ratio, least = self.ours / self._theirs, LEAST if order < HIGH else LEAST_HIGH
         self._factor = max(least, SEEN / (ratio**order - 1.0))
-        self.size = mechanism_size(engine.layout.model) or 1.0
+        self.size = engine.layout.size
         step = self.ours / self._theirs * engine.step
         self._companion = self._make_companion(step, ratio**order)
         if controlled and (engine.layout.switches or not by_work):

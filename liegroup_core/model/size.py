@@ -3,15 +3,29 @@
 
 import numpy as np
 
+from liegroup_core.joints import distance
 from liegroup_core.joints.elements import WORLD
+from liegroup_core.joints.stops import DISTANCE
 
 
-def mechanism_size(model):
-    """Largest radius of gyration, or distance from a joint or a rim to a centre of mass, m."""
+def mechanism_size(model, joints):
+    """Largest of these lengths in m, or 1 m where all are zero.
+
+    Radii of gyration, distances from a joint or a rim to a centre of mass, and the lengths of what has no
+    mass: rods, cables and struts.
+
+    model, joints : Model and the joints of its scene
+    """
     bodies, elements = model.bodies, model.elements
     gyration = np.sqrt(bodies["inertia"][:, [0, 4, 8]].sum(axis=1) / bodies["mass"])
     arms = [
         np.linalg.norm(elements[f"{end}_point"][elements[end] != WORLD], axis=1).max(initial=0.0)
         for end in ("parent", "child")
     ]
-    return float(max(gyration.max(), *arms))
+    rods = elements["parameter"][elements["kind"] == distance.KIND].max(initial=0.0)
+    cables = [
+        joint.length
+        for joint in joints
+        if any(switch.kind == DISTANCE for switch in joint.switches)
+    ]
+    return float(max(gyration.max(), *arms, rods, *cables)) or 1.0

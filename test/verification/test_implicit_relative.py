@@ -11,7 +11,6 @@ import random_mechanisms
 
 from liegroup_core import SimulationError, load_scene
 from liegroup_core.engine import Engine
-from liegroup_core.model.size import mechanism_size
 
 METHOD = "generalized_alpha"
 LOOPS = {  # time in s, steps per second
@@ -49,7 +48,7 @@ def test_loops_are_closed_next_to_singular_poses_too(name, step):
     """n_four_bar passes flat poses. Newton's method ends at ten times the round-off of positions."""
     engine = Engine(load_scene(name), METHOD, step, quiet=True)
     assert engine.group == "relative"
-    size = max(1.0, mechanism_size(engine.layout.model))
+    size = max(1.0, engine.layout.size)
     for _ in range(300):
         engine.advance(1)
         assert engine.sample().constraint_residual <= 1e-14 * size

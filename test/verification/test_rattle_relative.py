@@ -19,7 +19,6 @@ from liegroup_core.engine import Engine
 from liegroup_core.forces.external import no_wrenches
 from liegroup_core.formulations.relative.arrays import FREEDOMS, PlaneModel
 from liegroup_core.integrators.methods import METHODS
-from liegroup_core.model.size import mechanism_size
 from liegroup_core.scene.description import Drag
 
 METHOD = "constrained_rattle"
@@ -106,7 +105,7 @@ def test_backward_steps_undo_forward_steps_in_a_plane(method, name):
     there, rates = simulation.state()
     external = no_wrenches(simulation.layout.offsets)
     assert simulation._integrator.advance(-1e-3, 3, there, rates, external) == (3, 0)
-    size = max(1.0, mechanism_size(simulation.layout.model))
+    size = max(1.0, simulation.layout.size)
     assert np.abs(there - pose).max() <= 6e-14 * size
     assert np.abs(rates - twist).max() <= 1.2e-10 * size
 

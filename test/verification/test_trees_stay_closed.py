@@ -33,7 +33,6 @@ from liegroup_core.integrators.methods import METHODS
 from liegroup_core.joints import forbidden_rows
 from liegroup_core.joints.kinds import CONSTRAINTS
 from liegroup_core.lie.groups import SE3
-from liegroup_core.model.size import mechanism_size
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
 
 STEPS = int(os.environ.get("STEPS", "2000"))
@@ -124,7 +123,7 @@ def opening(scene, method, step, group="relative", spoil=lambda relative: None):
     engine = Engine(scene, method, step, group, quiet=True)
     spoil(engine.layout.relative)
     frames = resolve_frames(scene)
-    size = max(1.0, mechanism_size(engine.layout.model))
+    size = max(1.0, engine.layout.size)
     worst, where, going = 0.0, None, True
     for _ in range(SAMPLES):
         try:

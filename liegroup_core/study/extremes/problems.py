@@ -503,7 +503,6 @@ def of_scene_speed(name, horizon, factor, step=1e-3):
 
 def _of_scene(scene, step, steps):
     from liegroup_core.layout import make_layout
-    from liegroup_core.model.size import mechanism_size
 
-    length = mechanism_size(make_layout(scene).model) or 1.0
+    length = make_layout(scene).size
     return Problem(scene, step, steps, motions.integrated(scene, length), length)

@@ -16,7 +16,6 @@ import numpy as np
 
 from liegroup_core.errors import SimulationError
 from liegroup_core.model.build import initial_state
-from liegroup_core.model.size import mechanism_size
 from liegroup_core.model.symmetry import momentum_values
 from liegroup_core.observables.along import Along
 from liegroup_core.reference import Distance, Reference, Trajectory, distance
@@ -63,7 +62,7 @@ def find_truth(layout, horizon=None, tell=lambda text: None):
     raises SimulationError if there is no reference solution
     """
     began = time.perf_counter()
-    length = mechanism_size(layout.model) or 1.0
+    length = layout.size
     pose, twist = initial_state(layout.centred)
     if horizon is None:
         horizon, motion, apart = _as_far_as_known(layout, pose, twist, length, tell)
