@@ -213,14 +213,16 @@ class Switching(EventTimes):
                 near = sign * (q - stop) >= -self.reach * (1.0 + np.abs(stop))
             side[self._rigid & np.isfinite(stop) & (near | crossed[:, end])] = sign
         touching = self._rigid & (side != 0.0)
-        rates = self._rates()
+        # A held row is at rest: its rate is the error of the method.
+        drift = np.where(self._is_row, work.held[self._freedoms], 0.0) * self._rates()
+        rates = self._rates() - drift
         # It left the stop, and returns before it was away from it: it never left.
         stays = touching & crossed[:, : UPPER + 1].any(axis=1) & (side * rates <= 0.0)
         if (touching & (side * rates > RESTING)).any() or stays.any():
             status = self._impact(time, state, side, touching, rates, stays)
             if status != OK:
                 return status
-            rates = self._rates()
+            rates = self._rates() - drift
         resting = (np.abs(rates) <= RESTING) | (crossed[:, SLIDING] & self._is_slow(before, rates))
         resting &= self._dry | touching
         pressed = (before[0] != 0.0) | crossed[:, : UPPER + 1].any(axis=1)
