@@ -24,12 +24,14 @@ and the estimate sets the tolerance: it may be far above the error, but not belo
 The two meet every 4 or 6 steps. Whoever reads an estimate in between gets that of the present step: the
 companion goes there by whole steps and a part of one, and returns (`Engine.peek`). An estimate is at
 least FADING times the largest of the last checkpoints: a distance may pass through zero where the error
-does not.
-Checkpoints, after MEETINGS of them and more often at the start, depend on the step count alone, so that
-a repeated run has bit-identical estimates. With an accuracy the two meet at checkpoints only, after
-about SUBSTEPS substeps, and no estimate in between is computed: an error that grew is taken to grow on
-until the next one. If the companion cannot continue, the estimate is infinite from then on. Before the
-first meeting it is NaN.
+does not. One that exceeds LOST of what the body has moved at a checkpoint does not fade at all: where
+both runs lose the motion, as an oscillation that their steps do not resolve, they meet again, and not
+with the true one. Checkpoints, after MEETINGS of them and more often at the start, depend on the step
+count alone, so that a repeated run has bit-identical estimates.
+
+With an accuracy the two meet at checkpoints only, after about SUBSTEPS substeps, no motion is lost, and
+no estimate in between is computed: an error that grew is taken to grow on until the next one. If the
+companion cannot continue, the estimate is infinite from then on. Before the first meeting it is NaN.
 
 With error control the companion takes four steps in one: in steps as short as those of the simulation
 the last substep of each, which ends with the step, would often make the substeps of both equal. Its
@@ -57,9 +59,10 @@ from .integrators.methods import METHODS
 from .observables.distances import distances, largest_of
 
 HIGH = 8  # order from which the steps are more similar
-FIRST_MEETINGS, MEETINGS = 2, 48  # to the first checkpoint, and between two of them at most
+FIRST_MEETINGS, MEETINGS = 1, 48  # to the first checkpoint, and between two of them at most
 SUBSTEPS, MOST = 32, 8  # between checkpoints with an accuracy: substeps, and steps at most
 WINDOW, FADING = 4, 0.45  # checkpoints
+LOST = 0.1  # of the motion of a body
 FASTEST = 8.0  # growth between two meetings that is continued until the next one
 PARTS = 2  # of the step that leads to an event, whose size does not depend on that of the others
 SEEN = 1.35
@@ -80,6 +83,9 @@ _KEPT = (
     "_window",
     "_window_m",
     "_window_rad",
+    "_origin",
+    "_motion",
+    "_least",
     "checkpoints",
     "predictable_until",
 )
@@ -112,6 +118,9 @@ class RunningError:
         n = len(engine.layout.body_names)
         self._distance, self._seen = np.zeros((n, 4)), np.zeros((n, 4))
         self._window = np.zeros((WINDOW, n, 4))
+        # Pose from which on bodies are seen to move, the largest motion of each, and least estimates.
+        self._origin, self._at_rest = np.zeros((n, 12)), np.zeros((n, 6))
+        self._motion, self._least = np.zeros((n, 4)), np.zeros((n, 4))
         self._distances = SameTypes(distances)
         self._added = AddedInertia.of(METHODS[engine.method], engine.layout.model)
         self._compare()  # compiles it
@@ -146,7 +155,7 @@ class RunningError:
         self._start, self._next = None, 0  # steps at which the companion started, and meets next
         self._block = self._substeps = 0  # steps to the next checkpoint, substeps at the last one
         self._alive = True
-        self._distance[:] = self._window[:] = 0.0
+        self._distance[:] = self._window[:] = self._motion[:] = self._least[:] = 0.0
         # Largest m and rad of all bodies, of the distance and of each part of the window.
         self._largest, self._window_m, self._window_rad = (0.0, 0.0), [0.0] * WINDOW, [0.0] * WINDOW
         self.checkpoints = 0
@@ -225,6 +234,8 @@ class RunningError:
         engine = self._engine
         self._companion.follow(engine, steps // self.ours * self._theirs)
         self._start, self._block, self._substeps = steps, self.ours, engine.substeps[0]
+        self._origin[:] = engine._pose
+        self._watch_motion()
         self._next = self._next_checkpoint(steps)
 
     def _compare(self):
@@ -256,6 +267,12 @@ class RunningError:
             self._seen_at = self._engine.steps
         return self._seen, self._seen_largest
 
+    def _watch_motion(self):
+        """Largest distance of each body from its start, and its largest velocities, so far."""
+        self._measure((self._origin, self._at_rest), self._seen)
+        self._seen_at = -1
+        np.maximum(self._motion, self._seen, out=self._motion)
+
     def _set_infinite(self):
         self._distance[:] = np.inf
         self._largest = math.inf, math.inf
@@ -266,6 +283,11 @@ class RunningError:
         self._window[part] = self._distance
         self._window_m[part], self._window_rad[part] = self._largest
         self.checkpoints += 1
+        if not self._by_work:
+            self._watch_motion()
+            error = self._scale(*self._distance[:, :2].T)[:, None] * self._distance
+            lost = error > LOST * self._motion
+            self._least[lost] = np.maximum(self._least, error)[lost]
         if self._largest_error(self._largest) > UNPREDICTABLE:
             self.predictable_until = min(self.predictable_until, self._engine.time)
 
@@ -282,8 +304,9 @@ class RunningError:
     def _largest_error(self, largest):
         """Largest estimated error for the largest m and rad of the present distances."""
         position, angle = self._kept_largest(largest)
-        scale = self._scale(position, angle)
-        return max(scale * position / self.size, scale * angle)
+        scale = float(self._scale(position, angle))
+        least = max(self._least[:, 0].max() / self.size, self._least[:, 1].max())
+        return max(scale * position / self.size, scale * angle, least)
 
     def _kept_largest(self, largest):
         """The largest m and rad that count: those of the checkpoints fade."""
@@ -293,10 +316,10 @@ class RunningError:
         )
 
     def _scale(self, position, angle):
-        """Estimate divided by distance, for a largest distance in m and rad."""
+        """Estimate divided by distance, for distances in m and rad, numbers or of all bodies."""
         factor = self._factor * self._growth()
-        error = factor * max(position / self.size, angle)
-        return factor * (1.0 + LARGE * min(1.0, error / NOT_SMALL))
+        error = factor * np.maximum(position / self.size, angle)
+        return factor * (1.0 + LARGE * np.minimum(1.0, error / NOT_SMALL))
 
     def snapshot(self):
         """Copy of the estimate and of its companion, for `restore`."""
@@ -341,11 +364,13 @@ class RunningError:
         companion = self._companion
         start = -1 if self._start is None else self._start
         own = self._set_at, start, self._alive, self._next, self._block, self._substeps
+        motion = self._origin, self._motion, self._least
         return np.concatenate(
             [
                 [*own, self.checkpoints, self.predictable_until, companion.steps],
                 self._distance.ravel(),
                 self._window.ravel(),
+                *(part.ravel() for part in motion),
                 *(part.ravel() for part in companion.state()),
                 companion.sample().angles,
                 np.frombuffer(companion.memory()),
@@ -355,9 +380,11 @@ class RunningError:
     def remember(self, memory):
         """Restore the estimate from `memory`, at the same state of the engine."""
         n, k = len(self._distance), len(self._companion.sample().angles)
-        own, distance, window, pose, twist, angles, rest = np.split(
-            memory, np.cumsum([9, 4 * n, self._window.size, 12 * n, 6 * n, k])
+        own, distance, window, *motion, pose, twist, angles, rest = np.split(
+            memory, np.cumsum([9, 4 * n, self._window.size, 12 * n, 4 * n, 4 * n, 12 * n, 6 * n, k])
         )
+        for mine, part in zip((self._origin, self._motion, self._least), motion):
+            mine[:] = part.reshape(mine.shape)
         set_at, start, alive, following, block, substeps, checkpoints = (int(x) for x in own[:7])
         self._companion.set_state(
             pose.reshape(n, 12), twist.reshape(n, 6), int(own[8]), angles, rest.tobytes()
@@ -376,9 +403,7 @@ class RunningError:
         if self._unknown:
             return np.full_like(self._distance, np.nan)
         kept = np.maximum(self._now()[0], FADING * self._window.max(axis=0))
-        # Element by element as `largest` has it, whose bits are the same.
-        scales = [self._scale(position, angle) for position, angle in kept[:, :2].tolist()]
-        return np.array(scales)[:, None] * kept
+        return np.maximum(self._scale(*kept[:, :2].T)[:, None] * kept, self._least)
 
     @property
     def _unknown(self):

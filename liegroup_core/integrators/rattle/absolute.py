@@ -35,7 +35,7 @@ from liegroup_core.lie.vec3 import (
 from liegroup_core.model.arrays import copy_state
 from liegroup_core.status import NOT_CONVERGED, OK
 
-from .arrays import HISTORY
+from .arrays import HISTORY, times_between
 from .solve import loads, respond
 
 MAX_ITERATIONS = 50
@@ -95,9 +95,9 @@ def _extrapolate(memory, h):
     (2/h) J V' is the constraint acceleration at h/3 after the start of a substep, up to O(h^2).
     returns the time in s between these points of the last substep and of this one
     """
-    since = (2.0 * memory.size[0] + h) / 3.0
+    since, ahead = times_between(memory, h)
     for r in range(len(memory.bias)):
-        memory.target[r] = 0.5 * h * (memory.bias[r] + since * memory.growth[r])
+        memory.target[r] = 0.5 * h * (memory.bias[r] + ahead * memory.growth[r])
     return since
 
 

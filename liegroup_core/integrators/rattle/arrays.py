@@ -3,11 +3,14 @@
 
 import numpy as np
 
-from liegroup_core.compiling import Struct
+from liegroup_core.compiling import Struct, kernel
 from liegroup_core.formulations.relative.arrays import PlaneModel
 
 # Corrections that Broyden's method stores before it restarts.
 HISTORY = 8
+LONGER = (
+    10.0  # than the last substep: such a substep is too long for the growth known from the last one
+)
 
 
 class Memory(Struct):
@@ -89,6 +92,17 @@ def make_link_memory(model):
         size=np.zeros(1),
         turned=np.zeros(1),
     )
+
+
+@kernel
+def times_between(memory, h):
+    """Times in s between the points at h/3 of the last substep and of this one, for initial guesses.
+
+    returns (this time, the part of it over which `growth` is extrapolated): none after a substep that a
+    change of wrenches has cut short, as its growth is that of the change, or round-off
+    """
+    since = (2.0 * memory.size[0] + h) / 3.0
+    return since, since if abs(h) <= LONGER * abs(memory.size[0]) else 0.0
 
 
 def clear_guesses(memory):

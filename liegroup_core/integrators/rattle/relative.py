@@ -53,7 +53,7 @@ from liegroup_core.status import (
 )
 
 from . import plane_links, space_links
-from .arrays import HISTORY
+from .arrays import HISTORY, times_between
 
 MAX_ITERATIONS = 50
 # Velocity-dependent forces are iterated until no rate changes by more than TOLERANCE times the
@@ -124,12 +124,13 @@ def _extrapolate(model, work, memory, h):
     (2/h) (psi/h - qdot) is the acceleration at h/3 after the start of a substep, up to O(h^2).
     returns the time in s between these points of the last substep and of this one
     """
-    n, since = len(model.parts), (2.0 * memory.size[0] + h) / 3.0
+    n = len(model.parts)
+    since, ahead = times_between(memory, h)
     for b in range(len(model.bodies)):
         first = model.bodies[b]["freedom"]
         for k in range(model.bodies[b]["freedoms"]):
             f = first + k
-            mean = memory.bias[f] + since * memory.growth[f]
+            mean = memory.bias[f] + ahead * memory.growth[f]
             memory.psi[f, 0] = h * (work.stage_twist[n + b, k] + 0.5 * h * mean)
     return since
 
