@@ -66,7 +66,7 @@ LOST = 0.1  # of the motion of a body
 FASTEST = 8.0  # growth between two meetings that is continued until the next one
 PARTS = 2  # of the step that leads to an event, whose size does not depend on that of the others
 SEEN = 1.35
-LEAST, LEAST_HIGH = 1.0, 0.75  # of the distance, where the order is not seen
+LEAST, LEAST_HIGH = 1.0, 0.68  # of the distance, where the order is not seen
 CONTROLLED, BY_WORK = (4.0 / 3.0, 0.5), (1.7, 0.4)  # q and LEAST of error control
 LARGE, NOT_SMALL = 2.5, 0.03
 # Of the mechanism's size, and rad: an error of this size makes a motion unpredictable.
