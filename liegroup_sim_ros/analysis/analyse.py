@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from liegroup_core import SimulationError
 from liegroup_core.forces.kinds import count_of_angles
 from liegroup_core.layout import make_layout
-from liegroup_core.model.size import mechanism_size
 from liegroup_core.observables.along import Along
 from liegroup_core.reference.exact import exact_solution
 from liegroup_core.scene.load import scene_from_text
@@ -145,7 +144,7 @@ class _Parts:
         figures["energy"], curves["energy"] = self._energy.figures(self._motion)
         figures["momentum"], curves["momentum"] = self._momentum.figures(self._motion)
         figures["joints"], figures["joint_samples"], curves["joints"] = self._joints.figures()
-        figures["mechanism_size"] = mechanism_size(self._layout.model)
+        figures["mechanism_size"] = self._layout.size
         figures["repeat"] = self._guarded["repeat"].figures()
         if "failed" not in figures["repeat"]:
             figures["repeat"]["platform"] = platform_changes(self._recording.settings)

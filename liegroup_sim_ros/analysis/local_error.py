@@ -13,7 +13,6 @@ from liegroup_core import SimulationError
 from liegroup_core.engine import BAUMGARTE_STEPS
 from liegroup_core.forces.external import AXES
 from liegroup_core.integrators.methods import METHODS
-from liegroup_core.model.size import mechanism_size
 from liegroup_sim_ros.playback.rerun import make_simulation
 
 WINDOWS = 8  # states of the recording at which the error is estimated
@@ -26,7 +25,7 @@ FLOOR = 500 * np.finfo(float).eps
 def local_error(scene, recording, motion, layout):
     """Figures of the error of one step and of the observed order. Raises ValueError."""
     settings = recording.settings
-    size = mechanism_size(layout.model) or 1.0
+    size = layout.size
     more = {}
     if settings.get("stabilisation") == "baumgarte" and settings.get("baumgarte_time") is None:
         more["baumgarte_time"] = BAUMGARTE_STEPS * settings["step"]

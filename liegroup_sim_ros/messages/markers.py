@@ -13,7 +13,6 @@ import math
 import numpy as np
 
 from liegroup_core.forces.external import PAIRS
-from liegroup_core.model.size import mechanism_size
 from liegroup_core.observables.along import quaternions
 from liegroup_core.robots.resources import find_resource
 
@@ -48,7 +47,7 @@ class Markers:
         place = {body: i for i, body in enumerate(self._bodies)}
         solids = [solid(body) for body in scene.bodies]
         # Point masses have no size.
-        largest = max(max(size) for _, size, _ in solids) or mechanism_size(layout.model)
+        largest = max(max(size) for _, size, _ in solids) or layout.size
         self._template = template = Template()
         self._end = Template()
         self._end.put("I", 1)
