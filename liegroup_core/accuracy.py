@@ -27,6 +27,7 @@ import numpy as np
 METHOD = "rkmk853"
 DEFAULT = 1e-4
 MINUTE = 60.0  # s, default of the horizon
+LONGEST = 1e6  # s, of a horizon
 SMALLEST = 1e-13  # accuracy: rounding of a single step is not far below
 AIM, NEW = 0.1, 0.03
 KEPT = 0.85  # of the gain, from one checkpoint to the next: where motions oscillate, so does it

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .accuracy import DEFAULT, METHOD, MINUTE, SMALLEST, AccuracyControl
+from .accuracy import DEFAULT, LONGEST, METHOD, MINUTE, SMALLEST, AccuracyControl
 from .engine import Engine
 from .errors import SimulationError
 from .integrators.families import check_group, check_options, choose_group
@@ -38,7 +38,7 @@ class Simulation(Engine):
 
     accuracy : largest error of a pose in the first `horizon` seconds, as a part of the mechanism's
                size, or rad; later the error may grow by as much in each further horizon. Default 1e-4
-    horizon  : s; default 60
+    horizon  : s, at most 1e6; default 60
     step     : s, times at which states can be had; of a sequence the longest suitable one. Default:
                at most 10 ms, or with a given horizon a fiftieth of it and at most 0.5 s, in which the
                error control takes at most twenty substeps
@@ -95,8 +95,10 @@ class Simulation(Engine):
             step = default_steps(horizon)
         accuracy = DEFAULT if accuracy is None else _checked(accuracy)
         horizon = MINUTE if horizon is None else horizon
-        if not is_positive(horizon):
-            raise ValueError(f"the horizon must be a positive number of seconds, got {horizon!r}")
+        if not (is_positive(horizon) and horizon <= LONGEST):
+            raise ValueError(
+                f"the horizon must be a positive number of seconds up to {LONGEST:g}, got {horizon!r}"
+            )
         if not estimate:
             raise ValueError("an accuracy requires the estimate of the error; or give a method")
         for name in {"rtol", "atol"} & options.keys():

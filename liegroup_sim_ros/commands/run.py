@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from liegroup_core import Simulation, SimulationError
-from liegroup_core.accuracy import DEFAULT, MINUTE
+from liegroup_core.accuracy import DEFAULT, LONGEST, MINUTE
 from liegroup_core.engine import STABILISATIONS, STEP
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.integrators.methods import CONFIGURATION_GROUPS, METHODS
@@ -113,7 +113,7 @@ def add_settings(parser):
         "--horizon",
         type=float,
         metavar="S",
-        help=f"simulated time in s for the accuracy (default: {MINUTE:g})",
+        help=f"simulated time in s for the accuracy, at most {LONGEST:g} (default: {MINUTE:g})",
     )
     parser.add_argument(
         "--method", metavar="NAME", help=f"instead of an accuracy: {', '.join(METHODS)}"

@@ -18,7 +18,7 @@ from rcl_interfaces.msg import (
 )
 from rclpy.parameter import Parameter
 
-from liegroup_core.accuracy import DEFAULT, MINUTE, SMALLEST
+from liegroup_core.accuracy import DEFAULT, LONGEST, MINUTE, SMALLEST
 from liegroup_core.engine import STABILISATIONS, STEP
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.integrators.methods import CONFIGURATION_GROUPS, METHODS
@@ -90,7 +90,7 @@ TABLE = (
         MINUTE,
         "simulated time in which the error may grow by the accuracy, s",
         low=0.0,
-        high=1e6,
+        high=LONGEST,
         above=True,
     ),
     Entry(

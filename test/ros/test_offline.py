@@ -209,7 +209,8 @@ def test_a_failed_run_leaves_the_samples_before_the_failure(tmp_path, capsys, su
         ({"--rtol": "1e-3"}, "an accuracy sets rtol; remove it, or give a method"),
         ({"--accuracy": "0"}, "the accuracy must be a number from 1e-13 to 1, got 0"),
         ({"--accuracy": "nan"}, "the accuracy must be a number from 1e-13 to 1, got nan"),
-        ({"--horizon": "-1"}, "the horizon must be a positive number of seconds, got -1"),
+        ({"--horizon": "-1"}, "a positive number of seconds up to 1e+06, got -1"),
+        ({"--horizon": "1e300"}, "a positive number of seconds up to 1e+06, got 1e+300"),
         (
             {"--accuracy": "1e-6", "--method": "rkmk4"},
             "--accuracy cannot be combined with --method: remove one of them",
