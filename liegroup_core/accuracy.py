@@ -40,6 +40,7 @@ FIRST, LARGEST = 3e-4, 0.03
 LEAST_TOLERANCE = 1e-15
 FASTER, SLOWER = 2.0, 0.1  # bounds of the ratio of two successive tolerances
 _REMEMBERED = ("accuracy", "_begin", "_last", "_sum", "_double_sum", "_gain", "ended", "_tolerance")
+_FOUND = ("time", "error", "wanted")
 
 
 class AccuracyControl:
@@ -52,6 +53,7 @@ class AccuracyControl:
     given    : accuracy at the start
     accuracy : that is wanted now, see `change`
     ended    : s, the last checkpoint before the estimate exceeded the wanted error; inf: it did not
+    found    : {"time", "error", "wanted"} of the checkpoint at which it did
     """
 
     def __init__(self, accuracy, horizon, tighten):
@@ -64,6 +66,7 @@ class AccuracyControl:
         self._begin = self._last = time
         self._sum = self._double_sum = self._gain = 0.0
         self.ended = math.inf
+        self.found = dict.fromkeys(_FOUND, math.nan)
         self._set(self._first)
 
     @property
@@ -89,8 +92,10 @@ class AccuracyControl:
     def follow(self, time, error, predictable):
         """Set the tolerance from the estimated error at a checkpoint."""
         span, since = time - self._last, time - self._begin
-        if not error <= self.wanted(time):
-            self.ended = min(self.ended, self._last)
+        wanted = self.wanted(time)
+        if not error <= wanted and self.ended == math.inf:
+            self.ended = self._last
+            self.found = dict(zip(_FOUND, (time, error, wanted)))
         self._last = time
         self._double_sum += (self._sum + 0.5 * self._tolerance * span) * span
         self._sum += self._tolerance * span
@@ -109,10 +114,12 @@ class AccuracyControl:
 
     def memory(self):
         """Array from which `remember` restores the control."""
-        return np.array([getattr(self, name) for name in _REMEMBERED])
+        return np.array([*(getattr(self, name) for name in _REMEMBERED), *self.found.values()])
 
     def remember(self, memory):
         """Restore the control from `memory`."""
-        for name, value in zip(_REMEMBERED, map(float, memory)):
-            setattr(self, name, value)
+        numbers = list(map(float, memory))
+        for name in _REMEMBERED:
+            setattr(self, name, numbers.pop(0))
+        self.found = dict(zip(_FOUND, numbers))
         self._set(self._tolerance)

@@ -50,14 +50,12 @@ class Simulation(Engine):
                times the cost: `sample().error`, `predictable_until`. An accuracy requires it
     quiet    : True: log no warnings
 
-    `doubt` is None, or a line that says since when the estimated error exceeds the accuracy or is
-    large. It is logged, too.
     Raises SceneError for a scene that cannot be simulated, ValueError for a wrong option or a
     method that does not fit the scene.
     """
 
-    doubt: str | None = None
-    _exceeded = _lost = False
+    _warned = False
+    _lost: str | None = None
     _running: RunningError | None = None
     _control: AccuracyControl | None = None
 
@@ -149,6 +147,15 @@ class Simulation(Engine):
             "length": self._running.size,
         }
 
+    @property
+    def accuracy(self) -> float | None:
+        """Accuracy that is kept now, see `set_accuracy`; None with a method."""
+        return None if self._control is None else self._control.accuracy
+
+    @accuracy.setter
+    def accuracy(self, accuracy):
+        raise AttributeError("an accuracy is changed by `set_accuracy`")
+
     def set_accuracy(self, accuracy: float) -> None:
         """Continue with another accuracy, until the state is set. Raises ValueError.
 
@@ -157,7 +164,24 @@ class Simulation(Engine):
         if self._control is None:
             raise ValueError("a simulation with a method has no accuracy")
         self._control.change(_checked(accuracy), self.time, self.largest_error)
-        self._exceeded = self.accurate_until <= self.time
+        self._warned = self.accurate_until <= self.time
+
+    @property
+    def doubt(self) -> str | None:
+        """Line that says when the estimated error exceeded the accuracy, or became large; None: it did not.
+
+        It is logged, too.
+        """
+        return "; ".join(filter(None, (self._excess, self._lost))) or None
+
+    @property
+    def _excess(self):
+        if not self.accurate_until < math.inf:
+            return None
+        found = self._control.found
+        return _text(
+            found["time"], found["error"], f", above the accuracy of {found['wanted']:.2g}"
+        )
 
     @property
     def accurate_until(self) -> float:
@@ -216,8 +240,7 @@ class Simulation(Engine):
 
     def snapshot(self) -> dict[str, Any]:
         """As Engine.snapshot, with the estimate of the error and what sets the steps."""
-        doubt = self.doubt, self._exceeded, self._lost
-        parts = {"simulation": self._identity, "doubt": doubt}
+        parts = {"simulation": self._identity, "doubt": (self._warned, self._lost)}
         if self._running is not None:
             parts["estimate"] = self._running.snapshot()
         if self._control is not None:
@@ -243,7 +266,7 @@ class Simulation(Engine):
                 )
                 raise ValueError(f"the snapshot is of a simulation with another {what}{values}")
         super().restore(snapshot)
-        self.doubt, self._exceeded, self._lost = snapshot["doubt"]
+        self._warned, self._lost = snapshot["doubt"]
         if self._control is not None:
             self._control.remember(snapshot["control"])
         if self._running is not None:
@@ -269,7 +292,7 @@ class Simulation(Engine):
     def set_state(self, pose, twist, steps=0, angles=None, memory=None) -> None:
         """As Engine.set_state; without a memory the estimate of the error starts from zero."""
         super().set_state(pose, twist, steps, angles)
-        self.doubt, self._exceeded, self._lost = None, False, False
+        self._warned, self._lost = False, None
         if self._running is not None:
             self._running.restart()
         if self._control is not None:
@@ -305,24 +328,22 @@ class Simulation(Engine):
     def _look(self):
         """Warn once if the error exceeds the accuracy, and once if it is large."""
         time = self.time
-        if not self._exceeded and self.accurate_until <= time:
-            self._exceeded = True
-            self._warn(f", above the accuracy of {self._control.wanted(time):.2g}")
-        if not self._lost and self.predictable_until <= time:
-            self._lost = True
-            self._warn(
-                ": from here on this may be another motion"
-                + ("" if self._control else "; use a smaller step, or an accuracy")
-            )
+        if not self._warned and self.accurate_until <= time:
+            self._warned = True
+            self._warn(self._excess)
+        if self._lost is None and self.predictable_until <= time:
+            advice = "" if self._control else "; use a smaller step, or an accuracy"
+            what = f": from here on this may be another motion{advice}"
+            self._lost = _text(time, self.largest_error, what)
+            self._warn(self._lost)
 
-    def _warn(self, what):
-        text = (
-            f"at t = {self.time:.6g} s the estimated error is {self.largest_error:.2g} of the "
-            f"mechanism's size or rad{what}"
-        )
-        self.doubt = f"{self.doubt}; {text}" if self.doubt else text
+    def _warn(self, text):
         if not self._quiet:
             log.warning(text)
+
+
+def _text(time, error, what):
+    return f"at t = {time:.6g} s the estimated error is {error:.2g} of the mechanism's size or rad{what}"
 
 
 def _checked(accuracy):

@@ -147,18 +147,28 @@ def test_another_accuracy_counts_anew_only_while_the_error_allows_it():
     simulation = Simulation(load_scene("double_pendulum"), accuracy=1e-10)
     while simulation.accurate_until == math.inf:
         simulation.advance(4)
+    assert "above the accuracy of 1e-10" in simulation.doubt
     simulation.set_accuracy(1e-5)
-    assert simulation.accurate_until == math.inf
+    assert simulation.accurate_until == math.inf and simulation.doubt is None
     while simulation.predictable_until == math.inf:
         simulation.advance(4)
     since, said = simulation.accurate_until, simulation.doubt
-    assert since <= simulation.predictable_until and said.count("above the accuracy") == 2
+    assert since <= simulation.predictable_until and said.count("above the accuracy of 1e-05") == 1
     simulation.set_accuracy(1e-4)
     simulation.advance(8)
     assert (simulation.accurate_until, simulation.doubt) == (since, said)
-    assert simulation.promise["accuracy"] == 1e-4
+    assert simulation.accuracy == simulation.promise["accuracy"] == 1e-4
     simulation.reset()
-    assert simulation.accurate_until == math.inf and simulation.promise["accuracy"] == 1e-10
+    assert simulation.accurate_until == math.inf and simulation.doubt is None
+    assert simulation.accuracy == 1e-10
+
+
+def test_an_accuracy_is_not_set_as_an_attribute():
+    simulation = Simulation(load_scene("free_body"))
+    with pytest.raises(AttributeError, match="set_accuracy"):
+        simulation.accuracy = 1e-6
+    assert simulation.accuracy == simulation.promise["accuracy"] == 1e-4
+    assert Simulation(simulation.scene, "rkmk4", 1e-2).accuracy is None
 
 
 @pytest.mark.parametrize(
