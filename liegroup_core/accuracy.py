@@ -40,7 +40,13 @@ FIRST, LARGEST = 3e-4, 0.03
 LEAST_TOLERANCE = 1e-15
 FASTER, SLOWER = 2.0, 0.1  # bounds of the ratio of two successive tolerances
 _REMEMBERED = ("accuracy", "_begin", "_last", "_sum", "_double_sum", "_gain", "ended", "_tolerance")
-_FOUND = ("time", "error", "wanted")
+_FOUND = ("time", "error", "wanted", "tenfold", "room")
+# Decades below the wanted error in which its growth is measured, and the ratio to a finer accuracy.
+DECADES, FINER = 3, 100.0
+RESOLVED = 8.0  # least time of these decades, in checkpoints
+ROUNDING = (
+    2.0  # mean of the tolerances, as a multiple of the least one, up to which errors are rounding
+)
 
 
 class AccuracyControl:
@@ -53,7 +59,9 @@ class AccuracyControl:
     given    : accuracy at the start
     accuracy : that is wanted now, see `change`
     ended    : s, the last checkpoint before the estimate exceeded the wanted error; inf: it did not
-    found    : {"time", "error", "wanted"} of the checkpoint at which it did
+    found    : of the checkpoint at which it did: "time", "error" and "wanted", "tenfold": time in s in
+               which errors grow tenfold, 0 if they do not grow exponentially, and "room": mean of the
+               tolerances so far, as a multiple of the least one
     """
 
     def __init__(self, accuracy, horizon, tighten):
@@ -64,6 +72,9 @@ class AccuracyControl:
         """Forget the errors so far, and changes of the accuracy: the state was set."""
         self.accuracy = self.given
         self._begin = self._last = time
+        self._below = [
+            time
+        ] * DECADES  # last times with an estimate 10, 100, 1000 times below the wanted
         self._sum = self._double_sum = self._gain = 0.0
         self.ended = math.inf
         self.found = dict.fromkeys(_FOUND, math.nan)
@@ -92,13 +103,16 @@ class AccuracyControl:
     def follow(self, time, error, predictable):
         """Set the tolerance from the estimated error at a checkpoint."""
         span, since = time - self._last, time - self._begin
-        wanted = self.wanted(time)
-        if not error <= wanted and self.ended == math.inf:
-            self.ended = self._last
-            self.found = dict(zip(_FOUND, (time, error, wanted)))
+        wanted, before = self.wanted(time), self._last
         self._last = time
         self._double_sum += (self._sum + 0.5 * self._tolerance * span) * span
         self._sum += self._tolerance * span
+        if not error <= wanted and self.ended == math.inf:
+            self.ended, room = before, self._sum / since / LEAST_TOLERANCE
+            self.found = dict(zip(_FOUND, (time, error, wanted, self._tenfold(time, span), room)))
+        self._below = [
+            time if error <= wanted * 10.0**-k else below for k, below in enumerate(self._below, 1)
+        ]
         if not predictable:
             self._set(self._first)
         if not (predictable and math.isfinite(error)):
@@ -112,14 +126,47 @@ class AccuracyControl:
         tolerance = 2.0 * max(allowed / gain - committed, NEW * committed) / ahead**2
         self._set(min(max(tolerance, SLOWER * self._tolerance), FASTER * self._tolerance))
 
+    def _tenfold(self, time, span):
+        """Time in s in which the estimate grows tenfold; 0: it does not grow exponentially.
+
+        It does if it took no longer for the last decade than for the two before. Powers of the time up to
+        the fourth take longer. A jump passes decades within a few checkpoints, span : s between two.
+        """
+        all_of_them = time - self._below[-1]
+        last, *earlier = (end - start for end, start in zip([time, *self._below], self._below))
+        jumps = min(earlier) <= 0.0 or all_of_them < RESOLVED * span
+        return 0.0 if jumps or last > sum(earlier) else all_of_them / DECADES
+
+    @property
+    def reason(self):
+        """Text that says why the accuracy ended and what can be had; empty if that is not known."""
+        if self.ended == math.inf:
+            return ""
+        tenfold, room = self.found["tenfold"], self.found["room"]
+        if room <= ROUNDING:
+            return (
+                "this is rounding, where finer steps do not help but a larger accuracy holds longer"
+            )
+        if not tenfold:
+            return ""
+        grow = f"errors grow tenfold in about {tenfold:.2g} s"
+        if min(room, self.found["wanted"] / SMALLEST) < FINER:
+            return grow
+        return (
+            f"{grow}, so that with an accuracy {FINER:g} times as fine they would be this large about "
+            f"{math.log10(FINER) * tenfold:.2g} s later"
+        )
+
     def memory(self):
         """Array from which `remember` restores the control."""
-        return np.array([*(getattr(self, name) for name in _REMEMBERED), *self.found.values()])
+        own = (getattr(self, name) for name in _REMEMBERED)
+        return np.array([*own, *self._below, *self.found.values()])
 
     def remember(self, memory):
         """Restore the control from `memory`."""
         numbers = list(map(float, memory))
         for name in _REMEMBERED:
             setattr(self, name, numbers.pop(0))
-        self.found = dict(zip(_FOUND, numbers))
+        self._below = numbers[:DECADES]
+        self.found = dict(zip(_FOUND, numbers[DECADES:]))
         self._set(self._tolerance)

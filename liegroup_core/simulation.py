@@ -178,10 +178,9 @@ class Simulation(Engine):
     def _excess(self):
         if not self.accurate_until < math.inf:
             return None
-        found = self._control.found
-        return _text(
-            found["time"], found["error"], f", above the accuracy of {found['wanted']:.2g}"
-        )
+        found, reason = self._control.found, self.inaccurate_because
+        what = f", above the accuracy of {found['wanted']:.2g}{reason and f': {reason}'}"
+        return _text(found["time"], found["error"], what)
 
     @property
     def accurate_until(self) -> float:
@@ -190,6 +189,11 @@ class Simulation(Engine):
         NaN with a method.
         """
         return math.nan if self._control is None else self._control.ended
+
+    @property
+    def inaccurate_because(self) -> str:
+        """Why `accurate_until` is finite, and what can be had; empty if it is infinite or not known."""
+        return "" if self._control is None else self._control.reason
 
     @property
     def largest_error(self) -> float:

@@ -36,9 +36,14 @@ def _percent(share):
     return f"{100.0 * share:.0f} %"
 
 
-def inaccurate(since):
-    """The estimated error exceeds the accuracy; since : s, the last time at which it did not."""
-    return f"{since:.9g} s is the last time with an estimated error within the accuracy"
+def inaccurate(since, reason):
+    """The estimated error exceeds the accuracy.
+
+    since  : s, the last time at which it did not
+    reason : Simulation.inaccurate_because
+    """
+    text = f"{since:.9g} s is the last time with an estimated error within the accuracy"
+    return f"{text}: {reason}" if reason else text
 
 
 def unpredictable(since):
@@ -57,14 +62,12 @@ def saturated(effort, joint, time):
 
 def reports(simulation):
     """[(name, text)] of what the estimate of a Simulation says up to its present time."""
-    return [
-        (text.__name__, text(since))
-        for text, since in (
-            (inaccurate, simulation.accurate_until),
-            (unpredictable, simulation.predictable_until),
-        )
-        if since <= simulation.time
-    ]
+    found, time = [], simulation.time
+    if (since := simulation.accurate_until) <= time:
+        found.append(("inaccurate", inaccurate(since, simulation.inaccurate_because)))
+    if (since := simulation.predictable_until) <= time:
+        found.append(("unpredictable", unpredictable(since)))
+    return found
 
 
 def number(text):

@@ -2,6 +2,7 @@
 """Simulations to an accuracy: promised against true errors, through pushes, and bit-identical repeats."""
 
 import math
+import re
 
 import mechanisms
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from true_error import distance_at
 
 from liegroup_core import Simulation, load_scene
+from liegroup_core.accuracy import AccuracyControl
 from liegroup_core.reference import Reference, WrenchChange
 from liegroup_core.scene.library import four_bar_windows
 
@@ -141,6 +143,60 @@ def test_in_chaos_the_accuracy_ends_with_a_line_and_the_joints_stay_closed():
     assert simulation.sample().constraint_residual < 1e-12
     # 1e-6 of the energy that is exchanged, about m g h of the chain.
     assert simulation.energy() == pytest.approx(energy, abs=1e-6 * max(1.0, abs(energy)))
+
+
+def time_of(simulation, error):
+    """Time in s at which the estimate first exceeds an error."""
+    while not simulation.largest_error > error:
+        simulation.advance(4)
+    return simulation.time
+
+
+@pytest.mark.parametrize("name, accuracy", [("double_pendulum", 1e-4), ("hinge_chain", 1e-6)])
+def test_in_chaos_the_line_says_what_a_finer_accuracy_would_give(name, accuracy):
+    """Within a factor of two of what it does give."""
+    simulation = Simulation(load_scene(name), accuracy=accuracy)
+    ended = time_of(simulation, accuracy)
+    simulation.advance(8)
+    why = simulation.inaccurate_because
+    said = r"errors grow tenfold in about (\S+) s, so that with .* 100 times .* about (\S+) s later"
+    tenfold, later = map(float, re.fullmatch(said, why).groups())
+    finer = Simulation(simulation.scene, accuracy=accuracy / 100.0)
+    assert 0.5 < (time_of(finer, accuracy) - ended) / later < 2.0
+    assert later == pytest.approx(2.0 * tenfold, rel=0.05)
+    assert simulation.doubt.endswith(f"above the accuracy of {accuracy:.2g}: {why}")
+    # A run that is continued from a recording says the same.
+    other = Simulation(simulation.scene, **simulation.arguments)
+    state = *simulation.state(), simulation.steps, simulation.sample().angles
+    other.set_state(*state, simulation.memory())
+    assert (other.doubt, other.inaccurate_because) == (simulation.doubt, why)
+
+
+@pytest.mark.parametrize("name, accuracy", [("heavy_top", 1e-13), ("four_bar", 1e-12)])
+def test_the_line_says_that_an_accuracy_ended_by_rounding(name, accuracy):
+    simulation = Simulation(load_scene(name), accuracy=accuracy)
+    time_of(simulation, accuracy)
+    simulation.advance(8)
+    assert "this is rounding, where finer steps do not help" in simulation.doubt
+
+
+@pytest.mark.parametrize(
+    "estimate, said",
+    [
+        (lambda t: 1e-9 * 10.0**t, "errors grow tenfold in about 1 s, so that"),
+        (lambda t: 2e-5 * t**2, ""),
+        (lambda t: 1e-8 if t < 4.0 else 1.0, ""),
+        (lambda t: 1e-8 if t < 4.0 else math.inf, ""),
+        (lambda t: 1e-8 if t < 4.0 else 1e-8 * 10.0 ** ((t - 3.9) / 0.08), ""),
+    ],
+    ids=["exponential", "quadratic", "jump", "unknown", "steep"],
+)
+def test_only_exponential_growth_is_called_so(estimate, said):
+    control = AccuracyControl(1e-4, 60.0, lambda part: None)
+    for k in range(1, 100):
+        control.follow(0.1 * k, estimate(0.1 * k), True)
+    assert control.ended < 10.0
+    assert control.reason.startswith(said) and bool(control.reason) == bool(said)
 
 
 def test_another_accuracy_counts_anew_only_while_the_error_allows_it():
