@@ -13,6 +13,8 @@ is its uncertainty; only samples count that are known to a tenth of the accuracy
 In the shortest horizon the first one is also compared with the integration that shares no code with
 the engine (liegroup_core.reference).
 
+Steps of the simulations to an accuracy are at most a fiftieth of the horizon.
+
 `compared`: until the end, until the last time at which the run says that its error is within the
 accuracy (said), until the true motion is not known any more (unknown), or until the budget. `true`:
 largest true error until then; `estimate`: the run's own. Cheapest: of `rkmk4` and `rkmk8` in steps from
@@ -86,6 +88,11 @@ class Run:
         return Trajectory(None, rotation.copy(), position.copy(), twist[None].copy())
 
 
+def steps_of(horizon):
+    """Steps in s from a fiftieth of the horizon down, the times of the samples."""
+    return [horizon / SAMPLES / part for part in PARTS]
+
+
 def apart(one, other, size):
     """Distance of two states as one number: part of the size, or rad."""
     found = distance(one, other)
@@ -148,7 +155,7 @@ def independent(scene, pushes, times, states, size):
 def keep(scene, pushes, times, truth, size, accuracy, horizon, budget):
     """Results of a simulation to an accuracy, with the number of samples that were compared."""
     states, unknown = truth
-    run = Run(scene, pushes, accuracy=accuracy, horizon=horizon)
+    run = Run(scene, pushes, step=steps_of(horizon), accuracy=accuracy, horizon=horizon)
     errors, estimates, cpu, last = [], [], [], "end"
     for k, at in enumerate(times):
         state = run.state_at(at)
@@ -213,7 +220,7 @@ def _cost(scene, pushes, times, states, size, accuracy, limit, settings):
 
 def rows_of(scene, horizon, accuracies, seed, budget, first):
     """Rows of one scene and horizon."""
-    default = Simulation(scene, horizon=horizon, quiet=True)
+    default = Simulation(scene, step=steps_of(horizon), horizon=horizon, quiet=True)
     size, stabilisation, step = default.promise["length"], default.stabilisation, default.step
     name = sum(map(ord, scene.name))
     pushes = random_pushes(scene, size, horizon, np.random.default_rng([seed, name, int(horizon)]))
@@ -247,7 +254,7 @@ def rows_of(scene, horizon, accuracies, seed, budget, first):
 def _again(case, times):
     """CPU time in s of one more run to an accuracy."""
     scene, pushes, *_, accuracy, horizon, _ = case
-    run = Run(scene, pushes, accuracy=accuracy, horizon=horizon)
+    run = Run(scene, pushes, step=steps_of(horizon), accuracy=accuracy, horizon=horizon)
     for at in times:
         run.state_at(at)
     return run.cpu

@@ -21,10 +21,9 @@ from .scene.description import Scene
 
 log = logging.getLogger("liegroup_core")
 
-# Steps of a simulation to an accuracy, s; LONGER: with a horizon that is given. The longest is taken
-# that keeps to a PART of the horizon, and to SUBSTEPS in the first step.
+# Steps of a simulation to an accuracy, s. The longest is taken that keeps to a PART of the horizon, and to
+# SUBSTEPS in the first step.
 STEPS = tuple(float(f"{digit}e{power}") for power in range(-3, -8, -1) for digit in (10, 5, 2))
-LONGER = (0.5, 0.2, 0.1, 0.05, 0.02)
 PART = 0.02
 SUBSTEPS = 20
 # Keys of every snapshot.
@@ -40,8 +39,8 @@ class Simulation(Engine):
                size, or rad; later the error may grow by as much in each further horizon. Default 1e-4
     horizon  : s, at most 1e6; default 60
     step     : s, times at which states can be had; of a sequence the longest suitable one. Default:
-               at most 10 ms, or with a given horizon a fiftieth of it and at most 0.5 s, in which the
-               error control takes at most twenty substeps
+               at most 10 ms and a fiftieth of the horizon, in which the error control takes at most
+               twenty substeps
     stabilisation : default "projection" for joints that would drift, else "none"
 
     With a method, it takes the arguments of Engine, with their defaults.
@@ -89,14 +88,14 @@ class Simulation(Engine):
             )
             self._running = RunningError(self) if estimate else None
             return
-        if step is None:
-            step = default_steps(horizon)
         accuracy = DEFAULT if accuracy is None else _checked(accuracy)
         horizon = MINUTE if horizon is None else horizon
         if not (is_positive(horizon) and horizon <= LONGEST):
             raise ValueError(
                 f"the horizon must be a positive number of seconds up to {LONGEST:g}, got {horizon!r}"
             )
+        if step is None:
+            step = default_steps(horizon)
         if not estimate:
             raise ValueError("an accuracy requires the estimate of the error; or give a method")
         for name in {"rtol", "atol"} & options.keys():
@@ -356,11 +355,9 @@ def _checked(accuracy):
     return float(accuracy)
 
 
-def default_steps(horizon=None):
-    """Steps in s, long to short, from which that of an accuracy is taken; horizon : s, if given."""
-    if horizon is None or not is_positive(horizon):
-        return STEPS
-    return [step for step in LONGER + STEPS if step <= PART * horizon] or STEPS[-1:]
+def default_steps(horizon):
+    """Steps in s, long to short, from which that of an accuracy is taken; horizon : s."""
+    return [step for step in STEPS if step <= PART * horizon] or STEPS[-1:]
 
 
 def _suitable(steps, scene, layout, settings, tolerances):

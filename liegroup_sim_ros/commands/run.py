@@ -123,7 +123,7 @@ def add_settings(parser):
         type=float,
         metavar="S",
         help=f"step size of the method in s (default: {STEP:g}); with an accuracy: times in s at "
-        "which states can be had (default: at most 0.01)",
+        "which states can be had (default: at most 0.01 and a fiftieth of the horizon)",
     )
     parser.add_argument(
         "--group",
@@ -165,7 +165,8 @@ def given_settings(args):
             raise RunError(f"--{name} cannot be combined with --method: remove one of them")
     elif "step" not in settings:
         whole_steps(args.duration, args.duration)  # raises RunError for an invalid duration
-        settings["step"] = dividing_steps(args.duration, args.horizon)
+        horizon = MINUTE if args.horizon is None else args.horizon
+        settings["step"] = dividing_steps(args.duration, horizon)
     return settings
 
 

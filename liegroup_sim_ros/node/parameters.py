@@ -22,7 +22,7 @@ from liegroup_core.accuracy import DEFAULT, LONGEST, MINUTE, SMALLEST
 from liegroup_core.engine import STABILISATIONS, STEP
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.integrators.methods import CONFIGURATION_GROUPS, METHODS
-from liegroup_core.simulation import STEPS
+from liegroup_core.simulation import STEPS, default_steps
 from liegroup_sim_ros.messages.samples import OPTIONAL, TF_LINKS
 
 from .joint_command_input import INTERFACES
@@ -119,7 +119,7 @@ TABLE = (
         "step",
         0.0,
         f"step size of the method, s; 0: {STEP:g}. With an accuracy: times at which states can be had; "
-        "0: at most 0.01, so that all rates fit",
+        "0: at most 0.01 and a fiftieth of accuracy_horizon, so that all rates fit",
         low=0.0,
         high=10.0,
     ),
@@ -397,8 +397,9 @@ def fitting_steps(values):
             "parameter step: no suitable step divides the periods of all rates; choose rates that "
             "are multiples of each other"
         )
-    # In the order of STEPS, each once.
-    return list(dict.fromkeys(longest / math.ceil(longest / s * (1.0 - 1e-9)) for s in STEPS))
+    # In the order of the default steps, each once.
+    usual = default_steps(values.accuracy_horizon)
+    return list(dict.fromkeys(longest / math.ceil(longest / s * (1.0 - 1e-9)) for s in usual))
 
 
 def _fits(values, step):

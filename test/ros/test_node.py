@@ -366,6 +366,7 @@ def test_every_preset_has_valid_parameters(path):
         ({"publish_rate": 1000.0}, 0.001, 1),
         ({"clock_rate": 30.0}, 1 / 300, 3),  # steps in the shortest period
         ({"publish_rate": 300.0}, 1 / 300, 1),
+        ({"accuracy_horizon": 0.05}, 0.001, 10),
         ({"publish_rate": 1.0, "clock_rate": 0.0, "state_rate": 0.0}, 0.01, 100),
         ({"publish_rate": 0.0, "clock_rate": 0.0, "state_rate": 0.0}, 0.01, None),
     ],

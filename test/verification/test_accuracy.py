@@ -219,6 +219,13 @@ def test_another_accuracy_counts_anew_only_while_the_error_allows_it():
     assert simulation.accuracy == 1e-10
 
 
+@pytest.mark.parametrize(
+    "horizon, step", [(60.0, 0.01), (1000.0, 0.01), (0.5, 0.01), (0.3, 5e-3), (1e-9, 2e-7)]
+)
+def test_the_default_step_is_at_most_a_fiftieth_of_the_horizon(horizon, step):
+    assert Simulation(load_scene("heavy_top"), horizon=horizon).step == step
+
+
 def test_an_accuracy_is_not_set_as_an_attribute():
     simulation = Simulation(load_scene("free_body"))
     with pytest.raises(AttributeError, match="set_accuracy"):
