@@ -47,8 +47,9 @@ class Inputs:
 
         body     : name of the body
         wrench   : (6,) torque N m, force N. Zero ends it
-        start    : simulated time, s, rounded to ns; None or a past time: the next step
-        duration : s; None: until it is replaced
+        start    : simulated time, s; None or a past time: the next step
+        duration : s; None: until it is replaced. Start and end are rounded to whole ns, as stamps of ROS
+                   and of recordings are; `drain_applied` returns what acted
         source   : each source has one wrench per body; wrenches of different sources add
         axes     : of the components: "body", or "world". A wrench in world axes keeps its direction
                    in the world while the body rotates. Also those of a drained AppliedWrench
