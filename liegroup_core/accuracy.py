@@ -44,9 +44,8 @@ _FOUND = ("time", "error", "wanted", "tenfold", "room")
 # Decades below the wanted error in which its growth is measured, and the ratio to a finer accuracy.
 DECADES, FINER = 3, 100.0
 RESOLVED = 8.0  # least time of these decades, in checkpoints
-ROUNDING = (
-    2.0  # mean of the tolerances, as a multiple of the least one, up to which errors are rounding
-)
+# Mean of the tolerances, as a multiple of the least one, up to which errors are rounding.
+ROUNDING = 2.0
 
 
 class AccuracyControl:
@@ -72,9 +71,8 @@ class AccuracyControl:
         """Forget the errors so far, and changes of the accuracy: the state was set."""
         self.accuracy = self.given
         self._begin = self._last = time
-        self._below = [
-            time
-        ] * DECADES  # last times with an estimate 10, 100, 1000 times below the wanted
+        # Last times with an estimate 10, 100, 1000 times below the wanted error.
+        self._below = [time] * DECADES
         self._sum = self._double_sum = self._gain = 0.0
         self.ended = math.inf
         self.found = dict.fromkeys(_FOUND, math.nan)
@@ -144,9 +142,7 @@ class AccuracyControl:
             return ""
         tenfold, room = self.found["tenfold"], self.found["room"]
         if room <= ROUNDING:
-            return (
-                "this is rounding, where finer steps do not help but a larger accuracy holds longer"
-            )
+            return "this is rounding: finer steps do not help, a larger accuracy holds longer"
         if not tenfold:
             return ""
         grow = f"errors grow tenfold in about {tenfold:.2g} s"

@@ -59,14 +59,14 @@ from .integrators.methods import METHODS
 from .observables.distances import distances, largest_of
 
 HIGH = 8  # order from which the steps are more similar
-FIRST_MEETINGS, MEETINGS = 1, 48  # to the first checkpoint, and between two of them at most
+FIRST_MEETINGS, MEETINGS = 2, 48  # between two checkpoints, from the second one on
 SUBSTEPS, MOST = 32, 8  # between checkpoints with an accuracy: substeps, and steps at most
-WINDOW, FADING = 4, 0.45  # checkpoints
+WINDOW, FADING = 4, 0.36  # checkpoints
 LOST = 0.1  # of the motion of a body
 FASTEST = 8.0  # growth between two meetings that is continued until the next one
 PARTS = 2  # of the step that leads to an event, whose size does not depend on that of the others
 SEEN = 1.35
-LEAST, LEAST_HIGH = 1.0, 0.68  # of the distance, where the order is not seen
+LEAST, LEAST_HIGH = 1.0, 0.75  # of the distance, where the order is not seen
 CONTROLLED, BY_WORK = (4.0 / 3.0, 0.5), (1.7, 0.4)  # q and LEAST of error control
 LARGE, NOT_SMALL = 2.5, 0.03
 # Of the mechanism's size, and rad: an error of this size makes a motion unpredictable.
@@ -180,6 +180,8 @@ class RunningError:
         if self._by_work:
             return steps + self._block
         period, done = FIRST_MEETINGS * self.ours, steps - self._start
+        if done == 0:
+            return self._start + self.ours
         while period < MEETINGS * self.ours and period <= done:
             period = min(4 * period, MEETINGS * self.ours)
         return self._start + (done // period + 1) * period
