@@ -177,7 +177,7 @@ def test_the_line_says_that_an_accuracy_ended_by_rounding(name, accuracy):
     simulation = Simulation(load_scene(name), accuracy=accuracy)
     time_of(simulation, accuracy)
     simulation.advance(8)
-    assert "this is rounding, where finer steps do not help" in simulation.doubt
+    assert "this is rounding: finer steps do not help" in simulation.doubt
 
 
 @pytest.mark.parametrize(
