@@ -215,6 +215,9 @@ class Simulation(Engine):
         sample = super().sample()
         if self._running is not None:
             sample.errors = self._running.errors()
+        if self._control is not None:
+            wanted = self._control.wanted(self.time)
+            sample.bound = wanted * self._running.size, wanted
         return sample
 
     def memory(self) -> bytes:

@@ -30,6 +30,7 @@ class Sample:
     pose  : (n, 12) per body R row by row, then r in m; body frame -> world
     twist : (n, 6) per body omega rad/s, v m/s; body axes, v of the frame's origin
     errors : (n, 4) estimated errors, see `error`; None without an estimate
+    bound : (m, rad) that an accuracy allows for errors of poses at this time; None with a method
     external : (n, COLUMNS) external wrenches, see forces/external.py; None: none
     joint_efforts : {joint: N m or N} of the efforts that acted at the end of the last step
     wanted : (k, 2) wanted positions and velocities of the servos, rad and rad/s, or m and m/s;
@@ -43,6 +44,7 @@ class Sample:
     """
 
     errors = None
+    bound = None
     external = None
     joint_efforts: Mapping[str, float] = MappingProxyType({})
     wanted = None

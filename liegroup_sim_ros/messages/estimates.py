@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Estimated errors as messages, std_msgs/Float64MultiArray; imports no ROS.
+"""Estimated errors as messages, std_msgs/Float64MultiArray, and as variances; imports no ROS.
 
 The array has m, rad, m/s, rad/s of every body (n, 4), as in Sample.errors; see matrices.py.
 """
+
+import math
 
 import numpy as np
 
@@ -11,12 +13,30 @@ from .codecs import MessageError
 
 TYPE = matrices.TYPE
 UNITS = "m", "rad", "m/s", "rad/s"  # of the columns
+# Largest variance, and that of an unknown error. Filters ignore what is that uncertain, but NaN and
+# infinity make their states NaN.
+UNKNOWN = 1e10
 
 
 def encoder(body_names):
     """Function sample -> serialized message, for samples with errors."""
     pack = matrices.encoder(body_names, UNITS)
     return lambda sample: pack(sample.errors.ravel().tolist())
+
+
+def variances(sample, body):
+    """Variances of position m2, attitude rad2, velocity and angular velocity of a body.
+
+    Squares of the estimated errors; zero if none are carried. Before the first estimate those of the
+    pose are the squares of what the accuracy allows.
+    """
+    if sample.errors is None:
+        return [0.0] * len(UNITS)
+    errors = sample.error[body].tolist()
+    if sample.bound is not None and math.isnan(errors[0]):
+        errors[:2] = sample.bound
+    squares = (error * error for error in errors)
+    return [square if square < UNKNOWN else UNKNOWN for square in squares]
 
 
 def decode_rows(rows, body_names):

@@ -20,6 +20,7 @@ from .cdr import Template, stamp
 from .codecs import PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec, pack_stamp
 from .commands import joint_labels
 from .description import unheld_links
+from .estimates import variances
 from .links import link_of_body, links_and_joints
 from .sensors import sensors
 
@@ -47,8 +48,7 @@ def poses_and_twists(body_names, world_frame, frame_prefix=""):
 def odometry(layout, world_frame, frame_prefix=""):
     """nav_msgs/Odometry of every body: pose and body twist.
 
-    Variances are the squares of the estimated errors, the same for all three axes; zero without an
-    estimate.
+    Variances are those of estimates.py, the same for all three axes.
     """
 
     def of_body(body):
@@ -313,21 +313,20 @@ OPTIONAL = {
 
 def _with_covariances(sample, body):
     """Pose, its covariance (36,), twist, its covariance (36,)."""
-    pose, twist = _pose(sample, body), _twist(sample, body)
-    if sample.errors is None:
-        return pose, _NO_COVARIANCE, twist, _NO_COVARIANCE
-    position, attitude, linear, angular = sample.error[body].tolist()
-    return pose, _covariance(position, attitude), twist, _covariance(linear, angular)
-
-
-_NO_COVARIANCE = (0.0,) * 36
+    position, attitude, linear, angular = variances(sample, body)
+    return (
+        _pose(sample, body),
+        _covariance(position, attitude),
+        _twist(sample, body),
+        _covariance(linear, angular),
+    )
 
 
 def _covariance(linear, angular):
-    """(36,) row by row, diagonal: squares of the errors along and about x, y and z."""
-    values = list(_NO_COVARIANCE)
-    values[0:21:7] = (linear * linear,) * 3
-    values[21:36:7] = (angular * angular,) * 3
+    """(36,) row by row, diagonal: the variances along and about x, y and z."""
+    values = [0.0] * 36
+    values[0:21:7] = (linear,) * 3
+    values[21:36:7] = (angular,) * 3
     return values
 
 

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages of the sensors of a scene. Imports no ROS.
 
-Variances are those of a sensor's noise plus the squares of the estimated errors of its body.
+Variances are those of a sensor's noise plus those of its body, see estimates.py.
 """
 
 import numpy as np
 
 from .cdr import Template, stamp
 from .codecs import WrenchStampedCodec
+from .estimates import variances
 
 
 def sensors(layout, world_frame, frame_prefix=""):
@@ -23,16 +24,9 @@ def sensors(layout, world_frame, frame_prefix=""):
     ]
 
 
-def _errors(sample, body):
-    """Squares of the estimated errors (4,) of a body; 0 if they are unknown."""
-    if sample.errors is None:
-        return np.zeros(4)
-    return np.nan_to_num(sample.error[body], posinf=0.0) ** 2
-
-
-def _diagonal(*variances):
+def _diagonal(*values):
     """Covariance matrix, row by row."""
-    return np.diag(variances).ravel().tolist()
+    return np.diag(values).ravel().tolist()
 
 
 def _imu(sensor, _world_frame, frame_prefix):
@@ -44,7 +38,7 @@ def _imu(sensor, _world_frame, frame_prefix):
 
     def encode(stamp_ns, sample):
         values = sample.sensors[sensor.name].tolist()
-        _, attitude, _, spin = _errors(sample, sensor.body)
+        _, attitude, _, spin = variances(sample, sensor.body)
         turning = sensor.angular_velocity_noise**2 + spin
         return template.pack(
             stamp(stamp_ns),
@@ -88,7 +82,7 @@ def _pose(sensor, world_frame, frame_prefix):
 
     def encode(stamp_ns, sample):
         values = sample.sensors[sensor.name].tolist()
-        place, attitude, speed, spin = _errors(sample, sensor.body)
+        place, attitude, speed, spin = variances(sample, sensor.body)
         place += sensor.position_noise**2
         return template.pack(
             stamp(stamp_ns),

@@ -281,6 +281,47 @@ def test_covariances_are_squares_of_the_estimated_errors(layout, sample):
             assert np.array_equal(np.reshape(found, (6, 6)), np.diag(np.repeat(variances, 3)))
 
 
+@pytest.mark.parametrize(
+    "errors, bound, pose, twist",
+    [
+        (math.nan, (0.5, 0.25), (0.25, 0.0625), 1e10),
+        (math.nan, None, (1e10, 1e10), 1e10),
+        (math.inf, (0.5, 0.25), (1e10, 1e10), 1e10),
+        (1e200, None, (1e10, 1e10), 1e10),
+    ],
+)
+def test_variances_of_unknown_errors_are_finite(layout, sample, errors, bound, pose, twist):
+    """Before the first estimate those of poses are what the accuracy allows."""
+    estimated = copy.copy(sample)
+    estimated.errors, estimated.bound = np.full((len(layout.body_names), 4), errors), bound
+    for _, _, encode in sample_messages.odometry(layout, "map"):
+        message = as_ros_serializes(encode(STAMP, estimated), Odometry)
+        for found, variances in ((message.pose, pose), (message.twist, (twist, twist))):
+            expected = np.diag(np.repeat(variances, 3))
+            assert np.array_equal(np.reshape(found.covariance, (6, 6)), expected)
+
+
+@pytest.mark.parametrize("settings", [{"accuracy": 1e-6}, {"method": "rkmk4", "step": 1e-3}])
+def test_all_messages_of_a_run_have_finite_variances(settings):
+    simulation = Simulation(scene_from_text(SENSED), **settings)
+    ((*_, odometry),) = sample_messages.odometry(simulation.layout, "map")
+    sensors = {topic: encode for topic, _, encode in sample_messages.sensors(simulation.layout, "")}
+    found = []
+    for _ in range(10):
+        simulation.advance(1)
+        sample = simulation.sample()
+        message = deserialize_message(odometry(STAMP, sample), Odometry)
+        mark = deserialize_message(sensors["~/mark/odometry"](STAMP, sample), Odometry)
+        imu = deserialize_message(sensors["~/imu/imu"](STAMP, sample), Imu)
+        for covariance in (message.pose, message.twist, mark.pose, mark.twist):
+            assert np.isfinite(covariance.covariance).all()
+        assert np.isfinite(imu.orientation_covariance).all()
+        found.append(message.pose.covariance[0])
+    promise = simulation.promise
+    assert found[0] == ((promise["accuracy"] * promise["length"]) ** 2 if promise else 1e10)
+    assert found[-1] < found[0]
+
+
 def test_a_pose_with_covariance_is_that_of_the_odometry(layout, sample):
     estimated = copy.copy(sample)
     estimated.errors = 0.5 ** np.arange(4.0 * len(layout.body_names)).reshape(-1, 4)
