@@ -20,8 +20,8 @@ from liegroup_core.scene.description import FORCES, JOINTS
 # Properties of a Sample that depend on the body frames; all others belong to the mechanism.
 OF_FRAMES = {"pose", "twist", "rows", "poses", "twists", "positions", "pose_matrices"}
 OF_FRAMES |= {"accelerations", "child_frames", "external", "scene"}
-# None without an estimate, servos, driven joints, stops and friction.
-ABSENT = {"error", "errors", "wanted", "motions", "switching"}
+# None without an estimate, an accuracy, servos, driven joints, stops and friction.
+ABSENT = {"error", "errors", "bound", "wanted", "motions", "switching"}
 
 
 def pair(name, seed=0):
