@@ -126,12 +126,22 @@ class Reference:
 
     end    : s, last time that can be requested
     angles : (u,) rad, those of `Scene.unwrapped` at `start`; None: in (-pi, pi]
+    most_steps : limit of the steps of each of the two integrations
     The other arguments are those of `integrate`.
     """
 
     @one_blas_thread()
     def __init__(
-        self, scene, pose, twist, changes=(), start=0.0, end=np.inf, rtol=TIGHT, angles=None
+        self,
+        scene,
+        pose,
+        twist,
+        changes=(),
+        start=0.0,
+        end=np.inf,
+        rtol=TIGHT,
+        angles=None,
+        most_steps=MOST_STEPS,
     ):
         scene = assembled(scene)
         pose, self._offsets = np.asarray(pose, dtype=float), Offsets(scene)
@@ -141,7 +151,8 @@ class Reference:
         rank = _rank(system, state)
         self._size = STATE * len(pose)
         self._runs = [
-            _Run(rank, state, start, pieces, tolerance) for tolerance in (rtol, LOOSER * rtol)
+            _Run(rank, state, start, pieces, tolerance, most_steps)
+            for tolerance in (rtol, LOOSER * rtol)
         ]
         self._largest = None
 
@@ -150,13 +161,27 @@ class Reference:
         """Number of steps so far of the integration with the smaller tolerance."""
         return self._runs[0].steps_taken
 
-    @one_blas_thread()
     def at(self, times):
         """Trajectory at times (k,), increasing and after earlier calls, with its uncertainty so far."""
+        found = self.up_to_limit(times)
+        if len(found[0].times) < len(times):
+            raise SimulationError(
+                f"the reference integration stopped at t = {self._runs[0].reached:.6g} s after "
+                f"{self.steps} steps; compare a shorter time"
+            )
+        return found
+
+    @one_blas_thread()
+    def up_to_limit(self, times):
+        """As `at`, at those times that are reached with most_steps."""
         times = np.asarray(times, dtype=float)
+        states = []
+        for run in self._runs:
+            states.append(run.at(times))
+            times = times[: len(states[-1])]
         tight, loose = (
-            _at_bodies(self._offsets, _to_trajectory(times, run.at(times)[:, : self._size]))
-            for run in self._runs
+            _at_bodies(self._offsets, _to_trajectory(times, part[: len(times), : self._size]))
+            for part in states
         )
         largest = Distance(
             *(np.maximum.accumulate(part, axis=0) for part in distance(tight, loose))
@@ -247,20 +272,20 @@ def _rank(system, state):
 class _Run:
     """Integration with one tolerance, continued from one call of `at` to the next."""
 
-    def __init__(self, rank, state, start, pieces, rtol):
-        self._rank, self._rtol = rank, rtol
+    def __init__(self, rank, state, start, pieces, rtol, most_steps):
+        self._rank, self._rtol, self._most_steps = rank, rtol, most_steps
         self._pending = list(pieces)
-        self._state, self._reached = state, start
+        self._state, self.reached = state, start
         self._solver = self._dense = self._step = None
         self._singular = [1.0, 0.0]
         self.steps_taken = 0
 
     def at(self, times):
-        """States (k, 13 n + t) at increasing times (k,)."""
+        """States (k, 13 n + t) at increasing times (k,), or at those that most_steps reach."""
         out = np.empty((len(times), len(self._state)))
         done = 0
         while True:
-            ready = done + int(np.searchsorted(times[done:], self._reached, side="right"))
+            ready = done + int(np.searchsorted(times[done:], self.reached, side="right"))
             if ready > done:
                 if self._solver is not None and self._dense is None:
                     self._dense = self._solver.dense_output()
@@ -268,8 +293,8 @@ class _Run:
                     self._state if self._dense is None else self._dense(times[done:ready]).T
                 )
                 done = ready
-            if done == len(times):
-                return out
+            if done == len(times) or self.steps_taken == self._most_steps:
+                return out[:done]
             if not self._advance():  # the last time is the end, up to round-off
                 out[done:] = self._state
                 return out
@@ -282,11 +307,6 @@ class _Run:
             self._begin(*self._pending.pop(0))
         solver = self._solver
         self.steps_taken += 1
-        if self.steps_taken > MOST_STEPS:
-            raise SimulationError(
-                f"the reference integration stopped at t = {solver.t:.6g} s after {MOST_STEPS} "
-                "steps; compare a shorter time"
-            )
         message = solver.step()
         if solver.status == "failed":
             raise SimulationError(
@@ -300,7 +320,7 @@ class _Run:
                 "the reference integration reached a singular configuration at t = "
                 f"{solver.t:.6g} s, where the constraints do not determine the motion"
             )
-        self._dense, self._reached, self._state = None, solver.t, solver.y
+        self._dense, self.reached, self._state = None, solver.t, solver.y
         if solver.status == "finished":
             longest = max(self._steps)
             self._step = (
@@ -355,7 +375,7 @@ def _at_bodies(offsets, motion):
 
 
 def _to_trajectory(times, states):
-    states = states.reshape(len(times), -1, STATE)
+    states = states.reshape(len(times), states.shape[1] // STATE, STATE)
     k, n = states.shape[:2]
     turn = Rotation.from_quat(states[..., [1, 2, 3, 0]].reshape(-1, 4))
     velocity = turn.apply(states[..., 7:10].reshape(-1, 3), inverse=True).reshape(k, n, 3)

@@ -33,6 +33,9 @@ from .verdict import find_problems, verdict
 
 # Default of the simulated time that the reference integration covers, s.
 REFERENCE_SECONDS = 60.0
+# Default of the limit of its steps, which stiff scenes reach: two minutes with one body. heavy_top needs
+# 17 000 for 60 s, four_bar 47 000.
+REFERENCE_STEPS = 200_000
 MOST_PUSHES = 1000  # intervals with an applied wrench that are listed in the figures
 
 
@@ -51,20 +54,28 @@ class Analysis:
     motion: object
 
 
-def analyse(recording, reference=True, tell=lambda text: None, reference_seconds=REFERENCE_SECONDS):
+def analyse(
+    recording,
+    reference=True,
+    tell=lambda text: None,
+    reference_seconds=REFERENCE_SECONDS,
+    reference_steps=REFERENCE_STEPS,
+):
     """Analysis of a Recording.
 
     reference         : whether to compare with a reference solution
     tell              : function of one line of text, called with the progress
     reference_seconds : simulated time in s that a reference integration covers; an exact solution,
                         if the scene has one, replaces it and covers the whole run
+    reference_steps   : limit of the steps of a reference integration; it stops there
     raises RecordingError, SceneError
     """
     scene = scene_from_text(recording.scene_text, source=f"{recording.path}: scene.yaml")
     check_settings(recording, scene)
     layout = make_layout(scene)
     motion = Motion(recording)
-    parts = _Parts(scene, recording, layout, motion, reference, reference_seconds)
+    limits = reference_seconds, reference_steps
+    parts = _Parts(scene, recording, layout, motion, reference, *limits)
     done = 0
     for block in motion.blocks(parts.angles):
         parts.add(block)
@@ -88,7 +99,7 @@ def analyse(recording, reference=True, tell=lambda text: None, reference_seconds
 class _Parts:
     """All figures that are computed from the samples, block by block."""
 
-    def __init__(self, scene, recording, layout, motion, reference, seconds):
+    def __init__(self, scene, recording, layout, motion, reference, seconds, steps):
         self._scene, self._recording, self._layout = scene, recording, layout
         self._motion = motion
         expected = motion.expected
@@ -119,7 +130,7 @@ class _Parts:
             if self._exact is None:
                 self._guarded["reference"] = _Guarded(
                     lambda: ReferenceError(
-                        layout, recording, expected, seconds, self._promise, self._estimate
+                        layout, recording, expected, seconds, self._promise, self._estimate, steps
                     )
                 )
 

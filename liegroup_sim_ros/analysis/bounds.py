@@ -21,6 +21,8 @@ def find_exceeded(found, max_error=None, max_drift=None):
                     for name in ("position", "angle")
                     if (text := _too_large(reference[name], max_error))
                 ]
+                if reference.get("stopped"):
+                    exceeded.append(f"{log}: {reference['stopped']}")
             exceeded += [
                 f"{log}: recorded estimate of the error {entry['max']:.3g} {entry['unit']} exceeds "
                 f"{max_error:g}"

@@ -16,6 +16,8 @@ from liegroup_core.reference import (
     WrenchChange,
     distance,
 )
+from liegroup_core.reference.trajectory import MOST_STEPS
+from liegroup_sim_ros.numbers import shown
 from liegroup_sim_ros.playback.rerun import Starts
 
 from .drift import MOST_POINTS, extremes
@@ -103,26 +105,40 @@ class ReferenceError:
     The uncertainty is the distance between reference integrations with two tolerances.
 
     seconds : simulated time to cover, summed over all stretches
+    steps   : limit of its steps, summed over all stretches
     promise, estimate : see Errors
     """
 
-    def __init__(self, layout, recording, expected, seconds=np.inf, promise=None, estimate=None):
+    def __init__(
+        self,
+        layout,
+        recording,
+        expected,
+        seconds=np.inf,
+        promise=None,
+        estimate=None,
+        steps=MOST_STEPS,
+    ):
         self._scene, self._starts = layout.scene, Starts(recording, layout)
         self._servos, self._driven = tuple(layout.servos), tuple(layout.motions)
         self._left, self._judged = seconds, 0.0
+        self._steps = self._steps_left = steps
+        self._stopped = None
         self._errors = Errors(expected, promise, estimate)
-        self._stretch = None
+        self._stretch = self._reference = None
 
     def add(self, block):
         """Add a Block."""
         stretch = block.stretch
         if stretch is not self._stretch:
+            if self._reference is not None:
+                self._steps_left -= self._reference.steps
             self._stretch, self._start = stretch, stretch.start * stretch.step
             self._end = self._start + self._left
             self._reference = None
         times = block.times
         k = int(np.searchsorted(times, self._end, "right"))
-        if k == 0:
+        if k == 0 or self._stopped:
             return
         if self._reference is None:
             # Only wrench changes up to the end of the reference.
@@ -140,9 +156,24 @@ class ReferenceError:
             changes += self._targets(stretch) + self._motions(stretch)
             pose, twist, angles = self._starts.of(stretch)
             self._reference = Reference(
-                self._scene, pose, twist, changes, self._start, angles=angles
+                self._scene,
+                pose,
+                twist,
+                changes,
+                self._start,
+                angles=angles,
+                most_steps=self._steps_left,
             )
-        exact, uncertainty = self._reference.at(times[:k])
+        exact, uncertainty = self._reference.up_to_limit(times[:k])
+        if len(exact.times) < k:
+            k = len(exact.times)
+            at = stretch.base_ns * 1e-9 + (float(times[k - 1]) if k else self._start)
+            self._stopped = (
+                f"the error is known up to {shown(at, 's')} only: the reference integration took "
+                f"{self._steps} steps up to there; more with --reference-steps"
+            )
+            if k == 0:
+                return
         reached = float(times[k - 1])
         self._left, self._judged = self._end - reached, self._judged + reached - self._start
         self._start = reached
@@ -175,7 +206,7 @@ class ReferenceError:
 
     def figures(self):
         """(figures, curves), see Errors."""
-        return self._errors.figures(kind="integration", seconds=self._judged)
+        return self._errors.figures(kind="integration", seconds=self._judged, stopped=self._stopped)
 
 
 def exact_error(exact, motion, promise=None, estimate=None):
@@ -197,4 +228,5 @@ def exact_error(exact, motion, promise=None, estimate=None):
             exact.uncertainty(found),
             None if stretch.errors is None else stretch.errors[rows],
         )
-    return errors.figures(kind=exact.name, seconds=sum(s.seconds for s in motion.stretches))
+    seconds = sum(stretch.seconds for stretch in motion.stretches)
+    return errors.figures(kind=exact.name, seconds=seconds, stopped=None)

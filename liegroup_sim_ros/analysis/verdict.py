@@ -91,6 +91,8 @@ def _replay_problems(figures):
         )
     if "failed" in reference:
         problems.append(f"no reference integration: {reference['failed']}")
+    if reference.get("stopped"):
+        problems.append(reference["stopped"])
     return problems
 
 

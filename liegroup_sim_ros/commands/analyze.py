@@ -10,7 +10,7 @@ from rich.console import Console
 
 from liegroup_core import load_scene
 from liegroup_core.errors import LieGroupSimError
-from liegroup_sim_ros.analysis.analyse import REFERENCE_SECONDS, analyse
+from liegroup_sim_ros.analysis.analyse import REFERENCE_SECONDS, REFERENCE_STEPS, analyse
 from liegroup_sim_ros.analysis.bounds import find_exceeded
 from liegroup_sim_ros.analysis.comparison import differences
 from liegroup_sim_ros.analysis.document import document
@@ -90,10 +90,25 @@ def add_arguments(parser):
         "%(default)g)",
     )
     parser.add_argument(
+        "--reference-steps",
+        type=_count,
+        default=REFERENCE_STEPS,
+        metavar="N",
+        help="limit of the steps of the reference integration; the error is known up to there "
+        "(default: %(default)d, some minutes)",
+    )
+    parser.add_argument(
         "--scheduler",
         metavar="ADDRESS",
         help="scheduler of a Dask cluster, such as tcp://host:8786",
     )
+
+
+def _count(text):
+    value = int(text)
+    if value < 1:
+        raise ValueError
+    return value
 
 
 def _bound(text):
@@ -138,7 +153,11 @@ def run(args):
         if many and getattr(args, option):
             raise AnalysisError(f"--{option} requires exactly one recording and no --scheduler")
     check_files(args.json, args.html, picture=args.png)
-    options = {"reference": not args.no_reference, "reference_seconds": args.reference_seconds}
+    options = {
+        "reference": not args.no_reference,
+        "reference_seconds": args.reference_seconds,
+        "reference_steps": args.reference_steps,
+    }
     comparison, parts = None, []
     if many:
         found, parts = analyse_many(logs, options, args.scheduler, bool(args.html))

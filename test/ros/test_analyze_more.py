@@ -264,6 +264,37 @@ def test_a_violated_or_unjudged_limit_fails_the_command(logs, tmp_path, capsys, 
     assert "no dask scheduler" in capsys.readouterr().err
 
 
+def test_the_steps_of_the_reference_are_limited(tmp_path, capsys):
+    """The error is known up to there. The limit is that of all stretches together."""
+    one, two = (
+        record(tmp_path / f"{len(resets)}.mcap", scene_from_text(PAIR), steps, resets=resets)
+        for steps, resets in ((100, ()), (200, (100,)))
+    )
+    given = ["--json", str(tmp_path / "x.json"), "--max-error", "1"]
+
+    def reference(log, steps, code):
+        assert main(["analyze", str(log), *given, "--reference-steps", str(steps)]) == code
+        return checked(tmp_path / "x.json")["logs"][0]["reference"]
+
+    short = reference(one, 3, 1)
+    out, err = capsys.readouterr()
+    assert 0.0 < short["seconds"] < 0.2 and 0.0 < short["position"]["max"] < 1.0
+    said = (
+        f"the error is known up to {short['seconds']:.3g} s only: the reference integration took 3"
+    )
+    assert short["stopped"].startswith(said) and short["stopped"] in err
+    assert said in " ".join(out.split())
+    enough = next(2**k for k in range(2, 12) if analyse_to(one, 2**k)["stopped"] is None)
+    assert reference(one, enough, 0)["seconds"] == pytest.approx(0.2)
+    both = reference(two, enough, 1)
+    assert 0.2 <= both["seconds"] < 0.4 and both["stopped"]
+
+
+def analyse_to(log, steps):
+    """Figures of the error by at most a number of steps of the reference."""
+    return analyse(read_recording(log), reference_steps=steps).figures["reference"]
+
+
 def scaled(factor, last=None):
     """Function that scales the estimates of a sample; the last one of a second is `last`."""
 

@@ -327,7 +327,7 @@ def test_distance_of_two_poses():
     assert distance(still(0.0, 0), still(math.pi, 0)).attitude[0, 0] == pytest.approx(2.0)
 
 
-def test_evaluation_in_pieces_is_bit_identical(monkeypatch):
+def test_evaluation_in_pieces_is_bit_identical():
     """Times split over several calls, across a wrench change."""
     scene = constant_push()
     layout = make_layout(scene)
@@ -340,9 +340,14 @@ def test_evaluation_in_pieces_is_bit_identical(monkeypatch):
     for k, name in enumerate(("rotation", "position", "twist"), 1):
         assert np.array_equal(np.concatenate([part[k] for part, _ in parts]), whole[k]), name
     assert np.array_equal(np.concatenate([part.angle for _, part in parts]), known.angle)
-    monkeypatch.setattr("liegroup_core.reference.trajectory.MOST_STEPS", 3)
     with pytest.raises(SimulationError, match="after 3 steps; compare a shorter time"):
-        integrate(scene, pose, twist, times, changes)
+        Reference(scene, pose, twist, changes, end=1.0, most_steps=3).at(times)
+    limited = Reference(scene, pose, twist, changes, end=1.0, most_steps=reference.steps - 1)
+    part, apart = limited.up_to_limit(times)
+    k = len(part.times)
+    assert 1 < k < 41 and len(limited.up_to_limit(times[k:])[0].times) == 0
+    assert np.array_equal(part.position, whole.position[:k])
+    assert np.array_equal(apart.angle, known.angle[:k])
 
 
 def test_invalid_arguments_are_refused():
