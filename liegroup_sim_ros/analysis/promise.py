@@ -2,10 +2,14 @@
 """Check of the accuracy that a run kept by its own estimate (liegroup_core.accuracy).
 
 The run promises an error of at most accuracy * max(1, t / horizon), through applied wrenches, until it
-says itself that this has ended. Later errors are reported but do not violate it.
+says itself that this has ended. Later errors are reported but do not violate it. A reset begins a run
+anew. What continues a snapshot or an earlier part of a recording is not checked: the promise counts from
+the start of the run, errors there from the recorded state.
 """
 
 import numpy as np
+
+from liegroup_sim_ros.numbers import counted
 
 
 class Promise:
@@ -18,7 +22,8 @@ class Promise:
         self._promise = promise
         self._inside = self._known = self._all = 0.0
         self._part = self._known_part = self._sure_part = 0.0  # of the promised error
-        self._seconds, self._beyond = None, False
+        self._seconds, self._unchecked = {}, {}  # of stretches, by their first stamp
+        self._beyond = False
 
     def add(self, stretch, times, error, uncertainty):
         """Add error and uncertainty, two Distances at k times in s since the start of a stretch."""
@@ -30,10 +35,12 @@ class Promise:
         )
         self._all = max(self._all, float(error.max()))
         times = np.asarray(times)
-        # Errors of a later part of a recording count from its start, the promise does not.
         end = stretch.inaccurate_from + 0.5 * stretch.step  # with the sample of that time
-        inside = (times < end) & (stretch.start == 0)
+        inside = times < end
         self._beyond |= not inside.all()
+        if stretch.start != 0:
+            self._unchecked[stretch.begin_ns] = float(times[-1]) - stretch.start * stretch.step
+            return
         if not inside.any():
             return
         error, known = error[inside], known[inside]
@@ -45,14 +52,14 @@ class Promise:
         self._part = max(self._part, float((error / allowed).max()))
         self._known_part = max(self._known_part, float((known / allowed).max()))
         self._sure_part = max(self._sure_part, float(((error - known) / allowed).max()))
-        self._seconds = max(self._seconds or 0.0, float(times[inside].max()))
+        self._seconds[stretch.begin_ns] = float(times[inside].max())
 
     def figures(self):
         """Result of the check, see config/analysis.schema.json; None if nothing is promised."""
         if self._promise is None:
             return None
         kept = None
-        if self._seconds is not None:
+        if self._seconds:
             if max(self._part, self._known_part) <= 1.0:
                 kept = True
             elif self._sure_part > 1.0:
@@ -61,7 +68,9 @@ class Promise:
             "accuracy": float(self._promise["accuracy"]),
             "horizon": float(self._promise["horizon"]),
             "length": float(self._promise["length"]),
-            "seconds": self._seconds,
+            "seconds": sum(self._seconds.values()) if self._seconds else None,
+            "restarts": max(0, len(self._seconds) - 1),
+            "unchecked_s": sum(self._unchecked.values()),
             "error": self._inside,
             "uncertainty": self._known,
             "kept": kept,
@@ -85,10 +94,20 @@ def promise_text(found):
         False: "is not kept",
         None: "cannot be checked with this reference",
     }
-    verdict, span = verdicts[found["kept"]], f"in the first {found['seconds']:.4g} s"
+    verdict, seconds = verdicts[found["kept"]], f"{found['seconds']:.4g} s"
+    span = (
+        f"in {seconds} after the start and {counted(found['restarts'], 'restart')}"
+        if found["restarts"]
+        else f"in the first {seconds}"
+    )
+    unchecked = (
+        f" ({found['unchecked_s']:.4g} s that continue an earlier state are not checked)"
+        if found["unchecked_s"]
+        else ""
+    )
     if not found["beyond"]:
-        return f"{accuracy} {verdict}: {error} {span}"
+        return f"{accuracy} {verdict}: {error} {span}{unchecked}"
     return (
-        f"{accuracy} {verdict} {span}: {error}. Then the run itself reports a larger error: "
-        f"{found['error_of_all']:.3g} over the whole run"
+        f"{accuracy} {verdict} {span}: {error}{unchecked}. Then the run itself reports a larger "
+        f"error: {found['error_of_all']:.3g} over the whole run"
     )

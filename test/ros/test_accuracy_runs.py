@@ -331,6 +331,37 @@ def test_real_time_that_does_not_allow_the_accuracy_raises_it(
     assert later["kept"] is later["seconds"] is None
 
 
+def test_restarts_do_not_end_an_accuracy(ros_node, tmp_path):
+    """A reset begins anew. What continues a snapshot is not checked, and no larger error either."""
+    run = scene_run(ros_node, "heavy_top", record=tmp_path / "run.mcap")
+    run.start()
+    try:
+        for command, *given in (
+            ("pause",),
+            ("reset",),
+            ("step", 100),
+            ("save", "one"),
+            ("step", 50),
+            ("restore", "one"),
+            ("step", 40),
+            ("reset",),
+            ("step", 70),
+        ):
+            run.server.call(command, *given).result(30.0)
+    finally:
+        run.close()
+    recording = repeats(tmp_path / "run.mcap")
+    assert REPORTS.isdisjoint(event.name for event in recording.events)
+    figures = analyse(recording).figures
+    promise = figures["promise"]
+    assert promise["kept"] is True and promise["beyond"] is False
+    assert promise["restarts"] == 2 and promise["unchecked_s"] == pytest.approx(0.4)
+    before = recording.events[1].stamp_ns * 1e-9  # the pause
+    assert promise["seconds"] == pytest.approx(before + 1.5 + 0.7)
+    assert "larger error" not in figures["verdict"]
+    assert "after the start and 2 restarts (0.4 s that continue an" in figures["verdict"]
+
+
 def test_the_accuracy_is_raised_at_most_to_a_tenth(ros_node, tmp_path, monkeypatch):
     monkeypatch.setattr(real_time, "SHARE", 0.0)
     monkeypatch.setattr(real_time, "WORTH", 0.0)
