@@ -22,9 +22,10 @@ class Estimate:
         self._samples, self._covering, self._close = np.zeros((3, len(COLUMNS)), dtype=int)
 
     def add(self, block):
-        """Add the estimates of a Block."""
+        """Add the estimates of a Block. A zero at the start of a stretch is given, not estimated."""
         if block.errors is not None:
-            largest = np.fmax.reduce(block.errors, axis=(0, 1))
+            counted = (block.steps != block.stretch.start) | block.errors.any(axis=(1, 2))
+            largest = np.fmax.reduce(block.errors[counted], axis=(0, 1), initial=np.nan)
             self._max = largest if self._max is None else np.fmax(self._max, largest)
 
     def compare(self, estimates, error, uncertainty):

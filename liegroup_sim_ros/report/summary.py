@@ -169,6 +169,8 @@ def _estimate_rows(figures):
             f"{counted(entry['samples'], 'sample')}, at most ten times in "
             f"{_percent(entry['close'])}"
             if entry["samples"]
+            else "no estimate is known"
+            if entry["max"] is None
             else nothing,
         )
         for text, entry in _named(figures["estimate"])

@@ -354,7 +354,9 @@ def test_only_known_estimates_and_errors_above_the_uncertainty_count():
         estimates, Distance(error, zero, error, zero, error), Distance(*[uncertainty] * 5)
     )
     estimate.compare(estimates, Distance(*[error] * 5), Distance(*[error] * 5))
-    block = SimpleNamespace(errors=estimates[:5])
+    block = SimpleNamespace(
+        errors=estimates[:5], steps=np.arange(5), stretch=SimpleNamespace(start=0)
+    )
     estimate.add(block)
     figures = estimate.figures()
     assert figures["position"] == {
@@ -451,6 +453,18 @@ def test_missing_estimates_are_nan(tmp_path, monkeypatch):
     assert found.tobytes() == np.array(missed).tobytes()
     assert len(recording.errors.stamp_ns) == 1001
     assert analyse(recording).figures["estimate"]["angle"]["samples"] < 1001
+
+
+def test_an_unknown_estimate_is_not_shown_as_zero(tmp_path, capsys):
+    """A run that is too short for an estimate has only the zero of its initial state."""
+    log, document = tmp_path / "a.mcap", tmp_path / "a.json"
+    assert main(["run", "heavy_top", "--duration", "0.03", "--out", str(log)]) == 0
+    assert np.array_equal(read_recording(log).errors.errors[:, 0, 0], [0.0] + [np.nan] * 3, True)
+    capsys.readouterr()
+    assert main(["analyze", str(log), "--json", str(document)]) == 0
+    assert capsys.readouterr().out.count("no estimate is known") == 4
+    (figures,) = checked(document)["logs"]
+    assert {entry["max"] for entry in figures["estimate"].values()} == {None}
 
 
 def test_two_recordings_are_compared(logs, tmp_path):
