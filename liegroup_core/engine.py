@@ -292,6 +292,10 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         """Set the longest substep in s of a method with error control; call it at the start."""
         self._integrator.limit(longest)
 
+    def limit_attempts(self, most):
+        """Set the most attempted substeps in a step of a method with error control."""
+        self._integrator.limit_attempts(most)
+
     def advance(self, steps: int = 1) -> None:
         """Take `steps` steps, an integer >= 0.
 

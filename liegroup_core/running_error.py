@@ -101,7 +101,8 @@ class RunningError:
     """
 
     def __init__(self, engine, by_work=False):
-        self._engine, self._by_work = engine, by_work
+        self.engine = engine
+        self._by_work = by_work
         order, controlled = METHODS[engine.method].order, METHODS[engine.method].controlled
         # Steps of the engine and of its companion in the same time.
         self.ours, self._theirs = (4, 1) if controlled else (4, 3) if order < HIGH else (6, 5)
@@ -109,7 +110,7 @@ class RunningError:
             ratio, least = BY_WORK if by_work else CONTROLLED
         else:
             ratio, least = self.ours / self._theirs, LEAST if order < HIGH else LEAST_HIGH
-        self._factor = max(least, SEEN / (ratio**order - 1.0))
+        self.ratio, self._factor = ratio, max(least, SEEN / (ratio**order - 1.0))
         self.size = engine.layout.size
         step = self.ours / self._theirs * engine.step
         self._companion = self._make_companion(step, ratio**order)
@@ -128,7 +129,7 @@ class RunningError:
 
     def _make_companion(self, step, looser):
         """Engine of the same method with another step, and looser tolerances of error control."""
-        engine = self._engine
+        engine = self.engine
         options = dict(engine.options)
         for name in {"rtol", "atol"} & options.keys():
             options[name] *= looser
@@ -151,7 +152,7 @@ class RunningError:
 
     def restart(self):
         """Forget the error so far: the state was set."""
-        self._set_at = self._engine.steps
+        self._set_at = self.engine.steps
         self._start, self._next = None, 0  # steps at which the companion started, and meets next
         self._block = self._substeps = 0  # steps to the next checkpoint, substeps at the last one
         self._alive = True
@@ -194,7 +195,7 @@ class RunningError:
 
     def follow(self):
         """Advance the companion to the present step if they can meet, and estimate the error."""
-        engine = self._engine
+        engine = self.engine
         steps = engine.steps
         if not self._alive or steps % self.ours:
             return
@@ -224,7 +225,7 @@ class RunningError:
 
     def _adapt(self):
         """Set the number of steps to the next checkpoint from the substeps since the last one."""
-        substeps = self._engine.substeps[0]
+        substeps = self.engine.substeps[0]
         work, self._substeps = substeps - self._substeps, substeps
         longest = min(MOST, 2 * self._block)
         while longest > self.ours and longest * work > SUBSTEPS * self._block:
@@ -233,7 +234,7 @@ class RunningError:
 
     def _begin(self, steps):
         """Start the companion at the state of the engine."""
-        engine = self._engine
+        engine = self.engine
         self._companion.follow(engine, steps // self.ours * self._theirs)
         self._start, self._block, self._substeps = steps, self.ours, engine.substeps[0]
         self._origin[:] = engine._pose
@@ -246,7 +247,7 @@ class RunningError:
 
     def _measure(self, other, out):
         """Distances of the engine from another state; returns the largest m and rad."""
-        own = self._engine
+        own = self.engine
         return self._distances(own.layout.offsets.com, own._pose, own._twist, *other, out)
 
     def _now(self):
@@ -255,10 +256,10 @@ class RunningError:
         Between two meetings the companion is asked for its state then. With an accuracy they are those of
         the last meeting.
         """
-        since = self._engine.steps - self._companion.steps * self.ours // self._theirs
+        since = self.engine.steps - self._companion.steps * self.ours // self._theirs
         if self._by_work or not self._alive or since <= 0:
             return self._distance, self._largest
-        if self._seen_at != self._engine.steps:
+        if self._seen_at != self.engine.steps:
             steps, part = divmod(since * self._theirs, self.ours)
             try:
                 other = self._companion.peek(steps, part / self.ours)
@@ -266,7 +267,7 @@ class RunningError:
                 self._seen[:], self._seen_largest = math.inf, (math.inf, math.inf)
             else:
                 self._seen_largest = self._measure(other, self._seen)
-            self._seen_at = self._engine.steps
+            self._seen_at = self.engine.steps
         return self._seen, self._seen_largest
 
     def _watch_motion(self):
@@ -291,12 +292,22 @@ class RunningError:
             lost = error > LOST * self._motion
             self._least[lost] = np.maximum(self._least, error)[lost]
         if self._largest_error(self._largest) > UNPREDICTABLE:
-            self.predictable_until = min(self.predictable_until, self._engine.time)
+            self.predictable_until = min(self.predictable_until, self.engine.time)
+
+    @property
+    def begun(self):
+        """Whether the companion has started from the state that was set."""
+        return self._start is not None
+
+    @property
+    def companion(self):
+        """Engine that follows."""
+        return self._companion
 
     @property
     def integrators(self):
         """Those of the engine and of its companion."""
-        return self._engine._integrator, self._companion._integrator
+        return self.engine._integrator, self._companion._integrator
 
     @property
     def largest(self):
@@ -341,7 +352,7 @@ class RunningError:
 
         {"acting": see Engine.acting_now, "later": [[time in s, name, axes, *wrench]]}
         """
-        companion, names = self._companion, self._engine.layout.names_of_inputs
+        companion, names = self._companion, self.engine.layout.names_of_inputs
         return {
             "acting": companion.acting_now(),
             "later": [
@@ -410,7 +421,7 @@ class RunningError:
     @property
     def _unknown(self):
         """Whether the two have not met since the state was set."""
-        if self._engine.steps == self._set_at or not self._alive:
+        if self.engine.steps == self._set_at or not self._alive:
             return False
         return (
             self._start is None or self._companion.steps <= self._start // self.ours * self._theirs
@@ -420,7 +431,7 @@ class RunningError:
         """With an accuracy: growth since the last checkpoint, as between the two before."""
         if not (self._by_work and self._alive and self._block) or self.checkpoints < 2:
             return 1.0
-        stale = 1.0 - (self._next - self._engine.steps) / self._block
+        stale = 1.0 - (self._next - self.engine.steps) / self._block
         parts = [(self.checkpoints - k) % WINDOW for k in (1, 2)]
         last, before = (max(self._window_m[k], self._window_rad[k]) for k in parts)
         return min(FASTEST, max(1.0, last / before)) ** stale if before > 0.0 else 1.0

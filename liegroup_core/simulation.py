@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from .accuracy import DEFAULT, LONGEST, METHOD, MINUTE, SMALLEST, AccuracyControl
+from .compiling import warm_up
 from .engine import Engine
 from .errors import SimulationError
 from .integrators.families import check_group, check_options, choose_group
@@ -18,6 +19,7 @@ from .layout import make_layout
 from .observables.sample import Sample
 from .running_error import RunningError
 from .scene.description import Scene
+from .stiffness import MOST_ATTEMPTS, STIFF, MethodChoice
 
 log = logging.getLogger("liegroup_core")
 
@@ -26,6 +28,8 @@ log = logging.getLogger("liegroup_core")
 STEPS = tuple(float(f"{digit}e{power}") for power in range(-3, -8, -1) for digit in (10, 5, 2))
 PART = 0.02
 SUBSTEPS = 20
+# Most attempted substeps in each of the steps that are tried.
+TRIALS = {METHOD: [2 * SUBSTEPS], STIFF: [MOST_ATTEMPTS, 2 * SUBSTEPS]}
 # Keys of every snapshot.
 SNAPSHOT = {"simulation", "doubt", "state", "memory", "schedule", "external", "wanted"}
 
@@ -57,6 +61,7 @@ class Simulation(Engine):
     _lost: str | None = None
     _running: RunningError | None = None
     _control: AccuracyControl | None = None
+    _choice: MethodChoice | None = None
 
     def __init__(
         self,
@@ -113,6 +118,8 @@ class Simulation(Engine):
         self._running = RunningError(self, by_work=True)
         for integrator in self._running.integrators:
             integrator.passes = True
+        self._choice = MethodChoice(self._running)
+        warm_up(self._choice.touch, self._choice.kernels)
         self._control = AccuracyControl(accuracy, float(horizon), self._tighten)
 
     def _tighten(self, part):
@@ -224,18 +231,20 @@ class Simulation(Engine):
         """As Engine.memory; with an accuracy also the estimate of the error, which sets the steps."""
         if self._control is None:
             return super().memory()
-        own = self._control.memory(), self._running.memory()
-        return b"".join(array.tobytes() for array in own) + super().memory()
+        return b"".join(part.tobytes() for part in self._own_memory()) + super().memory()
+
+    def _own_memory(self):
+        return self._control.memory(), self._choice.memory(), self._running.memory()
 
     def _remember(self, memory):
         if self._control is not None:
-            arrays = self._control.memory(), self._running.memory()
-            sizes = [array.nbytes for array in arrays]
-            mine, memory = memory[: sum(sizes)], memory[sum(sizes) :]
+            counts = [len(part) for part in self._own_memory()]
+            mine, memory = memory[: 8 * sum(counts)], memory[8 * sum(counts) :]
             super()._remember(memory)
-            numbers = np.frombuffer(mine)
-            self._control.remember(numbers[: len(arrays[0])])
-            self._running.remember(numbers[len(arrays[0]) :])
+            control, choice, running = np.split(np.frombuffer(mine), np.cumsum(counts)[:2])
+            self._running.remember(running)
+            self._choice.remember(choice)
+            self._control.remember(control)
             return
         super()._remember(memory)
 
@@ -250,7 +259,7 @@ class Simulation(Engine):
         if self._running is not None:
             parts["estimate"] = self._running.snapshot()
         if self._control is not None:
-            parts["control"] = self._control.memory()
+            parts["control"] = self._control.memory(), self._choice.memory()
         return super().snapshot() | parts
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -273,10 +282,12 @@ class Simulation(Engine):
                 raise ValueError(f"the snapshot is of a simulation with another {what}{values}")
         super().restore(snapshot)
         self._warned, self._lost = snapshot["doubt"]
-        if self._control is not None:
-            self._control.remember(snapshot["control"])
         if self._running is not None:
             self._running.restore(snapshot["estimate"])
+        if self._control is not None:
+            control, choice = snapshot["control"]
+            self._choice.remember(choice)
+            self._control.remember(control)
 
     @property
     def pending(self):
@@ -302,6 +313,7 @@ class Simulation(Engine):
         if self._running is not None:
             self._running.restart()
         if self._control is not None:
+            self._choice.restart()
             self._control.restart(self.time)
         if memory is not None:
             self._remember(memory)
@@ -319,6 +331,8 @@ class Simulation(Engine):
             return
         end = self.steps + steps
         running.follow()
+        if self._choice is not None:
+            self._choice.start()
         while True:
             super()._advance(running.next_stop(self.steps, end) - self.steps)
             count = running.checkpoints
@@ -327,6 +341,7 @@ class Simulation(Engine):
                 if self._control is not None:
                     predictable = running.predictable_until == math.inf
                     self._control.follow(self.time, running.largest, predictable)
+                    self._choice.follow()
                 self._look()
             if self.steps >= end:
                 return
@@ -364,15 +379,29 @@ def default_steps(horizon):
 
 
 def _suitable(steps, scene, layout, settings, tolerances):
-    """The longest step that takes at most SUBSTEPS substeps at the start of the scene, and the layout."""
+    """The longest step that takes at most SUBSTEPS substeps at the start of the scene, and the layout.
+
+    Or in its second step, with the implicit method: that starts with small ones.
+    """
     if not steps:
         raise ValueError(f"expected a step in s or several of them, got {steps!r}")
     for step in steps:
-        engine = Engine(scene, METHOD, step, *settings, True, layout, **tolerances)
+        for method, attempts in TRIALS.items():
+            engine = Engine(scene, method, step, *settings, True, layout, **tolerances)
+            if _takes_few(engine, attempts):
+                return step, engine.layout
+    return step, engine.layout
+
+
+def _takes_few(engine, attempts):
+    """Whether one of the first steps, with at most so many attempted substeps, takes few of them."""
+    for most in attempts:
+        before = engine.substeps[0]
+        engine.limit_attempts(most)
         try:
             engine.advance(1)
         except SimulationError:
-            continue
-        if engine.substeps[0] <= SUBSTEPS:
-            break
-    return step, engine.layout
+            return False
+        if engine.substeps[0] - before <= SUBSTEPS:
+            return True
+    return False

@@ -87,6 +87,11 @@ class Method:
     coefficients: Callable | None = None
 
     @property
+    def implicit(self):
+        """Whether it is an implicit Runge-Kutta method."""
+        return self.name in _IMPLICIT
+
+    @property
     def controlled(self):
         """Whether each step is divided into substeps by error control."""
         return self.family == "rkmk" and len(self.tableau.e) > 0
@@ -149,6 +154,22 @@ _RUNGE_KUTTA = {method.name: method for method in (
 )}
 
 
+def _radau_5():
+    """Collocation at the zeros of d^2/dx^2 (x^2 (x - 1)^3), and the estimate with the start's derivative."""
+    root = math.sqrt(6.0)
+    c = np.array([(4.0 - root) / 10.0, (4.0 + root) / 10.0, 1.0])
+    powers = np.vander(c, increasing=True)
+    a = np.linalg.solve(powers.T, (c[:, None] ** [1, 2, 3] / [1, 2, 3]).T).T
+    values = np.linalg.eigvals(np.linalg.inv(a))
+    start = 1.0 / values[np.argmin(np.abs(values.imag))].real
+    b = np.linalg.solve(powers.T, [1.0 - start, 1 / 2, 1 / 3])
+    return a, a[-1], [np.append(b - a[-1], start)]
+
+
+_IMPLICIT = {"radau5": Method(
+    "radau5", "rkmk", 5, "Radau IIA: Hairer and Wanner, Solving ODEs II, IV.8", _radau_5)}
+
+
 def _coadjoint(name):
     """Coadjoint method of the rotation family with the tableau of a Munthe-Kaas method."""
     method = _RUNGE_KUTTA[name]
@@ -159,6 +180,7 @@ def _coadjoint(name):
 
 METHODS = {method.name: method for method in (
     *_RUNGE_KUTTA.values(),
+    *_IMPLICIT.values(),
     Method("generalized_alpha", "generalized_alpha", 2,
            "Bruels, Cardona and Arnold, Mech. Mach. Theory 48 (2012) 121-137"),
     Method("stoermer_verlet", "rotation", 2,

@@ -9,10 +9,10 @@ iterations and steps as long as the iteration converges quickly.
 import math
 
 from liegroup_core.compiling import kernel
+from liegroup_core.integrators.dense_lu import lu_factorise, lu_solve
 from liegroup_core.status import NOT_CONVERGED, OK
 
 from .arrays import sigma
-from .dense_lu import lu_factorise, lu_solve
 from .spaces import residual
 
 # Newton's method ends when the correction of the poses, rad and m, is below TOLERANCE times the

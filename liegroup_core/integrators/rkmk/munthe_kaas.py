@@ -25,15 +25,14 @@ import math
 
 import numpy as np
 
-from liegroup_core.compiling import SameTypes, Struct, borrowed, kernel, stepper
+from liegroup_core.compiling import Choice, SameTypes, borrowed, kernel, stepper
 from liegroup_core.formulations.relative.arrays import links_of
 from liegroup_core.integrators.link_state import model_and_work
 from liegroup_core.integrators.methods import EXACT, GROUPS, RELATIVE, SE3, is_positive
 from liegroup_core.model.arrays import copy_state
 from liegroup_core.status import DEPENDENT_ROWS, EVENT, OK, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS
 
-from . import spaces
-from .crossings import rows_and_weights
+from . import explicit, implicit, spaces
 from .switching import Switching
 
 # Bounds of the ratio of two successive substeps, and safety factor of the next one.
@@ -46,16 +45,9 @@ MOST_SUBSTEPS = 100_000
 LOOSER = (1e2, 1e4, 1e6, 1e8, 1e100)
 TOO_TIGHT = (DEPENDENT_ROWS, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS)
 
-
-class Scheme(Struct):
-    """Data of a Munthe-Kaas method: tableau of s stages, series of dexpinv."""
-
-    a: np.ndarray  # (s + 1, s) the tableau's a, below it its b
-    nodes: np.ndarray  # (s + 1,) its c, then 1: times of the stages in parts of a step
-    rows: np.ndarray  # (s + 1,) and weights: see crossings.py
-    weights: np.ndarray
-    error: np.ndarray  # (0 to 2, s + 1) weights of the error estimates
-    highest: int  # last power of ad in dexpinv, or EXACT
+take_substep = Choice(
+    "take_substep", {explicit.Scheme: explicit.substep, implicit.Collocation: implicit.substep}
+)
 
 
 @kernel
@@ -140,9 +132,10 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
 
     model, work     : Model and Work, or RelativeModel or PlaneModel and RelativeWork
     external        : external wrenches of these steps, see forces/external.py
-    control (7,)    : next substep in s, numbers of accepted and of attempted substeps so far, next
+    control (8,)    : next substep in s, numbers of accepted and of attempted substeps so far, next
                       substep at the start of the step, rtol of velocities, atol in rad, m, rad/s,
-                      m/s, longest substep in s; only for schemes with error control
+                      m/s, longest substep in s, most attempts in a step; only for schemes with
+                      error control
     returns (steps done, status): fewer steps if status is not OK. Pose, twist and work.angle are
     those of the last valid step, after EVENT of the last valid substep. The low byte of status is
     the code. The other bytes are the element
@@ -156,14 +149,8 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
     pose, twist, external, status = spaces.enter(model, work, pose_in, twist_in, external_in)
     if status != OK:
         return 0, status
-    stages = scheme.a.shape[1]
     controlled = len(scheme.error) > 0
     watching = spaces.watches(model, work)
-    # Accelerations at the end serve events, the next substep unless the end is projected, and estimates
-    # that have a weight for them.
-    ending = watching or controlled and not model.projects
-    for row in range(len(scheme.error)):
-        ending = ending or scheme.error[row, stages] != 0.0
     first = 0  # 1: the last substep has already written the derivatives of stage 0
     done = 0
     while done < steps and status == OK:
@@ -181,30 +168,16 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
             attempts += 1
             work.report[1] = work.report[4] = 0.0
             spaces.begin(model, work, group, pose, twist)
-            # The end is one more stage.
-            for stage in range(first, stages + 1):
-                if stage > 0:
-                    status = spaces.move(
-                        model, work, scheme, group, size, stage, stage == stages, pose
-                    )
-                    if status != OK:
-                        break
-                work.clock[2] = start + (h - remaining) + scheme.nodes[stage] * size
-                if stage < stages or ending:
-                    dependent = spaces.accelerate(model, work, external)
-                    if dependent >= 0:
-                        status = DEPENDENT_ROWS + (dependent << 8)
-                        break
-                    spaces.store_slopes(model, work, scheme, group, stage)
-                    if watching:
-                        spaces.note_stage(model, work, scheme, stage)
+            status = take_substep(
+                scheme, model, work, group, size, start, h - remaining, first, pose, external
+            )
             if status == OK:
                 status = spaces.check_end(model, work, size)
             if controlled:
                 if status == OK:
                     first = 1
                 status, accepted = _judge(model, work, scheme, h, size, status, twist, control)
-                if status == OK and attempts >= MOST_SUBSTEPS and not (accepted and count == 1):
+                if status == OK and attempts >= control[7] and not (accepted and count == 1):
                     status = TOO_MANY_SUBSTEPS
                 if status == OK and not accepted:
                     continue
@@ -247,28 +220,34 @@ class MuntheKaas:
     passes = False
 
     def __init__(self, method, layout, group, step, options):
-        tableau = method.tableau
-        stages = len(tableau.b)
         self.controlled = method.controlled
-        times = np.append(tableau.c, 1.0)
-        self._scheme = Scheme(
-            np.vstack([tableau.a, tableau.b]),
-            times,
-            *rows_and_weights(times),
-            tableau.e,
-            EXACT if options["dexpinv"] == "exact" else max(method.order - 2, 0),
-        )
-        self._group, self._longest = GROUPS.get(group, SE3), step
+        self._group, self._longest, self._dexpinv = GROUPS.get(group, SE3), step, options["dexpinv"]
+        stages = 1 if method.implicit else len(method.tableau.b)
         self._model, self._work, self.work, ending = model_and_work(layout, group, options, stages)
-        self.kernels = "rkmk" + ending
-        self._control = np.zeros(7)
+        self._blocks = stages + 1
+        self.kernels = ("implicit" if method.implicit else "rkmk") + ending
+        self._control = np.zeros(8)
+        self._control[7] = MOST_SUBSTEPS
         self._tolerances = options.get("rtol", 0.0), options.get("atol", 1.0)
-        self.tighten(1.0)
-        self._advance = SameTypes(advance)
+        self._methods, self._chosen, self._part = [], np.zeros(1), 1.0
+        self.add(method)
         self.switching = None
         if group == RELATIVE and len(self._model.switches):
             self.switching = Switching(self._model, self._work, self._pass, self._control)
         self.restart()
+
+    def add(self, method, looser=1.0):
+        """Add a method with error control that `choose` may take instead, with looser tolerances."""
+        if method.implicit:
+            freedoms = self._work.slopes.size // (2 * self._blocks)
+            scheme = implicit.make_collocation(method.tableau, freedoms)
+        else:
+            exact = self._dexpinv == "exact"
+            scheme = explicit.make_scheme(
+                method.tableau, EXACT if exact else max(method.order - 2, 0)
+            )
+        self._methods.append((scheme, SameTypes(advance), looser))
+        self.tighten(self._part)
 
     @staticmethod
     def options(method):
@@ -285,6 +264,7 @@ class MuntheKaas:
         """Clear the memory between calls: the state was set."""
         self._control[:4] = self._longest, 0.0, 0.0, self._longest
         self._control[6] = self._longest
+        self._chosen[0] = 0.0
         if self._work is not self.work:
             self._work.known[0] = 0.0
         if self.switching is not None:
@@ -292,8 +272,35 @@ class MuntheKaas:
 
     def tighten(self, part):
         """Set the tolerances to a fraction of those of the options."""
+        self._part = part
+        scheme, _, looser = self._methods[self.chosen]
         for k, tolerance in enumerate(self._tolerances):
-            self._control[4 + k] = part * tolerance
+            self._control[4 + k] = part * looser * tolerance
+        if isinstance(scheme, implicit.Collocation):
+            scheme.newton[0] = self._control[5]
+
+    def choose(self, number):
+        """Continue with another of the methods, by its number in the order of `add`."""
+        if number != self.chosen:
+            self._control[0] = self._longest
+        self._chosen[0] = number
+        self.tighten(self._part)
+
+    @property
+    def chosen(self):
+        """Number of the present method."""
+        return int(self._chosen[0])
+
+    @property
+    def evaluations(self):
+        """Evaluations of the accelerations under error control, of all methods, ever; with systems of
+        equations as so many of them.
+        """
+        return sum(float(scheme.spent[0]) for scheme, *_ in self._methods)
+
+    def limit_attempts(self, most=MOST_SUBSTEPS):
+        """Set the largest number of attempted substeps in a step."""
+        self._control[7] = most
 
     def limit(self, longest):
         """Set the longest substep in s, and restart."""
@@ -308,7 +315,7 @@ class MuntheKaas:
     @property
     def memory(self):
         """Arrays of the memory between calls: substeps of error control, relative coordinates."""
-        control = (self._control[:4],) if self.controlled else ()
+        control = (self._control[:4], self._chosen) if self.controlled else ()
         return control if self._work is self.work else (*control, *links_of(self._work))
 
     @property
@@ -341,10 +348,11 @@ class MuntheKaas:
         return done, status
 
     def _take(self, h, steps, pose, twist, external):
-        return self._advance(
+        scheme, advance_with, _ = self._methods[self.chosen]
+        return advance_with(
             self._model,
             self._work,
-            self._scheme,
+            scheme,
             self._group,
             h,
             steps,

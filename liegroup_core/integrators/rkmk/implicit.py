@@ -1,0 +1,346 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A substep of an implicit Munthe-Kaas method of three stages, for stiff scenes.
+
+In the algebra, with y = (Psi, change of the velocities), a mechanism is an ordinary differential
+equation y' = F(y) from y = 0 on: F = (dexp^-1_{-Psi} V, Vdot) at X_0 exp Psi. The stages of a collocation
+method satisfy z_j = h sum_l a_jl F(z_l), and the end is the last stage. With the inverse of a, which has
+one real and two complex eigenvalues, Newton's method for
+
+    1/h sum_l (a^-1)_jl z_l - F(z_j) = 0 ,    J = [0 1; Q D]
+
+takes a real and a complex system of the size of the freedoms, mu^2 - mu D - Q, mu = eigenvalue / h
+(Hairer and Wanner, Solving ODEs II, IV.8; second-order systems: IV.8, exercise 5). J is by finite
+differences at the start of a step, so that all forces are implicit without further formulas, and again
+in a later substep if the iteration becomes slow. Its part of the chart, about half of the angular
+velocity, is omitted.
+
+The error estimate is (mu - J)^-1 (F(0) + mu sum_j e_j z_j), mu real (IV.8.19): of order three, and bounded
+for stiff forces.
+"""
+
+import math
+
+import numpy as np
+
+from liegroup_core.compiling import Struct, kernel, subroutine
+from liegroup_core.integrators.dense_lu import lu_factorise, lu_solve
+from liegroup_core.integrators.methods import EXACT
+from liegroup_core.status import DEPENDENT_ROWS, NOT_CONVERGED, OK
+
+from . import spaces
+from .crossings import rows_and_weights
+
+STAGES = 3
+START, END = STAGES, STAGES + 1  # rows of Collocation.z after those of the stages
+# Newton's method ends at PART of the tolerance, or below the tolerance where corrections stop decreasing:
+# that is rounding. Its matrix is computed anew if a correction is more than SLOW times the one before.
+PART, SLOW, MOST_ITERATIONS = 1e-3, 0.05, 10
+ROUNDING = 1e-15  # rad, m and, times 1 + |velocity|, rad/s, m/s: no tolerance is smaller
+FREEDOMS_SQUARED = 200.0  # of a mechanism whose factorisations take as long as an evaluation
+DISPLACEMENT = 1e-8  # rad, m, rad/s, m/s: the derivative has half of all digits
+
+
+class Collocation(Struct):
+    """Data and scratch memory of an implicit method for f freedoms; the first ones as in Scheme.
+
+    The sums of a step are computed here. The operations of spaces.py see a method of one stage whose
+    derivatives times 1 are Psi.
+    """
+
+    a: np.ndarray
+    rows: np.ndarray
+    weights: np.ndarray
+    error: np.ndarray
+    highest: int
+    spent: np.ndarray
+    nodes: np.ndarray  # (5,) of the stages, then 0 and 1
+    inverse: np.ndarray  # (3, 3) of a
+    real: np.ndarray  # (3, 2) columns of the transformation to eigenvectors and back, of the real
+    pair: np.ndarray  # (3, 2) eigenvalue and of a complex one, twice its way back
+    real_value: float
+    pair_value: np.ndarray  # (1,)
+    estimate: np.ndarray  # (3,) weights of the z_j in the error estimate
+    newton: np.ndarray  # (1,) tolerance, rad or m
+    known: (
+        np.ndarray
+    )  # (1,) 1: the Jacobian is that of this substep or of an earlier one of the step
+    z: np.ndarray  # (5, f, 2) y of the stages, of a perturbed start, and of the end
+    slopes: np.ndarray  # (5, f, 2) F there
+    initial: np.ndarray  # (f, 2) F at the start
+    stiffness: np.ndarray  # (f, f) Q
+    damping: np.ndarray  # (f, f) D
+    factors: np.ndarray  # (f, f)
+    pivots: np.ndarray  # (f,)
+    x: np.ndarray  # (f,)
+    complex_factors: np.ndarray  # (f, f)
+    complex_pivots: np.ndarray  # (f,)
+    complex_x: np.ndarray  # (f,)
+    residual: np.ndarray  # (3, f, 2)
+    next: np.ndarray  # (f, 2) solution
+
+
+def make_collocation(tableau, freedoms):
+    """Collocation of an implicit Tableau of three stages, for a number of freedoms."""
+    inverse = np.linalg.inv(tableau.a)
+    values, vectors = np.linalg.eig(inverse)
+    back = np.linalg.inv(vectors)
+    real, pair = (int(np.argmax(part)) for part in (-np.abs(values.imag), values.imag))
+    times = np.concatenate([[0.0], tableau.c, [1.0]])
+    f = freedoms
+    return Collocation(
+        a=np.array([[0.0], [1.0]]),
+        rows=(rows := rows_and_weights(times))[0],
+        weights=rows[1],
+        error=np.array([[0.0, 1.0]]),
+        highest=EXACT,
+        spent=np.zeros(1),
+        nodes=np.concatenate([tableau.c, [0.0, 1.0]]),
+        inverse=inverse,
+        real=np.ascontiguousarray(np.stack([back[real], vectors[:, real]], axis=1).real),
+        pair=np.ascontiguousarray(np.stack([back[pair], 2.0 * vectors[:, pair]], axis=1)),
+        real_value=float(values[real].real),
+        pair_value=values[pair : pair + 1],
+        estimate=tableau.e[0, :-1] @ inverse,
+        newton=np.zeros(1),
+        known=np.zeros(1),
+        z=np.zeros((STAGES + 2, f, 2)),
+        slopes=np.zeros((STAGES + 2, f, 2)),
+        initial=np.zeros((f, 2)),
+        stiffness=np.zeros((f, f)),
+        damping=np.zeros((f, f)),
+        factors=np.zeros((f, f)),
+        pivots=np.zeros(f, dtype=np.int64),
+        x=np.zeros(f),
+        complex_factors=np.zeros((f, f), dtype=complex),
+        complex_pivots=np.zeros(f, dtype=np.int64),
+        complex_x=np.zeros(f, dtype=complex),
+        residual=np.zeros((STAGES, f, 2)),
+        next=np.zeros((f, 2)),
+    )
+
+
+@kernel
+def _load(source, block, out):
+    """Copy a block of Work.slopes to (f, 2): algebra, velocity."""
+    half = source.shape[1] // 2
+    rows = len(out) // half
+    for r in range(rows):
+        for c in range(half):
+            out[r * half + c, 0] = source[block * rows + r, c]
+            out[r * half + c, 1] = source[block * rows + r, half + c]
+
+
+@kernel
+def _store(values, factor, out, block):
+    """Copy (f, 2) times a factor to a block of Work.slopes."""
+    half = out.shape[1] // 2
+    rows = len(values) // half
+    for r in range(rows):
+        for c in range(half):
+            out[block * rows + r, c] = factor * values[r * half + c, 0]
+            out[block * rows + r, half + c] = factor * values[r * half + c, 1]
+
+
+@subroutine
+def _evaluate(scheme, model, work, group, j, time, pose, external):
+    """F at z of row j; the stage is there. Returns a status."""
+    scheme.spent[0] += 1.0
+    half = work.slopes.shape[1] // 2
+    rows = len(scheme.initial) // half
+    for r in range(rows):
+        for c in range(half):
+            work.slopes[r, c] = scheme.z[j, r * half + c, 0]
+            work.slopes[r, half + c] = scheme.z[j, r * half + c, 1]
+    status = spaces.move(model, work, scheme, group, 1.0, 1, j == END, pose)
+    if status != OK:
+        return status
+    work.clock[2] = time
+    dependent = spaces.accelerate(model, work, external)
+    if dependent >= 0:
+        return DEPENDENT_ROWS + (dependent << 8)
+    spaces.store_slopes(model, work, scheme, group, 1)
+    for r in range(rows):
+        for c in range(half):
+            scheme.slopes[j, r * half + c, 0] = work.slopes[rows + r, c]
+            scheme.slopes[j, r * half + c, 1] = work.slopes[rows + r, half + c]
+    if j != START and spaces.watches(model, work):
+        spaces.note_stage(model, work, scheme, j + 1 if j < STAGES else STAGES + 1)
+    return OK
+
+
+@kernel
+def _differentiate(scheme, model, work, group, time, pose, external):
+    """Set Q and D at the start. Returns a status."""
+    f = len(scheme.initial)
+    for p in range(f):
+        scheme.z[START, p, 0] = scheme.z[START, p, 1] = 0.0
+    for p in range(f):
+        for part in range(2):
+            change = DISPLACEMENT
+            if part == 1:
+                change *= 1.0 + abs(scheme.initial[p, 0])
+            scheme.z[START, p, part] = change
+            status = _evaluate(scheme, model, work, group, START, time, pose, external)
+            scheme.z[START, p, part] = 0.0
+            if status != OK:
+                return status
+            for r in range(f):
+                slope = (scheme.slopes[START, r, 1] - scheme.initial[r, 1]) / change
+                if part == 0:
+                    scheme.stiffness[r, p] = slope
+                else:
+                    scheme.damping[r, p] = slope
+    return OK
+
+
+@kernel
+def _factorise(scheme, h):
+    """Factorise the real and the complex matrix for a substep of size h; False: one is singular."""
+    f, real, pair = len(scheme.initial), scheme.real_value / h, scheme.pair_value[0] / h
+    scheme.spent[0] += f * f / FREEDOMS_SQUARED
+    for r in range(f):
+        for c in range(f):
+            q, d = scheme.stiffness[r, c], scheme.damping[r, c]
+            scheme.factors[r, c] = -real * d - q
+            scheme.complex_factors[r, c] = -pair * d - q
+        scheme.factors[r, r] += real * real
+        scheme.complex_factors[r, r] += pair * pair
+    if not lu_factorise(scheme.factors, scheme.pivots):
+        return False
+    return lu_factorise(scheme.complex_factors, scheme.complex_pivots)
+
+
+@kernel
+def _correct(scheme, h):
+    """Add the correction of Newton's method to z; returns its size in parts of the tolerance."""
+    f, real, pair = len(scheme.initial), scheme.real_value / h, scheme.pair_value[0] / h
+    for j in range(STAGES):
+        for p in range(f):
+            for c in range(2):
+                total = scheme.slopes[j, p, c]
+                for other in range(STAGES):
+                    total -= scheme.inverse[j, other] / h * scheme.z[other, p, c]
+                scheme.residual[j, p, c] = total
+    for r in range(f):
+        # The right side r2 + mu r1 - D r1.
+        right, complex_right = 0.0, 0.0j
+        for j in range(STAGES):
+            one, two = scheme.residual[j, r, 0], scheme.residual[j, r, 1]
+            for p in range(f):
+                two -= scheme.damping[r, p] * scheme.residual[j, p, 0]
+            right += scheme.real[j, 0] * (two + real * one)
+            complex_right += scheme.pair[j, 0] * (two + pair * one)
+        scheme.x[r], scheme.complex_x[r] = right, complex_right
+    lu_solve(scheme.factors, scheme.pivots, scheme.x)
+    lu_solve(scheme.complex_factors, scheme.complex_pivots, scheme.complex_x)
+    largest = 0.0
+    for p in range(f):
+        one, two = 0.0, 0.0j
+        for j in range(STAGES):
+            one += scheme.real[j, 0] * scheme.residual[j, p, 0]
+            two += scheme.pair[j, 0] * scheme.residual[j, p, 0]
+        x, w = scheme.x[p], real * scheme.x[p] - one
+        complex_x, complex_w = scheme.complex_x[p], pair * scheme.complex_x[p] - two
+        tolerance = max(scheme.newton[0], ROUNDING)
+        of_rates = tolerance * (1.0 + abs(scheme.initial[p, 0]))
+        for j in range(STAGES):
+            moved = scheme.real[j, 1] * x + (scheme.pair[j, 1] * complex_x).real
+            change = scheme.real[j, 1] * w + (scheme.pair[j, 1] * complex_w).real
+            scheme.z[j, p, 0] += moved
+            scheme.z[j, p, 1] += change
+            largest = max(largest, abs(moved) / tolerance, abs(change) / of_rates)
+            if not abs(moved) + abs(change) < math.inf:
+                return math.inf
+    return largest
+
+
+@kernel
+def _solve(scheme, model, work, group, h, start, pose, external):
+    """Solve for the stages of a substep of size h. Returns a status."""
+    for j in range(STAGES):
+        for p in range(len(scheme.initial)):
+            scheme.z[j, p, 0] = h * scheme.nodes[j] * scheme.initial[p, 0]
+            scheme.z[j, p, 1] = 0.0
+    before = math.inf
+    for iteration in range(MOST_ITERATIONS):
+        for j in range(STAGES):
+            time = start + scheme.nodes[j] * h
+            status = _evaluate(scheme, model, work, group, j, time, pose, external)
+            if status != OK:
+                return status
+        size = _correct(scheme, h)
+        if iteration > 0:
+            ratio = size / before if before > 0.0 else 0.0
+            if ratio > SLOW:
+                scheme.known[0] = 0.0
+            if ratio >= 1.0:
+                return OK if size <= 1.0 else NOT_CONVERGED
+            if ratio * size <= PART * (1.0 - ratio):
+                return OK
+        before = size
+    return NOT_CONVERGED
+
+
+@kernel
+def _estimate(scheme, h):
+    """Write the error estimate of a substep of size h to scheme.next."""
+    f, real = len(scheme.initial), scheme.real_value / h
+    for p in range(f):
+        for c in range(2):
+            total = scheme.initial[p, c]
+            for j in range(STAGES):
+                total += real * scheme.estimate[j] * scheme.z[j, p, c]
+            scheme.next[p, c] = total
+    for r in range(f):
+        right = scheme.next[r, 1] + real * scheme.next[r, 0]
+        for p in range(f):
+            right -= scheme.damping[r, p] * scheme.next[p, 0]
+        scheme.x[r] = right
+    lu_solve(scheme.factors, scheme.pivots, scheme.x)
+    for p in range(f):
+        scheme.next[p, 1] = real * scheme.x[p] - scheme.next[p, 0]
+        scheme.next[p, 0] = scheme.x[p]
+
+
+@kernel
+def substep(scheme, model, work, group, size, start, elapsed, first, pose, external):
+    """Set the stage to the end of a substep of a size in s; see explicit.py.
+
+    The error estimate is in work.slopes, as the derivative of stage 1.
+    """
+    begin = start + elapsed
+    if first == 0:
+        work.clock[2] = begin
+        dependent = spaces.accelerate(model, work, external)
+        if dependent >= 0:
+            return DEPENDENT_ROWS + (dependent << 8)
+        spaces.store_slopes(model, work, scheme, group, 0)
+        if spaces.watches(model, work):
+            spaces.note_stage(model, work, scheme, 0)
+    _load(work.slopes, 0, scheme.initial)
+    # Not from an earlier step: a run that is repeated from this step on is to be bit-identical.
+    fresh = elapsed == 0.0 or scheme.known[0] == 0.0
+    status = NOT_CONVERGED
+    for _ in range(2):
+        if fresh:
+            status = _differentiate(scheme, model, work, group, begin, pose, external)
+            if status != OK:
+                break
+        scheme.known[0] = 1.0
+        status = NOT_CONVERGED
+        if _factorise(scheme, size):
+            status = _solve(scheme, model, work, group, size, begin, pose, external)
+        if status != NOT_CONVERGED or fresh:
+            break
+        fresh = True
+    if status == OK:
+        _estimate(scheme, size)
+        for p in range(len(scheme.initial)):
+            for c in range(2):
+                scheme.z[END, p, c] = scheme.z[STAGES - 1, p, c]
+        status = _evaluate(scheme, model, work, group, END, begin + size, pose, external)
+    else:
+        scheme.known[0] = 0.0
+    _store(scheme.initial, 1.0, work.slopes, 0)
+    _store(scheme.next, 1.0 / size, work.slopes, 1)
+    return status

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Choice between an explicit and an implicit method, by their cost, in a simulation to an accuracy.
+
+Forces that change fast with the state, as of a hard spring or a strong damper, limit the substeps of an
+explicit method by stability, however slow the motion is. An implicit one has no such limit, but takes
+more evaluations for a substep, and is of lower order. Which one is cheaper is tried: at a checkpoint of
+the running error the companion takes a step with each, and returns. Both are one-step methods under the
+same control, so that nothing else changes.
+
+A trial ends as soon as it costs more than it could save. The next ones come after WAIT times the cost.
+Cost counts evaluations of the accelerations, not time, so that a repeated run is bit-identical.
+"""
+
+import math
+
+import numpy as np
+
+from .engine import Engine
+from .errors import SimulationError
+from .integrators.methods import METHODS
+
+EXPLICIT, IMPLICIT = 0, 1  # numbers of the methods in the integrators
+STIFF = "radau5"
+# Where a step of the companion takes fewer evaluations, the implicit method cannot be cheaper.
+CHEAP = 100.0
+WORTH, WAIT = 0.5, 20.0  # part of the present cost at which a change pays
+LEAST_COST = 6.0  # evaluations of the cheapest attempted substep
+MOST_ATTEMPTS = 1000  # in a trial at the start
+
+
+class MethodChoice:
+    """Sets the method of an engine and of its companion at checkpoints; see RunningError."""
+
+    def __init__(self, running):
+        self._running = running
+        self._engine, self._companion = running.engine, running.companion
+        self._integrators = running.integrators
+        ours, theirs = METHODS[self._engine.method], METHODS[STIFF]
+        # Substeps are to differ by the ratio, too: the error estimate is of another order.
+        for integrator, looser in zip(self._integrators, (1.0, running.ratio ** (4 - ours.order))):
+            integrator.add(theirs, looser)
+        self.restart()
+
+    @property
+    def kernels(self):
+        """Name of the set of kernels of the implicit method."""
+        return self._integrators[0].kernels.replace("rkmk", "implicit")
+
+    def touch(self):
+        """Call the kernels of the implicit method once."""
+        for engine, integrator in zip((self._engine, self._companion), self._integrators):
+            integrator.choose(IMPLICIT)
+            Engine._advance(engine, 0)
+            integrator.choose(EXPLICIT)
+
+    def restart(self):
+        """Start with the cheaper one: the state was set."""
+        self._waiting, self._begun = 0.0, False
+        self._count()
+
+    def _count(self):
+        self._counted, self._steps = self._evaluations, self._companion.steps
+
+    @property
+    def _evaluations(self):
+        return self._integrators[1].evaluations
+
+    def start(self):
+        """Choose at the start; call it when the companion may have started."""
+        if not self._begun and self._running.begun:
+            self._begun = True
+            self._choose()
+
+    def follow(self):
+        """Change the method if that pays; call it at a checkpoint."""
+        steps, spent = self._companion.steps - self._steps, self._evaluations - self._counted
+        self._waiting -= spent
+        may_pay = spent > CHEAP * steps or self._integrators[0].chosen == IMPLICIT
+        if self._waiting <= 0.0 and may_pay:
+            self._choose()
+        self._count()
+
+    def _choose(self):
+        """Try both methods from the present state, and continue with the cheaper one."""
+        before, chosen = self._evaluations, self._integrators[0].chosen
+        present, other = self._cost(chosen, MOST_ATTEMPTS), math.inf
+        if present > CHEAP or chosen == IMPLICIT:
+            most = min(MOST_ATTEMPTS, WORTH * present / LEAST_COST)
+            other = self._cost(1 - chosen, math.ceil(most))
+            # Where both take too many substeps, those of the implicit method can still grow.
+            if other < WORTH * present or other == present and chosen == EXPLICIT:
+                for integrator in self._integrators:
+                    integrator.choose(1 - chosen)
+        self._waiting = WAIT * (self._evaluations - before)
+        self._count()
+
+    def _cost(self, number, most):
+        """Evaluations of a step of the companion with a method and at most so many attempts; else inf."""
+        integrator, before = self._integrators[1], self._evaluations
+        chosen, passes, kept = integrator.chosen, integrator.passes, self._companion.snapshot()
+        integrator.passes = False
+        integrator.limit_attempts(most)
+        integrator.choose(number)
+        try:
+            self._companion.advance(1)
+        except SimulationError:
+            return math.inf
+        finally:
+            integrator.limit_attempts()
+            integrator.passes = passes
+            self._companion.restore(kept)
+            integrator.choose(chosen)
+        return self._evaluations - before
+
+    def memory(self):
+        """Numbers from which `remember` restores the choice, at the same state."""
+        spent = self._evaluations - self._counted
+        return np.array([self._waiting, self._begun, spent, self._steps])
+
+    def remember(self, memory):
+        """Restore the choice from `memory`."""
+        self._waiting, self._begun = float(memory[0]), bool(memory[1])
+        self._counted, self._steps = self._evaluations - float(memory[2]), int(memory[3])
