@@ -73,13 +73,13 @@ class Engine(Inputs, JointEvents, Placing, Reports):
                     baumgarte_time
     baumgarte_time : s, at least the step; default: ten steps
     options: further options of the method, see its family in `integrators`:
-             dexpinv="exact" or "truncated"  of all Munthe-Kaas methods
-             space="auto" or "space"         of the same, generalized_alpha and
+             dexpinv="exact" or "truncated"  of explicit Munthe-Kaas methods, rkmk...
+             space="auto" or "space"         of the same, radau5, generalized_alpha and
                                              constrained_rattle; "auto": in relative coordinates
                                              planar mechanisms move in their plane; "space": in
                                              space, and not in relative coordinates by default
              rtol=1e-6, atol=1e-6            tolerances of methods with error control (rkmk54,
-                                             rkmk853)
+                                             rkmk853, radau5)
              rho_inf=0.8                     damping of generalized_alpha
     quiet    : True: log no warnings
     layout   : of the scene, if it was made before

@@ -42,7 +42,7 @@ MESSAGES = {
     SUBSTEP_TOO_SMALL: "no substep meets the tolerance: a force is discontinuous, or the tolerance is "
     "below round-off; increase atol and rtol",
     TOO_MANY_SUBSTEPS: "the tolerance requires too many substeps within one step; use a smaller step, "
-    "larger tolerances, or another method if the scene is stiff",
+    "larger tolerances, or an accuracy or method radau5 if the scene is stiff",
     NOT_CONVERGED: "Newton's method does not converge in an implicit step: the step is too large "
     "for this motion, or the configuration is singular; use a smaller step{hint}",
     NOT_PROJECTED: "projection onto the constraints does not converge: the step is too large for "

@@ -36,6 +36,7 @@ class MethodChoice:
         self._engine, self._companion = running.engine, running.companion
         self._integrators = running.integrators
         ours, theirs = METHODS[self._engine.method], METHODS[STIFF]
+        self._names = ours.name, theirs.name
         # Substeps are to differ by the ratio, too: the error estimate is of another order.
         for integrator, looser in zip(self._integrators, (1.0, running.ratio ** (4 - ours.order))):
             integrator.add(theirs, looser)
@@ -56,6 +57,10 @@ class MethodChoice:
     def restart(self):
         """Start with the cheaper one: the state was set."""
         self._waiting, self._begun = 0.0, False
+        self._continue()
+
+    def _continue(self):
+        self._engine.method = self._names[self._integrators[0].chosen]
         self._count()
 
     def _count(self):
@@ -92,7 +97,7 @@ class MethodChoice:
                 for integrator in self._integrators:
                     integrator.choose(1 - chosen)
         self._waiting = WAIT * (self._evaluations - before)
-        self._count()
+        self._continue()
 
     def _cost(self, number, most):
         """Evaluations of a step of the companion with a method and at most so many attempts; else inf."""
@@ -118,6 +123,7 @@ class MethodChoice:
         return np.array([self._waiting, self._begun, spent, self._steps])
 
     def remember(self, memory):
-        """Restore the choice from `memory`."""
+        """Restore the choice from `memory`, after the engines."""
         self._waiting, self._begun = float(memory[0]), bool(memory[1])
+        self._continue()
         self._counted, self._steps = self._evaluations - float(memory[2]), int(memory[3])

@@ -8,7 +8,8 @@ non-commuting rotations: test/contract/test_methods.py, test/verification/test_o
 Methods for every scene:
     rkmk...              explicit; constraints at acceleration level. A pair with an error estimate
                          divides each step into substeps by error control
-    generalized_alpha    implicit, for stiff scenes; constraints at position level
+    radau5               implicit, for stiff scenes; the same constraints and error control
+    generalized_alpha    implicit, for stiff scenes, with fixed steps; constraints at position level
     constrained_rattle, constrained_rattle4, constrained_rattle8    orders 2, 4, 8; symplectic,
                          for long runs; explicit in forces, constraints at position level
 
@@ -52,13 +53,14 @@ def refuse_stabilisation(method, model):
 
 @dataclass(frozen=True)
 class Tableau:
-    """Coefficients of an explicit Runge-Kutta method of `s` stages.
+    """Coefficients of a Runge-Kutta method of `s` stages.
 
-    a : (s, s) strictly lower triangular
+    a : (s, s) strictly lower triangular, or full
     b : (s,) weights
     c : (s,) nodes, the row sums of a
     e : (1, s + 1) weights of the error estimate, b - b_hat, or (2, s + 1) of two estimates of orders
-        5 and 3. The last weight is that of the stage derivative at the end of the step.
+        5 and 3. The last weight is that of the stage derivative at the end of the step, of an
+        implicit method at its start.
         (0, s + 1) for a method without error control
     """
 
@@ -76,8 +78,8 @@ class Method:
     order        : of global convergence
     source       : literature
     coefficients : of a Runge-Kutta method, else None: function without arguments that returns
-                   (a, b), or (a, b, *e) with error estimates. a omits the zeros on and above the
-                   diagonal
+                   (a, b), or (a, b, *e) with error estimates. a of an explicit method omits the zeros
+                   on and above the diagonal
     """
 
     name: str

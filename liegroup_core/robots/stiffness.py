@@ -3,7 +3,7 @@
 
 With mass matrix M and damping d of the joints, velocities decay with the time constants of
     M dv/dt = -d v
-Explicit methods need steps of that size for as long as they simulate.
+Explicit methods need steps of that size for as long as they simulate. An accuracy takes an implicit one.
 """
 
 import numpy as np
@@ -32,7 +32,7 @@ def stiffness_notes(grouping):
     if time >= SHORTEST:
         return []
     advice = (
-        "use method generalized_alpha, or correct the damping or the inertia"
+        "without a method, or with radau5 or generalized_alpha, steps need not be that short"
         if time > NO_INERTIA
         else "what it moves has almost no inertia here: correct the inertia, or lock the joint"
     )

@@ -270,6 +270,7 @@ STEPS = {
         "rkmk3": (512, 1024, 2048, 4096),
         "rkmk4": (512, 1024, 2048, 4096),
         "rkmk54": {"se3": (64, 128, 256, 512)},
+        "radau5": (128, 256, 512),
         "rkmk8": {"so3xr3": (128, 160, 200, 220)},
         "generalized_alpha": (1024, 2048, 4096),
         "constrained_rattle": (1024, 2048, 4096),
@@ -282,6 +283,7 @@ STEPS = {
         "rkmk3": (2048, 4096, 8192, 2**14),
         "rkmk4": (4096, 8192, 2**14),
         "rkmk54": (1024, 2048, 4096, 8192),
+        "radau5": (512, 1024, 2048),
         "rkmk8": (512, 724, 1024),
         "generalized_alpha": (2048, 4096, 8192),
         "constrained_rattle": (2048, 4096, 8192),
@@ -294,6 +296,7 @@ STEPS = {
         "rkmk3": (8, 16, 32, 64),
         "rkmk4": (8, 16, 32, 64),
         "rkmk54": (6, 8, 12, 16, 24),
+        "radau5": (4, 6, 8, 12),
         "rkmk8": (1, 1.5, 2, 3, 4),
         "generalized_alpha": (8, 16, 32, 64),
         "constrained_rattle": (8, 16, 32, 64),
@@ -306,6 +309,7 @@ STEPS = {
         "rkmk3": (64, 128, 256, 512),
         "rkmk4": (128, 256, 512, 1024),
         "rkmk54": (256, 360, 512, 724),
+        "radau5": (64, 128, 256),
         "rkmk8": (48, 56, 64, 80),
         "generalized_alpha": (64, 128, 256, 512),
         "constrained_rattle": (64, 128, 256, 512),
@@ -445,7 +449,8 @@ def test_each_power_of_ad_adds_one_order(references, highest, order):
     for count in counts:
         simulation = Simulation(scene, method="rkmk4", step=1 / count)
         integrator = simulation._integrator
-        integrator._scheme = integrator._scheme.replace(highest=highest)
+        scheme, *rest = integrator._methods[0]
+        integrator._methods[0] = (scheme.replace(highest=highest), *rest)
         simulation.advance(10 * count)
         found.append(attitude_error(simulation, attitudes))
     assert slope(counts, found) == pytest.approx(order, abs=0.2)

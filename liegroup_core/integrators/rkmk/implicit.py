@@ -23,7 +23,12 @@ import math
 import numpy as np
 
 from liegroup_core.compiling import Struct, kernel, subroutine
-from liegroup_core.integrators.dense_lu import lu_factorise, lu_solve
+from liegroup_core.integrators.dense_lu import (
+    complex_lu_factorise,
+    complex_lu_solve,
+    lu_factorise,
+    lu_solve,
+)
 from liegroup_core.integrators.methods import EXACT
 from liegroup_core.status import DEPENDENT_ROWS, NOT_CONVERGED, OK
 
@@ -32,11 +37,13 @@ from .crossings import rows_and_weights
 
 STAGES = 3
 START, END = STAGES, STAGES + 1  # rows of Collocation.z after those of the stages
-# Newton's method ends at PART of the tolerance, or below the tolerance where corrections stop decreasing:
-# that is rounding. Its matrix is computed anew if a correction is more than SLOW times the one before.
-PART, SLOW, MOST_ITERATIONS = 1e-3, 0.05, 10
-ROUNDING = 1e-15  # rad, m and, times 1 + |velocity|, rad/s, m/s: no tolerance is smaller
-FREEDOMS_SQUARED = 200.0  # of a mechanism whose factorisations take as long as an evaluation
+# Newton's method ends where the next correction is below PART of the tolerance, or below ROUNDING, rad or
+# m, and times 1 + the rate for rates. Tolerances above NO_CONTROL let every step pass and say nothing of
+# the equations. Where corrections stop decreasing, that is rounding: it ends up to STUCK times the bound.
+# The matrix is computed anew if a correction is more than SLOW times the one before.
+PART, NO_CONTROL, ROUNDING, STUCK = 1e-3, 0.1, 1e-15, 1e3
+SLOW, MOST_ITERATIONS = 0.05, 10
+FREEDOMS_SQUARED = 200  # of a mechanism whose factorisations take as long as an evaluation
 DISPLACEMENT = 1e-8  # rad, m, rad/s, m/s: the derivative has half of all digits
 
 
@@ -55,12 +62,12 @@ class Collocation(Struct):
     spent: np.ndarray
     nodes: np.ndarray  # (5,) of the stages, then 0 and 1
     inverse: np.ndarray  # (3, 3) of a
-    real: np.ndarray  # (3, 2) columns of the transformation to eigenvectors and back, of the real
-    pair: np.ndarray  # (3, 2) eigenvalue and of a complex one, twice its way back
+    real: np.ndarray  # (3, 2) transformation to the eigenvector of the real eigenvalue, and back
+    pair: np.ndarray  # (3, 4) to one of the complex ones, and twice back: real, imaginary parts
     real_value: float
-    pair_value: np.ndarray  # (1,)
+    pair_value: np.ndarray  # (2,) real and imaginary part
     estimate: np.ndarray  # (3,) weights of the z_j in the error estimate
-    newton: np.ndarray  # (1,) tolerance, rad or m
+    newton: np.ndarray  # (1,) tolerance of Newton's method, rad or m
     known: (
         np.ndarray
     )  # (1,) 1: the Jacobian is that of this substep or of an earlier one of the step
@@ -72,9 +79,11 @@ class Collocation(Struct):
     factors: np.ndarray  # (f, f)
     pivots: np.ndarray  # (f,)
     x: np.ndarray  # (f,)
-    complex_factors: np.ndarray  # (f, f)
-    complex_pivots: np.ndarray  # (f,)
-    complex_x: np.ndarray  # (f,)
+    real_factors: np.ndarray  # (f, f) of the complex system, real and imaginary parts
+    imag_factors: np.ndarray
+    pair_pivots: np.ndarray  # (f,)
+    real_x: np.ndarray  # (f,)
+    imag_x: np.ndarray
     residual: np.ndarray  # (3, f, 2)
     next: np.ndarray  # (f, 2) solution
 
@@ -97,9 +106,14 @@ def make_collocation(tableau, freedoms):
         nodes=np.concatenate([tableau.c, [0.0, 1.0]]),
         inverse=inverse,
         real=np.ascontiguousarray(np.stack([back[real], vectors[:, real]], axis=1).real),
-        pair=np.ascontiguousarray(np.stack([back[pair], 2.0 * vectors[:, pair]], axis=1)),
+        pair=np.ascontiguousarray(
+            [
+                [there.real, there.imag, 2.0 * again.real, 2.0 * again.imag]
+                for there, again in zip(back[pair], vectors[:, pair])
+            ]
+        ),
         real_value=float(values[real].real),
-        pair_value=values[pair : pair + 1],
+        pair_value=np.array([values[pair].real, values[pair].imag]),
         estimate=tableau.e[0, :-1] @ inverse,
         newton=np.zeros(1),
         known=np.zeros(1),
@@ -111,12 +125,19 @@ def make_collocation(tableau, freedoms):
         factors=np.zeros((f, f)),
         pivots=np.zeros(f, dtype=np.int64),
         x=np.zeros(f),
-        complex_factors=np.zeros((f, f), dtype=complex),
-        complex_pivots=np.zeros(f, dtype=np.int64),
-        complex_x=np.zeros(f, dtype=complex),
+        real_factors=np.zeros((f, f)),
+        imag_factors=np.zeros((f, f)),
+        pair_pivots=np.zeros(f, dtype=np.int64),
+        real_x=np.zeros(f),
+        imag_x=np.zeros(f),
         residual=np.zeros((STAGES, f, 2)),
         next=np.zeros((f, 2)),
     )
+
+
+def newton_tolerance(atol):
+    """Tolerance of Newton's method, rad or m, for that of the error estimate."""
+    return max(ROUNDING, PART * atol) if atol < NO_CONTROL else ROUNDING
 
 
 @kernel
@@ -196,24 +217,30 @@ def _differentiate(scheme, model, work, group, time, pose, external):
 @kernel
 def _factorise(scheme, h):
     """Factorise the real and the complex matrix for a substep of size h; False: one is singular."""
-    f, real, pair = len(scheme.initial), scheme.real_value / h, scheme.pair_value[0] / h
-    scheme.spent[0] += f * f / FREEDOMS_SQUARED
+    f, mu = len(scheme.initial), scheme.real_value / h
+    a, b = scheme.pair_value[0] / h, scheme.pair_value[1] / h
+    scheme.spent[0] += (
+        f * f // FREEDOMS_SQUARED
+    )  # whole: sums are exact, and repeated runs the same
     for r in range(f):
         for c in range(f):
             q, d = scheme.stiffness[r, c], scheme.damping[r, c]
-            scheme.factors[r, c] = -real * d - q
-            scheme.complex_factors[r, c] = -pair * d - q
-        scheme.factors[r, r] += real * real
-        scheme.complex_factors[r, r] += pair * pair
+            scheme.factors[r, c] = -mu * d - q
+            scheme.real_factors[r, c] = -a * d - q
+            scheme.imag_factors[r, c] = -b * d
+        scheme.factors[r, r] += mu * mu
+        scheme.real_factors[r, r] += a * a - b * b
+        scheme.imag_factors[r, r] += 2.0 * a * b
     if not lu_factorise(scheme.factors, scheme.pivots):
         return False
-    return lu_factorise(scheme.complex_factors, scheme.complex_pivots)
+    return complex_lu_factorise(scheme.real_factors, scheme.imag_factors, scheme.pair_pivots)
 
 
 @kernel
 def _correct(scheme, h):
     """Add the correction of Newton's method to z; returns its size in parts of the tolerance."""
-    f, real, pair = len(scheme.initial), scheme.real_value / h, scheme.pair_value[0] / h
+    f, mu = len(scheme.initial), scheme.real_value / h
+    a, b = scheme.pair_value[0] / h, scheme.pair_value[1] / h
     for j in range(STAGES):
         for p in range(f):
             for c in range(2):
@@ -221,34 +248,38 @@ def _correct(scheme, h):
                 for other in range(STAGES):
                     total -= scheme.inverse[j, other] / h * scheme.z[other, p, c]
                 scheme.residual[j, p, c] = total
+    real, pair = scheme.real, scheme.pair
     for r in range(f):
         # The right side r2 + mu r1 - D r1.
-        right, complex_right = 0.0, 0.0j
+        right, right_a, right_b = 0.0, 0.0, 0.0
         for j in range(STAGES):
             one, two = scheme.residual[j, r, 0], scheme.residual[j, r, 1]
             for p in range(f):
                 two -= scheme.damping[r, p] * scheme.residual[j, p, 0]
-            right += scheme.real[j, 0] * (two + real * one)
-            complex_right += scheme.pair[j, 0] * (two + pair * one)
-        scheme.x[r], scheme.complex_x[r] = right, complex_right
+            right += real[j, 0] * (two + mu * one)
+            right_a += pair[j, 0] * (two + a * one) - pair[j, 1] * b * one
+            right_b += pair[j, 1] * (two + a * one) + pair[j, 0] * b * one
+        scheme.x[r], scheme.real_x[r], scheme.imag_x[r] = right, right_a, right_b
     lu_solve(scheme.factors, scheme.pivots, scheme.x)
-    lu_solve(scheme.complex_factors, scheme.complex_pivots, scheme.complex_x)
+    complex_lu_solve(
+        scheme.real_factors, scheme.imag_factors, scheme.pair_pivots, scheme.real_x, scheme.imag_x
+    )
     largest = 0.0
     for p in range(f):
-        one, two = 0.0, 0.0j
+        one, one_a, one_b = 0.0, 0.0, 0.0
         for j in range(STAGES):
-            one += scheme.real[j, 0] * scheme.residual[j, p, 0]
-            two += scheme.pair[j, 0] * scheme.residual[j, p, 0]
-        x, w = scheme.x[p], real * scheme.x[p] - one
-        complex_x, complex_w = scheme.complex_x[p], pair * scheme.complex_x[p] - two
-        tolerance = max(scheme.newton[0], ROUNDING)
-        of_rates = tolerance * (1.0 + abs(scheme.initial[p, 0]))
+            one += real[j, 0] * scheme.residual[j, p, 0]
+            one_a += pair[j, 0] * scheme.residual[j, p, 0]
+            one_b += pair[j, 1] * scheme.residual[j, p, 0]
+        x, u, v = scheme.x[p], scheme.real_x[p], scheme.imag_x[p]
+        rate, rate_u, rate_v = mu * x - one, a * u - b * v - one_a, a * v + b * u - one_b
+        of_rates = scheme.newton[0] * (1.0 + abs(scheme.initial[p, 0]))
         for j in range(STAGES):
-            moved = scheme.real[j, 1] * x + (scheme.pair[j, 1] * complex_x).real
-            change = scheme.real[j, 1] * w + (scheme.pair[j, 1] * complex_w).real
+            moved = real[j, 1] * x + pair[j, 2] * u - pair[j, 3] * v
+            change = real[j, 1] * rate + pair[j, 2] * rate_u - pair[j, 3] * rate_v
             scheme.z[j, p, 0] += moved
             scheme.z[j, p, 1] += change
-            largest = max(largest, abs(moved) / tolerance, abs(change) / of_rates)
+            largest = max(largest, abs(moved) / scheme.newton[0], abs(change) / of_rates)
             if not abs(moved) + abs(change) < math.inf:
                 return math.inf
     return largest
@@ -274,8 +305,8 @@ def _solve(scheme, model, work, group, h, start, pose, external):
             if ratio > SLOW:
                 scheme.known[0] = 0.0
             if ratio >= 1.0:
-                return OK if size <= 1.0 else NOT_CONVERGED
-            if ratio * size <= PART * (1.0 - ratio):
+                return OK if size <= STUCK else NOT_CONVERGED
+            if ratio * size <= 1.0 - ratio:
                 return OK
         before = size
     return NOT_CONVERGED

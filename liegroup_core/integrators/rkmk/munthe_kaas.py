@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Munthe-Kaas methods of any explicit tableau on the state space of a constrained mechanism.
+"""Munthe-Kaas methods of any tableau on the state space of a constrained mechanism.
 
 One step of (6.25), stages j = 1..s, on G x R^6n with G = SE(3)^n or (SO(3) x R^3)^n:
     Psi_j = h sum_l a_jl k_l ,   X_j = X_0 exp Psi_j ,   k_j = dexp^-1_{-Psi_j} F(X_j)
@@ -7,7 +7,8 @@ One step of (6.25), stages j = 1..s, on G x R^6n with G = SE(3)^n or (SO(3) x R^
 On the vector part (velocities) exp and dexp are the identity. On SO(3) x R^3 the velocity of the
 group is (omega in body axes, rdot in WORLD axes): (6.26) and the note to it.
 
-The number of stages is data, so that all tableaux share one compiled `advance`. With an error
+This is a step of an explicit method, explicit.py; of an implicit one: implicit.py. The number of stages
+is data, so that all explicit tableaux share one compiled `advance`. With an error
 estimate each step is divided into substeps. The estimate is the difference of two such methods in
 the algebra:
     delta = h sum_j e_j k_j ,   k_s+1 = dexp^-1_{-Psi} F(X_1) ,   Psi = h sum_j b_j k_j
@@ -209,7 +210,7 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
 class MuntheKaas:
     """Munthe-Kaas method of a tableau of METHODS for a model, with its memory between calls.
 
-    dexpinv    : "exact", or "truncated" to the powers of ad that the method's order needs
+    dexpinv    : "exact", or "truncated" to the powers of ad that an explicit method's order needs
     space      : "auto": in relative coordinates planar mechanisms (formulations/relative/plane.py)
                  move in their plane; "space": all mechanisms move in space, and on SE(3)^n by default
     rtol, atol : tolerances of error control, only for a tableau with an error estimate; see above
@@ -221,7 +222,8 @@ class MuntheKaas:
 
     def __init__(self, method, layout, group, step, options):
         self.controlled = method.controlled
-        self._group, self._longest, self._dexpinv = GROUPS.get(group, SE3), step, options["dexpinv"]
+        self._group, self._longest = GROUPS.get(group, SE3), step
+        self._truncated = options.get("dexpinv") == "truncated"
         stages = 1 if method.implicit else len(method.tableau.b)
         self._model, self._work, self.work, ending = model_and_work(layout, group, options, stages)
         self._blocks = stages + 1
@@ -242,19 +244,20 @@ class MuntheKaas:
             freedoms = self._work.slopes.size // (2 * self._blocks)
             scheme = implicit.make_collocation(method.tableau, freedoms)
         else:
-            exact = self._dexpinv == "exact"
-            scheme = explicit.make_scheme(
-                method.tableau, EXACT if exact else max(method.order - 2, 0)
-            )
+            highest = max(method.order - 2, 0) if self._truncated else EXACT
+            scheme = explicit.make_scheme(method.tableau, highest)
         self._methods.append((scheme, SameTypes(advance), looser))
         self.tighten(self._part)
 
     @staticmethod
     def options(method):
         """{name: (default, description of valid values, check)} of the method's options."""
+        choices = {"dexpinv": ("exact", "truncated"), "space": ("auto", "space")}
+        if method.implicit:
+            del choices["dexpinv"]  # there is no order at which its iterations could stop
         options = {
             name: (values[0], " or ".join(map(repr, values)), values.__contains__)
-            for name, values in (("dexpinv", ("exact", "truncated")), ("space", ("auto", "space")))
+            for name, values in choices.items()
         }
         if method.controlled:
             options["rtol"] = options["atol"] = (1e-6, "a positive number", is_positive)
@@ -277,7 +280,7 @@ class MuntheKaas:
         for k, tolerance in enumerate(self._tolerances):
             self._control[4 + k] = part * looser * tolerance
         if isinstance(scheme, implicit.Collocation):
-            scheme.newton[0] = self._control[5]
+            scheme.newton[0] = implicit.newton_tolerance(self._control[5])
 
     def choose(self, number):
         """Continue with another of the methods, by its number in the order of `add`."""

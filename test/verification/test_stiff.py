@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stiff scenes: the implicit method, and when a simulation to an accuracy takes it.
+
+References: the matrix exponential of sliders in series, which are linear, and the independent reference
+integration for chains in space that are stiff enough to matter but not for it.
+"""
+
+import mpmath
+import numpy as np
+import pytest
+import yaml
+from true_error import distance_at
+
+from liegroup_core import Simulation
+from liegroup_core.reference import Reference
+from liegroup_core.scene.load import scene_from_text
+from liegroup_core.stiffness import STIFF
+
+GRAVITY = 9.81
+EXPLICIT = "rkmk853"
+# An explicit method of twelve stages is stable up to about 6 / rate.
+REACH = 6.0
+# Part of the accuracy. An error below is not set by the tolerance: a motion that decays is resolved by
+# substeps that cannot grow faster, and one at the limit of stability is wrong now and then.
+TINY = 1e-4
+DIGITS = 60  # matrices with rates of 1e9 1/s are squared some forty times
+
+
+class Sliders:
+    """Bodies on prismatic joints in series, with springs and dampers, from rest or with velocities.
+
+    mass, stiffness, damping, start, rate : of each, SI units; start: of the spring's length and its rate
+    """
+
+    def __init__(self, mass, stiffness, damping, start, rate):
+        n = len(mass)
+        below = np.tril(np.ones((n, n)))  # positions from coordinates
+        self.start, self._below = start, below
+        with mpmath.workdps(
+            DIGITS
+        ):  # rounding of rates of 1e9 1/s would be seen in the slow motion
+            exact = mpmath.matrix
+            self._at = exact([*start, *rate, 1.0])
+            self._system = mpmath.zeros(2 * n + 1)
+            inverse = mpmath.inverse(exact(below.T) * mpmath.diag(mass) * exact(below))
+            force = exact(below.T) * exact([-GRAVITY * mpmath.mpf(m) for m in mass])
+            self._system[:n, n : 2 * n] = mpmath.eye(n)
+            self._system[n : 2 * n, :n] = -inverse * mpmath.diag(stiffness)
+            self._system[n : 2 * n, n : 2 * n] = -inverse * mpmath.diag(damping)
+            self._system[n : 2 * n, 2 * n] = inverse * force
+        matrix = np.array(self._system.tolist(), dtype=float)
+        self.rates = np.linalg.eigvals(matrix[: 2 * n, : 2 * n])
+        names = [f"b{i}" for i in range(n)]
+        velocities = below @ rate
+        self.scene = scene_from_text(
+            yaml.safe_dump(
+                {
+                    "name": "sliders",
+                    "gravity": [0.0, 0.0, -GRAVITY],
+                    "bodies": [
+                        {
+                            "name": name,
+                            "mass": float(mass[i]),
+                            "inertia": [0.01, 0.01, 0.01],
+                            "linear_velocity": [0.0, 0.0, float(velocities[i])],
+                        }
+                        for i, name in enumerate(names)
+                    ],
+                    "joints": [
+                        {
+                            "name": f"j{i}",
+                            "type": "prismatic",
+                            "parent": "world" if i == 0 else names[i - 1],
+                            "child": name,
+                            "parent_frame": {"axis": [0.0, 0.0, 1.0]},
+                        }
+                        for i, name in enumerate(names)
+                    ],
+                    "forces": [
+                        {
+                            "name": f"f{i}",
+                            "type": "linear_spring_damper",
+                            "joint": f"j{i}",
+                            "stiffness": float(stiffness[i]),
+                            "damping": float(damping[i]),
+                            "rest_position": -float(start[i]),
+                        }
+                        for i in range(n)
+                    ],
+                }
+            )
+        )
+
+    def positions(self, time):
+        """Exact positions of the bodies in m."""
+        n = len(self._below)
+        with mpmath.workdps(DIGITS):
+            now = mpmath.expm(self._system * time) * self._at
+        return self._below @ (np.array(now.T.tolist()[0], dtype=float)[:n] - self.start)
+
+
+def random_sliders(seed):
+    """Two or three sliders, the stiffest of which decays at 1e5 to 1e9 1/s."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 4))
+    mass, damping = rng.uniform(0.5, 2.0, n), 10.0 ** rng.uniform(0.0, 3.0, n)
+    damping[rng.integers(n)] = 10.0 ** rng.uniform(5.0, 9.0)
+    stiffness = damping * 10.0 ** rng.uniform(-1.0, 1.0, n)
+    return Sliders(mass, stiffness, damping, rng.uniform(-0.2, 0.2, n), rng.uniform(-1, 1, n))
+
+
+def off(sliders, simulation):
+    return np.abs(simulation.state()[0][:, 11] - sliders.positions(simulation.time)).max()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_steps_of_the_implicit_method_do_not_depend_on_stiffness(seed):
+    """Steps in which the fast motion decays e^10 to e^7 times over and more, at tolerances of the slow one."""
+    sliders, step = random_sliders(seed), 0.01
+    assert np.abs(sliders.rates).max() * step > 1e3
+    for tolerance in (1e-4, 1e-6, 1e-8):
+        simulation = Simulation(
+            sliders.scene, STIFF, step, rtol=tolerance, atol=tolerance, estimate=False
+        )
+        simulation.advance(100)
+        # The errors of all substeps add up, and decay with the motion.
+        assert off(sliders, simulation) <= 100.0 * tolerance
+        assert simulation.substeps[0] < 0.1 * np.abs(sliders.rates).max() / REACH
+
+
+@pytest.mark.parametrize("accuracy", [1e-4, 1e-6, 1e-8])
+@pytest.mark.parametrize("seed", range(4))
+def test_an_accuracy_takes_the_implicit_method_and_is_kept(seed, accuracy):
+    """Against the matrix exponential; estimates at least half of all errors that are not tiny."""
+    sliders = random_sliders(10 + seed)
+    simulation = Simulation(sliders.scene, accuracy=accuracy, horizon=1.0)
+    size, evaluations = simulation.promise["length"], simulation._integrator.evaluations
+    while simulation.time < 1.0:
+        simulation.advance(max(1, round(0.05 / simulation.step)))
+        error = off(sliders, simulation) / size
+        assert error <= accuracy
+        assert error < TINY * accuracy or simulation.largest_error >= 0.5 * error
+    assert simulation.method == STIFF and simulation.doubt is None
+    # Less than half of what stability alone would take with the explicit method.
+    needed = 12.0 * np.abs(sliders.rates).max() / REACH
+    assert simulation._integrator.evaluations - evaluations < 0.5 * needed
+
+
+def chain(stiffness, damping, n=3):
+    """Bodies on hinges in space whose axes are not parallel, with a stiff torsional spring in each."""
+    axes = [[0.0, 1.0, 0.2 * i] for i in range(n)]
+    return scene_from_text(
+        yaml.safe_dump(
+            {
+                "name": "chain",
+                "gravity": [0.0, 0.0, -GRAVITY],
+                "bodies": [
+                    {
+                        "name": f"b{i}",
+                        "mass": 1.0,
+                        "inertia": [0.01, 0.02, 0.025],
+                        "com": [0.5, 0.0, 0.05],
+                        "position": [float(i), 0.0, 0.0],
+                    }
+                    for i in range(n)
+                ],
+                "joints": [
+                    {
+                        "name": f"j{i}",
+                        "type": "revolute",
+                        "parent": "world" if i == 0 else f"b{i - 1}",
+                        "child": f"b{i}",
+                        "parent_frame": {"position": [float(i > 0), 0.0, 0.0], "axis": axes[i]},
+                        "child_frame": {"axis": axes[i]},
+                    }
+                    for i in range(n)
+                ],
+                "forces": [
+                    {
+                        "name": f"s{i}",
+                        "type": "torsional_spring_damper",
+                        "joint": f"j{i}",
+                        "stiffness": stiffness,
+                        "damping": damping,
+                    }
+                    for i in range(n)
+                ],
+            }
+        )
+    )
+
+
+@pytest.fixture(scope="module")
+def in_space():
+    """(scene, times, reference at them): the joints decay at some 1e4 1/s."""
+    scene, times = chain(2e3, 600.0), np.linspace(0.05, 0.5, 10)
+    start = Simulation(scene, STIFF, estimate=False).state()
+    exact, uncertainty = Reference(scene, *start, end=0.5).at(times)
+    assert max(uncertainty.position.max(), uncertainty.angle.max()) < 1e-13
+    return scene, times, exact
+
+
+@pytest.mark.parametrize("group", ["relative", "se3", "so3xr3"])
+def test_chains_in_space_against_the_reference(in_space, group):
+    scene, times, exact = in_space
+    simulation = Simulation(scene, accuracy=1e-5, horizon=1.0, group=group, stabilisation="none")
+    size, used = simulation.promise["length"], set()
+    for k, time in enumerate(times):
+        simulation.advance_to(round(time / simulation.step))
+        used.add(simulation.method)
+        found = distance_at(simulation.sample(), exact, k)
+        error = max(found.position.max() / size, found.angle.max())
+        assert error <= 1e-5
+        assert error < TINY * 1e-5 or simulation.largest_error >= 0.5 * error
+    assert STIFF in used
+
+
+def spun(accuracy=1e-8):
+    """A slider that is stiff, and a free body that begins to spin at 0.2 s: then substeps must follow it."""
+    sliders = Sliders([1.0], [100.0], [3e4], [0.01], [0.0])
+    text = yaml.safe_load(sliders.scene.text)
+    text["bodies"].append({"name": "top", "mass": 1.0, "inertia": [0.01, 0.02, 0.025]})
+    simulation = Simulation(scene_from_text(yaml.safe_dump(text)), accuracy=accuracy, horizon=1.0)
+    simulation.apply_wrench("top", (40.0, 600.0, 30.0, 0.0, 0.0, 0.0), 0.2017, 0.1)
+    return simulation
+
+
+def test_the_method_follows_the_motion_and_repeats_are_bit_identical():
+    """Also from a memory and from a snapshot at any sample, with a push inside a step."""
+    simulation, methods, kept = spun(), [], []
+    assert simulation.method == EXPLICIT  # chosen at the first step
+    for k in range(50):
+        simulation.advance(1)
+        methods.append(simulation.method)
+        if k in (0, 11, 19, 33):
+            kept.append((simulation.snapshot(), simulation.steps))
+    end = b"".join(part.tobytes() for part in simulation.state()) + simulation.memory()
+    assert methods[10] == STIFF and methods[-1] == EXPLICIT
+    for snapshot, steps in kept:
+        for other in (simulation, spun()):
+            other.restore(snapshot)
+            assert other.steps == steps and other.method == methods[steps - 1]
+            other.advance(50 - steps)
+            assert other.method == methods[-1]
+            assert b"".join(part.tobytes() for part in other.state()) + other.memory() == end
+    simulation.reset()
+    assert simulation.method == EXPLICIT and simulation.advance(1) is None
+    assert simulation.method == methods[0]
