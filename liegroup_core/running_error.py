@@ -50,7 +50,7 @@ import math
 
 import numpy as np
 
-from .compiling import SameTypes
+from .compiling import SameTypes, kernel
 from .engine import BAUMGARTE_STEPS, Engine
 from .errors import SimulationError
 from .forces.schedule import DRIVE, SERVO
@@ -86,9 +86,39 @@ _KEPT = (
     "_origin",
     "_motion",
     "_least",
+    "_least_pose",
     "checkpoints",
     "predictable_until",
 )
+
+
+def scale_of(position, angle, factor):
+    """Estimate divided by distance, for distances in parts of the mechanism's size and in rad."""
+    return factor * (1.0 + LARGE * min(1.0, factor * max(position, angle) / NOT_SMALL))
+
+
+_scale = kernel(scale_of)
+
+
+@kernel
+def _set_errors(distance, size, factor, least, out):
+    """Estimates from the distances of all bodies, and at least `least`; all (n, 4)."""
+    for i in range(len(distance)):
+        scale = _scale(distance[i, 0] / size, distance[i, 1], factor)
+        for c in range(4):
+            out[i, c] = max(scale * distance[i, c], least[i, c])
+
+
+@kernel
+def _note_lost(distance, seen, motion, size, factor, least):
+    """Note in `least` the errors that are a large part of the motion so far; all (n, 4)."""
+    for i in range(len(distance)):
+        scale = _scale(distance[i, 0] / size, distance[i, 1], factor)
+        for c in range(4):
+            motion[i, c] = max(motion[i, c], seen[i, c])
+            error = scale * distance[i, c]
+            if error > LOST * motion[i, c]:
+                least[i, c] = max(least[i, c], error)
 
 
 class RunningError:
@@ -122,9 +152,13 @@ class RunningError:
         # Pose from which on bodies are seen to move, the largest motion of each, and least estimates.
         self._origin, self._at_rest = np.zeros((n, 12)), np.zeros((n, 6))
         self._motion, self._least = np.zeros((n, 4)), np.zeros((n, 4))
-        self._distances = SameTypes(distances)
+        self._distances, self._errors, self._lost = map(
+            SameTypes, (distances, _set_errors, _note_lost)
+        )
         self._added = AddedInertia.of(METHODS[engine.method], engine.layout.model)
-        self._compare()  # compiles it
+        self._compare()  # compiles it, as the next ones
+        self._watch_motion()
+        self._errors(self._distance, self.size, self._factor, self._least, self._seen)
         self.restart()
 
     def _make_companion(self, step, looser):
@@ -157,6 +191,7 @@ class RunningError:
         self._block = self._substeps = 0  # steps to the next checkpoint, substeps at the last one
         self._alive = True
         self._distance[:] = self._window[:] = self._motion[:] = self._least[:] = 0.0
+        self._least_pose = 0.0
         # Largest m and rad of all bodies, of the distance and of each part of the window.
         self._largest, self._window_m, self._window_rad = (0.0, 0.0), [0.0] * WINDOW, [0.0] * WINDOW
         self.checkpoints = 0
@@ -271,10 +306,15 @@ class RunningError:
         return self._seen, self._seen_largest
 
     def _watch_motion(self):
-        """Largest distance of each body from its start, and its largest velocities, so far."""
+        """Follow the largest distance of each body from its start, and its largest velocities."""
         self._measure((self._origin, self._at_rest), self._seen)
         self._seen_at = -1
-        np.maximum(self._motion, self._seen, out=self._motion)
+        self._lost(self._distance, self._seen, self._motion, self.size, self._factor, self._least)
+        self._set_least_pose()
+
+    def _set_least_pose(self):
+        m, rad = largest_of(self._least)
+        self._least_pose = max(m / self.size, rad)
 
     def _set_infinite(self):
         self._distance[:] = np.inf
@@ -288,9 +328,6 @@ class RunningError:
         self.checkpoints += 1
         if not self._by_work:
             self._watch_motion()
-            error = self._scale(*self._distance[:, :2].T)[:, None] * self._distance
-            lost = error > LOST * self._motion
-            self._least[lost] = np.maximum(self._least, error)[lost]
         if self._largest_error(self._largest) > UNPREDICTABLE:
             self.predictable_until = min(self.predictable_until, self.engine.time)
 
@@ -317,9 +354,8 @@ class RunningError:
     def _largest_error(self, largest):
         """Largest estimated error for the largest m and rad of the present distances."""
         position, angle = self._kept_largest(largest)
-        scale = float(self._scale(position, angle))
-        least = max(self._least[:, 0].max() / self.size, self._least[:, 1].max())
-        return max(scale * position / self.size, scale * angle, least)
+        scale = scale_of(position / self.size, angle, self._factor * self._growth())
+        return max(scale * position / self.size, scale * angle, self._least_pose)
 
     def _kept_largest(self, largest):
         """The largest m and rad that count: those of the checkpoints fade."""
@@ -327,12 +363,6 @@ class RunningError:
             max(largest[0], FADING * max(self._window_m)),
             max(largest[1], FADING * max(self._window_rad)),
         )
-
-    def _scale(self, position, angle):
-        """Estimate divided by distance, for distances in m and rad, numbers or of all bodies."""
-        factor = self._factor * self._growth()
-        error = factor * np.maximum(position / self.size, angle)
-        return factor * (1.0 + LARGE * np.minimum(1.0, error / NOT_SMALL))
 
     def snapshot(self):
         """Copy of the estimate and of its companion, for `restore`."""
@@ -408,6 +438,7 @@ class RunningError:
         self.predictable_until = float(own[7])
         self._distance[:] = distance.reshape(n, 4)
         self._window[:] = window.reshape(self._window.shape)
+        self._set_least_pose()
         self._largest = largest_of(self._distance)
         self._window_m, self._window_rad = map(list, zip(*map(largest_of, self._window)))
 
@@ -416,7 +447,9 @@ class RunningError:
         if self._unknown:
             return np.full_like(self._distance, np.nan)
         kept = np.maximum(self._now()[0], FADING * self._window.max(axis=0))
-        return np.maximum(self._scale(*kept[:, :2].T)[:, None] * kept, self._least)
+        errors, factor = np.empty_like(kept), self._factor * self._growth()
+        self._errors(kept, self.size, factor, self._least, errors)
+        return errors
 
     @property
     def _unknown(self):
