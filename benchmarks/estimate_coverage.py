@@ -10,7 +10,9 @@ better. `under`: share of the samples with an estimate below half of the true er
 times; `wrong`: runs whose largest error so far is above 5 % of the motion at a time when the largest
 estimate so far is below half of it; `silent`: those that had not said before that the motion is not
 predictable, or not within the accuracy. `kept`: of the runs to an accuracy, those whose true error is below
-it until they say otherwise, and the largest true error as a part of it.
+it until they say otherwise, and the largest true error as a part of it. `false alarms`: of the runs that
+said so, those at a true error below 1e-6 of the mechanism's size and rad; to an accuracy, the median of
+the true error then as a part of it.
 """
 
 import argparse
@@ -42,6 +44,7 @@ METHODS = {
     "generalized_alpha": (5e-4, 2e-3, 8e-3),
     "constrained_rattle": (5e-4, 2e-3, 8e-3),
     "lie_midpoint": (5e-4, 2e-3, 8e-3),
+    "radau5": (1e-3, 5e-3, 2e-2),
 }
 ACCURACIES = (1e-3, 1e-5, 1e-7)  # with the horizon DURATION
 ACCURATE = "to an accuracy"
@@ -49,6 +52,7 @@ GRID = 0.02  # s, step of a simulation to an accuracy
 DURATION, SAMPLES = 2.0, 50  # s; all samples lie on steps
 SHORT = {"andrews_squeezer": 0.01}  # of DURATION and of the steps: milliseconds of a fast mechanism
 PARTS = ("position", "angle", "linear", "angular")  # columns of the estimate
+NO_ALARM = 1e-6  # true error of a pose below which nothing should be said
 SMALLEST = 1e-11  # m, rad, m/s, rad/s: errors below are round-off
 
 
@@ -142,8 +146,11 @@ def motion_of(exact):
 
 
 def follow(simulation, times, exact, uncertainty, size):
-    """(ratios of estimate and true error, first wrong sample or None, whether silent, part kept)."""
+    """(ratios of estimate and true error, first wrong sample or None, whether silent, part kept,
+    true error of a pose at the first sample after a warning, or infinity).
+    """
     ratios, wrong, silent, promise, part = [], None, False, simulation.promise, 0.0
+    at_warning, length = np.inf, simulation.layout.size
     largest_error, largest_estimate = np.zeros(4), np.zeros(4)
     for k, time in enumerate(times):
         try:
@@ -156,6 +163,9 @@ def follow(simulation, times, exact, uncertainty, size):
         unknown = np.stack([getattr(uncertainty, part)[k] for part in PARTS], axis=1)
         known = (error > np.maximum(10.0 * unknown, SMALLEST)) & ~np.isnan(sample.errors)
         ratios.append(sample.errors[known] / error[known])
+        said = simulation.accurate_until if promise else simulation.predictable_until
+        if said <= time and at_warning == np.inf:
+            at_warning = float((error[:, :2] / (length, 1.0)).max())
         if promise and simulation.accurate_until > time:
             scaled = np.where(known, error, 0.0)[:, :2] / (promise["length"], 1.0)
             part = max(part, float(scaled.max()) / promise["accuracy"])
@@ -166,9 +176,16 @@ def follow(simulation, times, exact, uncertainty, size):
             column = int(np.argmax(missed))
             ratio = float(largest_estimate[column] / largest_error[column])
             wrong = (float(time), PARTS[column], ratio)
-            said = simulation.accurate_until if promise else simulation.predictable_until
             silent = not said <= time
-    return np.concatenate(ratios) if ratios else np.zeros(0), wrong, silent, part
+    return np.concatenate(ratios) if ratios else np.zeros(0), wrong, silent, part, at_warning
+
+
+def alarms(method, rows):
+    """Text of the last column of the table."""
+    said = [row for row in rows if row[8] < np.inf]
+    if method == ACCURATE:
+        return f"at {np.median([row[8] / row[2] for row in said] or [np.nan]):.2g} in {len(said)}"
+    return f"{sum(row[8] < NO_ALARM for row in said)} of {len(said)}"
 
 
 def main():
@@ -187,9 +204,19 @@ def main():
         found = list(pool.imap_unordered(compare, jobs))
     console = Console()
     table = Table(title=f"Running error: estimate over true error, {len(jobs)} mechanisms")
-    for title in ("method", "runs", "samples", "under", "over", "median", "wrong", "silent"):
+    for title in (
+        "method",
+        "runs",
+        "samples",
+        "under",
+        "over",
+        "median",
+        "wrong",
+        "silent",
+        "false alarms",
+    ):
         table.add_column(title, justify="right")
-    rows = [(name, *row) for name, rows in found for row in rows if len(row) == 7]
+    rows = [(name, *row) for name, rows in found for row in rows if len(row) == 8]
     wrong = [row for row in rows if row[5]]
     of_method = {method: [row for row in rows if row[1] == method] for method in METHODS}
     of_method["all methods"] = [row for mine in of_method.values() for row in mine]
@@ -207,6 +234,7 @@ def main():
             f"{np.median(ratios):.2f}",
             str(sum(bool(row[5]) for row in mine)),
             str(sum(row[6] for row in mine)),
+            alarms(method, mine),
         )
     console.print(table)
     unknown = [name for name, rows in found if not rows or rows[0][0] == "reference"]
@@ -218,7 +246,7 @@ def main():
     for row in rows:
         if row[7] > 1.0:
             console.print(f"not kept: {row[0]}, {row[2]:g}: {row[7]:.3g} times")
-    for name, method, step, stabilisation, _, misses, unsaid, _ in wrong:
+    for name, method, step, stabilisation, _, misses, unsaid, *_ in wrong:
         kind = "silent" if unsaid else "wrong"
         console.print(f"{kind}: {name}, {method}, {step:g} s, {stabilisation}: {misses}")
     if args.json:

@@ -23,7 +23,7 @@ EXPLICIT, IMPLICIT = 0, 1  # numbers of the methods in the integrators
 STIFF = "radau5"
 # Where a step of the companion takes fewer evaluations, the implicit method cannot be cheaper.
 CHEAP = 100.0
-WORTH, WAIT = 0.5, 20.0  # part of the present cost at which a change pays
+WORTH, WAIT = 0.7, 20.0  # part of the present cost at which a change pays
 LEAST_COST = 6.0  # evaluations of the cheapest attempted substep
 MOST_ATTEMPTS = 1000  # in a trial at the start
 

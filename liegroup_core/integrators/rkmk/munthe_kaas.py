@@ -276,11 +276,9 @@ class MuntheKaas:
     def tighten(self, part):
         """Set the tolerances to a fraction of those of the options."""
         self._part = part
-        scheme, _, looser = self._methods[self.chosen]
+        looser = self._methods[self.chosen][2]
         for k, tolerance in enumerate(self._tolerances):
             self._control[4 + k] = part * looser * tolerance
-        if isinstance(scheme, implicit.Collocation):
-            scheme.newton[0] = implicit.newton_tolerance(self._control[5])
 
     def choose(self, number):
         """Continue with another of the methods, by its number in the order of `add`."""
