@@ -45,6 +45,7 @@ def _accuracy_figures(simulation):
     return {
         "accuracy": promise["accuracy"],
         "accuracy_horizon_s": promise["horizon"],
+        "method": simulation.method,
         "accurate_until_s": simulation.accurate_until,
     }
 

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether a run keeps real time: shares of a core that it takes, and a coarser accuracy if it must."""
 
-from liegroup_core.accuracy import METHOD
 from liegroup_core.integrators.methods import METHODS
 from liegroup_core.pacing import SLOW
 from liegroup_sim_ros.messages import events
@@ -11,10 +10,10 @@ from liegroup_sim_ros.messages import events
 # the largest one.
 SHARE, SHARE_OF_ALL, SHARE_PERIOD = 0.5, 0.9, 0.2
 COARSER, COARSEST = 10.0, 0.1
-# No accuracy takes less than one substep per step, and substeps become longer by the power 1 / ORDER of
+# No accuracy takes less than one substep per step, and substeps become longer by the power 1 / order of
 # the accuracy. It is raised only above so many per step, and only if the coarsest one, with the
 # messages, would take less than so much of a core.
-WORTH, REACHABLE, ORDER = 1.2, 1.0, METHODS[METHOD].order
+WORTH, REACHABLE = 1.2, 1.0
 
 
 class RealTime:
@@ -78,7 +77,8 @@ class RealTime:
         # Twice in succession: once may be a disturbance.
         if not promise or not (before and self._needs_more_time()):
             return None
-        fewer = max(1.0 / max(1.0, substeps), (promise["accuracy"] / COARSEST) ** (1.0 / ORDER))
+        longer = (COARSEST / promise["accuracy"]) ** (1.0 / METHODS[simulation.method].order)
+        fewer = 1.0 / min(max(1.0, substeps), longer)
         least = self.share_of_messages + self.share * fewer
         if promise["accuracy"] < COARSEST and substeps > WORTH and least < REACHABLE:
             accuracy = min(COARSEST, COARSER * promise["accuracy"])

@@ -81,6 +81,7 @@ def test_a_node_with_nothing_but_a_scene_keeps_its_accuracy_and_says_so(client, 
     assert code == 0 and "heavy_top: 1 body, accuracy 0.0001 in 60 s, running" in errors, errors
     figures = figures_of(states[-1])
     assert float(figures["accuracy"]) == DEFAULT and float(figures["accuracy_horizon_s"]) == MINUTE
+    assert figures["method"] == "rkmk853"
     assert figures["accurate_until_s"] == figures["predictable_until_s"] == "inf"
     assert 0.0 <= float(figures["position_error_m"]) < 1e-4
     # Of a core, and above the share that lowers the accuracy.
