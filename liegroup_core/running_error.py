@@ -2,9 +2,9 @@
 """Running estimate of the global error of a simulation, from a companion with a larger step.
 
 The companion follows the simulation with steps of q h under the same wrenches, q = 4/3, or 6/5 for
-orders from 8. With error control its tolerances are q^p times as large, q = 4/3, or 1.7 with an
-accuracy. The error of a method of order p then follows from the distance d = |x_h - x_qh| of the two
-states:
+orders from 8. With error control its tolerances are larger, so that its substeps are q times as long,
+q = 4/3, 1.43 for an implicit method, or 1.7 with an accuracy. The error of a method of order p then
+follows from the distance d = |x_h - x_qh| of the two states:
 
     order seen     : d / (q^p - 1), the errors being c h^p and c (q h)^p
     order not seen : about d, the two errors being independent of each other
@@ -67,7 +67,8 @@ FASTEST = 8.0  # growth between two meetings that is continued until the next on
 PARTS = 2  # of the step that leads to an event, whose size does not depend on that of the others
 SEEN = 1.35
 LEAST, LEAST_HIGH = 1.0, 0.75  # of the distance, where the order is not seen
-CONTROLLED, BY_WORK = (4.0 / 3.0, 0.5), (1.7, 0.4)  # q and LEAST of error control
+# q and LEAST of error control: with a method, an implicit one, with an accuracy.
+CONTROLLED, STIFF, BY_WORK = (4.0 / 3.0, 0.5), (1.43, 0.5), (1.7, 0.4)
 LARGE, NOT_SMALL = 2.5, 0.03
 # Of the mechanism's size, and rad: an error of this size makes a motion unpredictable.
 UNPREDICTABLE = 0.1
@@ -133,17 +134,18 @@ class RunningError:
     def __init__(self, engine, by_work=False):
         self.engine = engine
         self._by_work = by_work
-        order, controlled = METHODS[engine.method].order, METHODS[engine.method].controlled
+        method = METHODS[engine.method]
+        order, controlled = method.order, method.controlled
         # Steps of the engine and of its companion in the same time.
         self.ours, self._theirs = (4, 1) if controlled else (4, 3) if order < HIGH else (6, 5)
         if controlled:
-            ratio, least = BY_WORK if by_work else CONTROLLED
+            ratio, least = BY_WORK if by_work else STIFF if method.implicit else CONTROLLED
         else:
             ratio, least = self.ours / self._theirs, LEAST if order < HIGH else LEAST_HIGH
         self.ratio, self._factor = ratio, max(least, SEEN / (ratio**order - 1.0))
         self.size = engine.layout.size
         step = self.ours / self._theirs * engine.step
-        self._companion = self._make_companion(step, ratio**order)
+        self._companion = self._make_companion(step, ratio**method.power if controlled else 1.0)
         if controlled and (engine.layout.switches or not by_work):
             self._companion.limit_substeps(CONTROLLED[0] * engine.step)
         n = len(engine.layout.body_names)

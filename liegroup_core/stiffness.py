@@ -37,9 +37,10 @@ class MethodChoice:
         self._integrators = running.integrators
         ours, theirs = METHODS[self._engine.method], METHODS[STIFF]
         self._names = ours.name, theirs.name
-        # Substeps are to differ by the ratio, too: the error estimate is of another order.
-        for integrator, looser in zip(self._integrators, (1.0, running.ratio ** (4 - ours.order))):
-            integrator.add(theirs, looser)
+        # Substeps are to differ by the same ratio.
+        looser = running.ratio ** (theirs.power - ours.power)
+        for integrator, factor in zip(self._integrators, (1.0, looser)):
+            integrator.add(theirs, factor)
         self.restart()
 
     @property

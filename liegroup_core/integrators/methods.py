@@ -94,6 +94,11 @@ class Method:
         return self.name in _IMPLICIT
 
     @property
+    def power(self):
+        """Power of a substep that its tolerance is proportional to, with error control."""
+        return 1 + len(self.tableau.b) if self.implicit else self.order
+
+    @property
     def controlled(self):
         """Whether each step is divided into substeps by error control."""
         return self.family == "rkmk" and len(self.tableau.e) > 0
