@@ -7,7 +7,8 @@ more evaluations for a substep, and is of lower order. Which one is cheaper is t
 the running error the companion takes a step with each, and returns. Both are one-step methods under the
 same control, so that nothing else changes.
 
-A trial ends as soon as it costs more than it could save. The next ones come after WAIT times the cost.
+A trial ends as soon as it costs more than it could save. The next one comes after as much as both trials
+cost, as the start of a motion says little of the rest, and then after up to WAIT times that.
 Cost counts evaluations of the accelerations, not time, so that a repeated run is bit-identical.
 """
 
@@ -23,7 +24,7 @@ EXPLICIT, IMPLICIT = 0, 1  # numbers of the methods in the integrators
 STIFF = "radau5"
 # Where a step of the companion takes fewer evaluations, the implicit method cannot be cheaper.
 CHEAP = 100.0
-WORTH, WAIT = 0.7, 20.0  # part of the present cost at which a change pays
+WORTH, WAIT = 0.7, 16.0  # part of the present cost at which a change pays
 LEAST_COST = 6.0  # evaluations of the cheapest attempted substep
 MOST_ATTEMPTS = 1000  # in a trial at the start
 
@@ -57,7 +58,7 @@ class MethodChoice:
 
     def restart(self):
         """Start with the cheaper one: the state was set."""
-        self._waiting, self._begun = 0.0, False
+        self._waiting, self._wait, self._begun = 0.0, 1.0, False
         self._continue()
 
     def _continue(self):
@@ -97,7 +98,8 @@ class MethodChoice:
             if other < WORTH * present or other == present and chosen == EXPLICIT:
                 for integrator in self._integrators:
                     integrator.choose(1 - chosen)
-        self._waiting = WAIT * (self._evaluations - before)
+        self._waiting = self._wait * (self._evaluations - before)
+        self._wait = min(WAIT, 2.0 * self._wait)
         self._continue()
 
     def _cost(self, number, most):
@@ -121,10 +123,11 @@ class MethodChoice:
     def memory(self):
         """Numbers from which `remember` restores the choice, at the same state."""
         spent = self._evaluations - self._counted
-        return np.array([self._waiting, self._begun, spent, self._steps])
+        return np.array([self._waiting, self._wait, self._begun, spent, self._steps])
 
     def remember(self, memory):
         """Restore the choice from `memory`, after the engines."""
-        self._waiting, self._begun = float(memory[0]), bool(memory[1])
+        self._waiting, self._wait, begun, spent, steps = map(float, memory)
+        self._begun = bool(begun)
         self._continue()
-        self._counted, self._steps = self._evaluations - float(memory[2]), int(memory[3])
+        self._counted, self._steps = self._evaluations - spent, int(steps)

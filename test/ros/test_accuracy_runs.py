@@ -423,7 +423,12 @@ def test_an_accuracy_is_given_away_only_if_the_coarsest_one_would_do(share, rais
     """0.1 instead of 1e-4 takes 1e-3^(1/8) = 0.42 of the substeps of a method of order 8."""
     given = []
     simulation = SimpleNamespace(
-        step=0.01, substeps=(0, 0), time=1.0, promise={"accuracy": 1e-4}, set_accuracy=given.append
+        step=0.01,
+        method=METHOD,
+        substeps=(0, 0),
+        time=1.0,
+        promise={"accuracy": 1e-4},
+        set_accuracy=given.append,
     )
     real = real_time.RealTime(simulation, SimpleNamespace(factor=1.0))
     for count in (1, 2):  # twice in succession
