@@ -292,6 +292,11 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         """Set the longest substep in s of a method with error control; call it at the start."""
         self._integrator.limit(longest)
 
+    @property
+    def freedoms(self):
+        """Number of freedoms that a Munthe-Kaas method integrates."""
+        return self._integrator.freedoms
+
     def limit_attempts(self, most):
         """Set the most attempted substeps in a step of a method with error control."""
         self._integrator.limit_attempts(most)

@@ -30,6 +30,7 @@ PART = 0.02
 SUBSTEPS = 20
 # Most attempted substeps in each of the steps that are tried.
 TRIALS = {METHOD: [2 * SUBSTEPS], STIFF: [MOST_ATTEMPTS, 2 * SUBSTEPS]}
+MANY = 500  # freedoms, whose matrices take too long for a trial
 # Keys of every snapshot.
 SNAPSHOT = {"simulation", "doubt", "state", "memory", "schedule", "external", "wanted"}
 
@@ -388,6 +389,8 @@ def _suitable(steps, scene, layout, settings, tolerances):
     for step in steps:
         for method, attempts in TRIALS.items():
             engine = Engine(scene, method, step, *settings, True, layout, **tolerances)
+            if method == STIFF and engine.freedoms > MANY:
+                continue
             if _takes_few(engine, attempts):
                 return step, engine.layout
     return step, engine.layout

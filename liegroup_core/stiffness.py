@@ -19,14 +19,16 @@ import numpy as np
 from .engine import Engine
 from .errors import SimulationError
 from .integrators.methods import METHODS
+from .integrators.rkmk.implicit import FREEDOMS_SQUARED
 
 EXPLICIT, IMPLICIT = 0, 1  # numbers of the methods in the integrators
 STIFF = "radau5"
 # Where a step of the companion takes fewer evaluations, the implicit method cannot be cheaper.
 CHEAP = 100.0
 WORTH, WAIT = 0.7, 16.0  # part of the present cost at which a change pays
-LEAST_COST = 6.0  # evaluations of the cheapest attempted substep
-MOST_ATTEMPTS = 1000  # in a trial at the start
+LEAST_COST = 6  # evaluations of the cheapest attempted substep, without its factorisations
+MOST_ATTEMPTS = 1000  # in a trial, and evaluations that they take at least with the explicit method
+LARGEST_COST = 12_000
 
 
 class MethodChoice:
@@ -90,10 +92,10 @@ class MethodChoice:
     def _choose(self):
         """Try both methods from the present state, and continue with the cheaper one."""
         before, chosen = self._evaluations, self._integrators[0].chosen
-        present, other = self._cost(chosen, MOST_ATTEMPTS), math.inf
-        if present > CHEAP or chosen == IMPLICIT:
-            most = min(MOST_ATTEMPTS, WORTH * present / LEAST_COST)
-            other = self._cost(1 - chosen, math.ceil(most))
+        present = self._cost(chosen, MOST_ATTEMPTS)
+        most = self._attempts(1 - chosen, present)
+        if most > 0 and (present > CHEAP or chosen == IMPLICIT):
+            other = self._cost(1 - chosen, most)
             # Where both take too many substeps, those of the implicit method can still grow.
             if other < WORTH * present or other == present and chosen == EXPLICIT:
                 for integrator in self._integrators:
@@ -101,6 +103,15 @@ class MethodChoice:
         self._waiting = self._wait * (self._evaluations - before)
         self._wait = min(WAIT, 2.0 * self._wait)
         self._continue()
+
+    def _attempts(self, number, present):
+        """Attempted substeps with which a step of a method can cost less than the present one, at most."""
+        matrix, attempt = 0, LEAST_COST
+        if number == IMPLICIT:
+            f = self._integrators[1].freedoms
+            matrix, attempt = 2 * f, LEAST_COST + f * f // FREEDOMS_SQUARED
+        saved = WORTH * min(present, LARGEST_COST) - matrix
+        return max(0, min(MOST_ATTEMPTS, math.ceil(saved / attempt)))
 
     def _cost(self, number, most):
         """Evaluations of a step of the companion with a method and at most so many attempts; else inf."""

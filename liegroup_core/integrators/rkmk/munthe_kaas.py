@@ -241,13 +241,17 @@ class MuntheKaas:
     def add(self, method, looser=1.0):
         """Add a method with error control that `choose` may take instead, with looser tolerances."""
         if method.implicit:
-            freedoms = self._work.slopes.size // (2 * self._blocks)
-            scheme = implicit.make_collocation(method.tableau, freedoms)
+            scheme = implicit.make_collocation(method.tableau, self.freedoms)
         else:
             highest = max(method.order - 2, 0) if self._truncated else EXACT
             scheme = explicit.make_scheme(method.tableau, highest)
         self._methods.append((scheme, SameTypes(advance), looser))
         self.tighten(self._part)
+
+    @property
+    def freedoms(self):
+        """Number of freedoms of the joints, or of the bodies."""
+        return self._work.slopes.size // (2 * self._blocks)
 
     @staticmethod
     def options(method):
