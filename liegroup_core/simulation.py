@@ -38,7 +38,8 @@ SNAPSHOT = {"simulation", "doubt", "state", "memory", "schedule", "external", "w
 class Simulation(Engine):
     """Mechanism that is integrated on its Lie group, to an accuracy or with a given method and step.
 
-    Without a method, the tolerance of the steps follows the estimated error (accuracy.py):
+    Without a method, the tolerance of the steps follows the estimated error (accuracy.py), and `method`
+    is the cheaper one of an explicit and an implicit method (stiffness.py):
 
     accuracy : largest error of a pose in the first `horizon` seconds, as a part of the mechanism's
                size, or rad; later the error may grow by as much in each further horizon. Default 1e-4
