@@ -166,8 +166,11 @@ def random_tree(n):
 
 @pytest.mark.parametrize("method", ON_TREES)
 def test_random_trees_stay_closed(method):
+    """The matrices of implicit Munthe-Kaas methods are dense: 200 bodies would take a quarter of an hour."""
+    most = 30 if METHODS[method].implicit else 200
     for n, step in ((12, 0.05), (12, 0.01), (30, 0.005), (70, 0.002), (200, 0.001), (200, 0.05)):
-        assert_closed(random_tree(n), method, step)
+        if n <= most:
+            assert_closed(random_tree(n), method, step)
 
 
 def test_the_last_valid_state_of_runs_that_end_early_is_closed():

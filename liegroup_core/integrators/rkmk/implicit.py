@@ -42,7 +42,7 @@ START, END = STAGES, STAGES + 1  # rows of Collocation.z after those of the stag
 # it leaves is no random error: with a bound of 1e-3 of the tolerance motions are wrong by 50 to 500 times
 # as much. The matrix is computed anew if a correction is more than SLOW times the one before.
 ROUNDING, STUCK, STALLED = 1e-17, 1e5, 0.3
-SLOW, MOST_ITERATIONS = 0.05, 10
+SLOW, MOST_ITERATIONS = 0.05, 20
 FREEDOMS_SQUARED = 200  # of a mechanism whose factorisations take as long as an evaluation
 DISPLACEMENT = 1e-8  # rad, m, rad/s, m/s: the derivative has half of all digits
 
