@@ -2,8 +2,8 @@
 """Check of the accuracy that a run kept by its own estimate (liegroup_core.accuracy).
 
 The run promises an error of at most accuracy * max(1, t / horizon), through applied wrenches, until it
-says itself that this has ended. Later errors are reported but do not violate it. A reset begins a run
-anew. What continues a snapshot or an earlier part of a recording is not checked: the promise counts from
+says itself that this has ended. Later errors are reported but do not violate it. A reset starts the
+run again. What continues a snapshot or an earlier part of a recording is not checked: the promise counts from
 the start of the run, errors there from the recorded state.
 """
 

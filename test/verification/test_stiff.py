@@ -36,9 +36,8 @@ class Sliders:
         n = len(mass)
         below = np.tril(np.ones((n, n)))  # positions from coordinates
         self.start, self._below = start, below
-        with mpmath.workdps(
-            DIGITS
-        ):  # rounding of rates of 1e9 1/s would be seen in the slow motion
+        # Rounding of rates of 1e9 1/s would be seen in the slow motion.
+        with mpmath.workdps(DIGITS):
             exact = mpmath.matrix
             self._at = exact([*start, *rate, 1.0])
             self._system = mpmath.zeros(2 * n + 1)
@@ -115,7 +114,7 @@ def off(sliders, simulation):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_steps_of_the_implicit_method_do_not_depend_on_stiffness(seed):
-    """Steps in which the fast motion decays e^10 to e^7 times over and more, at tolerances of the slow one."""
+    """Steps of a thousand and more time constants of the fast motion, at tolerances of the slow one."""
     sliders, step = random_sliders(seed), 0.01
     assert np.abs(sliders.rates).max() * step > 1e3
     for tolerance in (1e-4, 1e-6, 1e-8):
@@ -226,7 +225,7 @@ def spun(accuracy=1e-8):
 
 
 def test_the_method_follows_the_motion_and_repeats_are_bit_identical():
-    """Also from a memory and from a snapshot at any sample, with a push inside a step."""
+    """From snapshots before and after changes of the method, with a push inside a step."""
     simulation, methods, kept = spun(), [], []
     assert simulation.method == EXPLICIT  # chosen at the first step
     for k in range(50):
