@@ -44,18 +44,21 @@ def displace(group, pose, i, xi, eta):
 
 
 @kernel
-def error_norm_square(xi, eta, dw, dv, start, end, i, rtol, atol):
+def error_norm_square(xi, eta, dw, dv, start, end, i, rtol, atol, length):
     """Square of the norm of an error estimate of a body, see rkmk/munthe_kaas.py.
 
     xi, eta, dw, dv : estimated errors of rotation, translation, angular and linear velocity
     start, end      : twists (n, 6) at both ends of the step; row i is that of the body
+    length          : m, times which atol is that of positions
     """
     w0, w1 = load3(start, i, 0), load3(end, i, 0)
     v0, v1 = load3(start, i, 3), load3(end, i, 3)
     tol_w = atol + rtol * math.sqrt(max(dot3(w0, w0), dot3(w1, w1)))
-    tol_v = atol + rtol * math.sqrt(max(dot3(v0, v0), dot3(v1, v1)))
+    tol_m = atol * length
+    tol_v = tol_m + rtol * math.sqrt(max(dot3(v0, v0), dot3(v1, v1)))
     return (
-        (dot3(xi, xi) + dot3(eta, eta)) / (atol * atol)
+        dot3(xi, xi) / (atol * atol)
+        + dot3(eta, eta) / (tol_m * tol_m)
         + dot3(dw, dw) / (tol_w * tol_w)
         + dot3(dv, dv) / (tol_v * tol_v)
     )

@@ -20,6 +20,9 @@ in rad, m, rad/s and m/s. The tolerance of poses is absolute, so that it does no
 origin of the world. The largest error of a body decides: a mean would hide one fast body among many
 slow ones. A method with two estimates of such norms e_5 and e_3 has e_5^2 / sqrt(e_5^2 + e_3^2 / 100)
 instead (Hairer, Norsett and Wanner, Solving ODEs I, (10.17)).
+
+A tolerance below rounding would only make substeps smaller. So atol is larger by ROUNDING / h, and next to a
+singular pose by h times the round-off in the accelerations.
 """
 
 import math
@@ -38,6 +41,9 @@ from .switching import Switching
 
 # Bounds of the ratio of two successive substeps, and safety factor of the next one.
 LARGEST_GROWTH, LARGEST_CUT, SAFETY = 5.0, 0.2, 0.9
+# Rounding of a pose, m or rad, as it shows in an error estimate: stiff forces make accelerations of it. At h
+# of their fastest oscillation that is a velocity of about the rounding of a pose divided by h.
+ROUNDING = 0.03 * 2.0**-52
 # Smallest substep as a fraction of a step; its inverse is the largest number of substeps.
 SMALLEST_SUBSTEP = 1e-9
 MOST_SUBSTEPS = 100_000
@@ -68,14 +74,14 @@ def _change(error, estimates):
 
 
 @kernel
-def _error(model, work, scheme, h, twist, rtol, atol):
+def _error(model, work, scheme, h, twist, rtol, atol, length):
     """Norm of the error estimate of a step from `twist`; a step is accepted up to 1."""
     largest = 0.0
-    atol += h * work.report[4]
+    atol += h * work.report[4] + ROUNDING / h
     for i in range(len(model.bodies)):
-        error = spaces.error_square(model, work, scheme, 0, h, twist, i, rtol, atol)
+        error = spaces.error_square(model, work, scheme, 0, h, twist, i, rtol, atol, length)
         if len(scheme.error) == 2:
-            other = spaces.error_square(model, work, scheme, 1, h, twist, i, rtol, atol)
+            other = spaces.error_square(model, work, scheme, 1, h, twist, i, rtol, atol, length)
             if error > 0.0:
                 error *= error / (error + 0.01 * other)
         if not error < math.inf:
@@ -95,7 +101,7 @@ def _judge(model, work, scheme, h, size, status, twist, control):
     """
     error = math.inf
     if status == OK:
-        error = _error(model, work, scheme, size, twist, control[4], control[5])
+        error = _error(model, work, scheme, size, twist, control[4], control[5], control[8])
     change = _change(error, len(scheme.error))
     # A substep that ends early, at a change of inputs, says little about the longer one before it.
     kept = control[0] if change == LARGEST_GROWTH else 0.0
@@ -133,10 +139,10 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
 
     model, work     : Model and Work, or RelativeModel or PlaneModel and RelativeWork
     external        : external wrenches of these steps, see forces/external.py
-    control (8,)    : next substep in s, numbers of accepted and of attempted substeps so far, next
+    control (9,)    : next substep in s, numbers of accepted and of attempted substeps so far, next
                       substep at the start of the step, rtol of velocities, atol in rad, m, rad/s,
-                      m/s, longest substep in s, most attempts in a step; only for schemes with
-                      error control
+                      m/s, longest substep in s, most attempts in a step, length in m times which atol
+                      is that of positions; only for schemes with error control
     returns (steps done, status): fewer steps if status is not OK. Pose, twist and work.angle are
     those of the last valid step, after EVENT of the last valid substep. The low byte of status is
     the code. The other bytes are the element
@@ -228,8 +234,8 @@ class MuntheKaas:
         self._model, self._work, self.work, ending = model_and_work(layout, group, options, stages)
         self._blocks = stages + 1
         self.kernels = ("implicit" if method.implicit else "rkmk") + ending
-        self._control = np.zeros(8)
-        self._control[7] = MOST_SUBSTEPS
+        self._control = np.zeros(9)
+        self._control[7], self._control[8] = MOST_SUBSTEPS, 1.0
         self._tolerances = options.get("rtol", 0.0), options.get("atol", 1.0)
         self._methods, self._chosen, self._part = [], np.zeros(1), 1.0
         self.add(method)
@@ -283,6 +289,10 @@ class MuntheKaas:
         looser = self._methods[self.chosen][2]
         for k, tolerance in enumerate(self._tolerances):
             self._control[4 + k] = part * looser * tolerance
+
+    def measure_by(self, length):
+        """Set the length in m, times which atol is the tolerance of positions."""
+        self._control[8] = length
 
     def choose(self, number):
         """Continue with another of the methods, by its number in the order of `add`."""

@@ -78,7 +78,7 @@ _of_link = Choice("_of_link", {RelativeModel: _in_space, PlaneModel: _in_plane})
 
 
 @kernel
-def error_square(model, work, scheme, row, h, twist, i, rtol, atol):
+def error_square(model, work, scheme, row, h, twist, i, rtol, atol, length):
     """Square of an error estimate of the body that represents link i; see munthe_kaas.py."""
     _difference(model, work, scheme, row, h, i)
     place = row * len(model.bodies)
@@ -93,4 +93,4 @@ def error_square(model, work, scheme, row, h, twist, i, rtol, atol):
         return 0.0
     point = vector3(link["body_point"])
     eta, dv = add3(eta, cross3(xi, point)), add3(dv, cross3(dw, point))
-    return error_norm_square(xi, eta, dw, dv, twist, work.stage_twist, body, rtol, atol)
+    return error_norm_square(xi, eta, dw, dv, twist, work.stage_twist, body, rtol, atol, length)
