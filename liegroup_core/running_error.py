@@ -74,6 +74,7 @@ LARGE, NOT_SMALL = 2.5, 0.03
 UNPREDICTABLE = 0.1
 _KEPT = (
     "_set_at",
+    "_kept_at",
     "_start",
     "_next",
     "_block",
@@ -128,7 +129,8 @@ class RunningError:
     engine  : Engine, whose state `follow` reads
     by_work : checkpoints follow the number of substeps, and all meetings are checkpoints
 
-    checkpoints : number of checkpoints so far
+    checkpoints       : number of checkpoints so far
+    predictable_until : s, the last checkpoint before the estimate was UNPREDICTABLE; inf: it was not
     """
 
     def __init__(self, engine, by_work=False):
@@ -188,7 +190,7 @@ class RunningError:
 
     def restart(self):
         """Forget the error so far: the state was set."""
-        self._set_at = self.engine.steps
+        self._set_at, self._kept_at = self.engine.steps, self.engine.time
         self._start, self._next = None, 0  # steps at which the companion started, and meets next
         self._block = self._substeps = 0  # steps to the next checkpoint, substeps at the last one
         self._alive = True
@@ -331,7 +333,8 @@ class RunningError:
         if not self._by_work:
             self._watch_motion()
         if self._largest_error(self._largest) > UNPREDICTABLE:
-            self.predictable_until = min(self.predictable_until, self.engine.time)
+            self.predictable_until = min(self.predictable_until, self._kept_at)
+        self._kept_at = self.engine.time
 
     @property
     def begun(self):
@@ -412,7 +415,7 @@ class RunningError:
         motion = self._origin, self._motion, self._least
         return np.concatenate(
             [
-                [*own, self.checkpoints, self.predictable_until, companion.steps],
+                [*own, self.checkpoints, self.predictable_until, self._kept_at, companion.steps],
                 self._distance.ravel(),
                 self._window.ravel(),
                 *(part.ravel() for part in motion),
@@ -426,18 +429,18 @@ class RunningError:
         """Restore the estimate from `memory`, at the same state of the engine."""
         n, k = len(self._distance), len(self._companion.sample().angles)
         own, distance, window, *motion, pose, twist, angles, rest = np.split(
-            memory, np.cumsum([9, 4 * n, self._window.size, 12 * n, 4 * n, 4 * n, 12 * n, 6 * n, k])
+            memory, np.cumsum([10, 4 * n, self._window.size, 12 * n, 4 * n, 4 * n, 12 * n, 6 * n, k])
         )
         for mine, part in zip((self._origin, self._motion, self._least), motion):
             mine[:] = part.reshape(mine.shape)
         set_at, start, alive, following, block, substeps, checkpoints = (int(x) for x in own[:7])
         self._companion.set_state(
-            pose.reshape(n, 12), twist.reshape(n, 6), int(own[8]), angles, rest.tobytes()
+            pose.reshape(n, 12), twist.reshape(n, 6), int(own[9]), angles, rest.tobytes()
         )
         self._set_at, self._start = set_at, None if start < 0 else start
         self._alive, self._next, self.checkpoints = bool(alive), following, checkpoints
         self._block, self._substeps = block, substeps
-        self.predictable_until = float(own[7])
+        self.predictable_until, self._kept_at = map(float, own[7:9])
         self._distance[:] = distance.reshape(n, 4)
         self._window[:] = window.reshape(self._window.shape)
         self._set_least_pose()

@@ -214,7 +214,7 @@ class Simulation(Engine):
 
     @property
     def predictable_until(self) -> float:
-        """Simulated time in s at which the estimated error became large; inf: not yet.
+        """Simulated time in s of the last checkpoint before the estimated error became large; inf: not yet.
 
         Large: a tenth of the mechanism's size, or 0.1 rad. NaN without an estimate.
         """

@@ -47,10 +47,8 @@ def inaccurate(since, reason):
 
 
 def unpredictable(since):
-    """The estimated error is large since a time in s."""
-    return (
-        f"{since:.9g} s is the time from which on the error is too large for the motion to be known"
-    )
+    """The estimated error is large after a time in s."""
+    return f"{since:.9g} s is the last time before the error is too large for the motion to be known"
 
 
 def saturated(effort, joint, time):
