@@ -196,6 +196,54 @@ def holds(listener, folder, seconds, kind, links):
     return factor >= HELD
 
 
+def kept(listener, folder, seconds):
+    """A node at 1 kHz with a push every second, with and without the estimate; a scene that is too large."""
+    print(
+        "\naccuracy, recorded           rate/s  late p50      p99       max   CPU %   rt factor"
+        "   (lateness in us)"
+    )
+    fast, push = {"publish_rate": 1000.0, "clock_rate": 1000.0}, "/sim_node/wrench"
+    heavy = {"scene": "heavy_top", **fast}
+    observed(listener, folder, seconds, "default", heavy, push)
+    fixed = {**heavy, "method": "rkmk853", "step": 1e-3}
+    observed(listener, folder, seconds, "rkmk853", fixed, push)
+    observed(listener, folder, seconds, "no estimate", {**fixed, "estimate": False}, push)
+    large = folder / "large.yaml"
+    large.write_text(chain(600, "spherical", length=10.0).text)
+    slow = {"scene": large, "body_wrenches": False, "publish_rate": 10.0}
+    observed(listener, folder, seconds, "600 links, 1e-9", {**slow, "accuracy": 1e-9})
+    fixed = {**slow, "method": "rkmk4", "step": 1e-2, "estimate": False}
+    observed(listener, folder, seconds, "600 links, rkmk4", fixed)
+
+
+def observed(listener, folder, seconds, name, parameters, push=None):
+    """Real-time run with a push of 50 N every second on a topic: a line of figures, and its events."""
+    path = folder / f"{name.replace(' ', '_')}.mcap"
+    with simulation(**parameters, record=path) as node:
+        listener.figures()
+        publisher = push and listener.node.create_publisher(WrenchStamped, push, 10)
+        listener.spin(2.0)
+        first, cpu = listener.figures(), node.cpu()
+        for _ in range(round(seconds)):
+            if push:
+                message = pushed(50.0)
+                message.header.frame_id = "top"
+                publisher.publish(message)
+            listener.spin(1.0)
+        last, cpu = listener.figures(), node.cpu() - cpu
+        node.end()
+    recording = read_recording(path)
+    simulated = float(last["sim_time_s"]) - float(first["sim_time_s"])
+    track = recording.pose[recording.bodies[0]]
+    rate = (len(track.stamp_ns) - 1) / recording.pacing["wall_seconds"]
+    line(name, recording.pacing, rate, cpu / simulated)
+    if push and int(last["wrenches_accepted"]) != round(seconds):
+        raise SystemExit(f"node.py: {last['wrenches_accepted']} pushes were taken")
+    for event in recording.events:
+        if event.name in ("accuracy", "inaccurate", "unpredictable", "slow"):
+            print(f"    {event.stamp_ns * 1e-9:8.3f} s {event.name}: {event.text}")
+
+
 def largest(listener, folder, seconds):
     print(
         "\nlargest chain at 100 Hz, every body's pose and twist published and recorded\n"
@@ -388,12 +436,13 @@ def main():
         "parts",
         nargs="*",
         metavar="PART",
-        help="real_time, largest, round_trip, cost or storm; all if left out",
+        help="real_time, kept, largest, round_trip, cost or storm; all if left out",
     )
     parser.add_argument("--long", action="store_true", help="60 and 30 s in place of 5 and 5 s")
     args = parser.parse_args()
     lengths = {
         real_time: (60.0, 5.0),
+        kept: (60.0, 5.0),
         largest: (10.0, 4.0),
         round_trip: (2000, 200),
         cost: (30.0, 4.0),
