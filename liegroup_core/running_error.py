@@ -429,7 +429,8 @@ class RunningError:
         """Restore the estimate from `memory`, at the same state of the engine."""
         n, k = len(self._distance), len(self._companion.sample().angles)
         own, distance, window, *motion, pose, twist, angles, rest = np.split(
-            memory, np.cumsum([10, 4 * n, self._window.size, 12 * n, 4 * n, 4 * n, 12 * n, 6 * n, k])
+            memory,
+            np.cumsum([10, 4 * n, self._window.size, 12 * n, 4 * n, 4 * n, 12 * n, 6 * n, k]),
         )
         for mine, part in zip((self._origin, self._motion, self._least), motion):
             mine[:] = part.reshape(mine.shape)

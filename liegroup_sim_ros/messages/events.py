@@ -48,7 +48,9 @@ def inaccurate(since, reason):
 
 def unpredictable(since):
     """The estimated error is large after a time in s."""
-    return f"{since:.9g} s is the last time before the error is too large for the motion to be known"
+    return (
+        f"{since:.9g} s is the last time before the error is too large for the motion to be known"
+    )
 
 
 def saturated(effort, joint, time):

@@ -7,12 +7,14 @@ import re
 import mechanisms
 import numpy as np
 import pytest
+import yaml
 from true_error import distance_at
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.accuracy import AccuracyControl
 from liegroup_core.reference import Reference, WrenchChange
 from liegroup_core.scene.library import four_bar_windows
+from liegroup_core.scene.load import scene_from_text
 
 FORCE = {"heavy_top": 40.0, "four_bar": 5.0, "double_pendulum": 2.0, "slider_crank": 3.0}  # N
 ON, OFF = 0.3217, 0.7303  # s, inside a step
@@ -52,6 +54,33 @@ def test_the_accuracy_is_kept_through_a_push(name, accuracy):
     times = step * np.unique(np.linspace(0, round(2.0 / step), 21)[1:].astype(int))
     assert true_error(simulation, changes, times) <= accuracy
     assert simulation.method == "rkmk853" and simulation.promise["accuracy"] == accuracy
+
+
+@pytest.mark.parametrize("factor", [2.0**-10, 2.0**10])
+def test_an_accuracy_does_not_depend_on_the_size(factor):
+    """With all lengths and gravity times a power of two the same substeps lead to the same bits, scaled."""
+    scene = load_scene("double_pendulum")
+    lengths = {"position", "gravity"}
+    states = []
+    for c in (1.0, factor):
+
+        def scaled(entry, key="", c=c):
+            if isinstance(entry, dict):
+                return {key: scaled(value, key) for key, value in entry.items()}
+            if key in lengths:
+                return [c * x for x in entry]
+            if key == "inertia":
+                return [c * c * x for x in entry]
+            return [scaled(part) for part in entry] if isinstance(entry, list) else entry
+
+        text = yaml.safe_dump(scaled(yaml.safe_load(scene.text)))
+        simulation = Simulation(scene_from_text(text), accuracy=1e-11, horizon=10.0)
+        simulation.advance(200)
+        pose = simulation.state()[0].copy()
+        pose[:, 9:] /= c
+        states.append((simulation.substeps, pose.tobytes()))
+    assert states[0] == states[1]
+    assert states[0][0][0] > 400  # the tolerance sets the substeps
 
 
 def test_the_default_is_an_accuracy():

@@ -245,3 +245,16 @@ def test_the_method_follows_the_motion_and_repeats_are_bit_identical():
     simulation.reset()
     assert simulation.method == EXPLICIT and simulation.advance(1) is None
     assert simulation.method == methods[0]
+
+
+def test_a_tolerance_below_rounding_does_not_make_substeps_tiny():
+    """Rounding eps of a position makes an error h rate^2 eps of the velocity in a substep h.
+
+    The tolerance is at least 0.03 eps / h. So substeps need not be smaller than 0.17 / rate, where the two are
+    equal: 6 rate substeps a second. Twice as many may be taken, as weights of the estimate may exceed 1.
+    """
+    sliders = Sliders([0.34], [9.8e8], [98.0], [0.02], [0.0])
+    rate = np.abs(sliders.rates).max()
+    simulation = Simulation(sliders.scene, EXPLICIT, 1e-3, rtol=1e-15, atol=1e-15, estimate=False)
+    simulation.advance(20)
+    assert simulation.substeps[1] < 12.0 * rate * simulation.time
