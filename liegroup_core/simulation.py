@@ -388,11 +388,13 @@ def _suitable(steps, scene, layout, settings, tolerances):
     """
     if not steps:
         raise ValueError(f"expected a step in s or several of them, got {steps!r}")
+    freedoms = 0  # as the explicit method finds
     for step in steps:
         for method, attempts in TRIALS.items():
-            engine = Engine(scene, method, step, *settings, True, layout, **tolerances)
-            if method == STIFF and engine.freedoms > MANY:
+            if method == STIFF and freedoms > MANY:
                 continue
+            engine = Engine(scene, method, step, *settings, True, layout, **tolerances)
+            freedoms = engine.freedoms
             if _takes_few(engine, attempts):
                 return step, engine.layout
     return step, engine.layout

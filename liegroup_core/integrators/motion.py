@@ -45,7 +45,7 @@ def displace(group, pose, i, xi, eta):
 
 @kernel
 def error_norm_square(xi, eta, dw, dv, start, end, i, rtol, atol, length):
-    """Square of the norm of an error estimate of a body, see rkmk/munthe_kaas.py.
+    """Square of the norm of an error estimate of a body, see rkmk/error_control.py.
 
     xi, eta, dw, dv : estimated errors of rotation, translation, angular and linear velocity
     start, end      : twists (n, 6) at both ends of the step; row i is that of the body

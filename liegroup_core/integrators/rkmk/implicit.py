@@ -20,23 +20,18 @@ for stiff forces.
 
 import math
 
-import numpy as np
-
-from liegroup_core.compiling import Struct, kernel, subroutine
+from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.integrators.dense_lu import (
     complex_lu_factorise,
     complex_lu_solve,
     lu_factorise,
     lu_solve,
 )
-from liegroup_core.integrators.methods import EXACT
 from liegroup_core.status import DEPENDENT_ROWS, NOT_CONVERGED, OK
 
 from . import spaces
-from .crossings import rows_and_weights
+from .collocation import END, STAGES, START
 
-STAGES = 3
-START, END = STAGES, STAGES + 1  # rows of Collocation.z after those of the stages
 # Newton's method ends where the next correction is below ROUNDING, rad or m, and times 1 + the rate for
 # rates, or, up to STUCK times that, where it is not below STALLED times the last one: that is rounding. What
 # it leaves is no random error: with a bound of 1e-3 of the tolerance motions are wrong by 50 to 500 times
@@ -45,92 +40,6 @@ ROUNDING, STUCK, STALLED = 1e-17, 1e5, 0.3
 SLOW, MOST_ITERATIONS = 0.05, 20
 FREEDOMS_SQUARED = 200  # of a mechanism whose factorisations take as long as an evaluation
 DISPLACEMENT = 1e-8  # rad, m, rad/s, m/s: the derivative has half of all digits
-
-
-class Collocation(Struct):
-    """Data and scratch memory of an implicit method for f freedoms; the first ones as in Scheme.
-
-    The sums of a step are computed here. The operations of spaces.py see a method of one stage whose
-    derivatives times 1 are Psi.
-    """
-
-    a: np.ndarray
-    rows: np.ndarray
-    weights: np.ndarray
-    error: np.ndarray
-    highest: int
-    spent: np.ndarray
-    nodes: np.ndarray  # (5,) of the stages, then 0 and 1
-    inverse: np.ndarray  # (3, 3) of a
-    real: np.ndarray  # (3, 2) transformation to the eigenvector of the real eigenvalue, and back
-    pair: np.ndarray  # (3, 4) to one of the complex ones, and twice back: real, imaginary parts
-    real_value: float
-    pair_value: np.ndarray  # (2,) real and imaginary part
-    estimate: np.ndarray  # (3,) weights of the z_j in the error estimate
-    known: (
-        np.ndarray
-    )  # (1,) 1: the Jacobian is that of this substep or of an earlier one of the step
-    z: np.ndarray  # (5, f, 2) y of the stages, of a perturbed start, and of the end
-    slopes: np.ndarray  # (5, f, 2) F there
-    initial: np.ndarray  # (f, 2) F at the start
-    stiffness: np.ndarray  # (f, f) Q
-    damping: np.ndarray  # (f, f) D
-    factors: np.ndarray  # (f, f)
-    pivots: np.ndarray  # (f,)
-    x: np.ndarray  # (f,)
-    real_factors: np.ndarray  # (f, f) of the complex system, real and imaginary parts
-    imag_factors: np.ndarray
-    pair_pivots: np.ndarray  # (f,)
-    real_x: np.ndarray  # (f,)
-    imag_x: np.ndarray
-    residual: np.ndarray  # (3, f, 2)
-    next: np.ndarray  # (f, 2) solution
-
-
-def make_collocation(tableau, freedoms):
-    """Collocation of an implicit Tableau of three stages, for a number of freedoms."""
-    inverse = np.linalg.inv(tableau.a)
-    values, vectors = np.linalg.eig(inverse)
-    back = np.linalg.inv(vectors)
-    real, pair = (int(np.argmax(part)) for part in (-np.abs(values.imag), values.imag))
-    times = np.concatenate([[0.0], tableau.c, [1.0]])
-    f = freedoms
-    return Collocation(
-        a=np.array([[0.0], [1.0]]),
-        rows=(rows := rows_and_weights(times))[0],
-        weights=rows[1],
-        error=np.array([[0.0, 1.0]]),
-        highest=EXACT,
-        spent=np.zeros(1),
-        nodes=np.concatenate([tableau.c, [0.0, 1.0]]),
-        inverse=inverse,
-        real=np.ascontiguousarray(np.stack([back[real], vectors[:, real]], axis=1).real),
-        pair=np.ascontiguousarray(
-            [
-                [there.real, there.imag, 2.0 * again.real, 2.0 * again.imag]
-                for there, again in zip(back[pair], vectors[:, pair])
-            ]
-        ),
-        real_value=float(values[real].real),
-        pair_value=np.array([values[pair].real, values[pair].imag]),
-        estimate=tableau.e[0, :-1] @ inverse,
-        known=np.zeros(1),
-        z=np.zeros((STAGES + 2, f, 2)),
-        slopes=np.zeros((STAGES + 2, f, 2)),
-        initial=np.zeros((f, 2)),
-        stiffness=np.zeros((f, f)),
-        damping=np.zeros((f, f)),
-        factors=np.zeros((f, f)),
-        pivots=np.zeros(f, dtype=np.int64),
-        x=np.zeros(f),
-        real_factors=np.zeros((f, f)),
-        imag_factors=np.zeros((f, f)),
-        pair_pivots=np.zeros(f, dtype=np.int64),
-        real_x=np.zeros(f),
-        imag_x=np.zeros(f),
-        residual=np.zeros((STAGES, f, 2)),
-        next=np.zeros((f, 2)),
-    )
 
 
 @kernel

@@ -8,21 +8,8 @@ On the vector part (velocities) exp and dexp are the identity. On SO(3) x R^3 th
 group is (omega in body axes, rdot in WORLD axes): (6.26) and the note to it.
 
 This is a step of an explicit method, explicit.py; of an implicit one: implicit.py. The number of stages
-is data, so that all explicit tableaux share one compiled `advance`. With an error
-estimate each step is divided into substeps. The estimate is the difference of two such methods in
-the algebra:
-    delta = h sum_j e_j k_j ,   k_s+1 = dexp^-1_{-Psi} F(X_1) ,   Psi = h sum_j b_j k_j
-It has one screw (dxi, deta) and one twist difference (dw, dv) for every body. A substep is accepted
-if for every body
-    |dxi|^2/atol^2 + |deta|^2/atol^2 + |dw|^2/tol_w^2 + |dv|^2/tol_v^2 <= 1
-    tol_w = atol + rtol max(|w_0|, |w_1|),   tol_v = atol + rtol max(|v_0|, |v_1|)
-in rad, m, rad/s and m/s. The tolerance of poses is absolute, so that it does not depend on the
-origin of the world. The largest error of a body decides: a mean would hide one fast body among many
-slow ones. A method with two estimates of such norms e_5 and e_3 has e_5^2 / sqrt(e_5^2 + e_3^2 / 100)
-instead (Hairer, Norsett and Wanner, Solving ODEs I, (10.17)).
-
-A tolerance below rounding would only make substeps smaller. So atol is larger by ROUNDING / h, and next to a
-singular pose by h times the round-off in the accelerations.
+is data, so that all explicit tableaux share one compiled `advance`. With an error estimate each step is
+divided into substeps: error_control.py.
 """
 
 import math
@@ -37,15 +24,10 @@ from liegroup_core.model.arrays import copy_state
 from liegroup_core.status import DEPENDENT_ROWS, EVENT, OK, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS
 
 from . import explicit, implicit, spaces
+from .collocation import Collocation, make_collocation
+from .error_control import judge
 from .switching import Switching
 
-# Bounds of the ratio of two successive substeps, and safety factor of the next one.
-LARGEST_GROWTH, LARGEST_CUT, SAFETY = 5.0, 0.2, 0.9
-# Rounding of a pose, m or rad, as it shows in an error estimate: stiff forces make accelerations of it. At h
-# of their fastest oscillation that is a velocity of about the rounding of a pose divided by h.
-ROUNDING = 0.03 * 2.0**-52
-# Smallest substep as a fraction of a step; its inverse is the largest number of substeps.
-SMALLEST_SUBSTEP = 1e-9
 MOST_SUBSTEPS = 100_000
 # If no substep meets the tolerance, as next to a singular pose, a step is repeated with these multiples.
 # With the last one only stages that cannot be computed reject a substep.
@@ -53,66 +35,8 @@ LOOSER = (1e2, 1e4, 1e6, 1e8, 1e100)
 TOO_TIGHT = (DEPENDENT_ROWS, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS)
 
 take_substep = Choice(
-    "take_substep", {explicit.Scheme: explicit.substep, implicit.Collocation: implicit.substep}
+    "take_substep", {explicit.Scheme: explicit.substep, Collocation: implicit.substep}
 )
-
-
-@kernel
-def _change(error, estimates):
-    """Ratio of the next substep to this one: 0.9 error^(-3/16), or 0.9 error^(-1/8), within bounds.
-
-    For an estimate of order 4 the error is proportional to h^5. The exponent 3/16 instead of 1/5
-    needs only square roots. They are bit-identical on every machine, and so is the run. With two
-    estimates the error is proportional to h^8.
-    """
-    if not error < 1e8:
-        return LARGEST_CUT
-    root = math.sqrt(math.sqrt(math.sqrt(max(error, 1e-8))))
-    if estimates == 1:
-        root *= math.sqrt(root)
-    return min(LARGEST_GROWTH, max(LARGEST_CUT, SAFETY / root))
-
-
-@kernel
-def _error(model, work, scheme, h, twist, rtol, atol, length):
-    """Norm of the error estimate of a step from `twist`; a step is accepted up to 1."""
-    largest = 0.0
-    atol += h * work.report[4] + ROUNDING / h
-    for i in range(len(model.bodies)):
-        error = spaces.error_square(model, work, scheme, 0, h, twist, i, rtol, atol, length)
-        if len(scheme.error) == 2:
-            other = spaces.error_square(model, work, scheme, 1, h, twist, i, rtol, atol, length)
-            if error > 0.0:
-                error *= error / (error + 0.01 * other)
-        if not error < math.inf:
-            return math.inf
-        largest = max(largest, error)
-    return math.sqrt(largest)
-
-
-@kernel
-def _judge(model, work, scheme, h, size, status, twist, control):
-    """Accept or reject a substep of the given size, and set the size of the next one.
-
-    h       : s, the whole step
-    status  : of the substep; a substep that failed is rejected
-    control : see `advance`
-    returns (status, accepted): status is not OK if no smaller substep is allowed
-    """
-    error = math.inf
-    if status == OK:
-        error = _error(model, work, scheme, size, twist, control[4], control[5], control[8])
-    change = _change(error, len(scheme.error))
-    # A substep that ends early, at a change of inputs, says little about the longer one before it.
-    kept = control[0] if change == LARGEST_GROWTH else 0.0
-    control[0] = min(control[6], max(kept, size * change))
-    control[2] += 1.0
-    if error <= 1.0:
-        control[1] += 1.0
-        return OK, True
-    if control[0] < SMALLEST_SUBSTEP * h:
-        return (status if status != OK else SUBSTEP_TOO_SMALL), False
-    return OK, False
 
 
 @kernel
@@ -183,7 +107,7 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
             if controlled:
                 if status == OK:
                     first = 1
-                status, accepted = _judge(model, work, scheme, h, size, status, twist, control)
+                status, accepted = judge(model, work, scheme, h, size, status, twist, control)
                 if status == OK and attempts >= control[7] and not (accepted and count == 1):
                     status = TOO_MANY_SUBSTEPS
                 if status == OK and not accepted:
@@ -247,7 +171,7 @@ class MuntheKaas:
     def add(self, method, looser=1.0):
         """Add a method with error control that `choose` may take instead, with looser tolerances."""
         if method.implicit:
-            scheme = implicit.make_collocation(method.tableau, self.freedoms)
+            scheme = make_collocation(method.tableau, self.freedoms)
         else:
             highest = max(method.order - 2, 0) if self._truncated else EXACT
             scheme = explicit.make_scheme(method.tableau, highest)

@@ -79,7 +79,7 @@ _of_link = Choice("_of_link", {RelativeModel: _in_space, PlaneModel: _in_plane})
 
 @kernel
 def error_square(model, work, scheme, row, h, twist, i, rtol, atol, length):
-    """Square of an error estimate of the body that represents link i; see munthe_kaas.py."""
+    """Square of an error estimate of the body that represents link i; see error_control.py."""
     _difference(model, work, scheme, row, h, i)
     place = row * len(model.bodies)
     xi, eta, dw, dv = _of_link(model, work, i, place)

@@ -153,7 +153,7 @@ def check_end(model, work, h):
 
 @kernel
 def error_square(model, work, scheme, row, h, twist, i, rtol, atol, length):
-    """Square of an error estimate of body i for a step from `twist`; see munthe_kaas.py."""
+    """Square of an error estimate of body i for a step from `twist`; see error_control.py."""
     n = len(twist)
     xi, eta, dw, dv = _increment(h, scheme.error, row, scheme.error.shape[1], work.slopes, n, i)
     return error_norm_square(xi, eta, dw, dv, twist, work.stage_twist, i, rtol, atol, length)
