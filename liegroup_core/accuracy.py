@@ -2,8 +2,9 @@
 """Accuracy by control: the tolerance of the steps follows the estimate of the global error.
 
 The wanted error at time t is accuracy * max(1, t / horizon). Steps are taken with error control. Their
-tolerance, in rad and parts of the mechanism's size, is set at every checkpoint of the running error. An error of the velocities acts on the poses
-for ever, so that errors of the steps, tol per second, add up to
+tolerance, in rad and parts of the mechanism's size, is set at every checkpoint of the running error. An
+error of the velocities acts on the poses for ever, so that errors of the steps, tol per second, add up
+to
 
     V = int tol dt ,   X = int V dt ,   estimated error E = gain X
 

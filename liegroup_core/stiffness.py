@@ -96,8 +96,7 @@ class MethodChoice:
         most = self._attempts(1 - chosen, present)
         if most > 0 and (present > CHEAP or chosen == IMPLICIT):
             other = self._cost(1 - chosen, most)
-            # Where both take too many substeps, those of the implicit method can still grow.
-            if other < WORTH * present or other == present and chosen == EXPLICIT:
+            if other < WORTH * present:
                 for integrator in self._integrators:
                     integrator.choose(1 - chosen)
         self._waiting = self._wait * (self._evaluations - before)
@@ -114,7 +113,10 @@ class MethodChoice:
         return max(0, min(MOST_ATTEMPTS, math.ceil(saved / attempt)))
 
     def _cost(self, number, most):
-        """Evaluations of a step of the companion with a method and at most so many attempts; else inf."""
+        """Evaluations of a step of the companion with a method, from its part that so many attempts suffice for.
+
+        inf: they suffice for nothing, or the method fails.
+        """
         integrator, before = self._integrators[1], self._evaluations
         chosen, passes, kept = integrator.chosen, integrator.passes, self._companion.snapshot()
         integrator.passes = False
@@ -122,14 +124,15 @@ class MethodChoice:
         integrator.choose(number)
         try:
             self._companion.advance(1)
+            part = 1.0
         except SimulationError:
-            return math.inf
+            part = integrator.part
         finally:
             integrator.limit_attempts()
             integrator.passes = passes
             self._companion.restore(kept)
             integrator.choose(chosen)
-        return self._evaluations - before
+        return (self._evaluations - before) / part if part > 0.0 else math.inf
 
     def memory(self):
         """Numbers from which `remember` restores the choice, at the same state."""

@@ -255,6 +255,7 @@ def test_a_tolerance_below_rounding_does_not_make_substeps_tiny():
     """
     sliders = Sliders([0.34], [9.8e8], [98.0], [0.02], [0.0])
     rate = np.abs(sliders.rates).max()
-    simulation = Simulation(sliders.scene, EXPLICIT, 1e-3, rtol=1e-15, atol=1e-15, estimate=False)
+    simulation = Simulation(sliders.scene, step=1e-3, accuracy=1e-12)
     simulation.advance(20)
+    assert simulation.method == EXPLICIT and simulation._control._tolerance < 1e-14
     assert simulation.substeps[1] < 12.0 * rate * simulation.time

@@ -7,13 +7,13 @@ It has one screw (dxi, deta) and one twist difference (dw, dv) for every body. A
 if for every body
     |dxi|^2/atol^2 + |deta|^2/(atol L)^2 + |dw|^2/tol_w^2 + |dv|^2/tol_v^2 <= 1
     tol_w = atol + rtol max(|w_0|, |w_1|),   tol_v = atol L + rtol max(|v_0|, |v_1|)
-in rad, m, rad/s and m/s. L is 1 m, or with an accuracy the mechanism's size. The tolerance of poses is absolute, so that it does not depend on the
-origin of the world. The largest error of a body decides: a mean would hide one fast body among many
-slow ones. A method with two estimates of such norms e_5 and e_3 has e_5^2 / sqrt(e_5^2 + e_3^2 / 100)
-instead (Hairer, Norsett and Wanner, Solving ODEs I, (10.17)).
+in rad, m, rad/s and m/s. L is 1 m, or with an accuracy the mechanism's size. The tolerance of poses is
+absolute, so that it does not depend on the origin of the world. The largest error of a body decides: a
+mean would hide one fast body among many slow ones. A method with two estimates of such norms e_5 and
+e_3 has e_5^2 / sqrt(e_5^2 + e_3^2 / 100) instead (Hairer, Norsett and Wanner, Solving ODEs I, (10.17)).
 
-A tolerance below rounding would only make substeps smaller. So atol is larger by ROUNDING / h, and next to a
-singular pose by h times the round-off in the accelerations.
+A tolerance below rounding would only make substeps smaller. So atol is larger by h times the round-off in the
+accelerations next to a singular pose, and with an accuracy by ROUNDING / h. A given one is refused then.
 """
 
 import math
@@ -49,10 +49,10 @@ def _change(error, estimates):
 
 
 @kernel
-def _error(model, work, scheme, h, twist, rtol, atol, length):
+def _error(model, work, scheme, h, twist, control):
     """Norm of the error estimate of a step from `twist`; a step is accepted up to 1."""
-    largest = 0.0
-    atol += h * work.report[4] + ROUNDING / h
+    largest, rtol, length = 0.0, control[4], control[8]
+    atol = control[5] + h * work.report[4] + control[9] / h
     for i in range(len(model.bodies)):
         error = spaces.error_square(model, work, scheme, 0, h, twist, i, rtol, atol, length)
         if len(scheme.error) == 2:
@@ -76,7 +76,7 @@ def judge(model, work, scheme, h, size, status, twist, control):
     """
     error = math.inf
     if status == OK:
-        error = _error(model, work, scheme, size, twist, control[4], control[5], control[8])
+        error = _error(model, work, scheme, size, twist, control)
     change = _change(error, len(scheme.error))
     # A substep that ends early, at a change of inputs, says little about the longer one before it.
     kept = control[0] if change == LARGEST_GROWTH else 0.0

@@ -25,7 +25,7 @@ from liegroup_core.status import DEPENDENT_ROWS, EVENT, OK, SUBSTEP_TOO_SMALL, T
 
 from . import explicit, implicit, spaces
 from .collocation import Collocation, make_collocation
-from .error_control import judge
+from .error_control import ROUNDING, judge
 from .switching import Switching
 
 MOST_SUBSTEPS = 100_000
@@ -63,10 +63,11 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
 
     model, work     : Model and Work, or RelativeModel or PlaneModel and RelativeWork
     external        : external wrenches of these steps, see forces/external.py
-    control (9,)    : next substep in s, numbers of accepted and of attempted substeps so far, next
+    control (11,)   : next substep in s, numbers of accepted and of attempted substeps so far, next
                       substep at the start of the step, rtol of velocities, atol in rad, m, rad/s,
                       m/s, longest substep in s, most attempts in a step, length in m times which atol
-                      is that of positions; only for schemes with error control
+                      is that of positions, rounding of a pose, part of the step that the most attempts
+                      sufficed for; only for schemes with error control
     returns (steps done, status): fewer steps if status is not OK. Pose, twist and work.angle are
     those of the last valid step, after EVENT of the last valid substep. The low byte of status is
     the code. The other bytes are the element
@@ -131,6 +132,7 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
         if status == OK:
             done += 1
         elif controlled and status != EVENT:
+            control[10] = 1.0 - remaining / h if status == TOO_MANY_SUBSTEPS else 0.0
             _restore(work, pose, twist, control)
     if done > 0 or status == EVENT:
         spaces.leave(model, work, pose, twist, pose_in, twist_in)
@@ -145,7 +147,7 @@ class MuntheKaas:
                  move in their plane; "space": all mechanisms move in space, and on SE(3)^n by default
     rtol, atol : tolerances of error control, only for a tableau with an error estimate; see above
 
-    passes     : True: a step that cannot meet its tolerance is taken with a larger one
+    passes     : True: a step that cannot meet its tolerance is taken with a larger one, see `follow_accuracy`
     """
 
     passes = False
@@ -158,7 +160,7 @@ class MuntheKaas:
         self._model, self._work, self.work, ending = model_and_work(layout, group, options, stages)
         self._blocks = stages + 1
         self.kernels = ("implicit" if method.implicit else "rkmk") + ending
-        self._control = np.zeros(9)
+        self._control = np.zeros(11)
         self._control[7], self._control[8] = MOST_SUBSTEPS, 1.0
         self._tolerances = options.get("rtol", 0.0), options.get("atol", 1.0)
         self._methods, self._chosen, self._part = [], np.zeros(1), 1.0
@@ -214,9 +216,10 @@ class MuntheKaas:
         for k, tolerance in enumerate(self._tolerances):
             self._control[4 + k] = part * looser * tolerance
 
-    def measure_by(self, length):
-        """Set the length in m, times which atol is the tolerance of positions."""
-        self._control[8] = length
+    def follow_accuracy(self, length):
+        """Take all steps, none with tolerances below rounding; those of positions are times a length in m."""
+        self.passes = True
+        self._control[8:10] = length, ROUNDING
 
     def choose(self, number):
         """Continue with another of the methods, by its number in the order of `add`."""
@@ -239,7 +242,12 @@ class MuntheKaas:
 
     def limit_attempts(self, most=MOST_SUBSTEPS):
         """Set the largest number of attempted substeps in a step."""
-        self._control[7] = most
+        self._control[7], self._control[10] = most, 0.0
+
+    @property
+    def part(self):
+        """Part of the last step that failed after the largest number of attempts; otherwise 0."""
+        return float(self._control[10])
 
     def limit(self, longest):
         """Set the longest substep in s, and restart."""
