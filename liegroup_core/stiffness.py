@@ -7,7 +7,8 @@ more evaluations for a substep, and is of lower order. Which one is cheaper is t
 the running error the companion takes a step with each, and returns. Both are one-step methods under the
 same control, so that nothing else changes.
 
-A trial ends as soon as it costs more than it could save. The next one comes after as much as both trials
+A trial ends as soon as it costs more than it could save; the cost of the step then follows from the part of it
+that is done. The next one comes after as much as both trials
 cost, as the start of a motion says little of the rest, and then after up to WAIT times that.
 Cost counts evaluations of the accelerations, not time, so that a repeated run is bit-identical.
 """
