@@ -131,15 +131,26 @@ class Listener:
         return {pair.key: pair.value for pair in self.diagnostics[-1].status[0].values}
 
 
-def paced(listener, folder, seconds, name, scene, rate):
-    """Real-time run with pose, twist, /clock and recording: one line of figures."""
+def paced(listener, folder, seconds, name, parameters, push=False):
+    """Real-time run with pose, twist, /clock and recording: one line of figures, and what it says.
+
+    push : True: of 50 N on the first body, once a second
+    """
     path = folder / f"{name.replace(' ', '_')}.mcap"
-    with simulation(scene=scene, publish_rate=rate, clock_rate=rate, record=path) as node:
+    with simulation(**parameters, record=path) as node:
+        publisher = listener.node.create_publisher(WrenchStamped, "/sim_node/wrench", 10)
         first, cpu = listener.figures(), node.cpu()
-        listener.spin(seconds)
+        if push:
+            listener.until(publisher.get_subscription_count)
+            for _ in range(round(seconds)):
+                publisher.publish(pushed(50.0, "top"))
+                listener.spin(1.0)
+        else:
+            listener.spin(seconds)
         last = listener.figures()
         cpu = node.cpu() - cpu
         node.end()
+        listener.node.destroy_publisher(publisher)
     recording = read_recording(path)
     simulated = float(last["sim_time_s"]) - float(first["sim_time_s"])
     wall = recording.pacing["wall_seconds"]
@@ -147,6 +158,15 @@ def paced(listener, folder, seconds, name, scene, rate):
     line(name, recording.pacing, (len(track.stamp_ns) - 1) / wall, cpu / simulated)
     if not recording.complete or recording.lost:
         raise SystemExit(f"node.py: {name}: the recording is not complete")
+    if push and int(last["wrenches_accepted"]) != round(seconds):
+        raise SystemExit(f"node.py: {name}: {last['wrenches_accepted']} pushes were taken")
+    for event in recording.events:
+        if event.name in ("accuracy", "inaccurate", "unpredictable", "slow"):
+            print(f"    {event.stamp_ns * 1e-9:8.3f} s {event.name}: {event.text}")
+
+
+def at(rate):
+    return {"publish_rate": rate, "clock_rate": rate}
 
 
 def line(name, pacing, rate, cpu):
@@ -162,10 +182,10 @@ def real_time(listener, folder, seconds):
         "\nin real time                 rate/s  late p50      p99       max   CPU %   rt factor"
         "   (lateness in us)"
     )
-    paced(listener, folder, seconds, "heavy top", "heavy_top", 1000.0)
+    paced(listener, folder, seconds, "heavy top", {"scene": "heavy_top", **at(1000.0)})
     many = folder / "many.yaml"
     many.write_text(MANY)
-    paced(listener, folder, seconds, "20 bodies", many, 500.0)
+    paced(listener, folder, seconds, "20 bodies", {"scene": many, **at(500.0)})
     with Process(BARE, "paced", seconds) as bare:
         answer = bare.answer()
     line("bare loop, ready bytes", answer, answer["ticks"] / answer["wall_seconds"], answer["cpu"])
@@ -202,46 +222,17 @@ def kept(listener, folder, seconds):
         "\naccuracy, recorded           rate/s  late p50      p99       max   CPU %   rt factor"
         "   (lateness in us)"
     )
-    fast, push = {"publish_rate": 1000.0, "clock_rate": 1000.0}, "/sim_node/wrench"
-    heavy = {"scene": "heavy_top", **fast}
-    observed(listener, folder, seconds, "default", heavy, push)
+    heavy = {"scene": "heavy_top", **at(1000.0)}
     fixed = {**heavy, "method": "rkmk853", "step": 1e-3}
-    observed(listener, folder, seconds, "rkmk853", fixed, push)
-    observed(listener, folder, seconds, "no estimate", {**fixed, "estimate": False}, push)
+    paced(listener, folder, seconds, "default", heavy, push=True)
+    paced(listener, folder, seconds, "rkmk853", fixed, push=True)
+    paced(listener, folder, seconds, "no estimate", {**fixed, "estimate": False}, push=True)
     large = folder / "large.yaml"
     large.write_text(chain(600, "spherical", length=10.0).text)
     slow = {"scene": large, "body_wrenches": False, "publish_rate": 10.0}
-    observed(listener, folder, seconds, "600 links, 1e-9", {**slow, "accuracy": 1e-9})
+    paced(listener, folder, seconds, "600 links, 1e-9", {**slow, "accuracy": 1e-9})
     fixed = {**slow, "method": "rkmk4", "step": 1e-2, "estimate": False}
-    observed(listener, folder, seconds, "600 links, rkmk4", fixed)
-
-
-def observed(listener, folder, seconds, name, parameters, push=None):
-    """Real-time run with a push of 50 N every second on a topic: a line of figures, and its events."""
-    path = folder / f"{name.replace(' ', '_')}.mcap"
-    with simulation(**parameters, record=path) as node:
-        listener.figures()
-        publisher = push and listener.node.create_publisher(WrenchStamped, push, 10)
-        listener.spin(2.0)
-        first, cpu = listener.figures(), node.cpu()
-        for _ in range(round(seconds)):
-            if push:
-                message = pushed(50.0)
-                message.header.frame_id = "top"
-                publisher.publish(message)
-            listener.spin(1.0)
-        last, cpu = listener.figures(), node.cpu() - cpu
-        node.end()
-    recording = read_recording(path)
-    simulated = float(last["sim_time_s"]) - float(first["sim_time_s"])
-    track = recording.pose[recording.bodies[0]]
-    rate = (len(track.stamp_ns) - 1) / recording.pacing["wall_seconds"]
-    line(name, recording.pacing, rate, cpu / simulated)
-    if push and int(last["wrenches_accepted"]) != round(seconds):
-        raise SystemExit(f"node.py: {last['wrenches_accepted']} pushes were taken")
-    for event in recording.events:
-        if event.name in ("accuracy", "inaccurate", "unpredictable", "slow"):
-            print(f"    {event.stamp_ns * 1e-9:8.3f} s {event.name}: {event.text}")
+    paced(listener, folder, seconds, "600 links, rkmk4", fixed)
 
 
 def largest(listener, folder, seconds):
@@ -297,10 +288,10 @@ def trips(listener, out, back, count, pause=2e-3):
     return times
 
 
-def pushed(force):
+def pushed(force, body="puck"):
     """To and fro: the node's speed goes 0, v, 0, v; the echo says the force itself."""
     message = WrenchStamped()
-    message.header.frame_id, message.wrench.force.x = "puck", force
+    message.header.frame_id, message.wrench.force.x = body, force
     return message
 
 

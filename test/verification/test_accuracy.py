@@ -56,24 +56,23 @@ def test_the_accuracy_is_kept_through_a_push(name, accuracy):
     assert simulation.method == "rkmk853" and simulation.promise["accuracy"] == accuracy
 
 
+def scaled(entry, c, key=""):
+    """Entries of a scene with all lengths and gravity times c; key: that of the entry."""
+    if isinstance(entry, dict):
+        return {key: scaled(value, c, key) for key, value in entry.items()}
+    if key in ("position", "gravity"):
+        return [c * x for x in entry]
+    if key == "inertia":
+        return [c * c * x for x in entry]
+    return [scaled(part, c) for part in entry] if isinstance(entry, list) else entry
+
+
 @pytest.mark.parametrize("factor", [2.0**-10, 2.0**10])
 def test_an_accuracy_does_not_depend_on_the_size(factor):
     """With all lengths and gravity times a power of two the same substeps lead to the same bits, scaled."""
-    scene = load_scene("double_pendulum")
-    lengths = {"position", "gravity"}
-    states = []
+    entries, states = yaml.safe_load(load_scene("double_pendulum").text), []
     for c in (1.0, factor):
-
-        def scaled(entry, key="", c=c):
-            if isinstance(entry, dict):
-                return {key: scaled(value, key) for key, value in entry.items()}
-            if key in lengths:
-                return [c * x for x in entry]
-            if key == "inertia":
-                return [c * c * x for x in entry]
-            return [scaled(part) for part in entry] if isinstance(entry, list) else entry
-
-        text = yaml.safe_dump(scaled(yaml.safe_load(scene.text)))
+        text = yaml.safe_dump(scaled(entries, c))
         simulation = Simulation(scene_from_text(text), accuracy=1e-11, horizon=10.0)
         simulation.advance(200)
         pose = simulation.state()[0].copy()

@@ -13,7 +13,8 @@ mean would hide one fast body among many slow ones. A method with two estimates 
 e_3 has e_5^2 / sqrt(e_5^2 + e_3^2 / 100) instead (Hairer, Norsett and Wanner, Solving ODEs I, (10.17)).
 
 A tolerance below rounding would only make substeps smaller. So atol is larger by h times the round-off in the
-accelerations next to a singular pose, and with an accuracy by ROUNDING / h. A given one is refused then.
+accelerations next to a singular pose, and with an accuracy by ROUNDING / h. With given tolerances such a step
+ends with SUBSTEP_TOO_SMALL.
 """
 
 import math
