@@ -29,8 +29,8 @@ both runs lose the motion, as an oscillation that their steps do not resolve, th
 with the true one. Checkpoints, after MEETINGS of them and more often at the start, depend on the step
 count alone, so that a repeated run has bit-identical estimates.
 
-With an accuracy the two meet at checkpoints only, after about SUBSTEPS substeps, no motion is lost, and
-no estimate in between is computed: an error that grew is taken to grow on until the next one. If the
+With an accuracy the two are compared at checkpoints only, after about SUBSTEPS substeps, no motion is lost,
+and no estimate in between is computed: an error that grew is taken to grow on until the next one. If the
 companion cannot continue, the estimate is infinite from then on. Before the first meeting it is NaN.
 
 With error control the companion takes four steps in one: in steps as short as those of the simulation
@@ -80,6 +80,7 @@ _KEPT = (
     "_block",
     "_substeps",
     "_alive",
+    "_failed",
     "_distance",
     "_largest",
     "_window",
@@ -193,7 +194,7 @@ class RunningError:
         self._set_at, self._kept_at = self.engine.steps, self.engine.time
         self._start, self._next = None, 0  # steps at which the companion started, and meets next
         self._block = self._substeps = 0  # steps to the next checkpoint, substeps at the last one
-        self._alive = True
+        self._alive, self._failed = True, False
         self._distance[:] = self._window[:] = self._motion[:] = self._least[:] = 0.0
         self._least_pose = 0.0
         # Largest m and rad of all bodies, of the distance and of each part of the window.
@@ -211,8 +212,8 @@ class RunningError:
             return end
         if self._start is None:
             return min(end, (steps // self.ours + 1) * self.ours)
-        if self._next <= end or self._by_work:
-            return min(self._next, end)
+        if self._next <= end:
+            return self._next
         meeting = end // self.ours * self.ours
         return meeting if meeting > steps else end
 
@@ -241,12 +242,16 @@ class RunningError:
         if self._start is None:
             self._begin(steps)
             return
+        if not self._failed:
+            try:
+                self._companion.advance_to(steps // self.ours * self._theirs)
+                self._companion.drain_applied()  # nobody else does
+            except SimulationError:
+                self._failed = True
+        # In between, the companion only shares out its work.
         if self._by_work and steps != self._next:
             return
-        try:
-            self._companion.advance_to(steps // self.ours * self._theirs)
-            self._companion.drain_applied()  # nobody else does
-        except SimulationError:
+        if self._failed:
             self._alive = False
             self._set_infinite()
             self._keep()
@@ -411,7 +416,7 @@ class RunningError:
         """Array from which `remember` restores the estimate."""
         companion = self._companion
         start = -1 if self._start is None else self._start
-        own = self._set_at, start, self._alive, self._next, self._block, self._substeps
+        own = self._set_at, start, self._alive, self._failed, self._next, self._block, self._substeps
         motion = self._origin, self._motion, self._least
         return np.concatenate(
             [
@@ -430,18 +435,18 @@ class RunningError:
         n, k = len(self._distance), len(self._companion.sample().angles)
         own, distance, window, *motion, pose, twist, angles, rest = np.split(
             memory,
-            np.cumsum([10, 4 * n, self._window.size, 12 * n, 4 * n, 4 * n, 12 * n, 6 * n, k]),
+            np.cumsum([11, 4 * n, self._window.size, 12 * n, 4 * n, 4 * n, 12 * n, 6 * n, k]),
         )
         for mine, part in zip((self._origin, self._motion, self._least), motion):
             mine[:] = part.reshape(mine.shape)
-        set_at, start, alive, following, block, substeps, checkpoints = (int(x) for x in own[:7])
+        set_at, start, *alive, following, block, substeps, checkpoints = (int(x) for x in own[:8])
         self._companion.set_state(
-            pose.reshape(n, 12), twist.reshape(n, 6), int(own[9]), angles, rest.tobytes()
+            pose.reshape(n, 12), twist.reshape(n, 6), int(own[10]), angles, rest.tobytes()
         )
         self._set_at, self._start = set_at, None if start < 0 else start
-        self._alive, self._next, self.checkpoints = bool(alive), following, checkpoints
-        self._block, self._substeps = block, substeps
-        self.predictable_until, self._kept_at = map(float, own[7:9])
+        (self._alive, self._failed), self._next = map(bool, alive), following
+        self._block, self._substeps, self.checkpoints = block, substeps, checkpoints
+        self.predictable_until, self._kept_at = map(float, own[8:10])
         self._distance[:] = distance.reshape(n, 4)
         self._window[:] = window.reshape(self._window.shape)
         self._set_least_pose()

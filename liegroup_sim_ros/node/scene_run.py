@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run of one scene: simulation thread, topics and recording. ~/reload replaces it."""
 
+import gc
 import logging
 import threading
 from concurrent.futures import Future, wait
@@ -122,6 +123,11 @@ class SceneRun:
 
     def start(self):
         """Start the simulation thread and log the configuration."""
+        # What exists now is not searched for garbage again: a search would delay a step by 0.1 s, and by
+        # 1 s after kernels were compiled.
+        gc.unfreeze()
+        gc.collect()
+        gc.freeze()
         self.server.start()
         simulation = self.simulation
         count = len(simulation.layout.body_names)

@@ -173,6 +173,44 @@ def test_without_its_companion_the_estimate_is_infinite_to_the_end(arguments, mo
     assert simulation.predictable_until < simulation.time
 
 
+def test_the_companion_shares_out_its_work_over_the_steps():
+    """Real time: a block of steps of the companion at once would be late. Also after another accuracy."""
+    simulation = Simulation(load_scene("heavy_top"), accuracy=1e-6)
+    simulation.advance(100)
+    simulation.set_accuracy(1e-5)
+    running = simulation._running
+    blocks = set()
+    for _ in range(100):
+        simulation.advance(1)
+        blocks.add(running._block)
+        assert simulation.steps - running.companion.steps * running.ours < running.ours
+    assert max(blocks) > running.ours
+
+
+def test_a_companion_that_fails_between_checkpoints_is_noticed_at_the_next(monkeypatch):
+    """However the steps are asked for."""
+    ends = []
+    for at_once in (1, 50):
+        simulation = Simulation(load_scene("heavy_top"), accuracy=1e-6, quiet=True)
+        simulation.advance(50)
+        running = simulation._running
+        block, advance_to = running._block, running.companion.advance_to
+        fails = running._next - block + running.ours  # engine steps, inside a block
+        assert block > running.ours
+
+        def stop(steps):
+            if steps * running.ours >= fails:
+                raise SimulationError("stopped")
+            advance_to(steps)
+
+        monkeypatch.setattr(running.companion, "advance_to", stop)
+        while simulation.steps < 100:
+            simulation.advance(at_once)
+        assert simulation.largest_error == math.inf
+        ends.append((simulation.predictable_until, simulation.accurate_until))
+    assert ends[0] == ends[1] and ends[0][0] < math.inf
+
+
 @pytest.mark.parametrize(
     "method, turn",
     [("rkmk4", 1.0), ("rkmk4", 2.0), ("rkmk2", 0.1), ("rkmk8", 2.0), ("rkmk8", 2.5)]
