@@ -2,9 +2,10 @@
 """Choice between an explicit and an implicit method, by their cost, in a simulation to an accuracy.
 
 Forces that change fast with the state, as of a hard spring or a strong damper, limit the substeps of an
-explicit method by stability, however slow the motion is. An implicit one has no such limit, but takes
-more evaluations for a substep, and is of lower order. Which one is cheaper is tried: at a checkpoint of
-the running error the companion takes a step with each, and returns. Both are one-step methods under the
+explicit method by stability, however slow the motion is. It shows in the companion of the running error:
+its tolerances are larger, but its substeps are hardly longer. An implicit method has no such limit, but takes
+more evaluations for a substep, and is of lower order. Which one is cheaper is tried then, and at the start:
+at a checkpoint the companion takes a step with each, and returns. Both are one-step methods under the
 same control, so that nothing else changes.
 
 A trial ends as soon as it costs more than it could save; the cost of the step then follows from the part of it
@@ -26,6 +27,9 @@ EXPLICIT, IMPLICIT = 0, 1  # numbers of the methods in the integrators
 STIFF = "radau5"
 # Where a step of the companion takes fewer evaluations, the implicit method cannot be cheaper.
 CHEAP = 100.0
+# Evaluations of the simulation per one of the companion, below which stability limits the explicit method.
+# Where tolerances limit it there are 1.7, of which single blocks differ by some tenths.
+ALIKE = 1.4
 WORTH, WAIT = 0.7, 16.0  # part of the present cost at which a change pays
 LEAST_COST = 6  # evaluations of the cheapest attempted substep, without its factorisations
 MOST_ATTEMPTS = 1000  # in a trial, and evaluations that they take at least with the explicit method
@@ -69,11 +73,13 @@ class MethodChoice:
         self._count()
 
     def _count(self):
-        self._counted, self._steps = self._evaluations, self._companion.steps
+        self._counted = [integrator.evaluations for integrator in self._integrators]
+        self._steps = self._companion.steps
 
     @property
-    def _evaluations(self):
-        return self._integrators[1].evaluations
+    def _spent(self):
+        """Evaluations of the simulation and of its companion since the last checkpoint."""
+        return [i.evaluations - before for i, before in zip(self._integrators, self._counted)]
 
     def start(self):
         """Choose at the start; call it when the companion may have started."""
@@ -83,16 +89,16 @@ class MethodChoice:
 
     def follow(self):
         """Change the method if that pays; call it at a checkpoint."""
-        steps, spent = self._companion.steps - self._steps, self._evaluations - self._counted
-        self._waiting -= spent
-        may_pay = spent > CHEAP * steps or self._integrators[0].chosen == IMPLICIT
-        if self._waiting <= 0.0 and may_pay:
+        steps, (ours, theirs) = self._companion.steps - self._steps, self._spent
+        self._waiting -= theirs
+        stiff = theirs > CHEAP * steps and ours < ALIKE * theirs
+        if self._waiting <= 0.0 and (stiff or self._integrators[0].chosen == IMPLICIT):
             self._choose()
         self._count()
 
     def _choose(self):
         """Try both methods from the present state, and continue with the cheaper one."""
-        before, chosen = self._evaluations, self._integrators[0].chosen
+        before, chosen = self._spent[1], self._integrators[0].chosen
         present = self._cost(chosen, MOST_ATTEMPTS)
         most = self._attempts(1 - chosen, present)
         if most > 0 and (present > CHEAP or chosen == IMPLICIT):
@@ -100,7 +106,7 @@ class MethodChoice:
             if other < WORTH * present:
                 for integrator in self._integrators:
                     integrator.choose(1 - chosen)
-        self._waiting = self._wait * (self._evaluations - before)
+        self._waiting = self._wait * (self._spent[1] - before)
         self._wait = min(WAIT, 2.0 * self._wait)
         self._continue()
 
@@ -118,7 +124,7 @@ class MethodChoice:
 
         inf: they suffice for nothing, or the method fails.
         """
-        integrator, before = self._integrators[1], self._evaluations
+        integrator, before = self._integrators[1], self._spent[1]
         chosen, passes, kept = integrator.chosen, integrator.passes, self._companion.snapshot()
         integrator.passes = False
         integrator.limit_attempts(most)
@@ -133,16 +139,16 @@ class MethodChoice:
             integrator.passes = passes
             self._companion.restore(kept)
             integrator.choose(chosen)
-        return (self._evaluations - before) / part if part > 0.0 else math.inf
+        return (self._spent[1] - before) / part if part > 0.0 else math.inf
 
     def memory(self):
         """Numbers from which `remember` restores the choice, at the same state."""
-        spent = self._evaluations - self._counted
-        return np.array([self._waiting, self._wait, self._begun, spent, self._steps])
+        return np.array([self._waiting, self._wait, self._begun, self._steps, *self._spent])
 
     def remember(self, memory):
         """Restore the choice from `memory`, after the engines."""
-        self._waiting, self._wait, begun, spent, steps = map(float, memory)
+        self._waiting, self._wait, begun, steps, *spent = map(float, memory)
         self._begun = bool(begun)
         self._continue()
-        self._counted, self._steps = self._evaluations - spent, int(steps)
+        self._counted = [now - part for now, part in zip(self._counted, spent)]
+        self._steps = int(steps)

@@ -11,10 +11,10 @@ import pytest
 import yaml
 from true_error import distance_at
 
-from liegroup_core import Simulation
+from liegroup_core import Simulation, load_scene
 from liegroup_core.reference import Reference
 from liegroup_core.scene.load import scene_from_text
-from liegroup_core.stiffness import STIFF
+from liegroup_core.stiffness import CHEAP, STIFF, MethodChoice
 
 GRAVITY = 9.81
 EXPLICIT = "rkmk853"
@@ -245,6 +245,23 @@ def test_the_method_follows_the_motion_and_repeats_are_bit_identical():
     simulation.reset()
     assert simulation.method == EXPLICIT and simulation.advance(1) is None
     assert simulation.method == methods[0]
+
+
+@pytest.mark.parametrize("name", ["lagrangian_top", "slider_crank", "four_bar"])
+def test_where_tolerances_limit_the_steps_nothing_is_tried_after_the_start(name, monkeypatch):
+    """Without hard springs a companion with larger tolerances takes longer substeps."""
+    simulation, tried = Simulation(load_scene(name), step=0.1, accuracy=1e-6, quiet=True), []
+    choose = MethodChoice._choose
+
+    def counted(choice):
+        tried.append(simulation.time)
+        choose(choice)
+
+    monkeypatch.setattr(MethodChoice, "_choose", counted)
+    simulation.advance(200)
+    companion = simulation._running.companion
+    assert 12 * companion.substeps[0] > CHEAP * companion.steps  # their number is no reason
+    assert tried[0] == 0.0 and len(tried) <= 2
 
 
 def test_a_tolerance_below_rounding_does_not_make_substeps_tiny():
