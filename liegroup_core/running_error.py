@@ -416,7 +416,15 @@ class RunningError:
         """Array from which `remember` restores the estimate."""
         companion = self._companion
         start = -1 if self._start is None else self._start
-        own = self._set_at, start, self._alive, self._failed, self._next, self._block, self._substeps
+        own = (
+            self._set_at,
+            start,
+            self._alive,
+            self._failed,
+            self._next,
+            self._block,
+            self._substeps,
+        )
         motion = self._origin, self._motion, self._least
         return np.concatenate(
             [

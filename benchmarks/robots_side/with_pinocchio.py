@@ -8,7 +8,11 @@ from scipy.integrate import solve_ivp
 from .accelerations import Accelerations, coupled, difference, offsets_of
 from .motion import end_of
 
-STEPS = 1e-4, 2.5e-5, 5e-6  # s, of RK4 with Pinocchio's accelerations; smaller ones if the ends differ
+STEPS = (
+    1e-4,
+    2.5e-5,
+    5e-6,
+)  # s, of RK4 with Pinocchio's accelerations; smaller ones if the ends differ
 CLOSE = 1e-8  # m; a larger difference is computed again
 DISTURBANCE = 1e-12  # of the twists at the start, relative
 DIVERGED = 1e8  # m/s or rad/s
