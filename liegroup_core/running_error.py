@@ -416,19 +416,12 @@ class RunningError:
         """Array from which `remember` restores the estimate."""
         companion = self._companion
         start = -1 if self._start is None else self._start
-        own = (
-            self._set_at,
-            start,
-            self._alive,
-            self._failed,
-            self._next,
-            self._block,
-            self._substeps,
-        )
+        run = self._set_at, start, self._alive, self._failed
+        own = *run, self._next, self._block, self._substeps, self.checkpoints
         motion = self._origin, self._motion, self._least
         return np.concatenate(
             [
-                [*own, self.checkpoints, self.predictable_until, self._kept_at, companion.steps],
+                [*own, self.predictable_until, self._kept_at, companion.steps],
                 self._distance.ravel(),
                 self._window.ravel(),
                 *(part.ravel() for part in motion),

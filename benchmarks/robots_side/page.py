@@ -17,8 +17,9 @@ example-robot-data, mujoco and dm_control. How to use your own: [bring your robo
   scene, loops as exact rows. MJCF: MuJoCo reads the same file, without armature, friction, limits, contact
   and actuators.
 * *motion*: largest difference of the positions of all bodies, in m, after 1 s of motion under gravity from
-  random speeds, without stops and friction. Here an accuracy of 1e-10. MJCF: MuJoCo's RK4 with steps of 0.05 ms. URDF: RK4 of
-  Pinocchio's accelerations on its configuration space with steps of 0.1 ms. If the ends differ by more than
+  random speeds, without stops and friction. Here an accuracy of 1e-10. MJCF: MuJoCo's RK4 with steps of
+  0.05 ms. URDF: RK4 of Pinocchio's accelerations on its configuration space with steps of 0.1 ms. If the
+  ends differ by more than
   1e-8 m, their steps are divided by four or five, up to twice; then SciPy's Radau takes Pinocchio's
   accelerations.
 """
