@@ -242,9 +242,12 @@ class RunningError:
         if self._start is None:
             self._begin(steps)
             return
+        meeting = steps // self.ours * self._theirs
+        if self._companion.steps == meeting:
+            return
         if not self._failed:
             try:
-                self._companion.advance_to(steps // self.ours * self._theirs)
+                self._companion.advance_to(meeting)
                 self._companion.drain_applied()  # nobody else does
             except SimulationError:
                 self._failed = True

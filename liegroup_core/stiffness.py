@@ -4,9 +4,9 @@
 Forces that change fast with the state, as of a hard spring or a strong damper, limit the substeps of an
 explicit method by stability, however slow the motion is. It shows in the companion of the running error:
 its tolerances are larger, but its substeps are hardly longer. An implicit method has no such limit, but takes
-more evaluations for a substep, and is of lower order. Which one is cheaper is tried then, and at the start:
-at a checkpoint the companion takes a step with each, and returns. Both are one-step methods under the
-same control, so that nothing else changes.
+more evaluations for a substep, and is of lower order. Which one is cheaper is tried then, and at the start if
+the first step is expensive: the companion takes a step with each, and returns. Both are one-step methods
+under the same control, so that nothing else changes.
 
 A trial ends as soon as it costs more than it could save; the cost of the step then follows from the part of it
 that is done. The next one comes after as much as both trials
@@ -27,6 +27,8 @@ EXPLICIT, IMPLICIT = 0, 1  # numbers of the methods in the integrators
 STIFF = "radau5"
 # Where a step of the companion takes fewer evaluations, the implicit method cannot be cheaper.
 CHEAP = 100.0
+# Evaluations in the first step of the companion, above which both methods are tried at once.
+DEAR = 1000
 # Evaluations of the simulation per one of the companion, below which stability limits the explicit method.
 # Where tolerances limit it there are 1.7, of which single blocks differ by some tenths.
 ALIKE = 1.4
@@ -64,7 +66,7 @@ class MethodChoice:
             integrator.choose(EXPLICIT)
 
     def restart(self):
-        """Start with the cheaper one: the state was set."""
+        """Start again, with the explicit one: the state was set."""
         self._waiting, self._wait, self._begun = 0.0, 1.0, False
         self._continue()
 
@@ -82,10 +84,12 @@ class MethodChoice:
         return [i.evaluations - before for i, before in zip(self._integrators, self._counted)]
 
     def start(self):
-        """Choose at the start; call it when the companion may have started."""
+        """Try both if the start is expensive; call it when the companion may have started."""
         if not self._begun and self._running.begun:
             self._begun = True
-            self._choose()
+            if self._cost(EXPLICIT, DEAR // 10) > DEAR:
+                self._choose()
+            self._count()
 
     def follow(self):
         """Change the method if that pays; call it at a checkpoint."""

@@ -3,6 +3,7 @@
 
 import mujoco
 import numpy as np
+from scipy.integrate import solve_ivp
 
 from liegroup_core.lie.groups import SE3
 
@@ -85,20 +86,47 @@ def motion_against_mujoco(path, scene, seconds=1.0):
     poses, twists, _ = _state(model, data, scene, real)
     end = end_of(scene, *_arrays(scene, poses, twists), seconds)
     names = [body.name for body in scene.bodies]
-    best = np.inf
-    for step in STEPS:
-        model.opt.timestep = step
+    best = {"motion_m": np.inf}
+    for step in (*STEPS, None):
         mujoco.mj_resetData(model, data)
         data.qvel[:] = start
-        for _ in range(round(seconds / step)):
-            mujoco.mj_step(model, data)
-        mujoco.mj_kinematics(model, data)
+        _integrate(model, data, seconds, step)
         error = max(np.abs(end[names.index(name)] - data.xpos[i]).max() for name, i in real.items())
-        best = min(best, float(error))
-        if best < CLOSE:
+        if error < best["motion_m"]:
+            best = {"motion_m": float(error), "stiff": step is None}
+        if error < CLOSE:
             break
     moved = max(np.abs(end[names.index(name)] - poses[name][:3, 3]).max() for name in real)
-    return {"motion_m": best, "moved_m": float(moved)}
+    return best | {"moved_m": float(moved)}
+
+
+def _integrate(model, data, seconds, step):
+    """Move to the end of a motion; step: s, of RK4; None: SciPy's Radau with MuJoCo's accelerations."""
+    if step is None:
+
+        def slope(_, y):
+            data.qpos[:], data.qvel[:] = np.split(y, [model.nq])
+            mujoco.mj_forward(model, data)
+            rate, velocity = np.empty(model.nq), y[model.nq :]
+            for kind, at, dof in zip(model.jnt_type, model.jnt_qposadr, model.jnt_dofadr):
+                if kind == mujoco.mjtJoint.mjJNT_FREE:
+                    rate[at : at + 3], at, dof = velocity[dof : dof + 3], at + 3, dof + 3
+                if kind in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
+                    turned = np.empty(4)
+                    mujoco.mju_derivQuat(turned, y[at : at + 4], velocity[dof : dof + 3])
+                    rate[at : at + 4] = turned
+                else:
+                    rate[at] = velocity[dof]
+            return np.concatenate([rate, data.qacc])
+
+        begin = np.concatenate([data.qpos, data.qvel])
+        solution = solve_ivp(slope, (0.0, seconds), begin, "Radau", rtol=1e-10, atol=1e-12)
+        data.qpos[:], data.qvel[:] = np.split(solution.y[:, -1], [model.nq])
+    else:
+        model.opt.timestep = step
+        for _ in range(round(seconds / step)):
+            mujoco.mj_step(model, data)
+    mujoco.mj_kinematics(model, data)
 
 
 def _coupled_mujoco(scene, offsets, model, data):

@@ -248,7 +248,7 @@ def test_the_method_follows_the_motion_and_repeats_are_bit_identical():
 
 
 @pytest.mark.parametrize("name", ["lagrangian_top", "slider_crank", "four_bar"])
-def test_where_tolerances_limit_the_steps_nothing_is_tried_after_the_start(name, monkeypatch):
+def test_where_tolerances_limit_the_steps_nothing_is_tried(name, monkeypatch):
     """Without hard springs a companion with larger tolerances takes longer substeps."""
     simulation, tried = Simulation(load_scene(name), step=0.1, accuracy=1e-6, quiet=True), []
     choose = MethodChoice._choose
@@ -261,7 +261,7 @@ def test_where_tolerances_limit_the_steps_nothing_is_tried_after_the_start(name,
     simulation.advance(200)
     companion = simulation._running.companion
     assert 12 * companion.substeps[0] > CHEAP * companion.steps  # their number is no reason
-    assert tried[0] == 0.0 and len(tried) <= 2
+    assert len(tried) <= 1, tried  # at the start
 
 
 def test_a_tolerance_below_rounding_does_not_make_substeps_tiny():
