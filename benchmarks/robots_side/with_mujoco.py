@@ -112,8 +112,9 @@ def _integrate(model, data, seconds, step):
                 if kind == mujoco.mjtJoint.mjJNT_FREE:
                     rate[at : at + 3], at, dof = velocity[dof : dof + 3], at + 3, dof + 3
                 if kind in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
-                    turned = np.empty(4)
-                    mujoco.mju_derivQuat(turned, y[at : at + 4], velocity[dof : dof + 3])
+                    # The angular velocity is in the axes of the body.
+                    turned, spin = np.empty(4), np.array([0.0, *velocity[dof : dof + 3]])
+                    mujoco.mju_mulQuat(turned, y[at : at + 4], 0.5 * spin)
                     rate[at : at + 4] = turned
                 else:
                     rate[at] = velocity[dof]

@@ -29,8 +29,8 @@ LARGEST_GROWTH, LARGEST_CUT, SAFETY = 5.0, 0.2, 0.9
 # Rounding of a pose, m or rad, as it shows in an error estimate: stiff forces make accelerations of it. At h
 # of their fastest oscillation that is a velocity of about the rounding of a pose divided by h.
 ROUNDING = 0.03 * 2.0**-52
-# Smallest substep as a fraction of a step; its inverse is the largest number of substeps.
-SMALLEST_SUBSTEP = 1e-9
+# Smallest substep as a fraction of a step: that fast dampers stop light bodies.
+SMALLEST_SUBSTEP = 1e-13
 
 
 @kernel
