@@ -2,6 +2,7 @@
 """Motion of a robot as a simulation to an accuracy gives it."""
 
 import numpy as np
+from scipy.integrate import solve_ivp
 
 from liegroup_core import Simulation, SimulationError
 
@@ -21,3 +22,13 @@ def end_of(scene, pose, twist, seconds):
     simulation.advance(round(seconds / simulation.step))
     found = simulation.sample().positions
     return np.array([found[body.name] for body in scene.bodies])
+
+
+def radau(slope, start, seconds):
+    """State of SciPy's Radau after some seconds; infinite if it fails."""
+    # Its own first step overflows where dampers stop light joints.
+    with np.errstate(all="ignore"):
+        solution = solve_ivp(
+            slope, (0.0, seconds), start, "Radau", rtol=1e-10, atol=1e-12, first_step=1e-13
+        )
+    return solution.y[:, -1] if solution.success else np.full_like(start, np.inf)

@@ -125,7 +125,7 @@ def summary_of(rows):
         if stiff:
             lines.append(
                 "Damping stops light joints of some robots so soon that explicit steps would have to be "
-                f"tiny. They are integrated by `radau5` here, and there by SciPy's Radau: {', '.join(stiff)}."
+                f"tiny. There the other side is SciPy's Radau: {', '.join(stiff)}."
             )
         if stopped:
             lines.append(f"Not integrated: {', '.join(map(_name, stopped))}.")

@@ -3,12 +3,11 @@
 
 import mujoco
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from liegroup_core.lie.groups import SE3
 
 from .accelerations import Accelerations, coupled, difference, offsets_of
-from .motion import end_of
+from .motion import end_of, radau
 
 STEPS = 5e-5, 1e-5, 2e-6  # s, of RK4; smaller ones if the ends differ
 CLOSE = 1e-8  # m; a larger difference is computed again
@@ -120,9 +119,8 @@ def _integrate(model, data, seconds, step):
                     rate[at] = velocity[dof]
             return np.concatenate([rate, data.qacc])
 
-        begin = np.concatenate([data.qpos, data.qvel])
-        solution = solve_ivp(slope, (0.0, seconds), begin, "Radau", rtol=1e-10, atol=1e-12)
-        data.qpos[:], data.qvel[:] = np.split(solution.y[:, -1], [model.nq])
+        end = radau(slope, np.concatenate([data.qpos, data.qvel]), seconds)
+        data.qpos[:], data.qvel[:] = np.split(end, [model.nq])
     else:
         model.opt.timestep = step
         for _ in range(round(seconds / step)):

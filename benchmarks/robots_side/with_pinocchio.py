@@ -3,10 +3,9 @@
 
 import numpy as np
 import pinocchio as pin
-from scipy.integrate import solve_ivp
 
 from .accelerations import Accelerations, coupled, difference, offsets_of
-from .motion import end_of
+from .motion import end_of, radau
 
 STEPS = (
     1e-4,
@@ -132,11 +131,12 @@ class _Tree:
         step : s, of RK4; None: SciPy's Radau
         """
         if step is None:
-            solution = solve_ivp(
+            end = radau(
                 lambda _, y: np.concatenate(self._slope(q, *np.split(y, 2), rows)),
-                (0.0, seconds), np.concatenate([0.0 * v, v]), "Radau", rtol=1e-10, atol=1e-12,
-            )  # fmt: skip
-            at, v = np.split(solution.y[:, -1], 2)
+                np.concatenate([0.0 * v, v]),
+                seconds,
+            )
+            at, v = np.split(end, 2)
             q = pin.integrate(self.model, q, at)
         else:
             for _ in range(round(seconds / step)):
