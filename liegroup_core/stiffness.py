@@ -8,8 +8,8 @@ more evaluations for a substep, and is of lower order. Which one is cheaper is t
 the first step is expensive: the companion takes a step with each, and returns. Both are one-step methods
 under the same control, so that nothing else changes.
 
-A trial ends as soon as it costs more than it could save; the cost of the step then follows from the part of it
-that is done. The next one comes after as much as both trials
+A trial ends as soon as it costs more than it could save; the cost of the step then follows from the last
+substep, as they grow after a start. The next one comes after as much as both trials
 cost, as the start of a motion says little of the rest, and then after up to WAIT times that.
 Cost counts evaluations of the accelerations, not time, so that a repeated run is bit-identical.
 """
@@ -34,8 +34,7 @@ DEAR = 1000
 ALIKE = 1.4
 WORTH, WAIT = 0.7, 16.0  # part of the present cost at which a change pays
 LEAST_COST = 6  # evaluations of the cheapest attempted substep, without its factorisations
-MOST_ATTEMPTS = 1000  # in a trial, and evaluations that they take at least with the explicit method
-LARGEST_COST = 12_000
+MOST_ATTEMPTS = 1000  # in a trial
 
 
 class MethodChoice:
@@ -120,11 +119,11 @@ class MethodChoice:
         if number == IMPLICIT:
             f = self._integrators[1].freedoms
             matrix, attempt = 2 * f, LEAST_COST + f * f // FREEDOMS_SQUARED
-        saved = WORTH * min(present, LARGEST_COST) - matrix
-        return max(0, min(MOST_ATTEMPTS, math.ceil(saved / attempt)))
+        saved = WORTH * present - matrix
+        return max(0, math.ceil(min(MOST_ATTEMPTS, saved / attempt)))
 
     def _cost(self, number, most):
-        """Evaluations of a step of the companion with a method, from its part that so many attempts suffice for.
+        """Evaluations of a step of the companion with a method, from so many attempted substeps.
 
         inf: they suffice for nothing, or the method fails.
         """

@@ -27,8 +27,10 @@ def end_of(scene, pose, twist, seconds):
 def radau(slope, start, seconds):
     """State of SciPy's Radau after some seconds; infinite if it fails."""
     # Its own first step overflows where dampers stop light joints.
-    with np.errstate(all="ignore"):
-        solution = solve_ivp(
-            slope, (0.0, seconds), start, "Radau", rtol=1e-10, atol=1e-12, first_step=1e-13
-        )
+    settings = {"rtol": 1e-10, "atol": 1e-12, "first_step": 1e-13}
+    try:
+        with np.errstate(all="ignore"):
+            solution = solve_ivp(slope, (0.0, seconds), start, "Radau", **settings)
+    except ValueError:  # its matrix is not finite
+        return np.full_like(start, np.inf)
     return solution.y[:, -1] if solution.success else np.full_like(start, np.inf)

@@ -106,6 +106,7 @@ def summary_of(rows):
     for peer in (TREES, MUJOCO):
         rows_of = [row for row in loaded if row.get("peer") == peer and "motion_m" in row]
         stopped = [row for row in rows_of if isinstance(row["motion_m"], str)]
+        stopped += [row for row in rows_of if row["motion_m"] == float("inf")]
         chaotic = [row for row in rows_of if row.get("grown_m", 0.0) > CHAOTIC]
         moved = [row for row in rows_of if row not in stopped and row not in chaotic]
         if not moved:
@@ -128,7 +129,10 @@ def summary_of(rows):
                 f"tiny. There the other side is SciPy's Radau: {', '.join(stiff)}."
             )
         if stopped:
-            lines.append(f"Not integrated: {', '.join(map(_name, stopped))}.")
+            lines.append(
+                f"Not compared, as SciPy's Radau fails there or steps here are below 0.01 ms: "
+                f"{', '.join(map(_name, stopped))}."
+            )
     without = [row for row in loaded if "difference" not in row]
     if without:
         names = ", ".join(map(_name, without))

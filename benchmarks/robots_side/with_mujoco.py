@@ -90,7 +90,7 @@ def motion_against_mujoco(path, scene, seconds=1.0):
         mujoco.mj_resetData(model, data)
         data.qvel[:] = start
         _integrate(model, data, seconds, step)
-        error = max(np.abs(end[names.index(name)] - data.xpos[i]).max() for name, i in real.items())
+        error = np.max([np.abs(end[names.index(name)] - data.xpos[i]) for name, i in real.items()])
         if error < best["motion_m"]:
             best = {"motion_m": float(error), "stiff": step is None}
         if error < CLOSE:

@@ -145,17 +145,18 @@ def test_an_accuracy_takes_the_implicit_method_and_is_kept(seed, accuracy):
     assert simulation._integrator.evaluations - evaluations < 0.5 * needed
 
 
+@pytest.mark.parametrize("horizon", [1.0, 60.0])
 @pytest.mark.parametrize("accuracy", [1e-4, 1e-6, 1e-9])
-def test_a_light_body_that_a_damper_stops_at_once(accuracy):
+def test_a_light_body_that_a_damper_stops_at_once(accuracy, horizon):
     """Its velocity of 1 m/s decays within 1e-13 s. That takes substeps of less, but only a few of them."""
     sliders = Sliders([1.0, 1e-11], [30.0, 1e3], [1.0, 100.0], [0.1, 0.0], [0.0, 1.0])
     assert np.abs(sliders.rates).max() > 0.99e13
-    simulation = Simulation(sliders.scene, accuracy=accuracy, horizon=1.0, quiet=True)
+    simulation = Simulation(sliders.scene, accuracy=accuracy, horizon=horizon, quiet=True)
     size = simulation.promise["length"]
     for time in (0.01, 0.1, 0.5, 1.0):
         simulation.advance_to(round(time / simulation.step))
         assert off(sliders, simulation) / size <= accuracy
-    assert simulation.substeps[1] < 500 and simulation.doubt is None
+    assert simulation.substeps[1] < 1000 and simulation.doubt is None
 
 
 def chain(stiffness, damping, n=3):

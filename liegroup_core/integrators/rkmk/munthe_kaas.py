@@ -66,8 +66,8 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
     control (11,)   : next substep in s, numbers of accepted and of attempted substeps so far, next
                       substep at the start of the step, rtol of velocities, atol in rad, m, rad/s,
                       m/s, longest substep in s, most attempts in a step, length in m times which atol
-                      is that of positions, rounding of a pose, part of the step that the most attempts
-                      sufficed for; only for schemes with error control
+                      is that of positions, rounding of a pose, part that the most attempts are of those of
+                      the whole step, if its rest takes equal substeps; only for schemes with error control
     returns (steps done, status): fewer steps if status is not OK. Pose, twist and work.angle are
     those of the last valid step, after EVENT of the last valid substep. The low byte of status is
     the code. The other bytes are the element
@@ -132,7 +132,9 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
         if status == OK:
             done += 1
         elif controlled and status != EVENT:
-            control[10] = 1.0 - remaining / h if status == TOO_MANY_SUBSTEPS else 0.0
+            control[10] = 0.0
+            if status == TOO_MANY_SUBSTEPS:
+                control[10] = attempts / (attempts + remaining / control[0])
             _restore(work, pose, twist, control)
     if done > 0 or status == EVENT:
         spaces.leave(model, work, pose, twist, pose_in, twist_in)
@@ -246,7 +248,7 @@ class MuntheKaas:
 
     @property
     def part(self):
-        """Part of the last step that failed after the largest number of attempts; otherwise 0."""
+        """Part of the attempts of the last step that it made, if it failed as they were too many; otherwise 0."""
         return float(self._control[10])
 
     def limit(self, longest):
