@@ -4,6 +4,8 @@
 import numpy as np
 
 from liegroup_core.engine import Engine
+from liegroup_core.formulations.relative.inverse_dynamics import inverse_dynamics
+from liegroup_core.formulations.relative.trees import move_links
 from liegroup_core.integrators.rkmk import spaces
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.scene.consistency import resolve_couplings
@@ -27,6 +29,10 @@ class Accelerations:
         assert status == 0
         spaces.begin(model, work, integrator._group, pose, twist)
         assert spaces.accelerate(model, work, external) == -1
+        # Beside a singular pose the links are left as they were displaced.
+        rates = work.acceleration[:, 0].copy()
+        move_links(model, work)
+        inverse_dynamics(model, work, rates, np.zeros_like(rates))
         found = np.zeros((len(model.parts), 6))
         flat = engine.state()[0]
         for i, part in enumerate(model.parts):
