@@ -27,7 +27,8 @@ EXPLICIT, IMPLICIT = 0, 1  # numbers of the methods in the integrators
 STIFF = "radau5"
 # Where a step of the companion takes fewer evaluations, the implicit method cannot be cheaper.
 CHEAP = 100.0
-# Evaluations in the first step of the companion, above which both methods are tried at once.
+# Evaluations in the first step of the companion, above which both methods are tried at once. An attempted
+# substep takes twelve, so that a tenth as many attempts show it.
 DEAR = 1000
 # Evaluations of the simulation per one of the companion, below which stability limits the explicit method.
 # Where tolerances limit it there are 1.7, of which single blocks differ by some tenths.

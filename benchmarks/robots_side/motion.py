@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motion of a robot as a simulation to an accuracy gives it."""
+"""Motion of a robot as a simulation to an accuracy gives it, beside that of another code."""
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -8,6 +8,34 @@ from liegroup_core import Simulation, SimulationError
 
 ACCURACY = 1e-10  # parts of the mechanism's size, or rad
 LEAST_STEP = 1e-5  # s; a second in smaller steps takes minutes
+CLOSE = 1e-8  # m; a larger difference is computed again
+DISTURBANCE = 1e-12  # of the twists at the start, relative
+
+
+def motion_against(scene, pose, twist, seconds, steps, their_end, rows=slice(None)):
+    """Differences after a motion from poses (n, 12) and twists (n, 6), m: a dict.
+
+    steps     : s, of their explicit method, one after the other while the ends differ; then their implicit one
+    their_end : function of such a step, or None for the implicit one: positions of the bodies `rows`
+
+    motion_m : largest difference of positions, of the best of their integrations
+    moved_m  : largest displacement
+    stiff    : whether it is the implicit one
+    grown_m  : if all differ, ours after a start with twists larger by DISTURBANCE
+    Raises SimulationError.
+    """
+    end = end_of(scene, pose, twist, seconds)
+    best = {"motion_m": np.inf}
+    for step in (*steps, None):
+        found = float(np.abs(end[rows] - their_end(step)).max())
+        if found < best["motion_m"]:
+            best = {"motion_m": found, "stiff": step is None}
+        if found < CLOSE:
+            break
+    else:
+        other = end_of(scene, pose, twist * (1.0 + DISTURBANCE), seconds)
+        best["grown_m"] = float(np.abs(end - other).max())
+    return best | {"moved_m": float(np.abs(end - pose[:, 9:])[rows].max())}
 
 
 def end_of(scene, pose, twist, seconds):

@@ -19,9 +19,8 @@ example-robot-data, mujoco and dm_control. How to use your own: [bring your robo
 * *motion*: largest difference of the positions of all bodies, in m, after 1 s of motion under gravity from
   random speeds, without stops and friction. Here an accuracy of 1e-10. MJCF: MuJoCo's RK4 with steps of
   0.05 ms. URDF: RK4 of Pinocchio's accelerations on its configuration space with steps of 0.1 ms. If the
-  ends differ by more than
-  1e-8 m, their steps are divided by four or five, up to twice; then SciPy's Radau takes Pinocchio's
-  accelerations.
+  ends differ by more than 1e-8 m, their steps are divided by four or five, up to twice. Then SciPy's Radau
+  takes their accelerations.
 """
 TREES, MUJOCO = "Pinocchio", "MuJoCo"
 CHAOTIC = 1e-6  # m; a larger effect of a disturbance of 1e-12

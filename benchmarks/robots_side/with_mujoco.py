@@ -7,10 +7,9 @@ import numpy as np
 from liegroup_core.lie.groups import SE3
 
 from .accelerations import Accelerations, coupled, difference, offsets_of
-from .motion import end_of, radau
+from .motion import motion_against, radau
 
-STEPS = 5e-5, 1e-5, 2e-6  # s, of RK4; smaller ones if the ends differ
-CLOSE = 1e-8  # m; a larger difference is computed again
+STEPS = 5e-5, 1e-5, 2e-6  # s, of MuJoCo's RK4
 
 
 def against_mujoco(path, scene, states):
@@ -71,10 +70,7 @@ def _arrays(scene, poses, twists):
 
 
 def motion_against_mujoco(path, scene, seconds=1.0):
-    """Differences after a motion from random speeds, as those of `motion_against_pinocchio`.
-
-    MuJoCo integrates with RK4.
-    """
+    """Differences after a motion from random speeds: see motion.py."""
     model = mujoco.MjModel.from_xml_path(str(path))
     _as_imported(model)
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
@@ -83,49 +79,47 @@ def motion_against_mujoco(path, scene, seconds=1.0):
     data.qvel[:] = start
     mujoco.mj_forward(model, data)
     poses, twists, _ = _state(model, data, scene, real)
-    end = end_of(scene, *_arrays(scene, poses, twists), seconds)
-    names = [body.name for body in scene.bodies]
-    best = {"motion_m": np.inf}
-    for step in (*STEPS, None):
+    rows = [i for i, body in enumerate(scene.bodies) if body.name in real]
+
+    def their_end(step):
         mujoco.mj_resetData(model, data)
         data.qvel[:] = start
         _integrate(model, data, seconds, step)
-        error = np.max([np.abs(end[names.index(name)] - data.xpos[i]) for name, i in real.items()])
-        if error < best["motion_m"]:
-            best = {"motion_m": float(error), "stiff": step is None}
-        if error < CLOSE:
-            break
-    moved = max(np.abs(end[names.index(name)] - poses[name][:3, 3]).max() for name in real)
-    return best | {"moved_m": float(moved)}
+        return data.xpos[[real[scene.bodies[i].name] for i in rows]]
+
+    return motion_against(scene, *_arrays(scene, poses, twists), seconds, STEPS, their_end, rows)
 
 
 def _integrate(model, data, seconds, step):
     """Move to the end of a motion; step: s, of RK4; None: SciPy's Radau with MuJoCo's accelerations."""
     if step is None:
-
-        def slope(_, y):
-            data.qpos[:], data.qvel[:] = np.split(y, [model.nq])
-            mujoco.mj_forward(model, data)
-            rate, velocity = np.empty(model.nq), y[model.nq :]
-            for kind, at, dof in zip(model.jnt_type, model.jnt_qposadr, model.jnt_dofadr):
-                if kind == mujoco.mjtJoint.mjJNT_FREE:
-                    rate[at : at + 3], at, dof = velocity[dof : dof + 3], at + 3, dof + 3
-                if kind in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
-                    # The angular velocity is in the axes of the body.
-                    turned, spin = np.empty(4), np.array([0.0, *velocity[dof : dof + 3]])
-                    mujoco.mju_mulQuat(turned, y[at : at + 4], 0.5 * spin)
-                    rate[at : at + 4] = turned
-                else:
-                    rate[at] = velocity[dof]
-            return np.concatenate([rate, data.qacc])
-
-        end = radau(slope, np.concatenate([data.qpos, data.qvel]), seconds)
+        start = np.concatenate([data.qpos, data.qvel])
+        end = radau(lambda _, y: _slope(model, data, *np.split(y, [model.nq])), start, seconds)
         data.qpos[:], data.qvel[:] = np.split(end, [model.nq])
     else:
         model.opt.timestep = step
         for _ in range(round(seconds / step)):
             mujoco.mj_step(model, data)
     mujoco.mj_kinematics(model, data)
+
+
+def _slope(model, data, position, velocity):
+    """Rates of qpos and of qvel."""
+    data.qpos[:], data.qvel[:] = position, velocity
+    mujoco.mj_forward(model, data)
+    rate = np.empty(model.nq)
+    for kind, at, dof in zip(model.jnt_type, model.jnt_qposadr, model.jnt_dofadr):
+        if kind == mujoco.mjtJoint.mjJNT_FREE:
+            rate[at : at + 3] = velocity[dof : dof + 3]
+            at, dof = at + 3, dof + 3
+        if kind in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
+            # The angular velocity is in the axes of the body.
+            turned, spin = np.empty(4), np.array([0.0, *velocity[dof : dof + 3]])
+            mujoco.mju_mulQuat(turned, position[at : at + 4], 0.5 * spin)
+            rate[at : at + 4] = turned
+        else:
+            rate[at] = velocity[dof]
+    return np.concatenate([rate, data.qacc])
 
 
 def _coupled_mujoco(scene, offsets, model, data):

@@ -5,15 +5,10 @@ import numpy as np
 import pinocchio as pin
 
 from .accelerations import Accelerations, coupled, difference, offsets_of
-from .motion import end_of, radau
+from .motion import motion_against, radau
 
-STEPS = (
-    1e-4,
-    2.5e-5,
-    5e-6,
-)  # s, of RK4 with Pinocchio's accelerations; smaller ones if the ends differ
-CLOSE = 1e-8  # m; a larger difference is computed again
-DISTURBANCE = 1e-12  # of the twists at the start, relative
+# s, of RK4 with Pinocchio's accelerations.
+STEPS = 1e-4, 2.5e-5, 5e-6
 DIVERGED = 1e8  # m/s or rad/s
 
 
@@ -38,29 +33,13 @@ def against_pinocchio(path, scene, states):
 
 
 def motion_against_pinocchio(path, scene, seconds=1.0):
-    """Differences after a motion from a random state, m: a dict.
-
-    motion_m : largest difference of positions, of the best of their integrations
-    moved_m  : largest displacement
-    stiff    : whether it is the implicit one
-    grown_m  : if all differ, ours after a start with twists larger by DISTURBANCE
-    """
+    """Differences after a motion from a random state: see motion.py."""
     tree = _Tree(path, scene)
     start = tree.random_state(np.random.default_rng(3), 0.5)
     pose, twist, _ = tree.poses_and_twists(*start[:2], 0.0 * start[1])
-    end = end_of(scene, pose, twist, seconds)
-    best = {"motion_m": np.inf}
-    for step in (*STEPS, None):
-        their_end = tree.end(*start, seconds, step)
-        found = float(np.abs(end - their_end).max())
-        if found < best["motion_m"]:
-            best = {"motion_m": found, "stiff": step is None}
-        if found < CLOSE:
-            break
-    else:
-        other = end_of(scene, pose, twist * (1.0 + DISTURBANCE), seconds)
-        best["grown_m"] = float(np.abs(end - other).max())
-    return best | {"moved_m": float(np.abs(end - pose[:, 9:]).max())}
+    return motion_against(
+        scene, pose, twist, seconds, STEPS, lambda step: tree.end(*start, seconds, step)
+    )
 
 
 class _Tree:

@@ -29,7 +29,7 @@ LARGEST_GROWTH, LARGEST_CUT, SAFETY = 5.0, 0.2, 0.9
 # Rounding of a pose, m or rad, as it shows in an error estimate: stiff forces make accelerations of it. At h
 # of their fastest oscillation that is a velocity of about the rounding of a pose divided by h.
 ROUNDING = 0.03 * 2.0**-52
-# Smallest substep as a fraction of a step: that fast dampers stop light bodies.
+# Smallest substep as a fraction of a step: dampers may stop light bodies that fast.
 SMALLEST_SUBSTEP = 1e-13
 
 
