@@ -3,31 +3,19 @@
 
 The companion follows the simulation with steps of q h under the same wrenches, q = 4/3, or 6/5 for
 orders from 8. With error control its tolerances are larger, so that its substeps are q times as long,
-q = 4/3, 1.43 for an implicit method, or 1.7 with an accuracy. The error of a method of order p then
-follows from the distance d = |x_h - x_qh| of the two states:
+q = 4/3, 1.43 for an implicit method, or 1.7 with an accuracy. What the distance of the two says of the
+error: error_estimate.py.
 
-    order seen     : d / (q^p - 1), the errors being c h^p and c (q h)^p
-    order not seen : about d, the two errors being independent of each other
-
-The estimate is the larger of the two, the first one times SEEN, the second one times LEAST. They are
-close to each other (a factor of 2 for p = 4, of 3 for p = 8), so nothing has to be decided. For q = 2 the
-factor is 15 and 255: whether the order is seen has to be found from a third run, and is often found
-wrongly. The estimate of a body is multiplied by up to 1 + LARGE, in proportion up to NOT_SMALL of the
-mechanism: two errors of that size do not follow the linearised motion, and their difference may be a
-fraction of either by chance.
-
-LEAST is below 1 where d is more often far above the error than below it, by measurement: with order 8,
-whose errors fall faster than h^8 before they are rounding, and with error control, whose substeps differ
-by more than q at times. With an accuracy q is larger, so that two errors are hardly ever equal by chance,
-and the estimate sets the tolerance: it may be far above the error, but not below it.
+The least part of the distance that counts is below 1 where that is more often far above the error than below
+it, by measurement: with order 8, whose errors fall faster than h^8 before they are rounding, and with error
+control, whose substeps differ by more than q at times. With an accuracy q is larger, so that two errors are
+hardly ever equal by chance, and the estimate sets the tolerance: it may be far above the error, but not
+below it.
 
 The two meet every 4 or 6 steps. Whoever reads an estimate in between gets that of the present step: the
-companion goes there by whole steps and a part of one, and returns (`Engine.peek`). An estimate is at
-least FADING times the largest of the last checkpoints: a distance may pass through zero where the error
-does not. One that exceeds LOST of what the body has moved at a checkpoint does not fade at all: where
-both runs lose the motion, as an oscillation that their steps do not resolve, they meet again, and not
-with the true one. Checkpoints, after MEETINGS of them and more often at the start, depend on the step
-count alone, so that a repeated run has bit-identical estimates.
+companion goes there by whole steps and a part of one, and returns (`Engine.peek`). Checkpoints, after
+MEETINGS of them and more often at the start, depend on the step count alone, so that a repeated run has
+bit-identical estimates.
 
 With an accuracy the two are compared at checkpoints only, after about SUBSTEPS substeps, no motion is lost,
 and no estimate in between is computed: an error that grew is taken to grow on until the next one. If the
@@ -45,83 +33,29 @@ Coverage, that is estimate against true error: benchmarks/estimate_coverage.py,
 test/verification/test_running_error.py.
 """
 
-import copy
 import math
 
 import numpy as np
 
-from .compiling import SameTypes, kernel
+from .compiling import SameTypes
 from .engine import BAUMGARTE_STEPS, Engine
+from .error_estimate import UNPREDICTABLE, ErrorEstimate
 from .errors import SimulationError
 from .forces.schedule import DRIVE, SERVO
 from .integrators.added_inertia import AddedInertia
 from .integrators.methods import METHODS
-from .observables.distances import distances, largest_of
+from .observables.distances import distances
 
 HIGH = 8  # order from which the steps are more similar
 FIRST_MEETINGS, MEETINGS = 2, 48  # between two checkpoints, from the second one on
 SUBSTEPS, MOST = 32, 8  # between checkpoints with an accuracy: substeps, and steps at most
-WINDOW, FADING = 4, 0.36  # checkpoints
-LOST = 0.1  # of the motion of a body
 FASTEST = 8.0  # growth between two meetings that is continued until the next one
 PARTS = 2  # of the step that leads to an event, whose size does not depend on that of the others
-SEEN = 1.35
-LEAST, LEAST_HIGH = 1.0, 0.75  # of the distance, where the order is not seen
-# q and LEAST of error control: with a method, an implicit one, with an accuracy.
+# Least part of the distance, where the order is not seen.
+LEAST, LEAST_HIGH = 1.0, 0.75
+# q and this part, of error control: with a method, an implicit one, with an accuracy.
 CONTROLLED, STIFF, BY_WORK = (4.0 / 3.0, 0.5), (1.43, 0.5), (1.7, 0.4)
-LARGE, NOT_SMALL = 2.5, 0.03
-# Of the mechanism's size, and rad: an error of this size makes a motion unpredictable.
-UNPREDICTABLE = 0.1
-_KEPT = (
-    "_set_at",
-    "_kept_at",
-    "_start",
-    "_next",
-    "_block",
-    "_substeps",
-    "_alive",
-    "_failed",
-    "_distance",
-    "_largest",
-    "_window",
-    "_window_m",
-    "_window_rad",
-    "_origin",
-    "_motion",
-    "_least",
-    "_least_pose",
-    "checkpoints",
-    "predictable_until",
-)
-
-
-def scale_of(position, angle, factor):
-    """Estimate divided by distance, for distances in parts of the mechanism's size and in rad."""
-    return factor * (1.0 + LARGE * min(1.0, factor * max(position, angle) / NOT_SMALL))
-
-
-_scale = kernel(scale_of)
-
-
-@kernel
-def _set_errors(distance, size, factor, least, out):
-    """Estimates from the distances of all bodies, and at least `least`; all (n, 4)."""
-    for i in range(len(distance)):
-        scale = _scale(distance[i, 0] / size, distance[i, 1], factor)
-        for c in range(4):
-            out[i, c] = max(scale * distance[i, c], least[i, c])
-
-
-@kernel
-def _note_lost(distance, seen, motion, size, factor, least):
-    """Note in `least` the errors that are a large part of the motion so far; all (n, 4)."""
-    for i in range(len(distance)):
-        scale = _scale(distance[i, 0] / size, distance[i, 1], factor)
-        for c in range(4):
-            motion[i, c] = max(motion[i, c], seen[i, c])
-            error = scale * distance[i, c]
-            if error > LOST * motion[i, c]:
-                least[i, c] = max(least[i, c], error)
+_KEPT = ("_set_at", "_start", "_next", "_block", "_substeps", "_alive", "_failed")
 
 
 class RunningError:
@@ -130,8 +64,7 @@ class RunningError:
     engine  : Engine, whose state `follow` reads
     by_work : checkpoints follow the number of substeps, and all meetings are checkpoints
 
-    checkpoints       : number of checkpoints so far
-    predictable_until : s, the last checkpoint before the estimate was UNPREDICTABLE; inf: it was not
+    estimate : ErrorEstimate
     """
 
     def __init__(self, engine, by_work=False):
@@ -145,25 +78,20 @@ class RunningError:
             ratio, least = BY_WORK if by_work else STIFF if method.implicit else CONTROLLED
         else:
             ratio, least = self.ours / self._theirs, LEAST if order < HIGH else LEAST_HIGH
-        self.ratio, self._factor = ratio, max(least, SEEN / (ratio**order - 1.0))
-        self.size = engine.layout.size
+        self.ratio, self.size = ratio, engine.layout.size
         step = self.ours / self._theirs * engine.step
         self._companion = self._make_companion(step, ratio**method.power if controlled else 1.0)
         if controlled and (engine.layout.switches or not by_work):
             self._companion.limit_substeps(CONTROLLED[0] * engine.step)
         n = len(engine.layout.body_names)
-        self._distance, self._seen = np.zeros((n, 4)), np.zeros((n, 4))
-        self._window = np.zeros((WINDOW, n, 4))
-        # Pose from which on bodies are seen to move, the largest motion of each, and least estimates.
+        self.estimate = ErrorEstimate(n, self.size, ratio, order, least)
+        # Pose from which on bodies are seen to move, and distances between two meetings.
         self._origin, self._at_rest = np.zeros((n, 12)), np.zeros((n, 6))
-        self._motion, self._least = np.zeros((n, 4)), np.zeros((n, 4))
-        self._distances, self._errors, self._lost = map(
-            SameTypes, (distances, _set_errors, _note_lost)
-        )
+        self._seen = np.zeros((n, 4))
+        self._distances = SameTypes(distances)
         self._added = AddedInertia.of(METHODS[engine.method], engine.layout.model)
-        self._compare()  # compiles it, as the next ones
+        self._compare()  # compiles it, as the next one
         self._watch_motion()
-        self._errors(self._distance, self.size, self._factor, self._least, self._seen)
         self.restart()
 
     def _make_companion(self, step, looser):
@@ -191,16 +119,11 @@ class RunningError:
 
     def restart(self):
         """Forget the error so far: the state was set."""
-        self._set_at, self._kept_at = self.engine.steps, self.engine.time
+        self._set_at = self.engine.steps
         self._start, self._next = None, 0  # steps at which the companion started, and meets next
         self._block = self._substeps = 0  # steps to the next checkpoint, substeps at the last one
         self._alive, self._failed = True, False
-        self._distance[:] = self._window[:] = self._motion[:] = self._least[:] = 0.0
-        self._least_pose = 0.0
-        # Largest m and rad of all bodies, of the distance and of each part of the window.
-        self._largest, self._window_m, self._window_rad = (0.0, 0.0), [0.0] * WINDOW, [0.0] * WINDOW
-        self.checkpoints = 0
-        self.predictable_until = math.inf
+        self.estimate.restart(self.engine.time)
         self._seen_at = -1
 
     def next_stop(self, steps, end):
@@ -256,14 +179,14 @@ class RunningError:
             return
         if self._failed:
             self._alive = False
-            self._set_infinite()
+            self.estimate.set_infinite()
             self._keep()
             return
         self._compare()
         if self._added is not None:
             since = steps - self._set_at
             if self._added.wrong_turn(engine._twist, engine.step, since) > UNPREDICTABLE:
-                self._set_infinite()
+                self.estimate.set_infinite()
         if steps == self._next:
             if self._by_work:
                 self._adapt()
@@ -290,7 +213,8 @@ class RunningError:
 
     def _compare(self):
         other = self._companion
-        self._largest = self._measure((other._pose, other._twist), self._distance)
+        estimate = self.estimate
+        estimate.largest = self._measure((other._pose, other._twist), estimate.distance)
 
     def _measure(self, other, out):
         """Distances of the engine from another state; returns the largest m and rad."""
@@ -305,7 +229,7 @@ class RunningError:
         """
         since = self.engine.steps - self._companion.steps * self.ours // self._theirs
         if self._by_work or not self._alive or since <= 0:
-            return self._distance, self._largest
+            return self.estimate.distance, self.estimate.largest
         if self._seen_at != self.engine.steps:
             steps, part = divmod(since * self._theirs, self.ours)
             try:
@@ -321,28 +245,13 @@ class RunningError:
         """Follow the largest distance of each body from its start, and its largest velocities."""
         self._measure((self._origin, self._at_rest), self._seen)
         self._seen_at = -1
-        self._lost(self._distance, self._seen, self._motion, self.size, self._factor, self._least)
-        self._set_least_pose()
-
-    def _set_least_pose(self):
-        m, rad = largest_of(self._least)
-        self._least_pose = max(m / self.size, rad)
-
-    def _set_infinite(self):
-        self._distance[:] = np.inf
-        self._largest = math.inf, math.inf
+        self.estimate.note_motion(self._seen)
 
     def _keep(self):
-        """Store the distance of a checkpoint."""
-        part = self.checkpoints % WINDOW
-        self._window[part] = self._distance
-        self._window_m[part], self._window_rad[part] = self._largest
-        self.checkpoints += 1
+        """Make the present meeting a checkpoint."""
         if not self._by_work:
             self._watch_motion()
-        if self._largest_error(self._largest) > UNPREDICTABLE:
-            self.predictable_until = min(self.predictable_until, self._kept_at)
-        self._kept_at = self.engine.time
+        self.estimate.keep(self.engine.time)
 
     @property
     def begun(self):
@@ -362,31 +271,23 @@ class RunningError:
     @property
     def largest(self):
         """Largest estimated error of a pose: parts of the mechanism's size, or rad."""
-        return math.nan if self._unknown else self._largest_error(self._now()[1])
-
-    def _largest_error(self, largest):
-        """Largest estimated error for the largest m and rad of the present distances."""
-        position, angle = self._kept_largest(largest)
-        scale = scale_of(position / self.size, angle, self._factor * self._growth())
-        return max(scale * position / self.size, scale * angle, self._least_pose)
-
-    def _kept_largest(self, largest):
-        """The largest m and rad that count: those of the checkpoints fade."""
-        return (
-            max(largest[0], FADING * max(self._window_m)),
-            max(largest[1], FADING * max(self._window_rad)),
-        )
+        if self._unknown:
+            return math.nan
+        return self.estimate.largest_error(self._now()[1], self._growth())
 
     def snapshot(self):
         """Copy of the estimate and of its companion, for `restore`."""
-        kept = {name: copy.deepcopy(getattr(self, name)) for name in _KEPT}
-        return kept | {"companion": self._companion.snapshot()}
+        kept = {name: getattr(self, name) for name in _KEPT}
+        parts = self._origin.copy(), self.estimate.snapshot(), self._companion.snapshot()
+        return kept | dict(zip(("origin", "estimate", "companion"), parts))
 
     def restore(self, snapshot):
         """Return to a snapshot, at the same state of the engine."""
         for name in _KEPT:
-            setattr(self, name, copy.deepcopy(snapshot[name]))
+            setattr(self, name, snapshot[name])
+        self._origin[:] = snapshot["origin"]
         self._seen_at = -1
+        self.estimate.restore(snapshot["estimate"])
         self._companion.restore(snapshot["companion"])
 
     @property
@@ -419,52 +320,46 @@ class RunningError:
         """Array from which `remember` restores the estimate."""
         companion = self._companion
         start = -1 if self._start is None else self._start
-        run = self._set_at, start, self._alive, self._failed
-        own = *run, self._next, self._block, self._substeps, self.checkpoints
-        motion = self._origin, self._motion, self._least
+        own = (
+            self._set_at,
+            start,
+            self._alive,
+            self._failed,
+            self._next,
+            self._block,
+            self._substeps,
+        )
+        parts = self._origin, *companion.state(), companion.sample().angles
         return np.concatenate(
             [
-                [*own, self.predictable_until, self._kept_at, companion.steps],
-                self._distance.ravel(),
-                self._window.ravel(),
-                *(part.ravel() for part in motion),
-                *(part.ravel() for part in companion.state()),
-                companion.sample().angles,
+                [*own, companion.steps],
+                *(part.ravel() for part in parts),
+                self.estimate.memory(),
                 np.frombuffer(companion.memory()),
             ]
         )
 
     def remember(self, memory):
         """Restore the estimate from `memory`, at the same state of the engine."""
-        n, k = len(self._distance), len(self._companion.sample().angles)
-        own, distance, window, *motion, pose, twist, angles, rest = np.split(
-            memory,
-            np.cumsum([11, 4 * n, self._window.size, 12 * n, 4 * n, 4 * n, 12 * n, 6 * n, k]),
+        n, k = len(self._seen), len(self._companion.sample().angles)
+        own, origin, pose, twist, angles, rest = np.split(
+            memory, np.cumsum([8, 12 * n, 12 * n, 6 * n, k])
         )
-        for mine, part in zip((self._origin, self._motion, self._least), motion):
-            mine[:] = part.reshape(mine.shape)
-        set_at, start, *alive, following, block, substeps, checkpoints = (int(x) for x in own[:8])
+        self._origin[:] = origin.reshape(n, 12)
+        rest = self.estimate.remember(rest)
+        set_at, start, *alive, following, block, substeps, steps = map(int, own)
         self._companion.set_state(
-            pose.reshape(n, 12), twist.reshape(n, 6), int(own[10]), angles, rest.tobytes()
+            pose.reshape(n, 12), twist.reshape(n, 6), steps, angles, rest.tobytes()
         )
         self._set_at, self._start = set_at, None if start < 0 else start
         (self._alive, self._failed), self._next = map(bool, alive), following
-        self._block, self._substeps, self.checkpoints = block, substeps, checkpoints
-        self.predictable_until, self._kept_at = map(float, own[8:10])
-        self._distance[:] = distance.reshape(n, 4)
-        self._window[:] = window.reshape(self._window.shape)
-        self._set_least_pose()
-        self._largest = largest_of(self._distance)
-        self._window_m, self._window_rad = map(list, zip(*map(largest_of, self._window)))
+        self._block, self._substeps, self._seen_at = block, substeps, -1
 
     def errors(self):
         """(n, 4) estimates of the errors of the bodies: m, rad, m/s, rad/s."""
         if self._unknown:
-            return np.full_like(self._distance, np.nan)
-        kept = np.maximum(self._now()[0], FADING * self._window.max(axis=0))
-        errors, factor = np.empty_like(kept), self._factor * self._growth()
-        self._errors(kept, self.size, factor, self._least, errors)
-        return errors
+            return np.full_like(self._seen, np.nan)
+        return self.estimate.errors(self._now()[0], self._growth())
 
     @property
     def _unknown(self):
@@ -477,9 +372,7 @@ class RunningError:
 
     def _growth(self):
         """With an accuracy: growth since the last checkpoint, as between the two before."""
-        if not (self._by_work and self._alive and self._block) or self.checkpoints < 2:
+        if not (self._by_work and self._alive and self._block):
             return 1.0
         stale = 1.0 - (self._next - self.engine.steps) / self._block
-        parts = [(self.checkpoints - k) % WINDOW for k in (1, 2)]
-        last, before = (max(self._window_m[k], self._window_rad[k]) for k in parts)
-        return min(FASTEST, max(1.0, last / before)) ** stale if before > 0.0 else 1.0
+        return min(FASTEST, self.estimate.growth) ** stale

@@ -217,7 +217,7 @@ class Simulation(Engine):
 
         Large: a tenth of the mechanism's size, or 0.1 rad. NaN without an estimate.
         """
-        return math.nan if self._running is None else self._running.predictable_until
+        return math.nan if self._running is None else self._running.estimate.predictable_until
 
     def sample(self) -> Sample:
         """Create a Sample of the present state, with the estimated errors if they are carried."""
@@ -337,11 +337,11 @@ class Simulation(Engine):
             self._choice.start()
         while True:
             super()._advance(running.next_stop(self.steps, end) - self.steps)
-            count = running.checkpoints
+            count = running.estimate.checkpoints
             running.follow()
-            if running.checkpoints > count:
+            if running.estimate.checkpoints > count:
                 if self._control is not None:
-                    predictable = running.predictable_until == math.inf
+                    predictable = running.estimate.predictable_until == math.inf
                     self._control.follow(self.time, running.largest, predictable)
                     self._choice.follow()
                 self._look()

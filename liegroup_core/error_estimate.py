@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Estimated errors of bodies, from their distances to the companion of a simulation (running_error.py).
+
+The error of a method of order p follows from the distance d = |x_h - x_qh| of two states with steps h and
+q h:
+
+    order seen     : d / (q^p - 1), the errors being c h^p and c (q h)^p
+    order not seen : about d, the two errors being independent of each other
+
+The estimate is the larger of the two, the first one times SEEN, the second one times a given part of d. They are
+close to each other (a factor of 2 for p = 4, of 3 for p = 8), so nothing has to be decided. For q = 2 the
+factor is 15 and 255: whether the order is seen has to be found from a third run, and is often found
+wrongly. The estimate of a body is multiplied by up to 1 + LARGE, in proportion up to NOT_SMALL of the
+mechanism: two errors of that size do not follow the linearised motion, and their difference may be a
+fraction of either by chance.
+
+An estimate is at least FADING times the largest of the last checkpoints: a distance may pass through zero
+where the error does not. One that exceeds LOST of what the body has moved at a checkpoint does not fade at
+all: where both runs lose the motion, as an oscillation that their steps do not resolve, they meet again, and
+not with the true one.
+"""
+
+import copy
+import math
+
+import numpy as np
+
+from .compiling import SameTypes, kernel
+from .observables.distances import largest_of
+
+WINDOW, FADING = 4, 0.36  # checkpoints
+LOST = 0.1  # of the motion of a body
+SEEN = 1.35
+LARGE, NOT_SMALL = 2.5, 0.03
+# Of the mechanism's size, and rad: an error of this size makes a motion unpredictable.
+UNPREDICTABLE = 0.1
+_KEPT = (
+    "distance",
+    "largest",
+    "checkpoints",
+    "predictable_until",
+    "_kept_at",
+    "_window",
+    "_largest_m",
+    "_largest_rad",
+    "_motion",
+    "_least",
+    "_least_pose",
+)
+
+
+def scale_of(position, angle, factor):
+    """Estimate divided by distance, for distances in parts of the mechanism's size and in rad."""
+    return factor * (1.0 + LARGE * min(1.0, factor * max(position, angle) / NOT_SMALL))
+
+
+_scale = kernel(scale_of)
+
+
+@kernel
+def _set_errors(distance, size, factor, least, out):
+    """Estimates from the distances of all bodies, and at least `least`; all (n, 4)."""
+    for i in range(len(distance)):
+        scale = _scale(distance[i, 0] / size, distance[i, 1], factor)
+        for c in range(4):
+            out[i, c] = max(scale * distance[i, c], least[i, c])
+
+
+@kernel
+def _note_lost(distance, moved, motion, size, factor, least):
+    """Note in `least` the errors that are a large part of the motion so far; all (n, 4)."""
+    for i in range(len(distance)):
+        scale = _scale(distance[i, 0] / size, distance[i, 1], factor)
+        for c in range(4):
+            motion[i, c] = max(motion[i, c], moved[i, c])
+            error = scale * distance[i, c]
+            if error > LOST * motion[i, c]:
+                least[i, c] = max(least[i, c], error)
+
+
+class ErrorEstimate:
+    """Estimated errors of n bodies of a mechanism, and how long its motion is predictable.
+
+    size  : of the mechanism, m
+    ratio : q, of the steps
+    order : p
+    least : part of the distance that the estimate is where the order is not seen
+
+    distance : (n, 4) m, rad, m/s, rad/s of the last meeting
+    largest  : largest m and rad of them
+    checkpoints       : number of checkpoints so far
+    predictable_until : s, the last checkpoint before the estimate was UNPREDICTABLE; inf: it was not
+    """
+
+    def __init__(self, n, size, ratio, order, least):
+        self.size, self._factor = size, max(least, SEEN / (ratio**order - 1.0))
+        self.distance, self._window = np.zeros((n, 4)), np.zeros((WINDOW, n, 4))
+        # The largest motion of each body, and least estimates.
+        self._motion, self._least = np.zeros((n, 4)), np.zeros((n, 4))
+        self._errors, self._lost = SameTypes(_set_errors), SameTypes(_note_lost)
+        self.restart(0.0)
+        self.errors(self.distance)  # compiles it
+        self.note_motion(self.distance)
+
+    def restart(self, time):
+        """Forget the errors so far: the state was set, at a time in s."""
+        self.distance[:] = self._window[:] = self._motion[:] = self._least[:] = 0.0
+        self._least_pose = 0.0
+        # Largest m and rad of all bodies, of the distance and of each part of the window.
+        self.largest, self._largest_m, self._largest_rad = (
+            (0.0, 0.0),
+            [0.0] * WINDOW,
+            [0.0] * WINDOW,
+        )
+        self.checkpoints, self.predictable_until, self._kept_at = 0, math.inf, time
+
+    def set_infinite(self):
+        """Set the distances of the present meeting to infinity."""
+        self.distance[:] = np.inf
+        self.largest = math.inf, math.inf
+
+    def keep(self, time):
+        """Store the distances of the present meeting, a checkpoint at a time in s."""
+        part = self.checkpoints % WINDOW
+        self._window[part] = self.distance
+        self._largest_m[part], self._largest_rad[part] = self.largest
+        self.checkpoints += 1
+        if self.largest_error(self.largest) > UNPREDICTABLE:
+            self.predictable_until = min(self.predictable_until, self._kept_at)
+        self._kept_at = time
+
+    def note_motion(self, moved):
+        """Follow the largest motion of each body, from its distances (n, 4) from its start."""
+        self._lost(self.distance, moved, self._motion, self.size, self._factor, self._least)
+        self._set_least_pose()
+
+    def _set_least_pose(self):
+        m, rad = largest_of(self._least)
+        self._least_pose = max(m / self.size, rad)
+
+    @property
+    def growth(self):
+        """Ratio of the largest distances of the last two checkpoints, at least 1."""
+        if self.checkpoints < 2:
+            return 1.0
+        parts = [(self.checkpoints - k) % WINDOW for k in (1, 2)]
+        last, before = (max(self._largest_m[k], self._largest_rad[k]) for k in parts)
+        return max(1.0, last / before) if before > 0.0 else 1.0
+
+    def largest_error(self, largest, grown=1.0):
+        """Largest estimated error of a pose: parts of the mechanism's size, or rad.
+
+        largest : m and rad of the present distances
+        grown   : ratio of the present distances to these
+        """
+        position = max(largest[0], FADING * max(self._largest_m))
+        angle = max(largest[1], FADING * max(self._largest_rad))
+        scale = scale_of(position / self.size, angle, self._factor * grown)
+        return max(scale * position / self.size, scale * angle, self._least_pose)
+
+    def errors(self, distance, grown=1.0):
+        """(n, 4) estimates of the errors of the bodies, as `largest_error`."""
+        kept = np.maximum(distance, FADING * self._window.max(axis=0))
+        errors = np.empty_like(kept)
+        self._errors(kept, self.size, self._factor * grown, self._least, errors)
+        return errors
+
+    def snapshot(self):
+        """Copy of the estimate, for `restore`."""
+        return {name: copy.deepcopy(getattr(self, name)) for name in _KEPT}
+
+    def restore(self, snapshot):
+        """Return to a snapshot."""
+        for name in _KEPT:
+            setattr(self, name, copy.deepcopy(snapshot[name]))
+
+    def memory(self):
+        """Array from which `remember` restores the estimate."""
+        arrays = self.distance, self._window, self._motion, self._least
+        own = self.checkpoints, self.predictable_until, self._kept_at
+        return np.concatenate([own, *(array.ravel() for array in arrays)])
+
+    def remember(self, memory):
+        """Restore the estimate from the first numbers of an array; returns the others."""
+        checkpoints, self.predictable_until, self._kept_at = map(float, memory[:3])
+        self.checkpoints, at = int(checkpoints), 3
+        for array in (self.distance, self._window, self._motion, self._least):
+            array[...] = memory[at : at + array.size].reshape(array.shape)
+            at += array.size
+        self._set_least_pose()
+        self.largest = largest_of(self.distance)
+        self._largest_m, self._largest_rad = map(list, zip(*map(largest_of, self._window)))
+        return memory[at:]
