@@ -10,6 +10,7 @@ ACCURACY = 1e-10  # parts of the mechanism's size, or rad
 LEAST_STEP = 1e-5  # s; a second in smaller steps takes minutes
 CLOSE = 1e-8  # m; a larger difference is computed again
 DISTURBANCE = 1e-12  # of the twists at the start, relative
+MOST = 1_000_000  # evaluations by SciPy's Radau, about a minute
 
 
 def motion_against(scene, pose, twist, seconds, steps, their_end, rows=slice(None)):
@@ -53,12 +54,19 @@ def end_of(scene, pose, twist, seconds):
 
 
 def radau(slope, start, seconds):
-    """State of SciPy's Radau after some seconds; infinite if it fails."""
+    """State of SciPy's Radau after some seconds; infinite if it fails or takes more than MOST."""
+    left = iter(range(MOST))
+
+    def counted(time, state):
+        if next(left, None) is None:
+            raise ValueError("too many evaluations")
+        return slope(time, state)
+
     # Its own first step overflows where dampers stop light joints.
     settings = {"rtol": 1e-10, "atol": 1e-12, "first_step": 1e-13}
     try:
         with np.errstate(all="ignore"):
-            solution = solve_ivp(slope, (0.0, seconds), start, "Radau", **settings)
-    except ValueError:  # its matrix is not finite
+            solution = solve_ivp(counted, (0.0, seconds), start, "Radau", **settings)
+    except ValueError:  # also of its matrix, if that is not finite
         return np.full_like(start, np.inf)
     return solution.y[:, -1] if solution.success else np.full_like(start, np.inf)

@@ -129,8 +129,8 @@ def summary_of(rows):
             )
         if stopped:
             lines.append(
-                f"Not compared, as SciPy's Radau fails there or steps here are below 0.01 ms: "
-                f"{', '.join(map(_name, stopped))}."
+                f"The motion of {', '.join(map(_name, stopped))} is not compared: steps here are below "
+                "0.01 ms, or those of SciPy's Radau are too many, or MuJoCo's mass matrix is singular."
             )
     without = [row for row in loaded if "difference" not in row]
     if without:

@@ -53,8 +53,9 @@ def set_wrench(external, body, wrench, axes):
         external[body, 15] = 2.0 if turning else float(external[body, 6:12].any())
     else:
         external[body, :6] = wrench
-        if external[body, 12:15].any():  # otherwise the numbers pass unchanged
-            external[body, :3] -= np.cross(external[body, 12:15], external[body, 3:6])
+        centre, force = external[body, 12:15].tolist(), external[body, 3:6].tolist()
+        if any(centre):  # otherwise the numbers pass unchanged
+            external[body, :3] -= cross3(tuple(centre), tuple(force))  # far less time than np.cross
 
 
 @kernel
