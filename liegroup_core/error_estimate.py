@@ -68,7 +68,11 @@ def _set_errors(distance, size, factor, least, out):
 
 @kernel
 def _note_lost(distance, moved, motion, size, factor, least):
-    """Note in `least` the errors that are a large part of the motion so far; all (n, 4)."""
+    """Note in `least` the errors that are a large part of the motion so far; all (n, 4).
+
+    returns the largest m and rad of `least`
+    """
+    position = angle = 0.0
     for i in range(len(distance)):
         scale = _scale(distance[i, 0] / size, distance[i, 1], factor)
         for c in range(4):
@@ -76,6 +80,8 @@ def _note_lost(distance, moved, motion, size, factor, least):
             error = scale * distance[i, c]
             if error > LOST * motion[i, c]:
                 least[i, c] = max(least[i, c], error)
+        position, angle = max(position, least[i, 0]), max(angle, least[i, 1])
+    return position, angle
 
 
 class ErrorEstimate:
@@ -131,11 +137,10 @@ class ErrorEstimate:
 
     def note_motion(self, moved):
         """Follow the largest motion of each body, from its distances (n, 4) from its start."""
-        self._lost(self.distance, moved, self._motion, self.size, self._factor, self._least)
-        self._set_least_pose()
+        state = self._motion, self.size, self._factor, self._least
+        self._set_least_pose(*self._lost(self.distance, moved, *state))
 
-    def _set_least_pose(self):
-        m, rad = largest_of(self._least)
+    def _set_least_pose(self, m, rad):
         self._least_pose = max(m / self.size, rad)
 
     @property
@@ -187,7 +192,7 @@ class ErrorEstimate:
         for array in (self.distance, self._window, self._motion, self._least):
             array[...] = memory[at : at + array.size].reshape(array.shape)
             at += array.size
-        self._set_least_pose()
+        self._set_least_pose(*largest_of(self._least))
         self.largest = largest_of(self.distance)
         self._largest_m, self._largest_rad = map(list, zip(*map(largest_of, self._window)))
         return memory[at:]
