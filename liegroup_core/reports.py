@@ -111,7 +111,9 @@ class Reports:
         if status & 0xFF == BEYOND_STOP:
             joint = self.layout.switches[status >> 8].name
         if status & 0xFF == TURNS_NOT_COUNTED:
-            force = self.scene.unwrapped[status >> 8][1]
+            number, unwrapped = status >> 8, self.scene.unwrapped
+            stops = self.layout.switches[number - len(unwrapped) :]
+            force = unwrapped[number][1] if number < len(unwrapped) else f"stops {stops[0].name!r}"
         stopped = f"stopped at t = {self.time:.9g} s (step {self.steps}, h = {self.step:g} s): "
         if self.layout.motions and (text := self._beyond_reach()):
             return stopped + text

@@ -355,3 +355,65 @@ def test_events_at_very_short_intervals_are_found_with_a_warning(caplog):
     assert sum(expected in message for message in messages) == 1
     assert engine.event_count in (1199, 1200)  # the last one is at 0.06 s
     assert engine.energy() == 0.5
+
+
+# A rotor that runs freely about z at RATE towards an elastic stop at the angle STOP.
+ROTOR = """
+name: rotor
+gravity: [0, 0, 0]
+bodies:
+  - {name: rotor, mass: 1.0, inertia: [1, 1, 1], angular_velocity: [0, 0, RATE], linear_velocity: LINEAR}
+joints:
+  - {name: bearing, type: KIND, parent: world, child: rotor, parent_frame: {}, child_frame: {}, LIMITS}
+"""
+STOP = 628.3
+
+
+def rotor(rate, kind="revolute"):
+    limits = f"limits: {{upper: {STOP}, restitution: 1}}"
+    if kind == "cylindrical":
+        limits = f"limits: {{rotation: {{upper: {STOP}, restitution: 1}}}}"
+    linear = "[0, 0, 0]"
+    if kind == "screw":
+        limits, linear = f"pitch: 0.001, {limits}", f"[0, 0, {0.001 * rate}]"
+    text = ROTOR.replace("RATE", f"{rate}").replace("LIMITS", limits)
+    return scene_from_text(text.replace("KIND", kind).replace("LINEAR", linear))
+
+
+@pytest.mark.parametrize(
+    "kind, rate, step",
+    [
+        ("revolute", 400.0, 0.01),
+        ("revolute", 1500.0, 0.01),
+        ("revolute", 5.0, 1.0),
+        ("cylindrical", 500.0, 0.01),
+        ("screw", 500.0, 0.01),
+    ],
+)
+def test_a_stop_after_many_turns_is_met_at_more_than_half_a_turn_per_step(kind, rate, step):
+    """The angle is rate t until STOP, and then 2 STOP - rate t.
+
+    Tolerance: the rounding of sums of n angles of up to STOP, one per substep of at most half a turn.
+    """
+    simulation = Simulation(rotor(rate, kind), step=step)
+    steps = round(1.5 * STOP / rate / step)
+    simulation.advance(steps)
+    sample = simulation.sample()
+    x = sample.pose_matrices[0]
+    angle, true = math.atan2(x[1, 0], x[0, 0]), 2.0 * STOP - rate * simulation.time
+    tolerance = (steps + 2.0 * STOP / math.pi) * STOP * 2.0**-52
+    assert abs(math.remainder(angle - true, 2.0 * math.pi)) < tolerance
+    assert sample.twists["rotor"][2] == pytest.approx(-rate, rel=1e-12)
+    assert sample.switching[0, 3] == pytest.approx(true, abs=tolerance)
+    assert simulation.accurate_until == math.inf
+
+
+def test_a_fixed_step_in_which_the_turn_is_lost_is_refused():
+    """The rotor turns by 3.2 rad in a step."""
+    engine = Engine(rotor(400.0), "rkmk4", 0.008)
+    with pytest.raises(
+        SimulationError, match="stops 'bearing' rotates by pi or more within one step"
+    ):
+        engine.advance(1)
+    assert engine.steps == 0
+    Engine(rotor(400.0), "rkmk4", 0.0078).advance(10)  # 3.12 rad

@@ -119,6 +119,28 @@ def set_rates(model, work, out):
 
 
 @kernel
+def too_fast(model, work, h):
+    """First switch with stops whose angle changes by half a turn or more in a step h to the stage, or -1.
+
+    Poses do not tell in which turn it is then.
+    """
+    counts = False
+    for k in range(len(model.switches)):
+        counts = counts or _counts_turns(model.switches[k])
+    if counts:
+        set_rates(model, work, work.now)
+        for k in range(len(model.switches)):
+            if _counts_turns(model.switches[k]) and abs(h * work.now[k, 0]) >= math.pi:
+                return k
+    return -1
+
+
+@kernel
+def _counts_turns(switch):
+    return switch["turned"] == 1 and (switch["lower"] > -math.inf or switch["upper"] < math.inf)
+
+
+@kernel
 def _depth(switch, q, rate, side):
     """(depth, its rate) beyond the lower stop, side -1, or the upper one, side 1."""
     if side < 0.0:

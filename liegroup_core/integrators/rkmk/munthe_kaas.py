@@ -71,7 +71,7 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
     returns (steps done, status): fewer steps if status is not OK. Pose, twist and work.angle are
     those of the last valid step, after EVENT of the last valid substep. The low byte of status is
     the code. The other bytes are the element
-    of DEPENDENT_ROWS or the torsional spring of TURNS_NOT_COUNTED.
+    of DEPENDENT_ROWS or the torsional spring, or switch after them, of TURNS_NOT_COUNTED.
 
     Steps, substeps and stages are loops of one function: the mechanics are inlined and compiled at
     every call.

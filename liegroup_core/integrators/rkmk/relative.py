@@ -14,7 +14,7 @@ from liegroup_core.formulations.relative.dynamics import accelerations
 from liegroup_core.formulations.relative.kinds import displace, normalise
 from liegroup_core.formulations.relative.loads import UNSETTLED
 from liegroup_core.formulations.relative.loops import project
-from liegroup_core.formulations.relative.switches import count_coordinates, set_rates
+from liegroup_core.formulations.relative.switches import count_coordinates, set_rates, too_fast
 from liegroup_core.integrators.link_state import begin as begin
 from liegroup_core.integrators.link_state import enter as enter
 from liegroup_core.integrators.link_state import leave as leave
@@ -25,7 +25,14 @@ from liegroup_core.lie.coefficients import dexpinv_coefficients, truncated_dexpi
 from liegroup_core.lie.se3 import se3_dexpinv_of
 from liegroup_core.lie.so3 import so3_dexpinv_of
 from liegroup_core.lie.vec3 import dot3, load3
-from liegroup_core.status import LARGEST_ROTATION, NO_FRICTION, NOT_FINITE, OK, ROTATION_TOO_LARGE
+from liegroup_core.status import (
+    LARGEST_ROTATION,
+    NO_FRICTION,
+    NOT_FINITE,
+    OK,
+    ROTATION_TOO_LARGE,
+    TURNS_NOT_COUNTED,
+)
 
 from .crossings import begin_at_end, crossed, note_guards
 from .relative_errors import error_square as error_square
@@ -137,7 +144,12 @@ def check_end(model, work, h):
     if work.iteration[UNSETTLED] != 0.0:
         work.iteration[UNSETTLED] = 0.0
         return NO_FRICTION
-    return end_status(model.space.forces, h, work.stage_pose, work.stage_twist)
+    status = end_status(model.space.forces, h, work.stage_pose, work.stage_twist)
+    if status == OK and len(model.switches) > 0:
+        fast = too_fast(model, work, h)
+        if fast >= 0:
+            return TURNS_NOT_COUNTED + ((len(work.angle) + fast) << 8)
+    return status
 
 
 @kernel

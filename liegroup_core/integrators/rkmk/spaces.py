@@ -19,7 +19,7 @@ for a RelativeModel or a PlaneModel:
                             stage derivatives k, from the accelerations of the stage
     check_end(model, work, h) -> status
                             status of the end of a step of size h: NOT_FINITE, or
-                            TURNS_NOT_COUNTED + (spring << 8) if its angle cannot be unwrapped
+                            TURNS_NOT_COUNTED + (spring or switch << 8) if its angle cannot be unwrapped
     error_square(model, work, scheme, row, h, twist, i, rtol, atol, length) -> float
                             square of an error estimate of body i for the step from `twist`
     close(model, work, controlled) -> status
