@@ -21,13 +21,14 @@ from .formulations.relative.build import (
 )
 from .formulations.relative.spanning_tree import WORLD_NAME
 from .integrators.methods import RELATIVE
+from .integrators.usual_pivot import with_usual_pivot
 from .joints.coupling import COUPLED
 from .joints.limits import limits_of
 from .joints.motion import COLUMNS
 from .joints.pairs import LOWER_PAIRS
 from .lie.groups import UNKNOWN_TURN
 from .model.arrays import Model
-from .model.build import build_model
+from .model.build import build_model, initial_state
 from .model.size import mechanism_size
 from .observables.joint_coordinates import JointCoordinates
 from .observables.joint_forces import JointForces
@@ -65,7 +66,7 @@ class Layout:
     @cached_property
     def relative(self):
         """RelativeModel of the scene; a PlaneModel if the joints keep all bodies in a plane."""
-        return relative_model(self.centred, self.model)
+        return self._with_usual_pivot(relative_model(self.centred, self.model))
 
     @property
     def normal(self):
@@ -78,7 +79,11 @@ class Layout:
         """RelativeModel of the scene that is no PlaneModel."""
         if self.normal is None:
             return self.relative
-        return relative_model(self.centred, self.model, in_space=True)
+        return self._with_usual_pivot(relative_model(self.centred, self.model, in_space=True))
+
+    def _with_usual_pivot(self, model):
+        pose, twist = initial_state(self.centred)
+        return with_usual_pivot(model, pose, twist, self.angles(pose, None))
 
     def drifts(self, group):
         """Whether joints drift with a Munthe-Kaas method on a group.

@@ -148,6 +148,7 @@ class RelativeModel(Struct):
     has_loads: bool  # any friction by load
     first_column: np.ndarray  # (m,) first nonzero column of each row of the factor of W
     refinements: int  # steps of iterative refinement that each solve takes
+    usual_pivot: float  # smallest pivot of W, part of the mobility, at poses that are not singular
     projects: bool
     baumgarte_rate: float
 

@@ -65,6 +65,7 @@ def relative_model(scene, model, in_space=False):
         elements=elements,
         **switch_arrays(scene, links, records, arrays, elements, places),
         refinements=_refinements(scene, model, len(arrays["joints"]) > 0, normal),
+        usual_pivot=1.0,
         projects=bool(model.projects and len(arrays["joints"])),
         baumgarte_rate=model.baumgarte_rate,
         **arrays,

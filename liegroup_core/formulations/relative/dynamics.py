@@ -177,7 +177,6 @@ def accelerations(model, work, external):
     returns -1, or the joint with dependent rows if the regularised solve fails too
     """
     found = _accelerations_of_stage(model, work, external)
-    # With unlike masses, which are refined, pivots are small everywhere.
-    if work.report[3] < NEAR and found < 0 and len(model.switches) == 0 and model.refinements == 0:
+    if work.report[3] < NEAR and found < 0 and len(model.switches) == 0:
         return _accelerations_aside(model, work, external)
     return found

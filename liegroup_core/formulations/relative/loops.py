@@ -145,7 +145,7 @@ def project(model, work):
         dependent = factor(model, work, 0.0)
         if dependent >= 0 or work.report[3] < AT:
             satisfied = satisfied or iteration >= ITERATIONS_WHEN_SINGULAR
-            dependent = factor(model, work, AT)
+            dependent = factor(model, work, AT * model.usual_pivot)
             if dependent >= 0:
                 return DEPENDENT_ROWS + (model.owners[dependent] << 8)
         for r in range(len(work.right)):

@@ -11,7 +11,7 @@ SMALLEST_MOBILITY = 1e-12
 # A solve loses the digits of the largest ratio of a diagonal entry and its pivot, and the refinement
 # that follows gains them back: from here on.
 SMALL_PIVOT = 1e-2
-# Smallest pivots as parts of the mobility: of a pose near a singular one, and of one that counts as it.
+# Smallest pivots as parts of the usual one: of a pose near a singular one, and of one that counts as it.
 NEAR, AT = 1e-3, 2e-5
 # Shift of W at a singular pose.
 REGULARISATION = 1e-8
@@ -150,7 +150,7 @@ def factor(model, work, shift):
             work.diagonal[r] = 1.0 / pivot
             if pivot < smallest * mobility:
                 smallest = pivot / mobility
-    work.report[3] = smallest
+    work.report[3] = smallest / model.usual_pivot
     return -1
 
 

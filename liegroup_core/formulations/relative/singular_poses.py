@@ -9,7 +9,7 @@ sides, from the poses displaced by +- d V, +- 2 d V and +- 3 d V and projected, 
 What is left is round-off in the accelerations: error control does not resolve it.
 
 Steps keep their normal size at these poses: test/verification/test_accuracy.py. Scenes with stops or
-friction, and mechanisms whose solves are refined, are left to the regularisation of loops.py.
+friction are left to the regularisation of loops.py.
 """
 
 from liegroup_core.compiling import kernel

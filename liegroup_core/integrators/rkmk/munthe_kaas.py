@@ -49,6 +49,18 @@ def _save(work, pose, twist, control):
 
 
 @kernel
+def _coarsen(factor, pose, twist):
+    """Round all numbers to b bits less; factor : 2^b + 1 (Veltkamp's splitting)."""
+    for i in range(len(pose)):
+        for c in range(12):
+            large = factor * pose[i, c]
+            pose[i, c] = large - (large - pose[i, c])
+        for c in range(6):
+            large = factor * twist[i, c]
+            twist[i, c] = large - (large - twist[i, c])
+
+
+@kernel
 def _restore(work, pose, twist, control):
     """Restore the state saved by `_save`."""
     copy_state(work.start_pose, work.start_twist, pose, twist)
@@ -63,11 +75,12 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
 
     model, work     : Model and Work, or RelativeModel or PlaneModel and RelativeWork
     external        : external wrenches of these steps, see forces/external.py
-    control (11,)   : next substep in s, numbers of accepted and of attempted substeps so far, next
+    control (12,)   : next substep in s, numbers of accepted and of attempted substeps so far, next
                       substep at the start of the step, rtol of velocities, atol in rad, m, rad/s,
                       m/s, longest substep in s, most attempts in a step, length in m times which atol
                       is that of positions, rounding of a pose, part that the most attempts are of those of
-                      the whole step, if its rest takes equal substeps; only for schemes with error control
+                      the whole step, if its rest takes equal substeps; only for schemes with error control.
+                      Factor of `_coarsen`, or 0
     returns (steps done, status): fewer steps if status is not OK. Pose, twist and work.angle are
     those of the last valid step, after EVENT of the last valid substep. The low byte of status is
     the code. The other bytes are the element
@@ -127,6 +140,8 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
                 first = 0 if model.projects else 1
             spaces.count_turns(model, work)
             copy_state(work.stage_pose, work.stage_twist, pose, twist)
+            if control[11] > 0.0:
+                _coarsen(control[11], pose, twist)
             work.report[0] = max(work.report[0], work.report[1])
             remaining = remaining - size if count > 1 else 0.0
         if status == OK:
@@ -162,7 +177,7 @@ class MuntheKaas:
         self._model, self._work, self.work, ending = model_and_work(layout, group, options, stages)
         self._blocks = stages + 1
         self.kernels = ("implicit" if method.implicit else "rkmk") + ending
-        self._control = np.zeros(11)
+        self._control = np.zeros(12)
         self._control[7], self._control[8] = MOST_SUBSTEPS, 1.0
         self._tolerances = options.get("rtol", 0.0), options.get("atol", 1.0)
         self._methods, self._chosen, self._part = [], np.zeros(1), 1.0
@@ -222,6 +237,10 @@ class MuntheKaas:
         """Take all steps, none with tolerances below rounding; those of positions are times a length in m."""
         self.passes = True
         self._control[8:10] = length, ROUNDING
+
+    def coarsen(self, bits):
+        """Round the state to so many bits less after every substep."""
+        self._control[11] = 2.0**bits + 1.0
 
     def choose(self, number):
         """Continue with another of the methods, by its number in the order of `add`."""
