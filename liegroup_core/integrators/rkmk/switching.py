@@ -213,8 +213,11 @@ class Switching(EventTimes):
                 near = sign * (q - stop) >= -self.reach * (1.0 + np.abs(stop))
             side[self._rigid & np.isfinite(stop) & (near | crossed[:, end])] = sign
         touching = self._rigid & (side != 0.0)
-        # A held row is at rest: its rate is the error of the method.
-        drift = np.where(self._is_row, work.held[self._freedoms], 0.0) * self._rates()
+        # A held row is at rest: its rate is the error of the method. So is what slid and has come to rest:
+        # its rate is what the event's time leaves of it, however large its acceleration.
+        at_rest = self._is_row & (work.held[self._freedoms] != 0.0)
+        at_rest |= crossed[:, SLIDING] & (modes[:, SLIP] != 0.0)
+        drift = np.where(at_rest, self._rates(), 0.0)
         rates = self._rates() - drift
         # It left the stop, and returns before it was away from it: it never left.
         stays = touching & crossed[:, : UPPER + 1].any(axis=1) & (side * rates <= 0.0)
