@@ -36,7 +36,8 @@ from liegroup_core.status import NO_FRICTION, OK
 
 from .event_kernels import change_rates, look, respond
 
-SMALLEST_REBOUND = 1e-10  # rad or m
+# rad, or of the mechanism's size; and what round-off may be, of the largest distance from the origin.
+SMALLEST_REBOUND, LAST_DIGITS = 1e-10, 1e-14
 RETURNING = 1e-10  # of its terms: an acceleration below is zero
 SAME_LOADS = 1e-12
 ACCELERATION = 1e-13  # of all accelerations of the mechanism: round-off of one
@@ -65,13 +66,14 @@ class JointEvent(NamedTuple):
 class ModeChanges:
     """Impulses and modes at an event of the switches of a model, at the state that `work` has.
 
+    sizes   : (k,) of the mechanism in the units of the switches: 1 rad, or m
     events  : [JointEvent] since they were taken
     impacts : [(time in s, pose (n, 12), impulses (k,) on the coordinates of the joints)] since they
               were taken; None: not wanted
     """
 
-    def __init__(self, model, work):
-        self._model, self._work = model, work
+    def __init__(self, model, work, sizes):
+        self._model, self._work, self._sizes = model, work, sizes
         table = model.switches
         self._freedoms, self._is_row = table["freedom"], table["row"] >= 0
         self._rigid = table["stiffness"] == 0.0
@@ -85,10 +87,15 @@ class ModeChanges:
         self.events, self.impacts = [], None
         self.is_dense = False  # impacts follow each other without end: they are plastic
 
-    @property
-    def reach(self):
-        """What is not further from a stop is at it, rad or m."""
-        return SMALLEST_REBOUND if self.is_dense else AT_STOP
+    def _smallest_rebound(self, pose):
+        """(k,) heights of rebounds that are none, rad or m."""
+        far = LAST_DIGITS * np.abs(pose[:, 9:]).max()
+        return np.maximum(SMALLEST_REBOUND * self._sizes, far)
+
+    def _reach(self, pose, stop):
+        """(k,) what is not further from a stop is at it, rad or m."""
+        round_off = AT_STOP * (1.0 + np.abs(stop))
+        return np.maximum(self._smallest_rebound(pose), round_off) if self.is_dense else round_off
 
     def _respond_at_stage(self):
         mobility, of_open = self._mobility, self._open_mobility
@@ -135,7 +142,8 @@ class ModeChanges:
         rebound = restitution * np.maximum(side[hit] * rates[hit], 0.0)
         if self.is_dense:
             restitution[:] = 0.0
-        restitution[rebound**2 <= 2.0 * SMALLEST_REBOUND * np.maximum(towards, 0.0)] = 0.0
+        smallest = self._smallest_rebound(state[0])[hit]
+        restitution[rebound**2 <= 2.0 * smallest * np.maximum(towards, 0.0)] = 0.0
         A = self._mobility[np.ix_(hit, hit)]
         lo = np.where((side[hit] > 0.0) | stays[hit], -np.inf, 0.0)
         hi = np.where((side[hit] < 0.0) | stays[hit], np.inf, 0.0)

@@ -17,7 +17,7 @@ from liegroup_core.formulations.relative.switches import LOWER, RESTING, SLIDING
 from liegroup_core.status import BEYOND_STOP, EVENT, EVENTS_WITHOUT_END, MOST_EVENTS, OK
 
 from .crossings import lowest
-from .event_times import EventTimes
+from .event_times import SAME_PART, SAME_TIME, EventTimes
 from .mode_changes import IMPACT, JointEvent
 
 BEYOND = 1e-9  # rad or m: a state that is set is not this far beyond a stop
@@ -47,7 +47,7 @@ class JointInstant(NamedTuple):
 class Switching(EventTimes):
     """Steps of a Munthe-Kaas method with the events of the switches of its model.
 
-    take, control : see EventTimes
+    sizes, take, control : see EventTimes
 
     instants : [JointInstant] since they were taken; None: not wanted
     count   : of all events since the state was set
@@ -55,8 +55,8 @@ class Switching(EventTimes):
     crowded : (time in s, switches, s between two) of the first CROWD events in the time CROWDED, or None
     """
 
-    def __init__(self, model, work, take, control):
-        super().__init__(model, work, take, control)
+    def __init__(self, model, work, sizes, take, control):
+        super().__init__(model, work, sizes, take, control)
         self.instants, self.count = None, 0
         self.endless = self.crowded = self._inputs = None
         self._crowd = 0, 0.0  # events and time from which on they are counted
@@ -151,6 +151,7 @@ class Switching(EventTimes):
 
     def _finish(self, h, start, state):
         """Take the step in which the next event is, from the substep with it on. Returns a status."""
+        self.same_time = min(SAME_TIME, SAME_PART * h)
         status = self._take_events(h, start, state)
         self.is_dense = False
         return status
@@ -210,7 +211,7 @@ class Switching(EventTimes):
         side = np.where(self._rigid, 0.0, modes[:, SIDE])
         for end, (stop, sign) in enumerate(((table["lower"], -1.0), (table["upper"], 1.0))):
             with np.errstate(invalid="ignore"):
-                near = sign * (q - stop) >= -self.reach * (1.0 + np.abs(stop))
+                near = sign * (q - stop) >= -self._reach(state[0], stop)
             side[self._rigid & np.isfinite(stop) & (near | crossed[:, end])] = sign
         touching = self._rigid & (side != 0.0)
         # A held row is at rest: its rate is the error of the method. So is what slid and has come to rest:
