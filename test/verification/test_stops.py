@@ -402,6 +402,39 @@ def test_impacts_without_end_are_plastic_with_a_warning(caplog):
     assert engine.energy() == 0.0
 
 
+@pytest.mark.parametrize("options", [{"accuracy": 1e-3}, {"method": "rkmk4", "estimate": True}])
+def test_the_estimate_knows_that_elastic_impacts_were_made_plastic(options):
+    """The block of the test above is at rest, and the true one at 1 m/s for ever: the error is not known."""
+    simulation = Simulation(scene_from_text(SHUTTLE), step=1e-2, quiet=True, **options)
+    simulation.advance(2)
+    kept = simulation.snapshot()
+    for _ in range(2):  # also from a snapshot between two estimates
+        simulation.advance(20)
+        sample = simulation.sample()
+        assert sample.twists["block"][5] == 0.0 and np.isinf(sample.error["block"]).all()
+        assert simulation.predictable_until <= 0.1 and simulation.doubt
+        assert simulation.accurate_until <= 0.1 or "method" in options
+        simulation.restore(kept)
+    simulation.reset()
+    simulation.place(twists={"block": np.zeros(6)})
+    simulation.advance(20)
+    assert simulation.sample().error["block"].max() <= 1e-12 and not simulation.doubt
+
+
+def test_bouncing_that_ends_by_itself_is_made_plastic_without_a_doubt():
+    """In a step of 1 s the bouncing of restitution 0.99 ends, at t0 (1 + e) / (1 - e), after 500 impacts.
+
+    Rebounds that last below 1e-2 exp(-0.01 500) s = 7e-5 s are 6e-9 m high: so much the ball may err.
+    """
+    ball = scene_from_text(BALL.replace("RESTITUTION", "0.99"))
+    simulation = Simulation(ball, "rkmk4", 1.0, estimate=True, quiet=True)
+    simulation.advance(math.floor(math.sqrt(2.0 / G) * 199.0) + 8)
+    assert simulation._switching.endless is not None  # that it is made plastic
+    assert simulation.modes == {"track": "lower"}
+    assert abs(simulation.sample().positions["ball"][2]) <= 6e-9
+    assert simulation.predictable_until == math.inf and not simulation.doubt
+
+
 def test_events_at_very_short_intervals_are_found_with_a_warning(caplog):
     """Between two elastic stops 50 um apart at 1 m/s: an impact each 50 us, and no energy is lost."""
     scene = SHUTTLE.replace("5.0e-7", "5.0e-5")

@@ -70,6 +70,8 @@ class ModeChanges:
     events  : [JointEvent] since they were taken
     impacts : [(time in s, pose (n, 12), impulses (k,) on the coordinates of the joints)] since they
               were taken; None: not wanted
+    lost    : longest way of a rebound that was made plastic, in a step or until it returns to its stop,
+              rad or parts of the mechanism's size
     """
 
     def __init__(self, model, work, sizes):
@@ -86,6 +88,7 @@ class ModeChanges:
         self._change_rates = SameTypes(change_rates)
         self.events, self.impacts = [], None
         self.is_dense = False  # impacts follow each other without end: they are plastic
+        self.step, self.lost = 1.0, 0.0
 
     def _smallest_rebound(self, pose):
         """(k,) heights of rebounds that are none, rad or m."""
@@ -141,6 +144,7 @@ class ModeChanges:
         towards = side[hit] * accelerations[hit]
         rebound = restitution * np.maximum(side[hit] * rates[hit], 0.0)
         if self.is_dense:
+            self._note_lost(hit, rebound, towards)
             restitution[:] = 0.0
         smallest = self._smallest_rebound(state[0])[hit]
         restitution[rebound**2 <= 2.0 * smallest * np.maximum(towards, 0.0)] = 0.0
@@ -169,6 +173,13 @@ class ModeChanges:
                     JointEvent(time, int(k), IMPACT, float(signs[k] * impulse), float(loss))
                 )
         return self._look(model, work, *state)
+
+    def _note_lost(self, hit, rebound, towards):
+        """Keep what rebounds that are made plastic would do; towards: accelerations to their stops."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            height = np.where(towards > 0.0, rebound**2 / (2.0 * towards), np.inf)
+        way = np.minimum(rebound * self.step, height) / self._sizes[hit]
+        self.lost = max(self.lost, float(way.max(initial=0.0)))
 
     def _choose(self, state, side, resting, rates, crossed, pressed):
         """Modes of all switches from here on. Returns a status.

@@ -78,7 +78,7 @@ class Switching(EventTimes):
         """Forget the modes: the state was set."""
         self._work.held[:] = 0.0
         self._work.modes[:] = 0.0
-        self.events, self.count, self._crowd = [], 0, (0, 0.0)
+        self.events, self.count, self._crowd, self.lost = [], 0, (0, 0.0), 0.0
         self.endless = self.crowded = self._inputs = None
         self.instants = None if self.instants is None else []
         self.impacts = None if self.impacts is None else []
@@ -98,7 +98,7 @@ class Switching(EventTimes):
             if status == EVENT:
                 kept = self._keep(pose, twist, True)
                 log, instants = len(self.events), len(self.instants or ())
-                impacts = len(self.impacts or ())
+                impacts, lost = len(self.impacts or ()), self.lost
                 status = self._finish(h, (first + done) * h + base, state)
                 if status == OK:
                     done += 1
@@ -107,6 +107,7 @@ class Switching(EventTimes):
                     self._change_rates(self._model, work, self._no_changes, pose, twist)
                     self.count -= len(self.events) - log
                     del self.events[log:]
+                    self.lost = lost
                     self.impacts = self.impacts and self.impacts[:impacts]
                     if self.instants:
                         del self.instants[instants:]
@@ -151,7 +152,7 @@ class Switching(EventTimes):
 
     def _finish(self, h, start, state):
         """Take the step in which the next event is, from the substep with it on. Returns a status."""
-        self.same_time = min(SAME_TIME, SAME_PART * h)
+        self.step, self.same_time = h, min(SAME_TIME, SAME_PART * h)
         status = self._take_events(h, start, state)
         self.is_dense = False
         return status
