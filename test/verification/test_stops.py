@@ -204,6 +204,21 @@ def test_bouncing_becomes_contact():
     assert engine.modes == {"track": "lower"}
 
 
+def test_bouncing_with_many_impacts_in_a_step_becomes_contact():
+    """Restitution 0.998 and steps of 0.1 s: 1600 rebounds above 1e-10 m in the last one.
+
+    After 500 of them rebounds below 1e-8 of the size, 0.39 m, are none. Such a flight lasts 2 sqrt(2 height / g)
+    = 5.6e-5 s, and all that follow 500 times as long.
+    """
+    text = BALL.replace("RESTITUTION", "0.998").replace("[0, 0, 1]", "[0, 0, 9.477e-6]")
+    engine = Engine(scene_from_text(text), "rkmk4", 0.1)
+    engine.advance(15)
+    end = math.sqrt(2.0 * 9.477e-6 / G) * 1.998 / 0.002
+    (last,) = [event for event in engine.drain_events() if event.kind == "stop"]
+    assert 0.0 <= end - last.time <= 0.029
+    assert engine.modes == {"track": "lower"}
+
+
 def test_elastic_bouncing_keeps_its_energy():
     engine = Engine(scene_from_text(BALL.replace("RESTITUTION", "1.0")), "rkmk4", 0.01)
     energy = engine.energy()

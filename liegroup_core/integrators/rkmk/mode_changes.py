@@ -10,7 +10,8 @@
 
 Both are one complementarity problem for all switches (complementarity.py). With equal restitution e
 kinetic energy never grows; where different ones would let it grow, all have the smallest. A rebound
-that is lower than SMALLEST_REBOUND is none: bouncing that never ends becomes contact.
+that is lower than SMALLEST_REBOUND is none: bouncing that never ends becomes contact. After many events in
+a step LOW_REBOUND is enough.
 
 Source: Brogliato, Nonsmooth Mechanics, 5.1; Acary and Brogliato, Numerical Methods for Nonsmooth
 Dynamical Systems, 8. Accuracy: test/verification/test_stops.py, test_friction.py.
@@ -36,8 +37,9 @@ from liegroup_core.status import NO_FRICTION, OK
 
 from .event_kernels import change_rates, look, respond
 
-# rad, or of the mechanism's size; and what round-off may be, of the largest distance from the origin.
-SMALLEST_REBOUND, LAST_DIGITS = 1e-10, 1e-14
+# rad, or of the mechanism's size: a lower rebound is none, of many events in a step one below the second height.
+SMALLEST_REBOUND, LOW_REBOUND = 1e-10, 1e-8
+LAST_DIGITS = 1e-14  # of the largest distance from the origin: round-off of a position
 RETURNING = 1e-10  # of its terms: an acceleration below is zero
 SAME_LOADS = 1e-12
 ACCELERATION = 1e-13  # of all accelerations of the mechanism: round-off of one
@@ -88,17 +90,19 @@ class ModeChanges:
         self._change_rates = SameTypes(change_rates)
         self.events, self.impacts = [], None
         self.is_dense = False  # impacts follow each other without end: they are plastic
+        self.has_many = False  # events in this step
         self.step, self.lost = 1.0, 0.0
 
-    def _smallest_rebound(self, pose):
-        """(k,) heights of rebounds that are none, rad or m."""
-        far = LAST_DIGITS * np.abs(pose[:, 9:]).max()
-        return np.maximum(SMALLEST_REBOUND * self._sizes, far)
+    def _height(self, pose, part):
+        """(k,) part of 1 rad or of the mechanism's size, above round-off, rad or m."""
+        return np.maximum(part * self._sizes, LAST_DIGITS * np.abs(pose[:, 9:]).max())
 
     def _reach(self, pose, stop):
         """(k,) what is not further from a stop is at it, rad or m."""
         round_off = AT_STOP * (1.0 + np.abs(stop))
-        return np.maximum(self._smallest_rebound(pose), round_off) if self.is_dense else round_off
+        if not self.is_dense:
+            return round_off
+        return np.maximum(self._height(pose, SMALLEST_REBOUND), round_off)
 
     def _respond_at_stage(self):
         mobility, of_open = self._mobility, self._open_mobility
@@ -146,8 +150,8 @@ class ModeChanges:
         if self.is_dense:
             self._note_lost(hit, rebound, towards)
             restitution[:] = 0.0
-        smallest = self._smallest_rebound(state[0])[hit]
-        restitution[rebound**2 <= 2.0 * smallest * np.maximum(towards, 0.0)] = 0.0
+        lowest = self._height(state[0], LOW_REBOUND if self.has_many else SMALLEST_REBOUND)[hit]
+        restitution[rebound**2 <= 2.0 * lowest * np.maximum(towards, 0.0)] = 0.0
         A = self._mobility[np.ix_(hit, hit)]
         lo = np.where((side[hit] > 0.0) | stays[hit], -np.inf, 0.0)
         hi = np.where((side[hit] < 0.0) | stays[hit], np.inf, 0.0)

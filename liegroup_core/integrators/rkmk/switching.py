@@ -154,7 +154,7 @@ class Switching(EventTimes):
         """Take the step in which the next event is, from the substep with it on. Returns a status."""
         self.step, self.same_time = h, min(SAME_TIME, SAME_PART * h)
         status = self._take_events(h, start, state)
-        self.is_dense = False
+        self.is_dense = self.has_many = False
         return status
 
     def _take_events(self, h, start, state):
@@ -170,8 +170,8 @@ class Switching(EventTimes):
             if crossed is not None:
                 times.append(elapsed)
                 # Those that converge do so by then; so many in so short a time are far too many.
-                many = len(times) > MOST_EVENTS // 2
-                self.is_dense = many and elapsed - times[-DENSE] < SHORT * h
+                self.has_many = len(times) > MOST_EVENTS // 2
+                self.is_dense = self.has_many and elapsed - times[-DENSE] < SHORT * h
                 if self.is_dense and self.endless is None:
                     self.endless = start + elapsed, np.argwhere(crossed)[:, 0].tolist()
                 status = self._switch(start + elapsed, state, crossed)
