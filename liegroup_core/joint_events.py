@@ -62,6 +62,11 @@ class JointEvents:
         events, self._switching.events[:] = self._switching.events[:], []
         return [event._replace(joint=self.layout.switches[event.joint].name) for event in events]
 
+    @property
+    def lost_rebound(self):
+        """Longest way of a rebound that was made plastic since the state was set, see ModeChanges.lost."""
+        return 0.0 if self._switching is None else self._switching.lost
+
     def drain_impacts(self) -> list[Impact]:
         """Return the impulses of all joints at the impacts since the last call.
 

@@ -39,7 +39,7 @@ from .scene.centres import Offsets
 from .scene.consistency import resolve_drives, resolve_frames
 from .scene.description import Scene
 from .scene.massless import lack_of_inertia
-from .scene.switches import switches_of
+from .scene.switches import switches_of, unit_of
 from .threads import one_blas_thread
 
 NO_MOTIONS = np.zeros((0, COLUMNS))
@@ -118,6 +118,12 @@ class Layout:
     def switches(self):
         """[Switch]: coordinates with stops or friction, in the order of all arrays."""
         return switches_of(self.scene)
+
+    @cached_property
+    def switch_sizes(self):
+        """(k,) mechanism's size in the unit of each of the switches: 1 rad, or m."""
+        units = [unit_of(switch, self.scene) for switch in self.switches]
+        return np.array([self.size if unit == "m" else 1.0 for unit in units])
 
     @property
     def needs_events(self):

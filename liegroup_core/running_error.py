@@ -30,8 +30,9 @@ the last substep of each, which ends with the step, would often make the substep
 substeps are at most 4/3 of a step, with an accuracy only where joints have stops or friction: it would
 step over contacts that the simulation meets.
 
-What both runs get wrong alike, whatever the step, is no distance: see integrators/added_inertia.py. There
-the estimate is infinite.
+What both runs get wrong alike, whatever the step, is no distance: see integrators/added_inertia.py, and
+impacts that follow each other without end and are made plastic, though they would go on (LOST_REBOUND).
+There the estimate is infinite.
 
 Coverage, that is estimate against true error: benchmarks/estimate_coverage.py,
 test/verification/test_running_error.py.
@@ -54,6 +55,9 @@ HIGH = 8  # order from which the steps are more similar
 FIRST_MEETINGS, MEETINGS = 2, 48  # between two checkpoints, from the second one on
 SUBSTEPS, MOST = 32, 8  # between checkpoints with an accuracy: substeps, and steps at most
 FASTEST = 8.0  # growth between two meetings that is continued until the next one
+# rad, or of the mechanism's size: a rebound made plastic that would be longer. Bouncing that comes to rest by
+# itself is far below it when its impacts are that dense.
+LOST_REBOUND = 1e-7
 PARTS = 2  # of the step that leads to an event, whose size does not depend on that of the others
 # Least part of the distance, where the order is not seen.
 LEAST, LEAST_HIGH = 1.0, 0.75
@@ -169,6 +173,7 @@ class RunningError:
         """Advance the companion to the present step if they can meet, and estimate the error."""
         engine = self.engine
         steps = engine.steps
+        self._failed = self._failed or engine.lost_rebound > LOST_REBOUND
         if not self._alive or steps % self.ours:
             return
         if self._start is None:

@@ -52,6 +52,18 @@ forces:
   - {name: anchor, type: spring_damper, parent: world, child: block, parent_point: [-10, 0, 0],
       child_point: [0, 0, 0], stiffness: 25.0, damping: 0.0, rest_length: 10.0}
 """
+# A block on a stiff spring, with a weight of 10 N across its track.
+OSCILLATOR = """
+name: oscillator
+gravity: [0, 0, -10]
+bodies:
+  - {name: block, mass: 1.0, inertia: [1.0, 1.0, 1.0], position: [0.5, 0, 0]}
+joints:
+  - {name: track, type: prismatic, parent: world, child: block, parent_frame: {axis: [1, 0, 0]},
+      child_frame: {axis: [1, 0, 0]}, friction: {FRICTION}}
+forces:
+  - {name: spring, type: linear_spring_damper, joint: track, stiffness: STIFFNESS}
+"""
 
 
 def incline(tilt, coulomb, static, speed=0.0):
@@ -164,6 +176,23 @@ def test_which_joints_of_a_chain_stick(shoulder, elbow, modes):
     engine = Engine(scene_from_text(text), "rkmk4", 1e-3)
     engine.advance(1)
     assert engine.modes == modes
+
+
+@pytest.mark.parametrize("friction", ["coulomb: 1.0", "mu: 0.1"])
+@pytest.mark.parametrize("stiffness", [1e5, 1e9])
+def test_a_stiff_oscillator_turns_round(friction, stiffness):
+    """Each half period pi sqrt(m/k) takes 2 F / k off the amplitude, with friction F = 1 N and m = 1 kg.
+
+    Where it turns its acceleration is 5e4 to 5e8 m/s^2: the last bit of the time leaves a rate. rkmk8 with
+    1/40 of a period errs by round-off: 400 steps of 1e-16 of 0.5 m.
+    """
+    text = OSCILLATOR.replace("STIFFNESS", repr(stiffness)).replace("FRICTION", friction)
+    engine = Engine(scene_from_text(text), "rkmk8", math.pi / math.sqrt(stiffness) / 20.0)
+    for turns in range(1, 21):
+        engine.advance(20)
+        amplitude = 0.5 - 2.0 * turns / stiffness
+        assert abs(abs(engine.sample().positions["block"][0]) - amplitude) <= 1e-12
+    assert engine.drain_events() == []  # it never sticks
 
 
 def test_energy_that_friction_takes():

@@ -29,6 +29,18 @@ joints:
     child_frame: {}
     limits: {lower: 0, restitution: RESTITUTION}
 """
+# A block on a spring, at rest at -SIZE.
+OSCILLATOR = """
+name: oscillator
+gravity: [0, 0, 0]
+bodies:
+  - {name: block, mass: 1.0, inertia: INERTIA, position: [0, 0, -SIZE]}
+joints:
+  - {name: track, type: prismatic, parent: world, child: block, parent_frame: {}, child_frame: {},
+     limits: {upper: STOP, restitution: 1.0}}
+forces:
+  - {name: spring, type: linear_spring_damper, joint: track, stiffness: STIFFNESS}
+"""
 # A pendulum that hangs along -z at the angle 0 and swings in a tilted frame's plane.
 PENDULUM = """
 name: pendulum
@@ -73,6 +85,52 @@ def test_bouncing_ball(method):
         speed *= e
         time += 2.0 * speed / G
     assert len(found) == 20
+
+
+@pytest.mark.parametrize("height", [1.0, 1e-4, 1e-8])
+def test_small_balls_bounce_like_large_ones(height):
+    """A drop from this height on a mechanism as small: all rebounds above 1e-10 of its size, and their times.
+
+    Speeds e^k v0, heights e^2k h0. A ball is exact for every order. An impact is found to 1e-13 of a step,
+    of 1/20 of the first fall: 53 of them to 3e-13 of it.
+    """
+    e, gyration = 0.8, 0.5
+    inertia = repr([gyration**2 * height**2] * 3)
+    text = BALL.replace("[0.1, 0.1, 0.1]", inertia).replace("[0, 0, 1]", repr([0, 0, height]))
+    first = math.sqrt(2.0 * height / G)
+    engine = Engine(scene_from_text(text.replace("RESTITUTION", str(e))), "rkmk4", first / 20.0)
+    engine.advance(round(20 * (1.0 + e) / (1.0 - e)) + 20)
+    found = [event for event in engine.drain_events() if event.kind == "impact"]
+    time, flight = first, 2.0 * first
+    size = math.sqrt(3.0 / 2.0) * gyration * height  # radius of gyration of mass 2
+    # The impact after which a rebound would be too low is the last one.
+    rebounds = math.floor(math.log(1e-10 * size / height) / (2.0 * math.log(e)))
+    assert len(found) == rebounds + 1
+    for event in found:
+        assert event.time == pytest.approx(time, abs=1e-12 * first)
+        flight *= e
+        time += flight
+    assert engine.modes == {"track": "lower"}
+
+
+@pytest.mark.parametrize("rate", [1.0, 1e9])
+def test_fast_small_oscillators_hit_their_stop_like_slow_large_ones(rate):
+    """w = 1 rad/s and 1 m, 1e9 rad/s and 1 um, elastic stop at half of the amplitude: 119 impacts.
+
+    From the stop back to it the phase w t advances by 2 (pi - arccos 0.5). rkmk8 with w h = 0.1 errs by
+    less than 1e-14 a step; 5000 steps and the impacts, which only turn the phase back, by 5e-11 at most.
+    """
+    size = 1e-6 if rate > 1.0 else 1.0
+    text = OSCILLATOR.replace("INERTIA", repr([0.1 * size**2] * 3)).replace("SIZE", repr(size))
+    text = text.replace("STIFFNESS", repr(rate**2)).replace("STOP", repr(0.5 * size))
+    engine = Engine(scene_from_text(text), "rkmk8", 0.1 / rate)
+    period = 2.0 * (math.pi - math.acos(0.5))
+    for _ in range(100):
+        engine.advance(50)
+        phase = rate * engine.time % period
+        x = -size * math.cos(min(phase, period - phase))
+        assert engine.sample().positions["block"][2] == pytest.approx(x, abs=5e-11 * size)
+    assert engine.event_count == 119
 
 
 @pytest.mark.parametrize("method, step", [("rkmk4", 1e-3), ("rkmk8", 1e-2), ("rkmk853", 1e-2)])
@@ -141,8 +199,23 @@ def test_bouncing_becomes_contact():
     events = engine.drain_events()
     end = math.sqrt(2.0 / G) * 3.0
     assert [event.kind for event in events][-1] == "stop"
-    # The last rebound that is taken is 1e-10 m high: it lasts 9e-6 s.
+    # The last rebound that is taken is 1e-10 of the size high, which is 0.39 m: it lasts 6e-6 s.
     assert events[-1].time == pytest.approx(end, abs=2e-5)
+    assert engine.modes == {"track": "lower"}
+
+
+def test_bouncing_with_many_impacts_in_a_step_becomes_contact():
+    """Restitution 0.998 and steps of 0.1 s: 1600 rebounds above 1e-10 m in the last one.
+
+    After 500 of them rebounds below 1e-8 of the size, 0.39 m, are none. Such a flight lasts 2 sqrt(2 height / g)
+    = 5.6e-5 s, and all that follow 500 times as long.
+    """
+    text = BALL.replace("RESTITUTION", "0.998").replace("[0, 0, 1]", "[0, 0, 9.477e-6]")
+    engine = Engine(scene_from_text(text), "rkmk4", 0.1)
+    engine.advance(15)
+    end = math.sqrt(2.0 * 9.477e-6 / G) * 1.998 / 0.002
+    (last,) = [event for event in engine.drain_events() if event.kind == "stop"]
+    assert 0.0 <= end - last.time <= 0.029
     assert engine.modes == {"track": "lower"}
 
 
@@ -342,6 +415,39 @@ def test_impacts_without_end_are_plastic_with_a_warning(caplog):
     expected = "impacts follow each other without end at track: they are plastic"
     assert sum(expected in message for message in messages) == 1
     assert engine.energy() == 0.0
+
+
+@pytest.mark.parametrize("options", [{"accuracy": 1e-3}, {"method": "rkmk4", "estimate": True}])
+def test_the_estimate_knows_that_elastic_impacts_were_made_plastic(options):
+    """The block of the test above is at rest, and the true one at 1 m/s for ever: the error is not known."""
+    simulation = Simulation(scene_from_text(SHUTTLE), step=1e-2, quiet=True, **options)
+    simulation.advance(2)
+    kept = simulation.snapshot()
+    for _ in range(2):  # also from a snapshot between two estimates
+        simulation.advance(20)
+        sample = simulation.sample()
+        assert sample.twists["block"][5] == 0.0 and np.isinf(sample.error["block"]).all()
+        assert simulation.predictable_until <= 0.1 and simulation.doubt
+        assert simulation.accurate_until <= 0.1 or "method" in options
+        simulation.restore(kept)
+    simulation.reset()
+    simulation.place(twists={"block": np.zeros(6)})
+    simulation.advance(20)
+    assert simulation.sample().error["block"].max() <= 1e-12 and not simulation.doubt
+
+
+def test_bouncing_that_ends_by_itself_is_made_plastic_without_a_doubt():
+    """In a step of 1 s the bouncing of restitution 0.99 ends, at t0 (1 + e) / (1 - e), after 500 impacts.
+
+    Rebounds that last below 1e-2 exp(-0.01 500) s = 7e-5 s are 6e-9 m high: so much the ball may err.
+    """
+    ball = scene_from_text(BALL.replace("RESTITUTION", "0.99"))
+    simulation = Simulation(ball, "rkmk4", 1.0, estimate=True, quiet=True)
+    simulation.advance(math.floor(math.sqrt(2.0 / G) * 199.0) + 8)
+    assert simulation._switching.endless is not None  # that it is made plastic
+    assert simulation.modes == {"track": "lower"}
+    assert abs(simulation.sample().positions["ball"][2]) <= 6e-9
+    assert simulation.predictable_until == math.inf and not simulation.doubt
 
 
 def test_events_at_very_short_intervals_are_found_with_a_warning(caplog):

@@ -18,9 +18,9 @@ from liegroup_core.status import OK
 from .crossings import lowest
 from .mode_changes import ModeChanges
 
-TIME_STEP = 1e-15  # s; an event is found to this, and to round-off
-DIGIT = 1e-17  # rad, m, rad/s, m/s, N m or N: no guard is known better
-SAME_TIME = 10.0 * TIME_STEP  # s; events that are closer are one
+TIME_PART = 1e-13  # of a substep; an event is found to this, and to round-off
+DIGIT = 1e-17  # rad, or of the mechanism's size: no gap is known better
+SAME_TIME, SAME_PART = 1e-14, 1e-9  # s, and of a step; events that are closer are one
 HALVINGS, MOST_LOOKS = 40, 400
 # Parts of a substep: where the smallest effort is sought, and how precisely.
 NEAR, PRECISE = 0.2, 1e-3
@@ -32,6 +32,7 @@ LOOSE = 1e100  # tolerance of error control that no step fails
 class EventTimes(ModeChanges):
     """Times of events, by steps of a Munthe-Kaas method.
 
+    sizes   : see ModeChanges
     take    : function (h, steps, pose, twist, external) -> (steps done, status)
     control : of error control, see munthe_kaas.advance
 
@@ -39,9 +40,10 @@ class EventTimes(ModeChanges):
               of parts shows its error, see RunningError
     """
 
-    def __init__(self, model, work, take, control):
-        super().__init__(model, work)
+    def __init__(self, model, work, sizes, take, control):
+        super().__init__(model, work, sizes)
         self._take, self._control, self.parts = take, control, 1
+        self.same_time = SAME_TIME
         table = model.switches
         # A guard that starts below this starts at its zero.
         self._at_zero = np.zeros((len(table), 5))
@@ -102,16 +104,16 @@ class EventTimes(ModeChanges):
                 ends.append((end * above / (above - guard(end, k, c)), end, k, c))
         tau, crossed = size, np.zeros(places.shape, dtype=bool)
         for _, end, k, c in sorted(ends):  # by linear interpolation
-            later = tau + SAME_TIME
+            later = tau + self.same_time
             if crossed.any():
                 if end > later and not guard(later, k, c) < 0.0:
                     continue  # its zero is later
                 end = min(end, later)
-            if end == later and tau > SAME_TIME and guard(tau - SAME_TIME, k, c) > 0.0:
+            if end == later and tau > self.same_time and guard(tau - self.same_time, k, c) > 0.0:
                 crossed[k, c] = True
                 continue
-            at = self._zero(guard, gap, end, k, c)
-            if at < tau - SAME_TIME:
+            at = self._zero(guard, gap, end, TIME_PART * size, k, c)
+            if at < tau - self.same_time:
                 crossed[:] = False
             tau, crossed[k, c] = min(at, tau), True
         if failed:
@@ -134,7 +136,7 @@ class EventTimes(ModeChanges):
             begin, end = spans.pop()
             ends = gap(begin, k, c), gap(end, k, c)
             place = lowest(*ends[0], *ends[1], end - begin, depth, lag)
-            if place < 0.0 or end - begin < TIME_STEP:
+            if place < 0.0 or end - begin < TIME_PART * size:
                 continue
             middle = begin + min(max(place, 0.25), 0.75) * (end - begin)
             if guard(middle, k, c) < 0.0:
@@ -150,13 +152,13 @@ class EventTimes(ModeChanges):
         )
         return float(found.x) if found.fun < 0.0 else None
 
-    def _zero(self, guard, gap, end, k, c):
-        """Time of the zero of a guard before `end`, where it is negative."""
+    def _zero(self, guard, gap, end, precise, k, c):
+        """Time of the zero of a guard before `end`, where it is negative; to `precise` s."""
         begin, starts = 0.0, guard(0.0, k, c) > self._at_zero[k, c]
         # Near its zero for a constant acceleration: a small part of the substep, after an impact.
         near = _first_zero(*gap(0.0, k, c)) if c <= UPPER else end
         if c <= UPPER and self._rigid[k]:
-            time = self._closed(guard, gap, near, end, k, c)
+            time = self._closed(guard, gap, near, end, precise, k, c)
             if time is not None:
                 return time
         if AFTER * near < end and guard(AFTER * near, k, c) < 0.0:
@@ -172,10 +174,9 @@ class EventTimes(ModeChanges):
                     break
             else:
                 return 0.0
-        slope = (guard(begin, k, c) - guard(end, k, c)) / (end - begin)
-        return brentq(guard, begin, end, (k, c), max(TIME_STEP, DIGIT / slope), 1e-15)
+        return brentq(guard, begin, end, (k, c), precise, 1e-15)
 
-    def _closed(self, guard, gap, near, end, k, c):
+    def _closed(self, guard, gap, near, end, precise, k, c):
         """Time at which a gap closes, by Newton's method from `near`, or None."""
         time = near
         for _ in range(NEWTON):
@@ -185,9 +186,9 @@ class EventTimes(ModeChanges):
             if not rate < 0.0:
                 return None
             change = -value / rate
-            if abs(value) <= DIGIT or abs(change) <= TIME_STEP:
-                return time
             time += change
+            if abs(value) <= DIGIT * self._sizes[k] or abs(change) <= precise:
+                return time
         return None
 
     def _single(self, tau, state):

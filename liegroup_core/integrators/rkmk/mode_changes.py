@@ -10,7 +10,8 @@
 
 Both are one complementarity problem for all switches (complementarity.py). With equal restitution e
 kinetic energy never grows; where different ones would let it grow, all have the smallest. A rebound
-that is lower than SMALLEST_REBOUND is none: bouncing that never ends becomes contact.
+that is lower than SMALLEST_REBOUND is none: bouncing that never ends becomes contact. After many events in
+a step LOW_REBOUND is enough.
 
 Source: Brogliato, Nonsmooth Mechanics, 5.1; Acary and Brogliato, Numerical Methods for Nonsmooth
 Dynamical Systems, 8. Accuracy: test/verification/test_stops.py, test_friction.py.
@@ -36,7 +37,9 @@ from liegroup_core.status import NO_FRICTION, OK
 
 from .event_kernels import change_rates, look, respond
 
-SMALLEST_REBOUND = 1e-10  # rad or m
+# rad, or of the mechanism's size: a lower rebound is none, of many events in a step one below the second height.
+SMALLEST_REBOUND, LOW_REBOUND = 1e-10, 1e-8
+LAST_DIGITS = 1e-14  # of the largest distance from the origin: round-off of a position
 RETURNING = 1e-10  # of its terms: an acceleration below is zero
 SAME_LOADS = 1e-12
 ACCELERATION = 1e-13  # of all accelerations of the mechanism: round-off of one
@@ -65,13 +68,16 @@ class JointEvent(NamedTuple):
 class ModeChanges:
     """Impulses and modes at an event of the switches of a model, at the state that `work` has.
 
+    sizes   : (k,) of the mechanism in the units of the switches: 1 rad, or m
     events  : [JointEvent] since they were taken
     impacts : [(time in s, pose (n, 12), impulses (k,) on the coordinates of the joints)] since they
               were taken; None: not wanted
+    lost    : longest way of a rebound that was made plastic, in a step or until it returns to its stop,
+              rad or parts of the mechanism's size
     """
 
-    def __init__(self, model, work):
-        self._model, self._work = model, work
+    def __init__(self, model, work, sizes):
+        self._model, self._work, self._sizes = model, work, sizes
         table = model.switches
         self._freedoms, self._is_row = table["freedom"], table["row"] >= 0
         self._rigid = table["stiffness"] == 0.0
@@ -84,11 +90,19 @@ class ModeChanges:
         self._change_rates = SameTypes(change_rates)
         self.events, self.impacts = [], None
         self.is_dense = False  # impacts follow each other without end: they are plastic
+        self.has_many = False  # events in this step
+        self.step, self.lost = 1.0, 0.0
 
-    @property
-    def reach(self):
-        """What is not further from a stop is at it, rad or m."""
-        return SMALLEST_REBOUND if self.is_dense else AT_STOP
+    def _height(self, pose, part):
+        """(k,) part of 1 rad or of the mechanism's size, above round-off, rad or m."""
+        return np.maximum(part * self._sizes, LAST_DIGITS * np.abs(pose[:, 9:]).max())
+
+    def _reach(self, pose, stop):
+        """(k,) what is not further from a stop is at it, rad or m."""
+        round_off = AT_STOP * (1.0 + np.abs(stop))
+        if not self.is_dense:
+            return round_off
+        return np.maximum(self._height(pose, SMALLEST_REBOUND), round_off)
 
     def _respond_at_stage(self):
         mobility, of_open = self._mobility, self._open_mobility
@@ -134,8 +148,10 @@ class ModeChanges:
         towards = side[hit] * accelerations[hit]
         rebound = restitution * np.maximum(side[hit] * rates[hit], 0.0)
         if self.is_dense:
+            self._note_lost(hit, rebound, towards)
             restitution[:] = 0.0
-        restitution[rebound**2 <= 2.0 * SMALLEST_REBOUND * np.maximum(towards, 0.0)] = 0.0
+        lowest = self._height(state[0], LOW_REBOUND if self.has_many else SMALLEST_REBOUND)[hit]
+        restitution[rebound**2 <= 2.0 * lowest * np.maximum(towards, 0.0)] = 0.0
         A = self._mobility[np.ix_(hit, hit)]
         lo = np.where((side[hit] > 0.0) | stays[hit], -np.inf, 0.0)
         hi = np.where((side[hit] < 0.0) | stays[hit], np.inf, 0.0)
@@ -161,6 +177,13 @@ class ModeChanges:
                     JointEvent(time, int(k), IMPACT, float(signs[k] * impulse), float(loss))
                 )
         return self._look(model, work, *state)
+
+    def _note_lost(self, hit, rebound, towards):
+        """Keep what rebounds that are made plastic would do; towards: accelerations to their stops."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            height = np.where(towards > 0.0, rebound**2 / (2.0 * towards), np.inf)
+        way = np.minimum(rebound * self.step, height) / self._sizes[hit]
+        self.lost = max(self.lost, float(way.max(initial=0.0)))
 
     def _choose(self, state, side, resting, rates, crossed, pressed):
         """Modes of all switches from here on. Returns a status.

@@ -184,7 +184,9 @@ class MuntheKaas:
         self.add(method)
         self.switching = None
         if group == RELATIVE and len(self._model.switches):
-            self.switching = Switching(self._model, self._work, self._pass, self._control)
+            self.switching = Switching(
+                self._model, self._work, layout.switch_sizes, self._pass, self._control
+            )
         self.restart()
 
     def add(self, method, looser=1.0):

@@ -17,7 +17,7 @@ from liegroup_core.formulations.relative.switches import LOWER, RESTING, SLIDING
 from liegroup_core.status import BEYOND_STOP, EVENT, EVENTS_WITHOUT_END, MOST_EVENTS, OK
 
 from .crossings import lowest
-from .event_times import EventTimes
+from .event_times import SAME_PART, SAME_TIME, EventTimes
 from .mode_changes import IMPACT, JointEvent
 
 BEYOND = 1e-9  # rad or m: a state that is set is not this far beyond a stop
@@ -47,7 +47,7 @@ class JointInstant(NamedTuple):
 class Switching(EventTimes):
     """Steps of a Munthe-Kaas method with the events of the switches of its model.
 
-    take, control : see EventTimes
+    sizes, take, control : see EventTimes
 
     instants : [JointInstant] since they were taken; None: not wanted
     count   : of all events since the state was set
@@ -55,8 +55,8 @@ class Switching(EventTimes):
     crowded : (time in s, switches, s between two) of the first CROWD events in the time CROWDED, or None
     """
 
-    def __init__(self, model, work, take, control):
-        super().__init__(model, work, take, control)
+    def __init__(self, model, work, sizes, take, control):
+        super().__init__(model, work, sizes, take, control)
         self.instants, self.count = None, 0
         self.endless = self.crowded = self._inputs = None
         self._crowd = 0, 0.0  # events and time from which on they are counted
@@ -78,7 +78,7 @@ class Switching(EventTimes):
         """Forget the modes: the state was set."""
         self._work.held[:] = 0.0
         self._work.modes[:] = 0.0
-        self.events, self.count, self._crowd = [], 0, (0, 0.0)
+        self.events, self.count, self._crowd, self.lost = [], 0, (0, 0.0), 0.0
         self.endless = self.crowded = self._inputs = None
         self.instants = None if self.instants is None else []
         self.impacts = None if self.impacts is None else []
@@ -98,7 +98,7 @@ class Switching(EventTimes):
             if status == EVENT:
                 kept = self._keep(pose, twist, True)
                 log, instants = len(self.events), len(self.instants or ())
-                impacts = len(self.impacts or ())
+                impacts, lost = len(self.impacts or ()), self.lost
                 status = self._finish(h, (first + done) * h + base, state)
                 if status == OK:
                     done += 1
@@ -107,6 +107,7 @@ class Switching(EventTimes):
                     self._change_rates(self._model, work, self._no_changes, pose, twist)
                     self.count -= len(self.events) - log
                     del self.events[log:]
+                    self.lost = lost
                     self.impacts = self.impacts and self.impacts[:impacts]
                     if self.instants:
                         del self.instants[instants:]
@@ -151,8 +152,9 @@ class Switching(EventTimes):
 
     def _finish(self, h, start, state):
         """Take the step in which the next event is, from the substep with it on. Returns a status."""
+        self.step, self.same_time = h, min(SAME_TIME, SAME_PART * h)
         status = self._take_events(h, start, state)
-        self.is_dense = False
+        self.is_dense = self.has_many = False
         return status
 
     def _take_events(self, h, start, state):
@@ -168,8 +170,8 @@ class Switching(EventTimes):
             if crossed is not None:
                 times.append(elapsed)
                 # Those that converge do so by then; so many in so short a time are far too many.
-                many = len(times) > MOST_EVENTS // 2
-                self.is_dense = many and elapsed - times[-DENSE] < SHORT * h
+                self.has_many = len(times) > MOST_EVENTS // 2
+                self.is_dense = self.has_many and elapsed - times[-DENSE] < SHORT * h
                 if self.is_dense and self.endless is None:
                     self.endless = start + elapsed, np.argwhere(crossed)[:, 0].tolist()
                 status = self._switch(start + elapsed, state, crossed)
@@ -210,11 +212,14 @@ class Switching(EventTimes):
         side = np.where(self._rigid, 0.0, modes[:, SIDE])
         for end, (stop, sign) in enumerate(((table["lower"], -1.0), (table["upper"], 1.0))):
             with np.errstate(invalid="ignore"):
-                near = sign * (q - stop) >= -self.reach * (1.0 + np.abs(stop))
+                near = sign * (q - stop) >= -self._reach(state[0], stop)
             side[self._rigid & np.isfinite(stop) & (near | crossed[:, end])] = sign
         touching = self._rigid & (side != 0.0)
-        # A held row is at rest: its rate is the error of the method.
-        drift = np.where(self._is_row, work.held[self._freedoms], 0.0) * self._rates()
+        # A held row is at rest: its rate is the error of the method. So is what slid and has come to rest:
+        # its rate is what the event's time leaves of it, however large its acceleration.
+        at_rest = self._is_row & (work.held[self._freedoms] != 0.0)
+        at_rest |= crossed[:, SLIDING] & (modes[:, SLIP] != 0.0)
+        drift = np.where(at_rest, self._rates(), 0.0)
         rates = self._rates() - drift
         # It left the stop, and returns before it was away from it: it never left.
         stays = touching & crossed[:, : UPPER + 1].any(axis=1) & (side * rates <= 0.0)
