@@ -2,6 +2,7 @@
 """Inputs of an Engine that act from one time to another: wrenches, efforts, servos, motions."""
 
 import math
+from fractions import Fraction
 from numbers import Real
 
 import numpy as np
@@ -37,7 +38,7 @@ class Inputs:
         self,
         body: str,
         wrench: ArrayLike,
-        start: float | None = None,
+        start: float | Fraction | None = None,
         duration: float | None = None,
         source: str = "api",
         axes: str = "body",
@@ -47,7 +48,8 @@ class Inputs:
 
         body     : name of the body
         wrench   : (6,) torque N m, force N. Zero ends it
-        start    : simulated time, s; None or a past time: the next step
+        start    : simulated time, s; None or a past time: the next step. A Fraction is exact: floats
+                   resolve whole ns up to 4e6 s
         duration : s; None: until it is replaced. Start and end are rounded to whole ns, as stamps of ROS
                    and of recordings are; `drain_applied` returns what acted
         source   : each source has one wrench per body; wrenches of different sources add
@@ -78,7 +80,7 @@ class Inputs:
         self,
         joint: str,
         effort: float,
-        start: float | None = None,
+        start: float | Fraction | None = None,
         duration: float | None = None,
         source: str = "api",
     ) -> None:
@@ -110,7 +112,7 @@ class Inputs:
         joint: str,
         position: float,
         velocity: float = 0.0,
-        start: float | None = None,
+        start: float | Fraction | None = None,
         duration: float | None = None,
     ) -> None:
         """Command the wanted position and velocity of the servo of a joint.
@@ -136,7 +138,7 @@ class Inputs:
         joint: str,
         position: float,
         velocity: float,
-        start: float | None = None,
+        start: float | Fraction | None = None,
         duration: float | None = None,
     ) -> None:
         """As `command_servo`, of wanted values that were checked before: repeats a run."""
@@ -160,7 +162,7 @@ class Inputs:
         positions: ArrayLike | None,
         velocities: ArrayLike | None = None,
         accelerations: ArrayLike | None = None,
-        start: float | None = None,
+        start: float | Fraction | None = None,
     ) -> None:
         """Command the motion of a driven joint through points, and on at the last velocity.
 
@@ -205,7 +207,8 @@ class Inputs:
         if points[2] is not None and (points[1] is None or points[2][-1] != 0.0):
             raise ValueError("accelerations require velocities, and the last one must be 0")
         # A motion meets the next one at a whole ns, where the step is split.
-        instants = [begin, *(self._schedule.instant(begin.time + time) for time in after)]
+        grid = self._schedule.grid
+        instants = [begin, *(grid.after(begin, time) for time in after.tolist())]
         if not all(before < later for before, later in zip(instants, instants[1:])):
             raise ValueError("times must be at least 1 ns apart")
         origins = [instant.time for instant in instants]
@@ -217,7 +220,9 @@ class Inputs:
             self.layout.limits[joint].check_motion(rows, *points[:2])
         return list(zip(instants, rows))
 
-    def prescribe(self, joint: str, motion: ArrayLike, start: float | None = None) -> None:
+    def prescribe(
+        self, joint: str, motion: ArrayLike, start: float | Fraction | None = None
+    ) -> None:
         """Command a motion (7,) of a driven joint as it is: see AppliedMotion.
 
         Raises ValueError for a joint that is not driven, or what is no motion.
@@ -248,13 +253,14 @@ class Inputs:
         for name, value in (("start", start), ("duration", duration)):
             if value is not None and not (isinstance(value, Real) and math.isfinite(value)):
                 raise ValueError(f"{name} must be finite, or None, got {value!r}")
-        begin, end = self._schedule.boundary(self.steps), None
-        if start is not None and start > begin.time:
-            begin = max(begin, self._schedule.instant(float(start)))
+        grid = self._schedule.grid
+        begin, end = grid.boundary(self.steps), None
+        if start is not None:
+            begin = max(begin, grid.instant(_exact_or_float(start)))
         if duration is not None:
             if not duration > 0.0:
                 raise ValueError(f"a duration must be positive, got {duration!r}")
-            end = self._schedule.instant(begin.time + float(duration))
+            end = grid.after(begin, _exact_or_float(duration))
             if end <= begin:
                 raise ValueError(f"a duration must be at least 1 ns, got {duration!r} s")
         return begin, end
@@ -291,7 +297,8 @@ class Inputs:
 
     def acting(self):
         """[AppliedWrench, AppliedTarget or AppliedMotion] of what acts from now on."""
-        return [self._applied_at(self.time, *key) for key in self._acting_numbers()]
+        now = self._schedule.boundary(self.steps)
+        return [self._applied_at(now, *key) for key in self._acting_numbers()]
 
     def _acting_numbers(self):
         """[(number, axes)] of the nonzero total wrenches, all servos, and commanded motions."""
@@ -336,27 +343,32 @@ class Inputs:
         else:
             set_wrench(self._external, number, total, axes)
 
-    def _change_wrenches(self, time, changed):
-        """Apply the total wrenches, or wanted values, of [(body, axes)] from a time on."""
+    def _change_wrenches(self, instant, changed):
+        """Apply the total wrenches, or wanted values, of [(body, axes)] from an Instant on."""
         for body, axes in changed:
             total = self._schedule.total[axes][body]
             self._set_input(body, total, axes)
-            self._applied.append(self._applied_at(time, body, axes))
+            self._applied.append(self._applied_at(instant, body, axes))
 
-    def _applied_at(self, time, body, axes):
-        """AppliedWrench, AppliedTarget or AppliedMotion of a total at a time."""
+    def _applied_at(self, instant, body, axes):
+        """AppliedWrench, AppliedTarget or AppliedMotion of a total at an Instant."""
+        time, time_ns = instant.time, self._schedule.grid.time_ns(instant)
         total = self._schedule.total[axes][body].tolist()
         name = self.layout.names_of_inputs[axes][body]
         if axes == SERVO:
-            return AppliedTarget(time, round(time * 1e9), name, *total)
+            return AppliedTarget(time, time_ns, name, *total)
         if axes == DRIVE:
-            return AppliedMotion(time, round(time * 1e9), name, tuple(total))
-        return AppliedWrench(time, round(time * 1e9), name, tuple(total), axes)
+            return AppliedMotion(time, time_ns, name, tuple(total))
+        return AppliedWrench(time, time_ns, name, tuple(total), axes)
 
-    def _times_inside(self):
-        """Times inside the next step at which a wrench may start or end."""
-        times = self._timetable.inside(self.steps)
-        return {*times, *self._schedule.inside(self.steps)} if self._schedule else times
+    def _instants_inside(self):
+        """Instants inside the next step at which a wrench may start or end."""
+        instants = self._timetable.inside(self.steps)
+        return {*instants, *self._schedule.inside(self.steps)} if self._schedule else instants
+
+
+def _exact_or_float(seconds):
+    return seconds if type(seconds) is Fraction else float(seconds)
 
 
 def _finite(what, given, size):

@@ -320,9 +320,9 @@ class Simulation(Engine):
         if memory is not None:
             self._remember(memory)
 
-    def _change_wrenches(self, time, changed):
+    def _change_wrenches(self, instant, changed):
         count = len(self._applied)
-        super()._change_wrenches(time, changed)
+        super()._change_wrenches(instant, changed)
         if self._running is not None:
             self._running.changed(self._applied[count:])
 
