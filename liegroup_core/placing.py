@@ -84,7 +84,9 @@ class Placing:
         )
         self._refuse_beyond_stops(*state, joints)
         commanded, before = self._commanded.copy(), self._schedule
+        present = self.sample()
         self.set_state(*state, self.steps, np.array([angles[joint] for joint in counted]))
+        self._keep_turns(present, joints)
         for number, motion in enumerate(self._motions_after(commanded, joints)):
             if motion is None:
                 self._schedule.resume(before.motions_of(number))
@@ -93,6 +95,23 @@ class Placing:
         if len(commanded):
             self._schedule.update(self._schedule.boundary(self.steps))
             self._commanded[:] = self._schedule.total[DRIVE]
+
+    def _keep_turns(self, before, joints):
+        """Put angles with stops or friction in their turns: as given, or those of a Sample before.
+
+        joints : {joint: (position, velocity)} that were given, with their whole turns
+        """
+        if self._switching is None:
+            return
+        now, were = self.sample().joint_coordinates, before.joint_coordinates
+        near = before.switching[:, 3].copy()
+        for k, switch in enumerate(self.layout.switches):
+            given, _ = joints.get(switch.name, (None, None))
+            if given is not None:
+                near[k] = given
+            elif switch.name in self.layout.coordinates.counted:
+                near[k] += now[switch.name][0] - were[switch.name][0]
+        self._switching.expect(near)
 
     def _refuse_beyond_stops(self, pose, twist, joints):
         """Raise SceneError if a rigid stop does not allow a state, or a coordinate that was given."""
