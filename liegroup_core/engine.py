@@ -2,15 +2,14 @@
 """Engine: integrates one scene with one method and one step size."""
 
 import copy
-import math
-from numbers import Integral
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from liegroup_core.compiling import warm_up
-from liegroup_core.forces.instants import StepGrid
+from liegroup_core.fields.arguments import finite, floats, got, is_count, is_finite
+from liegroup_core.forces.instants import NEVER, StepGrid
 from liegroup_core.forces.schedule import DRIVE
 from liegroup_core.forces.timetable import Timetable
 from liegroup_core.integrators.methods import METHODS, is_positive
@@ -49,10 +48,9 @@ def _stabilised(model, kind, time, step):
         time = BAUMGARTE_STEPS * step
     elif kind != "baumgarte":
         raise ValueError(f"baumgarte_time requires stabilisation 'baumgarte', got {kind!r}")
-    if not (isinstance(time, (int, float)) and math.isfinite(time) and time >= step):
+    if not (is_finite(time) and time >= step):
         raise ValueError(
-            f"baumgarte_time must be a number of seconds and at least one step ({step:g} "
-            f"s), got {time!r}"
+            f"baumgarte_time must be a number of seconds and at least one step ({step:g} s), {got(time)}"
         )
     return model.replace(
         projects=kind == "projection", baumgarte_rate=1.0 / time if kind == "baumgarte" else 0.0
@@ -111,7 +109,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         if not isinstance(method, str) or method not in METHODS:
             raise ValueError(f"unknown method {method!r}; choose one of: {', '.join(METHODS)}")
         if not is_positive(step):
-            raise ValueError(f"the step must be a positive number of seconds, got {step!r}")
+            raise ValueError(f"the step must be a positive number of seconds, {got(step)}")
         self.scene, self.method, self.step = scene, method, float(step)
         check_group(method, group)
         self.options = check_options(method, options)
@@ -173,11 +171,14 @@ class Engine(Inputs, JointEvents, Placing, Reports):
                  all are in (-pi, pi], as at the start of a scene
         memory : bytes from `memory()` at this state: the run continues bit-identically. None: a
                  method with memory restarts
+        steps  : 0 or more
         Clears the applied wrenches and efforts. The wrenches of the scene follow the step count.
-        Raises ValueError for wrong shapes, non-finite numbers or matrices that are no rotations.
+        Raises ValueError for wrong shapes, non-finite numbers, matrices that are no rotations, no step
+        count, or a memory of another method.
         """
         n = len(self._body)
-        pose, twist = (np.array(given, dtype=float, order="C") for given in (pose, twist))
+        pose = floats(f"expected a pose ({n}, 12)", pose)
+        twist = floats(f"expected a twist ({n}, 6)", twist)
         if pose.shape != (n, 12) or twist.shape != (n, 6):
             raise ValueError(
                 f"expected a pose ({n}, 12) and a twist ({n}, 6), "
@@ -193,8 +194,12 @@ class Engine(Inputs, JointEvents, Placing, Reports):
                 "rotation matrix"
             )
         k = len(self._work.angle)
-        if angles is not None and (np.shape(angles) != (k,) or not np.isfinite(angles).all()):
-            raise ValueError(f"expected {k} finite angles, as `Sample.angles`, got {angles!r}")
+        if angles is not None:
+            angles = finite(f"expected {k} finite angles, as `Sample.angles`", angles, (k,))
+        if not (is_count(steps) and steps < NEVER):
+            raise ValueError(f"steps must be a whole number from 0 to {NEVER - 1}, {got(steps)}")
+        if memory is not None:
+            self._check_memory(memory)
         self._start_at(pose, twist, int(steps), self.layout.angles(pose, angles))
         if memory is not None:
             self._remember(memory)
@@ -213,15 +218,20 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         for change in other.acting():
             change.repeat(self)
 
-    def _remember(self, memory):
-        arrays = self._integrator.memory
-        if len(memory) != (size := sum(array.nbytes for array in arrays)):
+    def _check_memory(self, memory):
+        """Raise ValueError for what is not as long as `memory` of this method."""
+        size = len(self.memory())
+        if not isinstance(memory, (bytes, bytearray)):
+            raise ValueError(f"expected {size} bytes of method memory, {got(memory)}")
+        if len(memory) != size:
             raise ValueError(
                 f"expected {size} bytes of method memory, got {len(memory)}: it belongs to "
                 "another method or version"
             )
+
+    def _remember(self, memory):
         at = 0
-        for array in arrays:
+        for array in self._integrator.memory:
             array[...] = np.frombuffer(memory, array.dtype, array.size, at).reshape(array.shape)
             at += array.nbytes
 
@@ -311,8 +321,8 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         satisfied, an implicit step without solution, an unreachable tolerance. State and `steps`
         are then those of the last valid step.
         """
-        if isinstance(steps, bool) or not isinstance(steps, Integral) or steps < 0:
-            raise ValueError(f"steps must be a whole number, 0 or more, got {steps!r}")
+        if not is_count(steps):
+            raise ValueError(f"steps must be a whole number, 0 or more, {got(steps)}")
         self._advance(int(steps))
 
     def advance_to(self, steps):

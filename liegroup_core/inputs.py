@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Inputs of an Engine that act from one time to another: wrenches, efforts, servos, motions."""
 
-import math
 from fractions import Fraction
-from numbers import Real
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from liegroup_core.fields.arguments import check_name, finite, floats, got, is_finite
 from liegroup_core.forces.external import AXES, PAIRS, no_wrenches, set_wrench
 from liegroup_core.forces.kinds import servos, wanted_values
 from liegroup_core.forces.schedule import (
@@ -65,14 +64,14 @@ class Inputs:
             raise ValueError(f"axes {axes!r} name a point already: omit point, got {point!r}")
         if axes not in AXES:
             raise ValueError(f"axes must be 'body' or 'world', got {axes!r}")
-        if body not in self._body:
-            raise ValueError(f"unknown body {body!r}; choose one of: {', '.join(self._body)}")
-        wrench = _finite("a wrench must be six finite numbers (torque, force)", wrench, 6)
+        check_name(body, self._body, "unknown body {}")
+        wrench = finite("a wrench must be six finite numbers (torque, force)", wrench, (6,))
         if point is not None:
-            point = _finite("a point must be three finite numbers", point, 3)
+            point = finite("a point must be three finite numbers", point, (3,))
             with np.errstate(over="ignore"):
-                moments = np.outer(point, wrench[3:]).ravel()
-            _finite("point times force must be finite numbers", moments, 9)
+                moments = np.outer(point, wrench[3:])
+            finite("point times force must be finite numbers", moments, (3, 3))
+        _check_source(source)
         begin, end = self._interval(start, duration)
         self._schedule.command(source, self._body[body], wrench, begin, end, axes, point)
 
@@ -95,17 +94,14 @@ class Inputs:
         that is not finite, and BeyondLimits, a ValueError, for an effort beyond that of the joint
         (joints/limits.py).
         """
-        unit = self.layout.unit_efforts.get(joint)
-        if unit is None:
-            names = ", ".join(self.layout.unit_efforts) or "the scene has none"
-            raise ValueError(
-                f"joint {joint!r} is not a joint with one coordinate; choose one of: {names}"
-            )
-        if isinstance(effort, bool) or not (isinstance(effort, Real) and math.isfinite(effort)):
-            raise ValueError(f"an effort must be a finite number, got {effort!r}")
+        units = self.layout.unit_efforts
+        check_name(joint, units, "joint {} is not a joint with one coordinate")
+        if not is_finite(effort):
+            raise ValueError(f"an effort must be a finite number, {got(effort)}")
+        _check_source(source)
         self.layout.limits[joint].check_effort(effort)
         begin, end = self._interval(start, duration)
-        self._schedule.command_effort(source, joint, float(effort), unit, begin, end)
+        self._schedule.command_effort(source, joint, float(effort), units[joint], begin, end)
 
     def command_servo(
         self,
@@ -127,8 +123,8 @@ class Inputs:
         """
         self._servo(joint)
         for name, value in (("position", position), ("velocity", velocity)):
-            if isinstance(value, bool) or not (isinstance(value, Real) and math.isfinite(value)):
-                raise ValueError(f"a wanted {name} must be a finite number, got {value!r}")
+            if not is_finite(value):
+                raise ValueError(f"a wanted {name} must be a finite number, {got(value)}")
         self.check_jump(joint, position)
         self.layout.limits[joint].check_velocity(velocity)
         self.set_servo_target(joint, position, velocity, start, duration)
@@ -149,11 +145,8 @@ class Inputs:
 
     def _servo(self, joint):
         """Number of the servo of a joint. Raises ValueError for a joint without one."""
-        number = self.layout.servos.get(joint)
-        if number is None:
-            names = ", ".join(self.layout.servos) or "the scene has none"
-            raise ValueError(f"joint {joint!r} has no servo; choose one of: {names}")
-        return number
+        check_name(joint, self.layout.servos, "joint {} has no servo")
+        return self.layout.servos[joint]
 
     def command_motion(
         self,
@@ -190,16 +183,20 @@ class Inputs:
         """[(Instant, motion (7,))] of a commanded motion. Raises ValueError."""
         number = self._drive(joint)
         begin, _ = self._interval(start, None)
-        after = np.atleast_1d(np.array(times, dtype=float))
+        after = np.atleast_1d(floats("times must be finite numbers", times))
+        finite(f"times must be {len(after)} finite numbers", after, (len(after),))
         points = [
-            part if part is None else np.atleast_1d(np.array(part, dtype=float))
-            for part in (positions, velocities, accelerations)
+            part
+            if part is None
+            else finite(
+                f"{name} must be {len(after)} finite numbers", np.atleast_1d(part), after.shape
+            )
+            for name, part in (
+                ("positions", positions),
+                ("velocities", velocities),
+                ("accelerations", accelerations),
+            )
         ]
-        for name, part in zip(
-            ("times", "positions", "velocities", "accelerations"), (after, *points)
-        ):
-            if part is not None and (part.shape != (len(after),) or not np.isfinite(part).all()):
-                raise ValueError(f"{name} must be {len(after)} finite numbers, got {part}")
         if not (len(after) and after[0] > 0.0 and (np.diff(after) > 0.0).all()):
             raise ValueError(f"times must be positive and increase, got {after}")
         if points[0] is None and points[1] is None:
@@ -227,9 +224,7 @@ class Inputs:
 
         Raises ValueError for a joint that is not driven, or what is no motion.
         """
-        row = np.array(motion, dtype=float)
-        if row.shape != (COLUMNS,) or not np.isfinite(row).all():
-            raise ValueError(f"a motion must be {COLUMNS} finite numbers, got {motion!r}")
+        row = finite(f"a motion must be {COLUMNS} finite numbers", motion, (COLUMNS,))
         begin, _ = self._interval(start, None)
         self._schedule.command_motion(self._drive(joint), row, begin)
 
@@ -243,16 +238,14 @@ class Inputs:
     def _drive(self, joint):
         """Number of a driven joint. Raises ValueError for another one."""
         names = tuple(self.layout.motions)
-        if joint not in names:
-            known = ", ".join(names) or "the scene has none"
-            raise ValueError(f"joint {joint!r} is not driven; choose one of: {known}")
+        check_name(joint, names, "joint {} is not driven")
         return names.index(joint)
 
     def _interval(self, start, duration):
         """Instants at which a command starts and ends (None: never). Raises ValueError."""
         for name, value in (("start", start), ("duration", duration)):
-            if value is not None and not (isinstance(value, Real) and math.isfinite(value)):
-                raise ValueError(f"{name} must be finite, or None, got {value!r}")
+            if value is not None and not is_finite(value):
+                raise ValueError(f"{name} must be finite, or None, {got(value)}")
         grid = self._schedule.grid
         begin, end = grid.boundary(self.steps), None
         if start is not None:
@@ -371,12 +364,6 @@ def _exact_or_float(seconds):
     return seconds if type(seconds) is Fraction else float(seconds)
 
 
-def _finite(what, given, size):
-    """Array (size,) of numbers. Raises ValueError."""
-    try:
-        numbers = np.asarray(given, dtype=float)
-    except (TypeError, ValueError):
-        numbers = np.zeros(0)
-    if numbers.shape != (size,) or not np.isfinite(numbers).all():
-        raise ValueError(f"{what}, got {given!r}")
-    return numbers
+def _check_source(source):
+    if not isinstance(source, str):
+        raise ValueError(f"source must be a name, {got(source)}")
