@@ -2,16 +2,16 @@
 """Engine: integrates one scene with one method and one step size."""
 
 import copy
-import math
-from numbers import Integral
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from liegroup_core.compiling import warm_up
-from liegroup_core.forces.schedule import DRIVE, Instant
-from liegroup_core.forces.timetable import Timetable, acting_at, just_after
+from liegroup_core.fields.arguments import finite, floats, got, is_count, is_finite
+from liegroup_core.forces.instants import NEVER, StepGrid
+from liegroup_core.forces.schedule import DRIVE
+from liegroup_core.forces.timetable import Timetable
 from liegroup_core.integrators.methods import METHODS, is_positive
 from liegroup_core.model.build import initial_state
 from liegroup_core.observables.reactions import REGULAR
@@ -48,10 +48,9 @@ def _stabilised(model, kind, time, step):
         time = BAUMGARTE_STEPS * step
     elif kind != "baumgarte":
         raise ValueError(f"baumgarte_time requires stabilisation 'baumgarte', got {kind!r}")
-    if not (isinstance(time, (int, float)) and math.isfinite(time) and time >= step):
+    if not (is_finite(time) and time >= step):
         raise ValueError(
-            f"baumgarte_time must be a number of seconds and at least one step ({step:g} "
-            f"s), got {time!r}"
+            f"baumgarte_time must be a number of seconds and at least one step ({step:g} s), {got(time)}"
         )
     return model.replace(
         projects=kind == "projection", baumgarte_rate=1.0 / time if kind == "baumgarte" else 0.0
@@ -110,7 +109,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         if not isinstance(method, str) or method not in METHODS:
             raise ValueError(f"unknown method {method!r}; choose one of: {', '.join(METHODS)}")
         if not is_positive(step):
-            raise ValueError(f"the step must be a positive number of seconds, got {step!r}")
+            raise ValueError(f"the step must be a positive number of seconds, {got(step)}")
         self.scene, self.method, self.step = scene, method, float(step)
         check_group(method, group)
         self.options = check_options(method, options)
@@ -125,6 +124,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         self._switching = getattr(self._integrator, "switching", None)
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
         rows, motions = self.layout.model.forces.applied_wrench, self.layout.motions.values()
+        self._grid = StepGrid(self.step)
         self._timetable = Timetable(rows, self.step, motions)
         self._warned = self._warned_singular = quiet
         self._warned_endless = self._warned_crowded = quiet
@@ -171,11 +171,14 @@ class Engine(Inputs, JointEvents, Placing, Reports):
                  all are in (-pi, pi], as at the start of a scene
         memory : bytes from `memory()` at this state: the run continues bit-identically. None: a
                  method with memory restarts
+        steps  : 0 or more
         Clears the applied wrenches and efforts. The wrenches of the scene follow the step count.
-        Raises ValueError for wrong shapes, non-finite numbers or matrices that are no rotations.
+        Raises ValueError for wrong shapes, non-finite numbers, matrices that are no rotations, no step
+        count, or a memory of another method.
         """
         n = len(self._body)
-        pose, twist = (np.array(given, dtype=float, order="C") for given in (pose, twist))
+        pose = floats(f"expected a pose ({n}, 12)", pose)
+        twist = floats(f"expected a twist ({n}, 6)", twist)
         if pose.shape != (n, 12) or twist.shape != (n, 6):
             raise ValueError(
                 f"expected a pose ({n}, 12) and a twist ({n}, 6), "
@@ -191,8 +194,12 @@ class Engine(Inputs, JointEvents, Placing, Reports):
                 "rotation matrix"
             )
         k = len(self._work.angle)
-        if angles is not None and (np.shape(angles) != (k,) or not np.isfinite(angles).all()):
-            raise ValueError(f"expected {k} finite angles, as `Sample.angles`, got {angles!r}")
+        if angles is not None:
+            angles = finite(f"expected {k} finite angles, as `Sample.angles`", angles, (k,))
+        if not (is_count(steps) and steps < NEVER):
+            raise ValueError(f"steps must be a whole number from 0 to {NEVER - 1}, {got(steps)}")
+        if memory is not None:
+            self._check_memory(memory)
         self._start_at(pose, twist, int(steps), self.layout.angles(pose, angles))
         if memory is not None:
             self._remember(memory)
@@ -211,15 +218,20 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         for change in other.acting():
             change.repeat(self)
 
-    def _remember(self, memory):
-        arrays = self._integrator.memory
-        if len(memory) != (size := sum(array.nbytes for array in arrays)):
+    def _check_memory(self, memory):
+        """Raise ValueError for what is not as long as `memory` of this method."""
+        size = len(self.memory())
+        if not isinstance(memory, (bytes, bytearray)):
+            raise ValueError(f"expected {size} bytes of method memory, {got(memory)}")
+        if len(memory) != size:
             raise ValueError(
                 f"expected {size} bytes of method memory, got {len(memory)}: it belongs to "
                 "another method or version"
             )
+
+    def _remember(self, memory):
         at = 0
-        for array in arrays:
+        for array in self._integrator.memory:
             array[...] = np.frombuffer(memory, array.dtype, array.size, at).reshape(array.shape)
             at += array.nbytes
 
@@ -271,7 +283,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
     @property
     def time_ns(self) -> int:
         """Simulated time in integer nanoseconds, rounded from step count times step."""
-        return round(self.steps * self.step * 1e9)
+        return self._grid.time_ns(self._grid.boundary(self.steps))
 
     @property
     def singular_solves(self) -> int:
@@ -309,8 +321,8 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         satisfied, an implicit step without solution, an unreachable tolerance. State and `steps`
         are then those of the last valid step.
         """
-        if isinstance(steps, bool) or not isinstance(steps, Integral) or steps < 0:
-            raise ValueError(f"steps must be a whole number, 0 or more, got {steps!r}")
+        if not is_count(steps):
+            raise ValueError(f"steps must be a whole number, 0 or more, {got(steps)}")
         self._advance(int(steps))
 
     def advance_to(self, steps):
@@ -320,11 +332,14 @@ class Engine(Inputs, JointEvents, Placing, Reports):
     def _advance(self, steps):
         end = self.steps + steps
         while True:
+            start = self._grid.boundary(self.steps)
             change = min(end, self._timetable.next_change(self.steps))
+            inside = self._timetable.inside(self.steps)
             if self._schedule:
-                self._update_wrenches()
+                self._change_wrenches(start, self._schedule.update(start))
                 change = min(change, self._schedule.next_change(self.steps))
-            done, status = self._take_steps(change - self.steps, self._times_inside())
+                inside = self._instants_inside()
+            done, status = self._take_steps(start, change - self.steps, inside)
             self.steps += done
             self._checked(status)
             if self.steps >= end:
@@ -340,59 +355,55 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         try:
             self._advance(steps)
             if part:
-                self._update_wrenches()
-                end = (self.steps + part) * self.step
-                inside = [time for time in self._times_inside() if time < end]
-                self._checked(self._take_in_parts(inside, part * self.step, end))
+                start, end = self._grid.boundary(self.steps), self._grid.end(self.steps, part)
+                self._change_wrenches(start, self._schedule.update(start))
+                inside = [instant for instant in self._instants_inside() if instant < end]
+                self._checked(self._take_in_parts(start, inside, part * self.step, end))
             return self.state()
         finally:
             Engine.restore(self, kept)
-
-    def _update_wrenches(self):
-        """Let the wrenches act that start at the present step."""
-        start = self._schedule.boundary(self.steps)
-        self._change_wrenches(start.time, self._schedule.update(start))
 
     def _checked(self, status):
         if status != OK:
             raise SimulationError(self._explain(status), status & 0xFF)
 
-    def _take_steps(self, steps, inside):
+    def _take_steps(self, start, steps, inside):
         """Take steps in which no wrench changes, or one step in parts if one changes.
 
-        inside : times inside the first step at which a wrench may start or end
+        start  : Instant of the present step
+        inside : Instants in the first step at which a wrench may start or end
         returns (steps done, status)
         """
         if not inside or steps == 0:
-            return self._integrate(self.time, self.step, steps)
+            return self._integrate(start, self.step, steps)
         good = self._pose.copy(), self._twist.copy(), self._work.angle.copy()
-        status = self._take_in_parts(inside, self.step, (self.steps + 1) * self.step)
+        status = self._take_in_parts(start, inside, self.step, self._grid.end(self.steps))
         if status != OK:
             self._pose[:], self._twist[:], self._work.angle[:] = good
             self._integrator.restart()
             return 0, status
         return 1, OK
 
-    def _take_in_parts(self, inside, h, end):
-        """Take a step of size h, up to a time, in parts between the times inside; returns a status."""
-        start = begin = self.time
-        for time in sorted(inside):
-            changed = self._schedule.update(Instant(self.steps, time))
+    def _take_in_parts(self, start, inside, h, end):
+        """Take a step of size h, between two Instants, in parts between those inside; returns a status."""
+        begin = start
+        for instant in sorted(inside):
+            changed = self._schedule.update(instant)
             # A part ends only where a total changes: the recorded totals repeat the same parts.
-            if changed or time in self._timetable.inside(self.steps):
-                status = self._take_part(begin, time - begin)
+            if changed or instant in self._timetable.inside(self.steps):
+                status = self._take_part(begin, self._grid.between(begin, instant))
                 if status != OK:
                     return status
-                self._change_wrenches(time, changed)
-                begin = time
-        return self._take_part(begin, h if begin == start else end - begin)
+                self._change_wrenches(instant, changed)
+                begin = instant
+        return self._take_part(begin, h if begin is start else self._grid.between(begin, end))
 
     def _take_part(self, start, h):
-        """Take a part of a step of size h from a time on; returns a status."""
+        """Take a part of a step of size h from an Instant on; returns a status."""
         return self._integrate(start, h / self._parts, self._parts)[1]
 
     def _integrate(self, start, h, steps):
-        """Take steps of size h from a time on, in which no wrench changes.
+        """Take steps of size h from an Instant on, in which no wrench changes.
 
         returns (steps done, status)
         """
@@ -400,15 +411,15 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         return self._integrator.advance(h, steps, self._pose, self._twist, self._external)
 
     def _set_inputs(self, start, h):
-        """Set what depends on time for a step of size h."""
-        work = self._work
+        """Set what depends on time for a step of size h from an Instant on."""
+        work, time = self._work, start.time
         if len(work.acting):
-            work.acting[:] = self._timetable.acting(start, h)
+            work.acting[:] = self._timetable.acting(start)
         if len(work.motions):
             # The middle is away from all changes: round-off has no influence.
-            work.motions[:] = self.layout.motions_at(start + 0.5 * h, self._commanded)
-        clock, whole = work.clock, h == self.step and start == self.time
-        clock[0], clock[1], clock[2] = (self.steps, 0.0, start) if whole else (0.0, start, start)
+            work.motions[:] = self.layout.motions_at(time + 0.5 * h, self._commanded)
+        clock, whole = work.clock, h == self.step and not start.offset
+        clock[0], clock[1], clock[2] = (self.steps, 0.0, time) if whole else (0.0, time, time)
 
     def sample(self) -> Sample:
         """Create a Sample of the present state."""
@@ -428,7 +439,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
 
     def _modes_now(self):
         """(k, 5) modes of the joints with stops or friction, see Sample.switching."""
-        self._set_inputs(self.time, self.step)
+        self._set_inputs(self._grid.boundary(self.steps), self.step)
         return self._switching.modes(self.time, (self._pose, self._twist, self._external))
 
     def reaction_array(self, out: Floats | None = None) -> Floats:
@@ -464,7 +475,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
                 modes = self._modes_now()
         acting = work.acting
         if len(acting):
-            acting = acting_at(self.layout.model.forces.applied_wrench, just_after(self.time))
+            acting = self._timetable.acting(self._grid.boundary(self.steps))
         motions = self.layout.motions_at(self.time, self._commanded)
         return work.angle, acting, work.wanted, motions, modes, self.time
 

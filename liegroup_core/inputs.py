@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Inputs of an Engine that act from one time to another: wrenches, efforts, servos, motions."""
 
-import math
-from numbers import Real
+from fractions import Fraction
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from liegroup_core.fields.arguments import check_name, finite, floats, got, is_finite
 from liegroup_core.forces.external import AXES, PAIRS, no_wrenches, set_wrench
 from liegroup_core.forces.kinds import servos, wanted_values
 from liegroup_core.forces.schedule import (
@@ -37,7 +37,7 @@ class Inputs:
         self,
         body: str,
         wrench: ArrayLike,
-        start: float | None = None,
+        start: float | Fraction | None = None,
         duration: float | None = None,
         source: str = "api",
         axes: str = "body",
@@ -47,7 +47,8 @@ class Inputs:
 
         body     : name of the body
         wrench   : (6,) torque N m, force N. Zero ends it
-        start    : simulated time, s; None or a past time: the next step
+        start    : simulated time, s; None or a past time: the next step. A Fraction is exact: floats
+                   resolve whole ns up to 4e6 s
         duration : s; None: until it is replaced. Start and end are rounded to whole ns, as stamps of ROS
                    and of recordings are; `drain_applied` returns what acted
         source   : each source has one wrench per body; wrenches of different sources add
@@ -63,14 +64,14 @@ class Inputs:
             raise ValueError(f"axes {axes!r} name a point already: omit point, got {point!r}")
         if axes not in AXES:
             raise ValueError(f"axes must be 'body' or 'world', got {axes!r}")
-        if body not in self._body:
-            raise ValueError(f"unknown body {body!r}; choose one of: {', '.join(self._body)}")
-        wrench = _finite("a wrench must be six finite numbers (torque, force)", wrench, 6)
+        check_name(body, self._body, "unknown body {}")
+        wrench = finite("a wrench must be six finite numbers (torque, force)", wrench, (6,))
         if point is not None:
-            point = _finite("a point must be three finite numbers", point, 3)
+            point = finite("a point must be three finite numbers", point, (3,))
             with np.errstate(over="ignore"):
-                moments = np.outer(point, wrench[3:]).ravel()
-            _finite("point times force must be finite numbers", moments, 9)
+                moments = np.outer(point, wrench[3:])
+            finite("point times force must be finite numbers", moments, (3, 3))
+        _check_source(source)
         begin, end = self._interval(start, duration)
         self._schedule.command(source, self._body[body], wrench, begin, end, axes, point)
 
@@ -78,7 +79,7 @@ class Inputs:
         self,
         joint: str,
         effort: float,
-        start: float | None = None,
+        start: float | Fraction | None = None,
         duration: float | None = None,
         source: str = "api",
     ) -> None:
@@ -93,24 +94,21 @@ class Inputs:
         that is not finite, and BeyondLimits, a ValueError, for an effort beyond that of the joint
         (joints/limits.py).
         """
-        unit = self.layout.unit_efforts.get(joint)
-        if unit is None:
-            names = ", ".join(self.layout.unit_efforts) or "the scene has none"
-            raise ValueError(
-                f"joint {joint!r} is not a joint with one coordinate; choose one of: {names}"
-            )
-        if isinstance(effort, bool) or not (isinstance(effort, Real) and math.isfinite(effort)):
-            raise ValueError(f"an effort must be a finite number, got {effort!r}")
+        units = self.layout.unit_efforts
+        check_name(joint, units, "joint {} is not a joint with one coordinate")
+        if not is_finite(effort):
+            raise ValueError(f"an effort must be a finite number, {got(effort)}")
+        _check_source(source)
         self.layout.limits[joint].check_effort(effort)
         begin, end = self._interval(start, duration)
-        self._schedule.command_effort(source, joint, float(effort), unit, begin, end)
+        self._schedule.command_effort(source, joint, float(effort), units[joint], begin, end)
 
     def command_servo(
         self,
         joint: str,
         position: float,
         velocity: float = 0.0,
-        start: float | None = None,
+        start: float | Fraction | None = None,
         duration: float | None = None,
     ) -> None:
         """Command the wanted position and velocity of the servo of a joint.
@@ -125,8 +123,8 @@ class Inputs:
         """
         self._servo(joint)
         for name, value in (("position", position), ("velocity", velocity)):
-            if isinstance(value, bool) or not (isinstance(value, Real) and math.isfinite(value)):
-                raise ValueError(f"a wanted {name} must be a finite number, got {value!r}")
+            if not is_finite(value):
+                raise ValueError(f"a wanted {name} must be a finite number, {got(value)}")
         self.check_jump(joint, position)
         self.layout.limits[joint].check_velocity(velocity)
         self.set_servo_target(joint, position, velocity, start, duration)
@@ -136,7 +134,7 @@ class Inputs:
         joint: str,
         position: float,
         velocity: float,
-        start: float | None = None,
+        start: float | Fraction | None = None,
         duration: float | None = None,
     ) -> None:
         """As `command_servo`, of wanted values that were checked before: repeats a run."""
@@ -147,11 +145,8 @@ class Inputs:
 
     def _servo(self, joint):
         """Number of the servo of a joint. Raises ValueError for a joint without one."""
-        number = self.layout.servos.get(joint)
-        if number is None:
-            names = ", ".join(self.layout.servos) or "the scene has none"
-            raise ValueError(f"joint {joint!r} has no servo; choose one of: {names}")
-        return number
+        check_name(joint, self.layout.servos, "joint {} has no servo")
+        return self.layout.servos[joint]
 
     def command_motion(
         self,
@@ -160,7 +155,7 @@ class Inputs:
         positions: ArrayLike | None,
         velocities: ArrayLike | None = None,
         accelerations: ArrayLike | None = None,
-        start: float | None = None,
+        start: float | Fraction | None = None,
     ) -> None:
         """Command the motion of a driven joint through points, and on at the last velocity.
 
@@ -188,16 +183,20 @@ class Inputs:
         """[(Instant, motion (7,))] of a commanded motion. Raises ValueError."""
         number = self._drive(joint)
         begin, _ = self._interval(start, None)
-        after = np.atleast_1d(np.array(times, dtype=float))
+        after = np.atleast_1d(floats("times must be finite numbers", times))
+        finite(f"times must be {len(after)} finite numbers", after, (len(after),))
         points = [
-            part if part is None else np.atleast_1d(np.array(part, dtype=float))
-            for part in (positions, velocities, accelerations)
+            part
+            if part is None
+            else finite(
+                f"{name} must be {len(after)} finite numbers", np.atleast_1d(part), after.shape
+            )
+            for name, part in (
+                ("positions", positions),
+                ("velocities", velocities),
+                ("accelerations", accelerations),
+            )
         ]
-        for name, part in zip(
-            ("times", "positions", "velocities", "accelerations"), (after, *points)
-        ):
-            if part is not None and (part.shape != (len(after),) or not np.isfinite(part).all()):
-                raise ValueError(f"{name} must be {len(after)} finite numbers, got {part}")
         if not (len(after) and after[0] > 0.0 and (np.diff(after) > 0.0).all()):
             raise ValueError(f"times must be positive and increase, got {after}")
         if points[0] is None and points[1] is None:
@@ -205,7 +204,8 @@ class Inputs:
         if points[2] is not None and (points[1] is None or points[2][-1] != 0.0):
             raise ValueError("accelerations require velocities, and the last one must be 0")
         # A motion meets the next one at a whole ns, where the step is split.
-        instants = [begin, *(self._schedule.instant(begin.time + time) for time in after)]
+        grid = self._schedule.grid
+        instants = [begin, *(grid.after(begin, time) for time in after.tolist())]
         if not all(before < later for before, later in zip(instants, instants[1:])):
             raise ValueError("times must be at least 1 ns apart")
         origins = [instant.time for instant in instants]
@@ -217,14 +217,14 @@ class Inputs:
             self.layout.limits[joint].check_motion(rows, *points[:2])
         return list(zip(instants, rows))
 
-    def prescribe(self, joint: str, motion: ArrayLike, start: float | None = None) -> None:
+    def prescribe(
+        self, joint: str, motion: ArrayLike, start: float | Fraction | None = None
+    ) -> None:
         """Command a motion (7,) of a driven joint as it is: see AppliedMotion.
 
         Raises ValueError for a joint that is not driven, or what is no motion.
         """
-        row = np.array(motion, dtype=float)
-        if row.shape != (COLUMNS,) or not np.isfinite(row).all():
-            raise ValueError(f"a motion must be {COLUMNS} finite numbers, got {motion!r}")
+        row = finite(f"a motion must be {COLUMNS} finite numbers", motion, (COLUMNS,))
         begin, _ = self._interval(start, None)
         self._schedule.command_motion(self._drive(joint), row, begin)
 
@@ -238,23 +238,22 @@ class Inputs:
     def _drive(self, joint):
         """Number of a driven joint. Raises ValueError for another one."""
         names = tuple(self.layout.motions)
-        if joint not in names:
-            known = ", ".join(names) or "the scene has none"
-            raise ValueError(f"joint {joint!r} is not driven; choose one of: {known}")
+        check_name(joint, names, "joint {} is not driven")
         return names.index(joint)
 
     def _interval(self, start, duration):
         """Instants at which a command starts and ends (None: never). Raises ValueError."""
         for name, value in (("start", start), ("duration", duration)):
-            if value is not None and not (isinstance(value, Real) and math.isfinite(value)):
-                raise ValueError(f"{name} must be finite, or None, got {value!r}")
-        begin, end = self._schedule.boundary(self.steps), None
-        if start is not None and start > begin.time:
-            begin = max(begin, self._schedule.instant(float(start)))
+            if value is not None and not is_finite(value):
+                raise ValueError(f"{name} must be finite, or None, {got(value)}")
+        grid = self._schedule.grid
+        begin, end = grid.boundary(self.steps), None
+        if start is not None:
+            begin = max(begin, grid.instant(_exact_or_float(start)))
         if duration is not None:
             if not duration > 0.0:
                 raise ValueError(f"a duration must be positive, got {duration!r}")
-            end = self._schedule.instant(begin.time + float(duration))
+            end = grid.after(begin, _exact_or_float(duration))
             if end <= begin:
                 raise ValueError(f"a duration must be at least 1 ns, got {duration!r} s")
         return begin, end
@@ -291,7 +290,8 @@ class Inputs:
 
     def acting(self):
         """[AppliedWrench, AppliedTarget or AppliedMotion] of what acts from now on."""
-        return [self._applied_at(self.time, *key) for key in self._acting_numbers()]
+        now = self._schedule.boundary(self.steps)
+        return [self._applied_at(now, *key) for key in self._acting_numbers()]
 
     def _acting_numbers(self):
         """[(number, axes)] of the nonzero total wrenches, all servos, and commanded motions."""
@@ -336,35 +336,34 @@ class Inputs:
         else:
             set_wrench(self._external, number, total, axes)
 
-    def _change_wrenches(self, time, changed):
-        """Apply the total wrenches, or wanted values, of [(body, axes)] from a time on."""
+    def _change_wrenches(self, instant, changed):
+        """Apply the total wrenches, or wanted values, of [(body, axes)] from an Instant on."""
         for body, axes in changed:
             total = self._schedule.total[axes][body]
             self._set_input(body, total, axes)
-            self._applied.append(self._applied_at(time, body, axes))
+            self._applied.append(self._applied_at(instant, body, axes))
 
-    def _applied_at(self, time, body, axes):
-        """AppliedWrench, AppliedTarget or AppliedMotion of a total at a time."""
+    def _applied_at(self, instant, body, axes):
+        """AppliedWrench, AppliedTarget or AppliedMotion of a total at an Instant."""
+        time, time_ns = instant.time, self._schedule.grid.time_ns(instant)
         total = self._schedule.total[axes][body].tolist()
         name = self.layout.names_of_inputs[axes][body]
         if axes == SERVO:
-            return AppliedTarget(time, round(time * 1e9), name, *total)
+            return AppliedTarget(time, time_ns, name, *total)
         if axes == DRIVE:
-            return AppliedMotion(time, round(time * 1e9), name, tuple(total))
-        return AppliedWrench(time, round(time * 1e9), name, tuple(total), axes)
+            return AppliedMotion(time, time_ns, name, tuple(total))
+        return AppliedWrench(time, time_ns, name, tuple(total), axes)
 
-    def _times_inside(self):
-        """Times inside the next step at which a wrench may start or end."""
-        times = self._timetable.inside(self.steps)
-        return {*times, *self._schedule.inside(self.steps)} if self._schedule else times
+    def _instants_inside(self):
+        """Instants inside the next step at which a wrench may start or end."""
+        instants = self._timetable.inside(self.steps)
+        return {*instants, *self._schedule.inside(self.steps)} if self._schedule else instants
 
 
-def _finite(what, given, size):
-    """Array (size,) of numbers. Raises ValueError."""
-    try:
-        numbers = np.asarray(given, dtype=float)
-    except (TypeError, ValueError):
-        numbers = np.zeros(0)
-    if numbers.shape != (size,) or not np.isfinite(numbers).all():
-        raise ValueError(f"{what}, got {given!r}")
-    return numbers
+def _exact_or_float(seconds):
+    return seconds if type(seconds) is Fraction else float(seconds)
+
+
+def _check_source(source):
+    if not isinstance(source, str):
+        raise ValueError(f"source must be a name, {got(source)}")

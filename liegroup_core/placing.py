@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """States of an Engine that are set by poses, twists or joint coordinates of some bodies and joints."""
 
-import math
-
 import numpy as np
 
+from liegroup_core.fields.arguments import check_name, finite, got, is_finite, mapping
 from liegroup_core.forces.schedule import DRIVE
 from liegroup_core.integrators.rkmk.switching import BEYOND
 from liegroup_core.joints.coupling import COUPLED, gap, turns
@@ -39,34 +38,30 @@ class Placing:
         ValueError for an unknown body or joint, NaN or a matrix that is no rotation. The state is then
         unchanged.
         """
-        poses, twists, joints = poses or {}, twists or {}, joints or {}
-        for body in {*poses, *twists} - self._body.keys():
-            raise ValueError(f"unknown body {body!r}; choose one of: {', '.join(self._body)}")
+        poses = mapping("poses must be {body: pose}", poses)
+        twists = mapping("twists must be {body: twist}", twists)
+        joints = mapping("joints must be {joint: (position, velocity)}", joints)
+        for body in (*poses, *twists):
+            check_name(body, self._body, "unknown body {}")
         com = self.layout.offsets.com
         centred_poses, centred_twists = {}, {}
         for body, given in poses.items():
-            pose = np.array(given, dtype=float)
-            if pose.shape != (4, 4) or not np.isfinite(pose).all():
-                raise ValueError(f"expected a finite pose (4, 4) of {body}, got {given!r}")
+            pose = finite(f"expected a finite pose (4, 4) of {body}", given, (4, 4))
             position = pose[:3, 3] + pose[:3, :3] @ com[self._body[body]]
             centred_poses[body] = np.concatenate([pose[:3, :3].ravel(), position])
         for body, given in twists.items():
-            twist = np.array(given, dtype=float)
-            if twist.shape != (6,) or not np.isfinite(twist).all():
-                raise ValueError(f"expected a finite twist (6,) of {body}, got {given!r}")
+            twist = finite(f"expected a finite twist (6,) of {body}", given, (6,))
             twist[3:] += np.cross(twist[:3], com[self._body[body]])
             centred_twists[body] = twist
         known = [joint.name for joint in self.scene.joints if joint.type in COUPLED]
         for joint, values in joints.items():
-            if joint not in known:
-                names = ", ".join(known) or "the scene has none"
-                raise ValueError(
-                    f"joint {joint!r} is not a joint with one coordinate; choose one of: {names}"
-                )
-            if not all(value is None or math.isfinite(value) for value in values):
-                raise ValueError(
-                    f"position and velocity of {joint} must be finite, got {tuple(values)!r}"
-                )
+            check_name(joint, known, "joint {} is not a joint with one coordinate")
+            if not (
+                isinstance(values, (tuple, list, np.ndarray))
+                and len(values) == 2
+                and all(value is None or is_finite(value) for value in values)
+            ):
+                raise ValueError(f"position and velocity of {joint} must be finite, {got(values)}")
         counted = [joint for joint, _ in self.scene.unwrapped]
         angles = dict(zip(counted, self._work.angle.tolist()))
         motions = self.layout.motions_at(self.time, self._commanded)
@@ -84,7 +79,9 @@ class Placing:
         )
         self._refuse_beyond_stops(*state, joints)
         commanded, before = self._commanded.copy(), self._schedule
+        present = self.sample()
         self.set_state(*state, self.steps, np.array([angles[joint] for joint in counted]))
+        self._keep_turns(present, joints)
         for number, motion in enumerate(self._motions_after(commanded, joints)):
             if motion is None:
                 self._schedule.resume(before.motions_of(number))
@@ -93,6 +90,23 @@ class Placing:
         if len(commanded):
             self._schedule.update(self._schedule.boundary(self.steps))
             self._commanded[:] = self._schedule.total[DRIVE]
+
+    def _keep_turns(self, before, joints):
+        """Put angles with stops or friction in their turns: as given, or those of a Sample before.
+
+        joints : {joint: (position, velocity)} that were given, with their whole turns
+        """
+        if self._switching is None:
+            return
+        now, were = self.sample().joint_coordinates, before.joint_coordinates
+        near = before.switching[:, 3].copy()
+        for k, switch in enumerate(self.layout.switches):
+            given, _ = joints.get(switch.name, (None, None))
+            if given is not None:
+                near[k] = given
+            elif switch.name in self.layout.coordinates.counted:
+                near[k] += now[switch.name][0] - were[switch.name][0]
+        self._switching.expect(near)
 
     def _refuse_beyond_stops(self, pose, twist, joints):
         """Raise SceneError if a rigid stop does not allow a state, or a coordinate that was given."""

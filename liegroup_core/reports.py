@@ -97,7 +97,7 @@ class Reports:
         if status & 0xFF == NO_RATTLE_STEP:
             body = self.layout.body_names[status >> 8]
         # If a wrench of the scene changes within the step, no smaller step can be suggested.
-        if status & 0xFF in (NO_RATTLE_STEP, NOT_CONVERGED) and not self._times_inside():
+        if status & 0xFF in (NO_RATTLE_STEP, NOT_CONVERGED) and not self._instants_inside():
             self._work.clock[:] = 0.0, self.time, self.time
             works = step_that_works(self._integrator, self.step, *self.state(), self._external)
             hint = f": {works:g} s works from here" if works else ""

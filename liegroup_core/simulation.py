@@ -13,6 +13,7 @@ from .accuracy import DEFAULT, LONGEST, METHOD, MINUTE, SMALLEST, AccuracyContro
 from .compiling import warm_up
 from .engine import Engine
 from .errors import SimulationError
+from .fields.arguments import got, is_count, is_like
 from .integrators.families import check_group, check_options, choose_group
 from .integrators.methods import is_positive
 from .layout import make_layout
@@ -31,8 +32,6 @@ SUBSTEPS = 20
 # Most attempted substeps in each of the steps that are tried.
 TRIALS = {METHOD: [2 * SUBSTEPS], STIFF: [MOST_ATTEMPTS, 2 * SUBSTEPS]}
 MANY = 500  # freedoms, whose matrices take too long for a trial
-# Keys of every snapshot.
-SNAPSHOT = {"simulation", "doubt", "state", "memory", "schedule", "external", "wanted"}
 
 
 class Simulation(Engine):
@@ -99,7 +98,7 @@ class Simulation(Engine):
         horizon = MINUTE if horizon is None else horizon
         if not (is_positive(horizon) and horizon <= LONGEST):
             raise ValueError(
-                f"the horizon must be a positive number of seconds up to {LONGEST:g}, got {horizon!r}"
+                f"the horizon must be a positive number of seconds up to {LONGEST:g}, {got(horizon)}"
             )
         if step is None:
             step = default_steps(horizon)
@@ -255,6 +254,11 @@ class Simulation(Engine):
         """What a snapshot must have in common with the simulation that returns to it."""
         return {"scene": self.scene.text, **self.arguments}
 
+    @functools.cached_property
+    def _shapes(self):
+        """A snapshot, for the shapes and sizes of the parts of all others."""
+        return self.snapshot()
+
     def snapshot(self) -> dict[str, Any]:
         """As Engine.snapshot, with the estimate of the error and what sets the steps."""
         parts = {"simulation": self._identity, "doubt": (self._warned, self._lost)}
@@ -269,11 +273,12 @@ class Simulation(Engine):
 
         Another Simulation of the same scene with the same arguments counts as this one.
         """
-        if not isinstance(snapshot, dict) or not SNAPSHOT <= snapshot.keys():
+        mine = self._identity
+        theirs = snapshot.get("simulation") if isinstance(snapshot, dict) else None
+        if not isinstance(theirs, dict):
             raise ValueError(
-                f"expected what `snapshot` of this simulation returned, got {snapshot!r:.60}"
+                f"expected what `snapshot` of this simulation returned, {got(snapshot)}"
             )
-        mine, theirs = self._identity, snapshot["simulation"]
         for what in (*mine, *theirs):
             if mine.get(what) != theirs.get(what):
                 values = (
@@ -282,6 +287,11 @@ class Simulation(Engine):
                     else f", {theirs.get(what)!r} instead of {mine.get(what)!r}"
                 )
                 raise ValueError(f"the snapshot is of a simulation with another {what}{values}")
+        for name, part in self._shapes.items():
+            if name not in snapshot or not is_like(snapshot[name], part):
+                raise ValueError(f"the snapshot is damaged: its part {name!r} is missing or wrong")
+        if not is_count(snapshot["state"][2]):
+            raise ValueError("the snapshot is damaged: it has no step count")
         super().restore(snapshot)
         self._warned, self._lost = snapshot["doubt"]
         if self._running is not None:
@@ -310,6 +320,8 @@ class Simulation(Engine):
 
     def set_state(self, pose, twist, steps=0, angles=None, memory=None) -> None:
         """As Engine.set_state; without a memory the estimate of the error starts from zero."""
+        if memory is not None:
+            self._check_memory(memory)
         super().set_state(pose, twist, steps, angles)
         self._warned, self._lost = False, None
         if self._running is not None:
@@ -320,9 +332,9 @@ class Simulation(Engine):
         if memory is not None:
             self._remember(memory)
 
-    def _change_wrenches(self, time, changed):
+    def _change_wrenches(self, instant, changed):
         count = len(self._applied)
-        super()._change_wrenches(time, changed)
+        super()._change_wrenches(instant, changed)
         if self._running is not None:
             self._running.changed(self._applied[count:])
 
@@ -371,7 +383,7 @@ def _text(time, error, what):
 
 def _checked(accuracy):
     if not (is_positive(accuracy) and SMALLEST <= accuracy <= 1.0):
-        raise ValueError(f"the accuracy must be a number from {SMALLEST:g} to 1, got {accuracy!r}")
+        raise ValueError(f"the accuracy must be a number from {SMALLEST:g} to 1, {got(accuracy)}")
     return float(accuracy)
 
 

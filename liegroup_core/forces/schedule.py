@@ -16,7 +16,7 @@ motion of a driven joint, which holds until the next one: a new one also replace
 
 import bisect
 import copy
-import math
+from fractions import Fraction
 from functools import reduce
 from operator import add
 from typing import NamedTuple
@@ -26,21 +26,16 @@ import numpy as np
 from liegroup_core.joints.motion import FROM_SCENE
 
 from .external import AXES, parts_of_wrench
+from .instants import AFTER, BEFORE, NEVER, NS, ROUNDING, Instant, StepGrid
 
-NEVER = 1 << 62  # a step that is never reached
-# Decimal times and n * step are each rounded: about half a unit in the last place.
-ROUNDING = 4.0 * np.finfo(float).eps
-HALF_NS = 0.5e-9  # s; stamps are whole nanoseconds
-LATEST = 9.2e9  # s; later stamps do not fit into 64 bits
 # Stand for axes where a number is that of a servo, or of a driven joint.
 SERVO, DRIVE = "servo", "drive"
 
 
-class Instant(NamedTuple):
-    """A time, and the step that contains it; instants are ordered by time."""
-
-    step: int
-    time: float  # s; step * h at the start of the step
+def _start(change):
+    """Time in s of a change: exact, unless it is not at a whole ns."""
+    time, time_ns = change.time, change.time_ns
+    return Fraction(time_ns, NS) if abs(time_ns / NS - time) <= ROUNDING * time else time
 
 
 class AppliedWrench(NamedTuple):
@@ -62,7 +57,9 @@ class AppliedWrench(NamedTuple):
 
     def repeat(self, simulation):
         """Apply it to another simulation of the same scene, from its time on."""
-        simulation.apply_wrench(self.body, self.wrench, self.time, source=self.axes, axes=self.axes)
+        simulation.apply_wrench(
+            self.body, self.wrench, _start(self), source=self.axes, axes=self.axes
+        )
 
 
 class AppliedTarget(NamedTuple):
@@ -83,7 +80,7 @@ class AppliedTarget(NamedTuple):
 
     def repeat(self, simulation):
         """Command it to another simulation of the same scene, from its time on."""
-        simulation.set_servo_target(self.joint, self.position, self.velocity, self.time)
+        simulation.set_servo_target(self.joint, self.position, self.velocity, _start(self))
 
 
 class AppliedMotion(NamedTuple):
@@ -102,7 +99,7 @@ class AppliedMotion(NamedTuple):
 
     def repeat(self, simulation):
         """Command it to another simulation of the same scene, from its time on."""
-        simulation.prescribe(self.joint, self.motion, self.time)
+        simulation.prescribe(self.joint, self.motion, _start(self))
 
 
 class _Command(NamedTuple):
@@ -137,7 +134,7 @@ class WrenchSchedule:
         self._idle = {axes: np.zeros((body_count, 6)) for axes in AXES}
         self._idle |= {SERVO: wanted, DRIVE: np.tile(FROM_SCENE, (drives, 1))}
         self.total = {axes: idle.copy() for axes, idle in self._idle.items()}
-        self._h = h
+        self.grid = StepGrid(h)
         self._waiting = []
         self._acting = {}
         self._arrived = 0
@@ -191,25 +188,17 @@ class WrenchSchedule:
         self._arrived += 1
         key = (axes, "", number) if axes in AXES else ("", axes, number)
         wrench = tuple(map(float, wrench))
-        never, before = self.instant(math.inf), Instant(-1, -math.inf)
-        self._acting[key] = _Command(
-            before, never, self._arrived, key, ((axes, number, wrench),), 0.0
-        )
+        parts = ((axes, number, wrench),)
+        self._acting[key] = _Command(BEFORE, AFTER, self._arrived, key, parts, 0.0)
         self.total[axes][number] = wrench
 
     def instant(self, time):
         """Instant of a time in s: the boundary of a step within half a ns, else whole ns."""
-        if time > LATEST:
-            return Instant(NEVER, math.inf)
-        nearest = round(time / self._h)
-        if abs(time - nearest * self._h) <= HALF_NS + ROUNDING * time:
-            return self.boundary(nearest)
-        time = round(time * 1e9) * 1e-9
-        return Instant(math.floor(time / self._h), time)
+        return self.grid.instant(time)
 
     def boundary(self, step):
         """Instant at which a step starts."""
-        return Instant(step, step * self._h)
+        return self.grid.boundary(step)
 
     def command(self, source, body, wrench, start, end, axes="body", point=None):
         """Apply `wrench` (6,) of `source` to body number `body` from one Instant to another.
@@ -264,7 +253,7 @@ class WrenchSchedule:
     def _insert(self, key, parts, start, end, effort=0.0):
         self._arrived += 1
         parts = tuple((axes, number, tuple(map(float, values))) for axes, number, values in parts)
-        end = self.instant(math.inf) if end is None else end
+        end = AFTER if end is None else end
         bisect.insort(
             self._waiting,
             _Command(start, end, self._arrived, key, parts, effort),
@@ -280,7 +269,7 @@ class WrenchSchedule:
         ended = {key for key in ended if key[0] == source and key[1] != DRIVE}
         self._waiting = [c for c in self._waiting if c.key not in ended]
         for key in ended & self._acting.keys():
-            self._acting[key] = self._acting[key]._replace(end=Instant(-1, -math.inf))
+            self._acting[key] = self._acting[key]._replace(end=BEFORE)
 
     def update(self, instant):
         """Make `total` the wrenches that act from an Instant on; returns [(body, axes)] that changed."""
@@ -313,9 +302,8 @@ class WrenchSchedule:
         return changed
 
     def inside(self, step):
-        """Times in s inside a step at which a wrench starts or ends, in order."""
-        start = self.boundary(step)
-        return sorted({i.time for i in self._instants(step) if i.step == step and i > start})
+        """Instants inside a step at which a wrench starts or ends, in order."""
+        return sorted({i for i in self._instants(step) if i.step == step and i.offset})
 
     def next_change(self, step):
         """First later step that starts with a change of the wrenches, or contains one."""

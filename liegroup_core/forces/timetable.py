@@ -11,7 +11,7 @@ from bisect import bisect_right
 
 import numpy as np
 
-from .schedule import NEVER, ROUNDING
+from .instants import NEVER, ROUNDING, StepGrid
 
 
 def acting_at(rows, time):
@@ -32,21 +32,21 @@ class Timetable:
     """
 
     def __init__(self, rows, step, motions=()):
-        self._rows = rows
+        grid = StepGrid(step)
         times = [rows["start"], rows["end"], *(motion[1:, 0] for motion in motions)]
-        self._inside = {}  # step number -> times inside that step
-        changes = set()
-        for time in np.unique(np.concatenate(times)):
-            if not np.isfinite(time):
-                continue
-            nearest = round(time / step)
-            if abs(time - nearest * step) <= ROUNDING * time:
-                changes.add(nearest)
-                continue
-            before = nearest - (nearest * step > time)
-            self._inside.setdefault(before, []).append(float(time))
-            changes.add(before)
-        self._changes = sorted(changes)
+        instants = {time: grid.scene_instant(time) for time in np.concatenate(times).tolist()}
+        self._instants = sorted(set(instants.values()))
+        number = {instant: i for i, instant in enumerate(self._instants)}
+        # Numbers of the instants at which each wrench starts and ends.
+        self._starts, self._ends = (
+            np.array([number[instants[time]] for time in rows[key].tolist()], dtype=np.int64)
+            for key in ("start", "end")
+        )
+        self._inside = {}  # step number -> Instants inside that step
+        for instant in self._instants:
+            if instant.offset:
+                self._inside.setdefault(instant.step, []).append(instant)
+        self._changes = sorted({i.step for i in self._instants if i.step < NEVER})
 
     def next_change(self, steps):
         """First later step that is split, or from which other inputs hold."""
@@ -54,10 +54,10 @@ class Timetable:
         return self._changes[at] if at < len(self._changes) else NEVER
 
     def inside(self, steps):
-        """Times in s inside a step at which an input changes."""
+        """Instants inside a step at which an input changes."""
         return self._inside.get(steps, ())
 
-    def acting(self, start, duration):
-        """Mask (k,) of the wrenches that act over a part of a step."""
-        # The middle is away from all starts and ends: round-off has no influence.
-        return acting_at(self._rows, start + 0.5 * duration)
+    def acting(self, instant):
+        """Mask (k,) of the wrenches that act from an Instant on."""
+        passed = bisect_right(self._instants, instant)
+        return (self._starts < passed) & (passed <= self._ends)

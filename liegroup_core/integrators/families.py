@@ -14,6 +14,7 @@ and with error control
     tighten(part)    multiply the tolerances of the options by `part`
 """
 
+from liegroup_core.fields.arguments import got
 from liegroup_core.formulations.relative.cost import has_fewer_unknowns, is_cheaper, saves_sweeps
 from liegroup_core.integrators.generalized_alpha.generalized_alpha import GeneralizedAlpha
 from liegroup_core.integrators.rattle.rattle import Constrained
@@ -48,7 +49,7 @@ def check_options(method, options):
             raise ValueError(f"method {method} has no option {name!r}; {has}")
         _, text, is_good = known[name]
         if not is_good(value):
-            raise ValueError(f"{name} must be {text}, got {value!r}")
+            raise ValueError(f"{name} must be {text}, {got(value)}")
     return {name: options.get(name, default) for name, (default, _, _) in known.items()}
 
 

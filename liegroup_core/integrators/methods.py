@@ -25,9 +25,10 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from numbers import Real
 
 import numpy as np
+
+from liegroup_core.fields.arguments import is_finite
 
 # Groups of the pose of a body, with their codes for kernels.
 SE3, SO3XR3 = 0, 1
@@ -41,8 +42,7 @@ EXACT = -1                  # instead of the last power of ad in dexpinv: closed
 
 def is_positive(value):
     """True for a finite real number greater than zero."""
-    return (isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
-            and value > 0.0)
+    return is_finite(value) and value > 0.0
 
 
 def refuse_stabilisation(method, model):

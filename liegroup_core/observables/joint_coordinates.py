@@ -112,6 +112,11 @@ class JointCoordinates:
             if name in counted and self.units[name] == "rad"
         }
 
+    @property
+    def counted(self):
+        """Names of the joints whose angle is unwrapped."""
+        return {*self._counted, *(name for name, *_ in self._coupled)}
+
     def at(self, pose, twist, angles):
         """{joint: (position, velocity)}: rad and rad/s, or m and m/s.
 

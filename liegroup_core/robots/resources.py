@@ -5,6 +5,7 @@ import os
 from pathlib import Path
 
 from liegroup_core.errors import SceneError
+from liegroup_core.fields.arguments import got
 
 from .xml import read_xml
 
@@ -18,6 +19,8 @@ def resolve(name_or_path):
 
     Raises SceneError if a package or model is not found, and for other addresses, such as http://.
     """
+    if not isinstance(name_or_path, (str, os.PathLike)):
+        raise SceneError(f"expected the path or the name of a scene, {got(name_or_path)}")
     text = os.fspath(name_or_path)
     for scheme, find in (("package://", _package), ("model://", _model)):
         if text.startswith(scheme):

@@ -348,3 +348,75 @@ def test_a_position_that_no_step_reaches_is_refused_and_nothing_changes():
     with pytest.raises(SceneError, match=r'"hinge1": no pose near the start .* coordinate -1;'):
         engine.place(joints={"hinge1": (-1.0, None)})
     assert all(np.array_equal(old, new) for old, new in zip(before, engine.state()))
+
+
+ROTOR = """
+name: rotor
+gravity: [0, 0, 0]
+bodies:
+  - {name: rotor, mass: 1, inertia: [1, 1, 1], angular_velocity: [0, 0, 20]}
+  - {name: stone, mass: 1, inertia: [1, 1, 1], position: [9, 9, 9]}
+joints:
+  - {name: axle, type: revolute, parent: world, child: rotor, parent_frame: {}, child_frame: {},
+     limits: {lower: -50.3, upper: 50.3, restitution: 0.5}}
+"""
+SPRING = "forces: [{name: s, type: torsional_spring_damper, joint: axle, stiffness: 0}]\n"
+# The gear pair has two rotors of the same inertia: that of the other one at twice the speed counts fourfold.
+GEARED = (
+    ROTOR.replace(
+        "joints:",
+        "  - {name: motor, mass: 1, inertia: [1, 1, 1], position: [0, 1, 0], angular_velocity: [0, 0, -40]}\n"
+        "joints:\n"
+        "  - {name: shaft, type: revolute, parent: world, child: motor,\n"
+        "     parent_frame: {position: [0, 1, 0]}, child_frame: {}}",
+    )
+    + "couplings: [{name: gears, joint: axle, other: shaft, ratio: -0.5}]\n"
+)
+
+
+def rotor_at(engine):
+    """Coordinate of the stop and rate of the rotor."""
+    sample = engine.sample()
+    return sample.switching[0, 3], sample.twists["rotor"][2]
+
+
+def after(seconds, q=40.0):
+    """Coordinate and rate of the rotor at 20 rad/s, from q on: it rebounds at 50.3 rad with half its rate."""
+    hit = (50.3 - q) / 20.0
+    return (50.3 - 10.0 * (seconds - hit), -10.0) if seconds > hit else (q + 20.0 * seconds, 20.0)
+
+
+@pytest.mark.parametrize("text", [ROTOR, ROTOR + SPRING, GEARED], ids=["alone", "spring", "gears"])
+@pytest.mark.parametrize("options", [{"method": "rkmk4"}, {"accuracy": 1e-6}], ids=str)
+def test_a_joint_with_stops_some_turns_apart_is_placed_in_its_turn(text, options):
+    """Closed form. Rounding of 100 steps of 0.2 rad at 50 rad, each below 2 eps * 50: below 3e-12; the event is
+    found to 1e-13 rad.
+    """
+    engine = Simulation(scene_from_text(text), step=0.01, **options)
+    given = {"axle": (40.0, 20.0)} if text is not GEARED else {"shaft": (-80.0, -40.0)}
+    engine.place(joints=given)
+    assert rotor_at(engine) == pytest.approx((40.0, 20.0), abs=1e-13)
+    snapshot = engine.snapshot()
+    for _ in range(2):
+        engine.advance(100)
+        assert rotor_at(engine) == pytest.approx(after(1.0), abs=3e-12)
+        for driven in (engine, engine._running.companion):
+            assert driven.state()[1][0, 2] == pytest.approx(-10.0, abs=3e-12)
+        engine.restore(snapshot)
+    with pytest.raises(SceneError, match="axle would be beyond its stop: its position 60 rad"):
+        engine.place(joints={"axle": (60.0, 0.0)})
+
+
+@pytest.mark.parametrize("text", [ROTOR, ROTOR + SPRING, GEARED], ids=["alone", "spring", "gears"])
+def test_joints_that_are_not_given_stay_in_their_turns(text):
+    """Closed form, as above: after a turn and more, another body is placed, then the rotor is turned a little."""
+    engine = Simulation(scene_from_text(text), step=0.01, quiet=True)
+    engine.advance(100)
+    engine.place({}, {"stone": [0, 0, 0, 1.0, 0, 0]})
+    assert rotor_at(engine) == pytest.approx((20.0, 20.0), abs=3e-12)
+    engine.advance(40)
+    assert rotor_at(engine) == pytest.approx(after(1.4, 0.0), abs=3e-12)
+    engine.place({"rotor": pose([0, 0, 28.5], [0, 0, 0])})
+    assert rotor_at(engine) == pytest.approx((28.5, 20.0), abs=1e-12)
+    engine.advance(200)
+    assert rotor_at(engine) == pytest.approx(after(2.0, 28.5), abs=3e-12)

@@ -64,12 +64,14 @@ def test_an_instant_is_a_step_boundary_or_whole_nanoseconds(h):
     for step in (0, 1, 7, 10**6 + 1):
         boundary = schedule.boundary(step)
         assert schedule.instant(round(boundary.time * 1e9) * 1e-9).step == step or h < 1e-9
-        assert schedule.instant(step * h) == (step, step * h)
+        assert schedule.instant(step * h) == (step, 0, step * h)
     assert schedule.instant(1e300).step == NEVER
     inside = schedule.instant(5.4321e-5)
     assert inside == schedule.instant(inside.time)  # a recorded time gives the same instant
     if h > 5.4321e-5:
-        assert inside == (0, 54321 * 1e-9) and schedule.boundary(0) < inside < schedule.boundary(1)
+        assert (inside.step, inside.time) == (0, 5.4321e-5)
+        assert schedule.grid.between(schedule.boundary(0), inside) == 5.4321e-5
+        assert schedule.boundary(0) < inside < schedule.boundary(1)
 
 
 @pytest.mark.parametrize("group", ["se3", "so3xr3"])

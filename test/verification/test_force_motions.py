@@ -8,6 +8,7 @@ import pytest
 
 from liegroup_core import Scene, Simulation, SimulationError
 from liegroup_core.forces import kinds
+from liegroup_core.forces.instants import StepGrid
 from liegroup_core.forces.timetable import Timetable
 from liegroup_core.joints.pairs import LOWER_PAIRS
 from liegroup_core.scene import (
@@ -582,14 +583,16 @@ def test_timetable_splits_steps_at_wrench_times():
     while (step := table.next_change(step)) < 100:
         changes.append(step)
     assert changes == [0, 3, 4, 5]
-    assert not table.inside(3) and table.acting(0.3, 0.1).tolist() == [True, True, False]
-    assert table.inside(4) == [0.42, 0.44]
-    assert [table.acting(*part).tolist() for part in ((0.4, 0.02), (0.42, 0.02), (0.44, 0.06))] == [
+    boundary = StepGrid(0.1).boundary
+    assert not table.inside(3) and table.acting(boundary(3)).tolist() == [True, True, False]
+    inside = table.inside(4)
+    assert [instant.time for instant in inside] == [0.42, 0.44]
+    assert [table.acting(start).tolist() for start in (boundary(4), *inside)] == [
         [True, True, False],
         [True, True, True],
         [True, True, False],
     ]
-    assert table.acting(0.5, 0.1).tolist() == [True, False, False]
+    assert table.acting(boundary(5)).tolist() == [True, False, False]
 
 
 @pytest.mark.parametrize("steps, step, time, sign", [(35, 0.01, 0.35, 1), (22, 0.03, 0.66, -1)])
@@ -610,7 +613,7 @@ def test_a_decimal_time_is_matched_to_its_step(steps, step, time, sign):
         )
         table = Timetable(simulation.layout.model.forces.applied_wrench, step)
         assert not table.inside(steps - 1) and not table.inside(steps)
-        acting = [bool(table.acting(k * step, step)[0]) for k in (steps - 1, steps)]
+        acting = [bool(table.acting(StepGrid(step).boundary(k))[0]) for k in (steps - 1, steps)]
         assert acting == [before, after]
         pose, twist = simulation.state()
         simulation.set_state(pose, twist, steps=steps)

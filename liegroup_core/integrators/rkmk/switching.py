@@ -14,6 +14,7 @@ import numpy as np
 
 from liegroup_core.formulations.relative.arrays import COORDINATE, KNOWN, SIDE, SLIP
 from liegroup_core.formulations.relative.switches import LOWER, RESTING, SLIDING, UPPER, modes_of
+from liegroup_core.joints.stops import WITHIN_A_TURN
 from liegroup_core.status import BEYOND_STOP, EVENT, EVENTS_WITHOUT_END, MOST_EVENTS, OK
 
 from .crossings import lowest
@@ -74,8 +75,12 @@ class Switching(EventTimes):
         self._work.held[:] = other._work.held
         self._work.modes[:] = other._work.modes
 
+    def expect(self, coordinates):
+        """Take the angles of a state that was set in the turns next to these coordinates (k,), rad or m."""
+        self._work.modes[:, COORDINATE] = coordinates * self._model.switches["sign"]
+
     def restart(self):
-        """Forget the modes: the state was set."""
+        """Forget the modes: the state was set. Angles are next to 0, see `_meet_inputs`."""
         self._work.held[:] = 0.0
         self._work.modes[:] = 0.0
         self.events, self.count, self._crowd, self.lost = [], 0, (0, 0.0), 0.0
@@ -123,7 +128,7 @@ class Switching(EventTimes):
         if known and (same or not self._at_rest().any()):
             return OK
         if not known:
-            work.modes[:, COORDINATE] = self._model.switches["expected"]
+            work.modes[:, COORDINATE] = self._in_turns_of_stops(work.modes[:, COORDINATE])
         status = self._look(self._model, work, *state)
         if status != OK:
             return status
@@ -149,6 +154,12 @@ class Switching(EventTimes):
         if (work.guards[:, SLIDING + 1 :] >= 0.0).all():
             return OK
         return self._switch(time, state, np.zeros(work.guards.shape, dtype=bool))
+
+    def _in_turns_of_stops(self, near):
+        """Coordinates next to which those of a state that was set are: near (k,), as far as stops allow."""
+        table = self._model.switches
+        first, last = table["lower"] + WITHIN_A_TURN, table["upper"] - WITHIN_A_TURN
+        return np.where(first > last, table["expected"], np.clip(near, first, last))
 
     def _finish(self, h, start, state):
         """Take the step in which the next event is, from the substep with it on. Returns a status."""

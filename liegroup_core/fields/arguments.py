@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Checks of arguments that users' code gives; each error is a ValueError with one line."""
+
+import math
+from collections.abc import Mapping
+from numbers import Integral, Real
+
+import numpy as np
+
+from .values import shown
+
+SCALARS = int, float, str, np.generic, type(None)
+
+
+def is_finite(value):
+    """True for a real number, no bool, that is finite as a float."""
+    try:
+        return (
+            isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(float(value))
+        )
+    except OverflowError:
+        return False
+
+
+def is_count(value):
+    """True for a whole number, 0 or more."""
+    return isinstance(value, Integral) and not isinstance(value, bool) and value >= 0
+
+
+def got(value):
+    """End of a message: the value, in one line."""
+    return "got " + " ".join(shown(value).split())
+
+
+def floats(what, given):
+    """New array of numbers.
+
+    what : beginning of the message, what they must be
+    """
+    try:
+        return np.array(given, dtype=float, order="C")
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{what}, {got(given)}") from None
+
+
+def finite(what, given, shape):
+    """New array of finite numbers, as `floats`."""
+    numbers = floats(what, given)
+    if numbers.shape != shape or not np.isfinite(numbers).all():
+        raise ValueError(f"{what}, {got(given)}")
+    return numbers
+
+
+def check_name(name, known, what):
+    """Refuse what is none of the known names.
+
+    what : beginning of the message, with {} for the name
+    """
+    if not isinstance(name, str) or name not in known:
+        names = ", ".join(known) or "the scene has none"
+        raise ValueError(f"{what.format(shown(name))}; choose one of: {names}")
+
+
+def mapping(what, given):
+    """The mapping, {} for None."""
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        raise ValueError(f"{what}, {got(given)}")
+    return given
+
+
+def is_like(part, mine):
+    """True for a nest of dicts, lists, arrays and bytes of the same keys, shapes and sizes as another one.
+
+    Numbers, texts and None may stand for each other.
+    """
+    if isinstance(mine, SCALARS):
+        return isinstance(part, SCALARS)
+    if not isinstance(part, type(mine)):
+        return False
+    if isinstance(mine, np.ndarray):
+        return part.shape == mine.shape and part.dtype == mine.dtype
+    if isinstance(mine, dict):
+        return part.keys() == mine.keys() and all(map(is_like, map(part.get, mine), mine.values()))
+    if isinstance(mine, (tuple, list)):
+        return len(part) == len(mine) and all(map(is_like, part, mine))
+    return not isinstance(mine, bytes) or len(part) == len(mine)

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Wrong arguments of the public API: a ValueError with one line, and nothing changes."""
+
+import numpy as np
+import pytest
+
+from liegroup_core import Simulation, load_scene
+from liegroup_core.fields.arguments import is_like
+
+HUGE = 10**400  # no float
+LONG = 10**5000  # Python does not write it in decimal
+
+
+def refuses(call, match=""):
+    with pytest.raises(ValueError, match=match) as error:
+        call()
+    assert "\n" not in str(error.value)
+
+
+@pytest.fixture(scope="module")
+def top():
+    return Simulation(load_scene("heavy_top"), accuracy=1e-4, quiet=True)
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return Simulation(load_scene("driven_arm"), accuracy=1e-4, quiet=True)
+
+
+@pytest.mark.parametrize("number", [HUGE, LONG, -HUGE], ids=["huge", "long", "negative"])
+def test_numbers_that_are_no_floats_are_refused(top, number):
+    scene = top.scene
+    refuses(lambda: Simulation(scene, accuracy=number), "accuracy must be")
+    refuses(lambda: Simulation(scene, horizon=number), "horizon must be")
+    refuses(lambda: Simulation(scene, step=number), "step must be")
+    refuses(lambda: Simulation(scene, "rkmk54", rtol=number), "rtol must be")
+    refuses(
+        lambda: Simulation(
+            scene, "rkmk4", stabilisation="baumgarte", baumgarte_time=number, group="se3"
+        ),
+        "baumgarte_time must be",
+    )
+    refuses(lambda: top.set_accuracy(number), "accuracy must be")
+    push = [0.0] * 6
+    refuses(lambda: top.apply_wrench("top", [number] * 6), "six finite numbers")
+    refuses(lambda: top.apply_wrench("top", push, point=[number, 0, 0]), "three finite numbers")
+    refuses(lambda: top.apply_wrench("top", push, start=number), "start must be")
+    refuses(lambda: top.apply_wrench("top", push, duration=number), "duration must be")
+    refuses(lambda: top.place({}, {"top": [number] * 6}), "finite twist")
+    refuses(lambda: top.set_state(np.eye(4).tolist(), [[number] * 6]), "expected a twist")
+
+
+def test_numbers_of_joints_that_are_no_floats_are_refused(arm):
+    joint = next(iter(arm.layout.motions))
+    refuses(lambda: arm.place(joints={joint: (HUGE, None)}), "must be finite")
+    refuses(lambda: arm.command_motion(joint, [HUGE], [0.0]), "times must be")
+    refuses(lambda: arm.command_motion(joint, [1.0], [HUGE]), "positions must be")
+    refuses(lambda: arm.command_motion(joint, [1.0], None, [[HUGE]]), "velocities must be")
+    refuses(lambda: arm.prescribe(joint, [HUGE] * 7), "motion must be")
+    refuses(lambda: arm.apply_effort(joint, HUGE), "effort must be")
+
+
+@pytest.mark.parametrize("name", [["top"], None, 5, {"a": 1}, {1}], ids=repr)
+def test_names_that_are_no_texts_are_refused(top, arm, name):
+    push = [0.0] * 6
+    refuses(lambda: top.apply_wrench(name, push), "unknown body")
+    refuses(lambda: top.apply_wrench("top", push, source=name), "source must be a name")
+    joint = next(iter(arm.layout.unit_efforts))
+    refuses(lambda: arm.apply_effort(name, 1.0), "one coordinate")
+    refuses(lambda: arm.apply_effort(joint, 1.0, source=name), "source must be a name")
+    refuses(lambda: arm.command_servo(name, 1.0), "no servo")
+    refuses(lambda: arm.command_motion(name, [1.0], [0.0]), "not driven")
+    refuses(lambda: arm.prescribe(name, [0.0] * 7), "not driven")
+    assert not top.input_count and not arm.input_count
+
+
+@pytest.mark.parametrize("wrong", [5, "top", [1], ("a", "b")], ids=repr)
+def test_a_place_that_is_no_mapping_is_refused(top, arm, wrong):
+    refuses(lambda: top.place(wrong), "poses must be")
+    refuses(lambda: top.place({}, wrong), "twists must be")
+    refuses(lambda: top.place({}, {}, wrong), "joints must be")
+    joint = next(iter(arm.layout.unit_efforts))
+    for value in (wrong, (1.0,), (1.0, 2.0, 3.0), ("1", 2.0)):
+        refuses(lambda value=value: arm.place(joints={joint: value}), "must be finite")
+
+
+@pytest.mark.parametrize("steps", [10**30, 1.5, -5, True, "a", None], ids=repr)
+def test_a_state_needs_a_step_count(top, steps):
+    top.reset()
+    top.advance(3)
+    before = top.state()
+    refuses(lambda: top.set_state(*top.state(), steps), "steps must be a whole number")
+    assert top.steps == 3 and all(map(np.array_equal, before, top.state()))
+
+
+@pytest.mark.parametrize("memory", [5, "abc", b"abc", [1, 2]], ids=repr)
+@pytest.mark.parametrize("options", [{"accuracy": 1e-4}, {"method": "rkmk853"}], ids=str)
+def test_a_memory_of_another_kind_is_refused_and_changes_nothing(memory, options):
+    simulation = Simulation(load_scene("double_pendulum"), step=1e-2, quiet=True, **options)
+    start = simulation.state()
+    simulation.advance(3)
+    before = simulation.snapshot()
+    refuses(lambda: simulation.set_state(*start, 0, None, memory), "bytes of method memory")
+    assert is_like(simulation.snapshot(), before) and simulation.steps == 3
+    assert all(map(np.array_equal, before["state"][:2], simulation.state()))
+
+
+@pytest.mark.parametrize("name", [None, 5, [1], b"heavy_top"], ids=repr)
+def test_what_is_no_name_of_a_scene_is_refused(name):
+    refuses(lambda: load_scene(name), "expected the path or the name of a scene")
+
+
+def damaged(snapshot):
+    """(path, snapshot) with each part, and each part of a part, missing or of another kind."""
+    for key, part in snapshot.items():
+        rest = {k: v for k, v in snapshot.items() if k != key}
+        yield key, rest
+        yield from ((key, rest | {key: wrong}) for wrong in (None, 5, (), {}, b"", np.zeros(2)))
+        if isinstance(part, dict) and key != "simulation":
+            yield from ((f"{key}.{path}", rest | {key: inner}) for path, inner in damaged(part))
+        if isinstance(part, tuple):
+            yield key, rest | {key: part[:-1]}
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"accuracy": 1e-4}, {"method": "rkmk4"}, {"method": "rkmk4", "estimate": False}],
+    ids=str,
+)
+def test_a_damaged_snapshot_is_refused_and_changes_nothing(options):
+    """A number, a text and None may stand for each other: they are left out, but for the step count."""
+    simulation = Simulation(load_scene("door"), step=1e-2, quiet=True, **options)
+    simulation.advance(24)
+    snapshot = simulation.snapshot()
+    simulation.advance(8)
+    wrong = [s for _, s in damaged(snapshot) if not is_like(s, snapshot)]
+    pose, twist, _, angles = snapshot["state"]
+    wrong += [snapshot | {"state": (pose, twist, steps, angles)} for steps in (None, -1, 0.5, "a")]
+    assert len(wrong) > 40
+    before, memory = simulation.state(), simulation.memory()
+    for other in wrong:
+        refuses(lambda other=other: simulation.restore(other), "snapshot")
+    assert simulation.steps == 32 and simulation.memory() == memory
+    assert all(map(np.array_equal, before, simulation.state()))
+    simulation.restore(snapshot)
+    simulation.advance(8)
+    assert all(map(np.array_equal, before, simulation.state()))
