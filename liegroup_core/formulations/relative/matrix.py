@@ -12,7 +12,7 @@ SMALLEST_MOBILITY = 1e-12
 # that follows gains them back: from here on.
 SMALL_PIVOT = 1e-2
 # Smallest pivots as parts of the usual one: of a pose near a singular one, and of one that counts as it.
-NEAR, AT = 1e-3, 2e-5
+NEAR, AT = 2.2e-3, 2e-5
 # Shift of W at a singular pose.
 REGULARISATION = 1e-8
 

@@ -142,6 +142,7 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
             copy_state(work.stage_pose, work.stage_twist, pose, twist)
             if control[11] > 0.0:
                 _coarsen(control[11], pose, twist)
+                first = 0
             work.report[0] = max(work.report[0], work.report[1])
             remaining = remaining - size if count > 1 else 0.0
         if status == OK:
