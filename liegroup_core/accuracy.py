@@ -136,9 +136,11 @@ class AccuracyControl:
         jumps = min(earlier) <= 0.0 or all_of_them < RESOLVED * span
         return 0.0 if jumps or last > sum(earlier) else all_of_them / DECADES
 
-    @property
-    def reason(self):
-        """Text that says why the accuracy ended and what can be had; empty if that is not known."""
+    def reason(self, finer):
+        """Text that says why the accuracy ended and what can be had; empty if that is not known.
+
+        finer : whether a finer accuracy would make finer steps
+        """
         if self.ended == math.inf:
             return ""
         tenfold, room = self.found["tenfold"], self.found["room"]
@@ -147,7 +149,7 @@ class AccuracyControl:
         if not tenfold:
             return ""
         grow = f"errors grow tenfold in about {tenfold:.2g} s"
-        if min(room, self.found["wanted"] / SMALLEST) < FINER:
+        if not finer or min(room, self.found["wanted"] / SMALLEST) < FINER:
             return grow
         return (
             f"{grow}, so that with an accuracy {FINER:g} times as fine they would be this large about "

@@ -268,6 +268,11 @@ class RunningError:
         self.estimate.keep(self.engine.time)
 
     @property
+    def follows_tolerance(self):
+        """Whether substeps of error control are shorter than steps, so that tolerances matter."""
+        return self.engine.substeps[0] > self.engine.steps - self._set_at
+
+    @property
     def begun(self):
         """Whether the companion has started from the state that was set."""
         return self._start is not None

@@ -200,7 +200,9 @@ class Simulation(Engine):
     @property
     def inaccurate_because(self) -> str:
         """Why `accurate_until` is finite, and what can be had; empty if it is infinite or not known."""
-        return "" if self._control is None else self._control.reason
+        return (
+            "" if self._control is None else self._control.reason(self._running.follows_tolerance)
+        )
 
     @property
     def largest_error(self) -> float:

@@ -161,7 +161,9 @@ def warm_up(call, name):
     if compiler.name == "python":
         _warn_of_plain_python()
     elif done is None or not done.exists():
-        log.warning("first start on this machine: compiling (about 20 s). The result is cached")
+        log.warning(
+            "first run of this kind of mechanism: compiling (about 20 s). The result is cached"
+        )
     start = time.perf_counter()
     with _no_collection():
         call()

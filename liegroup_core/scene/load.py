@@ -46,8 +46,8 @@ def scene_of(name_or_path, options=None):
             return scene_from_robot(path, options)
         if options is not None:
             raise SceneError(
-                f"{path}: is a scene file: write base, start, start_velocity, lock, only, pose, "
-                "joints, xacro and name into it instead of options"
+                f"{path}: is a scene file: these options are for files of robots; change the bodies, "
+                "joints and forces in the scene itself"
             )
         if os.path.getsize(path) > LARGEST_FILE:
             raise SceneError(

@@ -22,6 +22,8 @@ from liegroup_sim_ros.report.page import make_page, page_part
 from liegroup_sim_ros.report.shapes import robot_shapes
 from liegroup_sim_ros.report.terminal import print_comparison, print_overview, print_table
 
+from .arguments import count, not_negative
+
 EXIT_EXCEEDED = 1
 
 
@@ -65,13 +67,13 @@ def add_arguments(parser):
     parser.add_argument("--json", metavar="FILE", help="write all figures as JSON")
     parser.add_argument(
         "--max-error",
-        type=_bound,
+        type=not_negative,
         metavar="X",
         help="fail if an error or its recorded estimate is larger: position in m, attitude in rad",
     )
     parser.add_argument(
         "--max-drift",
-        type=_bound,
+        type=not_negative,
         metavar="X",
         help="fail if a drift is larger: energy relative to the largest kinetic energy, "
         "momenta relative to the sum of the bodies' largest momenta",
@@ -83,7 +85,7 @@ def add_arguments(parser):
     )
     parser.add_argument(
         "--reference-seconds",
-        type=_bound,
+        type=not_negative,
         default=REFERENCE_SECONDS,
         metavar="S",
         help="simulated time covered by the reference integration in s; inf: all (default: "
@@ -91,7 +93,7 @@ def add_arguments(parser):
     )
     parser.add_argument(
         "--reference-steps",
-        type=_count,
+        type=count,
         default=REFERENCE_STEPS,
         metavar="N",
         help="limit of the steps of the reference integration; the error is known up to there "
@@ -102,20 +104,6 @@ def add_arguments(parser):
         metavar="ADDRESS",
         help="scheduler of a Dask cluster, such as tcp://host:8786",
     )
-
-
-def _count(text):
-    value = int(text)
-    if value < 1:
-        raise ValueError
-    return value
-
-
-def _bound(text):
-    value = float(text)
-    if not value >= 0.0:
-        raise ValueError
-    return value
 
 
 def _shapes(file, scene):

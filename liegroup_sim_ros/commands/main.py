@@ -12,13 +12,14 @@ Exit code 0 on success, 2 and one line on stderr for wrong input, 1 if a simulat
 130 after Ctrl-C, 141 if the reader of stdout is gone.
 """
 
-import argparse
 import os
 import sys
 from importlib import import_module
 
 from liegroup_core.errors import LieGroupSimError
 from liegroup_sim_ros.version import __version__
+
+from .arguments import Parser
 
 # Before NumPy is loaded: threads make small solves slower, on a busy machine by large factors.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -43,7 +44,7 @@ EXIT_WRONG_INPUT, EXIT_INTERRUPTED, EXIT_UNREAD = 2, 130, 141
 
 def make_parser(chosen=None):
     """Parser of the command line; `chosen` is the subcommand whose arguments it reads."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="liegroup_sim",
         description="Multibody dynamics on Lie groups for ROS 2.",
         epilog="The simulation node is a program of its own: sim_node --ros-args -p "

@@ -12,6 +12,8 @@ from liegroup_sim_ros.playback.rerun import ReplayError
 from liegroup_sim_ros.playback.resimulate import report, resimulate
 from liegroup_sim_ros.recording.read import read_recording
 
+from .arguments import not_negative
+
 EXIT_DIFFERENT = 1
 
 
@@ -85,7 +87,7 @@ def add_arguments(parser):
     )
     parser.add_argument(
         "--bound",
-        type=float,
+        type=not_negative,
         metavar="X",
         help="with --resimulate: largest accepted difference, m and rad",
     )

@@ -7,6 +7,7 @@ from pathlib import Path
 from liegroup_core.errors import LieGroupSimError
 
 PICTURES = (".png", ".pdf", ".svg")
+INPUTS = (".mcap", ".yaml", ".yml", ".urdf", ".sdf", ".xml", ".xacro", ".npz")
 
 
 class ReportError(LieGroupSimError):
@@ -21,6 +22,8 @@ def check_files(*paths, picture=None):
     for path in filter(None, (*paths, picture)):
         if Path(path).is_dir() or not Path(path).absolute().parent.is_dir():
             raise ReportError(f"{path}: cannot be written: give a file in an existing folder")
+        if str(path).lower().endswith(INPUTS):
+            raise ReportError(f"{path}: is the name of a recording or a scene: give another name")
     if not picture:
         return
     if not picture.lower().endswith(PICTURES):

@@ -224,7 +224,7 @@ def test_only_exponential_growth_is_called_so(estimate, said):
     for k in range(1, 100):
         control.follow(0.1 * k, estimate(0.1 * k), True)
     assert control.ended < 10.0
-    assert control.reason.startswith(said) and bool(control.reason) == bool(said)
+    assert control.reason(True).startswith(said) and bool(control.reason(True)) == bool(said)
 
 
 def test_another_accuracy_counts_anew_only_while_the_error_allows_it():
