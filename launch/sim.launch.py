@@ -26,6 +26,10 @@ ARGUMENTS = {
         "",
         "prefix of the body frame names, such as robot1/; empty: as in the preset",
     ),
+    "accuracy": ("", "largest error, such as 1e-6; empty: as in the preset"),
+    "accuracy_horizon": ("", "s, in which the error may grow by that; empty: as in the preset"),
+    "method": ("", "method instead of an accuracy, such as rkmk8; empty: as in the preset"),
+    "step": ("", "step in s; empty: as in the preset"),
     "preset": ("default", "name of the file in config/ with the other parameters, such as show"),
     "namespace": ("", "namespace of the node"),
     "clock_topic": ("/clock", "topic of the clock; a second simulation needs another name"),
@@ -41,15 +45,17 @@ SHOWN = (
     "slider/pose_with_covariance",
 )
 # Arguments that are parameters of the node; a value that is not empty overrides the preset.
-PARAMETERS = ("scene", "record", "frame_prefix")
+TEXTS = ("scene", "record", "frame_prefix", "method")
+NUMBERS = ("accuracy", "accuracy_horizon", "step")
 
 
 def _simulation(context):
     """The simulation node."""
-    # value_type=str: a text that looks like a number stays a text.
+    # A text that looks like a number stays a text.
     overrides = {
-        name: ParameterValue(text, value_type=str)
-        for name in PARAMETERS
+        name: ParameterValue(text, value_type=kind)
+        for names, kind in ((TEXTS, str), (NUMBERS, float))
+        for name in names
         if (text := LaunchConfiguration(name).perform(context))
     }
     return [

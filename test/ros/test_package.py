@@ -144,11 +144,13 @@ def test_the_launch_file_compiles_and_its_preset_exists():
         for node in tree.body
         if isinstance(node, ast.Assign)
     }
-    arguments, parameters = constants["ARGUMENTS"], constants["PARAMETERS"]
+    arguments, texts, numbers = (constants[name] for name in ("ARGUMENTS", "TEXTS", "NUMBERS"))
+    parameters = texts + numbers
     assert (SOURCE / "config" / f"{arguments['preset'][0]}.yaml").exists()
     used = set(re.findall(r'LaunchConfiguration\("(\w+)"\)', text)) - {"params_file"}
     assert used == set(arguments) - set(parameters) and set(parameters) < set(arguments)
-    assert set(parameters) <= {entry.name for entry in TABLE if type(entry.default) is str}
+    kinds = {entry.name: type(entry.default) for entry in TABLE}
+    assert {kinds[name] for name in texts} == {str} and {kinds[name] for name in numbers} == {float}
     (node,) = re.findall(r'package=PACKAGE,\s+executable="(\w+)",\s+name="(\w+)"', text)
     assert node == ("sim_node", "sim_node") and (SOURCE / "liegroup_sim_ros/node/entry.py").exists()
     remapped = re.findall(r'\("/(\w+)", LaunchConfiguration', text)

@@ -195,7 +195,7 @@ class EventTimes(ModeChanges):
         """Take one step of size tau, or its parts, without events and without error control."""
         work, control = self._work, self._control
         kept, size = control.copy(), tau / self.parts
-        control[0], control[4:] = size, LOOSE
+        control[0], control[4:11] = size, LOOSE
         work.watch[0] = 0.0
         _, status = self._take(size, self.parts, *state)
         work.watch[0] = 1.0
