@@ -53,7 +53,7 @@ def _simulation(context):
     """The simulation node."""
     # A text that looks like a number stays a text.
     overrides = {
-        name: ParameterValue(text, value_type=kind)
+        name: ParameterValue(kind(text), value_type=kind)
         for names, kind in ((TEXTS, str), (NUMBERS, float))
         for name in names
         if (text := LaunchConfiguration(name).perform(context))
