@@ -167,7 +167,11 @@ TABLE = (
         "name of the snapshot that ~/save_snapshot saves and ~/restore_snapshot restores",
         read_only=False,
     ),
-    Entry("record", "", "recording file (*.mcap) or existing folder; empty: no recording"),
+    Entry(
+        "record",
+        "",
+        "recording file (*.mcap), whose folders are made, or existing folder; empty: no recording",
+    ),
     Entry(
         "record_flush_interval",
         1.0,
