@@ -290,7 +290,7 @@ class Inputs:
 
     def acting(self):
         """[AppliedWrench, AppliedTarget or AppliedMotion] of what acts from now on."""
-        now = self._schedule.boundary(self.steps)
+        now = self._schedule.grid.boundary(self.steps)
         return [self._applied_at(now, *key) for key in self._acting_numbers()]
 
     def _acting_numbers(self):

@@ -339,15 +339,8 @@ class RunningError:
         """Array from which `remember` restores the estimate."""
         companion = self._companion
         start = -1 if self._start is None else self._start
-        own = (
-            self._set_at,
-            start,
-            self._alive,
-            self._failed,
-            self._next,
-            self._block,
-            self._substeps,
-        )
+        run = self._set_at, start, self._alive, self._failed
+        own = *run, self._next, self._block, self._substeps
         parts = self._origin, *companion.state(), companion.sample().angles
         return np.concatenate(
             [

@@ -53,9 +53,13 @@ def set_wrench(external, body, wrench, axes):
         external[body, 15] = 2.0 if turning else float(external[body, 6:12].any())
     else:
         external[body, :6] = wrench
-        centre, force = external[body, 12:15].tolist(), external[body, 3:6].tolist()
-        if any(centre):  # otherwise the numbers pass unchanged
-            external[body, :3] -= cross3(tuple(centre), tuple(force))  # far less time than np.cross
+        if external[body, 12:15].any():  # otherwise the numbers pass unchanged
+            external[body, :3] -= _moment(external[body, 12:15], external[body, 3:6])
+
+
+def _moment(point, force):
+    """Cross product of arrays (3,), in far less time than np.cross."""
+    return cross3(tuple(point.tolist()), tuple(force.tolist()))
 
 
 @kernel
@@ -81,7 +85,7 @@ def parts_of_wrench(wrench, axes, point):
     """
     torque, force = wrench[:3], wrench[3:]
     if axes == "body":
-        return [(axes, np.concatenate([torque + np.cross(point, force), force]))]
+        return [(axes, np.concatenate([torque + _moment(point, force), force]))]
     pairs = zip(PAIRS, point)
     turning = [
         (pair, np.concatenate([np.zeros(3), lever * force])) for pair, lever in pairs if lever

@@ -126,6 +126,7 @@ class WrenchSchedule:
 
     wanted : (k, 2) wanted position and velocity of each servo without a command
     drives : number of driven joints
+    grid   : StepGrid of these steps
     total  : {axes: (n, 6)} sums of the wrenches that act, by AXES;
              "servo": (k, 2) wanted values; "drive": (d, 7) commanded motions, or FROM_SCENE
     """
@@ -191,14 +192,6 @@ class WrenchSchedule:
         parts = ((axes, number, wrench),)
         self._acting[key] = _Command(BEFORE, AFTER, self._arrived, key, parts, 0.0)
         self.total[axes][number] = wrench
-
-    def instant(self, time):
-        """Instant of a time in s: the boundary of a step within half a ns, else whole ns."""
-        return self.grid.instant(time)
-
-    def boundary(self, step):
-        """Instant at which a step starts."""
-        return self.grid.boundary(step)
 
     def command(self, source, body, wrench, start, end, axes="body", point=None):
         """Apply `wrench` (6,) of `source` to body number `body` from one Instant to another.

@@ -118,7 +118,9 @@ def _simulate(seconds, log, output, console, check):
     try:
         with open(output, "w", encoding="utf-8") as stream:
             node = _start("node.entry", ["--ros-args", *arguments], stream, processes)
-            with console.status("starting (the first start on a machine compiles for about 20 s)"):
+            with console.status(
+                "starting (the first run of a kind of mechanism compiles for about 20 s)"
+            ):
                 _wait_until(log.exists, STARTING, node, output, check)
             _watch(seconds, node, output, processes, console, check)
             node.send_signal(signal.SIGINT)

@@ -48,7 +48,7 @@ def run(args):
     groups = ["auto"]
     if not layout.needs_relative:
         groups.append("se3" if facts["formulation"]["group"] == "relative" else "relative")
-    with Console(stderr=True).status("measuring (the first start on a machine compiles)"):
+    with Console(stderr=True).status("measuring (the first run of a kind of mechanism compiles)"):
         facts["cost"] = {
             f"{method}{', ' + group if group != 'auto' else ''}": step_cost(scene, method, group)
             for method in METHODS

@@ -201,7 +201,9 @@ def run(args):
         short = textwrap.shorten(note, NOTE, placeholder=" ... (liegroup_sim describe has all)")
         console.print(f"{scene.name}: {short}", markup=False, highlight=False)
     try:
-        with console.status("starting (the first start on a machine compiles for about 20 s)"):
+        with console.status(
+            "starting (the first run of a kind of mechanism compiles for about 20 s)"
+        ):
             simulation = Simulation(scene, **settings, estimate=args.estimate)
     except ValueError as error:  # SceneError, too, is one
         raise RunError(str(error)) from None

@@ -123,7 +123,7 @@ def run(args):
     if args.workers is not None and args.workers < 1:
         raise RunError(f"--workers must be at least 1, got {args.workers}")
     console = Console(stderr=True)
-    with console.status("starting (the first start on a machine compiles for about 20 s)"):
+    with console.status("starting (the first run of a kind of mechanism compiles for about 20 s)"):
         sweep, description = _sweep_of(scene, args)
     unknown = [name for name in args.show or () if sweep.columns.get(name) != "float"]
     if unknown:

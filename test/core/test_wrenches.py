@@ -12,14 +12,14 @@ PUSH = (1.0, 0.0, 0.0, 0.0, 2.0, 0.0)
 
 def command(schedule, source, wrench, start, end=None):
     """Apply a wrench to body 0 from one step to another."""
-    at = schedule.boundary
+    at = schedule.grid.boundary
     schedule.command(source, 0, wrench, at(start), None if end is None else at(end))
 
 
 def totals(schedule, steps):
     history = []
     for step in range(steps):
-        schedule.update(schedule.boundary(step))
+        schedule.update(schedule.grid.boundary(step))
         history.append(schedule.total["body"][0].copy())
     return np.array(history)
 
@@ -47,7 +47,7 @@ def test_zero_ends_a_wrench_and_clear_ends_a_source():
     command(schedule, "b", PUSH, 100)
     assert totals(schedule, 4)[:, 0].tolist() == [2, 2, 1, 1]
     schedule.clear("b")
-    assert schedule.update(schedule.boundary(4)) == [(0, "body")]
+    assert schedule.update(schedule.grid.boundary(4)) == [(0, "body")]
     assert not schedule.total["body"].any() and schedule.next_change(4) == NEVER
 
 
@@ -62,16 +62,16 @@ def test_the_later_of_two_commands_for_one_step_applies():
 def test_an_instant_is_a_step_boundary_or_whole_nanoseconds(h):
     schedule = WrenchSchedule(1, h)
     for step in (0, 1, 7, 10**6 + 1):
-        boundary = schedule.boundary(step)
-        assert schedule.instant(round(boundary.time * 1e9) * 1e-9).step == step or h < 1e-9
-        assert schedule.instant(step * h) == (step, 0, step * h)
-    assert schedule.instant(1e300).step == NEVER
-    inside = schedule.instant(5.4321e-5)
-    assert inside == schedule.instant(inside.time)  # a recorded time gives the same instant
+        boundary = schedule.grid.boundary(step)
+        assert schedule.grid.instant(round(boundary.time * 1e9) * 1e-9).step == step or h < 1e-9
+        assert schedule.grid.instant(step * h) == (step, 0, step * h)
+    assert schedule.grid.instant(1e300).step == NEVER
+    inside = schedule.grid.instant(5.4321e-5)
+    assert inside == schedule.grid.instant(inside.time)  # a recorded time gives the same instant
     if h > 5.4321e-5:
         assert (inside.step, inside.time) == (0, 5.4321e-5)
-        assert schedule.grid.between(schedule.boundary(0), inside) == 5.4321e-5
-        assert schedule.boundary(0) < inside < schedule.boundary(1)
+        assert schedule.grid.between(schedule.grid.boundary(0), inside) == 5.4321e-5
+        assert schedule.grid.boundary(0) < inside < schedule.grid.boundary(1)
 
 
 @pytest.mark.parametrize("group", ["se3", "so3xr3"])
