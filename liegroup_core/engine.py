@@ -125,7 +125,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         self._body = {name: i for i, name in enumerate(self.layout.body_names)}
         rows, motions = self.layout.model.forces.applied_wrench, self.layout.motions.values()
         self._grid = StepGrid(self.step)
-        self._timetable = Timetable(rows, self.step, motions)
+        self._timetable = Timetable(rows, self._grid, motions)
         self._warned = self._warned_singular = quiet
         self._warned_endless = self._warned_crowded = quiet
         self._start = initial_state(self.layout.centred)

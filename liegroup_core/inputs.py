@@ -21,13 +21,13 @@ from liegroup_core.joints.motion import COLUMNS, at, row_at, through
 
 
 class Inputs:
-    """Commands of an Engine, its base class, which has `layout`, `step`, `steps`, `time` and `_work`."""
+    """Commands of an Engine, its base class, which has `layout`, `steps`, `time`, `_grid` and `_work`."""
 
     def _clear_inputs(self):
         """Forget all commands: servos and driven joints do what the scene says."""
         wanted = wanted_values(self.layout.model.forces)
         bodies, drives = len(self.layout.body_names), len(self.layout.motions)
-        self._schedule = WrenchSchedule(bodies, self.step, wanted, drives)
+        self._schedule = WrenchSchedule(bodies, wanted, drives)
         self._commanded = self._schedule.total[DRIVE].copy()
         self._work.wanted[:] = wanted
         self._external = no_wrenches(self.layout.offsets)
@@ -204,8 +204,7 @@ class Inputs:
         if points[2] is not None and (points[1] is None or points[2][-1] != 0.0):
             raise ValueError("accelerations require velocities, and the last one must be 0")
         # A motion meets the next one at a whole ns, where the step is split.
-        grid = self._schedule.grid
-        instants = [begin, *(grid.after(begin, time) for time in after.tolist())]
+        instants = [begin, *(self._grid.after(begin, time) for time in after.tolist())]
         if not all(before < later for before, later in zip(instants, instants[1:])):
             raise ValueError("times must be at least 1 ns apart")
         origins = [instant.time for instant in instants]
@@ -246,14 +245,13 @@ class Inputs:
         for name, value in (("start", start), ("duration", duration)):
             if value is not None and not is_finite(value):
                 raise ValueError(f"{name} must be finite, or None, {got(value)}")
-        grid = self._schedule.grid
-        begin, end = grid.boundary(self.steps), None
+        begin, end = self._grid.boundary(self.steps), None
         if start is not None:
-            begin = max(begin, grid.instant(_exact_or_float(start)))
+            begin = max(begin, self._grid.instant(_exact_or_float(start)))
         if duration is not None:
             if not duration > 0.0:
                 raise ValueError(f"a duration must be positive, got {duration!r}")
-            end = grid.after(begin, _exact_or_float(duration))
+            end = self._grid.after(begin, _exact_or_float(duration))
             if end <= begin:
                 raise ValueError(f"a duration must be at least 1 ns, got {duration!r} s")
         return begin, end
@@ -290,7 +288,7 @@ class Inputs:
 
     def acting(self):
         """[AppliedWrench, AppliedTarget or AppliedMotion] of what acts from now on."""
-        now = self._schedule.grid.boundary(self.steps)
+        now = self._grid.boundary(self.steps)
         return [self._applied_at(now, *key) for key in self._acting_numbers()]
 
     def _acting_numbers(self):
@@ -345,7 +343,7 @@ class Inputs:
 
     def _applied_at(self, instant, body, axes):
         """AppliedWrench, AppliedTarget or AppliedMotion of a total at an Instant."""
-        time, time_ns = instant.time, self._schedule.grid.time_ns(instant)
+        time, time_ns = instant.time, self._grid.time_ns(instant)
         total = self._schedule.total[axes][body].tolist()
         name = self.layout.names_of_inputs[axes][body]
         if axes == SERVO:

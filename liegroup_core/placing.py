@@ -88,7 +88,7 @@ class Placing:
             else:
                 self._schedule.act(number, motion, DRIVE)
         if len(commanded):
-            self._schedule.update(self._schedule.grid.boundary(self.steps))
+            self._schedule.update(self._grid.boundary(self.steps))
             self._commanded[:] = self._schedule.total[DRIVE]
 
     def _keep_turns(self, before, joints):

@@ -26,7 +26,7 @@ import numpy as np
 from liegroup_core.joints.motion import FROM_SCENE
 
 from .external import AXES, parts_of_wrench
-from .instants import AFTER, BEFORE, NEVER, NS, ROUNDING, Instant, StepGrid
+from .instants import AFTER, BEFORE, NEVER, NS, ROUNDING, Instant
 
 # Stand for axes where a number is that of a servo, or of a driven joint.
 SERVO, DRIVE = "servo", "drive"
@@ -122,20 +122,18 @@ class _Command(NamedTuple):
 
 
 class WrenchSchedule:
-    """External wrenches that act, and those that start later, for steps of size h in s.
+    """External wrenches that act, and those that start later.
 
     wanted : (k, 2) wanted position and velocity of each servo without a command
     drives : number of driven joints
-    grid   : StepGrid of these steps
     total  : {axes: (n, 6)} sums of the wrenches that act, by AXES;
              "servo": (k, 2) wanted values; "drive": (d, 7) commanded motions, or FROM_SCENE
     """
 
-    def __init__(self, body_count, h, wanted=np.zeros((0, 2)), drives=0):
+    def __init__(self, body_count, wanted=np.zeros((0, 2)), drives=0):
         self._idle = {axes: np.zeros((body_count, 6)) for axes in AXES}
         self._idle |= {SERVO: wanted, DRIVE: np.tile(FROM_SCENE, (drives, 1))}
         self.total = {axes: idle.copy() for axes, idle in self._idle.items()}
-        self.grid = StepGrid(h)
         self._waiting = []
         self._acting = {}
         self._arrived = 0

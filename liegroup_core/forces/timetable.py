@@ -11,7 +11,7 @@ from bisect import bisect_right
 
 import numpy as np
 
-from .instants import NEVER, ROUNDING, StepGrid
+from .instants import NEVER, ROUNDING
 
 
 def acting_at(rows, time):
@@ -25,14 +25,14 @@ def just_after(time):
 
 
 class Timetable:
-    """Changes of the inputs of a scene, for steps of a given size.
+    """Changes of the inputs of a scene.
 
     rows    : of the scene's applied wrenches
+    grid    : StepGrid of the steps
     motions : [(m, 7)] prescribed motions of each driven joint, see joints/motion.py
     """
 
-    def __init__(self, rows, step, motions=()):
-        grid = StepGrid(step)
+    def __init__(self, rows, grid, motions=()):
         times = [rows["start"], rows["end"], *(motion[1:, 0] for motion in motions)]
         instants = {time: grid.scene_instant(time) for time in np.concatenate(times).tolist()}
         self._instants = sorted(set(instants.values()))

@@ -5,34 +5,36 @@ import numpy as np
 import pytest
 
 from liegroup_core import Simulation, load_scene
-from liegroup_core.forces.schedule import NEVER, WrenchSchedule
+from liegroup_core.forces.instants import NEVER, StepGrid
+from liegroup_core.forces.schedule import WrenchSchedule
 
 PUSH = (1.0, 0.0, 0.0, 0.0, 2.0, 0.0)
+boundary = StepGrid(1e-3).boundary
 
 
 def command(schedule, source, wrench, start, end=None):
     """Apply a wrench to body 0 from one step to another."""
-    at = schedule.grid.boundary
-    schedule.command(source, 0, wrench, at(start), None if end is None else at(end))
+    end = None if end is None else boundary(end)
+    schedule.command(source, 0, wrench, boundary(start), end)
 
 
 def totals(schedule, steps):
     history = []
     for step in range(steps):
-        schedule.update(schedule.grid.boundary(step))
+        schedule.update(boundary(step))
         history.append(schedule.total["body"][0].copy())
     return np.array(history)
 
 
 def test_a_wrench_acts_only_during_its_steps():
-    schedule = WrenchSchedule(1, 1e-3)
+    schedule = WrenchSchedule(1)
     command(schedule, "a", PUSH, 2, 5)
     acts = totals(schedule, 8).any(axis=1)
     assert acts.tolist() == [False, False, True, True, True, False, False, False]
 
 
 def test_a_source_replaces_its_wrench_and_sources_add():
-    schedule = WrenchSchedule(1, 1e-3)
+    schedule = WrenchSchedule(1)
     command(schedule, "a", PUSH, 0)
     command(schedule, "b", PUSH, 1, 4)
     command(schedule, "a", 3 * np.array(PUSH), 2)
@@ -40,19 +42,19 @@ def test_a_source_replaces_its_wrench_and_sources_add():
 
 
 def test_zero_ends_a_wrench_and_clear_ends_a_source():
-    schedule = WrenchSchedule(1, 1e-3)
+    schedule = WrenchSchedule(1)
     command(schedule, "a", PUSH, 0)
     command(schedule, "a", np.zeros(6), 2)
     command(schedule, "b", PUSH, 0)
     command(schedule, "b", PUSH, 100)
     assert totals(schedule, 4)[:, 0].tolist() == [2, 2, 1, 1]
     schedule.clear("b")
-    assert schedule.update(schedule.grid.boundary(4)) == [(0, "body")]
+    assert schedule.update(boundary(4)) == [(0, "body")]
     assert not schedule.total["body"].any() and schedule.next_change(4) == NEVER
 
 
 def test_the_later_of_two_commands_for_one_step_applies():
-    schedule = WrenchSchedule(1, 1e-3)
+    schedule = WrenchSchedule(1)
     command(schedule, "a", PUSH, 1)
     command(schedule, "a", 5 * np.array(PUSH), 1)
     assert totals(schedule, 2)[1, 0] == 5
@@ -60,18 +62,18 @@ def test_the_later_of_two_commands_for_one_step_applies():
 
 @pytest.mark.parametrize("h", [1e-3, 1.0 / 3000.0, 0.7, 1e-10])
 def test_an_instant_is_a_step_boundary_or_whole_nanoseconds(h):
-    schedule = WrenchSchedule(1, h)
+    grid = StepGrid(h)
     for step in (0, 1, 7, 10**6 + 1):
-        boundary = schedule.grid.boundary(step)
-        assert schedule.grid.instant(round(boundary.time * 1e9) * 1e-9).step == step or h < 1e-9
-        assert schedule.grid.instant(step * h) == (step, 0, step * h)
-    assert schedule.grid.instant(1e300).step == NEVER
-    inside = schedule.grid.instant(5.4321e-5)
-    assert inside == schedule.grid.instant(inside.time)  # a recorded time gives the same instant
+        start = grid.boundary(step)
+        assert grid.instant(round(start.time * 1e9) * 1e-9).step == step or h < 1e-9
+        assert grid.instant(step * h) == (step, 0, step * h)
+    assert grid.instant(1e300).step == NEVER
+    inside = grid.instant(5.4321e-5)
+    assert inside == grid.instant(inside.time)  # a recorded time gives the same instant
     if h > 5.4321e-5:
         assert (inside.step, inside.time) == (0, 5.4321e-5)
-        assert schedule.grid.between(schedule.grid.boundary(0), inside) == 5.4321e-5
-        assert schedule.grid.boundary(0) < inside < schedule.grid.boundary(1)
+        assert grid.between(grid.boundary(0), inside) == 5.4321e-5
+        assert grid.boundary(0) < inside < grid.boundary(1)
 
 
 @pytest.mark.parametrize("group", ["se3", "so3xr3"])

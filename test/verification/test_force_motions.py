@@ -578,12 +578,13 @@ def test_timetable_splits_steps_at_wrench_times():
     rows = np.zeros(3, dtype=kinds.KINDS["applied_wrench"].ROW)
     rows["start"] = 0.0, 0.3, 0.42
     rows["end"] = np.inf, 0.5, 0.44
-    table = Timetable(rows, 0.1)  # 3 * 0.1 is not 0.3 in binary, but it is meant
+    grid = StepGrid(0.1)
+    table = Timetable(rows, grid)  # 3 * 0.1 is not 0.3 in binary, but it is meant
     changes, step = [], -1
     while (step := table.next_change(step)) < 100:
         changes.append(step)
     assert changes == [0, 3, 4, 5]
-    boundary = StepGrid(0.1).boundary
+    boundary = grid.boundary
     assert not table.inside(3) and table.acting(boundary(3)).tolist() == [True, True, False]
     inside = table.inside(4)
     assert [instant.time for instant in inside] == [0.42, 0.44]
@@ -611,9 +612,10 @@ def test_a_decimal_time_is_matched_to_its_step(steps, step, time, sign):
             method="rkmk4",
             step=step,
         )
-        table = Timetable(simulation.layout.model.forces.applied_wrench, step)
+        grid = StepGrid(step)
+        table = Timetable(simulation.layout.model.forces.applied_wrench, grid)
         assert not table.inside(steps - 1) and not table.inside(steps)
-        acting = [bool(table.acting(StepGrid(step).boundary(k))[0]) for k in (steps - 1, steps)]
+        acting = [bool(table.acting(grid.boundary(k))[0]) for k in (steps - 1, steps)]
         assert acting == [before, after]
         pose, twist = simulation.state()
         simulation.set_state(pose, twist, steps=steps)
