@@ -342,6 +342,7 @@ def test_instants_have_the_modes_after_their_events():
     engine.advance(200)
     instants, events = engine.drain_instants(), engine.drain_events()
     assert [event for instant in instants for event in instant.events] == events
+    assert {type(value) for event in events for value in event} == {float, str}  # none of NumPy
     assert np.array_equal(instants[-1].modes, engine.sample().switching)
     assert instants[0].events == [] and instants[0].time == 0.0
     # A rebound of 1 um takes 0.9 ms: more than a thousand in a step of 1 s.

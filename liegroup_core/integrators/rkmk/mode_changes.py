@@ -170,7 +170,7 @@ class ModeChanges:
         if self.impacts is not None:
             impulses = np.zeros(len(signs))
             impulses[hit] = signs[hit] * p
-            self.impacts.append((float(time), state[0].copy(), impulses))
+            self.impacts.append((time, state[0].copy(), impulses))
         for k, impulse, loss in zip(hit, p, energy):
             if impulse != 0.0:
                 self.events.append(

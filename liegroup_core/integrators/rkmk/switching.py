@@ -211,6 +211,7 @@ class Switching(EventTimes):
         returns a status
         """
         model, work = self._model, self._work
+        time = float(time)  # users read it in the events
         status = self._look(model, work, *state)
         if status != OK:
             return status
