@@ -41,7 +41,7 @@ FIRST, LARGEST = 3e-4, 0.03
 LEAST_TOLERANCE = 1e-15
 FASTER, SLOWER = 2.0, 0.1  # bounds of the ratio of two successive tolerances
 _REMEMBERED = ("accuracy", "_begin", "_last", "_sum", "_double_sum", "_gain", "ended", "_tolerance")
-_FOUND = ("time", "error", "wanted", "tenfold", "room")
+_FOUND = ("time", "error", "wanted", "tenfold", "room", "finer")
 # Decades below the wanted error in which its growth is measured, and the ratio to a finer accuracy.
 DECADES, FINER = 3, 100.0
 RESOLVED = 8.0  # least time of these decades, in checkpoints
@@ -60,8 +60,8 @@ class AccuracyControl:
     accuracy : that is wanted now, see `change`
     ended    : s, the last checkpoint before the estimate exceeded the wanted error; inf: it did not
     found    : of the checkpoint at which it did: "time", "error" and "wanted", "tenfold": time in s in
-               which errors grow tenfold, 0 if they do not grow exponentially, and "room": mean of the
-               tolerances so far, as a multiple of the least one
+               which errors grow tenfold, 0 if they do not grow exponentially, "room": mean of the
+               tolerances so far, as a multiple of the least one, and "finer", see `follow`
     """
 
     def __init__(self, accuracy, horizon, tighten):
@@ -99,8 +99,11 @@ class AccuracyControl:
             self.ended = math.inf
         self._set(tolerance)
 
-    def follow(self, time, error, predictable):
-        """Set the tolerance from the estimated error at a checkpoint."""
+    def follow(self, time, error, predictable, finer):
+        """Set the tolerance from the estimated error at a checkpoint.
+
+        finer : whether a finer accuracy would have made finer steps
+        """
         span, since = time - self._last, time - self._begin
         wanted, before = self.wanted(time), self._last
         self._last = time
@@ -108,7 +111,8 @@ class AccuracyControl:
         self._sum += self._tolerance * span
         if not error <= wanted and self.ended == math.inf:
             self.ended, room = before, self._sum / since / LEAST_TOLERANCE
-            self.found = dict(zip(_FOUND, (time, error, wanted, self._tenfold(time, span), room)))
+            tenfold = self._tenfold(time, span)
+            self.found = dict(zip(_FOUND, (time, error, wanted, tenfold, room, float(finer))))
         self._below = [
             time if error <= wanted * 10.0**-k else below for k, below in enumerate(self._below, 1)
         ]
@@ -136,11 +140,9 @@ class AccuracyControl:
         jumps = min(earlier) <= 0.0 or all_of_them < RESOLVED * span
         return 0.0 if jumps or last > sum(earlier) else all_of_them / DECADES
 
-    def reason(self, finer):
-        """Text that says why the accuracy ended and what can be had; empty if that is not known.
-
-        finer : whether a finer accuracy would make finer steps
-        """
+    @property
+    def reason(self):
+        """Text that says why the accuracy ended and what can be had; empty if that is not known."""
         if self.ended == math.inf:
             return ""
         tenfold, room = self.found["tenfold"], self.found["room"]
@@ -149,7 +151,7 @@ class AccuracyControl:
         if not tenfold:
             return ""
         grow = f"errors grow tenfold in about {tenfold:.2g} s"
-        if not finer or min(room, self.found["wanted"] / SMALLEST) < FINER:
+        if not self.found["finer"] or min(room, self.found["wanted"] / SMALLEST) < FINER:
             return grow
         return (
             f"{grow}, so that with an accuracy {FINER:g} times as fine they would be this large about "

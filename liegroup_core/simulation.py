@@ -200,9 +200,7 @@ class Simulation(Engine):
     @property
     def inaccurate_because(self) -> str:
         """Why `accurate_until` is finite, and what can be had; empty if it is infinite or not known."""
-        return (
-            "" if self._control is None else self._control.reason(self._running.follows_tolerance)
-        )
+        return "" if self._control is None else self._control.reason
 
     @property
     def largest_error(self) -> float:
@@ -356,7 +354,9 @@ class Simulation(Engine):
             if running.estimate.checkpoints > count:
                 if self._control is not None:
                     predictable = running.estimate.predictable_until == math.inf
-                    self._control.follow(self.time, running.largest, predictable)
+                    self._control.follow(
+                        self.time, running.largest, predictable, running.follows_tolerance
+                    )
                     self._choice.follow()
                 self._look()
             if self.steps >= end:

@@ -200,6 +200,19 @@ def test_in_chaos_the_line_says_what_a_finer_accuracy_would_give(name, accuracy)
     assert (other.doubt, other.inaccurate_because) == (simulation.doubt, why)
 
 
+def test_the_reason_is_that_of_the_time_at_which_the_accuracy_ended():
+    """There every step is one substep, so that a finer accuracy changes nothing; a push makes them more."""
+    simulation = Simulation(load_scene("double_pendulum"), accuracy=1e-2, step=5e-4)
+    while simulation.accurate_until == math.inf:
+        simulation.advance(8)
+    why, doubt = simulation.inaccurate_because, simulation.doubt
+    assert simulation.substeps[0] == simulation.steps and why.startswith("errors grow tenfold")
+    simulation.apply_wrench("lower", [0, 0, 0, 1e5, 0, 1e5], duration=0.01)
+    simulation.advance(100)
+    assert simulation.substeps[0] > simulation.steps
+    assert simulation.inaccurate_because == why and simulation.doubt.startswith(doubt)
+
+
 @pytest.mark.parametrize("name, accuracy", [("heavy_top", 1e-13), ("four_bar", 1e-12)])
 def test_the_line_says_that_an_accuracy_ended_by_rounding(name, accuracy):
     simulation = Simulation(load_scene(name), accuracy=accuracy)
@@ -222,9 +235,9 @@ def test_the_line_says_that_an_accuracy_ended_by_rounding(name, accuracy):
 def test_only_exponential_growth_is_called_so(estimate, said):
     control = AccuracyControl(1e-4, 60.0, lambda part: None)
     for k in range(1, 100):
-        control.follow(0.1 * k, estimate(0.1 * k), True)
+        control.follow(0.1 * k, estimate(0.1 * k), True, True)
     assert control.ended < 10.0
-    assert control.reason(True).startswith(said) and bool(control.reason(True)) == bool(said)
+    assert control.reason.startswith(said) and bool(control.reason) == bool(said)
 
 
 def test_another_accuracy_counts_anew_only_while_the_error_allows_it():
