@@ -273,6 +273,11 @@ class RunningError:
         return self.engine.substeps[0] > self.engine.steps - self._set_at
 
     @property
+    def first_step(self):
+        """Step at which the two first meet after the state was set."""
+        return (-(-self._set_at // self.ours) + 1) * self.ours
+
+    @property
     def begun(self):
         """Whether the companion has started from the state that was set."""
         return self._start is not None
@@ -376,11 +381,7 @@ class RunningError:
     @property
     def _unknown(self):
         """Whether the two have not met since the state was set."""
-        if self.engine.steps == self._set_at or not self._alive:
-            return False
-        return (
-            self._start is None or self._companion.steps <= self._start // self.ours * self._theirs
-        )
+        return self._alive and self._set_at < self.engine.steps < self.first_step
 
     def _growth(self):
         """With an accuracy: growth since the last checkpoint, as between the two before."""

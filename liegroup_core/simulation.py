@@ -206,9 +206,14 @@ class Simulation(Engine):
     def largest_error(self) -> float:
         """Largest estimated error of a pose: parts of the mechanism's size, or rad.
 
-        NaN without an estimate, and before its first one.
+        NaN without an estimate, and before `estimated_from`.
         """
         return math.nan if self._running is None else self._running.largest
+
+    @property
+    def estimated_from(self) -> float:
+        """Simulated time in s of the first estimate of the error since the state was set; NaN without one."""
+        return math.nan if self._running is None else self._running.first_step * self.step
 
     @property
     def predictable_until(self) -> float:

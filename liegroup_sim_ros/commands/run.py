@@ -257,10 +257,12 @@ def _events_of(simulation):
 
 
 def _error_of(simulation):
-    """The estimated error at the end, as text."""
+    """The estimated error at the end, or from when on there is one, as text."""
     errors = simulation.sample().errors
-    if errors is None or np.isnan(errors).any():
+    if errors is None:
         return ""
+    if np.isnan(errors).any():
+        return f"; the error is not estimated before t = {simulation.estimated_from:.9g} s"
     position, attitude = errors[:, :2].max(axis=0)
     return f", estimated error {position:.2g} m, {attitude:.2g} rad"
 

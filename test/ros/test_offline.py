@@ -3,6 +3,7 @@
 
 import csv
 import json
+import re
 import subprocess
 import sys
 
@@ -86,6 +87,19 @@ def test_every_file_has_the_estimated_errors_if_they_are_carried(tmp_path, capsy
         "_error" in name for name in (tmp_path / "b.csv").read_text().split("\n")[0].split(",")
     )
     assert analyse(without, reference=False).figures["estimate"] is None
+
+
+@pytest.mark.parametrize("method", [[], ["--method", "rkmk8", "--step", "0.01"]])
+def test_a_run_that_is_too_short_for_an_estimate_says_from_when_on_there_is_one(
+    tmp_path, capsys, method
+):
+    def said(duration):
+        out = str(tmp_path / f"{duration}.npz")
+        assert main(["run", "double_pendulum", *method, "--duration", duration, "--out", out]) == 0
+        return capsys.readouterr().out
+
+    first = re.search(r"; the error is not estimated before t = (\S+) s\n", said("0.02"))[1]
+    assert "estimated error" in said(first)
 
 
 def test_npz_arrays_equal_those_of_the_simulation(tmp_path, capsys):

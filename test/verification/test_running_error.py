@@ -129,6 +129,17 @@ def test_a_companion_that_cannot_continue_makes_the_estimate_infinite():
     assert simulation.predictable_until == 0.0
 
 
+@pytest.mark.parametrize("arguments", [{}, {"method": "rkmk4"}, {"method": "rkmk8"}])
+@pytest.mark.parametrize("start", [0, 5])
+def test_the_first_estimate_is_at_the_time_that_is_given(arguments, start):
+    simulation = Simulation(load_scene("double_pendulum"), **arguments)
+    simulation.set_state(*simulation.state(), start)
+    first = simulation.estimated_from
+    for _ in range(20):
+        simulation.advance(1)
+        assert math.isnan(simulation.largest_error) == (simulation.time < first)
+
+
 @pytest.mark.parametrize("arguments", [{"accuracy": 1e-6}, {"method": "rkmk4", "step": 1e-3}])
 def test_the_largest_error_is_that_of_the_samples(arguments):
     """Bit for bit, at all times; also after a return to a snapshot."""
