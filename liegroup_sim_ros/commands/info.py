@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from liegroup_sim_ros.recording import RecordingError
+from liegroup_sim_ros.recording.check import is_promise
 from liegroup_sim_ros.recording.damaged_survey import clean, survey
 
 
@@ -77,6 +78,7 @@ def as_json(found):
                 "group",
                 "step",
                 "stabilisation",
+                "promise",
                 "steps_per_sample",
                 "part",
                 "previous",
@@ -134,9 +136,12 @@ def print_survey(found, console):
     )
     row("messages", f"{found.count}, dropped: {content['lost']}")
     if content["scene"] is not None:
+        promise, kept = content["promise"], ""
+        if is_promise(promise):
+            kept = f", accuracy {promise['accuracy']:g}, horizon {promise['horizon']:g} s"
         row(
             "scene",
-            f"{content['scene']}, {content['method']}, step {content['step']} s, "
+            f"{content['scene']}, {content['method']}{kept}, step {content['step']} s, "
             f"group {content['group']}, stabilisation {content['stabilisation']}",
         )
         row(

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Consistency of a recording: settings, scene and initial state."""
 
-import math
+import sys
 
 from liegroup_core.integrators.methods import CONFIGURATION_GROUPS
 
@@ -11,7 +11,7 @@ from .errors import RecordingError
 def is_promise(entry):
     """Whether the `promise` entry of a recording's settings is valid."""
     return isinstance(entry, dict) and all(
-        isinstance(entry.get(key), (int, float)) and math.isfinite(entry[key]) and entry[key] > 0.0
+        isinstance(entry.get(key), (int, float)) and 0.0 < entry[key] <= sys.float_info.max
         for key in ("accuracy", "horizon", "length")
     )
 

@@ -102,6 +102,22 @@ def test_a_run_that_is_too_short_for_an_estimate_says_from_when_on_there_is_one(
     assert "estimated error" in said(first)
 
 
+@pytest.mark.parametrize(
+    "given, shown",
+    [
+        (["--accuracy", "2e-5", "--horizon", "7"], "rkmk853, accuracy 2e-05, horizon 7 s, step "),
+        (["--method", "rkmk4"], "rkmk4, step "),
+    ],
+)
+def test_info_shows_what_a_recording_was_made_to(tmp_path, capsys, monkeypatch, given, shown):
+    monkeypatch.setenv("COLUMNS", "200")
+    path = str(tmp_path / "a.mcap")
+    assert main(["run", "double_pendulum", *given, "--duration", "0.02", "--out", path]) == 0
+    capsys.readouterr()
+    assert main(["info", path]) == 0
+    assert f"double_pendulum, {shown}" in capsys.readouterr().out
+
+
 def test_npz_arrays_equal_those_of_the_simulation(tmp_path, capsys):
     path = tmp_path / "a.npz"
     assert (

@@ -321,6 +321,7 @@ HOSTILE = {
                     "format": 1,
                     "scene": EVIL,
                     "step": {},
+                    "promise": {"accuracy": 10**400, "horizon": 1, "length": 1},
                     "sequences": {"/a": -1, "/b": "x"},
                     "part": [1],
                 }
