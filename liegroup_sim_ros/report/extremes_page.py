@@ -24,8 +24,8 @@ def _lines(axes, cells, methods):
     yield "# Robustness map"
     yield ""
     yield (
-        "Written by `liegroup_sim extremes`. [robustness](docs/explanation/robustness.md) explains the "
-        "signs and how each cell is judged."
+        "Written by `liegroup_sim extremes`. docs/explanation/robustness.md explains the signs and how "
+        "each cell is judged."
     )
     yield ""
     yield "| sign | verdict | cells |"

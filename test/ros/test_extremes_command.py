@@ -141,6 +141,8 @@ def test_close_values_are_distinguishable_and_not_truncated(tmp_path, capsys):
     assert tuple(map(float, heads)) == wanted.values
     row = next(line for line in page.read_text().splitlines() if line.startswith("| | 0.5"))
     assert [float(x) for x in row.strip("| ").split("|")] == list(wanted.values)
+    # The page may be anywhere, so a path of the documentation would lead nowhere.
+    assert "](" not in page.read_text()
 
 
 @pytest.mark.parametrize(
