@@ -19,7 +19,10 @@ def shown(value, unit=""):
 
 
 def counted(number, noun):
-    return f"{number:.0f} {noun}{'' if number == 1 else 's'}"
+    """A number of things as text: 1 body, 2 bodies."""
+    if number != 1:
+        noun = f"{noun[:-1]}ies" if noun.endswith("y") else f"{noun}s"
+    return f"{number:.0f} {noun}"
 
 
 def error_text(entry):

@@ -15,6 +15,7 @@ from liegroup_core.layout import make_layout
 from liegroup_core.observables.along import Along
 from liegroup_core.reference.exact import exact_solution
 from liegroup_core.scene.load import scene_from_text
+from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.playback.repeat import Repeat
 from liegroup_sim_ros.playback.rerun import ReplayError, Starts, initial_state, make_simulation
 from liegroup_sim_ros.playback.resimulate import platform_changes
@@ -81,7 +82,7 @@ def analyse(
         parts.add(block)
         done += len(block.steps)
         tell(
-            f"{done} of {motion.expected} samples"
+            f"{done} of {counted(motion.expected, 'sample')}"
             + (" (the first time on a machine also compiles)" if not done else "")
         )
     figures = _run_figures(recording, motion)
@@ -108,8 +109,8 @@ class _Parts:
         angles = self._starts.of(motion.first)[2]
         if angles is not None and len(angles) != count_of_angles(layout.model.forces):
             raise RecordingError(
-                f"{recording.path}: its initial state has {len(angles)} angles, which do not "
-                "match its torsional springs"
+                f"{recording.path}: its torsional springs do not match the "
+                f"{counted(len(angles), 'angle')} of its initial state"
             )
         self._energy, self._joints = Energy(layout, expected), Joints(layout, expected)
         self._momentum = Momentum(scene, expected)

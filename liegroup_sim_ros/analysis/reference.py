@@ -17,7 +17,7 @@ from liegroup_core.reference import (
     distance,
 )
 from liegroup_core.reference.trajectory import MOST_STEPS
-from liegroup_sim_ros.numbers import shown
+from liegroup_sim_ros.numbers import counted, shown
 from liegroup_sim_ros.playback.rerun import Starts
 
 from .drift import MOST_POINTS, extremes
@@ -170,7 +170,7 @@ class ReferenceError:
             at = stretch.base_ns * 1e-9 + (float(times[k - 1]) if k else self._start)
             self._stopped = (
                 f"the error is known up to {shown(at, 's')} only: the reference integration took "
-                f"{self._steps} steps up to there; more with --reference-steps"
+                f"{counted(self._steps, 'step')} up to there; more with --reference-steps"
             )
             if k == 0:
                 return

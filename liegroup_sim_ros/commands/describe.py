@@ -17,6 +17,7 @@ from liegroup_core.describe import describe
 from liegroup_core.engine import Engine
 from liegroup_core.integrators import methods as registered
 from liegroup_core.layout import make_layout
+from liegroup_sim_ros.numbers import counted
 
 from .robot_options import add_robot_options, robot_scene
 
@@ -175,7 +176,7 @@ def sections(facts):
                     ""
                     if "failed" in cost
                     else f"{cost['stage_us']:.2g} us a stage, forces included; fastest of "
-                    f"{cost['runs']} runs of {cost['steps']} steps",
+                    f"{counted(cost['runs'], 'run')} of {counted(cost['steps'], 'step')}",
                 )
                 for method, cost in facts["cost"].items()
             ],
@@ -195,7 +196,11 @@ def _import_rows(facts):
     if facts is None:
         return []
     rows = [
-        ("links", f"{facts['links']} -> {facts['bodies']} bodies", "fixed and locked joints merge"),
+        (
+            "links",
+            f"{facts['links']} -> {counted(facts['bodies'], 'body')}",
+            "fixed and locked joints merge",
+        ),
         (
             "joint coordinates",
             f"{facts['file_coordinates']} -> {facts['coordinates']}",
@@ -216,7 +221,7 @@ def _import_rows(facts):
 
 def _freedoms(count):
     """Number of degrees of freedom in words."""
-    return f"{count} degree{'' if count == 1 else 's'} of freedom"
+    return f"{counted(count, 'degree')} of freedom"
 
 
 def _note(text):

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from liegroup_core.describe import imported
 from liegroup_core.layout import make_layout
+from liegroup_sim_ros.numbers import counted
 
 from .robot_options import RobotError, add_robot_options, robot_scene
 
@@ -41,8 +42,10 @@ def run(args):
     text = scene.text
     if counts is not None:
         text = (
-            f"# {counts['links']} links of the file are {counts['bodies']} bodies, "
-            f"{counts['file_coordinates']} joint coordinates are {counts['coordinates']}.\n{text}"
+            f"# {counted(counts['links'], 'link')} of the file -> "
+            f"{counted(counts['bodies'], 'body')}, "
+            f"{counted(counts['file_coordinates'], 'joint coordinate')} -> "
+            f"{counts['coordinates']}\n{text}"
         )
     if args.out is None:
         print(text, end="")
@@ -51,7 +54,8 @@ def run(args):
         Path(args.out).write_text(text, encoding="utf-8")
     except OSError as error:
         raise RobotError(f"{args.out} cannot be written: {error.strerror}") from None
-    print(f"{args.out}: {len(scene.bodies)} bodies, {len(scene.joints)} joints", file=sys.stderr)
+    bodies, joints = counted(len(scene.bodies), "body"), counted(len(scene.joints), "joint")
+    print(f"{args.out}: {bodies}, {joints}", file=sys.stderr)
     for note in scene.notes:
         print(f"  {note}", file=sys.stderr)
     return 0

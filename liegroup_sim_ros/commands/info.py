@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.recording import RecordingError
 from liegroup_sim_ros.recording.check import is_promise
 from liegroup_sim_ros.recording.damaged_survey import clean, survey
@@ -154,7 +155,8 @@ def print_survey(found, console):
         row("created by", found.library or "unknown")
     row(
         "attachments",
-        ", ".join(f"{name} ({size} bytes)" for name, _, size in found.attachments[:20]) or "none",
+        ", ".join(f"{name} ({counted(size, 'byte')})" for name, _, size in found.attachments[:20])
+        or "none",
     )
     console.print(table)
     if found.figures:

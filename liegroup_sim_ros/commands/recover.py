@@ -10,6 +10,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.recording.damaged_recover import write_recovered
 from liegroup_sim_ros.recording.damaged_survey import survey
 
@@ -38,8 +39,8 @@ def run(args):
     lost = sum(found.lost.values())
     if found.complete:
         print(
-            f"{path}: complete, {found.count} messages; there is nothing to recover"
-            + (f"; {lost} messages were dropped before they were written" if lost else "")
+            f"{path}: complete, {counted(found.count, 'message')}; there is nothing to recover"
+            + (f"; dropped before they were written: {counted(lost, 'message')}" if lost else "")
         )
         return 0
     with Console(stderr=True).status("writing"):
@@ -47,7 +48,7 @@ def run(args):
     for problem in listed(found.problems):
         print(f"{path}: {problem}")
     if found.unfinished:
-        print(f"{path}: {found.unfinished} messages are from a truncated chunk")
+        print(f"{path}: from a truncated chunk: {counted(found.unfinished, 'message')}")
     if not written:
         print(f"{out}: no messages, only attachments and metadata")
         return 0
@@ -55,7 +56,8 @@ def run(args):
     Console(file=sys.stdout).print(topics_table(found))
     has_end = any(name == "pacing.json" for name, _, _ in found.attachments)
     print(
-        f"{out}: {written} messages from {first:.9g} s to {last:.9g} s, {lost} missing in between; "
+        f"{out}: {counted(written, 'message')} from {first:.9g} s to {last:.9g} s, {lost} missing in "
+        "between; "
         + ("the end of the run is included" if has_end else "the end of the run is missing")
     )
     return 0

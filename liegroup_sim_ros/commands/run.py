@@ -243,8 +243,9 @@ def run(args):
         print(f"liegroup_sim: {stopped}; the trajectory up to there is in {names}", file=sys.stderr)
     else:
         print(
-            f"{names}: {simulation.time:.9g} s in {steps} steps, {files[0].count} samples, "
-            f"{wall:.3g} s of wall time{_events_of(simulation)}{_error_of(simulation)}"
+            f"{names}: {simulation.time:.9g} s in {counted(steps, 'step')}, "
+            f"{counted(files[0].count, 'sample')}, {wall:.3g} s of wall time"
+            f"{_events_of(simulation)}{_error_of(simulation)}"
         )
     return code
 

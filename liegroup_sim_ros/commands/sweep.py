@@ -17,6 +17,7 @@ from liegroup_core.study.sweep.file import SweepFile
 from liegroup_core.study.sweep.parameters import ParameterError, parameters
 from liegroup_core.study.sweep.sweep import OK, Sweep, describe
 from liegroup_core.study.trade.cache import PACKAGES
+from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.recording.attachments import versions
 from liegroup_sim_ros.report.sweep_tables import print_sweep
 from liegroup_sim_ros.version import __version__
@@ -135,8 +136,8 @@ def run(args):
         interrupted = _run_missing(sweep, file, args, console)
         if interrupted:
             print(
-                f"liegroup_sim: interrupted; {sweep.samples - len(file.missing)} of "
-                f"{sweep.samples} runs are in {args.out}, the same command runs the others",
+                f"liegroup_sim: interrupted; {args.out} has {sweep.samples - len(file.missing)} of "
+                f"{counted(sweep.samples, 'run')}, the same command runs the others",
                 file=sys.stderr,
             )
             return EXIT_INTERRUPTED
@@ -208,7 +209,7 @@ def _run_missing(sweep, file, args, console):
     done, failed = sweep.samples - len(missing), 0
     if done:
         print(
-            f"liegroup_sim: {done} of {sweep.samples} runs are in {args.out} already",
+            f"liegroup_sim: {args.out} has {done} of {counted(sweep.samples, 'run')} already",
             file=sys.stderr,
         )
     with Progress(

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from liegroup_core.scene.switches import unit_of
+from liegroup_sim_ros.numbers import counted
 
 from . import matrices
 from .codecs import MessageError
@@ -158,8 +159,8 @@ class JointReports:
         if self._more:
             kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(self._kinds.items()))
             text = (
-                f"{time:.9f} s: {self._more} more instants since {self._second} s: {kinds}; energy "
-                f"{self._energy:.6g} J"
+                f"{time:.9f} s: {counted(self._more, 'more instant')} since {self._second} s: {kinds}; "
+                f"energy {self._energy:.6g} J"
             )
             reports.append(Report(round(time * 1e9), None, text))
         self._clear()

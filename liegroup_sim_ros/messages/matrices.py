@@ -4,6 +4,8 @@
 Both dimensions are labelled. The message has no stamp; in a recording its log time is the stamp.
 """
 
+from liegroup_sim_ros.numbers import counted
+
 from .cdr import Template
 from .codecs import Fields, MessageError
 
@@ -32,7 +34,7 @@ def decode(payload):
     fields = Fields(TYPE, payload)
     count = fields.number("I")
     if count != 2:
-        raise MessageError(f"{TYPE}: has {count} dimensions, not 2")
+        raise MessageError(f"{TYPE}: has {counted(count, 'dimension')}, not 2")
     labels, shape = [], []
     for _ in range(2):
         labels.append(tuple(fields.text().split(" ")))
@@ -41,5 +43,5 @@ def decode(payload):
     fields.number("I")
     values = fields.numbers("d", fields.number("I"))
     if list(map(len, labels)) != shape or len(values) != shape[0] * shape[1]:
-        raise MessageError(f"{TYPE}: {len(values)} numbers in the shape {shape}")
+        raise MessageError(f"{TYPE}: {counted(len(values), 'number')} in the shape {shape}")
     return *labels, values

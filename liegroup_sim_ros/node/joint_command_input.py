@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 from liegroup_sim_ros.messages.codecs import MessageError
 from liegroup_sim_ros.messages.commands import JointStateDecoder, decode_array
+from liegroup_sim_ros.numbers import counted
 
 from .counted_input import LONGEST_NAME
 from .joint_input import JointInput
@@ -142,7 +143,10 @@ class JointCommandInput(JointInput):
         if len(numbers) != len(names):
             self.refuse(
                 "wrong_length",
-                lambda: f"{len(numbers)} numbers for the {len(names)} joints of command_joints",
+                lambda: (
+                    f"{counted(len(numbers), 'number')} for the {counted(len(names), 'joint')} of "
+                    "command_joints"
+                ),
             )
         fields = [numbers if kind == interface else () for kind in INTERFACES]
         return self._commands(names, fields, 0, 0, held, None, jumps)
@@ -172,8 +176,8 @@ class JointCommandInput(JointInput):
                 self.refuse(
                     "wrong_length",
                     lambda: (
-                        f"{len(values)} values of {kind} for {len(names)} names; give one per "
-                        "name (NaN: no command), or none"
+                        f"{counted(len(values), 'value')} of {kind} for "
+                        f"{counted(len(names), 'name')}; give one per name (NaN: no command), or none"
                     ),
                 )
             for name, value in zip(names, values):

@@ -7,6 +7,7 @@ import threading
 from concurrent.futures import Future, wait
 
 from liegroup_core import SceneError, Simulation, load_scene
+from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.playback.branch import Branches
 from liegroup_sim_ros.playback.rerun import ReplayError
 from liegroup_sim_ros.recording import RecordingError, attachments
@@ -130,9 +131,8 @@ class SceneRun:
         gc.freeze()
         self.server.start()
         simulation = self.simulation
-        count = len(simulation.layout.body_names)
         self._node.get_logger().info(
-            f"{simulation.scene.name}: {count} {'body' if count == 1 else 'bodies'}, "
+            f"{simulation.scene.name}: {counted(len(simulation.layout.body_names), 'body')}, "
             + (
                 f"accuracy {simulation.promise['accuracy']:g} in {simulation.promise['horizon']:g} s"
                 if simulation.promise
@@ -205,7 +205,7 @@ class SceneRun:
             self.recorder.close()
             if self.recorder.failure is None:
                 self._node.get_logger().info(
-                    f"recorded {self.recorder.written} messages in {self.recorder.path}"
+                    f"recorded {counted(self.recorder.written, 'message')} in {self.recorder.path}"
                 )
         self._close_topics(self.server.stamp_ns)
 

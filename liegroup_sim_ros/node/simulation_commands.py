@@ -10,6 +10,7 @@ from liegroup_core import Sample, SceneError
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.forces.schedule import AppliedWrench
 from liegroup_sim_ros.messages import events
+from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.recording import attachments
 
 MOST_SNAPSHOTS = 1000
@@ -141,7 +142,7 @@ class SimulationCommands:
         done = self._simulation.steps - first
         text = self._stepped(done)
         if not reached:
-            raise CommandError(f"stopped after {done} of {count} steps")
+            raise CommandError(f"stopped after {done} of {counted(count, 'step')}")
         return text
 
     def _advance_paused(self, count):
@@ -155,7 +156,7 @@ class SimulationCommands:
         """Send all outputs and the event after steps that were taken while paused."""
         if self.state != "faulted":
             self._send_outputs(everything=True)
-        steps = f"{done} step{'s' if done != 1 else ''}"
+        steps = counted(done, "step")
         self._event("step", f"{steps}, at step {self._simulation.steps}")
         return f"{steps}, at {self._seconds():.9g} s"
 

@@ -7,6 +7,7 @@ types; their services are then not offered. Paused at step 0 is "stopped".
 
 import importlib.util
 
+from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.version import __version__
 
 from . import standard_codes as codes
@@ -208,16 +209,16 @@ class SimulateSteps:
             await _Turn()
         if done:
             self._ask("stepped", done)
-        result = self._kind.Result()
+        result, steps = self._kind.Result(), counted(count, "step")
         if done == count:
             goal.succeed()
-            return answered(result, codes.OK, f"{done} steps")
+            return answered(result, codes.OK, steps)
         if goal.is_cancel_requested:
             goal.canceled()
-            return answered(result, codes.FAILED, f"cancelled after {done} of {count} steps")
+            return answered(result, codes.FAILED, f"cancelled after {done} of {steps}")
         goal.abort()
         reason = text or "the simulation has stopped with an error: see ~/events"
-        return answered(result, codes.FAILED, f"stopped after {done} of {count} steps: {reason}")
+        return answered(result, codes.FAILED, f"stopped after {done} of {steps}: {reason}")
 
 
 class _Turn:

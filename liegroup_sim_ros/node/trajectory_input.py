@@ -9,6 +9,7 @@ import math
 
 from liegroup_sim_ros.messages.codecs import MessageError
 from liegroup_sim_ros.messages.commands import decode_trajectory
+from liegroup_sim_ros.numbers import counted
 
 from .joint_input import JointInput
 from .trajectory import Trajectory
@@ -119,7 +120,8 @@ class TrajectoryInput(JointInput):
                 self.refuse(
                     "wrong_length",
                     lambda: (
-                        f"{len(values)} {kind} in point {k} for {count} joints; give one per joint"
+                        f"{kind} in point {k}: {counted(len(values), 'number')} for "
+                        f"{counted(count, 'joint')}; give one per joint"
                         + ("" if kind == "positions" else ", or none")
                     ),
                 )

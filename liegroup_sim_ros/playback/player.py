@@ -26,6 +26,7 @@ from std_srvs.srv import Trigger
 
 from liegroup_core.pacing import Pacer
 from liegroup_sim_ros.messages.codecs import ClockCodec
+from liegroup_sim_ros.numbers import counted
 
 from .player_file import PlayError
 
@@ -59,7 +60,11 @@ def play(file, args):
             signal.signal(number, player.interrupt)
         with Keys(player):
             code = player.run()
-        print(f"{file.path}: {player.published} messages of {len(player.topics)} topics published")
+        messages, topics = (
+            counted(player.published, "message"),
+            counted(len(player.topics), "topic"),
+        )
+        print(f"{file.path}: {messages} of {topics} published")
         return code
     finally:
         rclpy.try_shutdown()

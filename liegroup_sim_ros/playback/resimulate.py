@@ -7,7 +7,7 @@ difference is the result; it can be compared with a bound. No ROS is needed.
 """
 
 from liegroup_core.scene.load import scene_from_text
-from liegroup_sim_ros.numbers import shown
+from liegroup_sim_ros.numbers import counted, shown
 from liegroup_sim_ros.recording.attachments import machine, versions
 from liegroup_sim_ros.recording.check import check_settings
 from liegroup_sim_ros.recording.motion import Motion
@@ -41,7 +41,7 @@ def resimulate(recording, progress=lambda text: None, **other):
     repeat = Repeat(recording, simulation)
     for block in motion.blocks():
         repeat.add(block)
-        progress(f"{motion.samples} of {motion.expected} samples")
+        progress(f"{motion.samples} of {counted(motion.expected, 'sample')}")
     experiment = {
         key: [settings.get(key), value]
         for key, value in other.items()
@@ -105,14 +105,12 @@ def report(figures, bound=None):
         for key, (before, now) in figures["platform"].items()
     ]
     apart = figures["largest_difference"]
-    if identical == samples:
-        lines.append(f"{log}: all {samples} samples are bit-identical")
-    else:
-        at = figures["first_difference"]
-        lines.append(
-            f"{log}: {identical} of {samples} samples are bit-identical"
-            + (f"; {at['body']} differs from t = {shown(at['at_s'], 's')} on" if at else "")
-        )
+    at = figures["first_difference"]
+    lines.append(
+        f"{log}: bit-identical in {identical} of {counted(samples, 'sample')}"
+        + (f"; {at['body']} differs from t = {shown(at['at_s'], 's')} on" if at else "")
+    )
+    if identical < samples:
         lines.append(
             "largest difference: "
             + ", ".join(
@@ -126,7 +124,10 @@ def report(figures, bound=None):
             )
         )
     if figures["not_finite_samples"]:
-        return lines, f"{log}: {figures['not_finite_samples']} samples are not finite"
+        return (
+            lines,
+            f"{log}: NaN or infinity in {counted(figures['not_finite_samples'], 'sample')}",
+        )
     if figures["stopped"]:
         return lines, f"{log}: the repeated simulation {figures['stopped']}"
     if bound is not None:

@@ -25,6 +25,7 @@ import time
 from collections import deque
 
 from liegroup_sim_ros.messages import schemas
+from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.version import __version__
 
 from .bag_metadata import FILE_NAME, Bag, as_yaml, record_of_file, topic_info
@@ -359,7 +360,8 @@ class Recorder:
             self.written = self._earlier + sum(self._mcap.counts.values())
             name = getattr(error, "filename", None)
             self.failure = (
-                f"recording to {self.path} stopped after {self.written} messages: {reason(error)}"
+                f"recording to {self.path} stopped after {counted(self.written, 'message')}: "
+                f"{reason(error)}"
                 f"{f': {name}' if name else ''}; the simulation continues without recording"
             )
             self._chunk = Chunk()

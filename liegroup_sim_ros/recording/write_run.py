@@ -18,6 +18,7 @@ from liegroup_sim_ros.messages import estimates, events, schemas, topics
 from liegroup_sim_ros.messages import samples as sample_messages
 from liegroup_sim_ros.messages.codecs import LogCodec
 from liegroup_sim_ros.messages.joint_modes import JointReports
+from liegroup_sim_ros.numbers import counted
 
 from . import attachments
 from .checkpoints import Checkpoints
@@ -76,7 +77,7 @@ class ArrayFile:
                 self._arrays[f"sensors/{sensor}"] = np.empty((samples, len(numbers)))
         except MemoryError:
             raise OutputError(
-                f"{path}: {samples} samples of {n} bodies do not fit into memory; "
+                f"{path}: {samples} samples of {counted(n, 'body')} do not fit into memory; "
                 "take fewer with --every, or write *.mcap"
             ) from None
         self._stream = new_file(path, "xb")

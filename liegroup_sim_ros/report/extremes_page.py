@@ -4,6 +4,7 @@
 import statistics
 
 from liegroup_core.study.extremes.extremes import VERDICTS, counts, silent
+from liegroup_sim_ros.numbers import counted
 
 SIGNS = dict(zip(VERDICTS, ".fxs?!"))
 
@@ -40,7 +41,7 @@ def _lines(axes, cells, methods):
 
 def _numbers(cells):
     wrong = silent(cells)
-    yield (f"{len(wrong)} undetected errors" + (":" if wrong else "."))
+    yield (counted(len(wrong), "undetected error") + (":" if wrong else "."))
     for cell in wrong:
         yield (
             f"* {cell['axis']} {shown(cell['value'])}, {cell['method']}: error "
@@ -53,12 +54,12 @@ def _numbers(cells):
     )
     yield ""
     yield (
-        f"{len(only_estimate)} of the {len(flagged)} flagged cells are flagged by the estimated "
-        "error alone: without it their errors would be undetected."
+        f"Flagged by the estimated error alone: {len(only_estimate)} of "
+        f"{counted(len(flagged), 'flagged cell')}. Without it their errors would be undetected."
     )
     if warned:
         yield (
-            f"{len(warned)} accurate cells have a warning; their errors are between "
+            f"Accurate with a warning: {counted(len(warned), 'cell')}; their errors are between "
             f"{warned[0]:.1g} and {warned[-1]:.1g} of the motion, median "
             f"{statistics.median(warned):.1g}."
         )

@@ -12,7 +12,7 @@ import re
 from html import escape
 from importlib.resources import files
 
-from liegroup_sim_ros.numbers import NO_NUMBER
+from liegroup_sim_ros.numbers import NO_NUMBER, counted
 
 from .plots import difference_plot, make_plots
 from .summary import OVERVIEW, comparison_rows, headline, overview, sections, short_names
@@ -137,7 +137,7 @@ def _several(parts, exceeded, bounds):
     names = short_names(found)
     problems_of = [figures.get("problems", [figures.get("failed")]) for figures in found]
     bad, count = (sum(map(kind, problems_of)) for kind in (bool, len))
-    verdict = f"{bad} of {len(parts)} recordings have problems." if bad else "No problems found."
+    verdict = f"Problems in {bad} of {len(parts)} recordings." if bad else "No problems found."
     lines = "".join(
         f'<tr><td data-what="recording"><a href="#log{k}">{escape(name)}</a></td>'
         + "".join(
@@ -236,7 +236,7 @@ def _view(view, has_plots):
         f'<option value="{speed:g}"{" selected" if speed == first else ""}>{speed:g} ×</option>'
         for speed in choices
     )
-    remark = f"{view['frames']} frames; drag to rotate; toolbar: zoom and pan" + (
+    remark = f"{counted(view['frames'], 'frame')}; drag to rotate; toolbar: zoom and pan" + (
         "; click on a plot below to go to that time" if has_plots else ""
     )
     return (
@@ -275,7 +275,7 @@ def _state(problems):
     return (
         '<span class="state good">✓ no problem found</span>'
         if not problems
-        else f'<span class="state bad">✗ {problems} problem{"" if problems == 1 else "s"}</span>'
+        else f'<span class="state bad">✗ {counted(problems, "problem")}</span>'
     )
 
 
@@ -300,7 +300,8 @@ def _details(title, inside):
 
 def _shortened(text):
     more = len(text) - LONGEST
-    return escape(text) if more <= 0 else escape(text[:LONGEST]) + f"\n... {more} more characters"
+    rest = f"\n... {counted(more, 'more character')}" if more > 0 else ""
+    return escape(text[:LONGEST]) + rest
 
 
 def unbroken(text):

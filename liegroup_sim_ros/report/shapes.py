@@ -11,6 +11,7 @@ import os
 import numpy as np
 
 from liegroup_core.robots.resources import find_resource
+from liegroup_sim_ros.numbers import counted
 
 MOST_TRIANGLES = 20_000  # of a page
 LARGEST_FILE = 64 * 2**20  # bytes of a mesh
@@ -95,8 +96,8 @@ def _decimated(meshes, remarks):
             found[body] = mesh
     if boxes:
         remarks.append(
-            f"{boxes} bodies are drawn as boxes: all visuals have {total} triangles, the page at "
-            f"most {MOST_TRIANGLES}{advice}"
+            f"drawn as boxes: {counted(boxes, 'body')}; all visuals have {total} triangles, the page "
+            f"at most {MOST_TRIANGLES}{advice}"
         )
     return found
 

@@ -55,7 +55,7 @@ def headline(figures):
             (
                 "re-simulation",
                 "bit-identical" if same else "different",
-                f"{repeat['identical']} of {repeat['samples']} samples are identical",
+                f"identical in {repeat['identical']} of {counted(repeat['samples'], 'sample')}",
             )
         )
     if figures["timing"].get("real_time_factor"):
@@ -99,7 +99,7 @@ def sections(figures):
                 [
                     (
                         "bit-identical",
-                        f"{repeat['identical']} of {repeat['samples']} samples",
+                        f"{repeat['identical']} of {counted(repeat['samples'], 'sample')}",
                         "from the recorded initial state, configuration and wrenches",
                     )
                 ],
@@ -135,13 +135,15 @@ def _run_rows(figures):
         (
             "simulated time",
             shown(figures["sim_seconds"], "s"),
-            f"{figures['samples']} samples"
+            counted(figures["samples"], "sample")
             + (f", {counted(figures['resets'], 'reset')}" if figures["resets"] else ""),
         ),
         (
             "applied wrenches",
             str(count),
-            shown_pushes + more + (f"; {refused:.0f} wrench messages refused" if refused else ""),
+            shown_pushes
+            + more
+            + (f"; {counted(refused, 'wrench message')} refused" if refused else ""),
         ),
     ]
 
@@ -193,7 +195,7 @@ def _local_rows(local):
         (
             "position",
             shown(local["position_m"], "m"),
-            _joined(f"largest at {local['windows']} samples", local["remark"]),
+            _joined(f"largest at {counted(local['windows'], 'sample')}", local["remark"]),
         ),
         ("attitude", shown(local["angle_rad"], "rad"), ""),
         (
@@ -257,7 +259,7 @@ def _conserved_rows(figures):
             )
         )
     if len(joints) > MOST_JOINTS:
-        rows.append((f"{len(joints) - MOST_JOINTS} other joints", "smaller", ""))
+        rows.append((counted(len(joints) - MOST_JOINTS, "other joint"), "smaller", ""))
     return rows
 
 
@@ -277,7 +279,7 @@ def _joint_event_rows(events):
         for name, entry in joints[:MOST_JOINTS]
     ]
     if len(joints) > MOST_JOINTS:
-        rows.append((f"{len(joints) - MOST_JOINTS} other joints", "fewer", ""))
+        rows.append((counted(len(joints) - MOST_JOINTS, "other joint"), "fewer", ""))
     return rows
 
 
@@ -304,7 +306,7 @@ def _timing_rows(timing):
         (
             "deadline misses",
             "-" if timing.get("overruns") is None else f"{timing['overruns']:.0f}",
-            "" if ticks is None else f"of {ticks:.0f} ticks",
+            "" if ticks is None else f"of {counted(ticks, 'tick')}",
         ),
         (
             "gaps",
@@ -324,7 +326,11 @@ def _microseconds(value):
 def _file_rows(figures):
     lost = sum(figures["lost_messages"].values()) + figures["missing_samples"]
     return [
-        ("messages", str(sum(figures["messages"].values())), f"{len(figures['messages'])} topics"),
+        (
+            "messages",
+            str(sum(figures["messages"].values())),
+            counted(len(figures["messages"]), "topic"),
+        ),
         ("dropped", str(lost), "by sequence numbers and sampling period"),
         ("complete", "yes" if figures["complete"] else "no", figures["file_problem"] or ""),
     ]
@@ -373,7 +379,7 @@ def comparison_rows(figures):
     rows = [
         (
             "bit-identical",
-            f"{figures['identical']} of {figures['samples']} samples",
+            f"{figures['identical']} of {counted(figures['samples'], 'sample')}",
             ""
             if figures["first_difference_s"] is None
             else f"the first difference at {shown(figures['first_difference_s'], 's')}",

@@ -8,7 +8,7 @@ from rich.text import Text
 from scipy.stats import spearmanr
 
 from liegroup_core.study.sweep.sweep import OK
-from liegroup_sim_ros.numbers import shown
+from liegroup_sim_ros.numbers import counted, shown
 
 from .terminal import plain_table
 
@@ -79,7 +79,7 @@ def print_sweep(file, show, console):
     settings = dict(sweep.settings)
     console.print(
         Text(
-            f"{sweep.name}: {len(ok)} runs of {sweep.steps * settings['step']:.9g} s, "
+            f"{sweep.name}: {counted(len(ok), 'run')} of {sweep.steps * settings['step']:.9g} s, "
             f"{_solver(settings)} at {shown(settings['step'] * 1e3, 'ms')}; "
             f"{len(ok) - ok.sum()} failed",
             style="bold",
@@ -135,14 +135,14 @@ def _usual(sweep):
 
 
 def _print_reasons(console, what, texts):
-    counted = reasons(texts)
-    for count, text in counted[:REASONS]:
+    found = reasons(texts)
+    for count, text in found[:REASONS]:
         console.print(Text(f"{count} {what}: {text}"))
-    if len(counted) > REASONS:
+    if len(found) > REASONS:
         console.print(
             Text(
-                f"{sum(count for count, _ in counted[REASONS:])} {what} for "
-                f"{len(counted) - REASONS} other reasons"
+                f"{sum(count for count, _ in found[REASONS:])} {what} for "
+                f"{counted(len(found) - REASONS, 'other reason')}"
             )
         )
 

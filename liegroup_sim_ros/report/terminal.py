@@ -4,7 +4,7 @@
 from rich.table import Table
 from rich.text import Text
 
-from liegroup_sim_ros.numbers import NO_NUMBER, shown
+from liegroup_sim_ros.numbers import NO_NUMBER, counted, shown
 
 from .summary import OVERVIEW, comparison_rows, overview, sections, short_names
 
@@ -58,16 +58,16 @@ def print_overview(analyses, console):
 
 def print_comparison(figures, console):
     """Print the difference of two recordings."""
-    same = figures["identical"] == figures["samples"]
+    identical, samples = figures["identical"], figures["samples"]
     console.print()
     console.print(
         Text(
-            f"Comparison with {figures['logs'][1]}: "
+            f"Comparison with {figures['logs'][1]}: bit-identical in {identical} of "
+            + counted(samples, "sample")
             + (
-                f"bit-identical in {figures['samples']} samples"
-                if same
-                else f"{figures['identical']} of {figures['samples']} samples are identical, the "
-                f"first difference at {shown(figures['first_difference_s'], 's')}"
+                f", the first difference at {shown(figures['first_difference_s'], 's')}"
+                if identical < samples
+                else ""
             ),
             style="bold",
         )

@@ -4,7 +4,7 @@
 from rich.text import Text
 
 from liegroup_core.study.trade.trade import ACCURACIES, MARGIN
-from liegroup_sim_ros.numbers import GROUPS, shown
+from liegroup_sim_ros.numbers import GROUPS, counted, shown
 from liegroup_sim_ros.recording.attachments import versions
 
 from .terminal import plain_table
@@ -160,7 +160,7 @@ def headline(part):
     """Main result in one sentence."""
     stopped = sum(bool(cell["stopped"]) for cell in part["cells"])
     return (
-        f"{part['scene']}: {len(part['cells'])} configurations over "
+        f"{part['scene']}: {counted(len(part['cells']), 'configuration')} over "
         f"{shown(part['horizon'], 's')}, {stopped} of them stopped early; "
         f"{len(part['front'])} on the Pareto front"
     )

@@ -18,6 +18,7 @@ from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.messages.codecs import LogCodec, WrenchStampedCodec
 from liegroup_sim_ros.messages.sensors import sensors
+from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording.read import read_recording
 from liegroup_sim_ros.report.plots import make_plots
@@ -116,6 +117,24 @@ def test_info_shows_what_a_recording_was_made_to(tmp_path, capsys, monkeypatch, 
     capsys.readouterr()
     assert main(["info", path]) == 0
     assert f"double_pendulum, {shown}" in capsys.readouterr().out
+
+
+def test_one_of_a_kind_has_no_plural(tmp_path, capsys):
+    path = str(tmp_path / "a.mcap")
+    for command in (
+        ["run", "free_body", "--duration", "0.01", "--step", "0.01", "--out", path],
+        ["describe", "free_body"],
+        ["info", path],
+        ["analyze", path],
+        ["replay", path, "--resimulate"],
+    ):
+        assert main(command) == 0
+    shown = capsys.readouterr().out
+    assert "in 1 step, 2 samples" in shown and "in 2 of 2 samples" in shown
+    assert not re.search(
+        r"\b(?<![.])1 (bodies|(step|sample|topic|message|run|byte|tick)s)\b", shown
+    )
+    assert [counted(k, "body") for k in range(3)] == ["0 bodies", "1 body", "2 bodies"]
 
 
 def test_npz_arrays_equal_those_of_the_simulation(tmp_path, capsys):

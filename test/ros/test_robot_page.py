@@ -124,7 +124,7 @@ def test_import_writes_what_load_scene_takes(folder, capsys):
     assert (
         Path("all.yaml")
         .read_text()
-        .startswith("# 4 links of the file are 2 bodies, 2 joint coordinates are 2.\nname: arm\n")
+        .startswith("# 4 links of the file -> 2 bodies, 2 joint coordinates -> 2\nname: arm\n")
     )
     assert load_scene("all.yaml").model_dump() == load_scene("closed.yaml").model_dump()
     assert main(["import", "closed.yaml", "--start", "elbow=1"]) == 2

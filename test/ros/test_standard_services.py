@@ -575,6 +575,6 @@ def test_the_recording_of_all_this_is_simulated_again_bit_for_bit(node, process,
     assert sum(e.name == "state" for r in recordings for e in r.events) == 2
     for path in paths:
         assert main(["replay", str(path), "--resimulate"]) == 0
-        assert "are bit-identical" in capsys.readouterr().out
+        assert ": bit-identical in" in capsys.readouterr().out
     # An analysis compares with a reference from every state that was set: errors of the method only.
     assert main(["analyze", str(paths[0]), "--max-error", "1e-9"]) == 0

@@ -90,9 +90,9 @@ def test_an_interrupted_sweep_keeps_its_runs(fall, capsys, monkeypatch):
         patch.setattr(SweepFile, "add", interrupted)
         assert main([*fall, "--workers", "1"]) == 130
     err = capsys.readouterr().err
-    assert "interrupted; 2 of 20 runs are in a.parquet, the same command runs the others" in err
+    assert "interrupted; a.parquet has 2 of 20 runs, the same command runs the others" in err
     assert main([*fall, "--workers", "1"]) == 0
-    assert "2 of 20 runs are in a.parquet already" in capsys.readouterr().err
+    assert "a.parquet has 2 of 20 runs already" in capsys.readouterr().err
     assert main([*fall[:-1], "b.parquet"]) == 0
     tables = [
         SweepFile(name).table().drop_columns(["cpu_s"]) for name in ("a.parquet", "b.parquet")
