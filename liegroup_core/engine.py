@@ -170,7 +170,8 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         angles : (k,) rad, `Sample.angles` of the state: unwrapped angles. None:
                  all are in (-pi, pi], as at the start of a scene
         memory : bytes from `memory()` at this state: the run continues bit-identically. None: a
-                 method with memory restarts
+                 method with memory restarts, and joints with stops or friction lose their whole turns:
+                 their angles are those next to 0 that the stops allow. `place` keeps the turns
         steps  : 0 or more
         Clears the applied wrenches and efforts. The wrenches of the scene follow the step count.
         Raises ValueError for wrong shapes, non-finite numbers, matrices that are no rotations, no step

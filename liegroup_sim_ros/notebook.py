@@ -105,6 +105,7 @@ def _record(simulation, seconds, path):
         estimate=simulation.sample().errors is not None,
     )
     copy.set_state(*simulation.state(), simulation.steps, simulation.sample().angles)
+    copy.take_modes(simulation)  # with the whole turns of joints with stops
     started, stopped = time.monotonic(), None
     with LogFile(path, copy, every, count + 1) as file:
         file.sample(copy.sample())

@@ -10,8 +10,10 @@ from browser import CHROMIUM, Browser
 
 import liegroup_sim_ros
 from liegroup_core import Simulation, load_scene
+from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros import notebook, show
 from liegroup_sim_ros.commands.main import main
+from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording import RecordingError, read_recording
 
 
@@ -56,6 +58,26 @@ def test_a_report_from_a_later_step_reports_no_problem(monkeypatch):
     assert figures["repeat"]["samples"] == figures["repeat"]["identical"] == 11
     assert found[0].recording.initial_state["steps"] == 7
     assert float(found[0].motion.stretches[0].log_times[0]) == pytest.approx(7e-3)
+
+
+def test_a_joint_that_has_turned_many_times_meets_its_stop_in_the_copy(tmp_path):
+    """After 3 s at 5 rad/s it is at 15 rad; 1 s later it stops at 20 rad."""
+    text = """
+name: winch
+gravity: [0, 0, 0]
+bodies:
+  - {name: drum, mass: 1.0, inertia: [0.1, 0.1, 0.1], angular_velocity: [0, 0, 5]}
+joints:
+  - {name: axle, type: revolute, parent: world, child: drum, parent_frame: {}, child_frame: {},
+     limits: {upper: 20}}
+"""
+    simulation = Simulation(scene_from_text(text), "rkmk4", 0.01)
+    simulation.advance(300)
+    recording = read_recording(notebook._record(simulation, 2.0, tmp_path / "run.mcap"))
+    velocity = recording.twist["drum"].twist[:, 2]
+    assert velocity[0] == pytest.approx(5.0) and velocity[-1] == pytest.approx(0.0, abs=1e-12)
+    found = resimulate(recording)
+    assert found["identical"] == found["samples"] > 1
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
