@@ -12,6 +12,10 @@ absolute, so that it does not depend on the origin of the world. The largest err
 mean would hide one fast body among many slow ones. A method with two estimates of such norms e_5 and
 e_3 has e_5^2 / sqrt(e_5^2 + e_3^2 / 100) instead (Hairer, Norsett and Wanner, Solving ODEs I, (10.17)).
 
+That norm is small by chance where a force jumps within a substep and e_5 is not far from a zero. So e_3 must be
+at most 1, too, if it is JUMP times what the last substep lets expect: it is proportional to h^4 where the
+motion is smooth.
+
 A tolerance below rounding would only make substeps smaller. So atol is larger by h times the round-off in the
 accelerations next to a singular pose, and with an accuracy by ROUNDING / h. With given tolerances such a step
 ends with SUBSTEP_TOO_SMALL.
@@ -31,6 +35,8 @@ LARGEST_GROWTH, LARGEST_CUT, SAFETY = 5.0, 0.2, 0.9
 ROUNDING = 0.03 * 2.0**-52
 # Smallest substep as a fraction of a step: dampers may stop light bodies that fast.
 SMALLEST_SUBSTEP = 1e-13
+# A push from outside may be felt as a jump: then it costs a few substeps.
+JUMP = 1e3
 
 
 @kernel
@@ -51,19 +57,20 @@ def _change(error, estimates):
 
 @kernel
 def _error(model, work, scheme, h, twist, control):
-    """Norm of the error estimate of a step from `twist`; a step is accepted up to 1."""
-    largest, rtol, length = 0.0, control[4], control[8]
+    """Norm of the error estimate of a step from `twist`, accepted up to 1, and e_3 if there are two."""
+    largest, largest_3, rtol, length = 0.0, 0.0, control[4], control[8]
     atol = control[5] + h * work.report[4] + control[9] / h
     for i in range(len(model.bodies)):
         error = spaces.error_square(model, work, scheme, 0, h, twist, i, rtol, atol, length)
         if len(scheme.error) == 2:
             other = spaces.error_square(model, work, scheme, 1, h, twist, i, rtol, atol, length)
+            largest_3 = max(largest_3, other)
             if error > 0.0:
                 error *= error / (error + 0.01 * other)
         if not error < math.inf:
-            return math.inf
+            return math.inf, 0.0
         largest = max(largest, error)
-    return math.sqrt(largest)
+    return math.sqrt(largest), math.sqrt(largest_3)
 
 
 @kernel
@@ -75,9 +82,13 @@ def judge(model, work, scheme, h, size, status, twist, control):
     control : see munthe_kaas.advance
     returns (status, accepted): status is not OK if no smaller substep is allowed
     """
-    error = math.inf
+    error, growth = math.inf, 0.0
     if status == OK:
-        error = _error(model, work, scheme, size, twist, control)
+        error, error_3 = _error(model, work, scheme, size, twist, control)
+        if work.report[4] == 0.0:  # next to a singular pose it is rounding that jumps
+            growth = error_3 * control[5] / (size * size * size * size)
+        if growth > JUMP * control[12] > 0.0:
+            error = max(error, error_3)
     change = _change(error, len(scheme.error))
     # A substep that ends early, at a change of inputs, says little about the longer one before it.
     kept = control[0] if change == LARGEST_GROWTH else 0.0
@@ -85,6 +96,7 @@ def judge(model, work, scheme, h, size, status, twist, control):
     control[2] += 1.0
     if error <= 1.0:
         control[1] += 1.0
+        control[12] = growth
         return OK, True
     if control[0] < SMALLEST_SUBSTEP * h:
         return (status if status != OK else SUBSTEP_TOO_SMALL), False

@@ -75,12 +75,12 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
 
     model, work     : Model and Work, or RelativeModel or PlaneModel and RelativeWork
     external        : external wrenches of these steps, see forces/external.py
-    control (12,)   : next substep in s, numbers of accepted and of attempted substeps so far, next
+    control (13,)   : next substep in s, numbers of accepted and of attempted substeps so far, next
                       substep at the start of the step, rtol of velocities, atol in rad, m, rad/s,
                       m/s, longest substep in s, most attempts in a step, length in m times which atol
                       is that of positions, rounding of a pose, part that the most attempts are of those of
                       the whole step, if its rest takes equal substeps; only for schemes with error control.
-                      Factor of `_coarsen`, or 0
+                      Factor of `_coarsen`, or 0. e_3 atol / h^4 of the last substep, or 0
     returns (steps done, status): fewer steps if status is not OK. Pose, twist and work.angle are
     those of the last valid step, after EVENT of the last valid substep. The low byte of status is
     the code. The other bytes are the element
@@ -178,7 +178,7 @@ class MuntheKaas:
         self._model, self._work, self.work, ending = model_and_work(layout, group, options, stages)
         self._blocks = stages + 1
         self.kernels = ("implicit" if method.implicit else "rkmk") + ending
-        self._control = np.zeros(12)
+        self._control = np.zeros(13)
         self._control[7], self._control[8] = MOST_SUBSTEPS, 1.0
         self._tolerances = options.get("rtol", 0.0), options.get("atol", 1.0)
         self._methods, self._chosen, self._part = [], np.zeros(1), 1.0
@@ -222,7 +222,7 @@ class MuntheKaas:
     def restart(self):
         """Clear the memory between calls: the state was set."""
         self._control[:4] = self._longest, 0.0, 0.0, self._longest
-        self._control[6] = self._longest
+        self._control[6], self._control[12] = self._longest, 0.0
         self._chosen[0] = 0.0
         if self._work is not self.work:
             self._work.known[0] = 0.0
@@ -239,7 +239,7 @@ class MuntheKaas:
     def follow_accuracy(self, length):
         """Take all steps, none with tolerances below rounding; those of positions are times a length in m."""
         self.passes = True
-        self._control[8:10] = length, ROUNDING
+        self._control[8:10] = length, ROUNDING * max(1.0, self._control[11])
 
     def coarsen(self, bits):
         """Round the state to so many bits less after every substep."""
@@ -286,7 +286,7 @@ class MuntheKaas:
     @property
     def memory(self):
         """Arrays of the memory between calls: substeps of error control, relative coordinates."""
-        control = (self._control[:4], self._chosen) if self.controlled else ()
+        control = (self._control[:4], self._control[12:], self._chosen) if self.controlled else ()
         return control if self._work is self.work else (*control, *links_of(self._work))
 
     @property
