@@ -139,7 +139,7 @@ def print_survey(found, console):
     if content["scene"] is not None:
         promise, kept = content["promise"], ""
         if is_promise(promise):
-            kept = f", accuracy {promise['accuracy']:g}, horizon {promise['horizon']:g} s"
+            kept = f", accuracy {promise['accuracy']:g} in {promise['horizon']:g} s"
         row(
             "scene",
             f"{content['scene']}, {content['method']}{kept}, step {content['step']} s, "

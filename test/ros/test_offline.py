@@ -106,7 +106,7 @@ def test_a_run_that_is_too_short_for_an_estimate_says_from_when_on_there_is_one(
 @pytest.mark.parametrize(
     "given, shown",
     [
-        (["--accuracy", "2e-5", "--horizon", "7"], "rkmk853, accuracy 2e-05, horizon 7 s, step "),
+        (["--accuracy", "2e-5", "--horizon", "7"], "rkmk853, accuracy 2e-05 in 7 s, step "),
         (["--method", "rkmk4"], "rkmk4, step "),
     ],
 )
