@@ -130,7 +130,7 @@ def summary_of(rows):
         if stopped:
             lines.append(
                 f"The motion of {', '.join(map(_name, stopped))} is not compared: steps here are below "
-                "0.01 ms, or those of SciPy's Radau are too many, or MuJoCo's mass matrix is singular."
+                "0.01 ms, or those of SciPy's Radau are too many."
             )
     without = [row for row in loaded if "difference" not in row]
     if without:

@@ -85,8 +85,6 @@ def motion_against_mujoco(path, scene, seconds=1.0):
         mujoco.mj_resetData(model, data)
         data.qvel[:] = start
         _integrate(model, data, seconds, step)
-        if data.warning[mujoco.mjtWarning.mjWARN_INERTIA].number:
-            return np.inf  # it has factorised another, regularised mass matrix
         return data.xpos[[real[scene.bodies[i].name] for i in rows]]
 
     return motion_against(scene, *_arrays(scene, poses, twists), seconds, STEPS, their_end, rows)
@@ -110,7 +108,8 @@ def _slope(model, data, position, velocity):
     data.qpos[:], data.qvel[:] = position, velocity
     mujoco.mj_forward(model, data)
     rate = np.empty(model.nq)
-    for kind, at, dof in zip(model.jnt_type, model.jnt_qposadr, model.jnt_dofadr):
+    kinds = map(mujoco.mjtJoint, model.jnt_type.tolist())  # NumPy's numbers are not `in` them
+    for kind, at, dof in zip(kinds, model.jnt_qposadr, model.jnt_dofadr):
         if kind == mujoco.mjtJoint.mjJNT_FREE:
             rate[at : at + 3] = velocity[dof : dof + 3]
             at, dof = at + 3, dof + 3
