@@ -19,7 +19,7 @@ from .crossings import lowest
 from .mode_changes import ModeChanges
 
 TIME_PART = 1e-13  # of a substep; an event is found to this, and to round-off
-DIGIT = 1e-17  # rad, or of the mechanism's size: no gap is known better
+DIGIT = 2.0**-52  # of the mechanism's size and of the stop's place: no gap is known better
 SAME_TIME, SAME_PART = 1e-14, 1e-9  # s, and of a step; events that are closer are one
 HALVINGS, MOST_LOOKS = 40, 400
 # Parts of a substep: where the smallest effort is sought, and how precisely.
@@ -46,9 +46,11 @@ class EventTimes(ModeChanges):
         self.same_time = SAME_TIME
         table = model.switches
         # A guard that starts below this starts at its zero.
-        self._at_zero = np.zeros((len(table), 5))
+        self._at_zero, self._digit = np.zeros((2, len(table), 5))
         for end, stop in ((LOWER, table["lower"]), (UPPER, table["upper"])):
-            self._at_zero[:, end] = AT_STOP * (1.0 + np.where(np.isfinite(stop), np.abs(stop), 0.0))
+            far = np.where(np.isfinite(stop), np.abs(stop), 0.0)
+            self._at_zero[:, end] = AT_STOP * (1.0 + far)
+            self._digit[:, end] = DIGIT * (sizes + far)
         self._at_zero[:, SLIDING] = RESTING
         # Of compliant stops, s: how long before its depth the pressure of one that returns is zero.
         self._lag = table["damping"] / np.where(self._rigid, np.inf, table["stiffness"])
@@ -186,9 +188,9 @@ class EventTimes(ModeChanges):
             if not rate < 0.0:
                 return None
             change = -value / rate
-            time += change
-            if abs(value) <= DIGIT * self._sizes[k] or abs(change) <= precise:
+            if abs(value) <= self._digit[k, c] or abs(change) <= precise:
                 return time
+            time += change
         return None
 
     def _single(self, tau, state):
@@ -196,6 +198,7 @@ class EventTimes(ModeChanges):
         work, control = self._work, self._control
         kept, size = control.copy(), tau / self.parts
         control[0], control[4:11] = size, LOOSE
+        control[11] = 0.0  # a rounded state would make guards rough
         work.watch[0] = 0.0
         _, status = self._take(size, self.parts, *state)
         work.watch[0] = 1.0
