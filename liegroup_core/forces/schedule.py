@@ -137,6 +137,7 @@ class WrenchSchedule:
         self._waiting = []
         self._acting = {}
         self._arrived = 0
+        self._known_next = None
 
     def copy(self):
         """Schedule of the same wrenches."""
@@ -190,6 +191,7 @@ class WrenchSchedule:
         parts = ((axes, number, wrench),)
         self._acting[key] = _Command(BEFORE, AFTER, self._arrived, key, parts, 0.0)
         self.total[axes][number] = wrench
+        self._known_next = None
 
     def command(self, source, body, wrench, start, end, axes="body", point=None):
         """Apply `wrench` (6,) of `source` to body number `body` from one Instant to another.
@@ -232,6 +234,7 @@ class WrenchSchedule:
         """Let commands of another schedule act and wait here, too."""
         self._waiting = sorted((*self._waiting, *commands), key=lambda c: (c.start, c.number))
         self._arrived = max([self._arrived, *(c.number for c in commands)])
+        self._known_next = None
 
     def motion_at(self, drive, instant):
         """Commanded motion (7,) of a driven joint that will hold at an Instant, or FROM_SCENE."""
@@ -250,6 +253,7 @@ class WrenchSchedule:
             _Command(start, end, self._arrived, key, parts, effort),
             key=lambda c: (c.start, c.number),
         )
+        self._known_next = None
 
     def clear(self, source):
         """End all wrenches of a source, also those that start later. It takes effect with the next update.
@@ -261,10 +265,21 @@ class WrenchSchedule:
         self._waiting = [c for c in self._waiting if c.key not in ended]
         for key in ended & self._acting.keys():
             self._acting[key] = self._acting[key]._replace(end=BEFORE)
+        self._known_next = None
+
+    @property
+    def _next(self):
+        """Instant before which `update` changes nothing."""
+        if self._known_next is None:
+            ends = [BEFORE if c.is_zero else c.end for c in self._acting.values()]
+            self._known_next = min([*ends, *(c.start for c in self._waiting[:1])], default=AFTER)
+        return self._known_next
 
     def update(self, instant):
         """Make `total` the wrenches that act from an Instant on; returns [(body, axes)] that changed."""
-        touched = set()
+        if instant < self._next:
+            return []
+        self._known_next, touched = None, set()
         while self._waiting and self._waiting[0].start <= instant:
             command = self._waiting.pop(0)
             before = self._acting.get(command.key)
@@ -294,12 +309,14 @@ class WrenchSchedule:
 
     def inside(self, step):
         """Instants inside a step at which a wrench starts or ends, in order."""
+        if self._next.step > step:
+            return []
         return sorted({i for i in self._instants(step) if i.step == step and i.offset})
 
     def next_change(self, step):
         """First later step that starts with a change of the wrenches, or contains one."""
-        if not self:
-            return NEVER
+        if self._next.step > step:
+            return self._next.step
         return min((i.step for i in self._instants(step) if i.step > step), default=NEVER)
 
     def _instants(self, step):
