@@ -50,7 +50,7 @@ class Simulation(Engine):
 
     With a method, it takes the arguments of Engine, with their defaults.
 
-    estimate : True: carry a running estimate of the global error (running_error.py), at about 1.9
+    estimate : True: carry a running estimate of the global error (running_error.py), at about 1.8
                times the cost: `sample().error`, `predictable_until`. An accuracy requires it
     quiet    : True: log no warnings
 
