@@ -162,7 +162,7 @@ def warm_up(call, name):
         _warn_of_plain_python()
     elif done is None or not done.exists():
         log.warning(
-            "first run of this kind of mechanism: compiling (about 20 s). The result is cached"
+            "first run of this kind of mechanism: compiling (about 10 s). The result is cached"
         )
     start = time.perf_counter()
     with _no_collection():
