@@ -19,8 +19,10 @@ Steps of the simulations to an accuracy are at most a fiftieth of the horizon.
 accuracy (said), until the true motion is not known any more (unknown), or until the budget. `true`:
 largest true error until then; `estimate`: the run's own. Cheapest: of `rkmk4` and `rkmk8` in steps from
 a fiftieth of the horizon down, and of `rkmk54` and `rkmk853` at tolerances from 1e-2 down, without an
-estimate, the cheapest one of which no error exceeds the accuracy until then. CPU times are for a
-simulated second, the fastest of three runs if they are short.
+estimate, the cheapest one that the rule of `trade` gives: no error of it and of the next two finer ones exceeds
+a third of the accuracy until then. Least: the cheapest one of which no error exceeds the accuracy. It cannot be
+known before, as all of these errors. CPU times are for a simulated second, the fastest of three runs if they are
+short.
 """
 
 import argparse
@@ -37,6 +39,7 @@ from rich.table import Table
 
 from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.reference import Reference, Trajectory, WrenchChange, distance
+from liegroup_core.study.trade.trade import MARGIN, SETTLING
 
 ROOT = Path(__file__).resolve().parents[1]
 ACCURACIES, HORIZONS = (1e-3, 1e-6, 1e-9), (1.0, 10.0, 100.0)
@@ -49,6 +52,7 @@ PARTS = (1, 2, 4, 10, 20, 40, 100, 200, 400, 1000, 2000, 4000)  # steps in a fif
 TOLERANCES = tuple(10.0**-k for k in range(2, 14))
 FIXED = {"rkmk4": "step", "rkmk8": "step", "rkmk54": "tolerance", "rkmk853": "tolerance"}
 CHECKPOINT = 8  # steps after which a simulation to an accuracy has estimated its error again
+FINER = 8.0  # more than the cost of the next two finer configurations
 REPEATED = 0.2  # s: shorter runs are measured three times
 
 
@@ -188,34 +192,45 @@ def keep(scene, pushes, times, truth, size, accuracy, horizon, budget):
 
 
 def cheapest(scene, pushes, times, states, size, accuracy, settings):
-    """(CPU s, text) of the cheapest fixed configuration that keeps to the accuracy at all times."""
-    best, name = math.inf, None
+    """CPU times in s and texts of fixed configurations that keep to the accuracy at all times.
+
+    "fixed" : cheapest one as `trade` chooses: with its margin, and so do the next finer ones
+    "least" : cheapest one of all, which only those know who have the true motion
+    """
+    fixed = least = (math.inf, None)
     for method, kind in FIXED.items():
+        ladder = []
         for value in PARTS if kind == "step" else TOLERANCES:
             choice = {"method": method, "step": times[0] / value if kind == "step" else times[0]}
             if kind == "tolerance":
                 choice |= {"rtol": value, "atol": value}
-            cpu = _cost(scene, pushes, times, states, size, accuracy, best, choice | settings)
-            if cpu is not None:
-                if cpu < best:
-                    number = f"{choice['step']:g} s" if kind == "step" else f"{value:g}"
-                    best, name = cpu, f"{method} {number}"
+            cpu, error = _measured(scene, pushes, times, states, size, accuracy, choice | settings)
+            text = f"{method} {choice['step']:g} s" if kind == "step" else f"{method} {value:g}"
+            ladder.append((MARGIN * error, cpu, text))
+            if error <= accuracy:
+                least = min(least, (cpu, text), key=lambda found: found[0])
+            near = ladder[-1 - SETTLING :]
+            enough = len(near) > SETTLING and max(near)[0] <= accuracy
+            if enough or cpu > FINER * min(fixed[0], FINER * least[0]):
                 break
-    return best, name
+        for i, (_, cpu, text) in enumerate(ladder):
+            if max(ladder[i : i + 1 + SETTLING])[0] <= accuracy and cpu < fixed[0]:
+                fixed = cpu, text
+    return {"fixed_cpu": fixed[0], "fixed": fixed[1], "least_cpu": least[0], "least": least[1]}
 
 
-def _cost(scene, pushes, times, states, size, accuracy, limit, settings):
-    """CPU time in s; None if an error exceeds the accuracy, infinite if it exceeds the limit."""
+def _measured(scene, pushes, times, states, size, accuracy, settings):
+    """(CPU time in s, largest error) of a run; an error that exceeds the accuracy is infinite."""
+    largest = 0.0
     try:
         run = Run(scene, pushes, estimate=False, **settings)
         for at, state in zip(times, states):
-            if not apart(run.state_at(at), state, size) <= accuracy:
-                return None
-            if run.cpu > 2.0 * limit:
-                return math.inf
+            largest = max(largest, apart(run.state_at(at), state, size))
+            if not largest <= accuracy:
+                return run.cpu, math.inf
     except (SimulationError, ValueError):
-        return None
-    return run.cpu
+        return 0.0, math.inf
+    return run.cpu, largest
 
 
 def rows_of(scene, horizon, accuracies, seed, budget, first):
@@ -240,13 +255,13 @@ def rows_of(scene, horizon, accuracies, seed, budget, first):
             continue
         count = found["count"]
         if count:
-            fixed, text = cheapest(
+            fixed = cheapest(
                 scene, pushes, times[:count], truth[0], size, accuracy,
                 {"stabilisation": stabilisation},
             )  # fmt: skip
             if found["cpu"] < REPEATED:
                 found["cpu"] = min(found["cpu"], *(_again(case, times[:count]) for _ in range(2)))
-            found |= {"fixed_cpu": fixed, "fixed": text}
+            found |= fixed
         known = float(truth[1][count - 1]) if count else None
         yield common | {"accuracy": accuracy, "seconds": count * times[0], "unknown": known} | found
 
@@ -291,12 +306,13 @@ def main():
     Console(width=130).print(table)
     compared = [row for row in rows if row.get("count")]
     missed = [row for row in compared if row["true"] > row["accuracy"]]
-    ratios = [row["cpu"] / row["fixed_cpu"] for row in compared if row["fixed_cpu"] < math.inf]
     print(f"compared: {len(compared)} of {len(rows)}; accuracy not kept: {len(missed)}")
     late = [row for row in compared if row["true_before_said"] > row["accuracy"]]
     print(f"error above the accuracy before the run could say so: {len(late)}")
-    if ratios:
-        print(f"times the cheapest: median {np.median(ratios):.1f}, largest {max(ratios):.1f}")
+    for kind, text in (("fixed_cpu", "cheapest"), ("least_cpu", "least")):
+        ratios = [row["cpu"] / row[kind] for row in compared if row[kind] < math.inf]
+        if ratios:
+            print(f"times the {text}: median {np.median(ratios):.1f}, largest {max(ratios):.1f}")
     for row in rows:
         if row.get("from_independent") is not None and row["accuracy"] == args.accuracies[0]:
             print(f"{row['scene']}: {row['from_independent']:.1e} from the independent integration")
