@@ -95,7 +95,8 @@ class RunningError:
         if controlled and (engine.layout.switches or not by_work):
             self._companion.limit_substeps(CONTROLLED[0] * engine.step)
         if by_work:
-            self.integrators[1].coarsen(BITS)
+            for integrator, bits in zip(self.integrators, (0, BITS)):
+                integrator.follow_accuracy(self.size, bits)
         n = len(engine.layout.body_names)
         self.estimate = ErrorEstimate(n, self.size, ratio, order, least)
         # Pose from which on bodies are seen to move, and distances between two meetings.

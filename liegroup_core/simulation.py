@@ -117,8 +117,6 @@ class Simulation(Engine):
             step, layout = _suitable(step, scene, layout, settings, tolerances)
         super().__init__(scene, METHOD, step, *settings, quiet, layout, **tolerances)
         self._running = RunningError(self, by_work=True)
-        for integrator in self._running.integrators:
-            integrator.follow_accuracy(self._running.size)
         self._choice = MethodChoice(self._running)
         warm_up(self._choice.touch, self._choice.kernels)
         self._control = AccuracyControl(accuracy, float(horizon), self._tighten)

@@ -236,14 +236,14 @@ class MuntheKaas:
         for k, tolerance in enumerate(self._tolerances):
             self._control[4 + k] = part * looser * tolerance
 
-    def follow_accuracy(self, length):
-        """Take all steps, none with tolerances below rounding; those of positions are times a length in m."""
-        self.passes = True
-        self._control[8:10] = length, ROUNDING * max(1.0, self._control[11])
+    def follow_accuracy(self, length, bits):
+        """Take all steps, none with tolerances below rounding; those of positions are times a length in m.
 
-    def coarsen(self, bits):
-        """Round the state to so many bits less after every substep."""
-        self._control[11] = 2.0**bits + 1.0
+        bits : by which the state is rounded more after every substep; no tolerance is below that, either
+        """
+        self.passes = True
+        self._control[11] = 2.0**bits + 1.0 if bits else 0.0
+        self._control[8:10] = length, ROUNDING * max(1.0, self._control[11])
 
     def choose(self, number):
         """Continue with another of the methods, by its number in the order of `add`."""
