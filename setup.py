@@ -34,6 +34,7 @@ setup(
     ],
     # ROS 2 itself is not listed: it comes from the sourced workspace or, see Makefile, as wheels.
     install_requires=[
+        "google-re2",  # regular expressions of requests, in linear time
         "lxml",  # robot files, with the lines of their errors
         "mcap>=1.5",
         "mcap-ros2-support",

@@ -2,6 +2,8 @@
 """Engine: integrates one scene with one method and one step size."""
 
 import copy
+import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -36,24 +38,33 @@ BAUMGARTE_STEPS = 10
 # Largest entry of R R^T - 1 that `set_state` accepts.
 NO_ROTATION = 1e-6
 METHOD, STEP = "rkmk4", 1e-3  # defaults; s
+# Steps that a kernel takes at a time: at first, and s of wall time that they take later.
+FIRST_BLOCK, QUICK, SLOW = 100, 0.01, 0.03
 
 
-def _stabilised(model, kind, time, step):
+def _next_block(steps, seconds):
+    """Steps that the next call of a kernel takes after so many took so long."""
+    if seconds < QUICK:
+        return 2 * steps
+    return max(1, steps // 2) if seconds > SLOW else steps
+
+
+def _stabilised(model, kind, constant, step):
     """Enable a stabilisation in a model. Raises ValueError for an invalid option."""
     if kind not in STABILISATIONS:
         raise ValueError(
             f"unknown stabilisation {kind!r}; choose one of: {', '.join(STABILISATIONS)}"
         )
-    if time is None:
-        time = BAUMGARTE_STEPS * step
+    if constant is None:
+        constant = BAUMGARTE_STEPS * step
     elif kind != "baumgarte":
         raise ValueError(f"baumgarte_time requires stabilisation 'baumgarte', got {kind!r}")
-    if not (is_finite(time) and time >= step):
+    if not (is_finite(constant) and constant >= step):
         raise ValueError(
-            f"baumgarte_time must be a number of seconds and at least one step ({step:g} s), {got(time)}"
+            f"baumgarte_time must be a number of seconds and at least one step ({step:g} s), {got(constant)}"
         )
     return model.replace(
-        projects=kind == "projection", baumgarte_rate=1.0 / time if kind == "baumgarte" else 0.0
+        projects=kind == "projection", baumgarte_rate=1.0 / constant if kind == "baumgarte" else 0.0
     )
 
 
@@ -129,6 +140,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         self._warned = self._warned_singular = quiet
         self._warned_endless = self._warned_crowded = quiet
         self._start = initial_state(self.layout.centred)
+        self._block = FIRST_BLOCK
         warm_up(self._touch, self._integrator.kernels)
 
     def __copy__(self) -> "Engine":
@@ -314,36 +326,44 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         """Set the most attempted substeps in a step of a method with error control."""
         self._integrator.limit_attempts(most)
 
-    def advance(self, steps: int = 1) -> None:
+    def advance(self, steps: int = 1, enough: Callable[[], bool] | None = None) -> None:
         """Take `steps` steps, an integer >= 0.
 
-        Raises ValueError for other numbers. Raises SimulationError if the integration cannot
-        continue: NaN or overflow, a rotation of nearly 2 pi in a step, constraints that cannot be
-        satisfied, an implicit step without solution, an unreachable tolerance. State and `steps`
-        are then those of the last valid step.
+        enough : asked about every 20 ms of wall time, or after a step that takes longer; as soon as it is
+                 true, no more steps are taken
+
+        Python handles signals as often, so that Ctrl-C ends a call. Raises ValueError for other numbers.
+        Raises SimulationError if the integration cannot continue: NaN or overflow, a rotation of nearly
+        2 pi in a step, constraints that cannot be satisfied, an implicit step without solution, an
+        unreachable tolerance. State and `steps` are then those of the last valid step.
         """
         if not is_count(steps):
             raise ValueError(f"steps must be a whole number, 0 or more, {got(steps)}")
-        self._advance(int(steps))
+        self._advance(int(steps), enough)
 
     def advance_to(self, steps):
         """As `advance`, up to a step count that is not before the present one."""
         self._advance(steps - self.steps)
 
-    def _advance(self, steps):
+    def _advance(self, steps, enough=None):
         end = self.steps + steps
         while True:
             start = self._grid.boundary(self.steps)
-            change = min(end, self._timetable.next_change(self.steps))
+            change = min(end, self._timetable.next_change(self.steps), self.steps + self._block)
             inside = self._timetable.inside(self.steps)
             if self._schedule:
                 self._change_wrenches(start, self._schedule.update(start))
                 change = min(change, self._schedule.next_change(self.steps))
                 inside = self._instants_inside()
+            began = time.perf_counter()
             done, status = self._take_steps(start, change - self.steps, inside)
             self.steps += done
             self._checked(status)
             if self.steps >= end:
+                break
+            if done == self._block:
+                self._block = _next_block(done, time.perf_counter() - began)
+            if enough is not None and enough():
                 break
         self._give_warnings()
 

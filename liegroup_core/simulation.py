@@ -341,17 +341,20 @@ class Simulation(Engine):
         if self._running is not None:
             self._running.changed(self._applied[count:])
 
-    def _advance(self, steps):
+    def _advance(self, steps, enough=None):
         running = self._running
         if running is None:
-            super()._advance(steps)
+            super()._advance(steps, enough)
             return
         end = self.steps + steps
         running.follow()
         if self._choice is not None:
             self._choice.start()
         while True:
-            super()._advance(running.next_stop(self.steps, end) - self.steps)
+            stop = running.next_stop(self.steps, end)
+            super()._advance(stop - self.steps, enough)
+            if self.steps < stop:
+                return
             count = running.estimate.checkpoints
             running.follow()
             if running.estimate.checkpoints > count:
@@ -362,7 +365,7 @@ class Simulation(Engine):
                     )
                     self._choice.follow()
                 self._look()
-            if self.steps >= end:
+            if self.steps >= end or (enough is not None and enough()):
                 return
 
     def _look(self):

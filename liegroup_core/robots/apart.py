@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tools that expand or compile a file, each in a process of its own with bounded time and memory.
+"""Tools that expand or compile a file, each in a process of its own without rights, in bounded time and memory.
 
-    python -m liegroup_core.robots.apart xacro FILE [NAME:=VALUE ...]   prints the expanded XML
-    python -m liegroup_core.robots.apart mjcf FILE                      prints the compiled model as JSON
+    python -m liegroup_core.robots.apart FOLDERS xacro FILE [NAME:=VALUE ...]   prints the expanded XML
+    python -m liegroup_core.robots.apart FOLDERS mjcf FILE                      prints the compiled model as JSON
+    python -m liegroup_core.robots.apart FOLDERS meshes FILE                    prints triangles as JSON
 
-A wrong file cannot take this process down, whatever the tool does with it. Where a tool fails, its
-message is on stderr, and the place "file:line" on stdout if it is known.
+FOLDERS, separated by colons, are all that the process may read (confined.py), besides Python itself. A wrong
+or hostile file cannot take the calling process down nor do anything else, whatever the tool does with it.
+Where a tool fails, its message is on stderr, and the place "file:line" on stdout if it is known.
 """
 
 import json
@@ -22,24 +24,36 @@ from xml.dom import expatbuilder, minidom
 from liegroup_core.errors import MissingFileError, SceneError
 from liegroup_core.fields.values import suggestion
 
+from .access import outside, trees
+from .confined import Unconfined, confine
 from .description import refusal
+from .expressions import evaluate
 
 SECONDS = 60
-BYTES = 2 * 2**30  # in memory; the largest models of dm_control take 0.5 GB
+BYTES = 2**30  # in memory; the largest models of dm_control take 0.5 GB
 ADDRESSES = 8 * 2**30  # mapped; MuJoCo maps 3.4 GB for dm_control's rodent and uses 0.1 GB of it
 LOOK = 0.02  # s between looks at the memory of a tool
 LARGEST_OUTPUT = 32 * 2**20  # bytes; large models have 1 MB, read they take ten times as much
 MISSING = 3  # exit code: the package of the tool is not installed
 ADVISED = 4  # exit code: the message says what to do
 ABSENT = 5  # exit code: so it does, about a file that is not there
+FORBIDDEN = 6  # exit code: the message is the name of a file that may not be read
+UNSAFE = 7  # exit code: the process cannot give up its rights
+# Folders of the system's libraries, and what the loader reads to find them.
+LIBRARIES = ("/usr/lib", "/usr/lib64", "/lib", "/lib64", "/usr/local/lib", "/etc/ld.so.cache")
 # Parts of the messages of the tools for a lack of memory.
 NO_MEMORY = ("MemoryError", "bad_alloc", "Could not allocate memory", "unknown exception")
-PACKAGES = {"xacro": "xacro", "mjcf": "mujoco"}
+PACKAGES = {"xacro": "xacro", "mjcf": "mujoco", "meshes": "trimesh"}
 
 
-def run_apart(tool, path, arguments=()):
-    """Text that a tool prints for a file. Raises SceneError with the tool's own message."""
-    command = [sys.executable, "-P", "-m", __name__, tool, str(Path(path).resolve()), *arguments]
+def run_apart(tool, path, arguments=(), folders=None):
+    """Text that a tool prints for a file. Raises SceneError with the tool's own message.
+
+    folders : that it may read; None: those of access.trees
+    """
+    readable = os.pathsep.join(map(str, trees(path) if folders is None else folders))
+    command = [sys.executable, "-P", "-m", __name__, readable, tool]
+    command += [str(Path(path).resolve()), *arguments]
     folders = [str(Path(__file__).resolve().parents[2]), os.environ.get("PYTHONPATH", "")]
     # MuJoCo writes a log into the working folder.
     with tempfile.TemporaryDirectory() as folder:
@@ -72,6 +86,10 @@ def run_apart(tool, path, arguments=()):
             f"is read by the package {package}, which is not installed: pip install {package}",
         )
     text = [line for line in problems.decode(errors="replace").splitlines() if line.strip()]
+    if returncode == FORBIDDEN:
+        raise refusal(path, 0, f"{tool}: {text[-1][-400:]} is not read: {outside(path)}")
+    if returncode == UNSAFE:
+        raise refusal(path, 0, f"{tool} is not run, as it could do harm: {' '.join(text)[-400:]}")
     if returncode < 0 or any(sign in line for sign in NO_MEMORY for line in text):
         raise refusal(
             path,
@@ -134,10 +152,26 @@ def _bound():
         resource.setrlimit(kind, (limit, hard))
 
 
-def _expand(path, *arguments):
+def _confine(folders):
+    """Give up all rights but to read below the folders, and Python's own."""
+    own = [*sys.path, sys.prefix, sys.base_prefix, *LIBRARIES]
+    confine([*folders, *filter(None, own)])
+
+
+def _expand(folders, path, *arguments):
     """Expanded XML of a xacro file; arguments: NAME:=VALUE, as of the command xacro."""
     import xacro
+    from xacro import substitution_args
 
+    def of_eval(text, context):
+        """Value of $(eval ...), whose names are arguments and a few functions."""
+        names = substitution_args._DictWrapper(context["arg"], substitution_args._eval_dict)
+        return str(evaluate(text, names, ()))
+
+    spaces = (xacro.NameSpace, xacro.YamlDictWrapper)
+    xacro.safe_eval = lambda text, symbols, more=None: evaluate(text, more or symbols, spaces)
+    substitution_args._eval = of_eval
+    _confine(folders)
     expatbuilder.ExpatBuilderNS = _PlacedBuilder  # that minidom makes its elements with
     given = _Arguments(text.split(":=", 1) for text in arguments)
     names = set(given)
@@ -187,18 +221,31 @@ def _place(error):
     return place
 
 
-def _compile(path):
+def _compile(folders, path):
     """Compiled MJCF as JSON."""
     from .mjcf_model import arrays_of
 
+    _confine(folders)
     return json.dumps(arrays_of(path))
 
 
-def main(tool, *arguments):
+def _triangulate(folders, path):
+    """Triangles of the shapes of a robot as JSON."""
+    from .meshes import triangles_of
+
+    _confine(folders)
+    return json.dumps(triangles_of(json.loads(Path(path).read_text())))
+
+
+def main(folders, tool, *arguments):
     """Print the result, or one line why there is none; returns the exit code."""
     _bound()
+    tools = {"xacro": _expand, "mjcf": _compile, "meshes": _triangulate}
     try:
-        print({"xacro": _expand, "mjcf": _compile}[tool](*arguments))
+        print(tools[tool](folders.split(os.pathsep), *arguments))
+    except Unconfined as error:
+        print(error, file=sys.stderr)
+        return UNSAFE
     except ModuleNotFoundError as error:
         if error.name == PACKAGES[tool]:
             return MISSING
@@ -213,10 +260,23 @@ def main(tool, *arguments):
         print("it contains itself, or is nested too deep", file=sys.stderr)
         return 1
     except Exception as error:  # whatever the tool finds wrong is the message
+        forbidden = _forbidden(error)
+        if forbidden:
+            print(forbidden, file=sys.stderr)
+            return FORBIDDEN
         print(_place(error))
         print(_reason(error), file=sys.stderr)
         return 1
     return 0
+
+
+def _forbidden(error):
+    """Name of the file that an error is about because it may not be read, else None."""
+    while error is not None:
+        if isinstance(error, PermissionError) and error.filename:
+            return error.filename
+        error = getattr(error, "exc", None) or error.__cause__ or error.__context__
+    return None
 
 
 def _reason(error):

@@ -45,7 +45,12 @@ def _missing(file, folder, spec):
     if not file:
         return ""
     address = os.path.join(folder, os.path.basename(file) if spec.strippath else file)
-    return "" if os.path.exists(os.path.join(spec.modelfiledir, address)) else address
+    try:
+        # A file that this process may not open is as good as none.
+        with open(os.path.join(spec.modelfiledir, address), "rb"):
+            return ""
+    except OSError:
+        return address
 
 
 def _has_mass(geom, spec):

@@ -7,11 +7,10 @@ from pathlib import Path
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.arguments import got
 
+from .access import MODEL_PATHS, holds_home, permit, search_folders
 from .xml import read_xml
 
 LATEST_SDF = (1, 12)  # version that the import knows
-# Variables with folders that contain models, in the order of search.
-MODEL_PATHS = ("GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "GAZEBO_MODEL_PATH", "SDF_PATH")
 
 
 def resolve(name_or_path):
@@ -52,16 +51,27 @@ def find_resource(address, file):
     return path if path.is_file() else None
 
 
+def readable_resource(address, file):
+    """As `find_resource`. Raises SceneError for one that the file must not name, see access.py."""
+    path = find_resource(address, file)
+    if path is None:
+        return None
+    named = address.startswith(("package://", "model://"))
+    return permit(path, path if named else file)
+
+
 def beside(source, name):
     """Path of a file that another one names; relative to its folder."""
     path = resolve(name)
-    return path if path.is_absolute() else Path(source).parent / path
+    return permit(path if path.is_absolute() else Path(source).parent / path)
 
 
 def _above(rest, file):
     """File of a package:// address whose package is a folder above the robot's file."""
     package, _, inner = rest.partition("/")
     for folder in Path(file).resolve().parents:
+        if holds_home(folder):
+            return None
         if folder.name == package and (folder / inner).is_file():
             return folder / inner
         if (folder / package / inner).is_file():
@@ -69,20 +79,11 @@ def _above(rest, file):
     return None
 
 
-def _folders(variables):
-    return [
-        Path(folder)
-        for variable in variables
-        for folder in os.environ.get(variable, "").split(os.pathsep)
-        if folder
-    ]
-
-
 def _package(name, rest):
-    for prefix in _folders(("AMENT_PREFIX_PATH",)):
+    for prefix in search_folders(("AMENT_PREFIX_PATH",)):
         if (prefix / "share" / name).is_dir():
             return prefix / "share" / name / rest
-    for folder in _folders(("ROS_PACKAGE_PATH",)):
+    for folder in search_folders(("ROS_PACKAGE_PATH",)):
         for path in (folder, folder / name):
             if path.name == name and path.is_dir():
                 return path / rest
@@ -90,7 +91,7 @@ def _package(name, rest):
 
 
 def _model(name, rest):
-    for folder in _folders(MODEL_PATHS):
+    for folder in search_folders(MODEL_PATHS):
         if (folder / name).is_dir():
             return folder / name / rest if rest else model_file(folder / name)
     return None

@@ -13,6 +13,7 @@ from liegroup_core.errors import SceneError
 from liegroup_core.fields.frames import rotation_z_to
 from liegroup_core.lie.groups import SE3
 
+from .access import permit
 from .description import WORLD, Coupling, Robot, RobotJoint
 from .resources import LATEST_SDF, find_resource, model_file, resolve
 from .sdf_frames import Model, text_of
@@ -106,6 +107,13 @@ def _version(root):
         return 1, 7
 
 
+def _permit(reader, include, path):
+    try:
+        permit(path, reader.file)
+    except SceneError as error:
+        raise reader.error(include, str(error)) from None
+
+
 def _include(loader, element, depth):
     """Replace <include> elements by the models that they name."""
     reader = loader.reader
@@ -133,6 +141,8 @@ def _include(loader, element, depth):
                 raise reader.error(include, str(error)) from None
         if not path.is_file():
             raise reader.error(include, f"the included model {uri!r:.80} is not found")
+        if not uri.startswith("model://"):  # found in a search path
+            _permit(reader, include, path)
         model = read_xml(path).find("model")
         if model is None:
             raise reader.error(include, f"{path} has no <model>")

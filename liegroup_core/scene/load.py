@@ -12,6 +12,7 @@ from pathlib import Path
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import shown, suggestion
+from liegroup_core.robots.access import anywhere, permit
 from liegroup_core.robots.read import is_robot_file
 from liegroup_core.robots.resources import resolve
 
@@ -27,18 +28,22 @@ SHARE = Path("share", "liegroup_sim_ros", "config", "scenes")
 LARGEST_FILE = 64 * 2**20  # bytes
 
 
-def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
+def load_scene(name_or_path: str | os.PathLike[str], *, allow_files: bool = False) -> Scene:
     """Read a scene from a file, given by its path or, for an example scene, by its name.
 
     The file is a scene file, or a robot's file: URDF, xacro, SDF or MJCF. Paths may begin with
     package:// or model://.
+
+    allow_files : files of robots may name files outside of their trees, see liegroup_core.robots.access
     """
-    return scene_of(name_or_path)
+    with anywhere(allow_files):
+        return scene_of(name_or_path)
 
 
 def scene_of(name_or_path, options=None):
     """As `load_scene`, with additions to a robot's file: robots.options.Options, or None."""
     path = find_scene(name_or_path)
+    permit(path)
     try:
         if not os.path.isfile(path):
             raise SceneError(f"{path}: is not a file: give the path of a scene file (.yaml)")
@@ -64,7 +69,7 @@ def scene_of(name_or_path, options=None):
         raise SceneError(
             f"{path}:{line}: is not UTF-8 text: give a scene file (.yaml), saved as UTF-8"
         ) from None
-    return scene_from_text(text, source=str(path))
+    return _read(text, str(path), True, may_name_files=True)
 
 
 def scene_from_robot(path, options=None):
@@ -74,6 +79,8 @@ def scene_from_robot(path, options=None):
 
 def scene_from_text(text: str, source: str = "scene") -> Scene:
     """Scene of a YAML text, such as that of a recording; assembled if it says so.
+
+    A text names no files: only a file may, as it lies on this machine.
 
     source : path or name that errors start with; becomes scene.source
     """
@@ -85,7 +92,7 @@ def scene_as_written(text, source="scene"):
     return _read(text, source, False)
 
 
-def _read(text, source, complete):
+def _read(text, source, complete, may_name_files=False):
     root = read_yaml(text, source)
     if not isinstance(root.value, dict):
         raise SceneError(
@@ -93,6 +100,11 @@ def _read(text, source, complete):
             f"{', '.join(Scene.model_fields)}, got {shown(root.value)}"
         )
     if "robot" in root.value:
+        if not may_name_files:
+            raise SceneError(
+                f"{source}:{root.parts['robot'].line}: a text cannot name a robot's file: give the scene "
+                "of the robot itself, as liegroup_sim import writes it"
+            )
         return _made(*robot_beside(root, source), source, complete)
     return _made(text, root.value, Lines(source, root), None, source, complete)
 

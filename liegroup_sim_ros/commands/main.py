@@ -17,6 +17,7 @@ import sys
 from importlib import import_module
 
 from liegroup_core.errors import LieGroupSimError
+from liegroup_core.robots.access import anywhere
 from liegroup_sim_ros.version import __version__
 
 from .arguments import Parser
@@ -39,6 +40,8 @@ COMMANDS = {
     "push": "apply a wrench to a body of a running simulation",
     "figures": "draw Figs. 6.2 and 6.4 to 6.9 of the chapter",
 }
+# Those that read scenes and robots.
+READERS = ("import", "describe", "trade", "extremes", "sweep", "run", "analyze")
 EXIT_WRONG_INPUT, EXIT_INTERRUPTED, EXIT_UNREAD = 2, 130, 141
 
 
@@ -58,6 +61,12 @@ def make_parser(chosen=None):
         if name == chosen:
             module = import_module(f"liegroup_sim_ros.commands.{name}")
             module.add_arguments(subparser)
+            if name in READERS:
+                subparser.add_argument(
+                    "--allow-files",
+                    action="store_true",
+                    help="robots may name files outside of the trees of their own files",
+                )
             subparser.set_defaults(run=module.run)
     return parser
 
@@ -67,7 +76,8 @@ def main(args=None):
     args = sys.argv[1:] if args is None else args
     try:
         arguments = make_parser(args[0] if args else None).parse_args(args)
-        code = arguments.run(arguments)
+        with anywhere(getattr(arguments, "allow_files", False)):
+            code = arguments.run(arguments)
         sys.stdout.flush()
         return code
     except LieGroupSimError as error:

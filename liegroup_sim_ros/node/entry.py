@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """ROS 2 node: simulates a scene in real time, publishes poses and twists, takes wrenches, records.
 
-Exit code 0 after SIGINT or SIGTERM, 2 with one line on stderr for wrong parameters or a wrong
+Exit code 0 after one of SIGNALS, 2 with one line on stderr for wrong parameters or a wrong
 scene, 1 if a defect ended the simulation thread. The node itself is in node.py. Its import takes a
 second and happens after the signal handlers are installed.
 """
@@ -22,8 +22,11 @@ USAGE = (
 )
 
 
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+
+
 class Signals:
-    """Handlers of SIGINT and SIGTERM that only set `received`.
+    """Handlers of SIGNALS that only set `received`.
 
     rclpy's own handlers would shut down its context at once, before the last messages are published.
     `ros2 launch` sends a second SIGINT, which must not interrupt the clean-up.
@@ -31,7 +34,7 @@ class Signals:
 
     def __init__(self):
         self.received = False
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in SIGNALS:
             signal.signal(number, self._handle)
 
     def _handle(self, *_):
@@ -60,7 +63,7 @@ def main(args=None):
         return run(args, signals)
     finally:
         # Python's own handlers would interrupt its shutdown.
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in SIGNALS:
             signal.signal(number, signal.SIG_IGN)
 
 

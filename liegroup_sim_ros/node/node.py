@@ -5,7 +5,6 @@ Topics, services and parameters: docs/reference/node.md. The simulation runs in 
 (simulation_thread.py). The main thread runs the callbacks and shuts everything down in order.
 """
 
-import concurrent.futures
 import contextlib
 import logging
 import os
@@ -15,7 +14,6 @@ import traceback
 import rclpy
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
@@ -25,9 +23,17 @@ from liegroup_core import SceneError
 from liegroup_sim_ros.recording.write import RecorderError
 
 from . import own_services, standard_services
+from .answers import AnsweringNode
 from .parameters import ParameterError, read_parameters, watch_parameters
-from .scene_run import ATTENTION, Interrupted, SceneRun, make_simulation
-from .simulation_commands import CommandError
+from .scene_run import (
+    ATTENTION,
+    Interrupted,
+    SceneRun,
+    begin_simulation,
+    make_simulation,
+    served_folders,
+)
+from .standard_codes import FAILED, Refused
 
 try:
     # A callback takes a fifth of its time in rclpy's default executor (docs/reference/node.md).
@@ -69,10 +75,11 @@ class LogHandler(logging.Handler):
             self._logger.info(text)
 
 
-class SimNode(Node):
+class SimNode(AnsweringNode):
     """Simulation node: parameters, services, and the running scene. Raises WRONG_INPUT."""
 
     def __init__(self, signals):
+        self.signals = signals
         # This node publishes the simulated time: with use_sim_time it would subscribe to itself.
         try:
             super().__init__(
@@ -89,90 +96,85 @@ class SimNode(Node):
             raise ParameterError(
                 f"parameter {empty[0]}: has no value" if empty else str(error)
             ) from None
-        self._signals = signals
         for name in ("liegroup_core", "liegroup_sim_ros"):
             logging.getLogger(name).addHandler(LogHandler(self.get_logger()))
         self._values = values = read_parameters(self)
+        self._loading = False
         simulation, start_ns = make_simulation(values, signals)
+        self.folders = served_folders(values, simulation.scene)
         with _refused_by_rcl():
             self.scene_run = SceneRun(
                 self, values, simulation, paused=values.start_paused, start_ns=start_ns
             )
-        for name in ("pause", "resume", "reset"):
-            self.create_service(Trigger, f"~/{name}", self._command(name))
-        for name, command, parameter in (
-            ("step", "step", "step_count"),
-            ("save_snapshot", "save", "snapshot"),
-            ("restore_snapshot", "restore", "snapshot"),
+        for name, parameter in (
+            ("pause", ""),
+            ("resume", ""),
+            ("reset", ""),
+            ("save_snapshot", "snapshot"),
+            ("restore_snapshot", "snapshot"),
         ):
-            self.create_service(Trigger, f"~/{name}", self._command(command, parameter))
+            self.create_service(Trigger, f"~/{name}", self._command(name, parameter))
+        self.create_service(
+            Trigger, "~/step", lambda *_: standard_services.take_steps(self.ask, values.step_count)
+        )
         self.create_service(Trigger, "~/reload", self._serve_reload)
         own_services.offer(self)
-        standard_services.offer(self, signals, values.world_frame)
+        standard_services.offer(self, values.world_frame)
         watch_parameters(self, self._set_parameter)
         self.scene_run.start()
 
-    def _command(self, name, *parameters):
-        """Callback of a service that executes a command with the values of parameters."""
+    def _command(self, name, parameter):
+        """Callback of a service that executes a command, with the value of a parameter if it has one."""
+        command = name.removesuffix("_snapshot")
 
-        def serve(_, response):
-            arguments = [getattr(self._values, parameter) for parameter in parameters]
-            response.success, response.message = self.ask(name, *arguments)
-            return response
+        def serve(*_):
+            return self.ask(command, *([getattr(self._values, parameter)] if parameter else []))
 
         return serve
 
-    def ask(self, name, *arguments):
-        """Execute a command in the simulation thread: (True, result) or (False, text)."""
-        server = self.scene_run.server
-        future = server.call(name, *arguments)
-        while not concurrent.futures.wait([future], ATTENTION).done:
-            if self._signals.received or not server.is_alive():
-                return False, "the node is shutting down"
-        try:
-            return True, future.result()
-        except CommandError as error:
-            return False, str(error)
-        except concurrent.futures.CancelledError:
-            return False, "the node is shutting down"
+    async def _serve_reload(self, *_):
+        return (await self.load(lambda: None))[1]
 
-    def _serve_reload(self, _, response):
-        response.success, response.message = self.load()
-        return response
+    async def load(self, make_scene, paused=None):
+        """Replace the running scene; returns (Scene, state of its run). Raises Refused: the previous one goes on.
 
-    def load(self, scene=None, paused=None):
-        """Replace the running scene: (True, its state) or (False, why the previous one continues).
-
-        scene  : Scene; None: that of the parameter
-        paused : whether it starts paused; None: as the previous one is
+        make_scene : function that returns the Scene, None: that of the parameter; in a thread of its own
+        paused     : whether it starts paused; None: as the previous one is
         """
-        before = self.scene_run
+        if self._loading:
+            raise Refused(FAILED, "another scene is being loaded: try again when it is")
+        self._loading = True
         try:
-            simulation, _ = make_simulation(self._values, self._signals, scene)
-            held, was_running = self.ask("hold")
-            if not held:
-                raise Interrupted
-            try:
-                after = SceneRun(
-                    self,
-                    self._values,
-                    simulation,
-                    before,
-                    paused=not was_running if paused is None else paused,
-                )
-            except WRONG_INPUT:
-                if was_running:
-                    self.ask("resume")
-                raise
-        except Interrupted:
-            return False, "the node is shutting down"
+            return await self._replace(make_scene, paused)
         except WRONG_INPUT as error:
-            return False, f"the previous scene continues: {' '.join(str(error).split())}"
+            text = " ".join(str(error).split())
+            raise Refused(FAILED, f"the previous scene continues: {text}") from None
+        finally:
+            self._loading = False
+
+    async def _replace(self, make_scene, paused):
+        simulation = await self.wait(begin_simulation(self._values, self.folders, make_scene))
+        before, was_running = self.scene_run, await self.ask("hold")
+        try:
+            after = SceneRun(
+                self,
+                self._values,
+                simulation,
+                before,
+                paused=not was_running if paused is None else paused,
+            )
+        except WRONG_INPUT:
+            if was_running:
+                await self.ask("resume")
+            raise
         before.close()
         self.scene_run = after
         after.start()
         server = after.server
-        return True, f"{simulation.scene.name} at {server.stamp_ns * 1e-9:.9g} s, {server.state}"
+        return (
+            simulation.scene,
+            f"{simulation.scene.name} at {server.stamp_ns * 1e-9:.9g} s, {server.state}",
+        )
 
     def set_scene(self, path):
         """Set the parameter `scene`: ~/reload loads this path from now on."""
@@ -180,10 +182,11 @@ class SimNode(Node):
 
     def _set_parameter(self, name, value):
         setattr(self._values, name, value)
+        call = self.scene_run.server.call
         if name == "real_time_factor":
-            self.ask("speed", value)
+            call("speed", value)
         elif name == "command_jump":
-            self.ask("watch", value > 0.0)
+            call("watch", value > 0.0)
         elif name == "arrow_scale":
             self.scene_run.outputs.set_arrow_scale(value)
 

@@ -5,49 +5,44 @@ A request is a list of named values, the answer whether all were accepted, with 
 rcl_interfaces/srv/SetParametersAtomically. The names are not parameters of the node.
 """
 
-import math
-
 import numpy as np
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import parameter_value_to_python
 
+from liegroup_core.fields.values import LARGEST_NUMBER
 from liegroup_core.joints.coupling import COUPLED
 from liegroup_core.lie.groups import SO3
 from liegroup_sim_ros.messages.commands import joint_labels
 from liegroup_sim_ros.messages.links import merged_links
 
 from .counted_input import MOST
+from .standard_codes import FAILED, Refused
 from .wrench_input import Push
 
+BOUND = f"; the largest magnitude is {LARGEST_NUMBER:g}"
+LONGEST = 1e9  # s, duration of a wrench
 NOT_UNIT = 1e-3  # largest difference of a quaternion's norm from 1
 OF_JOINTS = ("position", "velocity")
 SOURCE = "service"
 LONGEST_SHOWN = 60  # characters of a wrong value in an error text
 
 
-class Wrong(Exception):
-    """A value that is refused; one line of text."""
+def Wrong(text):
+    """Refused with one line of text."""
+    return Refused(FAILED, text)
 
 
 def offer(node):
     """Create the services of a SimNode."""
     for name, serve in (("set_state", set_state), ("apply_wrench", apply_wrench)):
-        node.create_service(SetParametersAtomically, f"~/{name}", _answering(node, serve))
+        node.create_service(
+            SetParametersAtomically,
+            f"~/{name}",
+            lambda request, _, serve=serve: serve(node, _values(request)),
+        )
 
 
-def _answering(node, serve):
-    def callback(request, response):
-        result = response.result
-        try:
-            result.successful, result.reason = serve(node, _values(request))
-        except Wrong as error:
-            result.successful, result.reason = False, str(error)
-        return response
-
-    return callback
-
-
-def set_state(node, values):
+async def set_state(node, values):
     """Set BODY/pose (x y z qx qy qz qw, world axes), BODY/twist (angular, linear, body axes),
     JOINT/position and JOINT/velocity (rad and rad/s, or m and m/s).
     """
@@ -55,13 +50,13 @@ def set_state(node, values):
     for name, value in values.items():
         owner, _, kind = name.rpartition("/")
         if kind in OF_JOINTS:
-            if type(value) not in (int, float) or not math.isfinite(value):
-                raise Wrong(f"{name} must be a finite number, got {_shown(value)}")
+            if type(value) not in (int, float) or not bounded(value):
+                raise Wrong(f"{name:.60} must be a finite number, got {_shown(value)}{BOUND}")
             joints.setdefault(_joint(node, owner), [None, None])[OF_JOINTS.index(kind)] = value
             continue
         if kind not in ("pose", "twist"):
             raise Wrong(
-                f"unknown name {name!r}: give BODY/pose, BODY/twist, JOINT/position or JOINT/velocity"
+                f"unknown name {name!r:.60}: give BODY/pose, BODY/twist, JOINT/position or JOINT/velocity"
             )
         body = _body(node, owner)
         if kind == "pose":
@@ -74,14 +69,14 @@ def set_state(node, values):
             poses[body][:3, :3] = SO3.from_quaternion(numbers[3:] / norm)
         else:
             twists[body] = _vector(name, value, 6)
-    return node.ask("place", poses, twists, joints, " and ".join(values))
+    return await node.ask("place", poses, twists, joints, " and ".join(values))
 
 
 def apply_wrench(node, values):
     """Apply force and torque at a point of a body for a duration, from the next step on."""
     known = {"body", "force", "torque", "point", "axes", "duration", "name"}
     for name in values.keys() - known:
-        raise Wrong(f"unknown name {name!r}: choose from {', '.join(sorted(known))}")
+        raise Wrong(f"unknown name {name!r:.60}: choose from {', '.join(sorted(known))}")
     axes = values.get("axes", "body")
     body, place = _body_or_link(node, values.get("body", ""))
     if axes not in ("body", "world"):
@@ -92,11 +87,12 @@ def apply_wrench(node, values):
     point = place[:3, :3] @ point + place[:3, 3]
     if axes == "body":
         force, torque = place[:3, :3] @ force, place[:3, :3] @ torque
-    with np.errstate(over="ignore"):
-        _vector("point times force", np.outer(point, force).ravel(), 9)
+    _vector("point times force", np.outer(point, force).ravel(), 9)
     duration, name = values.get("duration"), values.get("name", "")
-    if type(duration) not in (int, float) or not (math.isfinite(duration) and duration >= 1e-9):
-        raise Wrong(f"duration must be a number of seconds, at least 1e-9, got {_shown(duration)}")
+    if type(duration) not in (int, float) or not 1e-9 <= duration <= LONGEST:
+        raise Wrong(
+            f"duration must be a number of seconds from 1e-9 to {LONGEST:g}, got {_shown(duration)}"
+        )
     if not isinstance(name, str):
         raise Wrong(f"name must be a text, got {_shown(name)}")
     server = node.scene_run.server
@@ -105,10 +101,7 @@ def apply_wrench(node, values):
     wrench = (*torque.tolist(), *force.tolist())
     push = Push(f"{SOURCE}/{body}/{name}", body, wrench, axes, 0, tuple(point.tolist()))
     server.push([push], float(duration))
-    return (
-        True,
-        f"wrench on {body} for {duration:g} s, from the next step after {server.stamp_ns * 1e-9:.9g} s",
-    )
+    return f"wrench on {body} for {duration:g} s, from the next step after {server.stamp_ns * 1e-9:.9g} s"
 
 
 def _values(request):
@@ -157,9 +150,14 @@ def _vector(name, value, size):
         numbers = np.array(value, dtype=float)
     except (TypeError, ValueError):
         numbers = np.zeros(0)
-    if isinstance(value, str) or numbers.shape != (size,) or not np.isfinite(numbers).all():
-        raise Wrong(f"{name} must be {size} finite numbers, got {_shown(value)}")
+    if isinstance(value, str) or numbers.shape != (size,) or not bounded(numbers):
+        raise Wrong(f"{name:.60} must be {size} finite numbers, got {_shown(value)}{BOUND}")
     return numbers
+
+
+def bounded(numbers):
+    """True for finite numbers as they may be in a scene."""
+    return bool((np.abs(numbers) <= LARGEST_NUMBER).all())
 
 
 def _shown(value):

@@ -77,6 +77,12 @@ TABLE = (
         read_only=False,
     ),
     Entry(
+        "world_folders",
+        "",
+        "folders, separated by colons, below which requests may have scenes and robots read, besides that "
+        "of scene, the example scenes and the search paths of ROS and Gazebo; /: any file",
+    ),
+    Entry(
         "accuracy",
         DEFAULT,
         "largest error in the first accuracy_horizon seconds: positions as parts of the mechanism's "

@@ -3,10 +3,12 @@
 
 import gc
 import logging
-import threading
-from concurrent.futures import Future, wait
+import os
+from concurrent.futures import wait
 
 from liegroup_core import SceneError, Simulation, load_scene
+from liegroup_core.robots.access import served_from, tree_of
+from liegroup_core.scene.load import example_scenes
 from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.playback.branch import Branches
 from liegroup_sim_ros.playback.rerun import ReplayError
@@ -16,6 +18,7 @@ from liegroup_sim_ros.recording.read import read_recording
 from liegroup_sim_ros.recording.write import Recorder
 
 from . import standard_services
+from .answers import begin
 from .joint_command_topics import JointCommandTopics
 from .outputs import Outputs
 from .parameters import AUTO, ParameterError, fitting_steps, set_step
@@ -216,35 +219,54 @@ class SceneRun:
         self.outputs.close(stamp_ns)
 
 
-def make_simulation(values, signals, scene=None):
+def make_simulation(values, signals):
     """Create the simulation that the parameters describe; returns it, and the stamp of its state.
 
     signals : Signals
-    scene   : Scene in place of that of the parameter, or None
     raises SceneError, ParameterError; Interrupted as soon as `signals.received` is true
 
     Compiling may take half a minute. It runs in its own thread, because an exception from a signal
     handler can get lost in the compiler's callbacks.
     """
-    if scene is None and not (values.scene or values.continue_from):
+    if not (values.scene or values.continue_from):
         raise ParameterError(
             "parameter scene: is empty; give a scene, such as --ros-args -p "
             "scene:=heavy_top. In a parameter file it stands under /** or the node's name, "
             "and ros__parameters"
         )
-    future = Future()
-
-    def work():
-        try:
-            future.set_result(_make(values, scene))
-        except Exception as error:
-            future.set_exception(error)
-
-    threading.Thread(target=work, daemon=True).start()
+    future = begin(_make, values, None)
     while not wait([future], ATTENTION).done:
         if signals.received:
             raise Interrupted
     return future.result()
+
+
+def begin_simulation(values, folders, make_scene):
+    """Future of the simulation of a Scene that `make_scene` returns; None: that of the parameter.
+
+    folders : below which files are read
+    """
+
+    def work():
+        with served_from(folders):
+            return _make(values, make_scene())[0]
+
+    return begin(work)
+
+
+def served_folders(values, scene):
+    """Folders below which requests may have files read.
+
+    Those of the parameter world_folders, the tree of the scene that the node was started with, and the
+    example scenes.
+    """
+    folders = [folder for folder in values.world_folders.split(os.pathsep) if folder]
+    robot = scene.robot.file.removesuffix(" (expanded)") if scene.robot else ""
+    for file in (scene.source, robot):
+        if os.path.isfile(file):
+            folders += [tree_of(file), tree_of(os.path.realpath(file))]
+    examples = {path.parent for path in example_scenes().values()}
+    return list(dict.fromkeys([*map(str, folders), *map(str, sorted(examples))]))
 
 
 def _make(values, scene):
@@ -274,7 +296,7 @@ def _continued(values):
 
 
 def _from_scene(values, scene):
-    scene = scene or load_scene(values.scene)
+    scene = scene or load_scene(values.scene, allow_files=os.sep == values.world_folders)
     for note in scene.differences:
         log.warning("%s: %s", scene.name, note)
     common = {

@@ -4,6 +4,8 @@
 They are executed between two steps, in the simulation thread. Imports no ROS.
 """
 
+import math
+import time
 from typing import NamedTuple
 
 from liegroup_core import Sample, SceneError
@@ -137,20 +139,20 @@ class SimulationCommands:
         return f"{result} at {self._seconds():.9g} s, {self.state}"
 
     def _step(self, count):
-        first = self._simulation.steps
-        reached = self._advance_paused(count)
-        done = self._simulation.steps - first
+        done, reached = self._advance_paused(count)
         text = self._stepped(done)
         if not reached:
             raise CommandError(f"stopped after {done} of {counted(count, 'step')}")
         return text
 
-    def _advance_paused(self, count):
-        """Take steps while paused; True if all were taken."""
+    def _advance_paused(self, count, seconds=math.inf):
+        """Take steps while paused, for so long in wall time; (steps taken, whether no error ended them)."""
         self._refuse_if_faulted()
         if self.state != "paused":
             raise CommandError("the simulation is running: call ~/pause first")
-        return self._advance(self._simulation.steps + count)
+        first, end = self._simulation.steps, time.monotonic() + seconds
+        reached = self._advance(first + count, lambda: time.monotonic() >= end)
+        return self._simulation.steps - first, reached
 
     def _stepped(self, done):
         """Send all outputs and the event after steps that were taken while paused."""

@@ -117,9 +117,9 @@ class SimulationServer(SimulationCommands, threading.Thread):
         Engine.place), "save" and "restore" (name of a snapshot), "sample", "hold". The result is one
         line of text, with two exceptions: "sample" returns a Moment, and "hold" returns whether the
         simulation was running. "hold" is a pause
-        that also works after a fault. A "step" in several parts is "advance" (count) for each of
-        them, then "stepped" (steps of all). The exception of the Future is CommandError. The Future
-        is cancelled if the thread ends first.
+        that also works after a fault. A "step" in several parts is "advance" (count, s of wall time) for
+        each of them, then "stepped" (steps of all). The exception of the Future is CommandError. The
+        Future is cancelled if the thread ends first.
         """
         future = Future()
         method = getattr(self, COMMANDS[command])
@@ -246,22 +246,29 @@ class SimulationServer(SimulationCommands, threading.Thread):
         steps = self._simulation.steps
         return min([(steps // period + 1) * period for period in self._periods])
 
-    def _advance(self, end):
-        """Advance to step `end` and send all outputs before it; True if `end` was reached."""
-        while self._simulation.steps < end and not self._stopping:
-            if not self._advance_to(min(end, self._next_tick())):
-                return False
-        return self._simulation.steps == end
+    def _advance(self, end, enough):
+        """Advance towards step `end` and send all outputs before it, until `enough()`.
 
-    def _advance_to(self, tick):
-        """Advance to the next step with outputs and send them; False after a fault."""
+        returns False if an error or the end of the thread stopped it
+        """
+        while self._simulation.steps < end:
+            if not self._advance_to(min(end, self._next_tick()), enough):
+                return False
+            if enough():
+                break
+        return not self._stopping
+
+    def _advance_to(self, tick, enough=lambda: False):
+        """Advance to the next step with outputs and send them, unless `enough()` before; False after a fault."""
         self._inbox.deliver(self._base_ns, tick * self._simulation.step)
         began, first = time.thread_time(), self._simulation.steps
         try:
-            self._simulation.advance(tick - first)
+            self._simulation.advance(tick - first, lambda: self._stopping or enough())
         except SimulationError as error:
             self._fault(str(error))
             return False
+        if self._simulation.steps < tick:
+            return not self._stopping
         integrated = time.thread_time()
         self._send_outputs()
         sent = time.thread_time()

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Numbers of simulation_interfaces; the names of the constants differ between its versions."""
 
-import functools
-
 # Result, for all services
 NOT_SUPPORTED, OK, NOT_FOUND, INCORRECT_STATE, FAILED = range(5)
 # Results of single services
@@ -24,22 +22,3 @@ WORLD_LOADING, WORLD_RESOURCE_STRING, WORLD_INFO_GETTING, AVAILABLE_WORLDS = 40,
 
 class Refused(Exception):
     """A request that is refused: number of the result, and one line of text."""
-
-
-def answered(response, code, text=""):
-    """The response of a service, or the result of an action, with its result."""
-    response.result.result, response.result.error_message = code, text
-    return response
-
-
-def answering(callback):
-    """Method (request, response) -> text as the callback of a service; Refused becomes its result."""
-
-    @functools.wraps(callback)
-    def serve(self, request, response):
-        try:
-            return answered(response, OK, callback(self, request, response) or "")
-        except Refused as refusal:
-            return answered(response, *refusal.args)
-
-    return serve

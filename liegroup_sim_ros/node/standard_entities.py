@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Entities of simulation_interfaces: the bodies of the scene, with their states in world axes."""
 
-import re
-
 import numpy as np
 
 from liegroup_core import SimulationError
+from liegroup_core.fields.values import LARGEST_NUMBER
 from liegroup_core.lie.groups import SO3
 
-from .standard_codes import FAILED, INVALID_POSE, NOT_FOUND, NOT_SUPPORTED, Refused, answering
+from .simulation_commands import CommandError
+from .standard_codes import FAILED, INVALID_POSE, NOT_FOUND, NOT_SUPPORTED, Refused
 
 # Largest difference of a quaternion's norm from 1: single precision, or digits written by hand.
 NOT_UNIT = 1e-3
@@ -17,7 +17,7 @@ NOT_UNIT = 1e-3
 class Entities:
     """Callbacks of the services about entities.
 
-    ask          : function (command, *arguments) -> (True, result) or (False, text): SimNode.ask
+    ask          : coroutine function (command, *arguments) -> result: AnsweringNode.ask
     world_frame  : frame id of poses, twists and accelerations
     entity_state : class of the message EntityState
     """
@@ -25,30 +25,26 @@ class Entities:
     def __init__(self, ask, world_frame, entity_state):
         self._ask, self._world_frame, self._entity_state = ask, world_frame, entity_state
 
-    @answering
-    def get_entities(self, request, response):
+    async def get_entities(self, request, response):
         """Names of the bodies whose whole names match the filter."""
-        response.entities = _selected(self._moment(), request.filters)
+        response.entities = _selected(await self._moment(), request.filters)
 
-    @answering
-    def get_entities_states(self, request, response):
+    async def get_entities_states(self, request, response):
         """States of the bodies that match the filter."""
-        moment = self._moment()
+        moment = await self._moment()
         names = _selected(moment, request.filters)
         response.states = self._states(moment, names)
         response.entities = names
 
-    @answering
-    def get_entity_state(self, request, response):
+    async def get_entity_state(self, request, response):
         """State of one body."""
-        moment = self._moment()
+        moment = await self._moment()
         _check_name(moment, request.entity)
         (response.state,) = self._states(moment, [request.entity])
 
-    @answering
-    def set_entity_state(self, request, response):
+    async def set_entity_state(self, request, response):
         """Set pose, twist or both of one body; the other bodies follow through their joints."""
-        moment, body, state = self._moment(), request.entity, request.state
+        moment, body, state = await self._moment(), request.entity, request.state
         _check_name(moment, body)
         # Versions before 2.1 have no flags: pose and twist are set.
         sets = {name: getattr(request, f"set_{name}", True) for name in ("pose", "twist")}
@@ -68,18 +64,15 @@ class Entities:
         pose = _pose(state.pose) if sets["pose"] else moment.sample.poses[body]
         twists = {body: _twist(state.twist, pose[:3, :3])} if sets["twist"] else {}
         poses = {body: pose} if sets["pose"] else {}
-        done, text = self._ask("place", poses, twists, {}, f"{_listed(sets)} of {body}")
-        if not done:
+        try:
+            return await self._ask("place", poses, twists, {}, f"{_listed(sets)} of {body}")
+        except CommandError as error:
             # A twist that the joints do not allow is reported as one, and has no code of its own.
-            at_pose = sets["pose"] and "velocities" not in text
-            raise Refused(INVALID_POSE if at_pose else FAILED, text)
-        return text
+            at_pose = sets["pose"] and "velocities" not in str(error)
+            raise Refused(INVALID_POSE if at_pose else FAILED, str(error)) from None
 
-    def _moment(self):
-        done, result = self._ask("sample")
-        if not done:
-            raise Refused(FAILED, result)
-        return result
+    async def _moment(self):
+        return await self._ask("sample")
 
     def _states(self, moment, names):
         """EntityStates of bodies."""
@@ -117,17 +110,31 @@ def _selected(moment, filters):
     """Names of the bodies whose whole names match a filter, in the order of the scene."""
     if len(filters.categories) or len(filters.tags.tags) or filters.bounds.type:
         raise Refused(NOT_SUPPORTED, "bodies have names only: filter by name")
+    names = moment.sample.body_names
+    matches = _matcher(filters.filter) if filters.filter else bool
+    return [body for body in names if matches(body)]
+
+
+def _matcher(expression):
+    """Function that says whether a whole text matches a regular expression, in linear time."""
     try:
-        matches = re.compile(filters.filter or ".*").fullmatch
-    except re.error as error:
-        raise Refused(FAILED, f"filter {filters.filter!r}: {error}") from None
-    return [body for body in moment.sample.body_names if matches(body)]
+        import re2
+    except ImportError:
+        raise Refused(
+            NOT_SUPPORTED, "filters need the package google-re2: pip install google-re2"
+        ) from None
+    options = re2.Options()
+    options.log_errors = False
+    try:
+        return re2.compile(expression, options).fullmatch
+    except re2.error as error:
+        raise Refused(FAILED, f"filter {expression!r:.60}: {error!s:.100}") from None
 
 
 def _check_name(moment, body):
     names = moment.sample.body_names
     if body not in names:
-        raise Refused(NOT_FOUND, f"unknown entity {body!r}; choose one of: {', '.join(names)}")
+        raise Refused(NOT_FOUND, f"unknown entity {body!r:.60}; choose one of: {', '.join(names)}")
 
 
 def _listed(sets):
@@ -142,8 +149,8 @@ def _pose(message):
     """(4, 4) of a geometry_msgs/Pose."""
     position, quaternion = _numbers(message.position, "xyz"), _numbers(message.orientation, "xyzw")
     norm = np.linalg.norm(quaternion)
-    if not np.isfinite(position).all():
-        raise Refused(INVALID_POSE, f"the position is not finite: {position.tolist()}")
+    if not (np.abs(position) <= LARGEST_NUMBER).all():
+        raise Refused(INVALID_POSE, f"the position is not finite or too large: {position.tolist()}")
     if not abs(norm - 1.0) <= NOT_UNIT:
         raise Refused(
             INVALID_POSE, f"the quaternion {quaternion.tolist()} has norm {norm:g}, not 1"
@@ -156,6 +163,6 @@ def _pose(message):
 def _twist(message, rotation):
     """(6,) in body axes of a geometry_msgs/Twist in world axes."""
     twist = np.concatenate([_numbers(message.angular, "xyz"), _numbers(message.linear, "xyz")])
-    if not np.isfinite(twist).all():
-        raise Refused(FAILED, f"the twist is not finite: {twist.tolist()}")
+    if not (np.abs(twist) <= LARGEST_NUMBER).all():
+        raise Refused(FAILED, f"the twist is not finite or too large: {twist.tolist()}")
     return (twist.reshape(2, 3) @ rotation).ravel()

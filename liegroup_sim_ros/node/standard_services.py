@@ -11,7 +11,9 @@ from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.version import __version__
 
 from . import standard_codes as codes
-from .standard_codes import answered
+from .answers import Turn, filled
+from .simulation_commands import CommandError
+from .standard_codes import Refused
 from .standard_entities import Entities
 from .standard_worlds import Worlds
 
@@ -38,6 +40,7 @@ SERVICES = {
 }
 ACTION = "simulate_steps"
 MOST_STEPS = 1_000_000  # a call, as step_count
+PART = 0.01  # s of wall time that steps may take between two other commands
 FEEDBACK = 1000  # messages that wait for a slow subscriber; there is one for each step
 
 
@@ -46,7 +49,7 @@ def is_installed():
     return importlib.util.find_spec("simulation_interfaces") is not None
 
 
-def offer(node, signals, world_frame):
+def offer(node, world_frame):
     """Create the services and the action of a SimNode. Does nothing without the package."""
     if not is_installed():
         return
@@ -60,7 +63,7 @@ def offer(node, signals, world_frame):
     }
     features.update(*(supported for _, supported in offered.values()))
     handlers = (
-        Control(node.ask, signals, sorted(features)),
+        Control(node.ask, node.signals, sorted(features)),
         Entities(node.ask, world_frame, msg.EntityState),
         Worlds(node, getattr(msg, "WorldResource", None)),
     )
@@ -89,7 +92,7 @@ def _offer_action(node, kind):
 class Control:
     """Callbacks that control the run.
 
-    ask      : function (command, *arguments) -> (True, result) or (False, text): SimNode.ask
+    ask      : coroutine function (command, *arguments) -> result: AnsweringNode.ask
     signals  : Signals; setting `received` ends the node
     features : numbers of SimulatorFeatures
     """
@@ -106,83 +109,93 @@ class Control:
         )
         return response
 
-    def reset_simulation(self, request, response):
+    async def reset_simulation(self, request, _):
         """Reset to the initial state; simulated time continues, so time alone cannot be reset."""
         scope = request.scope
         if scope not in (0, codes.SCOPE_ALL) and (
             scope & codes.SCOPE_TIME or not scope & codes.SCOPE_STATE
         ):
-            return answered(
-                response,
+            raise Refused(
                 codes.NOT_SUPPORTED,
                 f"scope {scope}: only the state can be reset (scope 0, 2 or 255); simulated time "
                 "increases monotonically",
             )
-        done, text = self._ask("reset")
-        return answered(response, codes.OK if done else codes.FAILED, text)
+        return await self._ask("reset")
 
-    def step_simulation(self, request, response):
+    async def step_simulation(self, request, _):
         """Take the requested number of steps while paused."""
         if request.steps > MOST_STEPS:
-            return answered(
-                response,
+            raise Refused(
                 codes.FAILED,
                 f"{request.steps} steps are too many for one call: take at most {MOST_STEPS}, or "
                 f"use the action ~/{ACTION}",
             )
-        done, text = self._ask("step", request.steps)
-        return answered(response, codes.OK if done else codes.FAILED, text)
+        return await take_steps(self._ask, request.steps)
 
-    def get_simulation_state(self, _, response):
+    async def get_simulation_state(self, _, response):
         """Return stopped, playing or paused."""
-        response.state.state, text = self._state()
-        return answered(response, codes.OK, text)
+        response.state.state, text = await self._state()
+        return filled(response, codes.OK, text)
 
-    def set_simulation_state(self, request, response):
+    async def set_simulation_state(self, request, _):
         """Stop (pause and reset), play, pause or quit."""
-        requested, (current, _) = request.state.state, self._state()
+        requested, (current, _) = request.state.state, await self._state()
         if requested == current:
-            return answered(response, codes.ALREADY_THERE)
+            raise Refused(codes.ALREADY_THERE, "")
         if (current, requested) == (codes.STOPPED, codes.PAUSED):
-            return answered(
-                response,
-                codes.INCORRECT_TRANSITION,
-                "the simulation is stopped: it is paused at step 0",
+            raise Refused(
+                codes.INCORRECT_TRANSITION, "the simulation is stopped: it is paused at step 0"
             )
         if requested == codes.QUITTING:
             self._signals.received = True
-            return answered(response, codes.OK, "the node is shutting down")
+            return "the node is shutting down"
         commands = {
             codes.STOPPED: ("hold", "reset"),
             codes.PLAYING: ("resume",),
             codes.PAUSED: ("pause",),
         }.get(requested)
         if commands is None:
-            return answered(
-                response,
+            raise Refused(
                 codes.NOT_SUPPORTED,
                 f"state {requested} cannot be set: choose stopped (0), playing (1), paused (2) or "
                 "quitting (3)",
             )
-        for command in commands:
-            done, text = self._ask(command)
-            if not done:
-                return answered(response, codes.TRANSITION_ERROR, text)
-        return answered(response, codes.OK, text)
+        try:
+            for command in commands:
+                text = await self._ask(command)
+        except CommandError as error:
+            raise Refused(codes.TRANSITION_ERROR, str(error)) from None
+        return text
 
-    def _state(self):
+    async def _state(self):
         """(SimulationState, text)."""
-        done, result = self._ask("sample")
-        if not done:
-            return codes.QUITTING, result
-        if result.state == "running":
+        try:
+            moment = await self._ask("sample")
+        except Refused as refusal:
+            return codes.QUITTING, refusal.args[1]
+        if moment.state == "running":
             return codes.PLAYING, ""
         text = (
             "the simulation has stopped with an error: reset it"
-            if result.state == "faulted"
+            if moment.state == "faulted"
             else ""
         )
-        return (codes.PAUSED if result.sample.steps else codes.STOPPED), text
+        return (codes.PAUSED if moment.sample.steps else codes.STOPPED), text
+
+
+async def take_steps(ask, count):
+    """Take steps while paused, in parts between which the node executes other commands; returns a line.
+
+    Raises CommandError if they end early.
+    """
+    done, reached = 0, True
+    while done < count and reached:
+        taken, reached = await ask("advance", count - done, PART)
+        done += taken
+    text = await ask("stepped", done)
+    if done < count:
+        raise CommandError(f"stopped after {done} of {counted(count, 'step')}")
+    return text
 
 
 class SimulateSteps:
@@ -197,32 +210,28 @@ class SimulateSteps:
 
     async def execute(self, goal):
         """Take the steps of a goal handle; other callbacks run between two steps."""
-        count, done, text = goal.request.steps, 0, ""
+        count, done, reason = goal.request.steps, 0, ""
         feedback = self._kind.Feedback()
-        while done < count and not goal.is_cancel_requested:
-            reached, text = self._ask("advance", 1)
-            if not reached or not text:  # refused, or stopped by an error
-                break
-            done += 1
-            feedback.completed_steps, feedback.remaining_steps = done, count - done
-            goal.publish_feedback(feedback)
-            await _Turn()
-        if done:
-            self._ask("stepped", done)
+        try:
+            while done < count and not goal.is_cancel_requested:
+                _, reached = await self._ask("advance", 1)
+                if not reached:
+                    reason = "the simulation has stopped with an error: see ~/events"
+                    break
+                done += 1
+                feedback.completed_steps, feedback.remaining_steps = done, count - done
+                goal.publish_feedback(feedback)
+                await Turn()
+            if done:
+                await self._ask("stepped", done)
+        except (CommandError, Refused) as error:
+            reason = error.args[-1]
         result, steps = self._kind.Result(), counted(count, "step")
-        if done == count:
+        if done == count and not reason:
             goal.succeed()
-            return answered(result, codes.OK, steps)
+            return filled(result, codes.OK, steps)
         if goal.is_cancel_requested:
             goal.canceled()
-            return answered(result, codes.FAILED, f"cancelled after {done} of {steps}")
+            return filled(result, codes.FAILED, f"cancelled after {done} of {steps}")
         goal.abort()
-        reason = text or "the simulation has stopped with an error: see ~/events"
-        return answered(result, codes.FAILED, f"stopped after {done} of {steps}: {reason}")
-
-
-class _Turn:
-    """Awaitable that lets the executor run other callbacks once."""
-
-    def __await__(self):
-        yield
+        return filled(result, codes.FAILED, f"stopped after {done} of {steps}: {reason}")

@@ -1,33 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Worlds of simulation_interfaces: scene files and robots."""
+"""Worlds of simulation_interfaces: scene files and robots, below the folders that the node serves."""
 
 import os
 import re
 from pathlib import Path
-from urllib.parse import unquote, urlparse
-
-import yaml
+from urllib.parse import unquote
 
 from liegroup_core import SceneError, load_scene
 from liegroup_core.errors import MissingFileError
+from liegroup_core.robots.access import permit, served_from
 from liegroup_core.robots.read import is_robot_file
+from liegroup_core.robots.resources import resolve
 from liegroup_core.scene.load import example_scenes, find_scene, scene_from_text
+from liegroup_core.scene.yaml_text import read_yaml
 
+from .answers import begin, filled
 from .standard_codes import (
     FAILED,
     MISSING_ASSETS,
     NO_RESOURCE,
     NOT_FOUND,
     NOT_SUPPORTED,
+    OK,
     PARSE_ERROR,
     UNSUPPORTED_ELEMENTS,
     UNSUPPORTED_FORMAT,
     Refused,
-    answering,
 )
 
 SCHEMES = ("", "file", "package", "model")
 MOST_WORLDS = 10_000  # of a folder
+HEAD = 64 * 2**10  # bytes of a scene file in which its description is looked for
 DESCRIPTION = re.compile(
     r"^description:.*(?:\n(?:[ \t].*)?$)*", re.MULTILINE
 )  # with what is indented
@@ -43,8 +46,7 @@ class Worlds:
     def __init__(self, node, world):
         self._node, self._world = node, world
 
-    @answering
-    def load_world(self, request, response):
+    async def load_world(self, request, response):
         """Load a scene and stop at step 0; if it cannot be loaded, the previous scene continues."""
         # Versions before 2.1 have the two fields in the request itself.
         resource = getattr(request, "world_resource", request)
@@ -52,44 +54,34 @@ class Worlds:
         if not (uri or text):
             raise Refused(NO_RESOURCE, "uri and resource_string are both empty")
         path = _path(uri) if uri else ""
-        scene = _scene(path, text)
-        missing = scene.robot.missing if scene.robot else ()
-        if missing and not request.ignore_missing_or_unsupported_assets:
-            raise Refused(
-                MISSING_ASSETS,
-                f"{scene.source}: mesh files that are not there: {', '.join(missing)}; add them, or set "
-                "ignore_missing_or_unsupported_assets",
-            )
-        if request.fail_on_unsupported_element and scene.differences:
-            raise Refused(UNSUPPORTED_ELEMENTS, "; ".join(scene.differences))
-        done, answer = self._node.load(scene, paused=True)
-        if not done:
-            raise Refused(FAILED, answer)
+
+        def make():
+            scene = _scene(path, text)
+            _refuse_assets(scene, request)
+            return scene
+
+        scene, answer = await self._node.load(make, paused=True)
         if uri:
             self._node.set_scene(path)
         response.world = self._described(scene)
-        return answer
+        return filled(response, OK, answer)
 
-    @answering
     def get_current_world(self, _, response):
         """The scene that is simulated."""
         response.world = self._described(self._node.scene_run.simulation.scene)
+        return filled(response, OK, "")
 
-    @answering
-    def get_available_worlds(self, request, response):
+    async def get_available_worlds(self, request, response):
         """Example scenes, and the scene files and robots of further files and folders."""
         if len(request.filter.tags):
             raise Refused(NOT_SUPPORTED, "worlds have no tags: leave the filter empty")
-        found = list(example_scenes().values())
-        for source in request.additional_sources:
-            try:
-                found += _worlds_of(source)
-            except Refused:
-                if not request.continue_on_error:
-                    raise
-        response.worlds = [self._entry(path.stem, str(path)) for path in found]
-        for world, path in zip(response.worlds, found):
-            world.description = _description(path)
+        sources = list(request.additional_sources)
+        folders, skips = self._node.folders, request.continue_on_error
+        found = await self._node.wait(begin(_available, sources, folders, skips))
+        response.worlds = [self._entry(path.stem, str(path)) for path, _ in found]
+        for world, (_, description) in zip(response.worlds, found):
+            world.description = description
+        return filled(response, OK, "")
 
     def _entry(self, name, uri, text=""):
         world = self._world()
@@ -106,27 +98,60 @@ class Worlds:
         return world
 
 
+def _refuse_assets(scene, request):
+    """Raise Refused for what a scene lacks, if the request of LoadWorld says so."""
+    missing = scene.robot.missing if scene.robot else ()
+    if missing and not request.ignore_missing_or_unsupported_assets:
+        raise Refused(
+            MISSING_ASSETS,
+            f"{scene.source}: mesh files that are not there: {', '.join(missing)}; add them, or set "
+            "ignore_missing_or_unsupported_assets",
+        )
+    if request.fail_on_unsupported_element and scene.differences:
+        raise Refused(UNSUPPORTED_ELEMENTS, "; ".join(scene.differences))
+
+
+def _available(sources, folders, skips):
+    """[(path, description)] of the example scenes and of what the sources name.
+
+    folders : below which sources are read; skips : go on after a source that cannot be read
+    """
+    found = list(example_scenes().values())
+    with served_from(folders):
+        for source in sources:
+            try:
+                found += _worlds_of(source)
+            except Refused:
+                if not skips:
+                    raise
+    return [(path, _description(path)) for path in found]
+
+
 def _description(path):
     """Description of a scene file, without loading the scene; "" of a robot's file."""
     try:
-        text = path.read_text(encoding="utf-8") if path.suffix in (".yaml", ".yml") else ""
-        entry = DESCRIPTION.search(text)
-        found = yaml.safe_load(entry.group())["description"] if entry else None
-    except (OSError, ValueError, yaml.YAMLError):
+        if path.suffix not in (".yaml", ".yml"):
+            return ""
+        with path.open("rb") as file:
+            entry = DESCRIPTION.search(file.read(HEAD).decode(errors="replace"))
+        found = read_yaml(entry.group(), "description").value["description"] if entry else None
+    except (OSError, SceneError):
         return ""
     return found.strip() if isinstance(found, str) else ""
 
 
 def _path(uri):
     """Path or name in a uri; package:// and model:// stay for the reader of scenes."""
-    parts = urlparse(uri)
-    if parts.scheme not in SCHEMES:
+    scheme, separator, rest = uri.partition("://")
+    if not separator:
+        return uri
+    if scheme not in SCHEMES:
         raise Refused(
             UNSUPPORTED_FORMAT,
-            f"{uri}: cannot be read; give a path, the name of an example scene, or a file://, "
+            f"{uri:.200}: cannot be read; give a path, the name of an example scene, or a file://, "
             "package:// or model:// address",
         )
-    return unquote(parts.path) if parts.scheme == "file" else uri
+    return unquote("/" + rest.partition("/")[2]) if scheme == "file" else uri
 
 
 def _scene(path, text):
@@ -142,7 +167,7 @@ def _scene(path, text):
         except SceneError as error:
             raise Refused(PARSE_ERROR, str(error)) from None
     try:
-        file = find_scene(path)
+        file = permit(find_scene(path))
     except SceneError as error:
         raise Refused(NOT_FOUND, str(error)) from None
     if not _is_scene(file):
@@ -163,8 +188,11 @@ def _is_scene(path):
 
 def _worlds_of(source):
     """Files of a path or file:// address that can be loaded; of a folder those directly in it."""
-    path = Path(_path(source))
-    if not path.exists():
+    try:
+        path = permit(Path(resolve(_path(source))))
+    except SceneError as error:
+        raise Refused(NOT_FOUND, str(error)) from None
+    if not os.path.exists(path):
         raise Refused(NOT_FOUND, f"{source}: no such file or folder")
     try:
         files = sorted(path.iterdir())[:MOST_WORLDS] if path.is_dir() else [path]

@@ -233,7 +233,7 @@ def test_a_model_that_needs_too_much_memory_is_refused(tmp_path):
         text = f'<replicate count="200" offset="1 0 0">{text}</replicate>'
     path = tmp_path / "many.xml"
     path.write_text(f"<mujoco><worldbody>{text}</worldbody></mujoco>")
-    assert "mjcf needs more than 2 GiB of memory" in refusal(path)
+    assert "mjcf needs more than 1 GiB of memory" in refusal(path)
 
 
 TEXTS = {

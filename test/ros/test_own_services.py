@@ -209,7 +209,7 @@ def test_a_force_in_world_axes_at_a_point_turns_the_body_towards_it(own):
         ),
         (
             "apply_wrench",
-            [("body", "stone"), ("duration", 1.0), ("force", [1e200] * 3), ("point", [1e200] * 3)],
+            [("body", "stone"), ("duration", 1.0), ("force", [1e60] * 3), ("point", [1e60] * 3)],
             "point times force must be 9 finite numbers",
         ),
         (

@@ -547,7 +547,7 @@ def test_the_flags_and_resources_of_the_latest_release(request, files):
     if missing():
         pytest.skip(f"{missing()} is missing")
     found = path_with(types.package(types.LATEST, request.config.cache.mkdir("interfaces")))
-    parameters = {"scene": "heavy_top", "start_paused": True}
+    parameters = {"scene": "heavy_top", "start_paused": True, "world_folders": str(files)}
     with NodeProcess(parameters, ["__node:=latest"], found):
         user = python(LATEST, "/latest", files / "rig.yaml", env=found)
         _, errors = user.communicate(timeout=COMPILING)

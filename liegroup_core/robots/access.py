@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which files a robot's file may name: those of its own tree, and of the search paths of ROS and Gazebo.
+
+The tree of a file is the nearest folder above it with a package.xml or a .git, else the folder above its
+own, where robots keep their meshes; never a home folder, nor one above it. Who answers requests reads
+below given folders only (`served_from`); who trusts all files reads any (`anywhere`).
+"""
+
+import os
+from contextlib import contextmanager, nullcontext
+from contextvars import ContextVar
+from pathlib import Path
+
+from liegroup_core.errors import SceneError
+
+ROOTS = ("package.xml", ".git")  # one of them marks the folder of a tree
+ANYWHERE = (Path("/"),)
+# Variables with folders that contain models, in the order of search.
+MODEL_PATHS = ("GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "GAZEBO_MODEL_PATH", "SDF_PATH")
+PACKAGE_PATHS = ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH")
+
+# Folders below which files are read; None: below the tree of the file that names them.
+_served = ContextVar("served", default=None)
+
+
+@contextmanager
+def served_from(folders):
+    """Read files below these folders and the search paths only, whoever names them."""
+    before = _served.set(tuple(Path(os.path.realpath(folder)) for folder in folders))
+    try:
+        yield
+    finally:
+        _served.reset(before)
+
+
+def anywhere(allowed=True):
+    """Read files wherever they are, if `allowed`."""
+    return served_from(ANYWHERE) if allowed else nullcontext()
+
+
+def search_folders(variables=(*PACKAGE_PATHS, *MODEL_PATHS)):
+    """Folders of the search paths, in their order."""
+    return [
+        Path(folder)
+        for variable in variables
+        for folder in os.environ.get(variable, "").split(os.pathsep)
+        if folder
+    ]
+
+
+def trees(file):
+    """Folders below which a file may name others."""
+    served = _served.get()
+    own = served if served is not None else {tree_of(file), tree_of(os.path.realpath(file))}
+    return [*own, *_searched()]
+
+
+def permit(path, file=None):
+    """The path of a file that is to be read. Raises SceneError if it is outside of what may be read.
+
+    file : that names it; None: a user or a request does
+    """
+    served = _served.get()
+    if served is None and file is None:
+        return path
+    folders, real = trees(file), Path(os.path.realpath(path))
+    if not any(real.is_relative_to(folder) for folder in folders):
+        raise SceneError(f"{path}: is not read: {outside(file)}")
+    return path
+
+
+def outside(file):
+    """Why files may not be read, and what to do."""
+    served = _served.get()
+    if served is None:
+        return (
+            f"it is outside of {tree_of(file)}, the tree of the file that names it: move it there, "
+            "or give --allow-files (of a node: -p world_folders:=/)"
+        )
+    listed = ", ".join(map(str, served)) or "none"
+    return (
+        f"it is outside of the folders that requests may read ({listed}): move it there, or start "
+        "the node with its folder in the parameter world_folders"
+    )
+
+
+def tree_of(file):
+    """Folder that holds what belongs to a file; the file itself if it lies in a home folder."""
+    file = Path(os.path.abspath(file))
+    folder = file.parent
+    if holds_home(folder):
+        return file
+    tree = folder if holds_home(folder.parent) else folder.parent
+    for above in (folder, *folder.parents):
+        if holds_home(above):
+            break
+        if any((above / root).exists() for root in ROOTS):
+            return above
+    return tree
+
+
+def holds_home(folder):
+    """True for the user's home folder and those above it."""
+    home = os.path.realpath(os.path.expanduser("~"))
+    return Path(home).is_relative_to(os.path.realpath(folder))
+
+
+def _searched():
+    """Folders of the search paths, and the sources of packages that are installed as links to them."""
+    found = []
+    for folder in search_folders():
+        found.append(Path(os.path.realpath(folder)))
+        for manifest in folder.glob("share/*/package.xml"):
+            if manifest.is_symlink():
+                found.append(Path(os.path.realpath(manifest)).parent)
+    return found

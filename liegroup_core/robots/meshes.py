@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Triangles of the shapes that a viewer draws, by trimesh. Used in a process of its own, see apart.py."""
+
+import base64
+
+import numpy as np
+import trimesh
+
+ROUND = 24  # sides of a cylinder
+
+
+def triangles_of(order):
+    """Dict of JSON types: shapes {body: shape}, failed {mesh: why}, triangles (all), boxes (bodies).
+
+    order : dict of shapes [(body, kind, size, pose in the body's frame, path of the mesh)], with kinds and
+            sizes as of robots.description.Visual, and most, the triangles of the result
+    shape : points, base64 of (k, 3) float32 in m, in the body's frame; faces, base64 of (m, 3) int32; at,
+            size: centre and edges of their bounding box in the body's frame, m
+    Bodies whose triangles cannot be simplified far enough are boxes: they have no shape. lacks: the name of
+    the package that does it, if it is not installed.
+    """
+    meshes, failed = {}, {}
+    for body, kind, size, pose, path in order["shapes"]:
+        try:
+            mesh = _mesh(kind, size, path)
+        # Whatever a reader of meshes finds wrong, the other bodies are drawn.
+        except Exception as error:
+            failed[path] = " ".join(f"{type(error).__name__}: {error}".split())[:120]
+            continue
+        mesh.apply_transform(np.array(pose))
+        meshes.setdefault(body, []).append(mesh)
+    whole = {body: trimesh.util.concatenate(parts) for body, parts in meshes.items()}
+    total, lacks = sum(len(mesh.faces) for mesh in whole.values()), ""
+    if total > order["most"]:
+        whole, lacks = _decimated(whole, order["most"] / total)
+    return {
+        "shapes": {body: _packed(mesh) for body, mesh in whole.items()},
+        "failed": failed,
+        "triangles": total,
+        "boxes": len(meshes) - len(whole),
+        "lacks": lacks,
+    }
+
+
+def _mesh(kind, size, path):
+    """Trimesh of a shape in its own frame."""
+    if kind == "box":
+        return trimesh.creation.box(extents=np.maximum(size, 1e-6))
+    if kind == "cylinder":
+        return trimesh.creation.cylinder(radius=size[0], height=size[1], sections=ROUND)
+    if kind == "sphere":
+        return trimesh.creation.icosphere(subdivisions=2, radius=size[0])
+    mesh = trimesh.load_mesh(path).copy()
+    # Without common points decimation would tear the triangles apart.
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    if not len(mesh.faces) or not np.isfinite(mesh.vertices).all():
+        raise ValueError("it has no triangles, or points that are no numbers")
+    mesh.apply_scale(size)
+    return mesh
+
+
+def _decimated(meshes, part):
+    """({body: mesh} with at most this part of the triangles of each, package that is missing)."""
+    found, lacks = {}, ""
+    for body, mesh in meshes.items():
+        most = int(part * len(mesh.faces))
+        try:
+            mesh = mesh.simplify_quadric_decimation(face_count=max(most, 4))
+        except ImportError as error:
+            mesh, lacks = None, error.name or "fast_simplification"
+        if mesh is not None and len(mesh.faces) <= most:
+            found[body] = mesh
+    return found, lacks
+
+
+def _packed(mesh):
+    low, high = np.asarray(mesh.bounds)
+    return {
+        "points": _base64(mesh.vertices, "<f4"),
+        "faces": _base64(mesh.faces, "<i4"),
+        "at": ((low + high) / 2).tolist(),
+        "size": (high - low).tolist(),
+    }
+
+
+def _base64(values, kind):
+    return base64.b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode()
