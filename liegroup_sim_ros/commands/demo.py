@@ -20,6 +20,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from liegroup_core.errors import LieGroupSimError
+from liegroup_sim_ros.signals import Signals
 
 SCENE, BODY = "heavy_top", "top"
 PUBLISH_RATE = 500.0  # Hz
@@ -71,8 +72,8 @@ def run(args):
     except OSError as error:
         raise DemoError(f"{error.filename}: {error.strerror}") from None
     console = Console()
-    with _interruption() as check:
-        _simulate(args.seconds, log, output, console, check)
+    with Signals() as signals:
+        _simulate(args.seconds, log, output, console, signals.check)
     analysis = _analyse(log, page, figures)
     if not analysis.figures["pushes"]:
         raise DemoError("the applied wrench is not in the recording; see " + str(output))
@@ -278,27 +279,3 @@ def _end_all(processes):
                 process.wait(max(0.0, end - time.monotonic()))
             except subprocess.TimeoutExpired:
                 pass
-
-
-@contextmanager
-def _interruption():
-    """Function check(): raises KeyboardInterrupt after SIGINT, SIGTERM or SIGHUP.
-
-    A handler that raises by itself would do so in the middle of an import of rclpy, which then
-    reports a missing library.
-    """
-    received = []
-
-    def check():
-        if received:
-            raise KeyboardInterrupt
-
-    before = {
-        number: signal.signal(number, lambda *_: received.append(True))
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    }
-    try:
-        yield check
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -9,7 +9,7 @@ A subcommand is a module of this folder, named as the subcommand, with
 and a line in COMMANDS. Only the module of the chosen subcommand is imported.
 
 Exit code 0 on success, 2 and one line on stderr for wrong input, 1 if a simulation had to stop,
-130 after Ctrl-C, 141 if the reader of stdout is gone.
+130 after Ctrl-C, SIGTERM, SIGHUP or SIGQUIT, 141 if the reader of stdout is gone.
 """
 
 import os
@@ -18,6 +18,7 @@ from importlib import import_module
 
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.robots.access import anywhere
+from liegroup_sim_ros.signals import end_as_by_ctrl_c
 from liegroup_sim_ros.version import __version__
 
 from .arguments import Parser
@@ -74,6 +75,7 @@ def make_parser(chosen=None):
 def main(args=None):
     """Run the command; returns the exit code."""
     args = sys.argv[1:] if args is None else args
+    end_as_by_ctrl_c()
     try:
         arguments = make_parser(args[0] if args else None).parse_args(args)
         with anywhere(getattr(arguments, "allow_files", False)):

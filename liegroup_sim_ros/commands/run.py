@@ -25,11 +25,11 @@ from liegroup_core.simulation import default_steps
 from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.recording.write_run import ArrayFile, LogFile
 from liegroup_sim_ros.recording.write_tables import TableFile, TorqueFile
+from liegroup_sim_ros.signals import Signals
 
 from .robot_options import add_robot_options, robot_scene
 
 EXIT_STOPPED = 1
-AT_ONCE = 10_000  # largest number of steps between two updates of the progress bar
 REDRAW = 0.1  # s between two updates
 NOTE = 160  # characters of a note of the scene
 # Passed on to Simulation if given.
@@ -214,6 +214,7 @@ def run(args):
     started = time.monotonic()
     stopped, code = None, 0
     with ExitStack() as stack:
+        signals = stack.enter_context(Signals())
         files = []
         if args.torques:
             files.append(stack.enter_context(TorqueFile(args.torques, simulation)))
@@ -228,7 +229,7 @@ def run(args):
 
         write()
         try:
-            _simulate(simulation, steps, every, write, console)
+            _simulate(simulation, steps, every, write, console, signals)
         except SimulationError as error:
             stopped, code = str(error), EXIT_STOPPED
         except KeyboardInterrupt:
@@ -268,7 +269,7 @@ def _error_of(simulation):
     return f", estimated error {position:.2g} m, {attitude:.2g} rad"
 
 
-def _simulate(simulation, steps, every, write, console):
+def _simulate(simulation, steps, every, write, console, signals):
     """Take all steps; `write` writes a sample when one is due."""
     with Progress(
         TextColumn("simulating"),
@@ -281,9 +282,13 @@ def _simulate(simulation, steps, every, write, console):
         drawn = 0.0
         while simulation.steps < steps:
             due = min(steps, (simulation.steps // every + 1) * every)
-            simulation.advance(min(due - simulation.steps, AT_ONCE))
+            simulation.advance(
+                due - simulation.steps,
+                lambda: signals.received or time.monotonic() > drawn + REDRAW,
+            )
             if simulation.steps == due:
                 write()
+            signals.check()
             if time.monotonic() > drawn + REDRAW:
                 drawn = time.monotonic()
                 progress.update(

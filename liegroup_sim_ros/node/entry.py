@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """ROS 2 node: simulates a scene in real time, publishes poses and twists, takes wrenches, records.
 
-Exit code 0 after one of SIGNALS, 2 with one line on stderr for wrong parameters or a wrong
+Exit code 0 after SIGINT, SIGTERM, SIGHUP or SIGQUIT, 2 with one line on stderr for wrong parameters or a wrong
 scene, 1 if a defect ended the simulation thread. The node itself is in node.py. Its import takes a
 second and happens after the signal handlers are installed.
 """
@@ -9,6 +9,8 @@ second and happens after the signal handlers are installed.
 import os
 import signal
 import sys
+
+from liegroup_sim_ros.signals import SIGNALS, Signals
 
 # Before NumPy is loaded, as in commands/main.py: threads make small solves slower.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -20,25 +22,6 @@ USAGE = (
     "record, ...): see docs/reference/node.md, or ask a running node:\nros2 param list "
     "/sim_node"
 )
-
-
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
-
-
-class Signals:
-    """Handlers of SIGNALS that only set `received`.
-
-    rclpy's own handlers would shut down its context at once, before the last messages are published.
-    `ros2 launch` sends a second SIGINT, which must not interrupt the clean-up.
-    """
-
-    def __init__(self):
-        self.received = False
-        for number in SIGNALS:
-            signal.signal(number, self._handle)
-
-    def _handle(self, *_):
-        self.received = True
 
 
 def main(args=None):

@@ -27,6 +27,7 @@ from std_srvs.srv import Trigger
 from liegroup_core.pacing import Pacer
 from liegroup_sim_ros.messages.codecs import ClockCodec
 from liegroup_sim_ros.numbers import counted
+from liegroup_sim_ros.signals import handled
 
 from .player_file import PlayError
 
@@ -56,7 +57,7 @@ def play(file, args):
         player = Player(file, args.rate, args.start, args.loop, args.start_paused, args.clock_rate)
         # The handler sets a flag: an exception may be lost in a callback. SIGINT has a handler too,
         # because a shell starts background processes with SIGINT ignored.
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in handled():
             signal.signal(number, player.interrupt)
         with Keys(player):
             code = player.run()
@@ -194,7 +195,7 @@ class Player:
     # Publishing:
 
     def interrupt(self, *_):
-        """Handle SIGINT and SIGTERM: `run` returns soon."""
+        """Handle a signal: `run` returns soon."""
         self._interrupted = True
 
     def run(self):
