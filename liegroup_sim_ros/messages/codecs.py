@@ -93,6 +93,13 @@ class Fields:
         self._at += count * size
         return values
 
+    def count(self, most, what):
+        """Number of entries that follow. Raises MessageError if it is more than what can be right."""
+        count = self.number("I")
+        if count > most:
+            raise MessageError(f"{self._name}: {count} {what}, at most {most} can be right")
+        return count
+
     def text(self):
         """A string."""
         size = self.number("I")

@@ -11,7 +11,8 @@ from .codecs import Fields, MessageError
 JOINT_STATE = "sensor_msgs/msg/JointState"
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 ARRAY = matrices.TYPE
-MOST_POINTS = 100_000
+MOST_POINTS = 10_000
+MOST_DIMENSIONS = 100
 _STAMP_END = 12  # offset of the frame id in the payload
 
 
@@ -52,14 +53,9 @@ class JointStateDecoder:
             fields.skip_to(end)
         else:
             fields.text()
-            count = fields.number("I")
-            if count > self._most:
-                raise MessageError(
-                    f"{JOINT_STATE}: {count} names, at most {self._most} can be right"
-                )
-            names = tuple(fields.text() for _ in range(count))
+            names = tuple(fields.text() for _ in range(fields.count(self._most, "names")))
             self._known = payload[:2] + payload[_STAMP_END : fields.at], names, fields.at
-        values = [fields.numbers("d", fields.number("I")) for _ in range(3)]
+        values = [fields.numbers("d", fields.count(self._most, "numbers")) for _ in range(3)]
         return JointValues(stamp_ns, names, *values)
 
 
@@ -81,28 +77,25 @@ def decode_trajectory(payload, most):
     fields = Fields(TRAJECTORY, payload)
     stamp_ns = fields.stamp_ns()
     fields.text()
-    count = fields.number("I")
-    if count > most:
-        raise MessageError(f"{TRAJECTORY}: {count} names, at most {most} can be right")
-    names = tuple(fields.text() for _ in range(count))
-    count = fields.number("I")
-    if count > MOST_POINTS:
-        raise MessageError(f"{TRAJECTORY}: {count} points, at most {MOST_POINTS} are taken")
+    names = tuple(fields.text() for _ in range(fields.count(most, "names")))
     points = []
-    for _ in range(count):
-        numbers = [fields.numbers("d", fields.number("I")) for _ in range(4)]
+    for _ in range(fields.count(MOST_POINTS, "points")):
+        numbers = [fields.numbers("d", fields.count(most, "numbers")) for _ in range(4)]
         points.append(Point(*numbers, fields.stamp_ns()))
     return stamp_ns, names, points
 
 
-def decode_array(payload):
-    """The numbers of a Float64MultiArray; its layout is ignored. Raises MessageError."""
+def decode_array(payload, most=100_000):
+    """The numbers of a Float64MultiArray; its layout is ignored. Raises MessageError.
+
+    most : largest number of numbers
+    """
     fields = Fields(ARRAY, payload)
-    for _ in range(min(fields.number("I"), len(payload))):
+    for _ in range(fields.count(MOST_DIMENSIONS, "dimensions")):
         fields.text()
         fields.numbers("I", 2)
     fields.number("I")
-    return fields.numbers("d", fields.number("I"))
+    return fields.numbers("d", fields.count(most, "numbers"))
 
 
 def joint_labels(joints, robot):

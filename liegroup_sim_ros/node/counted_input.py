@@ -1,11 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Counts of accepted and refused messages, and what all inputs of the node refuse. Imports no ROS."""
 
+from liegroup_core.fields.values import LARGEST_NUMBER
+
 # A stamp further ahead indicates a publisher that does not use simulated time.
 FARTHEST = 3600 * 10**9  # ns
 # Largest number of commands that act now or start later. Bounds the memory of the node.
 MOST = 10_000
 LONGEST_NAME = 64  # characters that are shown of a name
+
+
+_is_below = LARGEST_NUMBER.__ge__
+
+
+def bounded(numbers):
+    """True if all are finite and no larger than numbers of a scene may be."""
+    return all(map(_is_below, map(abs, numbers)))
 
 
 class Refusal(Exception):

@@ -13,6 +13,7 @@ Imports no ROS.
 import math
 from typing import NamedTuple
 
+from liegroup_core.fields.values import LARGEST_NUMBER
 from liegroup_sim_ros.messages.codecs import MessageError
 from liegroup_sim_ros.messages.commands import JointStateDecoder, decode_array
 from liegroup_sim_ros.numbers import counted
@@ -136,7 +137,7 @@ class JointCommandInput(JointInput):
         interface : "position", "velocity" or "effort"
         """
         try:
-            numbers = decode_array(payload)
+            numbers = decode_array(payload, self.most_names)
         except MessageError as error:
             text = str(error)
             self.refuse("damaged", lambda: text)
@@ -181,8 +182,8 @@ class JointCommandInput(JointInput):
                     ),
                 )
             for name, value in zip(names, values):
-                if math.isinf(value):
-                    self.refuse("not_finite", lambda: f"{kind} of {name} is infinite")
+                if abs(value) > LARGEST_NUMBER:
+                    self.refuse("not_finite", lambda: f"{kind} of {name} is infinite or too large")
         position, velocity, effort = (values or (math.nan,) * len(names) for values in fields)
         wanted = [
             (name, *target)

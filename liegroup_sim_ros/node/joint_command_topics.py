@@ -11,7 +11,9 @@ from .joint_command_input import JointCommandInput
 from .joint_input import Jumps
 from .parameters import ParameterError
 from .trajectory_input import TrajectoryInput
-from .wrench_topics import DEPTH
+
+# Depth of the queues of commands: 1 s at 1 kHz.
+COMMANDS = 1000
 
 
 class JointCommandTopics:
@@ -41,7 +43,8 @@ class JointCommandTopics:
         if self._names:
             self._subscribe("~/commands", Float64MultiArray, self._read_array)
         if self.input.follows:
-            self._subscribe("~/joint_trajectory", JointTrajectory, self._read_trajectory)
+            # Each replaces the one before: a queue of large messages has no use.
+            self._subscribe("~/joint_trajectory", JointTrajectory, self._read_trajectory, depth=10)
 
     def _check_names(self):
         for name in self._names:
@@ -61,7 +64,7 @@ class JointCommandTopics:
         if len(set(self._names)) < len(self._names):
             raise ParameterError("parameter command_joints: names a joint twice")
 
-    def _subscribe(self, topic, message_class, read):
+    def _subscribe(self, topic, message_class, read, depth=COMMANDS):
         def receive(payload):
             self._log_refusal(read, payload)
 
@@ -70,7 +73,7 @@ class JointCommandTopics:
                 message_class,
                 topic,
                 receive,
-                QoSProfile(depth=DEPTH),
+                QoSProfile(depth=depth),
                 raw=True,
                 qos_overriding_options=self._qos.options(self._node, topic, "subscription"),
             )

@@ -15,7 +15,7 @@ from liegroup_core.lie.groups import SO3
 from liegroup_sim_ros.messages.commands import joint_labels
 from liegroup_sim_ros.messages.links import merged_links
 
-from .counted_input import MOST
+from .counted_input import MOST, bounded
 from .standard_codes import FAILED, Refused
 from .wrench_input import Push
 
@@ -50,7 +50,7 @@ async def set_state(node, values):
     for name, value in values.items():
         owner, _, kind = name.rpartition("/")
         if kind in OF_JOINTS:
-            if type(value) not in (int, float) or not bounded(value):
+            if type(value) not in (int, float) or not bounded([value]):
                 raise Wrong(f"{name:.60} must be a finite number, got {_shown(value)}{BOUND}")
             joints.setdefault(_joint(node, owner), [None, None])[OF_JOINTS.index(kind)] = value
             continue
@@ -153,11 +153,6 @@ def _vector(name, value, size):
     if isinstance(value, str) or numbers.shape != (size,) or not bounded(numbers):
         raise Wrong(f"{name:.60} must be {size} finite numbers, got {_shown(value)}{BOUND}")
     return numbers
-
-
-def bounded(numbers):
-    """True for finite numbers as they may be in a scene."""
-    return bool((np.abs(numbers) <= LARGEST_NUMBER).all())
 
 
 def _shown(value):

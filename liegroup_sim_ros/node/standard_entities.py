@@ -4,9 +4,9 @@
 import numpy as np
 
 from liegroup_core import SimulationError
-from liegroup_core.fields.values import LARGEST_NUMBER
 from liegroup_core.lie.groups import SO3
 
+from .counted_input import bounded
 from .simulation_commands import CommandError
 from .standard_codes import FAILED, INVALID_POSE, NOT_FOUND, NOT_SUPPORTED, Refused
 
@@ -149,7 +149,7 @@ def _pose(message):
     """(4, 4) of a geometry_msgs/Pose."""
     position, quaternion = _numbers(message.position, "xyz"), _numbers(message.orientation, "xyzw")
     norm = np.linalg.norm(quaternion)
-    if not (np.abs(position) <= LARGEST_NUMBER).all():
+    if not bounded(position):
         raise Refused(INVALID_POSE, f"the position is not finite or too large: {position.tolist()}")
     if not abs(norm - 1.0) <= NOT_UNIT:
         raise Refused(
@@ -163,6 +163,6 @@ def _pose(message):
 def _twist(message, rotation):
     """(6,) in body axes of a geometry_msgs/Twist in world axes."""
     twist = np.concatenate([_numbers(message.angular, "xyz"), _numbers(message.linear, "xyz")])
-    if not (np.abs(twist) <= LARGEST_NUMBER).all():
+    if not bounded(twist):
         raise Refused(FAILED, f"the twist is not finite or too large: {twist.tolist()}")
     return (twist.reshape(2, 3) @ rotation).ravel()

@@ -5,12 +5,11 @@ Names are those of ~/joint_states; every joint needs a servo with a stiffness, o
 the present, a future stamp that simulated time. Imports no ROS.
 """
 
-import math
-
 from liegroup_sim_ros.messages.codecs import MessageError
 from liegroup_sim_ros.messages.commands import decode_trajectory
 from liegroup_sim_ros.numbers import counted
 
+from .counted_input import bounded
 from .joint_input import JointInput
 from .trajectory import Trajectory
 
@@ -125,8 +124,10 @@ class TrajectoryInput(JointInput):
                         + ("" if kind == "positions" else ", or none")
                     ),
                 )
-            if not all(map(math.isfinite, values)):
-                self.refuse("not_finite", lambda: f"{kind} of point {k} are not finite")
+            if not bounded(values):
+                self.refuse(
+                    "not_finite", lambda: f"{kind} of point {k} are not finite or too large"
+                )
 
     def _check_jumps(self, names, points, jumps):
         """Refuse a segment that moves a joint by more than the limit in a period, on average."""

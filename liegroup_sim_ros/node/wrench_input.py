@@ -12,14 +12,13 @@ A zero or past stamp means the next step; a future stamp means that simulated ti
 accepted or refused as a whole; refusals are counted by reason. Imports no ROS.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from liegroup_sim_ros.messages.codecs import MessageError, WrenchStampedCodec
 
-from .counted_input import LONGEST_NAME, CountedInput
+from .counted_input import LONGEST_NAME, CountedInput, bounded
 
 REASONS = ("not_finite", "no_frame", "unknown_frame", "stamp_too_far", "too_many", "damaged")
 
@@ -112,8 +111,10 @@ class WrenchInput(CountedInput):
                     f"{LONGEST_NAME} characters"
                 ),
             )
-        if not all(map(math.isfinite, wrench)):
-            self.refuse("not_finite", lambda: f"for {target}: a component is NaN or infinite")
+        if not bounded(wrench):
+            self.refuse(
+                "not_finite", lambda: f"for {target}: a component is NaN or infinite, or too large"
+            )
         self.refuse_far_stamp(start_ns, now_ns, target)
         self.refuse_too_many(held, target)
         if axes == "body":
