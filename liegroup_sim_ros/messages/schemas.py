@@ -91,6 +91,8 @@ def qos_profile(kind="reliable", depth=10):
 
 def _split(msg_type):
     package, *_, name = msg_type.split("/")
+    if not (package.isidentifier() and name.isidentifier()):  # a search imports what a dot follows
+        raise SchemaError(f"{msg_type!r:.60} is no type of a message")
     return package, name
 
 

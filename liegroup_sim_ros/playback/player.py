@@ -26,6 +26,7 @@ from std_srvs.srv import Trigger
 
 from liegroup_core.pacing import Pacer
 from liegroup_sim_ros.messages.codecs import ClockCodec
+from liegroup_sim_ros.messages.schemas import SchemaError, definition
 from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.signals import handled
 
@@ -105,10 +106,12 @@ class Player:
         self._node.add_post_set_parameters_callback(self._set)
 
     def _add_publisher(self, topic):
-        package, _, name = topic.type.split("/")
+        package, *_, name = topic.type.split("/")
         try:
+            # Only a module of an interface package is imported, whatever the recording names.
+            definition(topic.type)
             message = getattr(importlib.import_module(f"{package}.msg"), name)
-        except (ImportError, AttributeError):
+        except (ImportError, AttributeError, SchemaError):
             print(
                 f"liegroup_sim: {topic.name} is omitted: {topic.type} is not installed",
                 file=sys.stderr,
