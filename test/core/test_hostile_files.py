@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Robots' files cannot run code, reach other files or take more than their share of memory."""
+
+import json
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hostile import expression, xacro_text
+
+from liegroup_core import SceneError, load_scene
+from liegroup_core.robots import access, apart
+from liegroup_core.robots.expressions import Refused, evaluate
+from liegroup_core.scene.load import scene_from_text
+
+ARM = xacro_text("x")
+
+
+class Space(dict):
+    """Mapping whose entries are attributes, as namespaces of xacro."""
+
+
+def symbols():
+    space = Space(list=list, map=map, type=type, vars=vars, load_yaml=print, parent=1)
+    return {"python": space, "xacro": space, "str": str, "len": len, "max": max, "dict": dict}
+
+
+def test_hostile_expressions_are_refused():
+    rng = np.random.default_rng(5)
+    for _ in range(500):
+        text = expression(rng)
+        with pytest.raises((Refused, NameError)):
+            evaluate(text, symbols(), (Space,))
+
+
+@pytest.mark.parametrize(
+    "text, expected",
+    [
+        ("2 * 3 + 1", 7),
+        ("'a' + 'b' if 1 > 0 else 'c'", "ab"),
+        ("'{}_{x}'.format(1, x=2)", "1_2"),
+        ("'a b'.split()[1].upper()", "B"),
+        ("dict(a=1).get('b', [3, 4][-1])", 4),
+        ("python.list(python.map(str, (1, 2)))", ["1", "2"]),
+        ("xacro.parent", 1),
+        ("max(*[1, 5]) % 3", 2),
+        ("{'k': {1, 2}}['k']", {1, 2}),
+        ("not (1 in [1, 2])", False),
+    ],
+)
+def test_what_robots_write_in_expressions_has_its_value(text, expected):
+    assert evaluate(text, symbols(), (Space,)) == expected
+
+
+# Prints which of these a confined process can do.
+RIGHTS = """
+import os, signal, socket, subprocess, sys, threading
+from liegroup_core.robots.confined import confine
+inside, outside = sys.argv[1:]
+confine([inside, *sys.path, sys.prefix, sys.base_prefix, "/usr/lib", "/lib"])
+tried = {
+    "read inside": lambda: open(inside + "/file").read(),
+    "thread": lambda: threading.Thread(target=int).start(),
+    "read outside": lambda: open(outside + "/file").read(),
+    "list outside": lambda: os.listdir(outside),
+    "write": lambda: open(inside + "/file", "r+"),
+    "append": lambda: open(inside + "/file", "a"),
+    "make": lambda: os.open(inside + "/new", os.O_CREAT),
+    "empty": lambda: os.open(inside + "/file", os.O_TRUNC),
+    "truncate": lambda: os.truncate(inside + "/file", 0),
+    "hidden file": lambda: os.open(inside, os.O_TMPFILE | os.O_RDWR),
+    "remove": lambda: os.remove(inside + "/file"),
+    "rename": lambda: os.rename(inside + "/file", inside + "/other"),
+    "link": lambda: os.link(inside + "/file", inside + "/other"),
+    "folder": lambda: os.mkdir(inside + "/folder"),
+    "mode": lambda: os.chmod(inside + "/file", 0o777),
+    "times": lambda: os.utime(inside + "/file"),
+    "fork": os.fork,
+    "program": lambda: subprocess.run(["/bin/true"], check=True),
+    "replace": lambda: os.execv("/bin/true", ["true"]),
+    "socket": socket.socket,
+    "unix socket": lambda: socket.socket(socket.AF_UNIX),
+    "signal": lambda: os.kill(os.getppid(), 0),
+    "memory of another": lambda: open(f"/proc/{os.getppid()}/mem", "rb"),
+    "namespace": lambda: os.unshare(0) if hasattr(os, "unshare") else os.setsid(),
+}
+for name, do in tried.items():
+    try:
+        do()
+        print(name)
+    except OSError:
+        pass
+"""
+
+
+def test_a_confined_process_reads_and_computes_and_no_more(tmp_path):
+    folders = [tmp_path / "in", tmp_path / "out"]
+    for folder in folders:
+        folder.mkdir()
+        (folder / "file").write_text("text")
+    done = subprocess.run(
+        [sys.executable, "-c", RIGHTS, *map(str, folders)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.splitlines() == ["read inside", "thread"], done.stderr
+    assert (tmp_path / "in" / "file").read_text() == "text"
+
+
+# The tool of apart.py, with expressions that Python evaluates unchecked.
+UNCHECKED = """
+import sys
+from liegroup_core.robots import apart
+import builtins
+apart.evaluate = lambda text, symbols, spaces: eval(text, dict(vars(builtins)), symbols)
+sys.exit(apart.main(*sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "open('CANARY', 'w')",
+        "__import__('os').system('touch CANARY')",
+        "__import__('subprocess').run(['touch', 'CANARY'], check=True)",
+        "__import__('socket').create_server(('127.0.0.1', 0))",
+        "open('/etc/passwd').read()",
+        "__import__('ctypes').CDLL(None).syscall(57)",
+    ],
+)
+def test_unchecked_code_in_a_xacro_file_can_do_no_harm(code, tmp_path):
+    """The second wall holds without the first."""
+    canary, path = tmp_path / "canary", tmp_path / "arm.xacro"
+    path.write_text(xacro_text("${%s}" % code.replace("CANARY", str(canary))))
+    done = subprocess.run(
+        [sys.executable, "-c", UNCHECKED, str(tmp_path), "xacro", str(path)],
+        capture_output=True,
+        text=True,
+    )
+    assert not canary.exists()
+    if "CDLL" in code:  # the fork is refused, in C: -1
+        assert '"l-1"' in done.stdout
+    else:
+        assert done.returncode not in (0, 3), done.stdout
+
+
+@pytest.mark.parametrize(
+    "value, expected",
+    [
+        ("${(lambda: 1)()}", "lambda in an expression is not allowed"),
+        ("${[x for x in [1]]}", "comprehension in an expression is not allowed"),
+        ("$(eval [x for x in [1]][0])", "comprehension in an expression is not allowed"),
+        ("${load_yaml('OUTSIDE')}", "OUTSIDE is not read: it is outside of"),
+        ("${xacro.load_yaml('/etc/passwd')}", "/etc/passwd is not read: it is outside of"),
+    ],
+)
+def test_a_hostile_xacro_file_is_refused_in_one_line(value, expected, tmp_path, monkeypatch):
+    outside = tmp_path / "outside.yaml"
+    outside.write_text("secret")
+    path = tmp_path / "ws" / "package" / "arm.xacro"
+    path.parent.mkdir(parents=True)
+    path.write_text(xacro_text(value.replace("OUTSIDE", str(outside))))
+    with pytest.raises(SceneError) as caught:
+        load_scene(path)
+    text = str(caught.value)
+    assert expected.replace("OUTSIDE", str(outside)) in text and text.startswith(str(path)), text
+    assert "secret" not in text
+
+
+def test_files_outside_of_the_tree_are_read_on_request_only(tmp_path):
+    (tmp_path / "part.xacro").write_text(ARM)
+    path = tmp_path / "ws" / "robots" / "arm.xacro"
+    path.parent.mkdir(parents=True)
+    include = f'<xacro:include filename="{tmp_path}/part.xacro"/>'
+    path.write_text(f'<robot name="r" xmlns:xacro="http://ros.org/wiki/xacro">{include}</robot>')
+    with pytest.raises(SceneError, match="part.xacro is not read.*give --allow-files"):
+        load_scene(path)
+    assert load_scene(path, allow_files=True).bodies[0].name == "lx"
+    # A package is one tree, however deep its files lie.
+    (tmp_path / "package.xml").write_text("<package/>")
+    assert load_scene(path).bodies[0].name == "lx"
+    with access.served_from([tmp_path / "ws"]), pytest.raises(SceneError, match="world_folders"):
+        load_scene(path)
+    with access.served_from([tmp_path]):
+        assert load_scene(path).bodies[0].name == "lx"
+    with access.served_from([tmp_path / "none"]), pytest.raises(SceneError, match="world_folders"):
+        load_scene(path)
+
+
+def test_the_tree_of_a_file_is_never_a_home_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / ".git").mkdir()
+    assert access.tree_of(tmp_path / "a" / "b" / "x.xml") == tmp_path / "a"
+    assert access.tree_of(tmp_path / "a" / "x.xml") == tmp_path / "a"
+    assert access.tree_of(tmp_path / "x.xml") == tmp_path / "x.xml"
+    link = tmp_path / "a" / "link"
+    link.parent.mkdir()
+    link.symlink_to("/etc/passwd")
+    with pytest.raises(SceneError, match="is not read"):
+        access.permit(link, tmp_path / "a" / "x.xml")
+
+
+def test_a_text_names_no_files(tmp_path):
+    (tmp_path / "arm.xacro").write_text(ARM)
+    text = f"robot: {tmp_path}/arm.xacro\n"
+    with pytest.raises(SceneError, match="^scene:1: a text cannot name a robot's file"):
+        scene_from_text(text)
+    (tmp_path / "scene.yaml").write_text(text)
+    assert load_scene(tmp_path / "scene.yaml").bodies[0].name == "lx"
+
+
+def test_an_included_model_outside_of_the_tree_is_refused(tmp_path):
+    (tmp_path / "other.sdf").write_text('<sdf version="1.9"><model name="m"/></sdf>')
+    path = tmp_path / "a" / "b" / "robot.sdf"
+    path.parent.mkdir(parents=True)
+    path.write_text(
+        '<sdf version="1.9"><model name="r">\n<include><uri>../../other.sdf</uri></include></model></sdf>'
+    )
+    with pytest.raises(SceneError, match="robot.sdf:2: .*other.sdf: is not read"):
+        load_scene(path)
+
+
+def test_a_mesh_is_read_in_bounded_memory(tmp_path):
+    """1 MB of a .3mf file that unfolds to 1 GB."""
+    pytest.importorskip("trimesh")
+    mesh, order = tmp_path / "bomb.3mf", tmp_path / "order.json"
+    model = (
+        '<?xml version="1.0"?><model unit="millimeter" xmlns="http://schemas.microsoft.com/3dmanufacturing/'
+        'core/2015/02"><resources><object id="1" type="model"><mesh><vertices>'
+    )
+    with zipfile.ZipFile(mesh, "w", zipfile.ZIP_DEFLATED) as archive:
+        with archive.open("3D/3dmodel.model", "w") as part:
+            part.write(model.encode())
+            for _ in range(1000):
+                part.write(b'<vertex x="1" y="2" z="3"/>' * 40_000)
+    assert mesh.stat().st_size < 4e6
+    shapes = [("b", "mesh", [1.0] * 3, np.eye(4).tolist(), str(mesh))]
+    order.write_text(json.dumps({"shapes": shapes, "most": 100}))
+    with pytest.raises(SceneError, match="needs more than 1 GiB"):
+        apart.run_apart("meshes", order, folders=[tmp_path])
+    assert not list(Path(tmp_path).glob("*.log"))
