@@ -116,7 +116,9 @@ class Messages:
         """A message of a class."""
         message = message_class()
         for name, kind in message_class.get_fields_and_field_types().items():
-            setattr(message, name, self._value(kind))
+            part = getattr(message, name)
+            nested = hasattr(part, "get_fields_and_field_types")
+            setattr(message, name, self.of(type(part)) if nested else self._value(kind))
         return message
 
     def _value(self, kind):

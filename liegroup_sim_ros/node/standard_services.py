@@ -188,13 +188,20 @@ async def take_steps(ask, count):
 
     Raises CommandError if they end early.
     """
-    done, reached = 0, True
+    done, reached, reason = 0, True, ""
     while done < count and reached:
-        taken, reached = await ask("advance", count - done, PART)
-        done += taken
+        try:
+            taken, reached = await ask("advance", count - done, PART)
+        except CommandError as error:  # as after ~/resume
+            if not done:
+                raise
+            reached, reason = False, f": {error}"
+        else:
+            done += taken
+            await Turn()
     text = await ask("stepped", done)
     if done < count:
-        raise CommandError(f"stopped after {done} of {counted(count, 'step')}")
+        raise CommandError(f"stopped after {done} of {counted(count, 'step')}{reason}")
     return text
 
 

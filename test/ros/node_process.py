@@ -77,6 +77,13 @@ def python(code, *arguments, env=None, under=()):
     )
 
 
+def path_with(folder):
+    """{"PYTHONPATH": value} with which a process finds the package in a folder."""
+    return {
+        "PYTHONPATH": os.pathsep.join(filter(None, (str(folder), os.environ.get("PYTHONPATH"))))
+    }
+
+
 def own_context():
     """rclpy Context of this process in the domain of the tests."""
     os.environ.update(

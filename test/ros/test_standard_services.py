@@ -6,17 +6,15 @@ rosidl; the type hashes are those of its own files.
 """
 
 import importlib.util
-import os
 import re
 import signal
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import simulation_interfaces_types as types
 from interface_package import hashes, missing
-from node_process import COMPILING, NodeProcess, python
+from node_process import COMPILING, NodeProcess, path_with, python
 from rclpy.qos import QoSProfile
 
 from liegroup_core import load_scene
@@ -42,39 +40,6 @@ joints:
      child_frame: {position: [0, 0, 0], rotation_vector: [-1.5707963267948966, 0, 0]}}
 """
 FALL = 2.0 * 10.0 * 1.0 / (3.0 + 2.0 * 1.0**2)  # rad/s^2 about y: m g l / (I + m l^2)
-
-
-def path_with(folder):
-    """{"PYTHONPATH": value} with which a process finds the package in a folder."""
-    return {
-        "PYTHONPATH": os.pathsep.join(filter(None, (str(folder), os.environ.get("PYTHONPATH"))))
-    }
-
-
-@pytest.fixture(scope="module")
-def package(request):
-    """Environment variables with which a process finds the package; this one finds it already."""
-    if importlib.util.find_spec("simulation_interfaces"):
-        yield {}
-        return
-    if missing():
-        pytest.skip(
-            f"simulation_interfaces is not installed, and to build it {missing()} is missing"
-        )
-    folder = types.package(types.JAZZY, request.config.cache.mkdir("interfaces"))
-    sys.path.insert(0, str(folder))
-    yield path_with(folder)
-    # Other tests of this process see a machine without the package.
-    sys.path.remove(str(folder))
-    for name in [name for name in sys.modules if name.partition(".")[0] == "simulation_interfaces"]:
-        del sys.modules[name]
-
-
-@pytest.fixture(scope="module")
-def srv(package):
-    from simulation_interfaces import srv
-
-    return srv
 
 
 class Node:

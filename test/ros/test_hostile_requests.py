@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Random requests to every service and topic of a node: none ends it, freezes it or runs code."""
+
+import importlib
+import re
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hostile import Messages, texts, xacro_text
+from node_process import NodeProcess
+
+from liegroup_sim_ros.recording.read import read_recording
+
+NODE = "/besieged"
+SCENE = """
+name: besieged
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: arm, mass: 2, inertia: [3, 3, 1], com: [1, 0, 0]}
+  - {name: stone, mass: 1, inertia: [1, 2, 3]}
+joints:
+  - {name: hinge, type: revolute, parent: world, child: arm,
+     parent_frame: {position: [0, 0, 0]}, child_frame: {position: [0, 0, 0]}}
+forces:
+  - {name: servo, type: servo, joint: hinge, stiffness: 100, damping: 10}
+"""
+NAMES = (
+    "arm",
+    "stone",
+    "hinge",
+    "arm/pose",
+    "arm/twist",
+    "hinge/position",
+    "hinge/velocity",
+    "body",
+)
+NAMES += (
+    "duration",
+    "force",
+    "point",
+    "scene",
+    "record",
+    "snapshot",
+    "step_count",
+    "real_time_factor",
+)
+REQUESTS = 30  # to each service
+MESSAGES = 60  # to each topic
+FROZEN = 10.0  # s; far above the 2 ms that an answer takes
+MEMORY = 2**20  # kB
+QUIT = 3  # state of a simulation that ends the node
+
+
+@pytest.fixture(scope="module")
+def besieged(client, package, tmp_path_factory):
+    """(NodeProcess, folder): a node that records, with a canary that nothing must make."""
+    folder = tmp_path_factory.mktemp("besieged")
+    (folder / "scene.yaml").write_text(SCENE)
+    code = "${[c for c in ().__class__.__base__.__subclasses__()]}"
+    (folder / "canary.xacro").write_text(xacro_text(code))
+    parameters = {"scene": folder / "scene.yaml", "record": folder / "run.mcap"}
+    parameters |= {"method": "rkmk4", "command_joints": "hinge", "world_folders": folder}
+    with NodeProcess(parameters, [f"__node:={NODE[1:]}"], package) as process:
+        assert client.call(f"{NODE}/pause").success
+        yield process, folder
+
+
+def most_memory(process):
+    status = Path(f"/proc/{process.process.pid}/status").read_text()
+    return int(re.search(r"VmHWM:\s+(\d+) kB", status)[1])
+
+
+def of_type(text):
+    """Class of a type such as std_srvs/srv/Trigger, or of a service of an action."""
+    package, kind, name = text.split("/")
+    if kind == "action":
+        action, _, part = name.rpartition("_")
+        module = importlib.import_module(f"{package}.action")
+        return getattr(getattr(module, action).Impl, f"{part}Service")
+    return getattr(importlib.import_module(f"{package}.{kind}"), name)
+
+
+def answers(client, name, before):
+    """Check that the node still answers, and is the same one."""
+    began = time.monotonic()
+    client.call(f"{NODE}/pause")
+    assert time.monotonic() - began < FROZEN, (name, before)
+
+
+def test_no_request_ends_or_freezes_the_node(client, besieged):
+    process, folder = besieged
+    messages = Messages(np.random.default_rng(11), texts(folder / "canary", NAMES))
+    services = client.node.get_service_names_and_types_by_node(NODE[1:], "/")
+    assert len(services) > 15
+    memory = most_memory(process)
+    for name, (kind, *_) in services:
+        service = of_type(kind)
+        for _ in range(REQUESTS):
+            request = messages.of(service.Request)
+            if name.endswith("set_simulation_state") and request.state.state == QUIT:
+                continue
+            if name.endswith("send_goal"):
+                request.goal.steps = min(
+                    request.goal.steps, 9
+                )  # others go on until they are cancelled
+            began = time.monotonic()
+            client.call(name, service, request, again=FROZEN)
+            assert time.monotonic() - began < FROZEN, (name, request)
+        answers(client, name, service)
+    assert most_memory(process) - memory < MEMORY
+    assert not (folder / "canary").exists()
+
+
+def test_no_message_ends_or_freezes_the_node(client, besieged):
+    process, folder = besieged
+    messages = Messages(np.random.default_rng(12), texts(folder / "canary", NAMES))
+    topics = [
+        (name, kinds[0])
+        for name, kinds in client.node.get_subscriber_names_and_types_by_node(NODE[1:], "/")
+        if name.startswith(NODE)
+    ]
+    assert len(topics) >= 6
+    memory = most_memory(process)
+    for name, kind in topics:
+        publisher = client.node.create_publisher(of_type(kind), name, 100)
+        client.until(publisher.get_subscription_count)
+        for _ in range(MESSAGES):
+            publisher.publish(messages.of(of_type(kind)))
+        answers(client, name, kind)
+    assert most_memory(process) - memory < MEMORY
+    assert not (folder / "canary").exists()
+
+
+@pytest.mark.parametrize(
+    "uri, code",
+    [
+        ("http://[", 101),
+        ("/proc/self/mem", 2),
+        ("file:///etc/passwd", 2),
+        ("../" * 20 + "etc/passwd", 2),
+        ("x" * 5000, 2),
+        ("canary.xacro", 103),
+    ],
+)
+def test_a_world_that_is_refused_has_its_code(uri, code, client, besieged):
+    from simulation_interfaces.srv import LoadWorld
+
+    process, folder = besieged
+    request = LoadWorld.Request(uri=uri if "/" in uri or len(uri) > 99 else f"{folder}/{uri}")
+    response = client.call(f"{NODE}/load_world", LoadWorld, request)
+    assert response.result.result == code, response.result.error_message
+    assert response.result.error_message and "\n" not in response.result.error_message
+
+
+def test_huge_numbers_are_refused_before_they_count(client, besieged):
+    from rcl_interfaces.srv import SetParametersAtomically
+    from rclpy.parameter import Parameter
+
+    for name, value in (("hinge/velocity", 1e308), ("stone/twist", [1e300] + [0.0] * 5)):
+        request = SetParametersAtomically.Request(
+            parameters=[Parameter(name, value=value).to_parameter_msg()]
+        )
+        result = client.call(f"{NODE}/set_state", SetParametersAtomically, request).result
+        assert not result.successful and "finite number" in result.reason, result.reason
+
+
+def test_a_filter_is_matched_in_linear_time(client, besieged):
+    from simulation_interfaces.srv import GetEntities
+
+    request = GetEntities.Request()
+    request.filters.filter = r"(\w+)+!"
+    response = client.call(f"{NODE}/get_entities", GetEntities, request)
+    assert response.result.result == 1 and list(response.entities) == []
+    request.filters.filter = "st.*|x"
+    found = client.call(f"{NODE}/get_entities", GetEntities, request)
+    assert list(found.entities) == ["stone"]
+
+
+def test_other_requests_are_answered_while_steps_are_taken(client, besieged):
+    """A million steps of 4 us and the messages of them take seconds."""
+    from simulation_interfaces.srv import StepSimulation
+
+    client.call(f"{NODE}/pause")
+    stepping = client.node.create_client(StepSimulation, f"{NODE}/step_simulation")
+    client.until(stepping.service_is_ready)
+    future = stepping.call_async(StepSimulation.Request(steps=1_000_000))
+    for _ in range(5):
+        client.call(f"{NODE}/pause")
+    assert not future.done()
+    assert client.call(f"{NODE}/resume").success
+    client.until(future.done)
+    assert "stopped after" in future.result().result.error_message
+    assert client.call(f"{NODE}/pause").success
+
+
+def test_the_node_ends_and_has_recorded_all_that_it_says(client, besieged):
+    process, folder = besieged
+    process.send(signal.SIGQUIT)
+    code, errors = process.wait()
+    assert code == 0 and "Traceback" not in errors, errors
+    recorded = sum(map(int, re.findall(r"recorded (\d+) message", errors)))
+    parts = [read_recording(path) for path in sorted(folder.glob("run*.mcap"))]
+    assert all(part.complete for part in parts)
+    assert recorded == sum(sum(part.topics.values()) for part in parts) > 0
+    assert not (folder / "canary").exists()
