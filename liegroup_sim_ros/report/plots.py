@@ -155,9 +155,8 @@ def _ratio_plane(traces, bands):
         for value in (LEAST, MOST)
     ]
     plot = _plane(traces, bands + lines, "estimate / error", log=True)
-    values = [v for trace in traces for v in trace["y"] if v is not None and v > 0.0]
-    ends = min(0.5 * LEAST, *values), max(2.0 * MOST, *values)
-    plot["layout"]["yaxis"]["range"] = [math.log10(end) for end in ends]
+    ends = [math.log10(0.5 * LEAST), math.log10(2.0 * MOST), *_logarithms(traces)]
+    plot["layout"]["yaxis"]["range"] = [min(ends), max(ends)]
     return plot
 
 
@@ -271,17 +270,22 @@ def _plane(traces, bands, unit, log=False):
     }
 
 
+def _logarithms(traces):
+    """Logarithms of what a log axis shows: of the positive numbers of all curves, of which there may be none."""
+    return [math.log10(v) for trace in traces for v in trace["y"] if v is not None and v > 0.0]
+
+
 def _decades(traces):
     """(decades between grid lines, range) of a log axis with at most seven grid lines."""
-    values = [v for trace in traces for v in trace["y"] if v is not None and v > 0.0]
+    found, values = {}, _logarithms(traces)
     if not values:
         return {"dtick": 1}
-    found, low, high = {}, min(values), max(values)
-    usual = float(np.quantile(values, FEW))
-    if low < usual * ODD:  # a difference of 1e-40 by chance must not stretch the axis
-        low = usual * ODD
-        found["range"] = [math.log10(low), math.log10(high) + 0.2]
-    return {"dtick": max(1, math.ceil(math.log10(high / low) / 7.0)), **found}
+    low, high = min(values), max(values)
+    usual = float(np.quantile(values, FEW)) + math.log10(ODD)
+    if low < usual:  # a difference of 1e-40 by chance must not stretch the axis
+        low = usual
+        found["range"] = [low, high + 0.2]
+    return {"dtick": max(1, math.ceil((high - low) / 7.0)), **found}
 
 
 def _push_bands(figures, motion):
