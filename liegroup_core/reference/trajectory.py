@@ -25,6 +25,9 @@ LOOSER = 10.0
 # Reached after about ten minutes. A scene that needs more steps is too stiff for an explicit method
 # of high order.
 MOST_STEPS = 2_000_000
+# Every LOOKS steps the integration ends if it would take more than HOPELESS steps to the first time after the
+# start that is asked for: its numbers are those of no motion.
+LOOKS, HOPELESS = 2000, 10_000_000
 # Bounds of the singular values of the unit rows of all joints. At the start, values below REDUNDANT
 # belong to redundant rows (the pose is accurate to 1e-9 or better). Later, values of independent
 # rows must stay above SINGULAR, those of redundant rows below it. Ten rods on revolute joints have
@@ -279,6 +282,8 @@ class _Run:
         self._solver = self._dense = self._step = None
         self._singular = [1.0, 0.0]
         self.steps_taken = 0
+        self._start = self._seen = start
+        self._is_useful = False  # a later time than the start has been reached
 
     def at(self, times):
         """States (k, 13 n + t) at increasing times (k,), or at those that most_steps reach."""
@@ -293,11 +298,23 @@ class _Run:
                     self._state if self._dense is None else self._dense(times[done:ready]).T
                 )
                 done = ready
+                self._is_useful |= bool(times[done - 1] > self._start)
             if done == len(times) or self.steps_taken == self._most_steps:
                 return out[:done]
+            if not self._is_useful and self.steps_taken and self.steps_taken % LOOKS == 0:
+                self._look_ahead(times[done])
             if not self._advance():  # the last time is the end, up to round-off
                 out[done:] = self._state
                 return out
+
+    def _look_ahead(self, time):
+        """Raise SimulationError if a time is beyond all reach; called every LOOKS steps."""
+        advanced, self._seen = self.reached - self._seen, self.reached
+        if (time - self.reached) * LOOKS > HOPELESS * advanced:
+            raise SimulationError(
+                f"the reference integration would need more than {HOPELESS} steps from t = "
+                f"{self.reached:.6g} s to {time:.6g} s: the motion is too fast for it"
+            )
 
     def _advance(self):
         """Take one step; returns False at the end of the last interval."""

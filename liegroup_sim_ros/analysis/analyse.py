@@ -17,7 +17,13 @@ from liegroup_core.reference.exact import exact_solution
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.playback.repeat import Repeat
-from liegroup_sim_ros.playback.rerun import ReplayError, Starts, initial_state, make_simulation
+from liegroup_sim_ros.playback.rerun import (
+    ReplayError,
+    Starts,
+    Work,
+    initial_state,
+    make_simulation,
+)
 from liegroup_sim_ros.playback.resimulate import platform_changes
 from liegroup_sim_ros.recording.check import check_settings
 from liegroup_sim_ros.recording.motion import Motion
@@ -37,6 +43,8 @@ REFERENCE_SECONDS = 60.0
 # Default of the limit of its steps, which stiff scenes reach: two minutes with one body. heavy_top needs
 # 17 000 for 60 s, four_bar 47 000.
 REFERENCE_STEPS = 200_000
+# Limit of the steps and substeps of the re-simulation, and more of them for each sample: some minutes.
+REPEAT_STEPS, REPEAT_STEPS_PER_SAMPLE = 5_000_000, 1000
 MOST_PUSHES = 1000  # intervals with an applied wrench that are listed in the figures
 
 
@@ -116,7 +124,11 @@ class _Parts:
         self._momentum = Momentum(scene, expected)
         self._guarded = {
             "repeat": _Guarded(
-                lambda: Repeat(recording, make_simulation(scene, recording.settings))
+                lambda: Repeat(
+                    recording,
+                    make_simulation(scene, recording.settings),
+                    Work(REPEAT_STEPS + REPEAT_STEPS_PER_SAMPLE * expected),
+                )
             )
         }
         self._exact, self._estimate = None, Estimate()

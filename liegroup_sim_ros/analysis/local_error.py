@@ -13,11 +13,12 @@ from liegroup_core import SimulationError
 from liegroup_core.engine import BAUMGARTE_STEPS
 from liegroup_core.forces.external import AXES
 from liegroup_core.integrators.methods import METHODS
-from liegroup_sim_ros.playback.rerun import make_simulation
+from liegroup_sim_ros.playback.rerun import Work, make_simulation
 
 WINDOWS = 8  # states of the recording at which the error is estimated
 LENGTH = 16  # steps
 RUNGS = (4.0, 2.0, 1.0, 0.5, 0.25)  # step sizes, relative to the recorded step
+MOST_STEPS = 500_000  # of all of them, or as many substeps
 # Smaller differences are round-off: LENGTH / 0.25 steps, each with a few units of 2^-53.
 FLOOR = 500 * np.finfo(float).eps
 
@@ -33,23 +34,26 @@ def local_error(scene, recording, motion, layout):
         rung: make_simulation(scene, settings, step=rung * settings["step"], **more)
         for rung in RUNGS
     }
-    method = METHODS[settings["method"]]
-    largest, orders, windows = np.zeros(2), [], 0
+    method, work = METHODS[settings["method"]], Work(MOST_STEPS)
+    largest, orders, windows, failure = np.zeros(2), [], 0, None
     for stretch, row in _windows(motion):
         try:
-            one, two = (_advance(simulations[rung], stretch, row, 1) for rung in (1.0, 0.5))
+            one, two = (_advance(work, simulations[rung], stretch, row, 1) for rung in (1.0, 0.5))
             apart = _apart(one, two)
-        except SimulationError:
+        except SimulationError as error:
+            failure = str(error)
             continue
         largest = np.maximum(largest, apart)
         windows += 1
-        order = _order(simulations, stretch, row, size)
+        order = _order(work, simulations, stretch, row, size)
         if order is not None:
             orders.append(order)
     share = 1.0 - 0.5**method.order
     remark = None
     if method.controlled:
         remark, orders = "its error depends on the tolerances, not on the step", []
+    elif not windows:
+        remark = failure
     elif not orders:
         remark = "differences are at round-off, or not yet proportional to a power of the step"
     elif largest.max() < FLOOR:
@@ -73,7 +77,7 @@ def _windows(motion):
         yield motion.stretches[number], k - int(starts[number])
 
 
-def _advance(simulation, stretch, row, length):
+def _advance(work, simulation, stretch, row, length):
     """State (pose, twist) after `length` recorded steps from a sample, with constant wrenches.
 
     The time of the scene's own wrenches is rounded to a multiple of the step.
@@ -104,7 +108,7 @@ def _advance(simulation, stretch, row, length):
         for joint, motion in zip(simulation.layout.motions, stretch.motions[known[-1]]):
             if np.isfinite(motion[0]):
                 simulation.prescribe(joint, motion)
-    simulation.advance(max(1, round(length / rung)))
+    work.advance(simulation, max(1, round(length / rung)))
     return simulation.state()
 
 
@@ -127,12 +131,12 @@ def _apart(one, other):
     return np.array([np.linalg.norm(one[0][:, 9:] - other[0][:, 9:], axis=1).max(), angle.max()])
 
 
-def _order(simulations, stretch, row, size):
+def _order(work, simulations, stretch, row, size):
     """Observed order at a sample, from the finest steps above round-off; None if all are below."""
     states = []
     for rung in RUNGS:
         try:
-            states.append(_advance(simulations[rung], stretch, row, LENGTH))
+            states.append(_advance(work, simulations[rung], stretch, row, LENGTH))
         except SimulationError:
             states.append(None)
     gaps = [

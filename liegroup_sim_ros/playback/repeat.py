@@ -18,10 +18,11 @@ class Repeat:
     """Repetition of a recorded simulation that compares every number of every sample.
 
     simulation : Simulation with the recorded settings, or with other settings to measure their effect
+    work       : limit of its steps, see rerun.Work
     """
 
-    def __init__(self, recording, simulation):
-        self._simulation, self._rerun = simulation, Rerun(recording, simulation)
+    def __init__(self, recording, simulation, work=None):
+        self._simulation, self._rerun = simulation, Rerun(recording, simulation, work)
         self._stretch = None
         self._samples = self._identical = 0
         self._first, self._stopped = None, None

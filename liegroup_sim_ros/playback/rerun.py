@@ -13,10 +13,38 @@ from liegroup_sim_ros.recording.read import RecordingError
 
 # Limit on the number of steps, for damaged files; a step takes at least about 1 us.
 MOST_STEPS = 10**9
+AT_ONCE = 8  # steps between two looks at the work; one may take 1e5 substeps
 
 
 class ReplayError(LieGroupSimError):
     """The run cannot be repeated like this; one line of text, exit code 2."""
+
+
+class Work:
+    """Limit of the work of repeated simulations: numbers of damaged files may ask for any amount.
+
+    most : steps, or attempted substeps of steps with error control
+    """
+
+    def __init__(self, most=MOST_STEPS):
+        self._most = self._left = most
+
+    def advance(self, simulation, steps):
+        """Advance a simulation, as its `advance`. Raises SimulationError, also beyond the limit."""
+        if steps > self._left:
+            self._end()
+        while steps > 0:
+            some = min(steps, AT_ONCE)
+            before = simulation.substeps[1]
+            simulation.advance(some)
+            steps -= some
+            self._left -= max(some, simulation.substeps[1] - before)
+            if self._left < 0:
+                self._end()
+
+    def _end(self):
+        self._left = -1
+        raise SimulationError(f"needs more than {self._most:.7g} steps, with their substeps")
 
 
 def make_simulation(scene, settings, quiet=True, **other):
@@ -50,10 +78,12 @@ class Rerun:
 
     simulation : Simulation with the recorded settings, or with other settings to measure their effect
     ratio      : its steps in a recorded one
+    work       : limit of its steps, see Work
     """
 
-    def __init__(self, recording, simulation):
+    def __init__(self, recording, simulation, work=None):
         self.simulation = simulation
+        self._work = work or Work()
         self._starts = Starts(recording, simulation.layout)
         self._recorded = recording.initial_state
         self._same_method = all(
@@ -61,7 +91,6 @@ class Rerun:
             for key in ("method", "group", "step")
         )
         self.ratio = recording.settings["step"] / simulation.step
-        self._taken = 0
 
     def begin(self, stretch, checkpoint=None):
         """Set the state of the first step of a Stretch, or that of a checkpoint in it.
@@ -99,9 +128,6 @@ class Rerun:
     def advance_to(self, step):
         """Advance to a step with the recorded wrenches. Raises SimulationError."""
         simulation = self.simulation
-        self._taken += step - simulation.steps
-        if self._taken > MOST_STEPS:
-            raise SimulationError(f"needs more than {MOST_STEPS} steps")
         while self._accuracies and self._accuracies[0][0] < step:
             at, accuracy = self._accuracies.pop(0)
             self._go(at)
@@ -110,9 +136,8 @@ class Rerun:
 
     def _go(self, step):
         self.apply_changes(step * self.simulation.step)
-        # Never advance by zero steps: that restarts a method whose memory depends on the wrenches.
-        if step > self.simulation.steps:
-            self.simulation.advance(step - self.simulation.steps)
+        # Never by zero steps: that restarts a method whose memory depends on the wrenches.
+        self._work.advance(self.simulation, step - self.simulation.steps)
 
     def apply_changes(self, until):
         """Apply the recorded changes of wrenches, servos and motions up to a time in s."""

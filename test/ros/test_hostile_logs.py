@@ -5,6 +5,7 @@ import dataclasses
 import math
 import random
 import struct
+import sys
 import time
 import tracemalloc
 import zlib
@@ -16,7 +17,9 @@ from made_run import PAIR, record
 
 from liegroup_core import SceneError
 from liegroup_core.scene.load import scene_from_text
+from liegroup_sim_ros.analysis import local_error
 from liegroup_sim_ros.analysis.analyse import analyse
+from liegroup_sim_ros.analysis.bounds import find_exceeded
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.playback.rerun import ReplayError
 from liegroup_sim_ros.playback.resimulate import resimulate
@@ -248,3 +251,43 @@ def test_invalid_initial_states_in_a_recording(small, key):
         # is within the rounding of stamps; it shifts the wrenches as well.
         shifted = key == "stamp_ns" and value in (-1, True)
         assert figures["identical"] in (0, figures["samples"]) or shifted
+
+
+@pytest.fixture(scope="module")
+def fast(tmp_path_factory):
+    """Recording of a method with error control, 0.1 s of a spinning top."""
+    path = tmp_path_factory.mktemp("log") / "fast.mcap"
+    run = ["run", "heavy_top", "--method", "rkmk54", "--duration", "0.1", "--out", str(path)]
+    assert main(run) == 0
+    return read_recording(path)
+
+
+def spun(recording, speed):
+    """The recording with another initial twist."""
+    state = {name: entry for name, entry in recording.initial_state.items() if name != "memory"}
+    return dataclasses.replace(recording, initial_state=state | {"twist": [[speed] * 6]})
+
+
+@pytest.mark.parametrize("speed", [1e10, 1e30, 1e100])
+def test_an_analysis_ends_where_no_motion_has_such_numbers(fast, speed):
+    """The reference integration, which would take its 200 000 steps for nothing, says so at once."""
+    figures = analyse(spun(fast, speed)).figures
+    assert "reference integration" in figures["reference"]["failed"]
+    assert figures["repeat"]["identical"] == 0
+    assert "its error is unknown" in find_exceeded([figures], max_error=1.0)[0]
+
+
+def test_work_that_numbers_ask_for_is_limited(fast, monkeypatch):
+    """Steps that the stamps claim, and substeps that a speed needs: the figure says why it ends."""
+    claiming = dataclasses.replace(fast, settings=fast.settings | {"step": 1e-9})
+    repeat = analyse(claiming, reference=False).figures["repeat"]
+    assert "needs more than 5011000 steps" in repeat["stopped"] and repeat["identical"] == 1
+    assert analyse(fast, reference=False).figures["repeat"]["stopped"] is None
+    limits = {"REPEAT_STEPS": 1000, "REPEAT_STEPS_PER_SAMPLE": 0}
+    for name, value in limits.items():
+        monkeypatch.setattr(sys.modules["liegroup_sim_ros.analysis.analyse"], name, value)
+    monkeypatch.setattr(local_error, "MOST_STEPS", 100)
+    assert analyse(fast, reference=False).figures["repeat"]["stopped"] is None
+    figures = analyse(spun(fast, 1e4), reference=False).figures
+    assert "needs more than 1000 steps" in figures["repeat"]["stopped"]
+    assert figures["repeat"]["identical"] == 0 and 0 < figures["local"]["windows"] < 8
