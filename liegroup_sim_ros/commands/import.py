@@ -7,6 +7,7 @@ from pathlib import Path
 from liegroup_core.describe import imported
 from liegroup_core.layout import make_layout
 from liegroup_sim_ros.numbers import counted
+from liegroup_sim_ros.report.files import write_text
 
 from .robot_options import RobotError, add_robot_options, robot_scene
 
@@ -50,10 +51,7 @@ def run(args):
     if args.out is None:
         print(text, end="")
         return 0
-    try:
-        Path(args.out).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise RobotError(f"{args.out} cannot be written: {error.strerror}") from None
+    write_text(args.out, text)
     bodies, joints = counted(len(scene.bodies), "body"), counted(len(scene.joints), "joint")
     print(f"{args.out}: {bodies}, {joints}", file=sys.stderr)
     for note in scene.notes:

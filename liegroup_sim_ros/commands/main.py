@@ -8,10 +8,11 @@ A subcommand is a module of this folder, named as the subcommand, with
 
 and a line in COMMANDS. Only the module of the chosen subcommand is imported.
 
-Exit code 0 on success, 2 and one line on stderr for wrong input, 1 if a simulation had to stop,
-130 after Ctrl-C, SIGTERM, SIGHUP or SIGQUIT, 141 if the reader of stdout is gone.
+Exit code 0 on success, 2 and one line on stderr for wrong input or an output that cannot be written, 1 if a
+simulation had to stop, 130 after Ctrl-C, SIGTERM, SIGHUP or SIGQUIT, 141 if the reader of stdout is gone.
 """
 
+import errno
 import os
 import sys
 from importlib import import_module
@@ -43,6 +44,7 @@ COMMANDS = {
 }
 # Those that read scenes and robots.
 READERS = ("import", "describe", "trade", "extremes", "sweep", "run", "analyze")
+FULL = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)  # of a file that stdout is sent to
 EXIT_WRONG_INPUT, EXIT_INTERRUPTED, EXIT_UNREAD = 2, 130, 141
 
 
@@ -72,6 +74,11 @@ def make_parser(chosen=None):
     return parser
 
 
+def _drop_output():
+    """Let nothing that is left in the buffer of stdout raise an error at the end of the process."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def main(args=None):
     """Run the command; returns the exit code."""
     args = sys.argv[1:] if args is None else args
@@ -86,8 +93,14 @@ def main(args=None):
         print(f"liegroup_sim: {error}", file=sys.stderr)
         return EXIT_WRONG_INPUT
     except BrokenPipeError:  # the reader, such as head, has ended
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
         return EXIT_UNREAD
+    except OSError as error:
+        if error.errno not in FULL or error.filename is not None:
+            raise
+        _drop_output()
+        print(f"liegroup_sim: the output cannot be written: {error.strerror}", file=sys.stderr)
+        return EXIT_WRONG_INPUT
     except KeyboardInterrupt:
         print("liegroup_sim: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED

@@ -6,6 +6,7 @@ classes are used as those of write_run.py. Existing files are never overwritten.
 """
 
 import csv
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,19 @@ def new_file(path, mode, **options):
         raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
 
 
+def close_new(stream, path, remove):
+    """Close a file of `new_file`; it is removed if it cannot be written or `remove`. Raises OutputError."""
+    try:
+        stream.close()
+    except OSError as error:
+        remove = True
+        raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
+    finally:
+        if remove:
+            with suppress(OSError):
+                Path(path).unlink()
+
+
 class _Table:
     """Table in a file, with a number of samples and the step of the last one."""
 
@@ -40,10 +54,7 @@ class _Table:
         return self
 
     def __exit__(self, *exception):
-        try:
-            self._stream.close()
-        except OSError as error:
-            raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from None
+        close_new(self._stream, self._path, isinstance(exception[1], OutputError))
 
     def _write(self, *values):
         try:

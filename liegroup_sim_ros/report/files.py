@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Output files of a command: checked before the work, written after it."""
 
+import os
+import shutil
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -32,14 +35,32 @@ def check_files(*paths, picture=None):
         raise ReportError("--png needs matplotlib: pip install 'liegroup_sim_ros[figures]'")
 
 
-def write_file(path, write, *arguments):
-    """Call write(path, *arguments). Raises ReportError if that fails."""
+def write_file(path, write):
+    """Call write(path) with the path of a new file beside this one, which then takes its place.
+
+    A file appears whole or not at all: if writing fails, that of an earlier run is still there. What is no
+    file, such as /dev/stdout, is written directly. Raises ReportError.
+    """
+    place = Path(path).resolve()
+    is_new = not os.path.exists(place)
+    direct = not is_new and not (
+        place.is_file() and os.access(place, os.W_OK) and os.access(place.parent, os.W_OK)
+    )
+    part = place if direct else place.with_name(f".liegroup_sim.{os.getpid()}{place.suffix}")
     try:
-        write(path, *arguments)
+        write(part)
+        if not direct:
+            if not is_new:
+                shutil.copymode(place, part)
+            part.replace(place)
     except OSError as error:
-        raise ReportError(f"{path}: cannot be written: {error.strerror}") from None
+        raise ReportError(f"{path}: cannot be written: {error.strerror or error}") from None
     except ValueError as error:
         raise ReportError(f"{path}: {error}") from None
+    finally:
+        if not direct:
+            with suppress(OSError):
+                part.unlink()
 
 
 def write_text(path, text):

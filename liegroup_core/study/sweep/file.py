@@ -12,7 +12,7 @@ import fcntl
 import json
 import os
 import re
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cached_property
 from importlib import import_module
 from importlib.util import find_spec
@@ -92,6 +92,7 @@ class SweepFile:
     @contextmanager
     def writing(self):
         """Create and lock the folder. Raises SweepFileError."""
+        is_new = not self.path.exists()
         try:
             self.path.mkdir(exist_ok=True)
             handle = os.open(self.path, os.O_RDONLY)
@@ -108,6 +109,9 @@ class SweepFile:
             yield self
         finally:
             os.close(handle)
+            if is_new and not self._parts:  # no run could be written
+                with suppress(OSError):
+                    self.path.rmdir()
 
     def add(self, columns):
         """Write the runs that sweep.Sweep.run yielded. Raises SweepFileError."""
