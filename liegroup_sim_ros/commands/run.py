@@ -23,13 +23,14 @@ from liegroup_core.errors import LieGroupSimError
 from liegroup_core.integrators.methods import CONFIGURATION_GROUPS, METHODS
 from liegroup_core.simulation import default_steps
 from liegroup_sim_ros.numbers import counted
+from liegroup_sim_ros.recording.errors import FileLostError
 from liegroup_sim_ros.recording.write_run import ArrayFile, LogFile
 from liegroup_sim_ros.recording.write_tables import TableFile, TorqueFile
 from liegroup_sim_ros.signals import Signals
 
 from .robot_options import add_robot_options, robot_scene
 
-EXIT_STOPPED = 1
+EXIT_STOPPED = EXIT_LOST = 1
 REDRAW = 0.1  # s between two updates
 NOTE = 160  # characters of a note of the scene
 # Passed on to Simulation if given.
@@ -180,6 +181,14 @@ def dividing_steps(duration, horizon):
 
 def run(args):
     """Run the subcommand; returns the exit code. Raises SceneError, RunError, OutputError."""
+    try:
+        return _run(args)
+    except FileLostError as error:
+        print(f"liegroup_sim: {error}", file=sys.stderr)
+        return EXIT_LOST
+
+
+def _run(args):
     settings = given_settings(args)
     if args.out is None and args.torques is None:
         raise RunError("give --out FILE or --torques FILE: nothing would be written")

@@ -54,6 +54,7 @@ WRONG_INPUT = (
 # a tick whenever a callback runs.
 SWITCH = 1e-4
 EXIT_OK, EXIT_DEFECT, EXIT_WRONG_INPUT = 0, 1, 2
+EXIT_UNRECORDED = 1  # the recording failed or was removed
 
 
 class LogHandler(logging.Handler):
@@ -98,6 +99,7 @@ class SimNode(AnsweringNode):
             ) from None
         for name in ("liegroup_core", "liegroup_sim_ros"):
             logging.getLogger(name).addHandler(LogHandler(self.get_logger()))
+        self.is_recorded = True  # what was to be recorded so far
         self._values = values = read_parameters(self)
         self._loading = False
         simulation, start_ns = make_simulation(values, signals)
@@ -167,7 +169,7 @@ class SimNode(AnsweringNode):
             if was_running:
                 await self.ask("resume")
             raise
-        before.close()
+        self.is_recorded &= before.close()
         self.scene_run = after
         after.start()
         server = after.server
@@ -216,9 +218,10 @@ def run(args, signals):
         sys.setswitchinterval(SWITCH)
         node = SimNode(signals)
         try:
-            return _spin(node, signals)
+            code = _spin(node, signals)
         finally:
-            node.scene_run.close()
+            node.is_recorded &= node.scene_run.close()
+        return code if node.is_recorded else code or EXIT_UNRECORDED
     except Interrupted:
         rclpy.try_shutdown()
         os._exit(EXIT_OK)  # without waiting for the compiler's thread

@@ -115,6 +115,7 @@ class Outputs:
     Raises ParameterError for a topic whose message type is not installed.
 
     timed                    : [(steps between messages, send(stamp_ns, sample))]
+    attending                : functions of the stamp, called with each diagnostics: once a second
     clock_steps, state_steps : steps between messages of /clock and ~/state, 0: none
     acting                   : {(body, axes): total wrench in these axes}, without zero wrenches
     targets                  : {joint: (position, velocity)} of the servos that were commanded
@@ -126,7 +127,7 @@ class Outputs:
         self._node, self._figures, self._overrides = node, figures, overrides
         self._name = f"{node.get_fully_qualified_name()}: simulation"
         self._streams = []
-        self.timed, self.acting = [], {}
+        self.timed, self.attending, self.acting = [], [], {}
         self.clock_steps = values.steps["clock_rate"]
         self.state_steps = values.steps["state_rate"]
         bodies, world_frame = layout.body_names, values.world_frame
@@ -348,9 +349,9 @@ class Outputs:
         if self._joint_modes:
             self._joint_modes.record(stamp_ns, self._encode_modes(sample.switching))
 
-    def event(self, stamp_ns, name, text, failed=False):
-        """Publish an event of the run; log it as well if it is a failure."""
-        if failed:
+    def event(self, stamp_ns, name, text, failed=False, is_logged=False):
+        """Publish an event of the run; log it as well if it is a failure and not logged yet."""
+        if failed and not is_logged:
             self._node.get_logger().error(text)
         self._events.send(
             stamp_ns,
@@ -364,6 +365,8 @@ class Outputs:
     def diagnostics(self, stamp_ns, figures):
         """Publish /diagnostics: figures of the simulation thread and of the node."""
         self._diagnostics.send(stamp_ns, self._encoded(stamp_ns, figures))
+        for attend in self.attending:
+            attend(stamp_ns)
         if figures["state"] != "running" and self._clock is not None:
             # For subscribers that start while the simulation is paused; the recording has it already.
             self._clock.publish(ClockCodec.encode(stamp_ns))

@@ -85,8 +85,10 @@ class SceneRun:
         if path and (values.record_split_size or values.record_split_duration):
             # Before the samples: the first sample of a file is its initial state.
             self.outputs.timed.insert(0, (self._sample_steps, self._divide_if_due))
+        self._is_failure_told = False
         if path:
             self.outputs.timed.append((self._sample_steps, self._add_checkpoint))
+            self.outputs.attending.append(self._tell_failure)
         base_ns = start_ns - simulation.time_ns
         self.server = SimulationServer(
             simulation,
@@ -183,6 +185,12 @@ class SceneRun:
     def _add_checkpoint(self, stamp_ns, _):
         self._checkpoints.add_if_due(stamp_ns)
 
+    def _tell_failure(self, stamp_ns):
+        """Publish that the recording has failed, once; the recorder has logged it."""
+        if self.recorder is not None and self.recorder.failure and not self._is_failure_told:
+            self._is_failure_told = True
+            self.outputs.event(stamp_ns, "unrecorded", self.recorder.failure, True, is_logged=True)
+
     def _attach_pacing(self):
         self.recorder.add_attachment(
             "pacing.json", *attachments.as_json(self.server.pacer.report())
@@ -201,7 +209,7 @@ class SceneRun:
         }
 
     def close(self):
-        """Close the simulation, then the recording, then the topics."""
+        """Close the simulation, then the recording, then the topics; returns whether nothing is lost."""
         self.server.stop()
         if self.recorder is not None:
             self._attach_pacing()
@@ -210,7 +218,9 @@ class SceneRun:
                 self._node.get_logger().info(
                     f"recorded {counted(self.recorder.written, 'message')} in {self.recorder.path}"
                 )
+            self._tell_failure(self.server.stamp_ns)
         self._close_topics(self.server.stamp_ns)
+        return self.recorder is None or self.recorder.failure is None
 
     def _close_topics(self, stamp_ns=None):
         self.wrenches.close()

@@ -18,3 +18,7 @@ class OutputError(LieGroupSimError):
 
 class AddressError(LieGroupSimError):
     """There is no readable file at an address."""
+
+
+class FileLostError(LieGroupSimError):
+    """What was written to a file is not at its path any more."""

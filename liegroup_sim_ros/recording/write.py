@@ -13,7 +13,8 @@ end between two instants, so they do not overlap in time.
 
 log_time = publish_time = the stamp of the message, simulated time in ns. Sequence numbers count
 from 1 in each channel and continue over the parts of a recording. A full disk ends the recording,
-not the simulation: `failure` holds the error, `lost` counts the messages.
+not the simulation: `failure` holds the error, `lost` counts the messages. So does a file that is removed,
+replaced or truncated while it is written: it is looked for at every flush and at its end.
 
 Source: mcap.dev specification, profile "ros2"; rosbag2 bag metadata version 9.
 """
@@ -29,7 +30,7 @@ from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.version import __version__
 
 from .bag_metadata import FILE_NAME, Bag, as_yaml, record_of_file, topic_info
-from .errors import RecorderError
+from .errors import FileLostError, RecorderError
 from .write_files import new_file_path, part_path, reason, refuse_old_parts
 from .write_mcap import Chunk, McapFile, UnbufferedFile
 
@@ -55,10 +56,12 @@ class Recorder:
     part           : number of the first part; part 2 of run.mcap is run_part2.mcap
     bag            : Bag that the files are added to and whose metadata.yaml is written beside
                      them; True: a new bag; None: no metadata.yaml
+    continues      : the simulation continues after a failure, which is then logged; False: the caller ends it
 
     Counters: `written` messages in closed chunks of the files, `queued` messages, `lost` messages
     (0 unless there was a failure), `bytes` in the current file. `failure`: None or one line of
-    text, also logged once. A `with` block closes the recorder. Raises RecorderError.
+    text; `is_lost`: it is that the file was removed, replaced or truncated. A `with` block closes the
+    recorder. Raises RecorderError.
     """
 
     def __init__(
@@ -72,6 +75,7 @@ class Recorder:
         max_duration=0,
         part=1,
         bag=None,
+        continues=True,
     ):
         self.path = new_file_path(path)
         self.part, self._first_path = part, part_path(self.path, part, 1)
@@ -85,7 +89,8 @@ class Recorder:
             )
         self.written = 0
         self.lost = 0
-        self.failure = None
+        self.failure, self.is_lost = None, False
+        self._continues = continues
         self._metadata = metadata or {}
         self._channels, self._registered = [], []
         self._schema_ids = {}  # message type -> schema id in the present file
@@ -103,6 +108,7 @@ class Recorder:
         self._is_dividing = False
         self._closing = threading.Event()
         self._closed = False
+        self._file = None
         try:
             self._open(self.path, attachments or {})
         except FileExistsError:
@@ -111,6 +117,9 @@ class Recorder:
                 "another name"
             ) from None
         except OSError as error:
+            if self._file is not None:  # its first records do not fit on the disk
+                self._file.close()
+                self.path.unlink()
             raise RecorderError(f"cannot record to {self.path}: {reason(error)}") from None
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
@@ -314,6 +323,7 @@ class Recorder:
         """
         if now >= self._flush_at:
             self._flush_at, self._flush_by = now + self._flush_interval, now + _INSTANT
+            self._attempt(self._file.check)
             if self._chunk.count:
                 self._flushing = self._chunk
                 self._flushing.limit = 0
@@ -341,6 +351,7 @@ class Recorder:
         topics = [(channel.info, mcap.counts.get(channel.id, 0)) for channel in self._channels]
         mcap.add_metadata("rosbag2", record_of_file(self.path.name, mcap.stamps, topics))
         mcap.finish()
+        self._file.check()
         if self.bag is not None:
             self.bag.add_file(self.path.name, mcap.stamps, topics)
             self.bag.write(self.path.parent)
@@ -357,16 +368,20 @@ class Recorder:
         """End the recording. Whatever the error is, the simulation continues."""
         with self._lock:
             # A chunk is readable even if its index did not reach the file.
-            self.written = self._earlier + sum(self._mcap.counts.values())
+            self.is_lost = isinstance(error, FileLostError)
+            here = 0 if self.is_lost else sum(self._mcap.counts.values())
+            self.written = self._earlier + here
             name = getattr(error, "filename", None)
             self.failure = (
                 f"recording to {self.path} stopped after {counted(self.written, 'message')}: "
                 f"{reason(error)}"
-                f"{f': {name}' if name else ''}; the simulation continues without recording"
+                f"{f': {name}' if name else ''}"
+                + ("; the simulation continues without recording" if self._continues else "")
             )
             self._chunk = Chunk()
             self.lost = self._submitted - self.written
-        _log.error(self.failure)
+        if self._continues:
+            _log.error(self.failure)
 
 
 class _Channel:

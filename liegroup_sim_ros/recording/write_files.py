@@ -5,7 +5,7 @@ import re
 import time
 from pathlib import Path
 
-from .errors import RecorderError
+from .errors import FileLostError, RecorderError
 
 
 def new_file_path(path):
@@ -46,4 +46,6 @@ def refuse_old_parts(path, number):
 
 def reason(error):
     """Text of an error, one line; of an OSError that of the operating system."""
+    if isinstance(error, FileLostError):
+        return str(error)
     return getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"

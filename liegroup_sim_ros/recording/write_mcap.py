@@ -9,6 +9,7 @@ other authors.
 Source: mcap.dev specification, version 0.
 """
 
+import os
 import struct
 import zlib
 from array import array
@@ -32,6 +33,8 @@ from mcap.records import (
 )
 from mcap.records import Chunk as ChunkRecord
 from mcap.writer import MCAP0_MAGIC
+
+from .errors import FileLostError
 
 _MESSAGE = struct.Struct("<BQHIQQ")  # opcode, size, channel, sequence, log and publish time
 _MESSAGE_FIELDS = _MESSAGE.size - 9  # without opcode and size
@@ -88,12 +91,17 @@ class Chunk:
         self.count += 1
 
 
+def _appending(path, flags):
+    return os.open(path, flags | os.O_APPEND, 0o666)
+
+
 class UnbufferedFile:
     """A new file without a buffer: data from a completed `write` survives the process."""
 
     def __init__(self, path):
-        self._raw = open(path, "xb", buffering=0)
-        self._size = 0
+        # Appending, a file that is truncated by others stays shorter than what was written to it.
+        self._raw = open(path, "xb", buffering=0, opener=_appending)
+        self._path, self._size = os.path.abspath(path), 0
         self.close = self._raw.close
 
     def write(self, data):
@@ -107,6 +115,20 @@ class UnbufferedFile:
     def tell(self):
         """Bytes written so far."""
         return self._size
+
+    def check(self):
+        """Raise FileLostError if the file at the path is not this one with all that was written."""
+        try:
+            there = os.stat(self._path)
+        except (FileNotFoundError, NotADirectoryError):
+            raise FileLostError("the file was removed or renamed") from None
+        except OSError:  # such as a folder that may not be searched any more: nothing is known
+            return
+        mine = os.fstat(self._raw.fileno())
+        if (there.st_dev, there.st_ino) != (mine.st_dev, mine.st_ino):
+            raise FileLostError("the file was replaced by another one")
+        if mine.st_size < self._size:
+            raise FileLostError(f"the file was truncated to {mine.st_size} bytes")
 
 
 class McapFile:

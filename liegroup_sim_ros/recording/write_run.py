@@ -22,9 +22,9 @@ from liegroup_sim_ros.numbers import counted
 
 from . import attachments
 from .checkpoints import Checkpoints
-from .errors import OutputError, RecorderError
+from .errors import FileLostError, OutputError, RecorderError
 from .write import Recorder
-from .write_tables import has_estimate, joint_names, new_file
+from .write_tables import close_new, has_estimate, joint_names, new_file
 
 NODE = "/sim_node"  # the topics have the names that they have in a run of the node
 WORLD_FRAME = "world"
@@ -86,7 +86,7 @@ class ArrayFile:
         return self
 
     def __exit__(self, *exception):
-        self._stream.close()
+        close_new(self._stream, self._path, exception[0] is not None)
 
     def sample(self, sample):
         """Append a sample."""
@@ -129,6 +129,7 @@ class ArrayFile:
                 scene=np.array(simulation.scene.text),
                 settings=np.array(json.dumps(settings, indent=1)),
             )
+            self._stream.flush()
         except OSError as error:
             raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from None
 
@@ -184,6 +185,7 @@ class LogFile:
                 attachments.at_start(
                     simulation, NODE, WORLD_FRAME, every, names, simulation.time_ns
                 ),
+                continues=False,
             )
         except schemas.SchemaError as error:
             raise OutputError(f"{path}: {error}; *.npz needs no ROS") from None
@@ -217,9 +219,16 @@ class LogFile:
 
     def __exit__(self, *exception):
         self._recorder.close()
-        # The recorder raises no disk errors, so that a simulation in real time continues.
-        if exception[0] is None and self._recorder.failure:
-            raise OutputError(self._recorder.failure)
+        if self._recorder.failure and not self._recorder.is_lost and not self._recorder.written:
+            self._recorder.path.unlink()  # nothing to recover
+        if exception[0] is None:
+            self._check()
+
+    def _check(self):
+        """Raise OutputError or FileLostError if the recording failed: the recorder raises no disk errors."""
+        failure = self._recorder.failure
+        if failure:
+            raise (FileLostError if self._recorder.is_lost else OutputError)(failure)
 
     def _channel(self, topic):
         return self._recorder.add_channel(topic.resolved(NODE), topic.type, topic.qos, topic.depth)
@@ -251,6 +260,7 @@ class LogFile:
 
     def sample(self, sample):
         """Record poses, twists, estimated errors of all bodies, and events at joints."""
+        self._check()
         stamp = sample.time_ns
         self._report("drain")
         for name, text in events.reports(self._simulation):

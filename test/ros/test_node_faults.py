@@ -10,8 +10,13 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from node_process import COMPILING, NodeProcess, stamp_ns
+from rcl_interfaces.msg import Log
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from liegroup_sim_ros.messages.codecs import LogCodec
 
 PERIOD_NS = 10_000_000
+UNRECORDED = 1  # exit code
 # A disk of 300 kB in a mount namespace of its own; then the node, with the arguments behind.
 SMALL_DISK = 'mount -t tmpfs -o size=300k tmpfs {0} && exec "$@"'
 
@@ -24,10 +29,10 @@ def figures(messages):
     return {pair.key: pair.value for pair in messages[-1].status[0].values}
 
 
-def ended_well(process):
+def ended_well(process, expected=0):
     process.send(signal.SIGTERM)
     code, errors = process.wait()
-    assert code == 0 and "Traceback" not in errors, errors
+    assert code == expected and "Traceback" not in errors, errors
     return errors
 
 
@@ -54,8 +59,27 @@ def test_a_full_disk_ends_the_recording_with_an_error_but_not_the_simulation(
         assert figures(diagnostics)["state"] == "running" and lost > 0
         client.until(lambda: len(poses) > count + 500)
         client.until(lambda: int(figures(diagnostics)["recorder_lost"]) > lost)
-        said = [line for line in ended_well(process).splitlines() if "No space left" in line]
+        errors = ended_well(process, UNRECORDED)
+        said = [line for line in errors.splitlines() if "No space left" in line]
         assert len(said) == 1 and said[0].startswith("[ERROR]")
+
+
+def test_a_removed_recording_is_an_error_an_event_and_an_exit_code(client, scene, tmp_path):
+    events = client.listen(
+        "/emptied/events", Log, QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    )
+    log = tmp_path / "run.mcap"
+    with NodeProcess(
+        {"scene": scene, "record": log, "record_flush_interval": 0.2}, remap=["__node:=emptied"]
+    ) as process:
+        client.until(lambda: events, COMPILING)
+        log.unlink()
+        client.until(lambda: [m for m in events if m.name == "unrecorded"])
+        (event,) = (m for m in events if m.name == "unrecorded")
+        assert "the file was removed" in event.msg and event.level == LogCodec.ERROR
+        errors = ended_well(process, UNRECORDED)
+        said = [line for line in errors.splitlines() if "the file was removed" in line]
+        assert len(said) == 1 and said[0].startswith("[ERROR]") and not log.exists()
 
 
 def test_a_suspended_node_continues_without_a_burst(client, scene):

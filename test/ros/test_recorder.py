@@ -2,9 +2,11 @@
 """The recorder under load, in killed processes and on a full disk: data loss and messages."""
 
 import json
+import os
 import signal
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -109,6 +111,48 @@ def test_a_disk_that_is_full_on_close_is_detected(tmp_path):
     )
     size, short, failure = json.loads(child.communicate(timeout=60)[0])
     assert short == size - 3 and "File too large" in failure
+
+
+def renamed(path):
+    path.rename(path.with_name("other.mcap"))
+
+
+def replaced(path):
+    path.unlink()
+    path.write_bytes(b"other")
+
+
+@pytest.mark.parametrize("at_the_end", [False, True])
+@pytest.mark.parametrize(
+    "harm, said",
+    [
+        (Path.unlink, "the file was removed or renamed"),
+        (renamed, "the file was removed or renamed"),
+        (replaced, "the file was replaced by another one"),
+        (lambda path: os.truncate(path, 50), "the file was truncated to "),
+    ],
+)
+def test_a_file_that_is_lost_while_it_is_written_is_reported(
+    tmp_path, caplog, harm, said, at_the_end
+):
+    """At the next flush, or at the end. A part that is finished may go where it likes."""
+    with Recorder(tmp_path / "run.mcap", flush_interval=60.0 if at_the_end else 0.02) as recorder:
+        channel = recorder.add_channel("/clock", ClockCodec.TYPE)
+        recorder.write(channel, 1, ClockCodec.encode(1))
+        recorder.divide({})
+        recorder.write(channel, 2, ClockCodec.encode(2))
+        started = time.monotonic()
+        while not recorder.path.name.endswith("_part2.mcap"):
+            time.sleep(0.001)
+        (tmp_path / "run.mcap").unlink()
+        harm(recorder.path)
+        while not at_the_end and recorder.failure is None:
+            assert time.monotonic() < started + 20.0
+            time.sleep(0.001)
+        recorder.write(channel, 3, ClockCodec.encode(3))
+    assert said in recorder.failure and recorder.is_lost and recorder.failure in caplog.text
+    assert (recorder.written, recorder.lost, recorder.queued) == (1, 2, 0)
+    assert not list(tmp_path.glob("*.yaml"))
 
 
 def test_a_fast_producer_blocks_and_no_message_is_lost(tmp_path):
