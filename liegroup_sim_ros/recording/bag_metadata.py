@@ -5,18 +5,26 @@ Source: rosbag2 bag metadata version 9.
 """
 
 import os
+from contextlib import suppress
+from textwrap import dedent, indent
 
 import yaml
 
 FILE_NAME = "metadata.yaml"
+# Most files whose entries are written anew with every further one. Of more, every so many of them are: the cost
+# of a file does not grow with their number, and only the last thousandth may be missing after a crash.
+AT_ONCE = 1000
 
 
 class Bag:
     """The files of a bag, added one by one."""
 
     def __init__(self):
-        self._files = []
+        self._names, self._files = [], []  # their entries, YAML
         self._topics = {}  # name -> entry of topics_with_message_count
+        self._count = 0  # messages
+        self._spans = {}  # smallest and largest stamp of the files with messages (True) and of the others
+        self._written = 0  # files in metadata.yaml
 
     def add_file(self, name, stamps, topics):
         """Add a complete file.
@@ -26,55 +34,71 @@ class Bag:
         topics : [(topic_info(...), number of messages)]
         """
         first, last = stamps
-        self._files.append(
-            {
-                "path": name,
-                "starting_time": {"nanoseconds_since_epoch": first},
-                "duration": {"nanoseconds": last - first},
-                "message_count": sum(count for _, count in topics),
-            }
-        )
-        for info, count in topics:
+        count = sum(number for _, number in topics)
+        entry = {
+            "path": name,
+            "starting_time": {"nanoseconds_since_epoch": first},
+            "duration": {"nanoseconds": last - first},
+            "message_count": count,
+        }
+        self._names.append(_item(name))
+        self._files.append(_item(entry))
+        self._count += count
+        start, end = self._spans.get(count > 0, stamps)
+        self._spans[count > 0] = min(start, first), max(end, last)
+        for info, number in topics:
             entry = self._topics.setdefault(
                 info["name"], {"topic_metadata": info, "message_count": 0}
             )
-            entry["message_count"] += count
+            entry["message_count"] += number
 
-    def description(self):
-        """The metadata as plain types, for YAML."""
-        files = [file for file in self._files if file["message_count"]] or self._files
-        starts = [file["starting_time"]["nanoseconds_since_epoch"] for file in files]
-        ends = [start + file["duration"]["nanoseconds"] for start, file in zip(starts, files)]
-        return {
+    def text(self):
+        """The content of metadata.yaml."""
+        first, last = self._spans.get(True) or self._spans[False]
+        head = {
             "version": 9,
             "storage_identifier": "mcap",
-            "duration": {"nanoseconds": max(ends) - min(starts)},
-            "starting_time": {"nanoseconds_since_epoch": min(starts)},
-            "message_count": sum(file["message_count"] for file in self._files),
+            "duration": {"nanoseconds": last - first},
+            "starting_time": {"nanoseconds_since_epoch": first},
+            "message_count": self._count,
             "topics_with_message_count": list(self._topics.values()),
             "compression_format": "",
             "compression_mode": "",
-            "relative_file_paths": [file["path"] for file in self._files],
-            "files": self._files,
             "custom_data": {},
             "ros_distro": "jazzy",
         }
+        lists = ("relative_file_paths", self._names), ("files", self._files)
+        return as_yaml({"rosbag2_bagfile_information": head}) + "".join(
+            f"  {name}:\n{''.join(entries)}" for name, entries in lists
+        )
+
+    def is_due(self):
+        """Whether enough files were added for metadata.yaml to be written again."""
+        return len(self._files) - self._written > self._written // AT_ONCE
 
     def write(self, folder):
         """Write metadata.yaml atomically. Raises OSError."""
         path = folder / FILE_NAME
         new = path.with_suffix(".yaml.new")
-        new.write_text(
-            as_yaml({"rosbag2_bagfile_information": self.description()}), encoding="utf-8"
-        )
-        os.replace(new, path)
+        try:
+            new.write_text(self.text(), encoding="utf-8")
+            os.replace(new, path)
+        finally:
+            with suppress(OSError):
+                new.unlink()
+        self._written = len(self._files)
+
+
+def _item(value):
+    """Entry of a list in the metadata, YAML."""
+    return indent(as_yaml([value]), "  ")
 
 
 def record_of_file(name, stamps, topics):
     """{key: text} of the metadata record `rosbag2` of a file; arguments as in Bag.add_file."""
     bag = Bag()
     bag.add_file(name, stamps, topics)
-    return {"serialized_metadata": as_yaml(bag.description())}
+    return {"serialized_metadata": dedent(bag.text().partition("\n")[2])}
 
 
 def topic_info(topic, msg_type, qos, type_hash):

@@ -245,7 +245,7 @@ class Recorder:
         path = self.part_path(self.part)
 
         def open_next():
-            self._finish()
+            self._finish(is_last=False)
             self._file.close()
             self._open(path, attachments)
             self.path = path
@@ -346,7 +346,7 @@ class Recorder:
         self._mcap.write_chunk(chunk)
         self.written += chunk.count
 
-    def _finish(self):
+    def _finish(self, is_last=True):
         mcap = self._mcap
         topics = [(channel.info, mcap.counts.get(channel.id, 0)) for channel in self._channels]
         mcap.add_metadata("rosbag2", record_of_file(self.path.name, mcap.stamps, topics))
@@ -354,7 +354,8 @@ class Recorder:
         self._file.check()
         if self.bag is not None:
             self.bag.add_file(self.path.name, mcap.stamps, topics)
-            self.bag.write(self.path.parent)
+            if is_last or self.bag.is_due():
+                self.bag.write(self.path.parent)
 
     def _attempt(self, action):
         """Run a function unless the recording has failed."""

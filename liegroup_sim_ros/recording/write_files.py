@@ -35,9 +35,11 @@ def part_path(path, number, part):
 
 def refuse_old_parts(path, number):
     """Raise RecorderError if files exist that would be parts of the same recording."""
+    if number > 1:  # they are its own
+        return
     pattern = re.compile(re.escape(path.stem) + r"_part[0-9]+\.mcap")
     old = sorted(each.name for each in path.parent.iterdir() if pattern.fullmatch(each.name))
-    if old and number == 1:
+    if old:
         raise RecorderError(
             f"cannot record to {path}: {old[0]} already exists and could be a part of "
             "this recording; remove it or choose another name"

@@ -20,7 +20,8 @@ from liegroup_sim_ros.messages.codecs import (
     TwistStampedCodec,
     WrenchStampedCodec,
 )
-from liegroup_sim_ros.recording import attachments
+from liegroup_sim_ros.messages.schemas import qos_profile
+from liegroup_sim_ros.recording import attachments, bag_metadata
 from liegroup_sim_ros.recording.damaged_survey import survey
 from liegroup_sim_ros.recording.write import Recorder, RecorderError
 
@@ -215,6 +216,37 @@ def test_parts_are_split_by_size_with_continuous_sequence_numbers(tmp_path):
     assert sequences == list(range(1, 10_001))
     with AnyReader([tmp_path]) as reader:
         assert reader.message_count == 10_000 + len(parts) - 1
+
+
+def test_the_cost_of_a_part_does_not_grow_with_their_number(tmp_path, monkeypatch):
+    """Entries that are written anew with each file, and files that a killed process leaves out."""
+    monkeypatch.setattr(bag_metadata, "AT_ONCE", 10)
+    bag, topics, entries = bag_metadata.Bag(), [], 0
+    for k, qos in enumerate(("reliable", "transient_local")):
+        info = bag_metadata.topic_info(f"/é: {k}", ClockCodec.TYPE, [qos_profile(qos, 5)], "hash")
+        topics.append((info, 2 * k))
+    names = [f"a b: {k}" + " long" * 40 + ".mcap" for k in range(300)]
+    for k, name in enumerate(names, 1):
+        empty = k % 7 == 0  # such a file has no stamps
+        bag.add_file(name, (0, 0) if empty else (5 * k, 5 * k + 3), [] if empty else topics)
+        if bag.is_due():
+            bag.write(tmp_path)
+            entries += k
+        listed = (tmp_path / "metadata.yaml").read_text(encoding="utf-8").count("- path:")
+        assert 0 <= k - listed <= k / 10 and entries <= 2 * 10 * k
+    bag.write(tmp_path)
+    assert [each.name for each in tmp_path.iterdir()] == ["metadata.yaml"]
+    told = yaml.safe_load((tmp_path / "metadata.yaml").read_text(encoding="utf-8"))
+    told = told["rosbag2_bagfile_information"]
+    assert told["relative_file_paths"] == [each["path"] for each in told["files"]] == names
+    assert told["message_count"] == sum(each["message_count"] for each in told["files"]) == 2 * 258
+    assert told["starting_time"] == {"nanoseconds_since_epoch": 5}
+    assert told["duration"] == {"nanoseconds": 5 * 300 + 3 - 5}
+    assert [each["topic_metadata"] for each in told["topics_with_message_count"]] == [
+        info for info, _ in topics
+    ]
+    record = bag_metadata.record_of_file(names[0], (5, 8), topics)["serialized_metadata"]
+    assert yaml.safe_load(record)["files"] == told["files"][:1]
 
 
 def test_existing_files_of_parts_or_bag_are_refused_at_the_start(tmp_path):
