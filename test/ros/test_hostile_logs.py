@@ -291,3 +291,14 @@ def test_work_that_numbers_ask_for_is_limited(fast, monkeypatch):
     figures = analyse(spun(fast, 1e4), reference=False).figures
     assert "needs more than 1000 steps" in figures["repeat"]["stopped"]
     assert figures["repeat"]["identical"] == 0 and 0 < figures["local"]["windows"] < 8
+
+
+@pytest.mark.parametrize("command", [["analyze"], ["replay", "--resimulate"]])
+def test_a_recording_names_no_files_of_this_machine(command, tmp_path, capsys):
+    scene, path = scene_from_text(PAIR), tmp_path / "run.mcap"
+    (tmp_path / "arm.xacro").write_text("<robot/>")
+    scene._text = f"robot: {tmp_path}/arm.xacro\n"
+    record(path, scene, 20)
+    assert main([command[0], str(path), *command[1:]]) == 2
+    said = capsys.readouterr().err
+    assert "scene.yaml:1: a text cannot name a robot's file" in said and said.count("\n") == 1, said
