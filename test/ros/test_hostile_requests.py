@@ -155,6 +155,15 @@ def test_a_world_that_is_refused_has_its_code(uri, code, client, besieged):
     assert response.result.error_message and "\n" not in response.result.error_message
 
 
+def test_a_parameter_names_no_file_elsewhere(client, besieged):
+    process, folder = besieged
+    for path, reason in (("/etc/passwd", "is not read"), (f"{folder}/canary.xacro", "not allowed")):
+        assert client.set(NODE, scene=path).successful
+        answer = client.call(f"{NODE}/reload")
+        assert not answer.success and reason in answer.message, answer.message
+    assert client.set(NODE, scene=str(folder / "scene.yaml")).successful
+
+
 def test_huge_numbers_are_refused_before_they_count(client, besieged):
     from rcl_interfaces.srv import SetParametersAtomically
     from rclpy.parameter import Parameter
