@@ -196,6 +196,7 @@ def test_other_requests_are_answered_while_steps_are_taken(client, besieged):
     stepping = client.node.create_client(StepSimulation, f"{NODE}/step_simulation")
     client.until(stepping.service_is_ready)
     future = stepping.call_async(StepSimulation.Request(steps=1_000_000))
+    client.spin(0.5)  # until they have begun
     for _ in range(5):
         client.call(f"{NODE}/pause")
     assert not future.done()
