@@ -140,7 +140,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         self._warned = self._warned_singular = quiet
         self._warned_endless = self._warned_crowded = quiet
         self._start = initial_state(self.layout.centred)
-        self._block = FIRST_BLOCK
+        self._block, self._halted = FIRST_BLOCK, False
         warm_up(self._touch, self._integrator.kernels)
 
     def __copy__(self) -> "Engine":
@@ -326,6 +326,19 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         """Set the most attempted substeps in a step of a method with error control."""
         self._integrator.limit_attempts(most)
 
+    def halt(self) -> None:
+        """End `advance`, which another thread has called, after the last valid step: within a few ms."""
+        self._halted = True
+        if METHODS[self.method].controlled:  # a step may have a million substeps
+            self._integrator.limit_attempts(0)
+
+    def _go_on(self):
+        """Advance again after `halt`."""
+        if self._halted:
+            self._halted = False
+            if METHODS[self.method].controlled:
+                self._integrator.limit_attempts()
+
     def advance(self, steps: int = 1, enough: Callable[[], bool] | None = None) -> None:
         """Take `steps` steps, an integer >= 0.
 
@@ -339,6 +352,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         """
         if not is_count(steps):
             raise ValueError(f"steps must be a whole number, 0 or more, {got(steps)}")
+        self._go_on()
         self._advance(int(steps), enough)
 
     def advance_to(self, steps):
@@ -358,6 +372,8 @@ class Engine(Inputs, JointEvents, Placing, Reports):
             began = time.perf_counter()
             done, status = self._take_steps(start, change - self.steps, inside)
             self.steps += done
+            if self._halted and self.steps < end:
+                return
             self._checked(status)
             if self.steps >= end:
                 break

@@ -189,6 +189,8 @@ class RunningError:
                 self._companion.drain_applied()  # nobody else does
             except SimulationError:
                 self._failed = True
+        if not self._failed and self._companion.steps < meeting:
+            return  # it was halted, too
         # In between, the companion only shares out its work.
         if self._by_work and steps != self._next:
             return

@@ -341,6 +341,17 @@ class Simulation(Engine):
         if self._running is not None:
             self._running.changed(self._applied[count:])
 
+    def halt(self) -> None:
+        """As Engine.halt."""
+        super().halt()
+        if self._running is not None:
+            self._running.companion.halt()
+
+    def _go_on(self):
+        super()._go_on()
+        if self._running is not None:
+            self._running.companion._go_on()
+
     def _advance(self, steps, enough=None):
         running = self._running
         if running is None:

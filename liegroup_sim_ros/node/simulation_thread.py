@@ -31,6 +31,7 @@ from .simulation_commands import COMMANDS, CommandError, SimulationCommands
 log = logging.getLogger("liegroup_core")
 
 DIAGNOSTICS_PERIOD = 1.0  # s of wall time
+HALTING = 0.05  # s between two attempts to halt the simulation
 _time_ns = attrgetter("time_ns")
 IDLE_TICK = 0.01  # s of simulated time between two ticks if no output has a period
 
@@ -161,11 +162,12 @@ class SimulationServer(SimulationCommands, threading.Thread):
         return self._simulation.input_count + len(self._inbox)
 
     def stop(self):
-        """End the thread after the current tick and join it."""
+        """End the thread and join it; a step that takes long is given up."""
         self._stopping = True
         self._wake.set()
-        if self.is_alive():
-            self.join()
+        while self.is_alive():
+            self._simulation.halt()  # again, as the thread may go on where it was in between
+            self.join(HALTING)
 
     # In the simulation thread:
 

@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulation for users: stepping, options, and errors that end an integration."""
 
+import functools
 import os
 import subprocess
 import sys
+import threading
 
 import mechanisms
 import numpy as np
 import pytest
 
-from liegroup_core import SceneError, Simulation, SimulationError, load_scene
+from liegroup_core import SceneError, Simulation, SimulationError, engine, load_scene
 from liegroup_core.scene import Body, scene_from_text
 from liegroup_core.status import NOT_FINITE, ROTATION_TOO_LARGE
 
@@ -212,3 +214,46 @@ def test_messages_print_numpy_scalars_as_plain_numbers():
         Body(name="a", mass=1.0, inertia=tuple(np.array([-0.1, 0.1, 0.1])))
     with pytest.raises(SceneError, match=r"got -1.0$"):
         Body(name="a", mass=np.float64(-1.0), inertia=(0.1, 0.1, 0.1))
+
+
+@pytest.mark.parametrize("settings", [{"method": "rkmk4"}, {"accuracy": 1e-5, "step": 1e-3}])
+@pytest.mark.parametrize("scene", ["four_bar", "gripper"])
+def test_blocks_of_steps_do_not_change_a_bit(scene, settings, monkeypatch):
+    states = []
+    for block in (1, 7, 10**6):
+        monkeypatch.setattr(engine, "_next_block", lambda *_, size=block: size)
+        simulation = Simulation(load_scene(scene), **settings)
+        simulation._block = block
+        simulation.advance(60)
+        states.append(np.concatenate([part.ravel() for part in simulation.state()]))
+    assert np.array_equal(states[0], states[1]) and np.array_equal(states[0], states[2])
+
+
+def test_advance_ends_early_where_enough_says_so():
+    simulation = Simulation(load_scene("heavy_top"), "rkmk4", 1e-7, estimate=False)
+    asked = []
+    simulation.advance(10**9, lambda: asked.append(simulation.steps) or len(asked) == 3)
+    assert simulation.steps == asked[-1] < 10**9 and asked == sorted(set(asked))
+
+
+def test_a_halted_step_leaves_the_last_valid_state_and_can_be_taken_again():
+    """A step of 20 000 substeps takes some 0.1 s, and is halted after a hundredth of that."""
+    make = functools.partial(
+        Simulation, load_scene("heavy_top"), "rkmk54", 20.0, rtol=1e-13, atol=1e-13, estimate=False
+    )
+    halted, whole = make(), make()
+    before = halted.state()
+    for _ in range(20):
+        timer = threading.Timer(1e-3, halted.halt)
+        timer.start()
+        halted.advance(1)
+        timer.join()
+        if halted.steps == 0:
+            break
+        halted.reset()
+    assert halted.steps == 0
+    assert all(map(np.array_equal, halted.state(), before))
+    halted.advance(1)
+    whole.advance(1)
+    assert whole.substeps[0] > 5000
+    assert all(map(np.array_equal, halted.state(), whole.state()))
