@@ -10,7 +10,9 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.callconv import CPUCallConv
 from numba.core.codegen import CPUCodegen, JITCodeLibrary
 from numba.core.compiler import Compiler
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.datamodel import models
+from numba.core.dispatcher import Dispatcher
 from numba.core.errors import WarningsFixer
 from numba.core.lowering import Lower
 from numba.core.typed_passes import NativeLowering, NopythonTypeInference, PreLowerStripPhis
@@ -50,6 +52,8 @@ ASSUMED = {
     CallStack: {"register": "self target typeinfer func_id args"},
     WarningsFixer: {"catch_warnings": "self filename lineno"},
     Compiler: {"define_pipelines": "self"},
+    Dispatcher: {"compile": "self sig"},
+    type(global_compiler_lock): {"is_locked": "self"},
     BaseContext: {
         "insert_user_function": "self func fndesc libs",
         "subtarget": "self kws",

@@ -17,6 +17,8 @@ import threading
 from contextlib import suppress
 from importlib import import_module
 
+from .undisturbed import undisturbed
+
 log = logging.getLogger("liegroup_core")
 
 TESTED = "0.63 to 0.68"  # releases of Numba whose inner parts are as expected
@@ -28,15 +30,17 @@ _chosen = None
 
 def chosen():
     """Module of the compiler of this process: inlining, plain or python."""
-    global _chosen
-    if _chosen is None:
-        with _lock:
-            if _chosen is None:
-                _choose()
-    return _chosen
+    return _chosen or undisturbed(_choose)
 
 
 def _choose():
+    with _lock:
+        if _chosen is None:
+            _select()
+    return _chosen
+
+
+def _select():
     global _chosen
     try:
         import numba

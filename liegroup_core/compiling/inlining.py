@@ -34,6 +34,7 @@ from .cache import cache_folder
 from .kernels import Choice, Kernel
 from .passes import Flushing, Inner, Outer
 from .struct_types import digest, text
+from .undisturbed import compiling_apart
 
 log = logging.getLogger("liegroup_core")
 
@@ -98,13 +99,13 @@ class _Cache(FunctionCache):
     def _forgiving(self):
         try:
             yield
-        except OSError as error:
+        except (OSError, MemoryError) as error:
             if not _Cache.warned:
                 _Cache.warned = True
                 log.warning(
                     "Compiled kernels cannot be cached, so every start compiles them again: %s: %s",
                     self.cache_path,
-                    error.strerror,
+                    getattr(error, "strerror", "out of memory"),
                 )
 
 
@@ -241,7 +242,7 @@ def for_python(kernel):
         dispatcher = njit(**OPTIONS, pipeline_class=pipeline)(kernel.function)
         if cache() is not None:
             dispatcher._cache = _Cache(kernel.function)
-        return dispatcher
+        return compiling_apart(dispatcher)
     finally:
         numba.config.CACHE_DIR = before
 

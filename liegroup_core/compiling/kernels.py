@@ -2,14 +2,15 @@
 """Decorators of the numerical kernels."""
 
 import functools
-import gc
 import importlib.util
 import logging
 import os
+import threading
 import time
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 
 from . import backend
+from .undisturbed import undisturbed
 
 log = logging.getLogger("liegroup_core")
 
@@ -22,26 +23,31 @@ class Kernel:
 
     function : function to compile
     role     : name of its decorator, one of those below
+
+    dispatcher : Numba's dispatcher of the function for Python
+    inner      : Numba's dispatcher of the function for other kernels
+    call       : callable for Python: takes Structs
+    These are made when they are needed, by the functions of the compiler that _PARTS names.
     """
+
+    _PARTS = {"dispatcher": "for_python", "inner": "for_kernels", "call": "callable"}
+    _lock = threading.RLock()
 
     def __init__(self, function, role):
         functools.update_wrapper(self, function)
         self.function, self.role = function, role
 
-    @functools.cached_property
-    def dispatcher(self):
-        """Numba's dispatcher of the function for Python."""
-        return backend.chosen().for_python(self)
+    def __getattr__(self, name):  # of a part that is not made yet
+        if name not in self._PARTS:
+            raise AttributeError(f"a kernel has no attribute {name}")
+        return undisturbed(self._made, name)
 
-    @functools.cached_property
-    def inner(self):
-        """Numba's dispatcher of the function for other kernels."""
-        return backend.chosen().for_kernels(self)
-
-    @functools.cached_property
-    def call(self):
-        """Callable for Python: takes Structs."""
-        return backend.chosen().callable(self)
+    def _made(self, name):
+        compiler = backend.chosen()
+        with self._lock:
+            if name not in vars(self):
+                setattr(self, name, getattr(compiler, self._PARTS[name])(self))
+        return vars(self)[name]
 
     def __call__(self, *arguments):
         return self.call(*arguments)
@@ -122,23 +128,6 @@ def shared(function):
     return Kernel(function, "shared") if JIT else function
 
 
-@contextmanager
-def _no_collection():
-    """Switch the garbage collector off: with millions of objects of Numba it is a tenth of compiling.
-
-    At the end they are old objects. As young ones they would be searched at once, and again later.
-    """
-    was = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.freeze()
-        gc.unfreeze()
-        if was:
-            gc.enable()
-
-
 @functools.cache
 def _warn_of_plain_python():
     """Log once that nothing is compiled."""
@@ -165,8 +154,7 @@ def warm_up(call, name):
             "first run of this kind of mechanism: compiling (about 10 s). The result is cached"
         )
     start = time.perf_counter()
-    with _no_collection():
-        call()
+    call()
     if done is not None:
         with suppress(OSError):
             done.touch()

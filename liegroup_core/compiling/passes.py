@@ -18,6 +18,7 @@ from numba.core.untyped_passes import ReconstructSSA
 from .libraries import InnerLibrary, OuterLibrary
 from .signatures import Typing
 from .struct_types import StructType
+from .undisturbed import check_end
 
 # Passes of Numba's compiler for what kernels do not have: closures, generators, expressions of
 # whole arrays, functions that are typed by values, parallel loops, annotated listings.
@@ -199,6 +200,7 @@ class Inner(Compiler):
     lowering = _InnerLowering
 
     def define_pipelines(self):
+        check_end()
         managers = super().define_pipelines()
         own = {
             NativeLowering: self.lowering,

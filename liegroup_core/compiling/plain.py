@@ -14,6 +14,7 @@ from . import struct_types
 from .cache import cache_folder
 from .kernels import Choice, Kernel
 from .structs import Borrowed
+from .undisturbed import compiling_apart
 
 name = "plain"
 words = struct_types.words
@@ -30,7 +31,7 @@ def for_python(kernel):
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(cache() or "")
     try:
-        return numba.njit(**OPTIONS, cache=cache() is not None)(kernel.function)
+        return compiling_apart(numba.njit(**OPTIONS, cache=cache() is not None)(kernel.function))
     finally:
         numba.config.CACHE_DIR = before
 

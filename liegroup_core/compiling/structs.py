@@ -2,11 +2,29 @@
 """Structs: named arrays, numbers and other Structs that kernels read in place."""
 
 import dataclasses
-import functools
 
 import numpy as np
 
 from . import backend
+
+
+class _Once:
+    """Attribute that is computed at its first use.
+
+    Without a lock, as the cached_property of Python 3.11 has one: the compiler's thread needs the same
+    attributes of other Structs while its caller waits.
+    """
+
+    def __init__(self, compute):
+        self._compute, self.__doc__ = compute, compute.__doc__
+
+    def __set_name__(self, owner, name):
+        self._name = name
+
+    def __get__(self, instance, owner=None):
+        if instance is None:
+            return self
+        return vars(instance).setdefault(self._name, self._compute(instance))
 
 
 class Struct:
@@ -39,16 +57,16 @@ class Struct:
         """Values of the fields, in order."""
         return tuple(getattr(self, field.name) for field in dataclasses.fields(self))
 
-    @functools.cached_property
+    @_Once
     def _words(self):
         return backend.chosen().words(self)
 
-    @functools.cached_property
+    @_Once
     def numba_type(self):
         """StructType with the position of each field."""
         return self._words[0]
 
-    @functools.cached_property
+    @_Once
     def address(self):
         """Address of the words (struct_types.py). They live as long as the Struct."""
         return self._words[1].ctypes.data
