@@ -50,9 +50,9 @@ setup(
     ],
     extras_require={
         "figures": ["matplotlib", "mpmath"],
-        # exact: exact solutions in `liegroup_sim analyze`. many: many recordings or runs in
-        # parallel or on a cluster, and the files of `liegroup_sim sweep`. remote: recordings at
-        # http(s) addresses; other kinds need their own package, such as s3fs for s3://.
+        # exact: exact solutions in `liegroup_sim analyze`. many: many recordings or runs on a
+        # cluster, and the files of `liegroup_sim sweep`. remote: recordings at http(s) addresses;
+        # other kinds need their own package, such as s3fs for s3://.
         "exact": ["mpmath"],
         "many": ["dask", "distributed", "pyarrow"],
         "pandas": ["pandas"],

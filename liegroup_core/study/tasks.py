@@ -3,22 +3,36 @@
 
 Each worker is a process with one thread. If a worker is killed, another one repeats its task, so no
 result is lost (test/core/test_tasks.py).
+
+The workers of this machine get their tasks through pipes without a name, which no other process can
+open. Whoever reaches a port of Dask without TLS runs code there.
 """
 
 import logging
+import multiprocessing
 import os
+import pickle
 import signal
 import threading
-from collections import deque
-from contextlib import ExitStack, contextmanager
-from importlib import import_module
-from multiprocessing import resource_tracker
+from collections import Counter, deque
+from contextlib import contextmanager, suppress
+from multiprocessing import connection, resource_tracker
+from multiprocessing.pool import ExceptionWithTraceback
 
 from liegroup_core.errors import LieGroupSimError
+
+try:  # of Dask: it also takes functions that are defined in other functions
+    from cloudpickle import dumps
+except ImportError:
+    from pickle import dumps
+
+log = logging.getLogger("liegroup_core")
 
 CONNECTING = 10  # s
 # Number of workers that may die at the same task before the task is considered the cause.
 MOST_DEATHS = 5
+ENDING = 5  # s that a worker without a task has to end
+THREADS = "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"
 
 
 class TasksError(LieGroupSimError):
@@ -30,29 +44,25 @@ def run(function, items, scheduler=None, workers=None, follow=None):
 
     k         : number of the item
     function  : must be picklable, as items and results; its exceptions end the run
-    scheduler : address of a Dask scheduler, such as tcp://host:8786; its workers must have this
-                package. None: this machine
-    workers   : processes on this machine; None: one for each core. With one, or without Dask,
-                the items run in this process, one after the other. Worker processes import the
-                main script, so it needs `if __name__ == "__main__"`
+    scheduler : address of a Dask scheduler, such as tls://host:8786; its workers must have this
+                package. Certificates are those of Dask's configuration (distributed.comm.tls).
+                None: this machine
+    workers   : processes on this machine; None: one for each core. With one, the items run in this
+                process, one after the other. Worker processes import the main script, so it needs
+                `if __name__ == "__main__"`
     follow    : function(k, result) that returns further items; their numbers continue
     raises TasksError
     """
     items = list(items)
     workers = min(workers or os.cpu_count() or 1, len(items))
-    if scheduler is None and (workers <= 1 or not _has_dask()):
+    if scheduler is not None:
+        with _cluster(scheduler) as client:
+            yield from _on(client, function, items, follow)
+    elif workers <= 1:
         yield from _here(function, items, follow)
-        return
-    with ExitStack() as stack:
-        client = stack.enter_context(_cluster(scheduler) if scheduler else _this_machine(workers))
-        yield from _on(client, function, items, follow)
-
-
-def _has_dask():
-    try:
-        return all(map(import_module, ("dask", "dask.distributed")))
-    except ImportError:
-        return False
+    else:
+        with _Team(function, workers) as team:
+            yield from team.results(items, follow)
 
 
 def _here(function, items, follow):
@@ -99,43 +109,141 @@ def _on(client, function, items, follow):
         ) from None
 
 
-@contextmanager
-def _this_machine(workers):
-    """Client of worker processes on this machine; they end with the block."""
-    import dask
-    from dask.distributed import Client, LocalCluster
+class _Team:
+    """Worker processes on this machine, each with a pipe; they end with the block of `with`."""
 
-    # Suppress messages about workers that restart or end.
-    with ExitStack() as stack:
-        stack.enter_context(
-            dask.config.set(
-                {
-                    "distributed.scheduler.allowed-failures": MOST_DEATHS,
-                    "distributed.comm.timeouts.connect": f"{CONNECTING}s",
-                    "distributed.admin.log-length": 0,
-                }
-            )
-        )
-        try:
-            with _interrupts_later():
-                cluster = stack.enter_context(
-                    LocalCluster(
-                        n_workers=workers,
-                        threads_per_worker=1,
-                        processes=True,
-                        host="127.0.0.1",
-                        protocol="tcp",
-                        memory_limit=0,
-                        dashboard_address="127.0.0.1:0",  # any port, without a message
-                        silence_logs=logging.CRITICAL,
-                    )
+    def __init__(self, function, workers):
+        self._function, self._workers = dumps(function), workers
+        self._processes = {}  # {pipe: process}
+        self._idle, self._working = [], {}  # pipes, {pipe: (k, item)}
+        self._waiting, self._deaths = deque(), Counter()  # (k, item), {k: workers that died at it}
+        self._begun = False  # a worker is ready, or was
+
+    def __enter__(self):
+        return self
+
+    def results(self, items, follow):
+        """Yield (k, result) in order of completion."""
+        self._waiting.extend(enumerate(items))
+        count = len(self._waiting)
+        for _ in range(self._workers):
+            self._start()
+        while self._waiting or self._working:
+            for pipe in connection.wait(self._processes):
+                try:
+                    succeeded, result = pickle.loads(pipe.recv_bytes())
+                except (EOFError, OSError):
+                    self._replace(pipe)
+                    continue
+                if not succeeded:
+                    raise result
+                self._begun = True
+                self._idle.append(pipe)
+                if pipe not in self._working:  # its first message: it is ready
+                    self._employ()
+                    continue
+                k, _ = self._working.pop(pipe)
+                for more in () if follow is None else follow(k, result):
+                    # Next, not last: related items finish together.
+                    self._waiting.appendleft((count, more))
+                    count += 1
+                self._employ()  # before the result is used
+                yield k, result
+
+    def _employ(self):
+        """Send the next items to the workers that wait for one."""
+        while self._waiting and self._idle:
+            pipe = self._idle.pop()
+            self._working[pipe] = _, item = self._waiting.popleft()
+            with suppress(OSError):  # it has died: `results` finds the end of its pipe
+                pipe.send_bytes(dumps(item))
+
+    def _replace(self, pipe):
+        """Start another worker for one that died, and repeat its item."""
+        k, _ = work = self._working.pop(pipe, (None, None))
+        if pipe in self._idle:
+            self._idle.remove(pipe)
+        elif k is None and not self._begun:
+            raise self._no_workers("they ended")
+        else:
+            self._deaths[k] += 1
+            if self._deaths[k] >= MOST_DEATHS:
+                raise TasksError(
+                    f"{MOST_DEATHS} workers died in the same task: check the memory, or use fewer "
+                    "workers"
                 )
-        except (OSError, RuntimeError, TimeoutError) as error:
-            raise TasksError(
-                f"{workers} workers could not be started or died immediately ({error}): check "
-                "the memory, or use fewer workers"
-            ) from None
-        yield stack.enter_context(Client(cluster))
+        if k is not None:
+            self._waiting.appendleft(work)
+        pipe.close()
+        self._processes.pop(pipe).join()
+        self._start()
+
+    def _start(self):
+        spawning = multiprocessing.get_context("spawn")
+        try:
+            pipe, theirs = spawning.Pipe()
+            process = spawning.Process(target=_work, args=(theirs, self._function), daemon=True)
+            with _interrupts_later(), _one_thread_each():
+                process.start()
+        except (OSError, RuntimeError) as error:
+            raise self._no_workers(error) from None
+        theirs.close()  # so that the pipe ends with the worker
+        self._processes[pipe] = process
+
+    def _no_workers(self, error):
+        return TasksError(
+            f"{self._workers} workers could not be started or died immediately ({error}): check "
+            "the memory, or use fewer workers"
+        )
+
+    def __exit__(self, *_):
+        for pipe, process in self._processes.items():
+            pipe.close()  # a worker that waits for an item ends
+            if pipe in self._working:
+                process.kill()
+        for process in self._processes.values():
+            process.join(ENDING)
+            process.kill()
+            process.join()
+
+
+def _work(pipe, function):
+    """Worker process: answer each item with (True, result) or (False, exception)."""
+    try:
+        function = pickle.loads(function)
+        answer = dumps((True, None))
+        while True:
+            pipe.send_bytes(answer)
+            item = pickle.loads(pipe.recv_bytes())
+            answer = dumps((True, function(item)))
+    except (EOFError, BrokenPipeError):  # no further item, or nobody waits for the result
+        return
+    except Exception as error:
+        answer = _failure(error)
+    with suppress(OSError):
+        pipe.send_bytes(answer)
+
+
+def _failure(error):
+    """Bytes of (False, exception); of its text, if the exception cannot be sent."""
+    try:
+        answer = dumps((False, ExceptionWithTraceback(error, error.__traceback__)))
+        pickle.loads(answer)
+    except Exception:
+        answer = dumps((False, TasksError(f"{type(error).__name__}: {error}")))
+    return answer
+
+
+@contextmanager
+def _one_thread_each():
+    """Processes started inside use one thread for linear algebra: there is one for each core."""
+    new = [name for name in THREADS if name not in os.environ]
+    os.environ.update(dict.fromkeys(new, "1"))
+    try:
+        yield
+    finally:
+        for name in new:
+            del os.environ[name]
 
 
 @contextmanager
@@ -176,4 +284,12 @@ def _cluster(address):
             f"no dask scheduler at {address}: {' '.join(str(error).split())[:200]}"
         ) from None
     with client:
+        # The one that is used: a scheduler may be named by a file or without its protocol.
+        used = client.scheduler.address
+        if used.split("://")[0] in ("tcp", "ws"):
+            log.warning(
+                "the dask scheduler at %s is used without TLS: whoever reaches its port runs code "
+                "there and on its workers. Start it with certificates, and give its tls:// address",
+                used,
+            )
         yield client

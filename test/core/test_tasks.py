@@ -4,8 +4,10 @@
 Functions are defined inside the tests, so that they are sent to the workers by value.
 """
 
+import errno
 import os
 import signal
+from multiprocessing.context import SpawnProcess
 
 import pytest
 
@@ -60,44 +62,160 @@ def test_a_task_that_kills_every_worker_is_an_error(monkeypatch):
 
 def test_an_interrupt_during_worker_start_ends_the_run_after_the_start(monkeypatch):
     """Workers ignore this and later interrupts."""
-    import dask.distributed
     import psutil
-
-    class Interrupted(dask.distributed.LocalCluster):
-        def __init__(self, **arguments):
-            super().__init__(**arguments)
-            os.kill(os.getpid(), signal.SIGINT)
-            self.up = True
 
     def blocks_sigint(x):
         return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
 
     assert dict(tasks.run(blocks_sigint, [1, 2], workers=2)) == {0: True, 1: True}
-    monkeypatch.setattr(dask.distributed, "LocalCluster", Interrupted)
+    started, start = [], SpawnProcess.start
+
+    def interrupted(process):
+        start(process)
+        os.kill(os.getpid(), signal.SIGINT)
+        started.append(process)
+
+    monkeypatch.setattr(SpawnProcess, "start", interrupted)
     # Shells start background processes with SIGINT ignored.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         with pytest.raises(KeyboardInterrupt):
             list(tasks.run(square, [1, 2], workers=2))
+        assert len(started) == 1
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler and not blocks_sigint(
             0
         )
     finally:
         signal.signal(signal.SIGINT, before)
+    started[0].join(60)
     assert not [
         child for child in psutil.Process().children() if "spawn_main" in " ".join(child.cmdline())
     ]
 
 
 def test_workers_that_cannot_start_are_an_error(monkeypatch):
-    import dask.distributed
+    def fail(process):
+        raise OSError(errno.ENOMEM, "Cannot allocate memory")
 
-    def failing_cluster(**arguments):
-        raise RuntimeError("Nanny failed to start.")
-
-    monkeypatch.setattr(dask.distributed, "LocalCluster", failing_cluster)
+    monkeypatch.setattr(SpawnProcess, "start", fail)
     with pytest.raises(tasks.TasksError, match="2 workers could not be started.*check the memory"):
         list(tasks.run(square, [1, 2], workers=2))
+
+
+def test_workers_that_die_at_once_are_an_error():
+    """Before they are ready: their function cannot even be read."""
+
+    class Deadly:
+        def __reduce__(self):
+            return os._exit, (1,)
+
+        def __call__(self, item):
+            """Never called."""
+
+    with pytest.raises(tasks.TasksError, match="2 workers .* died immediately.*check the memory"):
+        list(tasks.run(Deadly(), [1, 2], workers=2))
+
+
+def test_a_killed_worker_without_a_task_is_replaced():
+    """A worker that waits for an item while another one works."""
+
+    def others(parent):
+        import psutil
+
+        pids = [child.pid for child in psutil.Process(parent).children()]
+        return [pid for pid in pids if pid != os.getpid() and "spawn_main" in command(pid)]
+
+    def command(pid):
+        import psutil
+
+        return " ".join(psutil.Process(pid).cmdline())
+
+    def kill_the_other_one(parent):
+        for pid in others(parent):
+            os.kill(pid, signal.SIGKILL)
+        return True
+
+    def follow(k, result):
+        return [os.getpid()] if k == 0 else []
+
+    found = dict(tasks.run(kill_the_other_one, [os.getpid()] * 2, workers=2, follow=follow))
+    assert found == {0: True, 1: True, 2: True}
+
+
+def test_workers_open_no_port():
+    """No process of the run listens: neither at a port nor at a socket with a name."""
+
+    def listening(parent):
+        import time
+
+        import psutil
+
+        processes = [psutil.Process(parent), *psutil.Process(parent).children(recursive=True)]
+        held = set()
+        for process in processes:
+            for number in os.listdir(f"/proc/{process.pid}/fd"):
+                try:
+                    held.add(os.readlink(f"/proc/{process.pid}/fd/{number}"))
+                except FileNotFoundError:
+                    pass
+        found = []
+        for kind in ("tcp", "tcp6", "udp", "udp6", "unix"):
+            for line in open(f"/proc/net/{kind}").read().splitlines()[1:]:
+                entry = line.split()
+                inode = entry[6] if kind == "unix" else entry[9]
+                named = kind != "unix" or len(entry) > 7
+                if f"socket:[{inode}]" in held and named:
+                    found.append(line)
+        time.sleep(0.2)  # so that the other worker has its item
+        return os.getpid(), len(processes), found
+
+    before = listening(os.getpid())[2]
+    found = dict(tasks.run(listening, [os.getpid()] * 4, workers=2))
+    assert len({pid for pid, _, _ in found.values()}) == 2
+    assert all(count >= 3 and new == before for _, count, new in found.values())
+
+
+@pytest.mark.parametrize("encrypted", [False, True])
+def test_a_cluster_without_tls_gives_one_warning(caplog, tmp_path, encrypted):
+    """Certificates are those of Dask's configuration. Without them nobody reaches the scheduler."""
+    import dask
+    from dask.distributed import Client, LocalCluster
+    from distributed.security import Security
+
+    security = Security()
+    if encrypted:
+        pytest.importorskip("cryptography")
+        security = Security.temporary()
+    cluster = LocalCluster(
+        n_workers=1,
+        threads_per_worker=1,
+        processes=False,
+        dashboard_address=None,
+        protocol="tls" if encrypted else "tcp",
+        host="127.0.0.1",
+        security=security,
+    )
+    settings = {}
+    if encrypted:
+        files = {"ca": security.tls_ca_file, "cert": security.tls_client_cert}
+        for name, text in (files | {"key": security.tls_client_key}).items():
+            (tmp_path / name).write_text(text)
+        settings = {
+            "distributed.comm.tls.ca-file": str(tmp_path / "ca"),
+            "distributed.comm.tls.client.cert": str(tmp_path / "cert"),
+            "distributed.comm.tls.client.key": str(tmp_path / "key"),
+        }
+    with cluster:
+        with dask.config.set(settings):
+            found = list(tasks.run(square, [3], scheduler=cluster.scheduler_address))
+        assert found == [(0, 9)]
+        said = [each.getMessage() for each in caplog.records if each.name == "liegroup_core"]
+        assert len(said) == (not encrypted)
+        if encrypted:
+            with pytest.raises((OSError, TypeError)):  # a client without certificates
+                Client(cluster.scheduler_address, timeout=2)
+        else:
+            assert f"{cluster.scheduler_address} is used without TLS" in said[0]
 
 
 def test_an_exception_in_the_function_ends_the_run():

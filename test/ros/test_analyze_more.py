@@ -591,7 +591,7 @@ class _Web(SimpleHTTPRequestHandler):
 
 
 def test_recordings_are_read_over_http(logs, capsys):
-    """From a real server, also in dask workers; each unavailable one gives one line."""
+    """From a real server, by several processes; each unavailable one gives one line."""
     server = ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(_Web, directory=logs))
     threading.Thread(target=server.serve_forever, daemon=True).start()
     web = f"http://127.0.0.1:{server.server_port}"
