@@ -17,7 +17,7 @@ assumed.py and the package's README.md state what is assumed of Numba.
 
 import logging
 import weakref
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 import numba
@@ -30,7 +30,7 @@ from numba.core.imputils import lower_constant
 from numba.extending import intrinsic, register_model, typeof_impl
 
 from . import borrowed_arrays, struct_types
-from .cache import cache_folder
+from .cache import cache_folder, cached_in
 from .kernels import Choice, Kernel
 from .passes import Flushing, Inner, Outer
 from .struct_types import digest, text
@@ -234,17 +234,13 @@ def cache():
 
 def for_python(kernel):
     """Dispatcher of a kernel for Python."""
-    # The setting of other packages in the process is restored: they have their own cache folder.
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(cache() or "")
-    try:
+    with cached_in(cache(), numba.config):
         pipeline = Flushing if kernel.role == "stepper" else Outer
         dispatcher = njit(**OPTIONS, pipeline_class=pipeline)(kernel.function)
         if cache() is not None:
-            dispatcher._cache = _Cache(kernel.function)
+            with suppress(RuntimeError):  # its folder cannot be made: the disk is full
+                dispatcher._cache = _Cache(kernel.function)
         return compiling_apart(dispatcher)
-    finally:
-        numba.config.CACHE_DIR = before
 
 
 def for_kernels(kernel):

@@ -6,12 +6,13 @@ except for numbers below 2.2e-308, which `stepper` does not flush to zero here.
 """
 
 import functools
+from contextlib import suppress
 
 import numba
 from numba.extending import overload, typeof_impl
 
 from . import struct_types
-from .cache import cache_folder
+from .cache import cache_folder, cached_in
 from .kernels import Choice, Kernel
 from .structs import Borrowed
 from .undisturbed import compiling_apart
@@ -28,12 +29,11 @@ def cache():
 
 def for_python(kernel):
     """Dispatcher whose machine code is cached."""
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(cache() or "")
-    try:
-        return compiling_apart(numba.njit(**OPTIONS, cache=cache() is not None)(kernel.function))
-    finally:
-        numba.config.CACHE_DIR = before
+    with cached_in(cache(), numba.config):
+        if cache() is not None:
+            with suppress(RuntimeError):  # its folder cannot be made: the disk is full
+                return compiling_apart(numba.njit(**OPTIONS, cache=True)(kernel.function))
+        return compiling_apart(numba.njit(**OPTIONS)(kernel.function))
 
 
 def for_kernels(kernel):

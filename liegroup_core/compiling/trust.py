@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who else can write in a folder. Code from the cache is executed, so nobody else may."""
+
+import os
+import stat
+from pathlib import Path
+
+MOST_LINKS = 40
+WRITABLE = stat.S_IWGRP | stat.S_IWOTH
+OTHERS = stat.S_IRWXG | stat.S_IRWXO
+
+
+def doubt(folder):
+    """Why others could change what a folder holds: one line; None: they cannot.
+
+    The folder, all folders and symbolic links on the way to it, must be of this user or of root. Only
+    these may write there. On the way, a folder that all may write to is allowed if each may only move
+    their own entries (/tmp): the next one is checked as well.
+    """
+    places = list(_way(folder))
+    for place, status in places:
+        if status.st_uid not in (0, os.getuid()):
+            return f"{place} is of user {status.st_uid}: choose a folder of your own"
+        last = place == places[-1][0]
+        shared = status.st_mode & WRITABLE and not stat.S_ISLNK(status.st_mode)
+        if shared and (last or not status.st_mode & stat.S_ISVTX):
+            return f"others can write to {place}: chmod go-w {place}"
+    return None
+
+
+def is_private(folder):
+    """Whether only this user can reach what a folder holds."""
+    status = os.lstat(folder)
+    return (
+        stat.S_ISDIR(status.st_mode)
+        and status.st_uid == os.getuid()
+        and not status.st_mode & OTHERS
+    )
+
+
+def _way(path):
+    """Yield (path, status) of all folders and symbolic links from the root on."""
+    place, links = Path("/"), 0
+    yield place, os.lstat(place)
+    parts = list(reversed(Path.cwd().joinpath(path).parts[1:]))
+    while parts:
+        part = parts.pop()
+        place = place.parent if part == ".." else place / part
+        status = os.lstat(place)
+        yield place, status
+        if stat.S_ISLNK(status.st_mode):
+            links += 1
+            if links > MOST_LINKS:
+                raise OSError(f"too many symbolic links: {path}")
+            target = Path(os.readlink(place))
+            place = Path("/") if target.is_absolute() else place.parent
+            parts += reversed(target.parts[1:] if target.is_absolute() else target.parts)
