@@ -16,7 +16,7 @@ import tempfile
 from contextlib import contextmanager
 from pathlib import Path
 
-from .trust import doubt, is_private
+from .trust import close_to_others, doubt, is_private
 
 log = logging.getLogger("liegroup_core")
 
@@ -54,6 +54,8 @@ def cache_root():
     for root in roots:
         try:
             root.mkdir(parents=True, exist_ok=True, mode=0o700)
+            if root.name == "liegroup_core":
+                close_to_others(root)
             tempfile.TemporaryFile(dir=root).close()
             reason = doubt(root)
         except OSError:

@@ -28,6 +28,13 @@ def doubt(folder):
     return None
 
 
+def close_to_others(folder):
+    """Take from others what they may do in a folder of this user: earlier versions made it with the umask."""
+    status = os.stat(folder)
+    if status.st_uid == os.getuid() and status.st_mode & OTHERS:
+        os.chmod(folder, stat.S_IMODE(status.st_mode) & ~OTHERS)
+
+
 def is_private(folder):
     """Whether only this user can reach what a folder holds."""
     status = os.lstat(folder)

@@ -68,15 +68,19 @@ def chosen_with(monkeypatch, caplog, variable, value):
 def test_a_folder_that_others_can_write_to_is_refused(
     tmp_path, monkeypatch, caplog, variable, name, mode, allowed
 ):
-    """Whatever variable names it. The reason is one line, said once; the temporary folder is used."""
+    """Whatever variable names it. The reason is one line, said once; the temporary folder is used.
+
+    The project's own folder, as earlier versions made it, is closed to others and used.
+    """
     named = made(tmp_path / "named")
     folder = named / name
     if name != ".":
         made(folder)
     folder.chmod(mode)
     found, said = chosen_with(monkeypatch, caplog, variable, named)
-    if allowed:
+    if allowed or name != ".":
         assert found == folder and said == []
+        assert name == "." or folder.stat().st_mode & 0o777 == 0o700
         return
     assert found == tmp_path / "temporary" / f"liegroup_core-{os.getuid()}"
     assert found.stat().st_mode & 0o777 == 0o700
