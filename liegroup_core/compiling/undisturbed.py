@@ -24,10 +24,6 @@ _working = set()  # the _Done of each thread
 _ending = False  # the process ends
 
 
-class Ending(BaseException):
-    """The process ends: no further function is compiled."""
-
-
 def undisturbed(function, *arguments):
     """function(*arguments), called in a thread that no signal reaches; returns its result.
 
@@ -119,9 +115,9 @@ def _no_collection():
 
 
 def check_end():
-    """Raise Ending if the process ends; called before each function."""
+    """Raise SystemExit if the process ends; called before each function that is compiled."""
     if _ending:
-        raise Ending
+        raise SystemExit
 
 
 @atexit.register

@@ -116,7 +116,10 @@ class _Team:
         self._function, self._workers = dumps(function), workers
         self._processes = {}  # {pipe: process}
         self._idle, self._working = [], {}  # pipes, {pipe: (k, item)}
-        self._waiting, self._deaths = deque(), Counter()  # (k, item), {k: workers that died at it}
+        self._waiting, self._deaths = (
+            deque(),
+            Counter(),
+        )  # (k, item), {k: deaths at it; None: at the start}
         self._begun = False  # a worker is ready, or was
 
     def __enter__(self):
@@ -140,6 +143,7 @@ class _Team:
                 self._begun = True
                 self._idle.append(pipe)
                 if pipe not in self._working:  # its first message: it is ready
+                    del self._deaths[None]  # in succession they count
                     self._employ()
                     continue
                 k, _ = self._working.pop(pipe)

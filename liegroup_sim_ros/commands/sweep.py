@@ -96,7 +96,7 @@ def add_arguments(parser):
     parser.add_argument(
         "--scheduler",
         metavar="ADDRESS",
-        help="scheduler of a Dask cluster, such as tcp://host:8786",
+        help="scheduler of a Dask cluster, such as tls://host:8786",
     )
     parser.add_argument(
         "--show",

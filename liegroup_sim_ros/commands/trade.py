@@ -81,7 +81,7 @@ def add_arguments(parser):
     parser.add_argument(
         "--scheduler",
         metavar="ADDRESS",
-        help="scheduler of a Dask cluster, such as tcp://host:8786",
+        help="scheduler of a Dask cluster, such as tls://host:8786",
     )
     parser.add_argument("--json", metavar="FILE", help="write all measurements as JSON")
     parser.add_argument("--html", metavar="PAGE", help="write a self-contained HTML report")

@@ -7,6 +7,9 @@ state.
 
 import json
 
+# Of a core: a run that takes less has time left in real time.
+BUSY = 0.7
+
 
 def accuracy(value, time, before, share, share_of_messages):
     """From now on another accuracy is kept, as the one before takes too much of a core."""
@@ -16,19 +19,44 @@ def accuracy(value, time, before, share, share_of_messages):
     )
 
 
-def slow(had, wanted, time, share, share_of_messages, accuracy):
+def accuracy_returns(value, time, coarser, before, after, share_of_messages):
+    """The accuracy is the one before again, as a coarser one does not help.
+
+    before, after : of a core, that the integration takes in real time at both
+    """
+    return (
+        f"{value:g} is the accuracy from t = {time:.6g} s on: {coarser:g} takes {_percent(after)} of a "
+        f"core in real time, not less than {_percent(before)} by enough, messages "
+        f"{_percent(share_of_messages)}; {_advice(after, share_of_messages, helpless=True)}"
+    )
+
+
+def _advice(share, share_of_messages, helpless=False):
+    """What to do if real time is not kept; helpless: a coarser accuracy does not help."""
+    if share < share_of_messages:
+        return "the messages take the most: lower publish_rate, or publish and record less"
+    if helpless:
+        return "the integration takes the most, at any accuracy: lower real_time_factor"
+    return "the integration takes the most: raise accuracy or step, or lower real_time_factor"
+
+
+def slow(had, wanted, time, share, share_of_messages, accuracy, helpless=False):
     """Real time is not kept.
 
     had, wanted : real-time factors
     time        : s
     share       : of a core, that the integration takes in real time where it takes most
     accuracy    : that holds; None with a method
+    helpless    : a coarser accuracy does not help
     """
+    advice = _advice(share, share_of_messages, helpless)
+    if share + share_of_messages < BUSY:
+        advice = "other work keeps the cores from this one: end it, or lower real_time_factor"
     return (
         f"{had:.3g} is the real-time factor at t = {time:.6g} s, of {wanted:g}: in real time the "
         f"integration takes up to {_percent(share)} of a core"
         + (f" at the accuracy of {accuracy:g}" if accuracy else "")
-        + f", messages {_percent(share_of_messages)}"
+        + f", messages {_percent(share_of_messages)}; {advice}"
     )
 
 

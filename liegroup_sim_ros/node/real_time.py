@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a run keeps real time: shares of a core that it takes, and a coarser accuracy if it must."""
+"""Whether a run keeps real time: shares of a core that it takes, and a coarser accuracy if that helps."""
+
+from collections import deque
 
 from liegroup_core.integrators.methods import METHODS
 from liegroup_core.pacing import SLOW
@@ -14,6 +16,20 @@ COARSER, COARSEST = 10.0, 0.1
 # the accuracy. It is raised only above so many per step, and only if the coarsest one, with the
 # messages, would take less than so much of a core.
 WORTH, REACHABLE = 1.2, 1.0
+# It is raised only if the integration takes at least this part of the time of both.
+MAIN = 0.5
+# The least cost of so many periods counts, before and after: disturbances add to a cost. The accuracy
+# before returns unless at least this part of the expected gain is measured. That is 12 % of the cost at
+# order 8, where a cost that does not depend on the accuracy varies by a few percent.
+JUDGED, GAIN = 3, 0.5
+
+
+def helps(before, after, expected):
+    """Whether a coarser accuracy helps: costs in s of CPU time for s of simulated time.
+
+    expected : ratio of the costs that was expected
+    """
+    return after <= before * (1.0 - GAIN * (1.0 - expected))
 
 
 class RealTime:
@@ -34,13 +50,22 @@ class RealTime:
         self.restart()
 
     def restart(self):
-        """Begin to measure: a state was set."""
+        """Begin to measure: a state was set, and the accuracy is the one that was asked for."""
+        # s of CPU time for s of simulated time, of the last periods at this accuracy
+        self._costs = deque(maxlen=JUDGED)
+        self._costs_of_messages = deque(maxlen=JUDGED)
+        # While a coarser accuracy is judged: the one before, its cost, and the expected ratio.
+        self._trial = None
+        self._helpless = False  # a coarser accuracy does not help
+        self._begin()
+
+    def _begin(self):
         self._measure()
         self._slow = False  # at the last call of `slow`
 
     def forget(self):
         """Begin to measure, without shares: the requested factor was changed."""
-        self.restart()
+        self._begin()
         self.share = self.share_of_messages = 0.0
 
     def _measure(self):
@@ -51,7 +76,7 @@ class RealTime:
     def add(self, steps, integration, messages):
         """Count steps, and the CPU time in s that they and their messages took.
 
-        returns the text of an event if the accuracy was raised, otherwise None
+        returns the text of an event if the accuracy was changed, otherwise None
         """
         self._cpu += integration
         self._cpu_of_messages += messages
@@ -64,32 +89,60 @@ class RealTime:
 
     def _keep_to_real_time(self):
         """Raise the accuracy if real time requires it, and if it helps."""
-        before = self._needs_more_time()
         in_real_time = self._pacer.factor / self._advanced
         self.share = self._cpu * in_real_time
         self.share_of_messages = self._cpu_of_messages * in_real_time
         self._most = max(self._most, (self.share, self.share_of_messages), key=sum)
+        self._costs.append(self._cpu / self._advanced)
+        self._costs_of_messages.append(self._cpu_of_messages / self._advanced)
         simulation = self._simulation
         steps = self._advanced / simulation.step
-        substeps = (simulation.substeps[1] - self._substeps_before) / steps
+        substeps = max(1.0, (simulation.substeps[1] - self._substeps_before) / steps)
         self._measure()
+        if self._trial is not None:
+            return self._judge()
         promise = simulation.promise
-        # Twice in succession: once may be a disturbance.
-        if not promise or not (before and self._needs_more_time()):
+        if not promise or self._helpless or len(self._costs) < JUDGED:
             return None
-        longer = (COARSEST / promise["accuracy"]) ** (1.0 / METHODS[simulation.method].order)
-        fewer = 1.0 / min(max(1.0, substeps), longer)
-        least = self.share_of_messages + self.share * fewer
-        if promise["accuracy"] < COARSEST and substeps > WORTH and least < REACHABLE:
-            accuracy = min(COARSEST, COARSER * promise["accuracy"])
+        share = min(self._costs) * self._pacer.factor
+        share_of_messages = min(self._costs_of_messages) * self._pacer.factor
+        if not (share > SHARE or share + share_of_messages > SHARE_OF_ALL):
+            return None
+        accuracy, given = min(COARSEST, COARSER * promise["accuracy"]), promise["accuracy"]
+        least = share_of_messages + share * self._ratio(substeps, given, COARSEST)
+        mainly = share >= MAIN * (share + share_of_messages)
+        if given < COARSEST and substeps > WORTH and least < REACHABLE and mainly:
+            self._trial = given, min(self._costs), self._ratio(substeps, given, accuracy)
+            self._costs.clear()
             simulation.set_accuracy(accuracy)
-            return events.accuracy(
-                accuracy, simulation.time, promise["accuracy"], self.share, self.share_of_messages
-            )
+            return events.accuracy(accuracy, simulation.time, given, share, share_of_messages)
         return None
 
-    def _needs_more_time(self):
-        return self.share > SHARE or self.share + self.share_of_messages > SHARE_OF_ALL
+    def _ratio(self, substeps, given, coarser):
+        """Expected ratio of the costs of two accuracies."""
+        longer = (coarser / given) ** (1.0 / METHODS[self._simulation.method].order)
+        return 1.0 / min(substeps, longer)
+
+    def _judge(self):
+        """Return to the accuracy before if the coarser one does not help."""
+        if len(self._costs) < JUDGED:
+            return None
+        accuracy, before, expected = self._trial
+        after, self._trial = min(self._costs), None
+        if helps(before, after, expected):
+            return None
+        self._helpless = True
+        self._costs.clear()
+        coarser = self._simulation.promise["accuracy"]
+        self._simulation.set_accuracy(accuracy)
+        return events.accuracy_returns(
+            accuracy,
+            self._simulation.time,
+            coarser,
+            before * self._pacer.factor,
+            after * self._pacer.factor,
+            self.share_of_messages,
+        )
 
     def slow(self, running):
         """Text of an event if real time is not kept for two calls in succession, otherwise None."""
@@ -101,5 +154,10 @@ class RealTime:
             return None
         promise = self._simulation.promise
         return events.slow(
-            self.factor, factor, self._simulation.time, *most, promise and promise["accuracy"]
+            self.factor,
+            factor,
+            self._simulation.time,
+            *most,
+            promise and promise["accuracy"],
+            self._helpless or bool(promise) and promise["accuracy"] >= COARSEST,
         )

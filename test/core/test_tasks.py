@@ -117,29 +117,31 @@ def test_workers_that_die_at_once_are_an_error():
 
 
 def test_a_killed_worker_without_a_task_is_replaced():
-    """A worker that waits for an item while another one works."""
+    """One item kills all other workers: the one that waits, and later its successor."""
 
-    def others(parent):
+    def kill_others(parent):
+        import time
+
         import psutil
 
-        pids = [child.pid for child in psutil.Process(parent).children()]
-        return [pid for pid in pids if pid != os.getpid() and "spawn_main" in command(pid)]
-
-    def command(pid):
-        import psutil
-
-        return " ".join(psutil.Process(pid).cmdline())
-
-    def kill_the_other_one(parent):
-        for pid in others(parent):
-            os.kill(pid, signal.SIGKILL)
+        if parent is None:
+            return True
+        time.sleep(0.2)  # the other worker has its item, which takes no time
+        for child in psutil.Process(parent).children():
+            if child.pid != os.getpid():
+                try:
+                    if "spawn_main" in " ".join(child.cmdline()):
+                        os.kill(child.pid, signal.SIGKILL)
+                except psutil.Error:  # it is just being replaced
+                    pass
         return True
 
     def follow(k, result):
-        return [os.getpid()] if k == 0 else []
+        return [parent] if len(items) < 3 and not items.append(k) else []
 
-    found = dict(tasks.run(kill_the_other_one, [os.getpid()] * 2, workers=2, follow=follow))
-    assert found == {0: True, 1: True, 2: True}
+    parent, items = os.getpid(), []
+    found = dict(tasks.run(kill_others, [parent, None], workers=2, follow=follow))
+    assert found == dict.fromkeys(range(5), True)
 
 
 def test_workers_open_no_port():

@@ -271,6 +271,13 @@ def test_parts_with_joint_commands_repeat_alone(ros_node, tmp_path, monkeypatch)
     assert "saturated" in {event.name for each in recordings for event in each.events}
 
 
+def whatever_it_helps(monkeypatch):
+    """Let a run that needs more time raise its accuracy, and keep it."""
+    monkeypatch.setattr(real_time, "WORTH", 0.0)
+    monkeypatch.setattr(real_time, "MAIN", 0.0)
+    monkeypatch.setattr(real_time, "helps", lambda *costs: True)
+
+
 def test_real_time_that_does_not_allow_the_accuracy_raises_it(
     ros_node, tmp_path, monkeypatch, caplog
 ):
@@ -297,7 +304,7 @@ def test_real_time_that_does_not_allow_the_accuracy_raises_it(
         time.sleep(0.3)
         assert raised() == []
         monkeypatch.setattr(real_time, "SHARE", 0.0)
-        monkeypatch.setattr(real_time, "WORTH", 0.0)
+        whatever_it_helps(monkeypatch)
         wait_for(lambda: len(raised()) >= 2)
         monkeypatch.setattr(real_time, "SHARE", 0.5)
         pushed(run, "lower", (0, 0, 0, 0, 5.0, 0), 0.1)
@@ -365,7 +372,7 @@ def test_restarts_do_not_end_an_accuracy(ros_node, tmp_path):
 
 def test_the_accuracy_is_raised_at_most_to_a_tenth(ros_node, tmp_path, monkeypatch):
     monkeypatch.setattr(real_time, "SHARE", 0.0)
-    monkeypatch.setattr(real_time, "WORTH", 0.0)
+    whatever_it_helps(monkeypatch)
     monkeypatch.setattr(real_time, "SHARE_PERIOD", 0.02)
     run = scene_run(ros_node, "heavy_top", accuracy=3e-3, record=tmp_path / "run.mcap")
     run.start()
@@ -410,31 +417,12 @@ def test_an_accuracy_is_not_given_away_if_that_does_not_help(
     (text,) = [event.text for event in recording.events if event.name == "slow"]
     assert re.search(
         rf"of {factor:g}: in real time the integration takes up to \d+ % of a core at the accuracy of "
-        rf"{accuracy:g}, messages \d+ %$",
+        rf"{accuracy:g}, messages \d+ %; [a-z]",
         text,
     )
     assert 0.0 < events_of_runs.number(text) < 1.1 * factor
     assert caplog.text.count(text) == 1
     assert "accuracy" not in {event.name for event in recording.events}
-
-
-@pytest.mark.parametrize("share, raised", [(2.0, [1e-3]), (3.0, [])])
-def test_an_accuracy_is_given_away_only_if_the_coarsest_one_would_do(share, raised):
-    """0.1 instead of 1e-4 takes 1e-3^(1/8) = 0.42 of the substeps of a method of order 8."""
-    given = []
-    simulation = SimpleNamespace(
-        step=0.01,
-        method=METHOD,
-        substeps=(0, 0),
-        time=1.0,
-        promise={"accuracy": 1e-4},
-        set_accuracy=given.append,
-    )
-    real = real_time.RealTime(simulation, SimpleNamespace(factor=1.0))
-    for count in (1, 2):  # twice in succession
-        simulation.substeps = (0, 2000 * count)
-        real.add(20, share * 0.2, 0.0)
-    assert given == pytest.approx(raised)
 
 
 def test_as_fast_as_possible_has_no_share_of_real_time(ros_node, tmp_path, monkeypatch):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Random requests to every service and topic of a node: none ends it, freezes it or runs code."""
 
+import array
 import importlib
 import re
 import signal
@@ -10,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hostile import Messages, texts, xacro_text
-from node_process import NodeProcess
+from node_process import COMPILING, NodeProcess
 
 from liegroup_sim_ros.recording.read import read_recording
 
@@ -51,6 +52,8 @@ REQUESTS = 30  # to each service
 MESSAGES = 60  # to each topic
 FROZEN = 10.0  # s; far above the 2 ms that an answer takes
 MEMORY = 2**20  # kB
+# Types of messages that may have any length, and their fields of numbers.
+LONG = {"sensor_msgs/msg/JointState": "position", "std_msgs/msg/Float64MultiArray": "data"}
 QUIT = 3  # state of a simulation that ends the node
 
 
@@ -130,6 +133,12 @@ def test_no_message_ends_or_freezes_the_node(client, besieged):
         for _ in range(MESSAGES):
             publisher.publish(messages.of(of_type(kind)))
         answers(client, name, kind)
+        if kind in LONG:
+            message = of_type(kind)()
+            setattr(message, LONG[kind], array.array("d", [0.0]) * 1_000_000)
+            for _ in range(40):
+                publisher.publish(message)
+            answers(client, name, "8 MB")
     assert most_memory(process) - memory < MEMORY
     assert not (folder / "canary").exists()
 
@@ -204,6 +213,28 @@ def test_other_requests_are_answered_while_steps_are_taken(client, besieged):
     client.until(future.done)
     assert "stopped after" in future.result().result.error_message
     assert client.call(f"{NODE}/pause").success
+
+
+@pytest.mark.parametrize(
+    "number, more",
+    [
+        # A tick of 1e7 steps, 15 s; a step of 1e5 substeps, as long.
+        (signal.SIGINT, {"scene": "heavy_top", "method": "rkmk4", "step": 1e-8, "estimate": False}),
+        (signal.SIGHUP, {"scene": "bricard", "method": "rkmk853", "step": 10.0}),
+    ],
+)
+def test_a_signal_ends_a_node_in_the_middle_of_a_long_tick(number, more, client, tmp_path):
+    rates = {"publish_rate": 0.1, "state_rate": 0.0, "clock_rate": 0.0, "real_time_factor": 0.0}
+    record = tmp_path / "run.mcap"
+    with NodeProcess(more | rates | {"record": record}, ["__node:=long"]) as process:
+        client.until(record.exists, COMPILING)
+        client.spin(2.0)
+        began = time.monotonic()
+        process.send(number)
+        code, errors = process.wait()
+    assert time.monotonic() - began < FROZEN / 2
+    assert code == 0 and "recorded" in errors, errors
+    assert read_recording(record).complete
 
 
 def test_the_node_ends_and_has_recorded_all_that_it_says(client, besieged):
