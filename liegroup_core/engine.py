@@ -39,7 +39,7 @@ BAUMGARTE_STEPS = 10
 NO_ROTATION = 1e-6
 METHOD, STEP = "rkmk4", 1e-3  # defaults; s
 # Steps that a kernel takes at a time: at first, and s of wall time that they take later.
-FIRST_BLOCK, QUICK, SLOW = 100, 0.01, 0.03
+FIRST_BLOCK, QUICK, SLOW = 16, 0.01, 0.03
 
 
 def _next_block(steps, seconds):
@@ -334,10 +334,9 @@ class Engine(Inputs, JointEvents, Placing, Reports):
 
     def _go_on(self):
         """Advance again after `halt`."""
-        if self._halted:
-            self._halted = False
-            if METHODS[self.method].controlled:
-                self._integrator.limit_attempts()
+        self._halted = False
+        if METHODS[self.method].controlled:
+            self._integrator.limit_attempts()
 
     def advance(self, steps: int = 1, enough: Callable[[], bool] | None = None) -> None:
         """Take `steps` steps, an integer >= 0.
@@ -352,7 +351,8 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         """
         if not is_count(steps):
             raise ValueError(f"steps must be a whole number, 0 or more, {got(steps)}")
-        self._go_on()
+        if self._halted:
+            self._go_on()
         self._advance(int(steps), enough)
 
     def advance_to(self, steps):
@@ -363,21 +363,23 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         end = self.steps + steps
         while True:
             start = self._grid.boundary(self.steps)
-            change = min(end, self._timetable.next_change(self.steps), self.steps + self._block)
+            change = min(end, self._timetable.next_change(self.steps))
             inside = self._timetable.inside(self.steps)
             if self._schedule:
                 self._change_wrenches(start, self._schedule.update(start))
                 change = min(change, self._schedule.next_change(self.steps))
                 inside = self._instants_inside()
-            began = time.perf_counter()
-            done, status = self._take_steps(start, change - self.steps, inside)
+            steps, began = change - self.steps, 0.0
+            if steps > self._block:
+                steps, began = self._block, time.perf_counter()
+            done, status = self._take_steps(start, steps, inside)
             self.steps += done
-            if self._halted and self.steps < end:
+            if self.steps >= end and status == OK:
+                break
+            if self._halted:
                 return
             self._checked(status)
-            if self.steps >= end:
-                break
-            if done == self._block:
+            if began:
                 self._block = _next_block(done, time.perf_counter() - began)
             if enough is not None and enough():
                 break

@@ -7,7 +7,11 @@ read from the text like any other, so a recording of a robot needs no other file
 
     read.py                       which format a file has
     urdf.py, sdf.py, mjcf.py      file -> Robot, a neutral description (description.py)
-    apart.py                      xacro and MuJoCo's compiler, in processes of their own
+    apart.py                      xacro, MuJoCo's compiler and readers of meshes, in processes of their own
+    confined.py                   what takes the rights from these processes
+    expressions.py                the check of xacro's expressions
+    access.py                     which files a file may name
+    meshes.py                     triangles that a viewer draws
     sdf_sensors.py, mjcf_sensors.py   sensors of a file
     options.py, additions.py      what a user adds: start values, closing joints, forces
     chains.py, links.py           links that stay, links that move as one, poses at the start

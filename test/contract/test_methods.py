@@ -477,6 +477,7 @@ for name, method in METHODS.items():
         ]
     for scene, group, way in cases:
         engine = Engine(scene, name, 1e-4, group, way, quiet=True)
+        engine._block = 1000  # one call of the kernel
         counts = []
         for steps in (10, 10, 200):
             before = rtsys.get_allocation_stats().alloc
