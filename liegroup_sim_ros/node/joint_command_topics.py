@@ -12,8 +12,8 @@ from .joint_input import Jumps
 from .parameters import ParameterError
 from .trajectory_input import TrajectoryInput
 
-# Depth of the queues of commands: 1 s at 1 kHz.
-COMMANDS = 1000
+# Depth of the queues of commands: 0.1 s at 1 kHz. A message may have any length, and DDS keeps them all.
+COMMANDS = 100
 
 
 class JointCommandTopics:

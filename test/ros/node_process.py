@@ -109,6 +109,8 @@ class NodeProcess:
             env=env,
             under=under,
         )
+        # What it logs is read at its end: a full pipe would stop it.
+        fcntl.fcntl(self.process.stderr, fcntl.F_SETPIPE_SZ, 2**20)
 
     def __enter__(self):
         self.running.append(self)

@@ -105,6 +105,8 @@ def test_no_request_ends_or_freezes_the_node(client, besieged):
             request = messages.of(service.Request)
             if name.endswith("set_simulation_state") and request.state.state == QUIT:
                 continue
+            if name.endswith("get_type_description"):  # rcl logs it all; nobody reads the pipe yet
+                request.type_hash = request.type_hash[:60]
             if name.endswith("send_goal"):
                 request.goal.steps = min(
                     request.goal.steps, 9
