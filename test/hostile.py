@@ -25,6 +25,7 @@ PRIMITIVES = (
     "str.join.__self__",
     "(1).real.as_integer_ratio",
     "python.vars(xacro).parent.root",
+    "python.vars(python.type(python))['__init__']",
 )
 AROUND = (
     "[{}]",

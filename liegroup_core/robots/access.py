@@ -60,13 +60,17 @@ def permit(path, file=None):
 
     file : that names it; None: a user or a request does
     """
-    served = _served.get()
-    if served is None and file is None:
-        return path
-    folders, real = trees(file), Path(os.path.realpath(path))
-    if not any(real.is_relative_to(folder) for folder in folders):
+    if not is_permitted(path, file):
         raise SceneError(f"{path}: is not read: {outside(file)}")
     return path
+
+
+def is_permitted(path, file=None):
+    """Whether a file may be read, see `permit`."""
+    if _served.get() is None and file is None:
+        return True
+    real = Path(os.path.realpath(path))
+    return any(real.is_relative_to(folder) for folder in trees(file))
 
 
 def outside(file):

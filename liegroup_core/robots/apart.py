@@ -43,6 +43,7 @@ UNSAFE = 7  # exit code: the process cannot give up its rights
 LIBRARIES = ("/usr/lib", "/usr/lib64", "/lib", "/lib64", "/usr/local/lib", "/etc/ld.so.cache")
 # Parts of the messages of the tools for a lack of memory.
 NO_MEMORY = ("MemoryError", "bad_alloc", "Could not allocate memory", "unknown exception")
+REFLECTING = ("vars", "type")  # of xacro's namespace `python`
 PACKAGES = {"xacro": "xacro", "mjcf": "mujoco", "meshes": "trimesh"}
 
 
@@ -168,6 +169,9 @@ def _expand(folders, path, *arguments):
         names = substitution_args._DictWrapper(context["arg"], substitution_args._eval_dict)
         return str(evaluate(text, names, ()))
 
+    # Functions that reach into objects: with them the parts of a function can be had.
+    for name in REFLECTING:
+        xacro._global_symbols["python"].pop(name, None)
     spaces = (xacro.NameSpace, xacro.YamlDictWrapper)
     xacro.safe_eval = lambda text, symbols, more=None: evaluate(text, more or symbols, spaces)
     substitution_args._eval = of_eval

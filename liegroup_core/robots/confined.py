@@ -50,7 +50,6 @@ ALLOWED = {
     "getpid": (39, 172),
     "exit": (60, 93),
     "uname": (63, 160),
-    "fcntl": (72, 25),
     "getcwd": (79, 17),
     "readlink": (89, None),
     "gettimeofday": (96, 169),
@@ -87,8 +86,9 @@ PARTLY = (
     ((257, 56), 2, TO_WRITE, 0),  # openat
     ((56, 220), 0, CLONE_THREAD, CLONE_THREAD),  # clone
 )
-# ioctl: what Python asks of a file that it opens (TCGETS, FIOCLEX), no more.
-IOCTL, HARMLESS = (16, 29), (0x5401, 0x5451)
+# Of those whose second argument says what they do: (numbers, allowed values). ioctl: TCGETS and FIOCLEX, as
+# Python opens a file. fcntl: F_DUPFD, F_GETFD, F_SETFD, F_GETFL, F_DUPFD_CLOEXEC; others send signals.
+CHOSEN = (((16, 29), (0x5401, 0x5451)), ((72, 25), (0, 1, 2, 3, 1030)))
 CLONE3 = 435  # its flags are in memory; the C library then takes clone
 
 _NO_NEW_PRIVILEGES = 38  # of prctl
@@ -167,10 +167,12 @@ def _restrict_calls(machine):
                 allow,
                 refuse,
             ]
-    program += [(_EQUAL, 0, 2 * len(HARMLESS) + 2, IOCTL[column]), (_LOAD, 0, 0, 24)]
-    for request in HARMLESS:
-        program += [(_EQUAL, 0, 1, request), allow]
-    program += [refuse, (_EQUAL, 0, 1, CLONE3), (_RETURN, 0, 0, _ERROR | errno.ENOSYS), refuse]
+    for numbers, values in CHOSEN:
+        program += [(_EQUAL, 0, 2 * len(values) + 2, numbers[column]), (_LOAD, 0, 0, 24)]
+        for value in values:
+            program += [(_EQUAL, 0, 1, value), allow]
+        program += [refuse]
+    program += [(_EQUAL, 0, 1, CLONE3), (_RETURN, 0, 0, _ERROR | errno.ENOSYS), refuse]
     code = b"".join(struct.pack("=HBBI", *line) for line in program)
     buffer = ctypes.create_string_buffer(code, len(code))
     filters = struct.pack("@HP", len(program), ctypes.addressof(buffer))

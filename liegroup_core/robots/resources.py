@@ -10,6 +10,7 @@ from liegroup_core.fields.arguments import got
 from .access import MODEL_PATHS, holds_home, permit, search_folders
 from .xml import read_xml
 
+MARKS = ("package.xml", "model.config")  # one of them is in the folder of a package or model
 LATEST_SDF = (1, 12)  # version that the import knows
 
 
@@ -24,7 +25,7 @@ def resolve(name_or_path):
     for scheme, find in (("package://", _package), ("model://", _model)):
         if text.startswith(scheme):
             name, _, rest = text.removeprefix(scheme).partition("/")
-            found = find(name, rest)
+            found = None if _leaves(name, rest) else find(name, rest)
             if found is None:
                 raise SceneError(f"{text}: {_missing(scheme, name)}")
             return found
@@ -66,16 +67,24 @@ def beside(source, name):
     return permit(path if path.is_absolute() else Path(source).parent / path)
 
 
+def _leaves(name, rest):
+    """Whether an address leads out of the package or model that it names."""
+    return name in ("", ".", "..") or rest.startswith("/") or ".." in Path(rest).parts
+
+
 def _above(rest, file):
     """File of a package:// address whose package is a folder above the robot's file."""
     package, _, inner = rest.partition("/")
+    if _leaves(package, inner):
+        return None
     for folder in Path(file).resolve().parents:
         if holds_home(folder):
             return None
         if folder.name == package and (folder / inner).is_file():
             return folder / inner
-        if (folder / package / inner).is_file():
-            return folder / package / inner
+        beside = folder / package
+        if (beside / inner).is_file() and any((beside / mark).is_file() for mark in MARKS):
+            return beside / inner
     return None
 
 

@@ -8,7 +8,7 @@ from urllib.parse import unquote
 
 from liegroup_core import SceneError, load_scene
 from liegroup_core.errors import MissingFileError
-from liegroup_core.robots.access import permit, served_from
+from liegroup_core.robots.access import is_permitted, permit, served_from
 from liegroup_core.robots.read import is_robot_file
 from liegroup_core.robots.resources import resolve
 from liegroup_core.scene.load import example_scenes, find_scene, scene_from_text
@@ -29,7 +29,8 @@ from .standard_codes import (
 )
 
 SCHEMES = ("", "file", "package", "model")
-MOST_WORLDS = 10_000  # of a folder
+MOST_BODIES = 200  # of a scene that a request loads; topics of a body take some ms
+MOST_WORLDS, MOST_SOURCES = 1000, 100  # of a request, or of a folder
 HEAD = 64 * 2**10  # bytes of a scene file in which its description is looked for
 DESCRIPTION = re.compile(
     r"^description:.*(?:\n(?:[ \t].*)?$)*", re.MULTILINE
@@ -45,6 +46,7 @@ class Worlds:
 
     def __init__(self, node, world):
         self._node, self._world = node, world
+        self._is_looking = False
 
     async def load_world(self, request, response):
         """Load a scene and stop at step 0; if it cannot be loaded, the previous scene continues."""
@@ -57,6 +59,12 @@ class Worlds:
 
         def make():
             scene = _scene(path, text)
+            if len(scene.bodies) > MOST_BODIES:
+                raise Refused(
+                    FAILED,
+                    f"{scene.source} has {len(scene.bodies)} bodies; a request loads at most "
+                    f"{MOST_BODIES}, as making the topics of more holds up the node: start one with it",
+                )
             _refuse_assets(scene, request)
             return scene
 
@@ -75,13 +83,23 @@ class Worlds:
         """Example scenes, and the scene files and robots of further files and folders."""
         if len(request.filter.tags):
             raise Refused(NOT_SUPPORTED, "worlds have no tags: leave the filter empty")
-        sources = list(request.additional_sources)
-        folders, skips = self._node.folders, request.continue_on_error
-        found = await self._node.wait(begin(_available, sources, folders, skips))
+        sources = list(dict.fromkeys(request.additional_sources))
+        if len(sources) > MOST_SOURCES:
+            raise Refused(FAILED, f"{len(sources)} sources: give at most {MOST_SOURCES}")
+        if self._is_looking:
+            raise Refused(FAILED, "another request looks for worlds: try again when it is answered")
+        self._is_looking = True
+        try:
+            found = await self._look(sources, request.continue_on_error)
+        finally:
+            self._is_looking = False
         response.worlds = [self._entry(path.stem, str(path)) for path, _ in found]
         for world, (_, description) in zip(response.worlds, found):
             world.description = description
         return filled(response, OK, "")
+
+    async def _look(self, sources, skips):
+        return await self._node.wait(begin(_available, sources, self._node.folders, skips))
 
     def _entry(self, name, uri, text=""):
         world = self._world()
@@ -124,6 +142,8 @@ def _available(sources, folders, skips):
             except Refused:
                 if not skips:
                     raise
+            if len(found) > MOST_WORLDS:
+                raise Refused(FAILED, f"more than {MOST_WORLDS} worlds: name fewer folders")
     return [(path, _description(path)) for path in found]
 
 
@@ -196,6 +216,6 @@ def _worlds_of(source):
         raise Refused(NOT_FOUND, f"{source}: no such file or folder")
     try:
         files = sorted(path.iterdir())[:MOST_WORLDS] if path.is_dir() else [path]
-        return [file for file in files if _is_scene(file)]
+        return [file for file in files if is_permitted(file) and _is_scene(file)]
     except OSError as error:
         raise Refused(FAILED, f"{source}: cannot be read: {error.strerror}") from None

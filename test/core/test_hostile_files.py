@@ -14,6 +14,7 @@ from hostile import expression, xacro_text
 from liegroup_core import SceneError, load_scene
 from liegroup_core.robots import access, apart
 from liegroup_core.robots.expressions import Refused, evaluate
+from liegroup_core.robots.resources import readable_resource
 from liegroup_core.scene.load import scene_from_text
 
 ARM = xacro_text("x")
@@ -24,7 +25,7 @@ class Space(dict):
 
 
 def symbols():
-    space = Space(list=list, map=map, type=type, vars=vars, load_yaml=print, parent=1)
+    space = Space(list=list, map=map, load_yaml=print, parent=1)
     return {"python": space, "xacro": space, "str": str, "len": len, "max": max, "dict": dict}
 
 
@@ -57,9 +58,10 @@ def test_what_robots_write_in_expressions_has_its_value(text, expected):
 
 # Prints which of these a confined process can do.
 RIGHTS = """
-import os, signal, socket, subprocess, sys, threading
+import fcntl, os, signal, socket, subprocess, sys, threading
 from liegroup_core.robots.confined import confine
 inside, outside = sys.argv[1:]
+here = os.open(inside, os.O_RDONLY)
 confine([inside, *sys.path, sys.prefix, sys.base_prefix, "/usr/lib", "/lib"])
 tried = {
     "read inside": lambda: open(inside + "/file").read(),
@@ -84,6 +86,9 @@ tried = {
     "socket": socket.socket,
     "unix socket": lambda: socket.socket(socket.AF_UNIX),
     "signal": lambda: os.kill(os.getppid(), 0),
+    "signal of a file": lambda: fcntl.fcntl(here, fcntl.F_SETOWN, os.getppid()),
+    "notice of a folder": lambda: fcntl.fcntl(here, fcntl.F_NOTIFY, fcntl.DN_ACCESS),
+    "lease": lambda: fcntl.fcntl(here, fcntl.F_SETLEASE, fcntl.F_RDLCK),
     "memory of another": lambda: open(f"/proc/{os.getppid()}/mem", "rb"),
     "namespace": lambda: os.unshare(0) if hasattr(os, "unshare") else os.setsid(),
 }
@@ -154,6 +159,7 @@ def test_unchecked_code_in_a_xacro_file_can_do_no_harm(code, value, tmp_path):
         ("${(lambda: 1)()}", "lambda in an expression is not allowed"),
         ("${[x for x in [1]]}", "comprehension in an expression is not allowed"),
         ("$(eval [x for x in [1]][0])", "comprehension in an expression is not allowed"),
+        ("${python.vars(python.type(python))['__init__']}", "'vars' is not defined"),
         ("${load_yaml('OUTSIDE')}", "OUTSIDE is not read: it is outside of"),
         ("${xacro.load_yaml('/etc/passwd')}", "/etc/passwd is not read: it is outside of"),
     ],
@@ -222,6 +228,28 @@ def test_an_included_model_outside_of_the_tree_is_refused(tmp_path):
     )
     with pytest.raises(SceneError, match="robot.sdf:2: .*other.sdf: is not read"):
         load_scene(path)
+
+
+@pytest.mark.parametrize(
+    "address",
+    ["package://robot/SECRET", "package://robot/../../../secret/s.stl", "package://secret/s.stl"]
+    + ["SECRET", "../../../secret/s.stl", "file://SECRET", "model://../secret/s.stl"],
+)
+def test_an_address_does_not_lead_out_of_its_package(address, tmp_path):
+    secret = tmp_path / "secret" / "s.stl"
+    robot = tmp_path / "ws" / "src" / "robot" / "urdf" / "a.urdf"
+    for path in (secret, robot):
+        path.parent.mkdir(parents=True)
+        path.write_text("x")
+    (robot.parent.parent / "package.xml").write_text("<package/>")
+    try:
+        found = readable_resource(address.replace("SECRET", str(secret)), robot)
+    except SceneError as error:
+        assert "is not read" in str(error)
+    else:
+        assert found is None
+    (robot.parent / "own.stl").write_text("x")
+    assert readable_resource("package://robot/urdf/own.stl", robot) == robot.parent / "own.stl"
 
 
 def test_a_mesh_is_read_in_bounded_memory(tmp_path):
