@@ -166,6 +166,19 @@ def test_a_world_that_is_refused_has_its_code(uri, code, client, besieged):
     assert response.result.error_message and "\n" not in response.result.error_message
 
 
+def test_worlds_are_bounded(client, besieged):
+    """Topics of 300 bodies would hold up the node, as would a search for a million files."""
+    from simulation_interfaces.srv import GetAvailableWorlds, LoadWorld
+
+    bodies = "".join(f"  - {{name: b{k}, mass: 1, inertia: [1, 1, 1]}}\n" for k in range(300))
+    text = f"name: many\ngravity: [0, 0, 0]\nbodies:\n{bodies}"
+    answer = client.call(f"{NODE}/load_world", LoadWorld, LoadWorld.Request(resource_string=text))
+    assert answer.result.result == 4 and "at most 200" in answer.result.error_message
+    request = GetAvailableWorlds.Request(additional_sources=[f"a{k}" for k in range(101)])
+    answer = client.call(f"{NODE}/get_available_worlds", GetAvailableWorlds, request)
+    assert answer.result.result == 4 and "at most 100" in answer.result.error_message
+
+
 def test_a_parameter_names_no_file_elsewhere(client, besieged):
     process, folder = besieged
     for path, reason in (("/etc/passwd", "is not read"), (f"{folder}/canary.xacro", "not allowed")):
