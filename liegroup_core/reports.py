@@ -4,6 +4,7 @@
 import logging
 import math
 
+from liegroup_core.integrators.methods import METHODS
 from liegroup_core.integrators.smaller_step import step_that_works
 from liegroup_core.joints.motion import at
 from liegroup_core.observables.reach import beyond_reach
@@ -96,8 +97,10 @@ class Reports:
         angle = math.sqrt(self._work.report[1])
         if status & 0xFF == NO_RATTLE_STEP:
             body = self.layout.body_names[status >> 8]
-        # If a wrench of the scene changes within the step, no smaller step can be suggested.
-        if status & 0xFF in (NO_RATTLE_STEP, NOT_CONVERGED) and not self._instants_inside():
+        # If a wrench of the scene changes within the step, no smaller step can be suggested; nor is it the
+        # step that fails where error control sets the substeps.
+        searched = (NO_RATTLE_STEP, NOT_CONVERGED) if not METHODS[self.method].controlled else ()
+        if status & 0xFF in searched and not self._instants_inside():
             self._work.clock[:] = 0.0, self.time, self.time
             works = step_that_works(self._integrator, self.step, *self.state(), self._external)
             hint = f": {works:g} s works from here" if works else ""
