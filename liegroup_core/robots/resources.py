@@ -74,7 +74,7 @@ def _leaves(name, rest):
 
 def _above(rest, file):
     """File of a package:// address whose package is a folder above the robot's file."""
-    package, _, inner = rest.partition("/")
+    package, _, inner = rest.lstrip("/").partition("/")  # some files have package:///NAME
     if _leaves(package, inner):
         return None
     for folder in Path(file).resolve().parents:

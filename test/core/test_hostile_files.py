@@ -232,7 +232,12 @@ def test_an_included_model_outside_of_the_tree_is_refused(tmp_path):
 
 @pytest.mark.parametrize(
     "address",
-    ["package://robot/SECRET", "package://robot/../../../secret/s.stl", "package://secret/s.stl"]
+    [
+        "package://robot/SECRET",
+        "package:///robot/SECRET",
+        "package://robot/../../../secret/s.stl",
+        "package://secret/s.stl",
+    ]
     + ["SECRET", "../../../secret/s.stl", "file://SECRET", "model://../secret/s.stl"],
 )
 def test_an_address_does_not_lead_out_of_its_package(address, tmp_path):
