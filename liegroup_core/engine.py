@@ -329,7 +329,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
     def halt(self) -> None:
         """End `advance`, which another thread has called, after the last valid step: within a few ms."""
         self._halted = True
-        if METHODS[self.method].controlled:  # a step may have a million substeps
+        if METHODS[self.method].controlled:  # a step may have 100 000 substeps
             self._integrator.limit_attempts(0)
 
     def _go_on(self):

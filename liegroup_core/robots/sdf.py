@@ -107,9 +107,9 @@ def _version(root):
         return 1, 7
 
 
-def _permit(reader, include, path):
+def _permit(reader, include, path, file):
     try:
-        permit(path, reader.file)
+        permit(path, file)
     except SceneError as error:
         raise reader.error(include, str(error)) from None
 
@@ -141,8 +141,8 @@ def _include(loader, element, depth):
                 raise reader.error(include, str(error)) from None
         if not path.is_file():
             raise reader.error(include, f"the included model {uri!r:.80} is not found")
-        if not uri.startswith("model://"):  # found in a search path
-            _permit(reader, include, path)
+        # A model may lie outside of the tree, but for a request not outside of what is served.
+        _permit(reader, include, path, path if uri.startswith("model://") else reader.file)
         model = read_xml(path).find("model")
         if model is None:
             raise reader.error(include, f"{path} has no <model>")

@@ -116,10 +116,8 @@ class _Team:
         self._function, self._workers = dumps(function), workers
         self._processes = {}  # {pipe: process}
         self._idle, self._working = [], {}  # pipes, {pipe: (k, item)}
-        self._waiting, self._deaths = (
-            deque(),
-            Counter(),
-        )  # (k, item), {k: deaths at it; None: at the start}
+        self._waiting = deque()  # (k, item)
+        self._deaths = Counter()  # {k: workers that died at it; None: at the start}
         self._begun = False  # a worker is ready, or was
 
     def __enter__(self):

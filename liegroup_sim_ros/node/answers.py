@@ -2,7 +2,7 @@
 """How a node answers: every request has a response, whatever its callback raises, and none blocks the others.
 
 A callback of a service gets (request, response) and returns the response, or one line of text for a
-response that says success. It may be a coroutine, and wait for what others threads do: until then the
+response that says success. It may be a coroutine, and wait for what other threads do: until then the
 executor runs other callbacks. What it raises becomes a response, too.
 """
 

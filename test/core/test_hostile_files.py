@@ -230,6 +230,24 @@ def test_an_included_model_outside_of_the_tree_is_refused(tmp_path):
         load_scene(path)
 
 
+def test_a_request_includes_no_model_outside_of_what_is_served(tmp_path):
+    """One beside the tree, which a file that a user names may include."""
+    other, path = tmp_path / "m" / "model.sdf", tmp_path / "served" / "robot.sdf"
+    for each in (other, path):
+        each.parent.mkdir()
+    inertial = "<link name='l'><inertial><mass>1</mass></inertial></link>"
+    other.write_text(f"<sdf version='1.9'><model name='m'>{inertial}</model></sdf>")
+    (other.parent / "model.config").write_text("<model><sdf version='1.9'>model.sdf</sdf></model>")
+    include = "<include><uri>model://m</uri></include>"
+    path.write_text(f"<sdf version='1.9'><model name='r'>{include}</model></sdf>")
+    assert len(load_scene(path).bodies) == 1
+    with (
+        access.served_from([path.parent]),
+        pytest.raises(SceneError, match="model.sdf: is not read"),
+    ):
+        load_scene(path)
+
+
 @pytest.mark.parametrize(
     "address",
     [
