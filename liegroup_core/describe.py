@@ -4,23 +4,16 @@
 JSON types, computed without taking a step; independent of the machine.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
-from liegroup_core.errors import SceneError
 from liegroup_core.formulations.relative.build import tree_of
-from liegroup_core.formulations.relative.cost import absolute_cost, relative_cost
-from liegroup_core.joints.elements import PAIR, WORLD
+from liegroup_core.joints.elements import PAIR
 from liegroup_core.joints.limits import BeyondLimits
-from liegroup_core.layout import make_layout
-from liegroup_core.model.sparsity import operations
 from liegroup_core.model.symmetry import body_groups, conserved_momentum
 from liegroup_core.robots.description import COORDINATES
 from liegroup_core.scene.consistency import resolve_couplings
-from liegroup_core.scene.load import scene_from_robot
 
-from .integrators.families import check_options, choose_group, fitting_methods
+from .integrators.families import fitting_methods
 
 MOTION_GROUPS = {
     "revolute": "SO(2)",
@@ -55,9 +48,8 @@ def describe(layout):
         plane               normal of the plane in which the joints keep all bodies: x, y or z, or
                             its components in world axes as text; in relative coordinates
                             Munthe-Kaas methods integrate in that plane. None: no such plane
-        formulation         configuration space of Munthe-Kaas methods, see `formulation`
-        solve               structure of K in (6.22), in space, see `solve_structure`: of all
-                            methods on SE(3)^n or (SO(3) x R^3)^n
+        formulation         configuration space, see `formulation`
+        solve               size of the system of the cut joints, see `solve_structure`
         methods             names of the integration methods that can integrate the scene
         groups              [[body]]: bodies that joints or forces connect, not counting the world
         couplings           [{name, joint, other, ratio, offset}]; offset in rad or m
@@ -129,7 +121,7 @@ def describe(layout):
         "dropped_rows": [list(entry) for entry in dropped],
         "plane": _direction(layout.normal),
         "formulation": formulation(layout),
-        "solve": solve_structure(model),
+        "solve": solve_structure(layout.relative),
         "methods": fitting_methods(layout),
         "groups": [[scene.bodies[i].name for i in group] for group in body_groups(scene)],
         "kept_momentum": [
@@ -164,18 +156,15 @@ def _motions_beyond(layout):
 
 
 def formulation(layout):
-    """Configuration space that Munthe-Kaas methods use by default, and what it saves.
+    """Configuration space of the relative coordinates, and why another cannot hold the scene.
 
     returns dict of
-        group            "relative", or "se3" for SE(3)^n, see Engine
         coordinates      dimension of the relative configuration space, before cut joints
         tree             [{bodies, joint, parent, group}] of every link: its bodies, welded if several;
                          the joint that holds it and the bodies of its parent link, and its motion
                          group; None for a floating link
         cut              [{joint, rows, dropped}] of the joints that close loops: names of the rows that
                          are solved for, and of the redundant ones
-        predicted_ns     {group: predicted cost of a stage on a core of 3 GHz, ns} of the groups that can
-                         hold the scene
         only             text why only relative coordinates can hold it, or ""
     """
     scene, relative = layout.centred, layout.relative
@@ -189,11 +178,7 @@ def formulation(layout):
             for r, name in enumerate(names):
                 kept = r in relative.kept_rows(element)
                 entry["rows" if kept else "dropped"].append(name)
-    predicted = {"relative": relative_cost(relative)}
-    if not layout.needs_relative:
-        predicted["se3"] = absolute_cost(layout.model)
     return {
-        "group": choose_group("rkmk4", "auto", check_options("rkmk4", {}), layout),
         "coordinates": int(relative.bodies["freedoms"].sum()),
         "tree": [
             {
@@ -205,7 +190,6 @@ def formulation(layout):
             for group, parent, j in tree.links
         ],
         "cut": list(cut.values()),
-        "predicted_ns": {group: round(cost) for group, cost in predicted.items()},
         "only": layout.needs_relative,
     }
 
@@ -217,20 +201,10 @@ def imported(layout):
                         and locked joints hold together are one body, those of the world are none
     file_coordinates, coordinates  of the joints of the file's tree, and of the scene's spanning tree;
                         a part that floats has six
-    predicted_ns        predicted cost of a stage, as in `formulation`
-    whole_predicted_ns  the same with all links and joints: without `lock` and `only`; None if there
-                        are none, or if the whole robot is no scene
     """
     robot = layout.scene.robot
     if robot is None:
         return None
-    whole = None
-    if robot.options.lock or robot.options.only:
-        try:
-            options = replace(robot.options, lock={}, only=[])
-            whole = _predicted(make_layout(scene_from_robot(robot.file, options)))
-        except SceneError:
-            pass
     links, coordinates = robot.size
     return {
         "links": links,
@@ -240,47 +214,26 @@ def imported(layout):
             COORDINATES["floating" if j is None else layout.scene.joints[j].type]
             for _, _, j in tree_of(layout.centred).links
         ),
-        "predicted_ns": _predicted(layout),
-        "whole_predicted_ns": whole,
     }
 
 
-def _predicted(layout):
-    """Predicted cost of a stage in the group that is chosen, ns."""
-    facts = formulation(layout)
-    return facts["predicted_ns"][facts["group"]]
+def solve_structure(relative):
+    """Size of the system of the cut joints, W lambda = b, that every acceleration solves.
 
-
-def solve_structure(model):
-    """Structure of the block factorisation of K, see model/sparsity.py.
-
+    relative : RelativeModel
     returns dict of
-        unknowns            accelerations and multipliers: size of K
-        vertices            diagonal blocks: bodies, and joints with a row
-        blocks              dense blocks below the diagonal, fill included
-        fill                blocks that are zero in K but not in its factor
-        numbers             float64 numbers of all blocks, diagonal ones in full
-        dense_share         ratio of `numbers` to those of a dense K
-        factor_flops        additions and multiplications of a factorisation at a new pose
-        solve_flops         additions and multiplications of a solve, refinements included
-        constant            True: K does not depend on the pose and is factorised once
-        refinements         number of iterative refinements of each solve
+        rows            number of its rows
+        numbers         float64 numbers of its factor, within the envelope of W
+        dense_share     ratio of `numbers` to those of a dense factor
+        refinements     number of iterative refinements of each solve
     """
-    unknowns = int(model.vertices["size"].sum())
-    edges = int(len(model.joints) + (model.joints["parent"] != WORLD).sum())
-    factor, substitution = operations(model.vertices, model.columns, model.updates)
-    numbers = len(model.constant)
+    rows = len(relative.row_residual)
+    numbers = int((np.arange(rows) - relative.first_column + 1).sum())
     return {
-        "unknowns": unknowns,
-        "vertices": len(model.vertices),
-        "blocks": len(model.columns),
-        "fill": len(model.columns) - edges,
+        "rows": rows,
         "numbers": numbers,
-        "dense_share": numbers / unknowns**2,
-        "factor_flops": round(factor),
-        "solve_flops": round(substitution * (1 + model.refinements)),
-        "constant": model.fresh == 0,
-        "refinements": int(model.refinements),
+        "dense_share": 2 * numbers / (rows * (rows + 1)) if rows else 0.0,
+        "refinements": int(relative.refinements),
     }
 
 

@@ -76,8 +76,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
     step   : step size h, s; default 1e-3. A method with error control takes substeps within it
     group  : configuration space: "se3" for SE(3)^n, "so3xr3" for (SO(3) x R^3)^n, "relative" for
              the product of the joints' motion groups (all families but the rotation methods).
-             "auto": "relative" unless "se3" is clearly cheaper, or for constrained_rattle
-             and its compositions "so3xr3"; always "so3xr3" for rotation methods
+             "auto": "relative", for rotation methods "so3xr3"
     stabilisation : treatment of constraint drift: "none"; "projection" of poses and velocities
                     after every step; or "baumgarte", which damps the drift with the time constant
                     baumgarte_time
@@ -86,8 +85,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
              dexpinv="exact" or "truncated"  of explicit Munthe-Kaas methods, rkmk...
              space="auto" or "space"         of the same, radau5, generalized_alpha and
                                              constrained_rattle; "auto": in relative coordinates
-                                             planar mechanisms move in their plane; "space": in
-                                             space, and not in relative coordinates by default
+                                             planar mechanisms move in their plane; "space": in space
              rtol=1e-6, atol=1e-6            tolerances of methods with error control (rkmk54,
                                              rkmk853, radau5)
              rho_inf=0.8                     damping of generalized_alpha
@@ -129,7 +127,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         self.layout = layout.with_model(
             _stabilised(layout.model, stabilisation, baumgarte_time, self.step)
         )
-        self.group = choose_group(method, group, self.options, self.layout)
+        self.group = choose_group(method, group)
         self._integrator = make_integrator(method, self.layout, self.group, self.step, self.options)
         self._work = self._integrator.work
         self._switching = getattr(self._integrator, "switching", None)

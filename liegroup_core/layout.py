@@ -81,6 +81,18 @@ class Layout:
             return self.relative
         return self._with_usual_pivot(relative_model(self.centred, self.model, in_space=True))
 
+    def floating(self, group):
+        """RelativeModel with an empty tree, on a group of GROUPS: all bodies float, all joints are cut."""
+        if group not in self._floating:
+            self._floating[group] = self._with_usual_pivot(
+                relative_model(self.centred, self.model, in_space=True, group=group)
+            )
+        return self._floating[group]
+
+    @cached_property
+    def _floating(self):
+        return {}
+
     def _with_usual_pivot(self, model):
         pose, twist = initial_state(self.centred)
         return with_usual_pivot(model, pose, twist, self.angles(pose, None))
@@ -145,14 +157,18 @@ class Layout:
         """The layout with other options of its model; what does not depend on them is kept."""
         layout = replace(self, model=model)
         layout.__dict__["lack_of_inertia"] = self.lack_of_inertia
+
+        def changed(relative):
+            return relative.replace(
+                space=model,
+                projects=model.projects and len(relative.joints) > 0,
+                baumgarte_rate=model.baumgarte_rate,
+            )
+
         for name in ("relative", "relative_in_space"):
-            relative = self.__dict__.get(name)
-            if relative is not None:
-                layout.__dict__[name] = relative.replace(
-                    space=model,
-                    projects=model.projects and len(relative.joints) > 0,
-                    baumgarte_rate=model.baumgarte_rate,
-                )
+            if name in self.__dict__:
+                layout.__dict__[name] = changed(self.__dict__[name])
+        layout._floating.update({group: changed(m) for group, m in self._floating.items()})
         return layout
 
     @cached_property

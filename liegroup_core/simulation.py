@@ -14,7 +14,7 @@ from .compiling import warm_up
 from .engine import Engine
 from .errors import SimulationError
 from .fields.arguments import got, is_count, is_like
-from .integrators.families import check_group, check_options, choose_group
+from .integrators.families import check_group, choose_group
 from .integrators.methods import is_positive
 from .layout import make_layout
 from .observables.sample import Sample
@@ -109,7 +109,7 @@ class Simulation(Engine):
         check_group(METHOD, group)
         tolerances = {"rtol": accuracy, "atol": accuracy} | options
         layout = make_layout(scene)
-        group = choose_group(METHOD, group, check_options(METHOD, tolerances), layout)
+        group = choose_group(METHOD, group)
         if stabilisation is None:
             stabilisation = "projection" if layout.drifts(group) else "none"
         settings = (group, stabilisation, baumgarte_time)

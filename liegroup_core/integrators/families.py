@@ -15,7 +15,6 @@ and with error control
 """
 
 from liegroup_core.fields.arguments import got
-from liegroup_core.formulations.relative.cost import has_fewer_unknowns, is_cheaper, saves_sweeps
 from liegroup_core.integrators.generalized_alpha.generalized_alpha import GeneralizedAlpha
 from liegroup_core.integrators.rattle.rattle import Constrained
 from liegroup_core.integrators.rkmk.munthe_kaas import MuntheKaas
@@ -31,13 +30,7 @@ FAMILIES = {
     "constrained": Constrained,
 }
 NOT_ON_SE3 = ("rotation", "constrained")  # families without SE(3)^n
-# Families that support relative coordinates, and the function that tells when these are better.
-BETTER_ON_JOINTS = {
-    "rkmk": is_cheaper,
-    "generalized_alpha": has_fewer_unknowns,
-    "constrained": saves_sweeps,
-}
-ON_JOINTS = tuple(BETTER_ON_JOINTS)
+ON_JOINTS = ("rkmk", "generalized_alpha", "constrained")  # families with relative coordinates
 
 
 def check_options(method, options):
@@ -72,19 +65,11 @@ def check_group(method, group):
         )
 
 
-def choose_group(method, group, options, layout):
-    """Name of the group that a method uses for a scene (layout.Layout); group: may be "auto"."""
-    family = METHODS[method].family
+def choose_group(method, group):
+    """Name of the group that a method uses; group: may be "auto"."""
     if group != "auto":
         return group
-    bodies = "so3xr3" if family in NOT_ON_SE3 else "se3"
-    if family not in ON_JOINTS:
-        return bodies
-    if layout.needs_relative:
-        return RELATIVE
-    if options["space"] == "space":
-        return bodies
-    return RELATIVE if BETTER_ON_JOINTS[family](layout.relative) else bodies
+    return RELATIVE if METHODS[method].family in ON_JOINTS else "so3xr3"
 
 
 def misfit(method, layout):

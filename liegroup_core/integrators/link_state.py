@@ -6,7 +6,7 @@ formulations/relative/coordinates.py.
 """
 
 from liegroup_core.compiling import borrowed, kernel, shared
-from liegroup_core.formulations.relative.arrays import make_relative_work
+from liegroup_core.formulations.relative.arrays import PlaneModel, make_relative_work
 from liegroup_core.formulations.relative.kinds import (
     coordinates,
     move_links,
@@ -25,11 +25,10 @@ def model_and_work(layout, group, options, stages):
     options : "space": "auto" for the plane of a planar mechanism, or "space"
     """
     work = make_work(layout.model, stages)
-    if group != RELATIVE:
-        return layout.model, work, work, ""
-    in_space = options["space"] == "space" or layout.normal is None
-    model = layout.relative_in_space if in_space else layout.relative
-    ending = "-relative" if in_space else "-plane"
+    model = layout.floating(group) if group != RELATIVE else layout.relative
+    if options["space"] == "space" and model is layout.relative:
+        model = layout.relative_in_space
+    ending = "-plane" if isinstance(model, PlaneModel) else ""
     return model, make_relative_work(model, work, stages), work, ending
 
 
@@ -55,12 +54,12 @@ def enter(model, work, pose, twist, external):
 @kernel
 def leave(model, work, pose, twist, pose_out, twist_out):
     """Write poses and twists of the bodies to the caller's arrays."""
-    begin(model, work, 0, pose, twist)
+    begin(model, work, pose, twist)
     place(model, work, pose_out, twist_out)
 
 
 @kernel
-def begin(model, work, group, pose, twist):
+def begin(model, work, pose, twist):
     """Set stage 0 to the state."""
     n = len(model.parts)
     for b in range(len(model.bodies)):

@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Operations of all integrators on a state: velocity on the group, displacement."""
+"""Checks of all integrators on a state, and the norm of an error estimate."""
 
 import math
 
 from liegroup_core.compiling import kernel
 from liegroup_core.forces.kinds import too_fast
-from liegroup_core.lie.se3 import se3_compose, se3_exp
-from liegroup_core.lie.so3 import so3_exp
-from liegroup_core.lie.vec3 import add3, dot3, load3, load9, matmul3, matvec3, store3
+from liegroup_core.lie.vec3 import dot3, load3
 from liegroup_core.status import (
     LARGEST_ROTATION,
     NOT_FINITE,
@@ -15,32 +13,6 @@ from liegroup_core.status import (
     ROTATION_TOO_LARGE,
     TURNS_NOT_COUNTED,
 )
-
-from .methods import SE3
-
-
-@kernel
-def group_velocity(group, pose, twist, i, out):
-    """Write the velocity on the group of body i, from its body twist (omega, v), to out (n, 6).
-
-    It is (omega, v) on SE(3) and (omega, R v) on SO(3) x R^3.
-    """
-    v = load3(twist, i, 3)
-    if group != SE3:
-        v = matvec3(load9(pose, i, 0), v)
-    store3(load3(twist, i, 0), out, i, 0)
-    store3(v, out, i, 3)
-
-
-@kernel
-def displace(group, pose, i, xi, eta):
-    """Product of the pose of body i and exp(xi, eta), as (rotation (9), position (3) in m)."""
-    rot = load9(pose, i, 0)
-    r = load3(pose, i, 9)
-    if group == SE3:
-        turn, shift = se3_exp(xi, eta)
-        return se3_compose(rot, r, turn, shift)
-    return matmul3(rot, so3_exp(xi)), add3(r, eta)
 
 
 @kernel

@@ -30,7 +30,7 @@ LEAST = 1e-8  # smaller ones are round-off
 def _pivot_aside(model, work, pose, twist, external, rates, turn):
     """Pivot where the joints have turned along rates (L, 6); 0: the loops cannot get there."""
     enter(model, work, pose, twist, external)
-    begin(model, work, 0, work.pose, work.twist)
+    begin(model, work, work.pose, work.twist)
     if turn != 0.0:
         for b in range(len(model.bodies)):
             for k in range(6):

@@ -1,24 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Build a Model from a scene: indices for names, Jacobian rows, structure of the solve."""
+"""Build a Model from a scene: indices for names, independent rows, refinements of a solve."""
 
 import numpy as np
 
 from liegroup_core.forces.kinds import make_forces
 from liegroup_core.joints.elements import ELEMENT, PAIR, WORLD
 from liegroup_core.joints.motion import COLUMNS
-from liegroup_core.lie.groups import SE3
 from liegroup_core.scene.consistency import driven_joints, resolve_elements, resolve_frames
 from liegroup_core.scene.massless import invertible_inertia
 
 from .arrays import BODY, Model
-from .redundancy import kept_rows, loop_joints
-from .sparsity import cheapest_structure
-
-# A pivot smaller than this part of its row's own S_rr indicates a singular pose: the sine of the
-# angle between the row and the span of the others is below 1e-5. Closer to the singularity the
-# drift of a loop, about 1e-9, would be divided by that sine. A ratio of neighbouring masses of 1e8
-# gives regular pivots of 1e-8.
-SMALLEST_PIVOT = 1e-10
+from .redundancy import kept_rows
 
 # Ratio of neighbouring masses or inertias from which iterative refinement is used.
 LARGE_RATIO = 1e3
@@ -43,7 +35,7 @@ def build_model(scene):
     scene : consistent, body frames at the centres of mass (scene.centres)
     returns (model, frames, owners, row_names, kept): frames of every joint; of each element its
     scene joint, the names of its rows, and the rows that are solved for. Redundant rows are
-    eliminated; an element without remaining rows is not in `joints`.
+    eliminated.
     Raises SceneError for a linkage in a pose that it cannot leave.
     """
     index = {body.name: i for i, body in enumerate(scene.bodies)} | {"world": WORLD}
@@ -57,11 +49,6 @@ def build_model(scene):
     ]
     solved = [e for e, rows in enumerate(kept) if rows]
     ends = [(int(elements[e]["parent"]), int(elements[e]["child"])) for e in solved]
-    n = len(scene.bodies)
-    rows = [len(kept[e]) for e in solved]
-    jacobians = [_constant_rows(elements[e])[list(kept[e])] for e in solved]
-
-    loops = set(loop_joints([(joint.parent, joint.child) for joint in scene.joints]))
     inertias = [_solved_inertia(i, body, elements) for i, body in enumerate(scene.bodies)]
     bodies = np.array(
         [
@@ -75,33 +62,16 @@ def build_model(scene):
         ],
         dtype=BODY,
     )
-    few = refinements(bodies, np.trace(inertias, axis1=1, axis2=2), ends, elements)
-    structure = cheapest_structure(n, rows, ends, elements["kind"][solved] != PAIR, few == 0)
-    joints = structure.joints()
-    joints["element"] = solved
-    joints["kind"] = elements["kind"][solved]
     model = Model(
         gravity=np.array([scene.gravity], dtype=float),
         bodies=bodies,
         forces=_forces(scene, index, frames),
         motions=np.zeros((len(driven_joints(scene)), COLUMNS)),  # set before every step
         elements=elements,
-        joints=joints,
         row_residual=np.array(
             [elements[e]["row_start"] + r for e in solved for r in kept[e]], dtype=np.int64
         ),
-        child_jacobian=np.concatenate([np.zeros((0, 6)), *jacobians]),
-        ground_projector=_ground_projector(bodies, joints, jacobians),
-        pivot_floor=_pivot_floor(
-            bodies,
-            elements,
-            joints,
-            jacobians,
-            structure.unknowns,
-            [j for j, e in enumerate(solved) if owners[e] in loops],
-        ),
-        refinements=few,
-        **structure.arrays(list(map(_mass_matrix, scene.bodies, inertias)), jacobians),
+        refinements=refinements(bodies, np.trace(inertias, axis1=1, axis2=2), ends, elements),
     )
     names = tuple(part.names for elements in parts for part in elements)
     return model, tuple(frames), owners, names, tuple(kept)
@@ -119,16 +89,6 @@ def _elements(scene, index, frames, parts):
     return np.array(records, dtype=ELEMENT), tuple(owners)
 
 
-def _constant_rows(element):
-    """Rows A Ad(F_b^-1) (k, 6) of a PAIR; zeros of an element whose row depends on the pose."""
-    if element["kind"] != PAIR:
-        return np.zeros((element["rows"], 6))
-    frame = np.eye(4)
-    frame[:3, :3] = element["child_rotation"].reshape(3, 3)
-    frame[:3, 3] = element["child_point"]
-    return element["forbidden"][: 6 * element["rows"]].reshape(-1, 6) @ SE3.Ad(SE3.inverse(frame))
-
-
 def _solved_inertia(i, body, elements):
     """Inertia (3, 3) of body i about its centre of mass, for the arrays of the solve on SE(3)^n.
 
@@ -138,56 +98,6 @@ def _solved_inertia(i, body, elements):
     points = [elements[f"{end}_point"][elements[end] == i] for end in ("parent", "child")]
     reach = np.linalg.norm(np.concatenate(points), axis=1).max(initial=0.0)
     return invertible_inertia(body, reach or 1.0)
-
-
-def _mass_matrix(body, inertia):
-    """Mass matrix (6, 6) of a body of the scene about its centre of mass."""
-    matrix = np.zeros((6, 6))
-    matrix[:3, :3] = inertia
-    matrix[3:, 3:] = body.mass * np.eye(3)
-    return matrix
-
-
-def _mobility(body, jacobian):
-    """Rows J M^-1 (k, 6) of a body."""
-    return np.hstack(
-        [
-            jacobian[:, :3] @ body["inverse_inertia"].reshape(3, 3),
-            jacobian[:, 3:] * body["inverse_mass"],
-        ]
-    )
-
-
-def _ground_projector(bodies, joints, jacobians):
-    """(m, 36) projectors on the part of the child's twist that a PAIR to ground forbids."""
-    projectors = np.zeros((len(joints), 36))
-    for projector, joint, jacobian in zip(projectors, joints, jacobians):
-        if joint["parent"] == WORLD and joint["kind"] == PAIR:
-            moved = _mobility(bodies[joint["child"]], jacobian)
-            projector[:] = (moved.T @ np.linalg.solve(jacobian @ moved.T, jacobian)).ravel()
-    return projectors
-
-
-def _pivot_floor(bodies, elements, joints, jacobians, count, in_loops):
-    """Smallest regular pivot of every scalar of K: a fraction of S_rr for rows of joints in loops.
-
-    Bodies and joints of trees have no bound: their pivots are positive at every pose.
-    S_rr with S = J M^-1 J^T is the pivot of a row without any other row. The child's part of it is
-    used; both ends are of the same order. An element whose row depends on the pose uses the
-    smallest mobility in the directions that its row may take.
-    """
-    floor = np.zeros(count)
-    for j in in_loops:
-        joint, jacobian = joints[j], jacobians[j]
-        body = bodies[joint["child"]]
-        if joint["kind"] != PAIR:
-            directions = elements[joint["element"]]["forbidden"].reshape(6, 6)
-            jacobian = directions[directions.any(axis=1)]
-        size = (jacobian * _mobility(body, jacobian)).sum(axis=1)
-        floor[joint["start"] : joint["start"] + joint["rows"]] = SMALLEST_PIVOT * (
-            size if joint["kind"] == PAIR else size.min()
-        )
-    return floor
 
 
 def _forces(scene, index, frames):

@@ -46,15 +46,9 @@ def run(args):
     scene = robot_scene(args.scene, args)
     layout = make_layout(scene)
     facts = describe(layout)
-    groups = ["auto"]
-    if not layout.needs_relative:
-        groups.append("se3" if facts["formulation"]["group"] == "relative" else "relative")
     with Console(stderr=True).status("measuring (the first run of a kind of mechanism compiles)"):
         facts["cost"] = {
-            f"{method}{', ' + group if group != 'auto' else ''}": step_cost(scene, method, group)
-            for method in METHODS
-            if method in facts["methods"]
-            for group in groups
+            method: step_cost(scene, method) for method in METHODS if method in facts["methods"]
         }
     if args.json:
         print(json.dumps(facts, indent=1, allow_nan=False))
@@ -63,13 +57,13 @@ def run(args):
     return 0
 
 
-def step_cost(scene, method, group="auto", seconds=MEASURING):
+def step_cost(scene, method, seconds=MEASURING):
     """Measured cost of a step: {"step_us", "stage_us", "runs", "steps"}, or {"failed": text}.
 
     step_us, stage_us : of a step, and of each of its stages: minimum of several runs of many steps each;
                         other load of the machine only adds time
     """
-    simulation = Engine(scene, method, STEP, group)
+    simulation = Engine(scene, method, STEP)
     steps, times = 1, []
     end = time.perf_counter() + seconds
     try:
@@ -160,11 +154,11 @@ def sections(facts):
             [(joint, "undetermined", why) for joint, why in facts["undetermined"].items()],
         ),
         (
-            "Formulation of Munthe-Kaas methods",
+            "Formulation",
             _formulation_rows(facts["formulation"], len(facts["bodies"]), facts["plane"]),
         ),
         ("Spanning tree", _tree_rows(facts["formulation"])),
-        ("Solve on SE(3)^n", _solve_rows(facts)),
+        ("System of the cut joints", _solve_rows(facts["solve"])),
         ("Applicable methods", [("", ", ".join(facts["methods"]), "")]),
         ("Conserved quantities", _conserved_rows(facts)),
         (
@@ -207,15 +201,6 @@ def _import_rows(facts):
             "without joints that are locked, cut, or held in place",
         ),
     ]
-    if facts["whole_predicted_ns"] is not None:
-        before, after = (facts[key] / 1e3 for key in ("whole_predicted_ns", "predicted_ns"))
-        rows.append(
-            (
-                "predicted cost",
-                f"{before:.2g} -> {after:.2g} us a stage",
-                "by what is locked and cut; without the forces",
-            )
-        )
     return rows
 
 
@@ -241,23 +226,12 @@ def _formulation_rows(facts, bodies, plane):
     ]
     welded = [" + ".join(link["bodies"]) for link in facts["tree"] if len(link["bodies"]) > 1]
     floating = [" + ".join(link["bodies"]) for link in facts["tree"] if link["joint"] is None]
-    predicted = facts["predicted_ns"]
-    others = "".join(
-        f"; in group {key} {predicted[key] / 1e3:.2g} us"
-        for key in predicted
-        if key != facts["group"]
-    )
     rows = [
-        (
-            "chosen group",
-            facts["group"],
-            "--group of run, or the option group, chooses another" if others else facts["only"],
-        ),
         (
             "relative coordinates",
             str(facts["coordinates"]),
             f"joint positions of a spanning tree, for {6 * bodies} of poses"
-            + ("; its joints are satisfied exactly" if facts["group"] == "relative" else ""),
+            "; its joints are satisfied exactly",
         ),
         (
             "cut joints",
@@ -279,19 +253,12 @@ def _formulation_rows(facts, bodies, plane):
         rows.append(("merged bodies", ", ".join(welded), "welded by fixed joints"))
     if floating:
         rows.append(("floating", ", ".join(floating), "six coordinates each"))
-    rows.append(
-        (
-            "predicted cost",
-            f"{predicted[facts['group']] / 1e3:.2g} us a stage",
-            f"without forces, stops and friction{others}. rkmk4 has 4 stages, rkmk8 12",
-        )
-    )
+    if facts["only"]:
+        rows.append(("other groups", "none", facts["only"]))
     return rows
 
 
 def _tree_rows(facts):
-    if facts["group"] != "relative":
-        return []
     return [
         (
             " + ".join(link["bodies"]),
@@ -335,35 +302,12 @@ def _not_searched(facts):
     return "driven joints" if driven else "a joint is not a lower pair"
 
 
-def _solve_rows(facts):
-    if facts["formulation"]["group"] == "relative":
+def _solve_rows(solve):
+    if not solve["rows"]:
         return []
-    solve, plane = facts["solve"], facts["plane"]
-    where = (
-        ("in space", "six coordinates per body")
-        if plane is None
-        else (f"across {plane}", "all bodies move in a plane, which SE(3)^n makes no use of")
-    )
     return [
-        ("motion", *where),
-        ("unknowns", str(solve["unknowns"]), "accelerations and multipliers"),
-        ("vertices", str(solve["vertices"]), "dense blocks on the diagonal"),
-        (
-            "blocks",
-            str(solve["blocks"]),
-            f"dense, below the diagonal; {solve['fill']} of them fill",
-        ),
-        ("numbers", str(solve["numbers"]), f"{solve['dense_share']:.3g} of a dense matrix"),
-        (
-            "operations",
-            f"{solve['factor_flops']} + {solve['solve_flops']}",
-            "estimate: factorisation, solution",
-        ),
-        (
-            "matrix",
-            "constant" if solve["constant"] else "depends on the pose",
-            "factorised once" if solve["constant"] else "factorised in every stage",
-        ),
+        ("rows", str(solve["rows"]), "multipliers that every acceleration solves for"),
+        ("numbers", str(solve["numbers"]), f"{solve['dense_share']:.3g} of a dense factor"),
         (
             "refinements",
             str(solve["refinements"]),

@@ -72,6 +72,18 @@ PART = np.dtype(
     align=True,
 )
 
+JOINT = np.dtype(
+    [  # cut element with rows that are solved for
+        ("parent", "i8"),
+        ("child", "i8"),  # link; the parent may be WORLD, the child not
+        ("kind", "i8"),
+        ("element", "i8"),  # kind of element, and its index in `elements`
+        ("rows", "i8"),
+        ("first", "i8"),  # rows, and the first of them in `row_residual`
+    ],
+    align=True,
+)
+
 
 COUPLED = np.dtype(
     [  # coupling of the coordinates of two links, each a hinge, slide or screw: couplings.py
@@ -128,7 +140,7 @@ class RelativeModel(Struct):
     )  # (f, 2) freedoms of every link in the order of elimination, and components of
     # a twist that they are
     elements: np.ndarray  # of ELEMENT: those of the cut joints, between links
-    joints: np.ndarray  # (c,) of JOINT: cut elements with rows that are solved for
+    joints: np.ndarray  # (c,) of JOINT
     owners: np.ndarray  # (c,) their elements in `space`
     row_residual: np.ndarray  # (m,) which residual is that of a row
     row_turns: np.ndarray  # (m,) 1: the row forbids a rotation, 0: a translation

@@ -18,16 +18,19 @@ from .switch_records import stop_rows, switch_arrays
 
 
 @one_blas_thread()
-def relative_model(scene, model, in_space=False):
+def relative_model(scene, model, in_space=False, group=None):
     """RelativeModel of a mechanism; a PlaneModel if it is planar.
 
     scene    : Scene with body frames at the centres of mass
     model    : its Model
     in_space : True: never a PlaneModel
+    group    : name of GROUPS for an empty tree: all bodies float on it, all joints are cut
     """
     frames, parts = resolve_frames(scene), resolve_elements(scene)
     plane = None if in_space else find_plane(scene, frames, parts)
     normal, allowed = (None, None) if plane is None else plane
+    if group is not None:
+        allowed = ()
     tree = spanning_tree(scene, allowed)
     links, places = find_links(scene, frames, tree, normal)
     index = {body.name: i for i, body in enumerate(scene.bodies)}

@@ -9,8 +9,7 @@ time of the stage, work.clock[2].
 
 from liegroup_core.compiling import kernel
 from liegroup_core.forces.turn import unwrapped
-from liegroup_core.formulations.absolute.constraints import position_residuals
-from liegroup_core.formulations.absolute.projection import ROUND_OFF
+from liegroup_core.formulations.constraints import ROUND_OFF, position_residuals
 from liegroup_core.joints.motion import acceleration, position, rate
 
 from .arrays import COORDINATE

@@ -9,11 +9,10 @@ from liegroup_core.errors import SceneError
 from liegroup_core.joints.elements import ELEMENT, PAIR, WORLD, Element
 from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage
 from liegroup_core.lie.groups import SE3
-from liegroup_core.model.arrays import JOINT
 from liegroup_core.model.redundancy import dependent_groups, generic_poses, independent_rows
 from liegroup_core.scene.consistency import ResolvedCoupling, resolve_couplings
 
-from .arrays import COUPLED, FREEDOMS, SLIDE
+from .arrays import COUPLED, FREEDOMS, JOINT, SLIDE
 from .links import FIRST_AXIS, SECOND_AXIS, eliminated, link_poses
 from .spanning_tree import WORLD_NAME
 
@@ -256,7 +255,6 @@ def loop_arrays(links, records, cut, rows, elements, coupled, counted):
             element["kind"],
         )
         joint["element"], joint["rows"], joint["first"] = k, len(rows[k]), first
-        joint["start"] = first
         first += len(rows[k])
         residuals += [element["row_start"] + r for r in rows[k]]
         turns += [cut[k][2].names[r].startswith("w") for r in rows[k]]

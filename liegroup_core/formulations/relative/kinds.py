@@ -2,7 +2,6 @@
 """Functions of the sweeps, selected by the type of the model: in space or in a plane."""
 
 from liegroup_core.compiling import Choice
-from liegroup_core.model.arrays import Model
 
 from . import coordinates as space_coordinates
 from . import (
@@ -19,13 +18,6 @@ from . import (
 )
 from . import inverse_dynamics as space_inverse_dynamics
 from .arrays import PlaneModel, RelativeModel
-
-
-def by_formulation(name, absolute, relative):
-    """Choice of the function of this name of two modules: on bodies in space, or on links."""
-    of_links = getattr(relative, name)
-    kinds = {Model: getattr(absolute, name), RelativeModel: of_links, PlaneModel: of_links}
-    return Choice(name, kinds)
 
 
 def by_space(name, space, plane):

@@ -14,7 +14,7 @@ Newton's method, and velocities likewise: the tree stays exactly closed.
 """
 
 from liegroup_core.compiling import kernel, shared, subroutine
-from liegroup_core.formulations.absolute.projection import MAX_ITERATIONS, is_satisfied
+from liegroup_core.formulations.constraints import MAX_ITERATIONS, is_satisfied
 from liegroup_core.status import DEPENDENT_ROWS, NOT_PROJECTED, OK
 
 from .coupled_rows import set_all_rows, set_gap

@@ -33,55 +33,55 @@ from liegroup_core.compiling import SameTypes, borrowed, kernel, stepper
 from liegroup_core.forces.external import COLUMNS as EXTERNAL_COLUMNS
 from liegroup_core.formulations.relative.arrays import links_of
 from liegroup_core.integrators.link_state import model_and_work
-from liegroup_core.integrators.methods import GROUPS, SE3, refuse_stabilisation
+from liegroup_core.integrators.methods import refuse_stabilisation
 from liegroup_core.model.arrays import copy_state
 from liegroup_core.status import DEPENDENT_ROWS, OK
 
-from . import spaces
+from . import relative
 from .arrays import Coefficients, keep_end, make_memory, set_old
 from .newton import newton
 
 
 @stepper
-def advance(model, work, memory, numbers, group, h, steps, pose_in, twist_in, external_in):
+def advance(model, work, memory, numbers, h, steps, pose_in, twist_in, external_in):
     """Take `steps` steps of size h in place of pose (n, 12) and twist (n, 6).
 
-    model, work     : Model and Work, or RelativeModel or PlaneModel and RelativeWork
+    model, work     : RelativeModel or PlaneModel, and RelativeWork
     external        : external wrenches of these steps, see forces/external.py
     returns (steps done, status), as munthe_kaas.advance; if status is not OK, memory is invalid
     """
     pose_in, twist_in, external_in = borrowed(pose_in), borrowed(twist_in), borrowed(external_in)
-    pose, twist, external, status = spaces.enter(model, work, pose_in, twist_in, external_in)
+    pose, twist, external, status = relative.enter(model, work, pose_in, twist_in, external_in)
     done = 0
     while done < steps and status == OK:
-        spaces.begin(model, work, memory, group, pose, twist)
+        relative.begin(model, work, memory, pose, twist)
         set_old(memory, numbers)
         work.clock[2] = (work.clock[0] + (done + 1)) * h + work.clock[1]
-        status = newton(model, work, memory, numbers, group, h, pose, external)
+        status = newton(model, work, memory, numbers, h, pose, external)
         work.report[1] = 0.0
         if status == OK:
-            status = spaces.move(model, work, memory, numbers, group, h, pose)
+            status = relative.move(model, work, memory, numbers, h, pose)
         if status == OK:
-            status = spaces.finish(model, work, memory, h)
+            status = relative.finish(model, work, memory, h)
         if status == OK:
             keep_end(memory, numbers)
             copy_state(work.stage_pose, work.stage_twist, pose, twist)
             work.report[0] = max(work.report[0], work.report[1])
             done += 1
     if done > 0:
-        spaces.leave(model, work, pose, twist, pose_in, twist_in)
+        relative.leave(model, work, pose, twist, pose_in, twist_in)
     return done, status
 
 
 @kernel
-def initialise(model, work, memory, group, pose_in, twist_in, external_in):
+def initialise(model, work, memory, pose_in, twist_in, external_in):
     """Initialise Vdot, a and lambda from the index-1 equations.
 
     returns -1, or the element with dependent rows
     """
     pose_in, twist_in, external_in = borrowed(pose_in), borrowed(twist_in), borrowed(external_in)
-    pose, twist, external, _ = spaces.enter(model, work, pose_in, twist_in, external_in)
-    dependent = spaces.initialise(model, work, memory, group, pose, twist, external)
+    pose, twist, external, _ = relative.enter(model, work, pose_in, twist_in, external_in)
+    dependent = relative.initialise(model, work, memory, pose, twist, external)
     for k in range(len(memory.rate)):
         memory.rate[k] = memory.mean[k] = memory.x[k]
     memory.factored[0] = 0.0
@@ -93,7 +93,7 @@ class GeneralizedAlpha:
 
     rho_inf : spectral radius at infinite step size, 0..1
     space   : "auto": in relative coordinates planar mechanisms (formulations/relative/plane.py)
-              move in their plane; "space": all mechanisms move in space, and on SE(3)^n by default
+              move in their plane; "space": all mechanisms move in space
 
     The memory holds Vdot, its mean a, lambda and the factors. It is initialised from the index-1
     accelerations after `restart`, after a failed step, and when wrenches or the step size change.
@@ -107,12 +107,10 @@ class GeneralizedAlpha:
         gamma = 0.5 + alpha_f - alpha_m
         self._numbers = Coefficients(alpha_m, alpha_f, 0.25 * (gamma + 0.5) ** 2, gamma)
         refuse_stabilisation(method, layout.model)
-        self._group = GROUPS.get(group, SE3)
         self._model, self._work, self.work, ending = model_and_work(layout, group, options, 1)
         self.kernels = "generalized_alpha" + ending
         n = len(layout.model.bodies)
-        freedoms = 6 * n if self._work is self.work else len(self._work.freedoms)
-        self._memory = make_memory(freedoms, len(self._model.row_residual))
+        self._memory = make_memory(len(self._work.freedoms), len(self._model.row_residual))
         self._advance, self._initialise = SameTypes(advance), SameTypes(initialise)
         # Step size and wrenches for which the memory was initialised; NaN: not initialised.
         inputs = EXTERNAL_COLUMNS * n + len(self.work.acting)
@@ -131,18 +129,12 @@ class GeneralizedAlpha:
     def restart(self):
         """Clear the memory between calls: the state was set."""
         self._started_for[:] = np.nan
-        if self._work is not self.work:
-            self._work.known[0] = 0.0
-
-    @property
-    def _links(self):
-        """Arrays of the state in relative coordinates."""
-        return () if self._work is self.work else links_of(self._work)
+        self._work.known[0] = 0.0
 
     @property
     def memory(self):
         """Arrays of the memory between calls."""
-        return (self._started_for, *self._memory.values(), *self._links)
+        return (self._started_for, *self._memory.values(), *links_of(self._work))
 
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place; returns (steps done, status)."""
@@ -157,7 +149,7 @@ class GeneralizedAlpha:
         )
         if self._started_for.tobytes() != inputs.tobytes():
             dependent = self._initialise(
-                self._model, self._work, self._memory, self._group, pose, twist, external
+                self._model, self._work, self._memory, pose, twist, external
             )
             if dependent >= 0:
                 return 0, DEPENDENT_ROWS + (dependent << 8)
@@ -170,16 +162,7 @@ class GeneralizedAlpha:
 
     def _take(self, h, steps, pose, twist, external):
         return self._advance(
-            self._model,
-            self._work,
-            self._memory,
-            self._numbers,
-            self._group,
-            h,
-            steps,
-            pose,
-            twist,
-            external,
+            self._model, self._work, self._memory, self._numbers, h, steps, pose, twist, external
         )
 
     def _shift_mean(self, h, pose, twist, external):
@@ -189,7 +172,7 @@ class GeneralizedAlpha:
         whole run would be of order 1.
         """
         memory = self._memory
-        state = (memory.rate, memory.x, memory.size, self.work.angle, *self._links)
+        state = (memory.rate, memory.x, memory.size, self.work.angle, *links_of(self._work))
         kept = [array.copy() for array in state]
         _, status = self._take(h, 1, pose.copy(), twist.copy(), external)
         # If the trial step fails, a is unchanged.

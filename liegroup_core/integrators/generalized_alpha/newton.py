@@ -13,7 +13,7 @@ from liegroup_core.integrators.dense_lu import lu_factorise, lu_solve
 from liegroup_core.status import NOT_CONVERGED, OK
 
 from .arrays import sigma
-from .spaces import residual
+from .relative import residual
 
 # Newton's method ends when the correction of the poses, rad and m, is below TOLERANCE times the
 # largest coordinate or 1: about ten times round-off. Its effect on velocities is larger by 2 / h.
@@ -29,7 +29,7 @@ DISPLACEMENT = 1e-7  # rad and m, perturbation of a pose: the derivative has hal
 
 
 @kernel
-def _differentiate(model, work, memory, numbers, group, h, pose, external):
+def _differentiate(model, work, memory, numbers, h, pose, external):
     """Factorise the Jacobian of the residual at memory.x; memory.base is the residual there.
 
     returns a status
@@ -40,7 +40,7 @@ def _differentiate(model, work, memory, numbers, group, h, pose, external):
             DISPLACEMENT / sigma(numbers, h) if c < len(memory.rate) else 1.0 + abs(value)
         )
         change = memory.x[c] - value
-        status = residual(model, work, memory, numbers, group, h, pose, external)
+        status = residual(model, work, memory, numbers, h, pose, external)
         memory.x[c] = value
         if status != OK:
             return status
@@ -78,7 +78,7 @@ def _violation(memory, numbers, h):
 
 
 @kernel
-def newton(model, work, memory, numbers, group, h, pose, external):
+def newton(model, work, memory, numbers, h, pose, external):
     """Solve one step for memory.x, with memory.x as the initial guess; returns a status."""
     size = len(memory.x)
     tolerance = TOLERANCE * memory.size[0]
@@ -87,7 +87,7 @@ def newton(model, work, memory, numbers, group, h, pose, external):
     old_factors = memory.factored[0] != 0.0
     status, previous = OK, math.inf
     for _ in range(MOST_ITERATIONS):
-        status = residual(model, work, memory, numbers, group, h, pose, external)
+        status = residual(model, work, memory, numbers, h, pose, external)
         correction = math.inf
         if status == OK and memory.factored[0] != 0.0:
             for k in range(size):
@@ -116,7 +116,7 @@ def newton(model, work, memory, numbers, group, h, pose, external):
         ):
             for k in range(size):
                 memory.base[k] = memory.residual[k]
-            status = _differentiate(model, work, memory, numbers, group, h, pose, external)
+            status = _differentiate(model, work, memory, numbers, h, pose, external)
             if status != OK:
                 return status
             old_factors = False

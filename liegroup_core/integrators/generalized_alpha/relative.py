@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Operations of a generalised-alpha step in relative coordinates; see spaces.py.
+"""Operations of a generalised-alpha step in relative coordinates; see relative.py.
 
 A step multiplies the coordinates of every link by the exponential of an element of the algebra of
 its motion group, so that no joint of the tree opens. The residual is
@@ -31,7 +31,7 @@ from .arrays import set_end, set_size, sigma
 
 
 @kernel
-def begin(model, work, memory, group, pose, twist):
+def begin(model, work, memory, pose, twist):
     """Write the rates of all links to memory.velocity."""
     n = len(model.parts)
     for b in range(len(model.bodies)):
@@ -41,10 +41,10 @@ def begin(model, work, memory, group, pose, twist):
 
 
 @kernel
-def initialise(model, work, memory, group, pose, twist, external):
+def initialise(model, work, memory, pose, twist, external):
     """qddot and lambda from the index-1 equations, to memory.x; returns -1 or a dependent element."""
     set_size(model.space, memory, pose)
-    link_state.begin(model, work, group, pose, twist)
+    link_state.begin(model, work, pose, twist)
     dependent = accelerations(model, work, external)
     if dependent >= 0:
         return model.owners[dependent]
@@ -57,7 +57,7 @@ def initialise(model, work, memory, group, pose, twist, external):
 
 
 @kernel
-def move(model, work, memory, numbers, group, h, pose):
+def move(model, work, memory, numbers, h, pose):
     """Write the end of the step for memory.x to the links at the stage. Returns a status."""
     set_end(memory, numbers, h)
     n, largest = len(model.parts), 0.0
@@ -74,10 +74,10 @@ def move(model, work, memory, numbers, group, h, pose):
 
 
 @subroutine
-def residual(model, work, memory, numbers, group, h, pose, external):
+def residual(model, work, memory, numbers, h, pose, external):
     """Write the residual of one step at memory.x into memory.residual, and the state as `move`."""
     pose, external = borrowed(pose), borrowed(external)
-    status = move(model, work, memory, numbers, group, h, pose)
+    status = move(model, work, memory, numbers, h, pose)
     if status != OK:
         return status
     f = len(memory.rate)

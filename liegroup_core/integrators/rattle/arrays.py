@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memory of a RATTLE step: on bodies, and on links in relative coordinates."""
+"""Memory of a RATTLE step."""
 
 import numpy as np
 
@@ -14,22 +14,10 @@ LONGER = (
 
 
 class Memory(Struct):
-    """Memory of the method besides pose, twist and Work; the last three are for initial guesses."""
+    """Memory of the method besides the state and the work; the last but one are for initial guesses.
 
-    half: np.ndarray  # (n, 6) V', then V'+
-    turn: np.ndarray  # (n, 3) rad, x
-    load: np.ndarray  # (n, 6) Q at the start of a substep, then at its end
-    impulse: np.ndarray  # (n, 6) N m s and N s, right-hand side of the bodies
-    target: np.ndarray  # (rows,) right-hand side of the rows: required J V', or change of J V
-    corrections: np.ndarray  # (HISTORY, rows) of J V' in this substep
-    correction: np.ndarray  # (rows,) the last of them
-    bias: np.ndarray  # (rows,) (2/h) J V' of the last substep
-    growth: np.ndarray  # (rows,) time derivative of `bias`
-    size: np.ndarray  # (1,) s, the last substep; 0: none yet
-
-
-class LinkMemory(Struct):
-    """The same in relative coordinates; wrenches and momenta have 3 numbers in a plane, s = 6 or 3."""
+    Wrenches and momenta have s numbers: 6, in a plane 3.
+    """
 
     centre: np.ndarray  # (L, 3) centre of mass in the link, m
     central: np.ndarray  # (L, 6) inertia about it: xx, xy, xz, yy, yz, zz
@@ -51,24 +39,7 @@ class LinkMemory(Struct):
 
 
 def make_memory(model):
-    """Allocate a Memory."""
-    n, rows = len(model.bodies), len(model.row_residual)
-    return Memory(
-        half=np.zeros((n, 6)),
-        turn=np.zeros((n, 3)),
-        load=np.zeros((n, 6)),
-        impulse=np.zeros((n, 6)),
-        target=np.zeros(rows),
-        corrections=np.zeros((HISTORY, rows)),
-        correction=np.zeros(rows),
-        bias=np.zeros(rows),
-        growth=np.zeros(rows),
-        size=np.zeros(1),
-    )
-
-
-def make_link_memory(model):
-    """Allocate a LinkMemory of a RelativeModel."""
+    """Allocate a Memory of a RelativeModel."""
     links = model.bodies
     count, f = len(links), int(links["freedoms"].sum())
     mass = np.where(links["mass"] > 0.0, links["mass"], 1.0)[:, None]
@@ -77,7 +48,7 @@ def make_link_memory(model):
     shift = np.einsum("bii->b", moment)[:, None, None] * np.eye(3) - moment
     rows, columns = np.triu_indices(3)
     size = 3 if isinstance(model, PlaneModel) else 6
-    return LinkMemory(
+    return Memory(
         centre=np.ascontiguousarray(centre),
         central=np.ascontiguousarray(links["inertia"] - shift[:, rows, columns]),
         weight=np.zeros((count, 3)),

@@ -20,15 +20,12 @@ Properties, shown by test/verification/test_constrained_geometric.py:
 Steps g_1 h, ..., g_k h with symmetric g, sum g = 1, compose a step of higher order with the same
 properties, see SUBSTEPS. docs/explanation/long_runs.md compares them with rkmk4 and rkmk8.
 
-The groups are (SO(3) x R^3)^n, where J has the rows of all joints (absolute.py), and the product of
-the joints' motion groups, where only cut joints have multipliers (relative.py). Both have the same
-trajectory, test/verification/test_rattle_relative.py: the multipliers of the other joints are
-eliminated exactly. Only bodies that are welded to each other differ, by O(h^2): in relative
-coordinates they are one body, with the kinetic energy of its turn about its centre of mass.
+Only cut joints have multipliers. On (SO(3) x R^3)^n all joints are cut: the trajectory is the same,
+test/verification/test_rattle_relative.py, as the multipliers of the joints of a tree are eliminated
+exactly.
 
-Broyden's method finds lambda, in terms of J V', from the saddle-point matrix at the start of the
-step, or the displacements of the joints from the articulated bodies there. A step takes one
-elimination; all other solves are substitutions.
+Broyden's method finds the displacements of the joints from the articulated bodies at the start of the
+step. A step takes one elimination; all other solves are substitutions.
 
 Source: Andersen, J. Comput. Phys. 52 (1983) 24-34; Marsden and West, Acta Numerica 2001, 3.5.2;
 Bou-Rabee and Marsden, Found. Comput. Math. 9 (2009) 197-219 for the rotation.
@@ -43,8 +40,8 @@ from liegroup_core.integrators.methods import refuse_stabilisation
 from liegroup_core.model.arrays import copy_state
 from liegroup_core.status import OK
 
-from . import spaces
-from .arrays import clear_guesses, make_link_memory, make_memory
+from . import relative
+from .arrays import clear_guesses, make_memory
 
 
 def _mirrored(*half):
@@ -77,8 +74,7 @@ SUBSTEPS = {
 def advance(model, work, memory, parts, h, steps, pose_in, twist_in, external_in):
     """Take `steps` steps of size h in place of pose (n, 12) and twist (n, 6).
 
-    model, work     : Model and Work, or RelativeModel or PlaneModel and RelativeWork
-    memory          : Memory or LinkMemory
+    model, work     : RelativeModel or PlaneModel, and RelativeWork
     parts           : (k,) substeps as fractions of a step, an entry of SUBSTEPS
     external        : external wrenches of these steps, see forces/external.py
     returns (steps done, status), as munthe_kaas.advance; if status is not OK, the initial guesses
@@ -86,30 +82,30 @@ def advance(model, work, memory, parts, h, steps, pose_in, twist_in, external_in
     """
     pose_in, twist_in = borrowed(pose_in), borrowed(twist_in)
     external_in, parts = borrowed(external_in), borrowed(parts)
-    pose, twist, external, status = spaces.enter(model, work, pose_in, twist_in, external_in)
+    pose, twist, external, status = relative.enter(model, work, pose_in, twist_in, external_in)
     done = 0
     while done < steps and status == OK:
-        spaces.begin(model, work, memory, pose, twist, external, done == 0)
+        relative.begin(model, work, memory, pose, twist, external, done == 0)
         work.report[1] = 0.0
         start, passed = (work.clock[0] + done) * h + work.clock[1], 0.0
         for part in range(len(parts)):
             size = parts[part] * h
             passed = passed + parts[part] if part + 1 < len(parts) else 1.0
             work.clock[2] = start + passed * h
-            status = spaces.first_half(model, work, memory, size, done + part == 0)
+            status = relative.first_half(model, work, memory, size, done + part == 0)
             if status == OK:
-                status = spaces.second_half(model, work, memory, size, external)
+                status = relative.second_half(model, work, memory, size, external)
             if status != OK:
                 break
-            spaces.keep(model, work, memory)
+            relative.keep(model, work, memory)
         if status == OK:
-            status = spaces.finish(model, work, h)
+            status = relative.finish(model, work, h)
         if status == OK:
             copy_state(work.stage_pose, work.stage_twist, pose, twist)
             work.report[0] = max(work.report[0], work.report[1])
             done += 1
     if done > 0:
-        spaces.leave(model, work, pose, twist, pose_in, twist_in)
+        relative.leave(model, work, pose, twist, pose_in, twist_in)
     return done, status
 
 
@@ -117,7 +113,7 @@ class Constrained:
     """RATTLE method for a model, with its memory and initial guesses between calls.
 
     space : "auto": in relative coordinates planar mechanisms (formulations/relative/plane.py) move
-            in their plane; "space": all mechanisms move in space, and as bodies by default
+            in their plane; "space": all mechanisms move in space
     """
 
     substeps = (0, 0)
@@ -127,11 +123,8 @@ class Constrained:
         self._parts = SUBSTEPS[method.name]
         self._model, self._work, self.work, ending = model_and_work(layout, group, options, 1)
         self.kernels = "constrained" + ending
-        if self._work is self.work:
-            self._memory = make_memory(self._model)
-        else:
-            self._model = _for_rates(self._model)
-            self._memory = make_link_memory(self._model)
+        self._model = _for_rates(self._model)
+        self._memory = make_memory(self._model)
         self._advance = SameTypes(advance)
 
     @staticmethod
@@ -142,14 +135,13 @@ class Constrained:
     def restart(self):
         """Clear the initial guesses: the state was set."""
         clear_guesses(self._memory)
-        if self._work is not self.work:
-            self._work.known[0] = 0.0
+        self._work.known[0] = 0.0
 
     @property
     def memory(self):
         """Arrays of the memory between calls."""
         guesses = self._memory.bias, self._memory.growth, self._memory.size
-        return guesses if self._work is self.work else (*guesses, *links_of(self._work))
+        return (*guesses, *links_of(self._work))
 
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place; returns (steps done, status)."""

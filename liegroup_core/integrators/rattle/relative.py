@@ -19,8 +19,7 @@ import math
 
 from liegroup_core.compiling import borrowed, kernel, subroutine
 from liegroup_core.forces.kinds import count_turns
-from liegroup_core.formulations.absolute.constraints import position_residuals
-from liegroup_core.formulations.absolute.projection import is_satisfied
+from liegroup_core.formulations.constraints import is_satisfied, position_residuals
 from liegroup_core.formulations.relative.coupled_rows import set_coupled_gaps
 from liegroup_core.formulations.relative.dynamics import apply_forces, solve_equations
 from liegroup_core.formulations.relative.kinds import (

@@ -26,7 +26,7 @@ import math
 from liegroup_core.compiling import kernel
 from liegroup_core.status import OK, SUBSTEP_TOO_SMALL
 
-from . import spaces
+from . import relative
 
 # Bounds of the ratio of two successive substeps, and safety factor of the next one.
 LARGEST_GROWTH, LARGEST_CUT, SAFETY = 5.0, 0.2, 0.9
@@ -61,9 +61,9 @@ def _error(model, work, scheme, h, twist, control):
     largest, largest_3, rtol, length = 0.0, 0.0, control[4], control[8]
     atol = control[5] + h * work.report[4] + control[9] / h
     for i in range(len(model.bodies)):
-        error = spaces.error_square(model, work, scheme, 0, h, twist, i, rtol, atol, length)
+        error = relative.error_square(model, work, scheme, 0, h, twist, i, rtol, atol, length)
         if len(scheme.error) == 2:
-            other = spaces.error_square(model, work, scheme, 1, h, twist, i, rtol, atol, length)
+            other = relative.error_square(model, work, scheme, 1, h, twist, i, rtol, atol, length)
             largest_3 = max(largest_3, other)
             if error > 0.0:
                 error *= error / (error + 0.01 * other)

@@ -22,7 +22,7 @@ def look(model, work, pose_in, twist_in, external_in):
     """Accelerations, guards and coordinates at a state. Returns a status."""
     pose_in, twist_in = borrowed(pose_in), borrowed(twist_in)
     pose, twist, external, status = enter(model, work, pose_in, twist_in, borrowed(external_in))
-    begin(model, work, 0, pose, twist)
+    begin(model, work, pose, twist)
     dependent = accelerations(model, work, external)
     if dependent >= 0:
         return DEPENDENT_ROWS + (model.owners[dependent] << 8)

@@ -6,7 +6,7 @@ import numpy as np
 from liegroup_core.compiling import Struct, kernel
 from liegroup_core.status import DEPENDENT_ROWS, OK
 
-from . import spaces
+from . import relative
 from .crossings import rows_and_weights
 
 
@@ -32,7 +32,7 @@ def make_scheme(tableau, highest):
 
 
 @kernel
-def substep(scheme, model, work, group, size, start, elapsed, first, pose, external):
+def substep(scheme, model, work, size, start, elapsed, first, pose, external):
     """Set the stage to the end of a substep of a size in s, from a pose and the twist of `begin`.
 
     start, elapsed : s, time of the step, and of the substep in it
@@ -41,7 +41,7 @@ def substep(scheme, model, work, group, size, start, elapsed, first, pose, exter
     """
     stages = scheme.a.shape[1]
     controlled = len(scheme.error) > 0
-    watching = spaces.watches(model, work)
+    watching = relative.watches(model, work)
     # Accelerations at the end serve events, the next substep unless the end is projected, and estimates
     # that have a weight for them.
     ending = watching or controlled and not model.projects
@@ -52,15 +52,15 @@ def substep(scheme, model, work, group, size, start, elapsed, first, pose, exter
     # The end is one more stage.
     for stage in range(first, stages + 1):
         if stage > 0:
-            status = spaces.move(model, work, scheme, group, size, stage, stage == stages, pose)
+            status = relative.move(model, work, scheme, size, stage, stage == stages, pose)
             if status != OK:
                 return status
         work.clock[2] = start + elapsed + scheme.nodes[stage] * size
         if stage < stages or ending:
-            dependent = spaces.accelerate(model, work, external)
+            dependent = relative.accelerate(model, work, external)
             if dependent >= 0:
                 return DEPENDENT_ROWS + (dependent << 8)
-            spaces.store_slopes(model, work, scheme, group, stage)
+            relative.store_slopes(model, work, scheme, stage)
             if watching:
-                spaces.note_stage(model, work, scheme, stage)
+                relative.note_stage(model, work, scheme, stage)
     return OK

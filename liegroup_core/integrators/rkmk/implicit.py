@@ -29,7 +29,7 @@ from liegroup_core.integrators.dense_lu import (
 )
 from liegroup_core.status import DEPENDENT_ROWS, NOT_CONVERGED, OK
 
-from . import spaces
+from . import relative
 from .collocation import END, STAGES, START
 
 # Newton's method ends where the next correction is below ROUNDING, rad or m, and times 1 + the rate for
@@ -65,7 +65,7 @@ def _store(values, factor, out, block):
 
 
 @subroutine
-def _evaluate(scheme, model, work, group, j, time, pose, external):
+def _evaluate(scheme, model, work, j, time, pose, external):
     """F at z of row j; the stage is there. Returns a status."""
     scheme.spent[0] += 1.0
     half = work.slopes.shape[1] // 2
@@ -74,25 +74,25 @@ def _evaluate(scheme, model, work, group, j, time, pose, external):
         for c in range(half):
             work.slopes[r, c] = scheme.z[j, r * half + c, 0]
             work.slopes[r, half + c] = scheme.z[j, r * half + c, 1]
-    status = spaces.move(model, work, scheme, group, 1.0, 1, j == END, pose)
+    status = relative.move(model, work, scheme, 1.0, 1, j == END, pose)
     if status != OK:
         return status
     work.clock[2] = time
-    dependent = spaces.accelerate(model, work, external)
+    dependent = relative.accelerate(model, work, external)
     if dependent >= 0:
         return DEPENDENT_ROWS + (dependent << 8)
-    spaces.store_slopes(model, work, scheme, group, 1)
+    relative.store_slopes(model, work, scheme, 1)
     for r in range(rows):
         for c in range(half):
             scheme.slopes[j, r * half + c, 0] = work.slopes[rows + r, c]
             scheme.slopes[j, r * half + c, 1] = work.slopes[rows + r, half + c]
-    if j != START and spaces.watches(model, work):
-        spaces.note_stage(model, work, scheme, j + 1 if j < STAGES else STAGES + 1)
+    if j != START and relative.watches(model, work):
+        relative.note_stage(model, work, scheme, j + 1 if j < STAGES else STAGES + 1)
     return OK
 
 
 @kernel
-def _differentiate(scheme, model, work, group, time, pose, external):
+def _differentiate(scheme, model, work, time, pose, external):
     """Set Q and D at the start. Returns a status."""
     f = len(scheme.initial)
     for p in range(f):
@@ -103,7 +103,7 @@ def _differentiate(scheme, model, work, group, time, pose, external):
             if part == 1:
                 change *= 1.0 + abs(scheme.initial[p, 0])
             scheme.z[START, p, part] = change
-            status = _evaluate(scheme, model, work, group, START, time, pose, external)
+            status = _evaluate(scheme, model, work, START, time, pose, external)
             scheme.z[START, p, part] = 0.0
             if status != OK:
                 return status
@@ -188,7 +188,7 @@ def _correct(scheme, h):
 
 
 @kernel
-def _solve(scheme, model, work, group, h, start, pose, external):
+def _solve(scheme, model, work, h, start, pose, external):
     """Solve for the stages of a substep of size h. Returns a status."""
     for j in range(STAGES):
         for p in range(len(scheme.initial)):
@@ -198,7 +198,7 @@ def _solve(scheme, model, work, group, h, start, pose, external):
     for iteration in range(MOST_ITERATIONS):
         for j in range(STAGES):
             time = start + scheme.nodes[j] * h
-            status = _evaluate(scheme, model, work, group, j, time, pose, external)
+            status = _evaluate(scheme, model, work, j, time, pose, external)
             if status != OK:
                 return status
         size = _correct(scheme, h)
@@ -238,7 +238,7 @@ def _estimate(scheme, h):
 
 
 @kernel
-def substep(scheme, model, work, group, size, start, elapsed, first, pose, external):
+def substep(scheme, model, work, size, start, elapsed, first, pose, external):
     """Set the stage to the end of a substep of a size in s; see explicit.py.
 
     The error estimate is in work.slopes, as the derivative of stage 1.
@@ -246,25 +246,25 @@ def substep(scheme, model, work, group, size, start, elapsed, first, pose, exter
     begin = start + elapsed
     if first == 0:
         work.clock[2] = begin
-        dependent = spaces.accelerate(model, work, external)
+        dependent = relative.accelerate(model, work, external)
         if dependent >= 0:
             return DEPENDENT_ROWS + (dependent << 8)
-        spaces.store_slopes(model, work, scheme, group, 0)
-        if spaces.watches(model, work):
-            spaces.note_stage(model, work, scheme, 0)
+        relative.store_slopes(model, work, scheme, 0)
+        if relative.watches(model, work):
+            relative.note_stage(model, work, scheme, 0)
     _load(work.slopes, 0, scheme.initial)
     # Not from an earlier step: a run that is repeated from this step on is to be bit-identical.
     fresh = elapsed == 0.0 or scheme.known[0] == 0.0
     status = NOT_CONVERGED
     for _ in range(2):
         if fresh:
-            status = _differentiate(scheme, model, work, group, begin, pose, external)
+            status = _differentiate(scheme, model, work, begin, pose, external)
             if status != OK:
                 break
         scheme.known[0] = 1.0
         status = NOT_CONVERGED
         if _factorise(scheme, size):
-            status = _solve(scheme, model, work, group, size, begin, pose, external)
+            status = _solve(scheme, model, work, size, begin, pose, external)
         if status != NOT_CONVERGED or fresh:
             break
         fresh = True
@@ -273,7 +273,7 @@ def substep(scheme, model, work, group, size, start, elapsed, first, pose, exter
         for p in range(len(scheme.initial)):
             for c in range(2):
                 scheme.z[END, p, c] = scheme.z[STAGES - 1, p, c]
-        status = _evaluate(scheme, model, work, group, END, begin + size, pose, external)
+        status = _evaluate(scheme, model, work, END, begin + size, pose, external)
     else:
         scheme.known[0] = 0.0
     _store(scheme.initial, 1.0, work.slopes, 0)

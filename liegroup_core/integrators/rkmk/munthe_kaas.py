@@ -19,11 +19,11 @@ import numpy as np
 from liegroup_core.compiling import Choice, SameTypes, borrowed, kernel, stepper
 from liegroup_core.formulations.relative.arrays import links_of
 from liegroup_core.integrators.link_state import model_and_work
-from liegroup_core.integrators.methods import EXACT, GROUPS, RELATIVE, SE3, is_positive
+from liegroup_core.integrators.methods import EXACT, is_positive
 from liegroup_core.model.arrays import copy_state
 from liegroup_core.status import DEPENDENT_ROWS, EVENT, OK, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS
 
-from . import explicit, implicit, spaces
+from . import explicit, implicit, relative
 from .collocation import Collocation, make_collocation
 from .error_control import ROUNDING, judge
 from .switching import Switching
@@ -70,10 +70,10 @@ def _restore(work, pose, twist, control):
 
 
 @stepper
-def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in, control):
+def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, control):
     """Take `steps` steps of size h in place of pose (n, 12) and twist (n, 6).
 
-    model, work     : Model and Work, or RelativeModel or PlaneModel and RelativeWork
+    model, work     : RelativeModel or PlaneModel, and RelativeWork
     external        : external wrenches of these steps, see forces/external.py
     control (13,)   : next substep in s, numbers of accepted and of attempted substeps so far, next
                       substep at the start of the step, rtol of velocities, atol in rad, m, rad/s,
@@ -91,11 +91,11 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
     """
     pose_in, twist_in = borrowed(pose_in), borrowed(twist_in)
     external_in, control = borrowed(external_in), borrowed(control)
-    pose, twist, external, status = spaces.enter(model, work, pose_in, twist_in, external_in)
+    pose, twist, external, status = relative.enter(model, work, pose_in, twist_in, external_in)
     if status != OK:
         return 0, status
     controlled = len(scheme.error) > 0
-    watching = spaces.watches(model, work)
+    watching = relative.watches(model, work)
     first = 0  # 1: the last substep has already written the derivatives of stage 0
     done = 0
     while done < steps and status == OK:
@@ -112,12 +112,12 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
             size = remaining / count
             attempts += 1
             work.report[1] = work.report[4] = 0.0
-            spaces.begin(model, work, group, pose, twist)
+            relative.begin(model, work, pose, twist)
             status = take_substep(
-                scheme, model, work, group, size, start, h - remaining, first, pose, external
+                scheme, model, work, size, start, h - remaining, first, pose, external
             )
             if status == OK:
-                status = spaces.check_end(model, work, size)
+                status = relative.check_end(model, work, size)
             if controlled:
                 if status == OK:
                     first = 1
@@ -127,18 +127,18 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
                 if status == OK and not accepted:
                     continue
             if status == OK and watching:
-                if spaces.has_event(model, work, scheme, h - remaining, size):
+                if relative.has_event(model, work, scheme, h - remaining, size):
                     status = EVENT
             if status == OK and model.projects:
-                status = spaces.close(model, work, controlled)
+                status = relative.close(model, work, controlled)
             if status != OK:
                 break
             if controlled:
                 # First same as last: the end of a substep is stage 0 of the next one, where Psi is
                 # zero. Projection changes the end, so that it must be evaluated again.
-                spaces.store_slopes(model, work, scheme, group, 0)
+                relative.store_slopes(model, work, scheme, 0)
                 first = 0 if model.projects else 1
-            spaces.count_turns(model, work)
+            relative.count_turns(model, work)
             copy_state(work.stage_pose, work.stage_twist, pose, twist)
             if control[11] > 0.0:
                 _coarsen(control[11], pose, twist)
@@ -153,7 +153,7 @@ def advance(model, work, scheme, group, h, steps, pose_in, twist_in, external_in
                 control[10] = attempts / (attempts + remaining / control[0])
             _restore(work, pose, twist, control)
     if done > 0 or status == EVENT:
-        spaces.leave(model, work, pose, twist, pose_in, twist_in)
+        relative.leave(model, work, pose, twist, pose_in, twist_in)
     return done, status
 
 
@@ -162,7 +162,7 @@ class MuntheKaas:
 
     dexpinv    : "exact", or "truncated" to the powers of ad that an explicit method's order needs
     space      : "auto": in relative coordinates planar mechanisms (formulations/relative/plane.py)
-                 move in their plane; "space": all mechanisms move in space, and on SE(3)^n by default
+                 move in their plane; "space": all mechanisms move in space
     rtol, atol : tolerances of error control, only for a tableau with an error estimate; see above
 
     passes     : True: a step that cannot meet its tolerance is taken with a larger one, see `follow_accuracy`
@@ -172,7 +172,7 @@ class MuntheKaas:
 
     def __init__(self, method, layout, group, step, options):
         self.controlled = method.controlled
-        self._group, self._longest = GROUPS.get(group, SE3), step
+        self._longest = step
         self._truncated = options.get("dexpinv") == "truncated"
         stages = 1 if method.implicit else len(method.tableau.b)
         self._model, self._work, self.work, ending = model_and_work(layout, group, options, stages)
@@ -184,7 +184,7 @@ class MuntheKaas:
         self._methods, self._chosen, self._part = [], np.zeros(1), 1.0
         self.add(method)
         self.switching = None
-        if group == RELATIVE and len(self._model.switches):
+        if len(self._model.switches):
             self.switching = Switching(
                 self._model, self._work, layout.switch_sizes, self._pass, self._control
             )
@@ -224,8 +224,7 @@ class MuntheKaas:
         self._control[:4] = self._longest, 0.0, 0.0, self._longest
         self._control[6], self._control[12] = self._longest, 0.0
         self._chosen[0] = 0.0
-        if self._work is not self.work:
-            self._work.known[0] = 0.0
+        self._work.known[0] = 0.0
         if self.switching is not None:
             self.switching.restart()
 
@@ -280,14 +279,14 @@ class MuntheKaas:
 
     @property
     def links(self):
-        """(RelativeModel, RelativeWork) of a method in relative coordinates."""
+        """(RelativeModel, RelativeWork) of the method."""
         return self._model, self._work
 
     @property
     def memory(self):
         """Arrays of the memory between calls: substeps of error control, relative coordinates."""
         control = (self._control[:4], self._control[12:], self._chosen) if self.controlled else ()
-        return control if self._work is self.work else (*control, *links_of(self._work))
+        return (*control, *links_of(self._work))
 
     @property
     def substeps(self):
@@ -321,14 +320,5 @@ class MuntheKaas:
     def _take(self, h, steps, pose, twist, external):
         scheme, advance_with, _ = self._methods[self.chosen]
         return advance_with(
-            self._model,
-            self._work,
-            scheme,
-            self._group,
-            h,
-            steps,
-            pose,
-            twist,
-            external,
-            self._control,
+            self._model, self._work, scheme, h, steps, pose, twist, external, self._control
         )

@@ -52,7 +52,7 @@ def _add_slopes(h, weights, row, stages, slopes, count, to):
 
 
 @kernel
-def move(model, work, scheme, group, h, stage, end, pose):
+def move(model, work, scheme, h, stage, end, pose):
     """Set all links to X_0 exp Psi of a stage; at the end of a step, bodies where they are needed."""
     n, count = len(model.parts), len(work.freedoms)
     first = stage * count
@@ -83,7 +83,7 @@ def accelerate(model, work, external):
 
 
 @kernel
-def store_slopes(model, work, scheme, group, stage):
+def store_slopes(model, work, scheme, stage):
     """Compute k of all links from the accelerations of a stage."""
     n, count = len(model.parts), len(work.freedoms)
     first = stage * count

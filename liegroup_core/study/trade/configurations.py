@@ -99,7 +99,7 @@ def _groups(method, layout, groups):
         asked = "auto" if groups is None or layout.needs_relative else "so3xr3"
         if groups and RELATIVE in groups and family in ON_JOINTS:
             asked = RELATIVE
-        return (choose_group(method, asked, {"space": "auto"}, layout),)
+        return (choose_group(method, asked),)
     if layout.needs_relative:
         return (RELATIVE,)
     if groups is None:
