@@ -53,11 +53,6 @@ class MethodChoice:
             integrator.add(theirs, factor)
         self.restart()
 
-    @property
-    def kernels(self):
-        """Name of the set of kernels of the implicit method."""
-        return self._integrators[0].kernels.replace("rkmk", "implicit")
-
     def touch(self):
         """Call the kernels of the implicit method once."""
         for engine, integrator in zip((self._engine, self._companion), self._integrators):

@@ -12,10 +12,7 @@ import numpy as np
 from liegroup_core.compiling import SameTypes, kernel
 from liegroup_core.forces.external import COLUMNS
 from liegroup_core.formulations.relative.arrays import make_relative_work
-from liegroup_core.formulations.relative.coupled_rows import set_all_rows
-from liegroup_core.formulations.relative.kinds import lift_links, move_links, place_links
-from liegroup_core.formulations.relative.loops import gather_alone, project, set_responses
-from liegroup_core.formulations.relative.matrix import factor
+from liegroup_core.formulations.relative.loops import project
 from liegroup_core.formulations.relative.singular_poses import ASIDE, begin_aside, go_aside
 from liegroup_core.model.arrays import make_work
 from liegroup_core.status import OK
@@ -40,15 +37,7 @@ def _pivot_aside(model, work, pose, twist, external, rates, turn):
         for f in range(len(work.freedoms)):
             work.acceleration[f, 0] = 0.0
         go_aside(model, work, turn / ASIDE * begin_aside(model, work))
-    if project(model, work) != OK:
-        return 0.0
-    move_links(model, work)
-    place_links(model, work)
-    lift_links(model, work)
-    gather_alone(model, work)
-    set_all_rows(model, work)
-    set_responses(model, work)
-    return work.report[3] if factor(model, work, 0.0) < 0 else 0.0
+    return work.report[3] if project(model, work) == OK else 0.0
 
 
 def with_usual_pivot(model, pose, twist, angles):

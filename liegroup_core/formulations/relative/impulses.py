@@ -3,15 +3,8 @@
 
 from liegroup_core.compiling import kernel
 
-from .coupled_rows import set_all_rows
 from .kinds import add_pair, gather_forces, lift_links, spread_response
-from .loops import (
-    apply_multipliers,
-    close_loops,
-    gather_alone,
-    set_response_residual,
-    set_responses,
-)
+from .loops import apply_multipliers, close_loops, gather_alone, set_response_residual, set_system
 from .matrix import REGULARISATION, factor
 
 
@@ -25,8 +18,7 @@ def factor_rows(model, work):
     if len(model.joints) == 0:
         return -1
     lift_links(model, work)
-    set_all_rows(model, work)
-    set_responses(model, work)
+    set_system(model, work)
     found = -1
     if factor(model, work, 0.0) >= 0:
         found = factor(model, work, REGULARISATION)

@@ -59,12 +59,14 @@ def _subtract_responses(model, work):
             at += rows
 
 
-@kernel
-def set_responses(model, work):
-    """Responses of all joints, and W."""
+@shared
+def set_system(model, work):
+    """Rows of all cut joints, their responses, and W, for the articulated bodies that `work` has."""
+    set_all_rows(model, work)
     for j in range(len(model.joints)):
         respond(model, work, j)
     set_shared(model, work)
+    return 0
 
 
 @shared
@@ -74,13 +76,12 @@ def set_loops(model, work):
     returns -1; POOR near a singular pose; SINGULAR where W had to be shifted; or the joint with
     dependent rows if that fails too
     """
-    set_all_rows(model, work)
+    set_system(model, work)
     if model.baumgarte_rate > 0.0:
         lift_links(model, work)
         _add_baumgarte(model, work)
     for r in range(len(work.multipliers)):
         work.multipliers[r] = 0.0
-    set_responses(model, work)
     if factor(model, work, 0.0) < 0:
         return POOR if has_small_pivot(work) else -1
     # Singular pose: accelerations that the joints leave undetermined follow from the masses.
@@ -130,7 +131,8 @@ def project(model, work):
     At a singular pose only what is determined there is corrected. The gap that stays is of second order
     in the displacement, and is closed at the next pose.
 
-    returns a status: OK, NOT_PROJECTED or DEPENDENT_ROWS + (element of `space` << 8)
+    returns a status: OK, NOT_PROJECTED or DEPENDENT_ROWS + (element of `space` << 8). work.report[3] is the
+    smallest pivot of W there, 0 if a row depends on others
     """
     n, links = len(model.parts), len(model.bodies)
     for iteration in range(MAX_ITERATIONS + 1):
@@ -138,14 +140,15 @@ def project(model, work):
         place_links(model, work)
         lift_links(model, work)
         gather_alone(model, work)
-        set_all_rows(model, work)
+        set_system(model, work)
         set_gap(model, work)
         satisfied = is_satisfied(model, work, work.world)
-        set_responses(model, work)
         dependent = factor(model, work, 0.0)
-        if dependent >= 0 or work.report[3] < AT:
+        pivot = 0.0 if dependent >= 0 else work.report[3]
+        if pivot < AT:
             satisfied = satisfied or iteration >= ITERATIONS_WHEN_SINGULAR
             dependent = factor(model, work, AT * model.usual_pivot)
+            work.report[3] = pivot
             if dependent >= 0:
                 return DEPENDENT_ROWS + (model.owners[dependent] << 8)
         for r in range(len(work.right)):

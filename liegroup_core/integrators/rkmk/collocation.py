@@ -4,28 +4,14 @@
 import numpy as np
 
 from liegroup_core.compiling import Struct
-from liegroup_core.integrators.methods import EXACT
-
-from .crossings import rows_and_weights
 
 STAGES = 3
 START, END = STAGES, STAGES + 1  # rows of Collocation.z after those of the stages
 
 
 class Collocation(Struct):
-    """Data and scratch memory of an implicit method for f freedoms; the first ones as in Scheme.
+    """Data and scratch memory of an implicit method for f freedoms; all arrays of others are empty."""
 
-    The sums of a step are computed here. The operations of spaces.py see a method of one stage whose
-    derivatives times 1 are Psi.
-    """
-
-    a: np.ndarray
-    rows: np.ndarray
-    weights: np.ndarray
-    error: np.ndarray
-    highest: int
-    spent: np.ndarray
-    nodes: np.ndarray  # (5,) of the stages, then 0 and 1
     inverse: np.ndarray  # (3, 3) of a
     real: np.ndarray  # (3, 2) transformation to the eigenvector of the real eigenvalue, and back
     pair: np.ndarray  # (3, 4) to one of the complex ones, and twice back: real, imaginary parts
@@ -52,22 +38,27 @@ class Collocation(Struct):
     next: np.ndarray  # (f, 2) solution
 
 
+def no_collocation():
+    """Collocation of an explicit method."""
+    sizes = {"stiffness": 2, "damping": 2, "factors": 2, "real_factors": 2, "imag_factors": 2}
+    sizes |= {"inverse": 2, "real": 2, "pair": 2, "initial": 2, "next": 2}
+    sizes |= {"z": 3, "slopes": 3, "residual": 3}
+    arrays = {
+        name: np.zeros((0,) * sizes.get(name, 1), dtype=np.int64 if "pivots" in name else float)
+        for name in Collocation.__annotations__
+        if name != "real_value"
+    }
+    return Collocation(**arrays, real_value=0.0)
+
+
 def make_collocation(tableau, freedoms):
     """Collocation of an implicit Tableau of three stages, for a number of freedoms."""
     inverse = np.linalg.inv(tableau.a)
     values, vectors = np.linalg.eig(inverse)
     back = np.linalg.inv(vectors)
     real, pair = (int(np.argmax(part)) for part in (-np.abs(values.imag), values.imag))
-    times = np.concatenate([[0.0], tableau.c, [1.0]])
     f = freedoms
     return Collocation(
-        a=np.array([[0.0], [1.0]]),
-        rows=(rows := rows_and_weights(times))[0],
-        weights=rows[1],
-        error=np.array([[0.0, 1.0]]),
-        highest=EXACT,
-        spent=np.zeros(1),
-        nodes=np.concatenate([tableau.c, [0.0, 1.0]]),
         inverse=inverse,
         real=np.ascontiguousarray(np.stack([back[real], vectors[:, real]], axis=1).real),
         pair=np.ascontiguousarray(

@@ -4,14 +4,20 @@
 import numpy as np
 
 from liegroup_core.compiling import Struct, kernel
+from liegroup_core.integrators.methods import EXACT
 from liegroup_core.status import DEPENDENT_ROWS, OK
 
 from . import relative
+from .collocation import Collocation, make_collocation, no_collocation
 from .crossings import rows_and_weights
 
 
 class Scheme(Struct):
-    """Data of an explicit Munthe-Kaas method: tableau of s stages, series of dexpinv."""
+    """Data of a Munthe-Kaas method: tableau of s stages, series of dexpinv.
+
+    The sums of an implicit step are computed in implicit.py. The operations of steps.py see a method of
+    one stage whose derivatives times 1 are Psi; its nodes are those of the stages, then 0 and 1.
+    """
 
     a: np.ndarray  # (s + 1, s) the tableau's a, below it its b
     nodes: np.ndarray  # (s + 1,) its c, then 1: times of the stages in parts of a step
@@ -20,15 +26,22 @@ class Scheme(Struct):
     error: np.ndarray  # (0 to 2, s + 1) weights of the error estimates
     highest: int  # last power of ad in dexpinv, or EXACT
     spent: np.ndarray  # (1,) evaluations of the accelerations so far, with error control
+    newton: Collocation  # of an implicit method
 
 
 def make_scheme(tableau, highest):
     """Scheme of an explicit Tableau."""
     times = np.append(tableau.c, 1.0)
-    rows, weights = rows_and_weights(times)
-    return Scheme(
-        np.vstack([tableau.a, tableau.b]), times, rows, weights, tableau.e, highest, np.zeros(1)
-    )
+    a, data = np.vstack([tableau.a, tableau.b]), rows_and_weights(times)
+    return Scheme(a, times, *data, tableau.e, highest, np.zeros(1), no_collocation())
+
+
+def make_implicit_scheme(tableau, freedoms):
+    """Scheme of an implicit Tableau of three stages, for a number of freedoms."""
+    data = rows_and_weights(np.concatenate([[0.0], tableau.c, [1.0]]))
+    a, nodes = np.array([[0.0], [1.0]]), np.concatenate([tableau.c, [0.0, 1.0]])
+    newton = make_collocation(tableau, freedoms)
+    return Scheme(a, nodes, *data, np.array([[0.0, 1.0]]), EXACT, np.zeros(1), newton)
 
 
 @kernel

@@ -67,13 +67,14 @@ def _store(values, factor, out, block):
 @subroutine
 def _evaluate(scheme, model, work, j, time, pose, external):
     """F at z of row j; the stage is there. Returns a status."""
+    newton = scheme.newton
     scheme.spent[0] += 1.0
     half = work.slopes.shape[1] // 2
-    rows = len(scheme.initial) // half
+    rows = len(newton.initial) // half
     for r in range(rows):
         for c in range(half):
-            work.slopes[r, c] = scheme.z[j, r * half + c, 0]
-            work.slopes[r, half + c] = scheme.z[j, r * half + c, 1]
+            work.slopes[r, c] = newton.z[j, r * half + c, 0]
+            work.slopes[r, half + c] = newton.z[j, r * half + c, 1]
     status = relative.move(model, work, scheme, 1.0, 1, j == END, pose)
     if status != OK:
         return status
@@ -84,8 +85,8 @@ def _evaluate(scheme, model, work, j, time, pose, external):
     relative.store_slopes(model, work, scheme, 1)
     for r in range(rows):
         for c in range(half):
-            scheme.slopes[j, r * half + c, 0] = work.slopes[rows + r, c]
-            scheme.slopes[j, r * half + c, 1] = work.slopes[rows + r, half + c]
+            newton.slopes[j, r * half + c, 0] = work.slopes[rows + r, c]
+            newton.slopes[j, r * half + c, 1] = work.slopes[rows + r, half + c]
     if j != START and relative.watches(model, work):
         relative.note_stage(model, work, scheme, j + 1 if j < STAGES else STAGES + 1)
     return OK
@@ -94,93 +95,91 @@ def _evaluate(scheme, model, work, j, time, pose, external):
 @kernel
 def _differentiate(scheme, model, work, time, pose, external):
     """Set Q and D at the start. Returns a status."""
-    f = len(scheme.initial)
+    newton = scheme.newton
+    f = len(newton.initial)
     for p in range(f):
-        scheme.z[START, p, 0] = scheme.z[START, p, 1] = 0.0
+        newton.z[START, p, 0] = newton.z[START, p, 1] = 0.0
     for p in range(f):
         for part in range(2):
             change = DISPLACEMENT
             if part == 1:
-                change *= 1.0 + abs(scheme.initial[p, 0])
-            scheme.z[START, p, part] = change
+                change *= 1.0 + abs(newton.initial[p, 0])
+            newton.z[START, p, part] = change
             status = _evaluate(scheme, model, work, START, time, pose, external)
-            scheme.z[START, p, part] = 0.0
+            newton.z[START, p, part] = 0.0
             if status != OK:
                 return status
             for r in range(f):
-                slope = (scheme.slopes[START, r, 1] - scheme.initial[r, 1]) / change
+                slope = (newton.slopes[START, r, 1] - newton.initial[r, 1]) / change
                 if part == 0:
-                    scheme.stiffness[r, p] = slope
+                    newton.stiffness[r, p] = slope
                 else:
-                    scheme.damping[r, p] = slope
+                    newton.damping[r, p] = slope
     return OK
 
 
 @kernel
-def _factorise(scheme, h):
+def _factorise(newton, h):
     """Factorise the real and the complex matrix for a substep of size h; False: one is singular."""
-    f, mu = len(scheme.initial), scheme.real_value / h
-    a, b = scheme.pair_value[0] / h, scheme.pair_value[1] / h
-    scheme.spent[0] += (
-        f * f // FREEDOMS_SQUARED
-    )  # whole: sums are exact, and repeated runs the same
+    f, mu = len(newton.initial), newton.real_value / h
+    a, b = newton.pair_value[0] / h, newton.pair_value[1] / h
     for r in range(f):
         for c in range(f):
-            q, d = scheme.stiffness[r, c], scheme.damping[r, c]
-            scheme.factors[r, c] = -mu * d - q
-            scheme.real_factors[r, c] = -a * d - q
-            scheme.imag_factors[r, c] = -b * d
-        scheme.factors[r, r] += mu * mu
-        scheme.real_factors[r, r] += a * a - b * b
-        scheme.imag_factors[r, r] += 2.0 * a * b
-    if not lu_factorise(scheme.factors, scheme.pivots):
+            q, d = newton.stiffness[r, c], newton.damping[r, c]
+            newton.factors[r, c] = -mu * d - q
+            newton.real_factors[r, c] = -a * d - q
+            newton.imag_factors[r, c] = -b * d
+        newton.factors[r, r] += mu * mu
+        newton.real_factors[r, r] += a * a - b * b
+        newton.imag_factors[r, r] += 2.0 * a * b
+    if not lu_factorise(newton.factors, newton.pivots):
         return False
-    return complex_lu_factorise(scheme.real_factors, scheme.imag_factors, scheme.pair_pivots)
+    return complex_lu_factorise(newton.real_factors, newton.imag_factors, newton.pair_pivots)
 
 
 @kernel
-def _correct(scheme, h):
+def _correct(newton, h):
     """Add the correction of Newton's method to z; returns its size as a multiple of ROUNDING."""
-    f, mu = len(scheme.initial), scheme.real_value / h
-    a, b = scheme.pair_value[0] / h, scheme.pair_value[1] / h
+    f, mu = len(newton.initial), newton.real_value / h
+    a, b = newton.pair_value[0] / h, newton.pair_value[1] / h
     for j in range(STAGES):
         for p in range(f):
             for c in range(2):
-                total = scheme.slopes[j, p, c]
+                total = newton.slopes[j, p, c]
                 for other in range(STAGES):
-                    total -= scheme.inverse[j, other] / h * scheme.z[other, p, c]
-                scheme.residual[j, p, c] = total
-    real, pair = scheme.real, scheme.pair
+                    total -= newton.inverse[j, other] / h * newton.z[other, p, c]
+                newton.residual[j, p, c] = total
+    real, pair = newton.real, newton.pair
     for r in range(f):
         # The right side r2 + mu r1 - D r1.
         right, right_a, right_b = 0.0, 0.0, 0.0
         for j in range(STAGES):
-            one, two = scheme.residual[j, r, 0], scheme.residual[j, r, 1]
+            one, two = newton.residual[j, r, 0], newton.residual[j, r, 1]
             for p in range(f):
-                two -= scheme.damping[r, p] * scheme.residual[j, p, 0]
+                two -= newton.damping[r, p] * newton.residual[j, p, 0]
             right += real[j, 0] * (two + mu * one)
             right_a += pair[j, 0] * (two + a * one) - pair[j, 1] * b * one
             right_b += pair[j, 1] * (two + a * one) + pair[j, 0] * b * one
-        scheme.x[r], scheme.real_x[r], scheme.imag_x[r] = right, right_a, right_b
-    lu_solve(scheme.factors, scheme.pivots, scheme.x)
+        newton.x[r], newton.real_x[r], newton.imag_x[r] = right, right_a, right_b
+    lu_solve(newton.factors, newton.pivots, newton.x)
     complex_lu_solve(
-        scheme.real_factors, scheme.imag_factors, scheme.pair_pivots, scheme.real_x, scheme.imag_x
+        newton.real_factors, newton.imag_factors, newton.pair_pivots, newton.real_x, newton.imag_x
     )
     largest = 0.0
     for p in range(f):
         one, one_a, one_b = 0.0, 0.0, 0.0
         for j in range(STAGES):
-            one += real[j, 0] * scheme.residual[j, p, 0]
-            one_a += pair[j, 0] * scheme.residual[j, p, 0]
-            one_b += pair[j, 1] * scheme.residual[j, p, 0]
-        x, u, v = scheme.x[p], scheme.real_x[p], scheme.imag_x[p]
+            one += real[j, 0] * newton.residual[j, p, 0]
+            one_a += pair[j, 0] * newton.residual[j, p, 0]
+            one_b += pair[j, 1] * newton.residual[j, p, 0]
+        x, u, v = newton.x[p], newton.real_x[p], newton.imag_x[p]
         rate, rate_u, rate_v = mu * x - one, a * u - b * v - one_a, a * v + b * u - one_b
-        of_rates = ROUNDING * (1.0 + abs(scheme.initial[p, 0]))
+        of_rates = ROUNDING * (1.0 + abs(newton.initial[p, 0]))
         for j in range(STAGES):
             moved = real[j, 1] * x + pair[j, 2] * u - pair[j, 3] * v
             change = real[j, 1] * rate + pair[j, 2] * rate_u - pair[j, 3] * rate_v
-            scheme.z[j, p, 0] += moved
-            scheme.z[j, p, 1] += change
+            newton.z[j, p, 0] += moved
+            newton.z[j, p, 1] += change
             largest = max(largest, abs(moved) / ROUNDING, abs(change) / of_rates)
             if not abs(moved) + abs(change) < math.inf:
                 return math.inf
@@ -190,10 +189,11 @@ def _correct(scheme, h):
 @kernel
 def _solve(scheme, model, work, h, start, pose, external):
     """Solve for the stages of a substep of size h. Returns a status."""
+    newton = scheme.newton
     for j in range(STAGES):
-        for p in range(len(scheme.initial)):
-            scheme.z[j, p, 0] = h * scheme.nodes[j] * scheme.initial[p, 0]
-            scheme.z[j, p, 1] = 0.0
+        for p in range(len(newton.initial)):
+            newton.z[j, p, 0] = h * scheme.nodes[j] * newton.initial[p, 0]
+            newton.z[j, p, 1] = 0.0
     before = math.inf
     for iteration in range(MOST_ITERATIONS):
         for j in range(STAGES):
@@ -201,11 +201,11 @@ def _solve(scheme, model, work, h, start, pose, external):
             status = _evaluate(scheme, model, work, j, time, pose, external)
             if status != OK:
                 return status
-        size = _correct(scheme, h)
+        size = _correct(newton, h)
         if iteration > 0:
             ratio = size / before if before > 0.0 else 0.0
             if size > STUCK and ratio > SLOW:
-                scheme.known[0] = 0.0
+                newton.known[0] = 0.0
             if size <= STUCK and ratio > STALLED:
                 return OK
             if ratio >= 1.0:
@@ -217,24 +217,24 @@ def _solve(scheme, model, work, h, start, pose, external):
 
 
 @kernel
-def _estimate(scheme, h):
-    """Write the error estimate of a substep of size h to scheme.next."""
-    f, real = len(scheme.initial), scheme.real_value / h
+def _estimate(newton, h):
+    """Write the error estimate of a substep of size h to newton.next."""
+    f, real = len(newton.initial), newton.real_value / h
     for p in range(f):
         for c in range(2):
-            total = scheme.initial[p, c]
+            total = newton.initial[p, c]
             for j in range(STAGES):
-                total += real * scheme.estimate[j] * scheme.z[j, p, c]
-            scheme.next[p, c] = total
+                total += real * newton.estimate[j] * newton.z[j, p, c]
+            newton.next[p, c] = total
     for r in range(f):
-        right = scheme.next[r, 1] + real * scheme.next[r, 0]
+        right = newton.next[r, 1] + real * newton.next[r, 0]
         for p in range(f):
-            right -= scheme.damping[r, p] * scheme.next[p, 0]
-        scheme.x[r] = right
-    lu_solve(scheme.factors, scheme.pivots, scheme.x)
+            right -= newton.damping[r, p] * newton.next[p, 0]
+        newton.x[r] = right
+    lu_solve(newton.factors, newton.pivots, newton.x)
     for p in range(f):
-        scheme.next[p, 1] = real * scheme.x[p] - scheme.next[p, 0]
-        scheme.next[p, 0] = scheme.x[p]
+        newton.next[p, 1] = real * newton.x[p] - newton.next[p, 0]
+        newton.next[p, 0] = newton.x[p]
 
 
 @kernel
@@ -243,6 +243,7 @@ def substep(scheme, model, work, size, start, elapsed, first, pose, external):
 
     The error estimate is in work.slopes, as the derivative of stage 1.
     """
+    newton = scheme.newton
     begin = start + elapsed
     if first == 0:
         work.clock[2] = begin
@@ -252,30 +253,33 @@ def substep(scheme, model, work, size, start, elapsed, first, pose, external):
         relative.store_slopes(model, work, scheme, 0)
         if relative.watches(model, work):
             relative.note_stage(model, work, scheme, 0)
-    _load(work.slopes, 0, scheme.initial)
+    _load(work.slopes, 0, newton.initial)
     # Not from an earlier step: a run that is repeated from this step on is to be bit-identical.
-    fresh = elapsed == 0.0 or scheme.known[0] == 0.0
+    fresh = elapsed == 0.0 or newton.known[0] == 0.0
     status = NOT_CONVERGED
     for _ in range(2):
         if fresh:
             status = _differentiate(scheme, model, work, begin, pose, external)
             if status != OK:
                 break
-        scheme.known[0] = 1.0
+        newton.known[0] = 1.0
         status = NOT_CONVERGED
-        if _factorise(scheme, size):
+        # whole: sums are exact, and repeated runs the same
+        f = len(newton.initial)
+        scheme.spent[0] += f * f // FREEDOMS_SQUARED
+        if _factorise(newton, size):
             status = _solve(scheme, model, work, size, begin, pose, external)
         if status != NOT_CONVERGED or fresh:
             break
         fresh = True
     if status == OK:
-        _estimate(scheme, size)
-        for p in range(len(scheme.initial)):
+        _estimate(newton, size)
+        for p in range(len(newton.initial)):
             for c in range(2):
-                scheme.z[END, p, c] = scheme.z[STAGES - 1, p, c]
+                newton.z[END, p, c] = newton.z[STAGES - 1, p, c]
         status = _evaluate(scheme, model, work, END, begin + size, pose, external)
     else:
-        scheme.known[0] = 0.0
-    _store(scheme.initial, 1.0, work.slopes, 0)
-    _store(scheme.next, 1.0 / size, work.slopes, 1)
+        newton.known[0] = 0.0
+    _store(newton.initial, 1.0, work.slopes, 0)
+    _store(newton.next, 1.0 / size, work.slopes, 1)
     return status

@@ -8,7 +8,7 @@ On the vector part (velocities) exp and dexp are the identity. On SO(3) x R^3 th
 group is (omega in body axes, rdot in WORLD axes): (6.26) and the note to it.
 
 This is a step of an explicit method, explicit.py; of an implicit one: implicit.py. The number of stages
-is data, so that all explicit tableaux share one compiled `advance`. With an error estimate each step is
+is data, so that all tableaux share one compiled `advance`. With an error estimate each step is
 divided into substeps: error_control.py.
 """
 
@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from liegroup_core.compiling import Choice, SameTypes, borrowed, kernel, stepper
+from liegroup_core.compiling import SameTypes, borrowed, kernel, stepper
 from liegroup_core.formulations.relative.arrays import links_of
 from liegroup_core.integrators.link_state import model_and_work
 from liegroup_core.integrators.methods import EXACT, is_positive
@@ -24,7 +24,6 @@ from liegroup_core.model.arrays import copy_state
 from liegroup_core.status import DEPENDENT_ROWS, EVENT, OK, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS
 
 from . import explicit, implicit, relative
-from .collocation import Collocation, make_collocation
 from .error_control import ROUNDING, judge
 from .switching import Switching
 
@@ -33,10 +32,6 @@ MOST_SUBSTEPS = 100_000
 # With the last one only stages that cannot be computed reject a substep.
 LOOSER = (1e2, 1e4, 1e6, 1e8, 1e100)
 TOO_TIGHT = (DEPENDENT_ROWS, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS)
-
-take_substep = Choice(
-    "take_substep", {explicit.Scheme: explicit.substep, Collocation: implicit.substep}
-)
 
 
 @kernel
@@ -113,9 +108,14 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
             attempts += 1
             work.report[1] = work.report[4] = 0.0
             relative.begin(model, work, pose, twist)
-            status = take_substep(
-                scheme, model, work, size, start, h - remaining, first, pose, external
-            )
+            if len(scheme.newton.z) > 0:
+                status = implicit.substep(
+                    scheme, model, work, size, start, h - remaining, first, pose, external
+                )
+            else:
+                status = explicit.substep(
+                    scheme, model, work, size, start, h - remaining, first, pose, external
+                )
             if status == OK:
                 status = relative.check_end(model, work, size)
             if controlled:
@@ -177,7 +177,7 @@ class MuntheKaas:
         stages = 1 if method.implicit else len(method.tableau.b)
         self._model, self._work, self.work, ending = model_and_work(layout, group, options, stages)
         self._blocks = stages + 1
-        self.kernels = ("implicit" if method.implicit else "rkmk") + ending
+        self.kernels = "rkmk" + ending
         self._control = np.zeros(13)
         self._control[7], self._control[8] = MOST_SUBSTEPS, 1.0
         self._tolerances = options.get("rtol", 0.0), options.get("atol", 1.0)
@@ -193,7 +193,7 @@ class MuntheKaas:
     def add(self, method, looser=1.0):
         """Add a method with error control that `choose` may take instead, with looser tolerances."""
         if method.implicit:
-            scheme = make_collocation(method.tableau, self.freedoms)
+            scheme = explicit.make_implicit_scheme(method.tableau, self.freedoms)
         else:
             highest = max(method.order - 2, 0) if self._truncated else EXACT
             scheme = explicit.make_scheme(method.tableau, highest)
