@@ -4,8 +4,15 @@
 from liegroup_core.compiling import kernel
 
 from .kinds import add_pair, gather_forces, lift_links, spread_response
-from .loops import apply_multipliers, close_loops, gather_alone, set_response_residual, set_system
-from .matrix import REGULARISATION, factor
+from .loops import (
+    apply_multipliers,
+    close_loops,
+    factor_alone,
+    gather_alone,
+    set_response_residual,
+    set_system,
+)
+from .matrix import REGULARISATION
 
 
 @kernel
@@ -20,8 +27,8 @@ def factor_rows(model, work):
     lift_links(model, work)
     set_system(model, work)
     found = -1
-    if factor(model, work, 0.0) >= 0:
-        found = factor(model, work, REGULARISATION)
+    if factor_alone(model, work, 0.0) >= 0:
+        found = factor_alone(model, work, REGULARISATION)
     # An impulse does not change what the rows ask of the velocities before it.
     for r in range(len(work.bias)):
         work.bias[r] = 0.0

@@ -33,6 +33,12 @@ def gather_alone(model, work):
     return 0
 
 
+@shared
+def factor_alone(model, work, shift):
+    """`factor`, compiled once for all but the accelerations."""
+    return factor(model, work, shift)
+
+
 @kernel
 def _add_baumgarte(model, work):
     """Add Baumgarte's terms to the bias."""
@@ -86,7 +92,7 @@ def set_loops(model, work):
         return POOR if has_small_pivot(work) else -1
     # Singular pose: accelerations that the joints leave undetermined follow from the masses.
     work.report[2] += 1.0
-    dependent = factor(model, work, REGULARISATION)
+    dependent = factor_alone(model, work, REGULARISATION)
     return dependent if dependent >= 0 else SINGULAR
 
 
@@ -143,11 +149,11 @@ def project(model, work):
         set_system(model, work)
         set_gap(model, work)
         satisfied = is_satisfied(model, work, work.world)
-        dependent = factor(model, work, 0.0)
+        dependent = factor_alone(model, work, 0.0)
         pivot = 0.0 if dependent >= 0 else work.report[3]
         if pivot < AT:
             satisfied = satisfied or iteration >= ITERATIONS_WHEN_SINGULAR
-            dependent = factor(model, work, AT * model.usual_pivot)
+            dependent = factor_alone(model, work, AT * model.usual_pivot)
             work.report[3] = pivot
             if dependent >= 0:
                 return DEPENDENT_ROWS + (model.owners[dependent] << 8)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """W of the cut joints from their responses, its factor and solve; see loops.py."""
 
-from liegroup_core.compiling import kernel, shared
+from liegroup_core.compiling import kernel
 
 # Pivots of W below this part of its diagonal are zero: see model/build.py.
 SMALLEST_PIVOT = 1e-10
@@ -111,7 +111,7 @@ def is_off(model, work, r):
     return model.switched[r] == 1 and work.held[len(work.freedoms) + r] == 0.0
 
 
-@shared
+@kernel
 def factor(model, work, shift):
     """Factorise W + shift w = L D L^T, w the diagonal matrix of `_mobility`.
 
