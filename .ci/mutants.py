@@ -105,7 +105,7 @@ MUTANTS = [
            PLANE),
     Mutant("plane, response handed on", "formulations/relative/plane_rows.py", "fy - share * U[f, 2]",
            "fy + share * U[f, 2]", PLANE),
-    Mutant("plane, dexpinv of -Psi", "integrators/rkmk/relative.py", "gx, gy = ey * w - xi * vy, xi * vx - ex * w",
+    Mutant("plane, dexpinv of -Psi", "motion_groups/plane.py", "gx, gy = ey * w - xi * vy, xi * vx - ex * w",
            "gx, gy = xi * vy - ey * w, ex * w - xi * vx", PLANE),
     Mutant("step, increment on the wrong side", "integrators/motion.py",
            "se3_compose(rot, r, turn, shift)", "se3_compose(turn, shift, rot, r)", MOTION),

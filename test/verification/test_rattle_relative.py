@@ -17,8 +17,9 @@ import random_mechanisms
 from liegroup_core import Scene, load_scene
 from liegroup_core.engine import Engine
 from liegroup_core.forces.external import no_wrenches
-from liegroup_core.formulations.relative.arrays import FREEDOMS, PlaneModel
+from liegroup_core.formulations.relative.arrays import PlaneModel
 from liegroup_core.integrators.methods import METHODS
+from liegroup_core.motion_groups.table import FREEDOMS
 from liegroup_core.scene.description import Drag
 
 METHOD = "constrained_rattle"

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from liegroup_core import Simulation
-from liegroup_core.formulations.relative.arrays import FREEDOMS
 from liegroup_core.integrators.methods import METHODS
+from liegroup_core.motion_groups.table import FREEDOMS
 from liegroup_core.reference.trajectory import integrate
 
 TIMES = (0.25, 0.5, 0.75)  # s

@@ -22,17 +22,10 @@ import numpy as np
 from liegroup_core.compiling import Struct
 from liegroup_core.forces.external import COLUMNS as EXTERNAL_COLUMNS
 from liegroup_core.model.arrays import Model, Work
+from liegroup_core.motion_groups.table import FREE as FREE
+from liegroup_core.motion_groups.table import PLANE as PLANE
 
-# Motion groups.
-HINGE = 0  # SO(2)
-SLIDE = 1  # R
-SCREW = 2  # turns and translates by the pitch
-CYLINDER = 3  # SO(2) x R
-PLANE = 4  # SE(2)
-BALL = 5  # SO(3)
-FREE = 6  # SE(3)
 LARGEST_ROWS = 6  # of a joint
-FREEDOMS = (1, 1, 1, 2, 3, 3, 6)
 
 # Columns of Work.modes.
 SLIP, SIDE, COORDINATE, KNOWN, RESTS, EFFORT = range(6)
@@ -43,7 +36,7 @@ OWN, CROSS, AFTER_CROSS = 0, 1, 2
 
 LINK = np.dtype(
     [
-        ("group", "i8"),
+        ("group", "i8"),  # motion_groups/table.py
         ("parent", "i8"),  # parent: link, or WORLD
         ("freedom", "i8"),
         ("freedoms", "i8"),  # first freedom, and their number

@@ -5,13 +5,14 @@ import numpy as np
 
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.model.build import LARGE_RATIO, are_unlike, levers
+from liegroup_core.motion_groups.table import ORDERS
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
 from liegroup_core.threads import one_blas_thread
 
 from .arrays import PART, PLANE_LINK, PlaneModel, RelativeModel
 from .cuts import coupled_links, cut_elements, cut_rows, loop_arrays
 from .inertia import check_inertia
-from .links import eliminated, find_links, link_poses, link_records
+from .links import find_links, link_poses, link_records
 from .plane import find_plane, plane_axes
 from .spanning_tree import WORLD_NAME, spanning_tree
 from .switch_records import stop_rows, switch_arrays
@@ -61,7 +62,7 @@ def relative_model(scene, model, in_space=False, group=None):
             [
                 (record["freedom"] + k, link.components[k])
                 for link, record in zip(links, records)
-                for k in eliminated(link.group)
+                for k in ORDERS[link.group]
             ],
             dtype=np.int64,
         ).reshape(-1, 2),

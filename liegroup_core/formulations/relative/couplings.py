@@ -16,7 +16,6 @@ from liegroup_core.compiling import kernel
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.vec3 import ZERO3, load3, load9
 
-from .arrays import SLIDE
 from .trees import add_wrench
 
 
@@ -24,7 +23,7 @@ from .trees import add_wrench
 def link_coordinate(model, b, pose):
     """Angle in [-pi, pi] or displacement of link b: hinge, screw or slide."""
     row = len(model.parts) + b
-    if model.bodies[b]["group"] == SLIDE:
+    if model.order[model.bodies[b]["freedom"], 1] >= 3:
         return pose[row, 4]
     return math.atan2(pose[row, 1], pose[row, 0])
 
@@ -43,7 +42,7 @@ def add_pair(model, work, b, component, value, out, stride):
     out : row stride * (number of a link) has its wrench
     """
     link = model.bodies[b]
-    axis = 5 if component == 1 or link["group"] == SLIDE else 2
+    axis = model.order[link["freedom"] + component, 1]
     out[stride * b, axis] += value
     if link["parent"] != WORLD:
         rot, p = load9(work.relative, b, 0), load3(work.relative, b, 9)

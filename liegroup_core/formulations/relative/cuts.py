@@ -10,10 +10,11 @@ from liegroup_core.joints.elements import ELEMENT, PAIR, WORLD, Element
 from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage
 from liegroup_core.lie.groups import SE3
 from liegroup_core.model.redundancy import dependent_groups, generic_poses, independent_rows
+from liegroup_core.motion_groups.table import FREEDOMS, ORDERS
 from liegroup_core.scene.consistency import ResolvedCoupling, resolve_couplings
 
-from .arrays import COUPLED, FREEDOMS, JOINT, SLIDE
-from .links import FIRST_AXIS, SECOND_AXIS, eliminated, link_poses
+from .arrays import COUPLED, JOINT
+from .links import FIRST_AXIS, SECOND_AXIS, link_poses
 from .spanning_tree import WORLD_NAME
 
 # A coupling as a part of a cut joint: one row, which couplings.py writes.
@@ -173,7 +174,7 @@ def _coupling_rows(links, coupled, length):
     rows = np.zeros((len(coupled), first[-1]))
     for row, (coupling, ends) in zip(rows, coupled):
         for i, factor in zip(ends, (1.0, -coupling.ratio)):
-            unit = 1.0 if links[i].group == SLIDE else length
+            unit = length if links[i].turns else 1.0
             row[first[i]] += links[i].sign * factor / unit
         row /= np.linalg.norm(row)
     return rows
@@ -277,7 +278,7 @@ def loop_arrays(links, records, cut, rows, elements, coupled, counted):
         spot = {}
         for i in path:
             group, f = records[i]["group"], records[i]["freedom"]
-            for number in eliminated(group):
+            for number in ORDERS[group]:
                 spot[int(f + number)] = at
                 at += int(joint["rows"])
         spots.append(spot)
@@ -332,8 +333,7 @@ def _couplings(links, records, joints, coupling, residuals, coupled, counted):
     """(k,) of COUPLED, in the order of the joints; coupling: which of `coupled` a joint is, or -1."""
     motions = np.cumsum([entry.is_given for entry, _ in coupled]) - 1
     is_angle = [
-        (links[a].group != SLIDE, links[b].group != SLIDE and not entry.is_given)
-        for entry, (a, b) in coupled
+        (links[a].turns, links[b].turns and not entry.is_given) for entry, (a, b) in coupled
     ]
     angles = counted + np.cumsum([0, *(second for _, second in is_angle)])
     rows = []

@@ -16,9 +16,8 @@ from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.se3 import se3_Ad_inverse
 from liegroup_core.lie.vec3 import ZERO3, add3, load3, load9, store3
+from liegroup_core.motion_groups.table import rate_twist
 
-from .arrays import SCREW
-from .coordinates import rate_twist
 from .residuals import add_multipliers, add_own_forces
 from .trees import pass_on
 
@@ -62,7 +61,7 @@ def inverse_dynamics(model, work, rates, force_out):
         first, a = link["freedom"], link["parent"]
         for k in range(first, first + link["freedoms"]):
             force_out[model.order[k, 0]] = work.force[b, model.order[k, 1]]
-        if link["group"] == SCREW:
+        if link["pitch"] != 0.0:
             force_out[first] += link["pitch"] * work.force[b, 5]
         if a != WORLD:
             pass_on(work, b, work.force, b, a)

@@ -7,49 +7,21 @@ import numpy as np
 
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.groups import SE3
-
-from .arrays import (
-    AFTER_CROSS,
-    BALL,
-    CROSS,
-    CYLINDER,
+from liegroup_core.motion_groups.table import (
+    COMPONENTS,
     FREE,
     FREEDOMS,
     HINGE,
-    LINK,
-    OWN,
-    PLANE,
-    SCREW,
-    SLIDE,
+    OF_JOINT,
+    PLANE_COMPONENTS,
 )
+
+from .arrays import AFTER_CROSS, CROSS, LINK, OWN
 from .plane import align, frame_in_plane
 from .spanning_tree import WORLD_NAME
 
-GROUPS = {
-    "revolute": HINGE,
-    "prismatic": SLIDE,
-    "screw": SCREW,
-    "cylindrical": CYLINDER,
-    "planar": PLANE,
-    "spherical": BALL,
-}
-# Components of S in the order of the freedoms.
-COMPONENTS = {
-    HINGE: (2,),
-    SLIDE: (5,),
-    SCREW: (2,),
-    CYLINDER: (2, 5),
-    PLANE: (2, 3, 4),
-    BALL: (0, 1, 2),
-    FREE: (0, 1, 2, 3, 4, 5),
-}
 # Axes of a universal joint as z axes: x of its parent frame, y of its child frame.
 FIRST_AXIS, SECOND_AXIS = np.eye(4)[:, [1, 2, 0, 3]], np.eye(4)[:, [2, 0, 1, 3]]
-
-
-def eliminated(group):
-    """Numbers of the freedoms of a link in the order in which they are eliminated."""
-    return (2, 0, 1, *range(3, FREEDOMS[group])) if group >= BALL else range(FREEDOMS[group])
 
 
 class Link:
@@ -58,11 +30,16 @@ class Link:
     sign : of its coordinate, if it has one, when that of the joint increases
     """
 
-    def __init__(self, joint, group, parent, placement, coordinates=OWN, pitch=0.0):
+    def __init__(self, joint, group, parent, placement, coordinates=OWN, pitch=0.0, in_plane=False):
         self.joint, self.group, self.parent, self.placement = joint, group, parent, placement
         self.coordinates, self.pitch, self.bodies = coordinates, pitch, {}
-        self.components = COMPONENTS[group]
+        self.components = (PLANE_COMPONENTS if in_plane else COMPONENTS)[group]
         self.sign, self.aligned = 1.0, False
+
+    @property
+    def turns(self):
+        """Whether its first freedom is a rotation."""
+        return self.components[0] < 3
 
     @property
     def is_plain_hinge(self):
@@ -72,8 +49,7 @@ class Link:
     def directions(self):
         """S (6, freedoms)."""
         S = np.eye(6)[:, list(self.components)]
-        if self.group == SCREW:
-            S[5, 0] = self.pitch
+        S[5, 0] += self.pitch
         return S
 
 
@@ -112,11 +88,9 @@ def find_links(scene, frames, tree, normal):
                 links.append(Link(j, HINGE, len(links) - 1, first.T @ second, AFTER_CROSS))
                 frame = welds[outer] @ F_out @ second
             else:
-                kind = GROUPS[joint.type]
-                pitch = joint.pitch if joint.type == "screw" else 0.0
-                links.append(Link(j, kind, parent, placement, pitch=pitch))
-                if normal is not None and kind == SLIDE:
-                    links[-1].components = (3,)
+                kind, in_plane = OF_JOINT[joint.type], normal is not None
+                pitch = getattr(joint, "pitch", 0.0)
+                links.append(Link(j, kind, parent, placement, pitch=pitch, in_plane=in_plane))
                 along = to_plane[2, links[-1].components[0] % 3]
                 links[-1].sign = -along if reverse else along
                 frame = welds[outer] @ F_out

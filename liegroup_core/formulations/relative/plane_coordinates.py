@@ -20,9 +20,8 @@ from liegroup_core.lie.vec3 import (
     store9,
     vector3,
 )
-
-from .arrays import HINGE, PLANE, SLIDE
-from .coordinates import nearest_turn, turned
+from liegroup_core.motion_groups.about_z import nearest_turn, turned
+from liegroup_core.motion_groups.table import HINGE, PLANE, SLIDE
 
 
 @kernel

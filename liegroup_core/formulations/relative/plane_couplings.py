@@ -5,8 +5,7 @@ import math
 
 from liegroup_core.compiling import kernel
 from liegroup_core.joints.elements import WORLD
-
-from .arrays import SLIDE
+from liegroup_core.motion_groups.table import SLIDE
 
 
 @kernel

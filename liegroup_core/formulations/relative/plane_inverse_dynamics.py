@@ -8,8 +8,8 @@ plane_trees.py. Only E of the links is left.
 from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.vec3 import load3, store3
+from liegroup_core.motion_groups.table import HINGE, SLIDE
 
-from .arrays import HINGE, SLIDE
 from .plane_residuals import add_multipliers, add_own_forces
 
 

@@ -4,8 +4,8 @@
 from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.vec3 import load3
+from liegroup_core.motion_groups.table import HINGE, SLIDE
 
-from .arrays import HINGE, SLIDE
 from .couplings import coupled_rate
 from .plane_couplings import add_coupling
 

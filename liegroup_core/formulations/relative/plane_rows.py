@@ -7,8 +7,8 @@ Of a row (6,) only (omega_z, v_x, v_y) in link axes, columns 2 to 4, act on plan
 from liegroup_core.compiling import kernel
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.vec3 import load3
+from liegroup_core.motion_groups.table import HINGE, SLIDE
 
-from .arrays import HINGE, SLIDE
 from .matrix import set_block
 from .plane_couplings import add_coupling
 

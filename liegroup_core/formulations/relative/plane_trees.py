@@ -16,8 +16,7 @@ the parent at once. A link with all freedoms of the plane adds nothing to its pa
 from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.vec3 import dot3, load3, matrix3, store3, vector3
-
-from .arrays import HINGE, SLIDE
+from liegroup_core.motion_groups.table import HINGE, SLIDE
 
 
 @kernel

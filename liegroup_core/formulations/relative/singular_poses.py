@@ -15,7 +15,6 @@ friction are left to the regularisation of loops.py.
 from liegroup_core.compiling import kernel
 from liegroup_core.model.arrays import copy_state
 
-from .arrays import BALL, SLIDE
 from .kinds import displace
 
 # Displacement d V of the joint that turns fastest, rad: three times the distance at which a pose is singular.
@@ -34,10 +33,11 @@ def begin_aside(model, work):
     n, fastest = len(model.parts), 0.0
     copy_state(work.stage_pose, work.stage_twist, work.middle_pose, work.middle_twist)
     for b in range(len(model.bodies)):
-        group = model.bodies[b]["group"]
-        turning = 0 if group == SLIDE else 3 if group >= BALL else 1
-        for k in range(turning):
-            fastest = max(fastest, abs(work.stage_twist[n + b, k]))
+        first = model.bodies[b]["freedom"]
+        for k in range(first, first + model.bodies[b]["freedoms"]):
+            if model.order[k, 1] < 3:
+                rate = work.stage_twist[n + b, model.order[k, 0] - first]
+                fastest = max(fastest, abs(rate))
     for f in range(len(work.freedoms)):
         work.middle[f, 0] = work.acceleration[f, 0]
         work.middle[f, 1] = 0.0

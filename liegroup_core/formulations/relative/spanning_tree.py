@@ -10,17 +10,11 @@ group.
 
 from dataclasses import dataclass
 
+from liegroup_core.motion_groups.table import FREEDOMS, OF_JOINT
+
 WORLD_NAME = "world"
 # Rows of the joints of a tree; a universal joint is two hinges.
-ROWS = {
-    "revolute": 5,
-    "prismatic": 5,
-    "screw": 5,
-    "universal": 4,
-    "cylindrical": 4,
-    "planar": 3,
-    "spherical": 3,
-}
+ROWS = {kind: 6 - FREEDOMS[code] for kind, code in OF_JOINT.items()} | {"universal": 4}
 COUPLED_FIRST = 6  # in place of the rows of a coupled joint
 
 

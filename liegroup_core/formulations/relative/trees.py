@@ -20,12 +20,11 @@ Source: Featherstone, Rigid Body Dynamics Algorithms, section 7.3.
 
 from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.joints.elements import WORLD
-from liegroup_core.lie.se3 import se3_ad, se3_Ad_inverse
+from liegroup_core.lie.se3 import se3_Ad_inverse
 from liegroup_core.lie.vec3 import (
     add3,
     axpy3,
     cross3,
-    dot3,
     load3,
     load9,
     matrix3,
@@ -35,20 +34,20 @@ from liegroup_core.lie.vec3 import (
     sub3,
     vector3,
 )
-
-from .arrays import BALL, CYLINDER, FREE, HINGE, PLANE, SCREW, SLIDE
-from .articulated import (
-    add_aligned_hinge_inertia,
-    add_hinge_inertia,
+from liegroup_core.motion_groups.articulated import (
     add_inertia,
-    add_mass,
     load_inertia,
-    mass_times,
     symmetric_times,
     times,
 )
-from .coordinates import rate_twist, relative_pose
-from .elimination import without_freedoms
+from liegroup_core.motion_groups.table import (
+    accelerate,
+    add_rates,
+    eliminate,
+    hand_on,
+    rate_twist,
+    relative_pose,
+)
 
 
 @kernel
@@ -70,16 +69,9 @@ def move_links(model, work):
             w, v = se3_Ad_inverse(
                 rot, p, load3(work.velocities, a, 0), load3(work.velocities, a, 3)
             )
-            if link["group"] == HINGE:
-                rate = sw[2]
-                w = (w[0], w[1], w[2] + rate)
-                store3((rate * w[1], -rate * w[0], 0.0), work.drift, b, 0)
-                store3((rate * v[1], -rate * v[0], 0.0), work.drift, b, 3)
-            else:
-                w, v = add3(w, sw), add3(v, sv)
-                cw, cv = se3_ad(w, v, sw, sv)
-                store3(cw, work.drift, b, 0)
-                store3(cv, work.drift, b, 3)
+            (w, v), (cw, cv) = add_rates(link, sw, sv, w, v)
+            store3(cw, work.drift, b, 0)
+            store3(cv, work.drift, b, 3)
         store3(w, work.velocities, b, 0)
         store3(v, work.velocities, b, 3)
         store3((0.0, 0.0, 0.0), work.applied, b, 0)
@@ -159,88 +151,19 @@ def gather(model, work):
     _start(model, work)
     for b in range(len(model.bodies) - 1, -1, -1):
         link = model.bodies[b]
-        group, f, a = link["group"], link["freedom"], link["parent"]
+        f, a = link["freedom"], link["parent"]
         m = load_inertia(work.inertia, b)
         torque, force = load3(work.force, b, 0), load3(work.force, b, 3)
-        m, torque, force = without_freedoms(work, m, torque, force, f, group, link["pitch"])
+        m, torque, force = eliminate(link, work, f, m, torque, force)
         if a == WORLD:
             continue
+        short, torque, force = hand_on(link, work, b, m, torque, force)
         rot, p = load9(work.relative, b, 0), load3(work.relative, b, 9)
-        w, v = load3(work.drift, b, 0), load3(work.drift, b, 3)
-        if group == HINGE and work.held[f] == 0.0:
-            # Neither rotation about z nor drift along it.
-            torque = (
-                torque[0] + (m[0] * w[0] + m[1] * w[1] + m[6] * v[0] + m[7] * v[1]),
-                torque[1] + (m[1] * w[0] + m[3] * w[1] + m[9] * v[0] + m[10] * v[1]),
-                torque[2],
-            )
-            force = (
-                force[0] + (m[6] * w[0] + m[9] * w[1] + m[15] * v[0] + m[16] * v[1]),
-                force[1] + (m[7] * w[0] + m[10] * w[1] + m[16] * v[0] + m[18] * v[1]),
-                force[2] + (m[8] * w[0] + m[11] * w[1] + m[17] * v[0] + m[19] * v[1]),
-            )
-            if link["aligned"] == 1:
-                add_aligned_hinge_inertia(m, rot, p, work.inertia, a)
-            else:
-                add_hinge_inertia(m, rot, p, work.inertia, a)
-        elif group == BALL:
-            force = add3(force, mass_times(m, v))
-            add_mass(m, rot, p, work.inertia, a)
-        else:
-            dw, dv = times(m, w, v)
+        if not short:
+            dw, dv = times(m, load3(work.drift, b, 0), load3(work.drift, b, 3))
             torque, force = add3(torque, dw), add3(force, dv)
             add_inertia(m, rot, p, work.inertia, a)
         add_wrench(torque, force, rot, p, work.force, a)
-
-
-@kernel
-def _move_on(work, f, axis, w, v):
-    """Add the acceleration of freedom f, a unit direction, to the acceleration (w, v) of its link."""
-    U = work.freedoms
-    rate = U[f, 6] * (U[f, 7] - (dot3(load3(U, f, 0), w) + dot3(load3(U, f, 3), v)))
-    work.acceleration[f, 0] = rate
-    if axis < 3:
-        return (
-            (w[0] + rate, w[1], w[2])
-            if axis == 0
-            else (w[0], w[1] + rate, w[2])
-            if axis == 1
-            else (w[0], w[1], w[2] + rate),
-            v,
-        )
-    return w, (
-        (v[0] + rate, v[1], v[2])
-        if axis == 3
-        else (v[0], v[1] + rate, v[2])
-        if axis == 4
-        else (v[0], v[1], v[2] + rate)
-    )
-
-
-@kernel
-def _with_freedoms(work, f, group, pitch, w, v):
-    """Acceleration of a link with all its freedoms, in the reverse order of elimination."""
-    if group == HINGE:
-        return _move_on(work, f, 2, w, v)
-    if group == SLIDE:
-        return _move_on(work, f, 5, w, v)
-    if group == SCREW:
-        w, v = _move_on(work, f, 2, w, v)
-        return w, (v[0], v[1], v[2] + pitch * work.acceleration[f, 0])
-    if group == CYLINDER:
-        w, v = _move_on(work, f + 1, 5, w, v)
-        return _move_on(work, f, 2, w, v)
-    if group == PLANE:
-        w, v = _move_on(work, f + 2, 4, w, v)
-        w, v = _move_on(work, f + 1, 3, w, v)
-        return _move_on(work, f, 2, w, v)
-    if group == FREE:
-        w, v = _move_on(work, f + 5, 5, w, v)
-        w, v = _move_on(work, f + 4, 4, w, v)
-        w, v = _move_on(work, f + 3, 3, w, v)
-    w, v = _move_on(work, f + 1, 1, w, v)
-    w, v = _move_on(work, f, 0, w, v)
-    return _move_on(work, f + 2, 2, w, v)
 
 
 @subroutine
@@ -262,7 +185,7 @@ def _spread(model, work, gx, gy, gz, drift):
         if drift == 1:
             w = add3(w, load3(work.drift, b, 0))
             v = add3(v, load3(work.drift, b, 3))
-        w, v = _with_freedoms(work, link["freedom"], link["group"], link["pitch"], w, v)
+        w, v = accelerate(link, work, link["freedom"], w, v)
         store3(w, work.moved, b, 0)
         store3(v, work.moved, b, 3)
     return 0

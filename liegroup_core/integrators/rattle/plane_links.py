@@ -7,14 +7,12 @@ A rotation is an angle, and dexpinv is the identity: V' is the mean velocity of 
 import math
 
 from liegroup_core.compiling import kernel, subroutine
-from liegroup_core.formulations.relative.arrays import HINGE, SLIDE
-from liegroup_core.formulations.relative.coordinates import turned
 from liegroup_core.formulations.relative.plane_coordinates import displace
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.coefficients import turn_coefficients
 from liegroup_core.lie.vec3 import load3, load9, matvec3, store3, store9
-
-from .space_links import turned_by
+from liegroup_core.motion_groups.about_z import turned, turned_by
+from liegroup_core.motion_groups.table import HINGE, SLIDE
 
 
 @subroutine

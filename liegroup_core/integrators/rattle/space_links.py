@@ -11,15 +11,11 @@ numbers. So velocities D / h have all their digits, which a difference of poses 
 import math
 
 from liegroup_core.compiling import kernel, subroutine
-from liegroup_core.formulations.relative.arrays import BALL, CYLINDER, FREE, PLANE, SCREW, SLIDE
-from liegroup_core.formulations.relative.articulated import symmetric_times
-from liegroup_core.formulations.relative.coordinates import displace
 from liegroup_core.formulations.relative.trees import momentum
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.coefficients import dexpinv_coefficients, sum_series, turn_coefficients
-from liegroup_core.lie.so3 import so3_dexpinv_of, so3_exp
+from liegroup_core.lie.so3 import so3_dexpinv_of
 from liegroup_core.lie.vec3 import (
-    ZERO3,
     add3,
     axpy3,
     cross3,
@@ -35,6 +31,8 @@ from liegroup_core.lie.vec3 import (
     tmatvec3,
     vector3,
 )
+from liegroup_core.motion_groups import table
+from liegroup_core.motion_groups.articulated import symmetric_times
 from liegroup_core.status import LARGEST_ROTATION
 
 # (2k)! / (4^k k!^2 (2k+1)): arcsin s / s in powers of s^2
@@ -88,28 +86,6 @@ def _half_turn(x):
     return 1.0 - 0.25 * square * versinc, scale3(0.5 * sinc, x), math.sqrt(square)
 
 
-@kernel
-def _joint_move(link, psi, f):
-    """Displacement of a joint: unit quaternion, shift, rotation angle."""
-    group, first = link["group"], psi[f, 0]
-    if group == SLIDE:
-        return 1.0, ZERO3, (0.0, 0.0, first), 0.0
-    if group >= BALL:
-        c, q, angle = _half_turn((first, psi[f + 1, 0], psi[f + 2, 0]))
-        if group == FREE:
-            return c, q, (psi[f + 3, 0], psi[f + 4, 0], psi[f + 5, 0]), angle
-        return c, q, ZERO3, angle
-    c, q, angle = _half_turn((0.0, 0.0, first))
-    shift = ZERO3
-    if group == SCREW:
-        shift = (0.0, 0.0, link["pitch"] * first)
-    elif group == CYLINDER:
-        shift = (0.0, 0.0, psi[f + 1, 0])
-    elif group == PLANE:
-        shift = (psi[f + 1, 0], psi[f + 2, 0], 0.0)
-    return c, q, shift, angle
-
-
 @subroutine
 def displace_links(model, work, memory, h):
     """Displacements of all links for memory.psi, M V', and what it lacks of the impulse.
@@ -124,7 +100,8 @@ def displace_links(model, work, memory, h):
     for b in range(len(model.bodies)):
         link = model.bodies[b]
         a = link["parent"]
-        c, q, t, angle = _joint_move(link, memory.psi, link["freedom"])
+        x, t = table.move(link, memory.psi, link["freedom"])
+        c, q, angle = _half_turn(x)
         if a != WORLD:
             rot, p = load9(work.relative, b, 0), load3(work.relative, b, 9)
             ca, qa, ta = moves[a, 0], load3(moves, a, 1), load3(moves, a, 4)
@@ -187,30 +164,9 @@ def place_ends(model, work, memory):
 def move_coordinates(model, b, psi, coordinates):
     """Displace the coordinates of link b by its part of psi, in place."""
     link, row = model.bodies[b], len(model.parts) + b
-    f, group = link["freedom"], link["group"]
     # Rotation and shift of floating links and planes are independent of each other, which
-    # `displace` does not do: see `_joint_move`.
-    if group == FREE:
-        rot = load9(coordinates, row, 0)
-        shift = matvec3(rot, (psi[f + 3, 0], psi[f + 4, 0], psi[f + 5, 0]))
-        store3(add3(load3(coordinates, row, 9), shift), coordinates, row, 9)
-        turn = so3_exp((psi[f, 0], psi[f + 1, 0], psi[f + 2, 0]))
-        store9(matmul3(rot, turn), coordinates, row, 0)
-    elif group == PLANE:
-        c, s, x, y = coordinates[row, 0], coordinates[row, 1], psi[f + 1, 0], psi[f + 2, 0]
-        coordinates[row, 2] += c * x - s * y
-        coordinates[row, 3] += s * x + c * y
-        coordinates[row, 0], coordinates[row, 1] = turned_by(psi[f, 0], c, s)
-    else:
-        displace(model, b, coordinates, psi, f, coordinates)
-
-
-@kernel
-def turned_by(angle, c, s):
-    """Cosine and sine of an angle after a rotation by another one."""
-    sinc, versinc = turn_coefficients(angle * angle)
-    less, sine = -angle * angle * versinc, angle * sinc
-    return c + (less * c - sine * s), s + (less * s + sine * c)
+    # `displace` does not do: see `displace_links`.
+    table.move_coordinates(link, coordinates, row, psi, link["freedom"], coordinates)
 
 
 @kernel

@@ -9,7 +9,6 @@ import math
 
 from liegroup_core.compiling import kernel
 from liegroup_core.forces import kinds
-from liegroup_core.formulations.relative.arrays import BALL, PLANE
 from liegroup_core.formulations.relative.dynamics import accelerations
 from liegroup_core.formulations.relative.kinds import displace, normalise
 from liegroup_core.formulations.relative.loads import UNSETTLED
@@ -22,9 +21,9 @@ from liegroup_core.integrators.link_state import place
 from liegroup_core.integrators.methods import EXACT
 from liegroup_core.integrators.motion import end_status
 from liegroup_core.lie.coefficients import dexpinv_coefficients, truncated_dexpinv_coefficients
-from liegroup_core.lie.se3 import se3_dexpinv_of
-from liegroup_core.lie.so3 import so3_dexpinv_of
-from liegroup_core.lie.vec3 import dot3, load3
+from liegroup_core.lie.vec3 import dot3
+from liegroup_core.motion_groups.table import is_curved, slope
+from liegroup_core.motion_groups.table import move as displacement
 from liegroup_core.status import (
     LARGEST_ROTATION,
     NO_FRICTION,
@@ -91,10 +90,11 @@ def store_slopes(model, work, scheme, stage):
         link = model.bodies[b]
         f, row = link["freedom"], n + b
         at = first + f
-        kind = link["group"]
         # At stage 0 Psi is zero, and dexp^-1 the identity.
-        if stage > 0 and kind >= PLANE:
-            _store_curved(link, scheme, work.stage_twist, row, work.slopes, at)
+        if stage > 0 and is_curved(link):
+            turn, _ = displacement(link, work.slopes, at)
+            factor, b_x, u_x = _coefficients(scheme, dot3(turn, turn))
+            slope(link, factor, b_x, u_x, work.stage_twist, row, work.slopes, at)
         else:
             for k in range(link["freedoms"]):
                 work.slopes[at + k, 0] = work.stage_twist[row, k]
@@ -105,37 +105,12 @@ def store_slopes(model, work, scheme, stage):
 
 
 @kernel
-def _store_curved(link, scheme, rates, row, slopes, at):
-    """dexp^-1_{-Psi} qdot of a link on SE(2), SO(3) or SE(3), to column 0 of slopes."""
-    kind = link["group"]
-    if kind == PLANE:
-        xi, ex, ey = slopes[at, 0], slopes[at + 1, 0], slopes[at + 2, 0]
-        x = xi * xi
-    else:
-        w_psi = (-slopes[at, 0], -slopes[at + 1, 0], -slopes[at + 2, 0])
-        x = dot3(w_psi, w_psi)
+def _coefficients(scheme, x):
+    """Coefficients of dexp^-1 for a squared angle: factor of -ad, b and u."""
     if scheme.highest == EXACT:
-        first = 0.5
         b, u = dexpinv_coefficients(x)
-    else:
-        first, b, u = truncated_dexpinv_coefficients(scheme.highest, x)
-    if kind == PLANE:
-        w, vx, vy = rates[row, 0], rates[row, 1], rates[row, 2]
-        gx, gy = ey * w - xi * vy, xi * vx - ex * w
-        slopes[at, 0] = w
-        slopes[at + 1, 0] = vx + first * gx - b * xi * gy
-        slopes[at + 2, 0] = vy + first * gy + b * xi * gx
-        return
-    w = load3(rates, row, 0)
-    if kind == BALL:
-        w = so3_dexpinv_of(first, b, w_psi, w)
-    else:
-        v_psi = (-slopes[at + 3, 0], -slopes[at + 4, 0], -slopes[at + 5, 0])
-        w, v = se3_dexpinv_of(first, b, u, w_psi, v_psi, w, load3(rates, row, 3))
-        for c in range(3):
-            slopes[at + 3 + c, 0] = v[c]
-    for c in range(3):
-        slopes[at + c, 0] = w[c]
+        return 0.5, b, u
+    return truncated_dexpinv_coefficients(scheme.highest, x)
 
 
 @kernel

@@ -5,12 +5,12 @@ The differences of the freedoms add up along the tree: links come in the order o
 """
 
 from liegroup_core.compiling import Choice, kernel
-from liegroup_core.formulations.relative.arrays import HINGE, SLIDE, PlaneModel, RelativeModel
-from liegroup_core.formulations.relative.coordinates import rate_twist
+from liegroup_core.formulations.relative.arrays import PlaneModel, RelativeModel
 from liegroup_core.integrators.motion import error_norm_square
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.se3 import se3_Ad_inverse
 from liegroup_core.lie.vec3 import add3, cross3, load3, load9, store3, vector3
+from liegroup_core.motion_groups.table import plane_rate_twist, rate_twist
 
 
 @kernel
@@ -50,21 +50,12 @@ def _in_space(model, work, i, place):
 
 
 @kernel
-def _planar_twist(group, rates, row):
-    """S qdot of a link of a planar mechanism as a twist in space."""
-    first = rates[row, 0]
-    if group == HINGE:
-        return (0.0, 0.0, first), (0.0, 0.0, 0.0)
-    if group == SLIDE:
-        return (0.0, 0.0, 0.0), (first, 0.0, 0.0)
-    return (0.0, 0.0, first), (rates[row, 1], rates[row, 2], 0.0)
-
-
-@kernel
 def _in_plane(model, work, i, place):
     """`_in_space` for a planar mechanism."""
-    group, a = model.links[i]["group"], model.links[i]["parent"]
-    moved, rate = _planar_twist(group, work.difference, 0), _planar_twist(group, work.difference, 1)
+    link = model.links[i]
+    a = link["parent"]
+    moved = plane_rate_twist(link, work.difference, 0)
+    rate = plane_rate_twist(link, work.difference, 1)
     if a == WORLD:
         return moved[0], moved[1], rate[0], rate[1]
     row = len(model.parts) + i

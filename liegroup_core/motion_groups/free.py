@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""SE(3): a floating link, whose parent is the world. Coordinates: rotation row by row, position."""
+
+from liegroup_core.compiling import kernel
+from liegroup_core.lie.se3 import se3_compose, se3_dexpinv_of, se3_exp
+from liegroup_core.lie.so3 import so3_exp, so3_nearest
+from liegroup_core.lie.vec3 import (
+    ZERO3,
+    add3,
+    dot3,
+    load3,
+    load9,
+    matmul3,
+    matrix3,
+    matvec3,
+    store3,
+    store9,
+    vector3,
+)
+
+from . import ball, derived
+from .ball import normalise as normalise
+from .elimination import store_freedom
+
+JOINTS = ()
+COMPONENTS, ORDER = (0, 1, 2, 3, 4, 5), (2, 0, 1, 3, 4, 5)
+
+_eliminate_turns = derived.elimination_of(ball.COMPONENTS, ball.ORDER, False)
+_leave = derived.leaving_of(COMPONENTS, ORDER, False)
+
+
+@kernel
+def relative_pose(link, coordinates, row):
+    """T X."""
+    rotation, point = matrix3(link["rotation"]), vector3(link["point"])
+    rot = matmul3(rotation, load9(coordinates, row, 0))
+    return rot, add3(point, matvec3(rotation, load3(coordinates, row, 9)))
+
+
+@kernel
+def project_pose(link, rot, p, coordinates, row):
+    """X nearest to a relative pose."""
+    store9(so3_nearest(rot), coordinates, row, 0)
+    store3(p, coordinates, row, 9)
+
+
+@kernel
+def displace(link, coordinates, row, screws, at, out):
+    """X exp(Psi)."""
+    xi = (screws[at, 0], screws[at + 1, 0], screws[at + 2, 0])
+    eta = (screws[at + 3, 0], screws[at + 4, 0], screws[at + 5, 0])
+    turn, shift = se3_exp(xi, eta)
+    rot, p = se3_compose(load9(coordinates, row, 0), load3(coordinates, row, 9), turn, shift)
+    store9(rot, out, row, 0)
+    store3(p, out, row, 9)
+    return dot3(xi, xi)
+
+
+@kernel
+def move_coordinates(link, coordinates, row, psi, at, out):
+    """X displaced by `move`: rotation and shift are independent of each other."""
+    rot = load9(coordinates, row, 0)
+    shift = matvec3(rot, (psi[at + 3, 0], psi[at + 4, 0], psi[at + 5, 0]))
+    store3(add3(load3(coordinates, row, 9), shift), out, row, 9)
+    turn = so3_exp((psi[at, 0], psi[at + 1, 0], psi[at + 2, 0]))
+    store9(matmul3(rot, turn), out, row, 0)
+
+
+@kernel
+def slope(link, first, b, u, rates, row, slopes, at):
+    """dexp^-1_{-Psi} qdot in place of Psi."""
+    xi = (-slopes[at, 0], -slopes[at + 1, 0], -slopes[at + 2, 0])
+    eta = (-slopes[at + 3, 0], -slopes[at + 4, 0], -slopes[at + 5, 0])
+    w, v = load3(rates, row, 0), load3(rates, row, 3)
+    w, v = se3_dexpinv_of(first, b, u, xi, eta, w, v)
+    for c in range(3):
+        slopes[at + c, 0] = w[c]
+        slopes[at + 3 + c, 0] = v[c]
+
+
+@kernel
+def eliminate(link, work, f, m, torque, force):
+    """All freedoms leave an articulated body. Nothing is left for a parent."""
+    m, torque, force = _eliminate_turns(link, work, f, m, torque, force)
+    xx, xy, xz, yy, yz, zz = m[15], m[16], m[17], m[18], m[19], m[20]
+    store_freedom(work, f + 3, (0.0, 0.0, 0.0, xx, xy, xz), 1.0 / xx, -force[0])
+    a, b = xy / xx, xz / xx
+    yy, yz, zz = yy - a * xy, yz - a * xz, zz - b * xz
+    y, z = force[1] - a * force[0], force[2] - b * force[0]
+    store_freedom(work, f + 4, (0.0, 0.0, 0.0, 0.0, yy, yz), 1.0 / yy, -y)
+    c = yz / yy
+    zz -= c * yz
+    store_freedom(work, f + 5, (0.0, 0.0, 0.0, 0.0, 0.0, zz), 1.0 / zz, c * y - z)
+    return m, torque, force
+
+
+@kernel
+def leave(link, work, f, place, rows, torque, force):
+    """The responses of all freedoms. Nothing is left for a parent."""
+    _leave(link, work, f, place, rows, torque, force)
+    return ZERO3, ZERO3
