@@ -50,16 +50,22 @@ def turned_by(angle, c, s):
 
 
 @kernel
-def relative_pose(link, coordinates, row):
-    """T X of a rotation about z and any translation."""
-    rotation, point = matrix3(link["rotation"]), vector3(link["point"])
-    point = add3(point, matvec3(rotation, load3(coordinates, row, 2)))
-    return turned(rotation, coordinates[row, 0], coordinates[row, 1]), point
+def relative_rotation(link, coordinates, row):
+    """Rotation of T X."""
+    return turned(matrix3(link["rotation"]), coordinates[row, 0], coordinates[row, 1])
 
 
 @kernel
-def turn(coordinates, row, psi, out):
-    """Turn the coordinates of a row by psi, to `out`. Returns psi^2."""
+def relative_point(link, coordinates, row):
+    """Position of T X."""
+    shift = matvec3(matrix3(link["rotation"]), load3(coordinates, row, 2))
+    return add3(vector3(link["point"]), shift)
+
+
+@kernel
+def turn(link, coordinates, row, screws, at, out):
+    """Rotation of X exp(Psi), its first number."""
+    psi = screws[at, 0]
     sinc, versinc = turn_coefficients(psi * psi)
     c, s = 1.0 - psi * psi * versinc, psi * sinc
     c0, s0 = coordinates[row, 0], coordinates[row, 1]

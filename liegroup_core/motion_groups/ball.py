@@ -3,18 +3,7 @@
 
 from liegroup_core.compiling import kernel
 from liegroup_core.lie.so3 import so3_dexpinv_of, so3_exp, so3_nearest
-from liegroup_core.lie.vec3 import (
-    ZERO3,
-    add3,
-    dot3,
-    load3,
-    load9,
-    matmul3,
-    matrix3,
-    store3,
-    store9,
-    vector3,
-)
+from liegroup_core.lie.vec3 import ZERO3, add3, dot3, load3, load9, matmul3, matrix3, store3, store9
 
 from .articulated import add_mass, mass_times
 
@@ -23,10 +12,9 @@ COMPONENTS, ORDER = (0, 1, 2), (2, 0, 1)
 
 
 @kernel
-def relative_pose(link, coordinates, row):
-    """T X."""
-    rotation, point = matrix3(link["rotation"]), vector3(link["point"])
-    return matmul3(rotation, load9(coordinates, row, 0)), point
+def relative_rotation(link, coordinates, row):
+    """Rotation of T X."""
+    return matmul3(matrix3(link["rotation"]), load9(coordinates, row, 0))
 
 
 @kernel
@@ -37,7 +25,7 @@ def project_pose(link, rot, p, coordinates, row):
 
 
 @kernel
-def displace(link, coordinates, row, screws, at, out):
+def turn(link, coordinates, row, screws, at, out):
     """X exp(Psi)."""
     xi = (screws[at, 0], screws[at + 1, 0], screws[at + 2, 0])
     store9(matmul3(load9(coordinates, row, 0), so3_exp(xi)), out, row, 0)

@@ -1,120 +1,109 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What follows from the data of a motion group, for all groups: twists, and freedoms one after the other.
+"""What follows from the data of a motion group: the text of its functions, for all groups alike.
 
-A group whose freedoms are components of a twist says which (COMPONENTS), in which order they are
-eliminated (ORDER) and whether stops and friction may hold them (MAY_BE_HELD). These factories make
-its kernels. Numbers of the group are constants in them.
+A group says which components of a twist its freedoms are (COMPONENTS), in which order they are
+eliminated (ORDER) and whether stops and friction may hold them (MAY_BE_HELD). As a text each function
+is part of its choice in table.py. A kernel for every group would double the time to compile.
 """
 
-from liegroup_core.compiling import kernel
 from liegroup_core.lie.se3 import se3_ad
-from liegroup_core.lie.vec3 import add3
+from liegroup_core.lie.vec3 import add3, vector3
 
-from .elimination import accelerate_component, eliminate_component, leave_component
+from . import about_z
+from .elimination import WITHOUT, accelerate_direction, is_held, leave_direction, replaced
+
+# What the texts call.
+CALLED = {
+    "accelerate_direction": accelerate_direction,
+    "add3": add3,
+    "is_held": is_held,
+    "leave_direction": leave_direction,
+    "se3_ad": se3_ad,
+    "store_place": about_z.store_place,
+    "turn_of": about_z.turn_of,
+    "vector3": vector3,
+    **{f"without_{k}": without for k, without in enumerate(WITHOUT)},
+}
+Z = 5  # component of a translation along z
+AT_JOINT = 'return vector3(link["point"])'  # position of T X without a translation
 
 
-@kernel
-def in_row(array, row, k):
-    """Number k of a link whose numbers are a row of an array: coordinates, rates."""
-    return array[row, k]
+def twist_of(components, number, pitch=False):
+    """S q as angular and linear part.
+
+    number : text of number {k} of q;  pitch : whether a translation along z goes with the first
+    """
+    parts = [number.format(k=components.index(c)) if c in components else "0.0" for c in range(6)]
+    if pitch:
+        parts[Z] = 'link["pitch"] * ' + number.format(k=0)
+    return f"return ({', '.join(parts[:3])}), ({', '.join(parts[3:])})"
 
 
-@kernel
-def in_column(array, first, k):
-    """Number k of a link whose numbers start at a row of the first column: Psi, psi."""
-    return array[first + k, 0]
-
-
-def twist_of(components, read):
-    """Kernel of S q as angular and linear part; read: `in_row` or `in_column`, for q."""
-    a, b, c, d, e, f = (components.index(k) if k in components else -1 for k in range(6))
-
-    @kernel
-    def twist(link, array, at):
-        return (
-            (
-                read(array, at, a) if a >= 0 else 0.0,
-                read(array, at, b) if b >= 0 else 0.0,
-                read(array, at, c) if c >= 0 else 0.0,
-            ),
-            (
-                read(array, at, d) if d >= 0 else 0.0,
-                read(array, at, e) if e >= 0 else 0.0,
-                read(array, at, f) if f >= 0 else 0.0,
-            ),
+def _eliminate(components, order, held):
+    lines = []
+    for k in order:
+        unless = f"if not is_held(work, f + {k}): " if held else ""
+        lines.append(
+            f"{unless}m, torque, force = without_{components[k]}(work, f + {k}, m, torque, force)"
         )
-
-    return twist
-
-
-def elimination_of(components, order, may_be_held):
-    """Kernel that eliminates the freedoms of a link from its articulated body."""
-    number, k = order[0], components[order[0]]
-    if len(order) == 1:
-
-        @kernel
-        def last(link, work, f, m, torque, force):
-            return eliminate_component(work, f + number, k, may_be_held, m, torque, force)
-
-        return last
-    rest = elimination_of(components, order[1:], may_be_held)
-
-    @kernel
-    def eliminate(link, work, f, m, torque, force):
-        m, torque, force = eliminate_component(work, f + number, k, may_be_held, m, torque, force)
-        return rest(link, work, f, m, torque, force)
-
-    return eliminate
+    return "\n".join([*lines, "return m, torque, force"])
 
 
-def acceleration_of(components, order):
-    """Kernel of the acceleration of a link with its freedoms, in the reverse order of elimination."""
-    number, k = order[0], components[order[0]]
-    if len(order) == 1:
-
-        @kernel
-        def first(link, work, f, w, v):
-            return accelerate_component(work, f + number, k, w, v)
-
-        return first
-    rest = acceleration_of(components, order[1:])
-
-    @kernel
-    def accelerate(link, work, f, w, v):
-        w, v = rest(link, work, f, w, v)
-        return accelerate_component(work, f + number, k, w, v)
-
-    return accelerate
+def _accelerate(components, order):
+    lines = []
+    for k in reversed(order):
+        lines.append(f"rate = accelerate_direction(work, f + {k}, w, v)")
+        vector, c = _part(components[k], "w", "v")
+        lines.append(f"{vector} = {replaced(vector, c, f'{vector}[{c}] + rate')}")
+    return "\n".join([*lines, "return w, v"])
 
 
-def leaving_of(components, order, may_be_held):
-    """Kernel of a wrench of a row without the freedoms of a link."""
-    number, k = order[0], components[order[0]]
-    if len(order) == 1:
-
-        @kernel
-        def last(link, work, f, place, rows, torque, force):
-            return leave_component(work, f + number, k, may_be_held, place, torque, force)
-
-        return last
-    rest = leaving_of(components, order[1:], may_be_held)
-
-    @kernel
-    def leave(link, work, f, place, rows, torque, force):
-        torque, force = leave_component(work, f + number, k, may_be_held, place, torque, force)
-        return rest(link, work, f, place + rows, rows, torque, force)
-
-    return leave
+def _leave(components, order, held):
+    lines = []
+    for position, k in enumerate(order):
+        vector, c = _part(components[k], "w", "v")
+        at = f"place + {position} * rows"
+        lines.append(f"w, v = leave_direction(work, f + {k}, {vector}[{c}], {at}, w, v)")
+        left = f"0.0 if work.held[f + {k}] == 0.0 else {vector}[{c}]" if held else "0.0"
+        lines.append(f"{vector} = {replaced(vector, c, left)}")
+    return "\n".join([*lines, "return w, v"])
 
 
-@kernel
-def add_rates(link, sw, sv, w, v):
-    """V of a link and [V, S qdot], from the velocity (w, v) of its frame in the parent and S qdot."""
-    w, v = add3(w, sw), add3(v, sv)
-    return (w, v), se3_ad(w, v, sw, sv)
+def _part(c, angular, linear):
+    """Name of the part of a twist or wrench that has component c, and its number there."""
+    return (angular, c) if c < 3 else (linear, c - 3)
 
 
-@kernel
-def hand_on(link, work, b, m, torque, force):
-    """Whether a short form added what is left of the inertia of link b to its parent; see table.py."""
-    return False, torque, force
+def _on_coordinates_about_z(components, pitch):
+    """Functions on coordinates (cos, sin, x, y, z)."""
+    turns, lift = 2 in components, "return"
+    if Z in components or pitch:
+        by = 'link["pitch"] * screws[at, 0]' if pitch else f"screws[at + {components.index(Z)}, 0]"
+        lift = f"out[row, 4] = coordinates[row, 4] + {by}"
+    kept = ", ".join(f"p[{c - 3}]" if c in components else "0.0" for c in (3, 4, 5))
+    return {
+        "relative_rotation": about_z.relative_rotation,
+        "relative_point": AT_JOINT if components == (2,) and not pitch else about_z.relative_point,
+        "project_pose": f"c, s = {'turn_of(rot)' if turns else '1.0, 0.0'}\n"
+        f"store_place(c, s, {kept}, coordinates, row)",
+        "turn": about_z.turn if turns else "out[row, 0], out[row, 1] = 1.0, 0.0\nreturn 0.0",
+        "lift": lift,
+        "normalise": about_z.normalise if turns else "return",
+    }
+
+
+def functions_of(components, order, held, pitch):
+    """{name: function or its text} of a group, see table.SPACE."""
+    coordinates = {"relative_point": AT_JOINT, "lift": "return"}
+    if 0 not in components:
+        coordinates = _on_coordinates_about_z(components, pitch)
+    return {
+        "rate_twist": twist_of(components, "rates[row, {k}]", pitch),
+        "move": twist_of(components, "psi[at + {k}, 0]", pitch),
+        "add_rates": "w, v = add3(w, sw), add3(v, sv)\nreturn (w, v), se3_ad(w, v, sw, sv)",
+        "eliminate": _eliminate(components, order, held),
+        "hand_on": "return False, torque, force",
+        "accelerate": _accelerate(components, order),
+        "leave": _leave(components, order, held),
+        **coordinates,
+    }

@@ -18,23 +18,21 @@ from liegroup_core.lie.vec3 import (
     vector3,
 )
 
-from . import ball, derived
 from .ball import normalise as normalise
-from .elimination import store_freedom
+from .ball import relative_rotation as relative_rotation
+from .elimination import WITHOUT, leave_direction, store_freedom
+
+_without_x, _without_y, _without_z = WITHOUT[:3]
 
 JOINTS = ()
 COMPONENTS, ORDER = (0, 1, 2, 3, 4, 5), (2, 0, 1, 3, 4, 5)
 
-_eliminate_turns = derived.elimination_of(ball.COMPONENTS, ball.ORDER, False)
-_leave = derived.leaving_of(COMPONENTS, ORDER, False)
-
 
 @kernel
-def relative_pose(link, coordinates, row):
-    """T X."""
-    rotation, point = matrix3(link["rotation"]), vector3(link["point"])
-    rot = matmul3(rotation, load9(coordinates, row, 0))
-    return rot, add3(point, matvec3(rotation, load3(coordinates, row, 9)))
+def relative_point(link, coordinates, row):
+    """Position of T X."""
+    shift = matvec3(matrix3(link["rotation"]), load3(coordinates, row, 9))
+    return add3(vector3(link["point"]), shift)
 
 
 @kernel
@@ -45,12 +43,12 @@ def project_pose(link, rot, p, coordinates, row):
 
 
 @kernel
-def displace(link, coordinates, row, screws, at, out):
+def turn(link, coordinates, row, screws, at, out):
     """X exp(Psi)."""
     xi = (screws[at, 0], screws[at + 1, 0], screws[at + 2, 0])
     eta = (screws[at + 3, 0], screws[at + 4, 0], screws[at + 5, 0])
-    turn, shift = se3_exp(xi, eta)
-    rot, p = se3_compose(load9(coordinates, row, 0), load3(coordinates, row, 9), turn, shift)
+    relative, shift = se3_exp(xi, eta)
+    rot, p = se3_compose(load9(coordinates, row, 0), load3(coordinates, row, 9), relative, shift)
     store9(rot, out, row, 0)
     store3(p, out, row, 9)
     return dot3(xi, xi)
@@ -62,8 +60,8 @@ def move_coordinates(link, coordinates, row, psi, at, out):
     rot = load9(coordinates, row, 0)
     shift = matvec3(rot, (psi[at + 3, 0], psi[at + 4, 0], psi[at + 5, 0]))
     store3(add3(load3(coordinates, row, 9), shift), out, row, 9)
-    turn = so3_exp((psi[at, 0], psi[at + 1, 0], psi[at + 2, 0]))
-    store9(matmul3(rot, turn), out, row, 0)
+    relative = so3_exp((psi[at, 0], psi[at + 1, 0], psi[at + 2, 0]))
+    store9(matmul3(rot, relative), out, row, 0)
 
 
 @kernel
@@ -81,7 +79,9 @@ def slope(link, first, b, u, rates, row, slopes, at):
 @kernel
 def eliminate(link, work, f, m, torque, force):
     """All freedoms leave an articulated body. Nothing is left for a parent."""
-    m, torque, force = _eliminate_turns(link, work, f, m, torque, force)
+    m, torque, force = _without_z(work, f + 2, m, torque, force)
+    m, torque, force = _without_x(work, f, m, torque, force)
+    m, torque, force = _without_y(work, f + 1, m, torque, force)
     xx, xy, xz, yy, yz, zz = m[15], m[16], m[17], m[18], m[19], m[20]
     store_freedom(work, f + 3, (0.0, 0.0, 0.0, xx, xy, xz), 1.0 / xx, -force[0])
     a, b = xy / xx, xz / xx
@@ -97,5 +97,10 @@ def eliminate(link, work, f, m, torque, force):
 @kernel
 def leave(link, work, f, place, rows, torque, force):
     """The responses of all freedoms. Nothing is left for a parent."""
-    _leave(link, work, f, place, rows, torque, force)
+    w, v = leave_direction(work, f + 2, torque[2], place, torque, force)
+    w, v = leave_direction(work, f, w[0], place + rows, (w[0], w[1], 0.0), v)
+    w, v = leave_direction(work, f + 1, w[1], place + 2 * rows, (0.0, w[1], 0.0), v)
+    w, v = leave_direction(work, f + 3, v[0], place + 3 * rows, ZERO3, v)
+    w, v = leave_direction(work, f + 4, v[1], place + 4 * rows, ZERO3, v)
+    leave_direction(work, f + 5, v[2], place + 5 * rows, ZERO3, v)
     return ZERO3, ZERO3

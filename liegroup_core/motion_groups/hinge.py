@@ -2,37 +2,13 @@
 """SO(2): a link turns about z of its frame."""
 
 from liegroup_core.compiling import kernel
-from liegroup_core.lie.vec3 import load3, load9, matrix3, vector3
+from liegroup_core.lie.vec3 import load3, load9
 
-from . import about_z
-from .about_z import store_place, turn_of, turned
 from .articulated import add_aligned_hinge_inertia, add_hinge_inertia
 
 JOINTS = ("revolute",)
 COMPONENTS = PLANE_COMPONENTS = (2,)
 MAY_BE_HELD = True
-
-normalise = about_z.normalise
-
-
-@kernel
-def relative_pose(link, coordinates, row):
-    """T X."""
-    rotation = turned(matrix3(link["rotation"]), coordinates[row, 0], coordinates[row, 1])
-    return rotation, vector3(link["point"])
-
-
-@kernel
-def project_pose(link, rot, p, coordinates, row):
-    """X nearest to a relative pose."""
-    c, s = turn_of(rot)
-    store_place(c, s, 0.0, 0.0, 0.0, coordinates, row)
-
-
-@kernel
-def displace(link, coordinates, row, screws, at, out):
-    """X exp(Psi)."""
-    return about_z.turn(coordinates, row, screws[at, 0], out)
 
 
 @kernel

@@ -4,23 +4,14 @@
 from liegroup_core.compiling import kernel
 from liegroup_core.lie.coefficients import turn_coefficients
 
-from .about_z import normalise as normalise
-from .about_z import relative_pose as relative_pose
-from .about_z import store_place, turn_of, turned_by
+from .about_z import turned_by
 
 JOINTS = ("planar",)
 COMPONENTS = PLANE_COMPONENTS = (2, 3, 4)
 
 
 @kernel
-def project_pose(link, rot, p, coordinates, row):
-    """X nearest to a relative pose."""
-    c, s = turn_of(rot)
-    store_place(c, s, p[0], p[1], 0.0, coordinates, row)
-
-
-@kernel
-def displace(link, coordinates, row, screws, at, out):
+def turn(link, coordinates, row, screws, at, out):
     """X exp(Psi)."""
     psi = screws[at, 0]
     sinc, versinc = turn_coefficients(psi * psi)

@@ -4,38 +4,33 @@
 import math
 
 from liegroup_core.compiling import kernel
+from liegroup_core.lie.vec3 import axpy3
 
 from . import about_z
-from .about_z import relative_pose as relative_pose
 from .about_z import store_place, turn_of
-from .elimination import accelerate_direction, column, eliminate_direction, is_held, leave_direction
+from .elimination import (
+    accelerate_direction,
+    inverse_of,
+    is_held,
+    leave_direction,
+    reduced,
+    store_freedom,
+)
 
 JOINTS = ("screw",)
 COMPONENTS = (2,)  # that of the rate; with it goes the translation
-MAY_BE_HELD = True
-
-
-@kernel
-def rate_twist(link, rates, row):
-    """S qdot."""
-    return (0.0, 0.0, rates[row, 0]), (0.0, 0.0, link["pitch"] * rates[row, 0])
-
-
-@kernel
-def move(link, psi, at):
-    """Rotation vector and shift."""
-    return (0.0, 0.0, psi[at, 0]), (0.0, 0.0, link["pitch"] * psi[at, 0])
+MAY_BE_HELD = HAS_PITCH = True
 
 
 @kernel
 def _along(c, s, z, pitch):
     """Displacement of a screw: that of its angle, in the turn nearest to a displacement z."""
     lead = 2.0 * math.pi * pitch
-    turn = math.atan2(s, c)
-    ahead = z - pitch * turn
+    angle = math.atan2(s, c)
+    ahead = z - pitch * angle
     if abs(ahead) < 1e15 * abs(lead):
-        turn += 2.0 * math.pi * math.floor(ahead / lead + 0.5)
-    return pitch * turn
+        angle += 2.0 * math.pi * math.floor(ahead / lead + 0.5)
+    return pitch * angle
 
 
 @kernel
@@ -43,14 +38,6 @@ def project_pose(link, rot, p, coordinates, row):
     """X nearest to a relative pose: the angle is kept."""
     c, s = turn_of(rot)
     store_place(c, s, 0.0, 0.0, _along(c, s, p[2], link["pitch"]), coordinates, row)
-
-
-@kernel
-def displace(link, coordinates, row, screws, at, out):
-    """X exp(Psi)."""
-    psi = screws[at, 0]
-    out[row, 4] = coordinates[row, 4] + link["pitch"] * psi
-    return about_z.turn(coordinates, row, psi, out)
 
 
 @kernel
@@ -66,17 +53,24 @@ def eliminate(link, work, f, m, torque, force):
     """The freedom leaves an articulated body."""
     if is_held(work, f):
         return m, torque, force
-    pitch, turn, lift = link["pitch"], column(m, 2), column(m, 5)
+    pitch = link["pitch"]
     U = (
-        turn[0] + pitch * lift[0],
-        turn[1] + pitch * lift[1],
-        turn[2] + pitch * lift[2],
-        turn[3] + pitch * lift[3],
-        turn[4] + pitch * lift[4],
-        turn[5] + pitch * lift[5],
+        m[2] + pitch * m[8],
+        m[4] + pitch * m[11],
+        m[5] + pitch * m[14],
+        m[12] + pitch * m[17],
+        m[13] + pitch * m[19],
+        m[14] + pitch * m[20],
     )
     u = -(torque[2] + pitch * force[2])
-    return eliminate_direction(work, f, U, U[2] + pitch * U[5], u, m, torque, force)
+    inverse = inverse_of(U[2] + pitch * U[5])
+    store_freedom(work, f, U, inverse, u)
+    share = u * inverse
+    return (
+        reduced(m, U, inverse),
+        axpy3(share, (U[0], U[1], U[2]), torque),
+        axpy3(share, (U[3], U[4], U[5]), force),
+    )
 
 
 @kernel

@@ -7,6 +7,7 @@ the functions of SPACE that it does not share with others:
     JOINTS           types of joints that it is made for
     COMPONENTS       of a twist: which one each freedom is, S has unit columns
     ORDER            in which the freedoms are eliminated; without it: as they come
+    HAS_PITCH        True if a translation of link["pitch"] m/rad goes with its first freedom
     MAY_BE_HELD      True if stops and friction may hold its freedoms
     PLANE_COMPONENTS those of a planar mechanism; without it: none has such a joint
 
@@ -15,10 +16,12 @@ of this module call that of its group. They are inlined, so that sweeps pay for 
 """
 
 from collections import Counter
+from textwrap import indent
 
 from liegroup_core.compiling import kernel
 
 from . import ball, cylinder, derived, free, hinge, plane, screw, slide
+from .elimination import made
 
 # The code of a group is its place.
 GROUPS = (hinge, slide, screw, cylinder, plane, ball, free)
@@ -36,11 +39,13 @@ OF_JOINT = {kind: code for code, group in enumerate(GROUPS) for kind in group.JO
 
 # Function: its arguments after the link.
 SPACE = {
-    "relative_pose": "coordinates, row",  # pose T X of the link in its parent
+    "relative_rotation": "coordinates, row",  # of the pose T X of the link in its parent
+    "relative_point": "coordinates, row",  # its position
     "project_pose": "rot, p, coordinates, row",  # X nearest to a pose in the joint's frame
     "rate_twist": "rates, row",  # S qdot
     "add_rates": "sw, sv, w, v",  # V and [V, S qdot]
-    "displace": "coordinates, row, screws, at, out",  # X exp(Psi); its squared angle
+    "turn": "coordinates, row, screws, at, out",  # X exp(Psi); its squared angle
+    "lift": "coordinates, row, screws, at, out",  # its translation along z, if that is independent
     "normalise": "coordinates, row",  # X without round-off
     "slope": "first, b, u, rates, row, slopes, at",  # dexp^-1 of the rates, where that is curved
     "move": "psi, at",  # displacement of a RATTLE step: rotation vector, shift
@@ -48,88 +53,95 @@ SPACE = {
     "eliminate": "work, f, m, torque, force",  # inertia and bias force without the freedoms
     "hand_on": "work, b, m, torque, force",  # what is left, added to the parent in a short form
     "accelerate": "work, f, w, v",  # acceleration with that of the freedoms
-    "leave": "work, f, place, rows, torque, force",  # a wrench without them, and its responses
+    "leave": "work, f, place, rows, w, v",  # a wrench without them, and its responses
 }
 
 
-def _derived(group, code):
-    """{name: function} of a group that its data determine."""
-    components, order = COMPONENTS[code], ORDERS[code]
-    may_be_held = getattr(group, "MAY_BE_HELD", False)
-    return {
-        "rate_twist": derived.twist_of(components, derived.in_row),
-        "move": derived.twist_of(components, derived.in_column),
-        "move_coordinates": group.displace,
-        "slope": None,
-        "add_rates": derived.add_rates,
-        "eliminate": derived.elimination_of(components, order, may_be_held),
-        "hand_on": derived.hand_on,
-        "accelerate": derived.acceleration_of(components, order),
-        "leave": derived.leaving_of(components, order, may_be_held),
-    }
-
-
 def functions_of(code):
-    """{name: function} of a group; None where sweeps never ask."""
+    """{name: function of a group, or its text}; without those that sweeps do not ask."""
     group = GROUPS[code]
-    general = _derived(group, code)
-    return {name: getattr(group, name, general.get(name)) for name in SPACE}
-
-
-def _kernel(name, arguments, lines, called):
-    """Kernel of generated text. The name of this file makes it one of the sources."""
-    text = f"def {name}(link{arguments and ', '}{arguments}):\n" + "".join(
-        f"    {line}\n" for line in lines
-    )
-    names = called | {"__name__": __name__}
-    exec(compile(text, __file__, "exec"), names)
-    return kernel(names[name])
+    held, pitch = getattr(group, "MAY_BE_HELD", False), getattr(group, "HAS_PITCH", False)
+    found = derived.functions_of(COMPONENTS[code], ORDERS[code], held, pitch)
+    return found | {name: getattr(group, name) for name in SPACE if hasattr(group, name)}
 
 
 def choice(name, arguments, functions):
-    """Kernel that calls the function for the group of a link; functions: {code: function}.
+    """Kernel that calls the function for the group of a link; functions: {code: function or text}.
 
     What most groups share comes last, once: the machine code of all is in every caller.
     """
-    count = Counter(functions.values())
+    count, called, lines = Counter(functions.values()), dict(derived.CALLED), []
     last = max(reversed(functions.values()), key=count.get)
-    called = {f"_{code}": function for code, function in functions.items()}
-    lines = [
-        f'if link["group"] == {code}: return _{code}(link, {arguments})'
-        for code, function in functions.items()
-        if function is not last
-    ]
-    called["_last"] = last
-    return _kernel(name, arguments, [*lines, f"return _last(link, {arguments})"], called)
+    for number, function in enumerate([*(each for each in count if each is not last), last]):
+        body = function
+        if not isinstance(function, str):
+            called[f"_{number}"], body = function, f"return _{number}(link, {arguments})"
+        if function is not last:
+            lines.append(
+                f"if {_is_any(code for code in functions if functions[code] == function)}:"
+            )
+            body = indent(body + ("" if "return" in body else "\nreturn"), "    ")
+        lines.append(body)
+    return _kernel(name, f"link, {arguments}", "\n".join(lines), called)
+
+
+def _is_any(codes):
+    """Text: whether the link has one of these groups."""
+    return " or ".join(f'link["group"] == {code}' for code in codes)
+
+
+def _kernel(name, arguments, body, called):
+    text = f"def {name}({arguments}):\n{indent(body, '    ')}\n"
+    return made(name, text, called | {"__name__": __name__})
 
 
 _FUNCTIONS = [functions_of(code) for code in range(len(GROUPS))]
 
 
-def _chosen(name):
-    functions = {code: each[name] for code, each in enumerate(_FUNCTIONS)}
-    return choice(name, SPACE[name], {code: f for code, f in functions.items() if f is not None})
+def _chosen(name, other=None):
+    """Kernel of SPACE; other: for groups without this function."""
+    functions = {code: each.get(name, other) for code, each in enumerate(_FUNCTIONS)}
+    missing = [GROUPS[code].__name__ for code in functions if functions[code] is None]
+    if missing:
+        raise TypeError(f"no function {name}: {', '.join(missing)}")
+    return choice(name, SPACE[name], functions)
 
 
-relative_pose, project_pose = _chosen("relative_pose"), _chosen("project_pose")
+_turn, _lift = _chosen("turn"), _chosen("lift")
+
+
+@kernel
+def displace(link, coordinates, row, screws, at, out):
+    """Write X exp(Psi) to a row of `out`; see SPACE. Returns its squared angle."""
+    _lift(link, coordinates, row, screws, at, out)
+    return _turn(link, coordinates, row, screws, at, out)
+
+
+relative_rotation, relative_point = _chosen("relative_rotation"), _chosen("relative_point")
+project_pose, normalise = _chosen("project_pose"), _chosen("normalise")
 rate_twist, add_rates = _chosen("rate_twist"), _chosen("add_rates")
-displace, normalise, slope = _chosen("displace"), _chosen("normalise"), _chosen("slope")
-move, move_coordinates = _chosen("move"), _chosen("move_coordinates")
+move, move_coordinates = _chosen("move"), _chosen("move_coordinates", displace)
 eliminate, hand_on = _chosen("eliminate"), _chosen("hand_on")
 accelerate, leave = _chosen("accelerate"), _chosen("leave")
 
-# Whether dexp is not the identity.
-_CURVED = [code for code, each in enumerate(_FUNCTIONS) if each["slope"] is not None]
-is_curved = _kernel(
-    "is_curved", "", ["return " + " or ".join(f'link["group"] == {code}' for code in _CURVED)], {}
-)
+
+@kernel
+def relative_pose(link, coordinates, row):
+    """Pose T X of a link in its parent link: rotation, position in m."""
+    return relative_rotation(link, coordinates, row), relative_point(link, coordinates, row)
+
+
+# Groups whose dexp is not the identity; only these have a slope.
+_CURVED = {code: each["slope"] for code, each in enumerate(_FUNCTIONS) if "slope" in each}
+is_curved = _kernel("is_curved", "link", f"return {_is_any(_CURVED)}", {})
+slope = choice("slope", SPACE["slope"], _CURVED)
 
 # S qdot of a link of a planar mechanism, whose slides move along x, as a twist in space.
 plane_rate_twist = choice(
     "plane_rate_twist",
     "rates, row",
     {
-        code: derived.twist_of(components, derived.in_row)
+        code: derived.twist_of(components, "rates[row, {k}]")
         for code, components in PLANE_COMPONENTS.items()
     },
 )
