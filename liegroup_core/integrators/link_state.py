@@ -13,7 +13,10 @@ from liegroup_core.formulations.relative.kinds import (
     place_bodies,
     place_links,
 )
+from liegroup_core.lie.vec3 import load3, store3
 from liegroup_core.model.arrays import copy_state, make_work
+from liegroup_core.motion_groups.direct import to_world
+from liegroup_core.motion_groups.table import in_world_axes
 from liegroup_core.status import OK
 
 from .methods import RELATIVE
@@ -68,6 +71,8 @@ def begin(model, work, pose, twist):
         for k in range(6):
             work.velocity[b, k] = twist[n + b, k]
             work.stage_twist[n + b, k] = twist[n + b, k]
+        if in_world_axes(model.bodies[b]):
+            store3(to_world(pose, n + b, load3(twist, n + b, 3)), work.velocity, b, 3)
 
 
 @shared

@@ -29,6 +29,20 @@ def store3(vector, array_out, row, start):
 
 
 @kernel
+def load_column(array, row, column):
+    """Read three entries of a column of a two-dimensional array, from `row` on."""
+    return (array[row, column], array[row + 1, column], array[row + 2, column])
+
+
+@kernel
+def store_column(vector, array_out, row, column):
+    """Write a vector to a column of a two-dimensional array, from `row` on."""
+    array_out[row, column] = vector[0]
+    array_out[row + 1, column] = vector[1]
+    array_out[row + 2, column] = vector[2]
+
+
+@kernel
 def load9(array, row, start):
     """Read nine entries of a row of a two-dimensional array, from `start` on: a matrix."""
     return (

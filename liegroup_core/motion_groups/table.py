@@ -9,6 +9,7 @@ the functions of SPACE that it does not share with others:
     ORDER            in which the freedoms are eliminated; without it: as they come
     HAS_PITCH        True if a translation of link["pitch"] m/rad goes with its first freedom
     MAY_BE_HELD      True if stops and friction may hold its freedoms
+    IN_WORLD_AXES    True if velocities on the group are in world axes: see direct.py
     PLANE_COMPONENTS those of a planar mechanism; without it: none has such a joint
 
 Every function takes the record of the link first (formulations/relative/arrays.LINK). The functions
@@ -20,12 +21,12 @@ from textwrap import indent
 
 from liegroup_core.compiling import kernel
 
-from . import ball, cylinder, derived, free, hinge, plane, screw, slide
+from . import ball, cylinder, derived, direct, free, hinge, plane, screw, slide
 from .elimination import made
 
 # The code of a group is its place.
-GROUPS = (hinge, slide, screw, cylinder, plane, ball, free)
-HINGE, SLIDE, SCREW, CYLINDER, PLANE, BALL, FREE = range(len(GROUPS))
+GROUPS = (hinge, slide, screw, cylinder, plane, ball, free, direct)
+HINGE, SLIDE, SCREW, CYLINDER, PLANE, BALL, FREE, DIRECT = range(len(GROUPS))
 
 COMPONENTS = tuple(group.COMPONENTS for group in GROUPS)
 FREEDOMS = tuple(map(len, COMPONENTS))
@@ -45,6 +46,7 @@ SPACE = {
     "rate_twist": "rates, row",  # S qdot
     "add_rates": "sw, sv, w, v",  # V and [V, S qdot]
     "turn": "coordinates, row, screws, at, out",  # X exp(Psi); its squared angle
+    "turn_by_twist": "coordinates, row, screws, at, out",  # X exp(Psi) for Psi in link axes
     "lift": "coordinates, row, screws, at, out",  # its translation along z, if that is independent
     "normalise": "coordinates, row",  # X without round-off
     "slope": "first, b, u, rates, row, slopes, at",  # dexp^-1 of the rates, where that is curved
@@ -108,6 +110,7 @@ def _chosen(name, other=None):
 
 
 _turn, _lift = _chosen("turn"), _chosen("lift")
+_turn_by_twist = _chosen("turn_by_twist", _turn)
 
 
 @kernel
@@ -115,6 +118,13 @@ def displace(link, coordinates, row, screws, at, out):
     """Write X exp(Psi) to a row of `out`; see SPACE. Returns its squared angle."""
     _lift(link, coordinates, row, screws, at, out)
     return _turn(link, coordinates, row, screws, at, out)
+
+
+@kernel
+def displace_by_twist(link, coordinates, row, screws, at, out):
+    """`displace` where Psi is in link axes for all groups."""
+    _lift(link, coordinates, row, screws, at, out)
+    return _turn_by_twist(link, coordinates, row, screws, at, out)
 
 
 relative_rotation, relative_point = _chosen("relative_rotation"), _chosen("relative_point")
@@ -135,6 +145,9 @@ def relative_pose(link, coordinates, row):
 _CURVED = {code: each["slope"] for code, each in enumerate(_FUNCTIONS) if "slope" in each}
 is_curved = _kernel("is_curved", "link", f"return {_is_any(_CURVED)}", {})
 slope = choice("slope", SPACE["slope"], _CURVED)
+
+_DIRECT = [code for code, group in enumerate(GROUPS) if getattr(group, "IN_WORLD_AXES", False)]
+in_world_axes = _kernel("in_world_axes", "link", f"return {_is_any(_DIRECT)}", {})
 
 # S qdot of a link of a planar mechanism, whose slides move along x, as a twist in space.
 plane_rate_twist = choice(

@@ -5,7 +5,7 @@ import numpy as np
 
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.model.build import LARGE_RATIO, are_unlike, levers
-from liegroup_core.motion_groups.table import ORDERS
+from liegroup_core.motion_groups.table import DIRECT, FREE, ORDERS
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
 from liegroup_core.threads import one_blas_thread
 
@@ -33,7 +33,8 @@ def relative_model(scene, model, in_space=False, group=None):
     if group is not None:
         allowed = ()
     tree = spanning_tree(scene, allowed)
-    links, places = find_links(scene, frames, tree, normal)
+    floating = DIRECT if group == "so3xr3" else FREE
+    links, places = find_links(scene, frames, tree, normal, floating)
     index = {body.name: i for i, body in enumerate(scene.bodies)}
     records = link_records(scene, links, index)
     coupled = coupled_links(scene, links)

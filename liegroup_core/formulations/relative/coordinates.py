@@ -37,6 +37,13 @@ from .arrays import AFTER_CROSS, CROSS
 
 
 @kernel
+def displace_by_twist(model, b, coordinates, screws, at, out):
+    """`displace` where Psi is in link axes for all groups."""
+    row = len(model.parts) + b
+    return table.displace_by_twist(model.bodies[b], coordinates, row, screws, at, out)
+
+
+@kernel
 def displace(model, b, coordinates, screws, at, out):
     """Write X exp(Psi) of link b to its row of `out`.
 

@@ -25,9 +25,9 @@ def by_space(name, space, plane):
     return Choice(name, {RelativeModel: getattr(space, name), PlaneModel: getattr(plane, name)})
 
 
-coordinates, displace, normalise = (
+coordinates, displace, displace_by_twist, normalise = (
     by_space(name, space_coordinates, plane_coordinates)
-    for name in ("coordinates", "displace", "normalise")
+    for name in ("coordinates", "displace", "displace_by_twist", "normalise")
 )
 place_links, lift_links, place_bodies = (
     by_space(name, space_coordinates, plane_coordinates)

@@ -53,10 +53,11 @@ class Link:
         return S
 
 
-def find_links(scene, frames, tree, normal):
+def find_links(scene, frames, tree, normal, floating=FREE):
     """([Link], {body or world: (link index or WORLD, pose (4, 4) in the link)}).
 
-    normal : of the plane of a planar mechanism, else None
+    normal   : of the plane of a planar mechanism, else None
+    floating : motion group of a floating link
     """
     poses = {body.name: body.pose for body in scene.bodies} | {WORLD_NAME: np.eye(4)}
     welds = _welds(scene, frames, tree.members)
@@ -70,7 +71,7 @@ def find_links(scene, frames, tree, normal):
             centre = sum(m * welds[name][:3, 3] for m, name in zip(masses, bodies)) / masses.sum()
             frame = np.eye(4)
             frame[:3, 3] = centre
-            links.append(Link(None, FREE, WORLD, np.eye(4)))
+            links.append(Link(None, floating, WORLD, np.eye(4)))
         else:
             joint, (F_a, F_b) = scene.joints[j], frames[j]
             reverse = joint.child not in bodies

@@ -18,7 +18,15 @@ from liegroup_core.formulations.constraints import MAX_ITERATIONS, is_satisfied
 from liegroup_core.status import DEPENDENT_ROWS, NOT_PROJECTED, OK
 
 from .coupled_rows import set_all_rows, set_gap
-from .kinds import displace, gather, lift_links, move_links, place_links, respond, spread_response
+from .kinds import (
+    displace_by_twist,
+    gather,
+    lift_links,
+    move_links,
+    place_links,
+    respond,
+    spread_response,
+)
 from .matrix import AT, REGULARISATION, factor, has_small_pivot, is_off, set_shared, solve
 
 SINGULAR, POOR = -2, -3
@@ -170,7 +178,7 @@ def project(model, work):
                 for k in range(model.bodies[b]["freedoms"]):
                     work.stage_twist[n + b, k] += work.acceleration[f + k, 0]
             else:
-                displace(model, b, work.stage_pose, work.acceleration, f, work.stage_pose)
+                displace_by_twist(model, b, work.stage_pose, work.acceleration, f, work.stage_pose)
         if satisfied:
             return OK
     return NOT_PROJECTED

@@ -49,6 +49,9 @@ def displace(model, b, coordinates, screws, at, out):
     return x
 
 
+displace_by_twist = displace
+
+
 @kernel
 def normalise(model, b, coordinates):
     """Remove the round-off by which a product leaves the group of link b."""

@@ -15,7 +15,7 @@ friction are left to the regularisation of loops.py.
 from liegroup_core.compiling import kernel
 from liegroup_core.model.arrays import copy_state
 
-from .kinds import displace
+from .kinds import displace_by_twist
 
 # Displacement d V of the joint that turns fastest, rad: three times the distance at which a pose is singular.
 ASIDE = 2e-2
@@ -55,7 +55,7 @@ def go_aside(model, work, d):
             rate = work.middle_twist[n + b, k]
             work.total[f + k, 0] = d * rate
             work.stage_twist[n + b, k] = rate + d * work.middle[f + k, 0]
-        displace(model, b, work.middle_pose, work.total, f, work.stage_pose)
+        displace_by_twist(model, b, work.middle_pose, work.total, f, work.stage_pose)
 
 
 @kernel

@@ -25,6 +25,9 @@ from liegroup_core.integrators import link_state
 from liegroup_core.integrators.link_state import enter as enter
 from liegroup_core.integrators.link_state import leave as leave
 from liegroup_core.integrators.motion import end_status, rotation_status
+from liegroup_core.lie.vec3 import load3, load_column, store3
+from liegroup_core.motion_groups.direct import to_link, to_link_rate, to_world, to_world_rate
+from liegroup_core.motion_groups.table import in_world_axes
 from liegroup_core.status import OK
 
 from .arrays import set_end, set_size, sigma
@@ -38,6 +41,9 @@ def begin(model, work, memory, pose, twist):
         first = model.bodies[b]["freedom"]
         for k in range(model.bodies[b]["freedoms"]):
             memory.velocity[first + k] = twist[n + b, k]
+        if in_world_axes(model.bodies[b]):
+            v = to_world(pose, n + b, load3(twist, n + b, 3))
+            memory.velocity[first + 3], memory.velocity[first + 4], memory.velocity[first + 5] = v
 
 
 @kernel
@@ -51,6 +57,16 @@ def initialise(model, work, memory, pose, twist, external):
     f = len(memory.rate)
     for k in range(f):
         memory.x[k] = work.acceleration[k, 0]
+    n = len(model.parts)
+    for b in range(len(model.bodies)):
+        if in_world_axes(model.bodies[b]):
+            at, w, v = (
+                model.bodies[b]["freedom"] + 3,
+                load3(twist, n + b, 0),
+                load3(twist, n + b, 3),
+            )
+            rate = to_world_rate(pose, n + b, w, v, load_column(work.acceleration, at, 0))
+            memory.x[at], memory.x[at + 1], memory.x[at + 2] = rate
     for r in range(len(work.multipliers)):
         memory.x[f + r] = work.multipliers[r]
     return -1
@@ -69,6 +85,15 @@ def move(model, work, memory, numbers, h, pose):
             largest = rotation
         for k in range(model.bodies[b]["freedoms"]):
             work.stage_twist[n + b, k] = memory.end[first + k]
+            memory.body_rate[first + k] = memory.x[first + k]
+        if in_world_axes(model.bodies[b]):
+            v = to_link(work.stage_pose, n + b, load3(work.stage_twist, n + b, 3))
+            store3(v, work.stage_twist, n + b, 3)
+            rate = memory.x[first + 3], memory.x[first + 4], memory.x[first + 5]
+            w = load3(work.stage_twist, n + b, 0)
+            rate = to_link_rate(work.stage_pose, n + b, w, v, rate)
+            memory.body_rate[first + 3], memory.body_rate[first + 4] = rate[0], rate[1]
+            memory.body_rate[first + 5] = rate[2]
     work.report[1] = max(work.report[1], largest)
     return rotation_status(largest)
 
@@ -93,7 +118,7 @@ def residual(model, work, memory, numbers, h, pose, external):
         set_rows(model, work)
         lift_links(model, work)
         set_gap(model, work)
-    inverse_dynamics(model, work, memory.x, memory.residual)
+    inverse_dynamics(model, work, memory.body_rate, memory.residual)
     for row in range(len(model.row_residual)):
         memory.residual[f + row] = work.gap[model.row_residual[row]] / sigma(numbers, h)
     return OK

@@ -21,8 +21,9 @@ from liegroup_core.integrators.link_state import place
 from liegroup_core.integrators.methods import EXACT
 from liegroup_core.integrators.motion import end_status
 from liegroup_core.lie.coefficients import dexpinv_coefficients, truncated_dexpinv_coefficients
-from liegroup_core.lie.vec3 import dot3
-from liegroup_core.motion_groups.table import is_curved, slope
+from liegroup_core.lie.vec3 import dot3, load3, load_column, store3, store_column
+from liegroup_core.motion_groups.direct import to_link, to_world, to_world_rate
+from liegroup_core.motion_groups.table import in_world_axes, is_curved, slope
 from liegroup_core.motion_groups.table import move as displacement
 from liegroup_core.status import (
     LARGEST_ROTATION,
@@ -66,6 +67,9 @@ def move(model, work, scheme, h, stage, end, pose):
         work.stage_twist[n + b, 0] = work.velocity[b, 0] + work.slopes[f, 1]
         for k in range(1, link["freedoms"]):
             work.stage_twist[n + b, k] = work.velocity[b, k] + work.slopes[f + k, 1]
+        if in_world_axes(link):
+            v = to_link(work.stage_pose, n + b, load3(work.stage_twist, n + b, 3))
+            store3(v, work.stage_twist, n + b, 3)
     if not largest < LARGEST_ROTATION * LARGEST_ROTATION:
         return ROTATION_TOO_LARGE if largest < math.inf else NOT_FINITE
     work.report[1] = max(work.report[1], largest)
@@ -100,6 +104,12 @@ def store_slopes(model, work, scheme, stage):
                 work.slopes[at + k, 0] = work.stage_twist[row, k]
         for k in range(link["freedoms"]):
             work.slopes[at + k, 1] = work.acceleration[f + k, 0]
+        if in_world_axes(link):
+            w, v = load3(work.stage_twist, row, 0), load3(work.stage_twist, row, 3)
+            rate = load_column(work.slopes, at + 3, 1)
+            store_column(to_world(work.stage_pose, row, v), work.slopes, at + 3, 0)
+            rate = to_world_rate(work.stage_pose, row, w, v, rate)
+            store_column(rate, work.slopes, at + 3, 1)
     if stage == 0 and len(model.switches) > 0:
         set_rates(model, work, work.since)
 

@@ -10,7 +10,8 @@ from liegroup_core.integrators.motion import error_norm_square
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.se3 import se3_Ad_inverse
 from liegroup_core.lie.vec3 import add3, cross3, load3, load9, store3, vector3
-from liegroup_core.motion_groups.table import plane_rate_twist, rate_twist
+from liegroup_core.motion_groups.direct import to_link
+from liegroup_core.motion_groups.table import in_world_axes, plane_rate_twist, rate_twist
 
 
 @kernel
@@ -44,6 +45,9 @@ def _in_space(model, work, i, place):
     moved, rate = rate_twist(link, work.difference, 0), rate_twist(link, work.difference, 1)
     a = link["parent"]
     if a == WORLD:
+        if in_world_axes(link):
+            pose, at = work.stage_pose, len(model.parts) + i
+            return moved[0], to_link(pose, at, moved[1]), rate[0], to_link(pose, at, rate[1])
         return moved[0], moved[1], rate[0], rate[1]
     rot, p = load9(work.relative, i, 0), load3(work.relative, i, 9)
     return _with_parent(work, place + a, rot, p, moved, rate)
