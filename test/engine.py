@@ -5,9 +5,14 @@ import naive
 import numpy as np
 
 from liegroup_core.engine import Engine
-from liegroup_core.formulations.absolute.constraints import assemble, position_residuals
-from liegroup_core.formulations.relative.arrays import PlaneModel, RelativeModel
-from liegroup_core.integrators.rkmk import spaces
+from liegroup_core.formulations.constraints import position_residuals
+from liegroup_core.formulations.relative.arrays import PlaneModel
+from liegroup_core.formulations.relative.coupled_rows import set_all_rows
+from liegroup_core.formulations.relative.kinds import lift_links, move_links, place_links
+from liegroup_core.formulations.relative.loops import gather_alone, project
+from liegroup_core.integrators.link_state import place
+from liegroup_core.integrators.rkmk import relative
+from liegroup_core.lie.groups import SE3
 
 
 def residual(model, found):
@@ -17,28 +22,59 @@ def residual(model, found):
     return values
 
 
-def rows(simulation, pose=None, twist=None):
-    """Jacobian (all rows, 6 n) and bias of a state, by default the simulation's.
-
-    Rows are in the order of `residual`; redundant rows are zero.
-    """
-    model, work = simulation.layout.model, simulation._work
+def at_stage(simulation, pose=None, twist=None):
+    """(model, work) of a Munthe-Kaas method whose stage is a state, by default the simulation's."""
+    model, work = simulation._integrator.links
     pose = simulation.state()[0] if pose is None else pose
     twist = simulation.state()[1] if twist is None else twist
-    assemble(model, work, pose, twist)
-    count = int(model.elements["rows"].sum())
-    J, bias = np.zeros((count, 6 * len(pose))), np.zeros(count)
-    for j, joint in enumerate(model.joints):
-        k, body = joint["rows"], 6 * joint["child"]
-        where = model.row_residual[joint["first"] : joint["first"] + k]
-        bias[where] = work.solution[joint["start"] : joint["start"] + k]
-        J[where, body : body + 6] = work.child_jacobian[joint["first"] : joint["first"] + k]
-        if joint["parent"] >= 0:
-            body = 6 * joint["parent"]
-            block = work.matrix[joint["parent_place"] : joint["parent_place"] + 6 * k]
-            block = block.reshape(6, k).T if joint["parent_turned"] else block.reshape(k, 6)
-            J[where, body : body + 6] = block
+    work.known[0] = 0.0  # the coordinates are found from the state
+    relative.enter(model, work, pose, twist, simulation._external)
+    relative.begin(model, work, work.pose, work.twist)
+    work.known[0] = 0.0
+    return model, work
+
+
+def rows(simulation, pose=None, twist=None):
+    """Jacobian (all rows, 6 n) and bias of a state, by default that of the simulation; group se3.
+
+    Rows are in the order of `residual`; redundant rows, and those of joints that weld bodies, are
+    zero. Columns of bodies that are welded together are those of the first of them.
+    """
+    model, work = at_stage(simulation, pose, twist)
+    for kernel in (move_links, place_links, lift_links, gather_alone, set_all_rows):
+        kernel(model, work)
+    space = simulation.layout.model
+    J = np.zeros((int(space.elements["rows"].sum()), 6 * len(model.parts)))
+    bias = np.zeros(len(J))
+    for joint, owner in zip(model.joints, model.owners):
+        of = slice(joint["first"], joint["first"] + joint["rows"])
+        first = model.elements["row_start"][joint["element"]]
+        where = model.row_residual[of] - first + space.elements["row_start"][owner]
+        bias[where] = work.bias[of]
+        for link, jacobian in (
+            (joint["child"], work.child_jacobian),
+            (joint["parent"], work.parent_jacobian),
+        ):
+            if link >= 0:
+                body = int(np.argmax(model.parts["link"] == link))
+                part = model.parts[body]
+                own = naive.matrices(np.concatenate([part["rotation"], part["point"]])[None])[0]
+                J[where, 6 * body : 6 * body + 6] = jacobian[of] @ SE3.Ad(own)
     return J, bias
+
+
+def placed(model, work):
+    """(pose, twist) of all bodies at the stage."""
+    pose, twist = work.pose[: len(model.parts)].copy(), work.twist[: len(model.parts)].copy()
+    place(model, work, pose, twist)
+    return pose, twist
+
+
+def projected(simulation, pose, twist):
+    """(status, pose, twist) after the projection of a state onto the cut joints."""
+    model, work = at_stage(simulation, pose, twist)
+    status = project(model, work)
+    return status, *placed(model, work)
 
 
 def masses(scene):
@@ -64,17 +100,9 @@ def engine_accelerations(scene, wrenches=(), **options):
     for body, wrench, axes in wrenches:
         simulation.apply_wrench(body, wrench, source=axes, axes=axes)
     simulation.advance(0)  # writes the wrenches of this instant
-    integrator = simulation._integrator
-    model, work = integrator._model, integrator._work
-    pose, twist, external, status = spaces.enter(
-        model, work, *simulation.state(), simulation._external
-    )
-    assert status == 0
-    spaces.begin(model, work, integrator._group, pose, twist)
-    assert spaces.accelerate(model, work, external) == -1
-    if isinstance(model, RelativeModel):
-        return _of_bodies(model, work, simulation.state()[0])
-    return work.acceleration.copy()
+    model, work = at_stage(simulation)
+    assert relative.accelerate(model, work, simulation._external) == -1
+    return _of_bodies(model, work, simulation.state()[0])
 
 
 def _of_bodies(model, work, pose):

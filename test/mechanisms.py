@@ -312,6 +312,13 @@ MECHANISMS = {
     ),
 }
 
+# Those without a joint that welds bodies together.
+UNWELDED = [
+    name
+    for name, joints in MECHANISMS.items()
+    if not any(kind == "fixed" for _, _, kind in sum(joints, []))
+]
+
 
 @functools.lru_cache(maxsize=None)
 def named(name, seed=0):
