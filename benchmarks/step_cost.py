@@ -25,13 +25,10 @@ from liegroup_core.engine import Engine
 STEPS = 20_000
 # Simulations that together use all kernels.
 FAMILIES = {
-    "SE(3)^n": ("free_body", "rkmk4"),
     "relative coordinates in space": ("heavy_top", "rkmk4"),
     "relative coordinates in a plane": ("four_bar", "rkmk4"),
-    "generalized_alpha on SE(3)^n": ("free_body", "generalized_alpha"),
     "generalized_alpha in relative coordinates in space": ("heavy_top", "generalized_alpha"),
     "generalized_alpha in relative coordinates in a plane": ("four_bar", "generalized_alpha"),
-    "constrained_rattle on (SO(3) x R^3)^n": ("free_body", "constrained_rattle"),
     "constrained_rattle in relative coordinates in space": ("heavy_top", "constrained_rattle"),
     "constrained_rattle in relative coordinates in a plane": ("four_bar", "constrained_rattle"),
     "rotation methods": ("lagrangian_top", "rattle"),

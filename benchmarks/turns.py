@@ -3,11 +3,11 @@
 
     python benchmarks/turns.py [--steps 50000]
 
-In `constrained_rattle` the turn x of a body follows from its velocity w' at the start of a step,
+In `constrained_rattle` the turn x of a body in a step determines its velocity w' at the start,
 y = h I w'. What else is symmetric and of order 2 is put in its place:
-    variational      dexpinv_{-x} I x = y                               what the method does
-    Lie midpoint     I x = exp(-x/2) y                                  not variational
-    Moser-Veselov    (sin t/t) I x + ((1-cos t)/t^2) x x I x = y        variational, t = |x|
+    variational      y = dexpinv_{-x} I x                               what the method does
+    Lie midpoint     y = exp(x/2) I x                                   not variational
+    Moser-Veselov    y = (sin t/t) I x + ((1-cos t)/t^2) x x I x        variational, t = |x|
 Prints for a chain of three ball joints that swings chaotically
     error    of the poses after 1 s, rad or m, against the independent integration
     scatter  rms of the energy about its mean over a long run, and largest deviation from the
@@ -33,22 +33,24 @@ SAMPLES = 2000
 
 def put(turn):
     """Replace the rotation update of the method; call it before anything is compiled."""
-    from liegroup_core.compiling import subroutine
-    from liegroup_core.integrators.rattle import absolute
-    from liegroup_core.integrators.rotation.newton import INCREMENT, RATTLE, newton
-    from liegroup_core.lie.vec3 import ZERO3
+    from liegroup_core.compiling import kernel
+    from liegroup_core.integrators.rattle import space_links
+    from liegroup_core.lie.coefficients import turn_coefficients
+    from liegroup_core.lie.so3 import so3_exp
+    from liegroup_core.lie.vec3 import axpy3, cross3, dot3, matvec3, scale3
 
-    @subroutine
-    def midpoint(kind, inertia, h, start, v, a, b, c):
-        # (2/h) I x - exp(-x/2) b = 0 with 2 in place of h
-        return newton(INCREMENT, inertia, 2.0, start, ZERO3, ZERO3, c, ZERO3)
+    # In place of dexpinv_{-x}, with its arguments.
+    @kernel
+    def midpoint(first, factor, x, y):
+        return matvec3(so3_exp(scale3(0.5, x)), y)
 
-    @subroutine
-    def moser_veselov(kind, inertia, h, start, v, a, b, c):
-        return newton(RATTLE, inertia, h, start, v, a, b, c)
+    @kernel
+    def moser_veselov(first, factor, x, y):
+        sinc, versinc = turn_coefficients(dot3(x, x))
+        return axpy3(versinc, cross3(x, y), scale3(sinc, y))
 
     if turn != TURNS[0]:
-        absolute.newton = midpoint if turn == TURNS[1] else moser_veselov
+        space_links.so3_dexpinv_of = midpoint if turn == TURNS[1] else moser_veselov
 
 
 def chain():
@@ -89,11 +91,11 @@ def measure(steps):
     from liegroup_core.reference import integrate
 
     scene = chain()
-    start = Engine(scene, method="constrained_rattle", group="so3xr3").state()
+    start = Engine(scene, method="constrained_rattle").state()
     reference, _ = integrate(scene, *start, [1.0])
     errors = []
     for step in SHORT:
-        simulation = Engine(scene, method="constrained_rattle", step=step, group="so3xr3")
+        simulation = Engine(scene, method="constrained_rattle", step=step)
         simulation.advance(round(1.0 / step))
         pose = simulation.state()[0]
         errors.append(
@@ -102,7 +104,7 @@ def measure(steps):
                 np.abs(pose[:, 9:] - reference.position[0]).max(),
             )
         )
-    simulation = Engine(scene, method="constrained_rattle", step=STEP, group="so3xr3")
+    simulation = Engine(scene, method="constrained_rattle", step=STEP)
     first, energy, kinetic = simulation.energy(), [], []
     for k in range(SAMPLES):
         simulation.advance(steps // SAMPLES)

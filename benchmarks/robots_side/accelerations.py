@@ -6,7 +6,7 @@ import numpy as np
 from liegroup_core.engine import Engine
 from liegroup_core.formulations.relative.inverse_dynamics import inverse_dynamics
 from liegroup_core.formulations.relative.trees import move_links
-from liegroup_core.integrators.rkmk import spaces
+from liegroup_core.integrators.rkmk import relative
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.scene.consistency import resolve_couplings
 
@@ -23,12 +23,13 @@ class Accelerations:
         engine = self.engine
         engine.set_state(*self.offsets.to_centres(pose, twist))
         engine.advance(0)
-        integrator = engine._integrator
-        model, work = integrator._model, integrator._work
-        pose, twist, external, status = spaces.enter(model, work, *engine.state(), engine._external)
+        model, work = engine._integrator.links
+        pose, twist, external, status = relative.enter(
+            model, work, *engine.state(), engine._external
+        )
         assert status == 0
-        spaces.begin(model, work, integrator._group, pose, twist)
-        assert spaces.accelerate(model, work, external) == -1
+        relative.begin(model, work, pose, twist)
+        assert relative.accelerate(model, work, external) == -1
         # Beside a singular pose the links are left as they were displaced.
         rates = work.acceleration[:, 0].copy()
         move_links(model, work)
