@@ -15,7 +15,7 @@ import random_mechanisms
 
 from liegroup_core.engine import Engine
 from liegroup_core.formulations.relative.kinds import inverse_dynamics
-from liegroup_core.integrators.rkmk import spaces
+from liegroup_core.integrators.rkmk import relative
 
 SPACES = ("auto", "space")
 CASES = [(name, seed) for name in random_mechanisms.CLASSES for seed in range(4)]
@@ -28,10 +28,8 @@ def solved(scene, wrenches, space):
     for body, wrench, axes in wrenches:
         simulation.apply_wrench(body, wrench, source=axes, axes=axes)
     simulation.advance(0)
-    model, work = simulation._integrator._model, simulation._integrator._work
-    pose, twist, external, _ = spaces.enter(model, work, *simulation.state(), simulation._external)
-    spaces.begin(model, work, 0, pose, twist)
-    assert spaces.accelerate(model, work, external) == -1
+    model, work = engine.at_stage(simulation)
+    assert relative.accelerate(model, work, simulation._external) == -1
     return simulation, model, work
 
 

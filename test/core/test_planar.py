@@ -13,6 +13,7 @@ import pytest
 
 from liegroup_core import Scene, Simulation, load_scene
 from liegroup_core.describe import describe
+from liegroup_core.formulations.relative.arrays import PlaneModel, RelativeModel
 from liegroup_core.layout import make_layout
 from liegroup_core.lie.groups import SO3
 from liegroup_core.scene.description import (
@@ -238,10 +239,13 @@ def test_accelerations_of_unlike_masses_against_50_digits(name):
         assert (precise.errors(exact, found).max(axis=1) <= bound).all()
 
 
-def test_planar_mechanisms_are_integrated_in_relative_coordinates_unless_in_space():
+def test_planar_mechanisms_are_integrated_in_their_plane_unless_in_space():
     scene = load_scene("four_bar")
-    groups = [Simulation(scene, method="rkmk8", **keys).group for keys in ({}, {"space": "space"})]
-    assert groups == ["relative", "se3"]
+    models = [
+        type(Simulation(scene, method="rkmk8", **keys)._integrator.links[0])
+        for keys in ({}, {"space": "space"}, {"group": "se3"})
+    ]
+    assert models == [PlaneModel, RelativeModel, RelativeModel]
 
 
 def test_planar_projection_satisfies_the_constraints():

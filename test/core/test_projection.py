@@ -12,7 +12,6 @@ from liegroup_core.joints import LOWER_PAIRS
 from liegroup_core.lie.groups import SE3
 from liegroup_core.status import DEPENDENT_ROWS, NOT_PROJECTED, OK
 
-
 # Poses pass through the coordinates of the links and back: two products of three terms each.
 ROUNDED = 8 * 2.0**-53
 
