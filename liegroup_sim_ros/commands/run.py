@@ -129,8 +129,8 @@ def add_settings(parser):
     parser.add_argument(
         "--group",
         metavar="NAME",
-        help=f"configuration space: {', '.join(CONFIGURATION_GROUPS)} or auto, the cheapest one "
-        "that the method supports (default: auto)",
+        help=f"configuration space: {', '.join(CONFIGURATION_GROUPS)} or auto: relative, for "
+        "rotation methods so3xr3 (default: auto)",
     )
     parser.add_argument(
         "--stabilisation",

@@ -116,9 +116,7 @@ TABLE = (
         "group",
         "auto",
         "configuration space: SE(3) or SO(3) x R^3 for every body, or relative, the product of the "
-        "joints' motion groups; auto: the cheaper one of relative and SE(3) for rkmk methods, "
-        "generalized_alpha and with an accuracy, of relative and SO(3) x R^3 for constrained_rattle, "
-        "else SO(3) x R^3",
+        "joints' motion groups; auto: relative, for rotation methods SO(3) x R^3",
         choices=("auto", *CONFIGURATION_GROUPS),
     ),
     Entry(
