@@ -6,13 +6,14 @@ import numpy as np
 
 from liegroup_core.engine import Engine
 from liegroup_core.formulations.constraints import position_residuals
-from liegroup_core.formulations.relative.arrays import PlaneModel
+from liegroup_core.formulations.relative.arrays import PlaneModel, make_relative_work
 from liegroup_core.formulations.relative.coupled_rows import set_all_rows
 from liegroup_core.formulations.relative.kinds import lift_links, move_links, place_links
 from liegroup_core.formulations.relative.loops import gather_alone, project
 from liegroup_core.integrators.link_state import place
 from liegroup_core.integrators.rkmk import relative
 from liegroup_core.lie.groups import SE3
+from liegroup_core.model.arrays import make_work
 
 
 def residual(model, found):
@@ -25,22 +26,29 @@ def residual(model, found):
 def at_stage(simulation, pose=None, twist=None):
     """(model, work) of a Munthe-Kaas method whose stage is a state, by default the simulation's."""
     model, work = simulation._integrator.links
+    _set_stage(simulation, model, work, pose, twist)
+    return model, work
+
+
+def _set_stage(simulation, model, work, pose, twist):
     pose = simulation.state()[0] if pose is None else pose
     twist = simulation.state()[1] if twist is None else twist
     work.known[0] = 0.0  # the coordinates are found from the state
     relative.enter(model, work, pose, twist, simulation._external)
     relative.begin(model, work, work.pose, work.twist)
     work.known[0] = 0.0
-    return model, work
 
 
 def rows(simulation, pose=None, twist=None):
-    """Jacobian (all rows, 6 n) and bias of a state, by default that of the simulation; group se3.
+    """Jacobian (all rows, 6 n) and bias of a state, by default that of the simulation.
 
-    Rows are in the order of `residual`; redundant rows, and those of joints that weld bodies, are
-    zero. Columns of bodies that are welded together are those of the first of them.
+    With an empty tree, whatever the tree of the simulation. Rows are in the order of `residual`;
+    redundant rows, and those of joints that weld bodies, are zero. Columns of bodies that are
+    welded together are those of the first of them.
     """
-    model, work = at_stage(simulation, pose, twist)
+    model = simulation.layout.floating("se3")
+    work = make_relative_work(model, make_work(model.space, 1), 1)
+    _set_stage(simulation, model, work, pose, twist)
     for kernel in (move_links, place_links, lift_links, gather_alone, set_all_rows):
         kernel(model, work)
     space = simulation.layout.model

@@ -83,10 +83,7 @@ def test_initial_acceleration_of_a_chain_has_the_closed_form(kind, n):
 
 def test_chains_of_spherical_and_of_revolute_joints_fall_alike():
     """In the plane a revolute joint adds only constraints that are satisfied anyway."""
-    ball, hinge = (
-        Simulation(chain(5, kind), method="rkmk4", group="se3")
-        for kind in ("spherical", "revolute")
-    )
+    ball, hinge = (Simulation(chain(5, kind), method="rkmk4") for kind in ("spherical", "revolute"))
     ball.advance(200)
     hinge.advance(200)
     np.testing.assert_allclose(ball.sample().pose, hinge.sample().pose, atol=1e-10)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""generalized_alpha in relative coordinates: order, stiff scenes, loops, and the choice of the group.
+"""generalized_alpha in relative coordinates: order, stiff scenes, loops.
 
 Trees: test_orders.py, with own equations as references; test_trees_stay_closed.py. Here the
 references are rkmk8 and rkmk853 on SE(3)^n, which share neither method nor formulation with it.
@@ -47,7 +47,6 @@ def test_order_two_in_loops(name, space):
 def test_loops_are_closed_next_to_singular_poses_too(name, step):
     """n_four_bar passes flat poses. Newton's method ends at ten times the round-off of positions."""
     engine = Engine(load_scene(name), METHOD, step, quiet=True)
-    assert engine.group == "relative"
     size = max(1.0, engine.layout.size)
     for _ in range(300):
         engine.advance(1)
@@ -114,13 +113,3 @@ def test_planar_mechanisms_move_alike_in_their_plane_and_in_space(seed):
     scene = random_mechanisms.random_mechanism("planar loops", seed)[0]
     plane, space = (end(scene, 0.1, 2e-3, group="relative", space=s) for s in ("auto", "space"))
     assert np.abs(plane - space).max() <= 1e-10
-
-
-def test_auto_chooses_the_group_with_fewer_unknowns():
-    groups = {
-        name: Engine(load_scene(name), METHOD, quiet=True).group
-        for name in ("free_body", "heavy_top", "four_bar", "ball_chain", "bricard")
-    }
-    assert groups.pop("free_body") == "se3"
-    assert set(groups.values()) == {"relative"}
-    assert Engine(load_scene("heavy_top"), METHOD, space="space", quiet=True).group == "se3"

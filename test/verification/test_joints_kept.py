@@ -111,9 +111,3 @@ def test_other_joints_drift_at_order_four(name, group):
     slope = np.polyfit(np.log(list(drifts)), np.log(list(drifts.values())), 1)[0]
     assert slope == pytest.approx(4.0, abs=0.2), drifts
     assert min(drifts.values()) > 1e-13
-
-
-def test_a_fixed_joint_between_bodies_holds_on_se3():
-    """C_b = C_a F with constant F: Munthe-Kaas steps of both bodies commute with the product."""
-    assert drift("fixed between bodies", "se3", 4e-3, 0.4, 1) <= 1e-13
-    assert drift("fixed between bodies", "so3xr3", 4e-3, 0.4, 1) > 1e-10
