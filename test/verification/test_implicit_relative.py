@@ -98,12 +98,14 @@ def test_stiff_mechanisms_are_as_accurate_as_on_se3(name):
             np.abs(end(scene, time, step, group=group) - exact).max()
             for group in ("se3", "relative")
         )
+        if there == 0.0:  # all bodies are welded to the world
+            continue
         ratios.append(here / there)
         try:
             unstable += np.abs(end(scene, time, step, "rkmk4") - exact).max() > 1.0
         except SimulationError:
             unstable += 1
-    assert np.median(ratios) <= 1.5 and max(ratios) <= 50.0, ratios
+    assert len(ratios) >= 6 and np.median(ratios) <= 1.5 and max(ratios) <= 50.0, ratios
     assert unstable
 
 
