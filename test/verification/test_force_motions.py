@@ -303,7 +303,8 @@ def along_z(force, joint_type):
         simulation.layout = replace(
             simulation.layout, model=simulation.layout.model.replace(forces=forces)
         )
-        simulation._integrator._model = simulation.layout.model
+        model = simulation._integrator.links[0].replace(space=simulation.layout.model)
+        simulation._integrator._model = model
     return simulation, 1.0 / (1.0 / 2.0 + 1.0 / 1.0)
 
 
