@@ -7,6 +7,7 @@ formulations/relative/coordinates.py.
 
 from liegroup_core.compiling import borrowed, kernel, shared
 from liegroup_core.formulations.relative.arrays import PlaneModel, make_relative_work
+from liegroup_core.formulations.relative.free_bodies import copy_bodies, copy_links
 from liegroup_core.formulations.relative.kinds import (
     coordinates,
     move_links,
@@ -40,7 +41,10 @@ def enter(model, work, pose, twist, external):
     """Continue from the coordinates of the last call, or find them from a state that was set."""
     copy_state(pose, twist, work.pose, work.twist)
     if work.known[0] == 0.0:
-        coordinates(model, work, work.pose, work.twist)
+        if model.only_free_bodies:
+            copy_links(model, work.pose, work.twist)
+        else:
+            coordinates(model, work, work.pose, work.twist)
         work.known[0] = 1.0
         # Bodies that are welded to the world are never placed.
         copy_state(work.pose, work.twist, work.stage_pose, work.stage_twist)
@@ -78,6 +82,11 @@ def begin(model, work, pose, twist):
 @shared
 def place(model, work, pose_out, twist_out):
     """Poses and twists of the bodies, from the links at the stage."""
+    if model.only_free_bodies:
+        copy_bodies(
+            model, work.stage_pose, work.stage_twist, borrowed(pose_out), borrowed(twist_out)
+        )
+        return 0
     move_links(model, work)
     place_links(model, work)
     place_bodies(model, work, borrowed(pose_out), borrowed(twist_out))

@@ -152,6 +152,9 @@ class RelativeModel(Struct):
     has_switched_rows: bool  # any of them
     has_loads: bool  # any friction by load
     first_column: np.ndarray  # (m,) first nonzero column of each row of the factor of W
+    only_free_bodies: (
+        bool  # links that all float, each with one body; no joints: see free_bodies.py
+    )
     refinements: int  # steps of iterative refinement that each solve takes
     usual_pivot: float  # smallest pivot of W, part of the mobility, at poses that are not singular
     projects: bool

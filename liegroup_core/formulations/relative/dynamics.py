@@ -7,6 +7,7 @@ from liegroup_core.forces.kinds import add_wrenches
 from liegroup_core.lie.vec3 import store3
 from liegroup_core.status import OK
 
+from .free_bodies import accelerations_of_free_bodies
 from .kinds import (
     add_multipliers,
     apply_wrenches,
@@ -131,6 +132,10 @@ def balance(model, work):
 @shared
 def _accelerations_of_stage(model, work, external):
     """Accelerations of the stage as it is; returns as `accelerations`."""
+    if model.only_free_bodies:
+        work.report[3] = 1.0
+        accelerations_of_free_bodies(model, work, external)
+        return -1
     move_links(model, work)
     applied = model.space.forces.exist or work.pushed[0] > 0.0
     if applied or len(model.joints) > 0:
