@@ -20,7 +20,7 @@ for stiff forces.
 
 import math
 
-from liegroup_core.compiling import kernel, subroutine
+from liegroup_core.compiling import borrowed, kernel, subroutine
 from liegroup_core.integrators.dense_lu import (
     complex_lu_factorise,
     complex_lu_solve,
@@ -237,12 +237,13 @@ def _estimate(newton, h):
         newton.next[p, 0] = newton.x[p]
 
 
-@kernel
-def substep(scheme, model, work, size, start, elapsed, first, pose, external):
+@subroutine
+def substep(scheme, model, work, size, start, elapsed, first, pose_in, external_in):
     """Set the stage to the end of a substep of a size in s; see explicit.py.
 
     The error estimate is in work.slopes, as the derivative of stage 1.
     """
+    pose, external = borrowed(pose_in), borrowed(external_in)
     newton = scheme.newton
     begin = start + elapsed
     if first == 0:
