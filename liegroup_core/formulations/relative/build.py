@@ -70,7 +70,7 @@ def relative_model(scene, model, in_space=False, group=None):
         elements=elements,
         **switch_arrays(scene, links, records, arrays, elements, places),
         refinements=_refinements(scene, model, len(arrays["joints"]) > 0, normal),
-        only_free_bodies=not scene.joints and all(link.joint is None for link in links),
+        only_free_bodies=not scene.joints and all(link.group == FREE for link in links),
         usual_pivot=1.0,
         projects=bool(model.projects and len(arrays["joints"])),
         baumgarte_rate=model.baumgarte_rate,

@@ -18,9 +18,7 @@ from liegroup_core.integrators.link_state import begin as begin
 from liegroup_core.integrators.link_state import enter as enter
 from liegroup_core.integrators.link_state import leave as leave
 from liegroup_core.integrators.link_state import place
-from liegroup_core.integrators.methods import EXACT
 from liegroup_core.integrators.motion import end_status
-from liegroup_core.lie.coefficients import dexpinv_coefficients, truncated_dexpinv_coefficients
 from liegroup_core.lie.vec3 import dot3, load3, load_column, store3, store_column
 from liegroup_core.motion_groups.direct import to_link, to_world, to_world_rate
 from liegroup_core.motion_groups.table import in_world_axes, is_curved, slope
@@ -35,7 +33,9 @@ from liegroup_core.status import (
 )
 
 from .crossings import begin_at_end, crossed, note_guards
+from .free_bodies import move_bodies, store_slopes_of_bodies
 from .relative_errors import error_square as error_square
+from .series import dexpinv_series
 
 
 @kernel
@@ -56,9 +56,12 @@ def move(model, work, scheme, h, stage, end, pose):
     """Set all links to X_0 exp Psi of a stage; at the end of a step, bodies where they are needed."""
     n, count = len(model.parts), len(work.freedoms)
     first = stage * count
-    _add_slopes(h, scheme.a, stage, stage, work.slopes, count, first)
-    largest = 0.0
-    for b in range(len(model.bodies)):
+    largest, links = 0.0, len(model.bodies)
+    if model.only_free_bodies:
+        largest, links = move_bodies(model, work, scheme, h, stage, end, pose), 0
+    else:
+        _add_slopes(h, scheme.a, stage, stage, work.slopes, count, first)
+    for b in range(links):
         link = model.bodies[b]
         f = first + link["freedom"]
         largest = max(largest, displace(model, b, pose, work.slopes, f, work.stage_pose))
@@ -90,6 +93,9 @@ def store_slopes(model, work, scheme, stage):
     """Compute k of all links from the accelerations of a stage."""
     n, count = len(model.parts), len(work.freedoms)
     first = stage * count
+    if model.only_free_bodies:
+        store_slopes_of_bodies(model, work, scheme, stage)
+        return
     for b in range(len(model.bodies)):
         link = model.bodies[b]
         f, row = link["freedom"], n + b
@@ -97,7 +103,7 @@ def store_slopes(model, work, scheme, stage):
         # At stage 0 Psi is zero, and dexp^-1 the identity.
         if stage > 0 and is_curved(link):
             turn, _ = displacement(link, work.slopes, at)
-            factor, b_x, u_x = _coefficients(scheme, dot3(turn, turn))
+            factor, b_x, u_x = dexpinv_series(scheme, dot3(turn, turn))
             slope(link, factor, b_x, u_x, work.stage_twist, row, work.slopes, at)
         else:
             for k in range(link["freedoms"]):
@@ -112,15 +118,6 @@ def store_slopes(model, work, scheme, stage):
             store_column(rate, work.slopes, at + 3, 1)
     if stage == 0 and len(model.switches) > 0:
         set_rates(model, work, work.since)
-
-
-@kernel
-def _coefficients(scheme, x):
-    """Coefficients of dexp^-1 for a squared angle: factor of -ad, b and u."""
-    if scheme.highest == EXACT:
-        b, u = dexpinv_coefficients(x)
-        return 0.5, b, u
-    return truncated_dexpinv_coefficients(scheme.highest, x)
 
 
 @kernel
