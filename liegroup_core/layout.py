@@ -28,7 +28,7 @@ from .joints.motion import COLUMNS
 from .joints.pairs import LOWER_PAIRS
 from .lie.groups import UNKNOWN_TURN
 from .model.arrays import Model
-from .model.build import build_model, initial_state
+from .model.build import build_model, initial_state, levers
 from .model.size import mechanism_size
 from .observables.joint_coordinates import JointCoordinates
 from .observables.joint_forces import JointForces
@@ -44,6 +44,8 @@ from .threads import one_blas_thread
 
 NO_MOTIONS = np.zeros((0, COLUMNS))
 NO_ANGLES = np.zeros(0)
+# m p^2 / I of a joint at a distance p, from which on W of a cut joint has no digit of 1 / m beside p^2 / I.
+LONGEST_LEVER = 2.0**52
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,10 @@ class Layout:
     def floating(self, group):
         """RelativeModel with an empty tree, on a group of GROUPS: all bodies float, all joints are cut."""
         if group not in self._floating:
+            inverse = self.model.bodies["inverse_inertia"].reshape(-1, 3, 3)
+            ratios = levers(self.model.bodies["mass"], inverse, self.model.elements)
+            if max(ratios, default=0.0) > LONGEST_LEVER:
+                raise _unsolvable(self.scene, "check their units, or use group relative")
             self._floating[group] = self._with_usual_pivot(
                 relative_model(self.centred, self.model, in_space=True, group=group)
             )
@@ -315,7 +321,7 @@ def make_layout(scene):
         raise scene.located(error) from None
 
 
-def _unsolvable(scene):
+def _unsolvable(scene, advice="check their units"):
     """SceneError for matrices that are singular in floating point; names the most likely body."""
 
     def spread(i):
@@ -328,6 +334,6 @@ def _unsolvable(scene):
     inertia = np.linalg.eigvalsh(body.inertia_matrix).min()
     return SceneError(
         f'bodies[{i}] "{body.name}": its mass of {body.mass:g} kg and its inertia of '
-        f"{inertia:g} kg m^2 differ too much for the equations to be solved; check their units",
+        f"{inertia:g} kg m^2 differ too much for the equations to be solved; {advice}",
         ("bodies", i),
     )

@@ -73,6 +73,8 @@ JOINT = np.dtype(
         ("element", "i8"),  # kind of element, and its index in `elements`
         ("rows", "i8"),
         ("first", "i8"),  # rows, and the first of them in `row_residual`
+        ("in_loop", "i8"),  # 0: at no pose do its rows depend on those of others
+        ("own_points", "i8"),  # 1: its force acts on each link at its own point, see rows.py
     ],
     align=True,
 )
@@ -152,6 +154,7 @@ class RelativeModel(Struct):
     has_switched_rows: bool  # any of them
     has_loads: bool  # any friction by load
     first_column: np.ndarray  # (m,) first nonzero column of each row of the factor of W
+    is_empty_tree: bool  # all bodies float, all joints are cut
     only_free_bodies: (
         bool  # links that all float, each with one body; no joints: see free_bodies.py
     )

@@ -5,6 +5,7 @@ import numpy as np
 
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.model.build import LARGE_RATIO, are_unlike, levers
+from liegroup_core.model.redundancy import loop_joints
 from liegroup_core.motion_groups.table import DIRECT, FREE, ORDERS
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
 from liegroup_core.threads import one_blas_thread
@@ -42,7 +43,10 @@ def relative_model(scene, model, in_space=False, group=None):
     cut, rows = cut_rows(scene, frames, parts, tree, links, places, stops, coupled)
     elements = cut_elements(scene, frames, cut, places, coupled)
     springs = sum(force.counts_turns for force in scene.forces)
-    arrays = loop_arrays(links, records, cut, rows, elements, coupled, springs)
+    loops = None
+    if group is not None:
+        loops = loop_joints([(joint.parent, joint.child) for joint in scene.joints])
+    arrays = loop_arrays(links, records, cut, rows, elements, coupled, springs, loops)
     part_records = np.array(
         [
             (
@@ -70,6 +74,7 @@ def relative_model(scene, model, in_space=False, group=None):
         elements=elements,
         **switch_arrays(scene, links, records, arrays, elements, places),
         refinements=_refinements(scene, model, len(arrays["joints"]) > 0, normal),
+        is_empty_tree=group is not None,
         only_free_bodies=not scene.joints and all(link.group == FREE for link in links),
         usual_pivot=1.0,
         projects=bool(model.projects and len(arrays["joints"])),

@@ -231,10 +231,11 @@ def _path(links, b):
     return path
 
 
-def loop_arrays(links, records, cut, rows, elements, coupled, counted):
+def loop_arrays(links, records, cut, rows, elements, coupled, counted, loops):
     """Arrays of the cut joints and couplings, ordered so that the envelope of W is narrow.
 
     counted : index of the first unwrapped angle that belongs to a coupling
+    loops   : of an empty tree the joints of the scene in closed loops, else None
     """
     solved = [k for k in range(len(cut)) if len(rows[k])]
     paths = [
@@ -256,6 +257,8 @@ def loop_arrays(links, records, cut, rows, elements, coupled, counted):
             element["kind"],
         )
         joint["element"], joint["rows"], joint["first"] = k, len(rows[k]), first
+        joint["in_loop"] = loops is None or cut[k][0] in loops
+        joint["own_points"] = loops is None and element["turns_freely"]
         first += len(rows[k])
         residuals += [element["row_start"] + r for r in rows[k]]
         turns += [cut[k][2].names[r].startswith("w") for r in rows[k]]

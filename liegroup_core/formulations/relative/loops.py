@@ -15,6 +15,8 @@ Newton's method, and velocities likewise: the tree stays exactly closed.
 
 from liegroup_core.compiling import kernel, shared, subroutine
 from liegroup_core.formulations.constraints import MAX_ITERATIONS, is_satisfied
+from liegroup_core.lie.so3 import so3_exp
+from liegroup_core.lie.vec3 import load3, load_column, store3, tmatvec3
 from liegroup_core.status import DEPENDENT_ROWS, NOT_PROJECTED, OK
 
 from .coupled_rows import set_all_rows, set_gap
@@ -179,6 +181,11 @@ def project(model, work):
                     work.stage_twist[n + b, k] += work.acceleration[f + k, 0]
             else:
                 displace_by_twist(model, b, work.stage_pose, work.acceleration, f, work.stage_pose)
+                if model.is_empty_tree:
+                    # Its velocity stays as it is in world axes: so linear momentum is conserved.
+                    turn = so3_exp(load_column(work.acceleration, f, 0))
+                    v = tmatvec3(turn, load3(work.stage_twist, n + b, 3))
+                    store3(v, work.stage_twist, n + b, 3)
         if satisfied:
             return OK
     return NOT_PROJECTED

@@ -123,7 +123,7 @@ def factor(model, work, shift):
         held = held or work.held[model.switches[k]["freedom"]] != 0.0
     for j in range(len(model.joints)):
         first = model.joints[j]["first"]
-        rows = model.joints[j]["rows"]
+        rows, in_loop = model.joints[j]["rows"], model.joints[j]["in_loop"] == 1
         for r in range(first, first + rows):
             if is_off(model, work, r):
                 work.diagonal[r] = 0.0
@@ -141,14 +141,15 @@ def factor(model, work, shift):
                 value = W[r, s]
                 W[r, s] = value * work.diagonal[s]
                 pivot -= value * W[r, s]
-            if not pivot > max(SMALLEST_PIVOT * W[r, r], SMALLEST_MOBILITY * mobility):
+            least = max(SMALLEST_PIVOT * W[r, r], SMALLEST_MOBILITY * mobility) if in_loop else 0.0
+            if not pivot > least:
                 if not held:
                     return j
                 # Held freedoms satisfy the row with those before it.
                 work.diagonal[r] = 0.0
                 continue
             work.diagonal[r] = 1.0 / pivot
-            if pivot < smallest * mobility:
+            if in_loop and pivot < smallest * mobility:
                 smallest = pivot / mobility
     work.report[3] = smallest / model.usual_pivot
     return -1

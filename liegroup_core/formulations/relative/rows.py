@@ -4,7 +4,8 @@
 Stages of a step leave small gaps. The force of a ball joint acts on each of its links at that
 link's own point, whatever the gap: at the point of the other link it would have a moment about a rod
 between two balls, which has next to no inertia there and would spin. So rows and bias of a ball
-joint are those of the accelerations of the two points, in world axes.
+joint are those of the accelerations of the two points, in world axes. With an empty tree they are
+those of all joints, constant in the axes of the child, as in the chapter.
 """
 
 from liegroup_core.compiling import kernel
@@ -50,12 +51,12 @@ def set_rows(model, work):
         else:
             rot = tmatmul3(rot_b, load9(work.world, a, 0))
             p = tmatvec3(rot_b, sub3(load3(work.world, a, 9), r_b))
-            if element["turns_freely"] == 1:
+            if joint["own_points"] == 1:
                 # The parent, moved by the gap: its point is that of the child.
                 point = matvec3(rot, vector3(element["parent_point"]))
                 p = sub3(vector3(element["child_point"]), point)
             w_a, v_a = se3_Ad(rot, p, load3(work.velocities, a, 0), load3(work.velocities, a, 3))
-            if element["turns_freely"] == 1:
+            if joint["own_points"] == 1:
                 turn = add3(w_b, w_a)
         error_w, error_v = sub3(w_b, w_a), sub3(v_b, v_a)
         rate = 0.0
