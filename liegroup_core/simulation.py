@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from .accuracy import DEFAULT, LONGEST, METHOD, MINUTE, SMALLEST, AccuracyControl
-from .compiling import warm_up
 from .engine import Engine
 from .errors import SimulationError
 from .fields.arguments import got, is_count, is_like
@@ -118,7 +117,6 @@ class Simulation(Engine):
         super().__init__(scene, METHOD, step, *settings, quiet, layout, **tolerances)
         self._running = RunningError(self, by_work=True)
         self._choice = MethodChoice(self._running)
-        warm_up(self._choice.touch, self._choice.kernels)
         self._control = AccuracyControl(accuracy, float(horizon), self._tighten)
 
     def _tighten(self, part):

@@ -18,7 +18,6 @@ import math
 
 import numpy as np
 
-from .engine import Engine
 from .errors import SimulationError
 from .integrators.methods import METHODS
 from .integrators.rkmk.implicit import FREEDOMS_SQUARED
@@ -52,13 +51,6 @@ class MethodChoice:
         for integrator, factor in zip(self._integrators, (1.0, looser)):
             integrator.add(theirs, factor)
         self.restart()
-
-    def touch(self):
-        """Call the kernels of the implicit method once."""
-        for engine, integrator in zip((self._engine, self._companion), self._integrators):
-            integrator.choose(IMPLICIT)
-            Engine._advance(engine, 0)
-            integrator.choose(EXPLICIT)
 
     def restart(self):
         """Start again, with the explicit one: the state was set."""
