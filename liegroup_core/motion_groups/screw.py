@@ -81,7 +81,8 @@ def accelerate(link, work, f, w, v):
 
 
 @kernel
-def leave(link, work, f, place, rows, torque, force):
-    """A wrench of a row without the freedom."""
-    y = torque[2] + link["pitch"] * force[2]
-    return leave_direction(work, f, y, place, torque, force)
+def leave(link, work, f, place, rows, w, v):
+    """A wrench of a row without the freedom; without a pitch its component vanishes, as a hinge's."""
+    pitch = link["pitch"]
+    w, v = leave_direction(work, f, w[2] + pitch * v[2], place, w, v)
+    return (w[0], w[1], 0.0 if pitch == 0.0 and work.held[f] == 0.0 else w[2]), v

@@ -1,0 +1,267 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Contract of every motion group of the table: what a sweep asks, against dense matrices.
+
+A further group is tested by its line in the table. The references are exp and Ad on SE(3) and dense
+algebra with the columns of S, from the data of the group alone.
+"""
+
+import numpy as np
+import pytest
+
+from liegroup_core.compiling import Struct
+from liegroup_core.formulations.relative.arrays import LINK
+from liegroup_core.lie import SE3, SO3
+from liegroup_core.lie.coefficients import dexpinv_coefficients
+from liegroup_core.motion_groups import table
+from liegroup_core.motion_groups.elimination import ENTRIES
+
+CODES = range(len(table.GROUPS))
+NAMES = [group.__name__.rpartition(".")[2] for group in table.GROUPS]
+PITCH = 0.3
+CLOSE = dict(rtol=1e-12, atol=1e-12)
+
+every_group = pytest.mark.parametrize("code", CODES, ids=NAMES)
+
+
+class Scratch(Struct):
+    """Fields of RelativeWork that a motion group uses, for a link 1 with a parent 0."""
+
+    freedoms: np.ndarray
+    acceleration: np.ndarray
+    held: np.ndarray
+    response: np.ndarray
+    relative: np.ndarray
+    drift: np.ndarray
+    inertia: np.ndarray
+
+
+class Case:
+    """A link of a group at a random place, its coordinates and S."""
+
+    def __init__(self, code):
+        self.rng = rng = np.random.default_rng(code)
+        self.count = table.FREEDOMS[code]
+        self.S = np.eye(6)[:, list(table.COMPONENTS[code])]
+        pitch = PITCH if getattr(table.GROUPS[code], "HAS_PITCH", False) else 0.0
+        self.S[5, 0] += pitch
+        self.T = SE3.exp(rng.uniform(-1.0, 1.0, 6))
+        records = np.zeros(1, dtype=LINK)
+        self.link = record = records[0]
+        record["group"], record["freedoms"], record["pitch"] = code, self.count, pitch
+        record["rotation"], record["point"] = self.T[:3, :3].ravel(), self.T[:3, 3]
+        self.coordinates = np.zeros((1, 12))
+        self.X = SE3.exp(
+            self.S @ rng.uniform(3.5, 4.0, self.count)
+        )  # a screw is in its second turn
+        self.project(self.X, self.coordinates)
+        self.work = Scratch(
+            freedoms=np.zeros((self.count, 8)),
+            acceleration=np.zeros((self.count, 1)),
+            held=np.zeros(self.count),
+            response=np.zeros(self.count),
+            relative=np.zeros((2, 12)),
+            drift=np.zeros((2, 6)),
+            inertia=np.zeros((2, 21)),
+        )
+
+    def project(self, X, coordinates):
+        table.project_pose(self.link, tuple(X[:3, :3].ravel()), tuple(X[:3, 3]), coordinates, 0)
+
+    def pose(self, coordinates):
+        """T X as a matrix."""
+        rot, p = table.relative_pose(self.link, coordinates, 0)
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = np.reshape(rot, (3, 3)), p
+        return pose
+
+    def displaced(self, psi):
+        out = self.coordinates.copy()
+        square = table.displace(self.link, self.coordinates, 0, psi.reshape(-1, 1), 0, out)
+        return out, square
+
+    def numbers(self, size):
+        return self.rng.uniform(-size, size, self.count)
+
+
+def dense(m):
+    """Inertia (6, 6) of its 21 numbers."""
+    matrix = np.zeros((6, 6))
+    for (i, j), value in zip(ENTRIES, m):
+        matrix[i, j] = matrix[j, i] = value
+    return matrix
+
+
+def pair(vector):
+    """Angular and linear part as tuples."""
+    return tuple(vector[:3]), tuple(vector[3:])
+
+
+@every_group
+def test_project_pose_finds_the_coordinates_of_a_pose(code):
+    case = Case(code)
+    np.testing.assert_allclose(case.pose(case.coordinates), case.T @ case.X, **CLOSE)
+    again = np.zeros((1, 12))
+    case.project(SE3.inverse(case.T) @ case.pose(case.coordinates), again)
+    np.testing.assert_allclose(again, case.coordinates, **CLOSE)
+
+
+@every_group
+@pytest.mark.parametrize("size", [1e-3, 1.0])
+def test_displace_multiplies_by_exp_and_back(code, size):
+    case = Case(code)
+    psi = case.numbers(size)
+    out, square = case.displaced(psi)
+    expected = case.T @ case.X @ SE3.exp(case.S @ psi)
+    np.testing.assert_allclose(case.pose(out), expected, **CLOSE)
+    np.testing.assert_allclose(square, ((case.S @ psi)[:3] ** 2).sum(), **CLOSE)
+    table.displace(case.link, out, 0, -psi.reshape(-1, 1), 0, out)
+    np.testing.assert_allclose(out, case.coordinates, **CLOSE)
+
+
+@every_group
+def test_rate_twist_is_the_derivative_of_the_pose(code):
+    case = Case(code)
+    rates = case.numbers(1.0)
+    row = np.zeros((1, 6))
+    row[0, : case.count] = rates
+    twist = np.concatenate(table.rate_twist(case.link, row, 0))
+    np.testing.assert_array_equal(twist, case.S @ rates)
+    step = 1e-5
+    after, before = (case.pose(case.displaced(h * rates)[0]) for h in (step, -step))
+    slope = SE3.log(SE3.inverse(before) @ after) / (2.0 * step)
+    np.testing.assert_allclose(twist, slope, atol=1e-9)
+
+
+@every_group
+def test_add_rates_adds_the_twist_and_finds_its_bracket(code):
+    case = Case(code)
+    own, above = case.S @ case.numbers(1.0), case.rng.uniform(-1.0, 1.0, 6)
+    (w, v), (cw, cv) = table.add_rates(case.link, *pair(own), *pair(above))
+    V = np.concatenate([w, v])
+    np.testing.assert_allclose(V, above + own, **CLOSE)
+    np.testing.assert_allclose(np.concatenate([cw, cv]), SE3.ad(V) @ own, **CLOSE)
+
+
+@every_group
+def test_normalise_removes_round_off_and_nothing_else(code):
+    case = Case(code)
+    out, kept = case.coordinates.copy(), case.coordinates.copy()
+    out[0, :2] *= 1.0 + 1e-9
+    table.normalise(case.link, out, 0)
+    rot = case.pose(out)[:3, :3]
+    if 2 in table.COMPONENTS[code]:  # a slide never leaves its group
+        np.testing.assert_allclose(rot @ rot.T, np.eye(3), atol=1e-14)
+    table.normalise(case.link, kept, 0)
+    np.testing.assert_allclose(kept, case.coordinates, atol=1e-15)
+
+
+@every_group
+def test_slope_is_the_inverse_of_dexp_on_the_algebra(code):
+    case = Case(code)
+    psi, rates = case.numbers(1.0), case.numbers(1.0)
+    slopes, row = psi.reshape(-1, 1).copy(), np.zeros((1, 6))
+    row[0, : case.count] = rates
+    if table.is_curved(case.link):
+        b, u = dexpinv_coefficients(float(((case.S @ psi)[:3] ** 2).sum()))
+        table.slope(case.link, 0.5, b, u, row, 0, slopes, 0)
+        rates_of_psi = slopes[:, 0]
+    else:
+        rates_of_psi = rates
+    expected = SE3.dexpinv(-case.S @ psi) @ case.S @ rates
+    np.testing.assert_allclose(case.S @ rates_of_psi, expected, **CLOSE)
+
+
+@every_group
+def test_move_coordinates_displaces_by_rotation_and_shift(code):
+    case = Case(code)
+    psi = case.numbers(0.7).reshape(-1, 1)
+    turn, shift = table.move(case.link, psi, 0)
+    step = np.eye(4)
+    step[:3, :3], step[:3, 3] = SO3.exp(np.array(turn)), shift
+    out = case.coordinates.copy()
+    table.move_coordinates(case.link, out, 0, psi, 0, out)
+    np.testing.assert_allclose(case.pose(out), case.T @ case.X @ step, **CLOSE)
+
+
+def eliminated(case):
+    """(I, p, both without the freedoms) of a random articulated body."""
+    root = case.rng.uniform(-1.0, 1.0, (6, 6))
+    I, p = root @ root.T + np.eye(6), case.rng.uniform(-1.0, 1.0, 6)
+    m = tuple(I[i, j] for i, j in ENTRIES)
+    m, torque, force = table.eliminate(case.link, case.work, 0, m, *pair(p))
+    return I, p, m, np.concatenate([torque, force])
+
+
+@every_group
+def test_eliminated_freedoms_leave_the_schur_complement(code):
+    case = Case(code)
+    I, p, m, left = eliminated(case)
+    share = I @ case.S @ np.linalg.inv(case.S.T @ I @ case.S)
+    if case.count < 6:  # a floating link has no parent to which something is left
+        np.testing.assert_allclose(dense(m), I - share @ case.S.T @ I, **CLOSE)
+        np.testing.assert_allclose(left, p - share @ case.S.T @ p, **CLOSE)
+        # Rows of components that are freedoms are exactly zero.
+        if not case.link["pitch"]:
+            assert not (case.S.T @ dense(m)).any() and not (case.S.T @ left).any()
+
+
+@every_group
+def test_accelerations_and_responses_are_those_of_the_dense_equations(code):
+    case = Case(code)
+    I, p, _, _ = eliminated(case)
+    D = np.linalg.inv(case.S.T @ I @ case.S)
+    above, W = case.rng.uniform(-1.0, 1.0, (2, 6))
+    rates = -D @ case.S.T @ (p + I @ above)
+    moved = np.concatenate(table.accelerate(case.link, case.work, 0, *pair(above)))
+    np.testing.assert_allclose(case.work.acceleration[:, 0], rates, **CLOSE)
+    np.testing.assert_allclose(moved, above + case.S @ rates, **CLOSE)
+    left = np.concatenate(table.leave(case.link, case.work, 0, 0, 1, *pair(W)))
+    np.testing.assert_allclose(left, W - I @ case.S @ D @ case.S.T @ W, **CLOSE)
+    order = list(table.ORDERS[code])
+    mobility = (case.work.response**2 * case.work.freedoms[order, 6]).sum()
+    np.testing.assert_allclose(mobility, W @ case.S @ D @ case.S.T @ W, **CLOSE)
+
+
+@every_group
+def test_what_is_left_is_handed_on_as_a_whole_inertia_would_be(code):
+    case = Case(code)
+    own, above = case.S @ case.numbers(1.0), case.rng.uniform(-1.0, 1.0, 6)
+    _, drift = table.add_rates(case.link, *pair(own), *pair(above))
+    _, _, m, left = eliminated(case)
+    C = case.T @ case.X
+    case.work.drift[1] = np.concatenate(drift)
+    case.work.relative[1] = [*C[:3, :3].ravel(), *C[:3, 3]]
+    short, torque, force = table.hand_on(case.link, case.work, 1, m, *pair(left))
+    if short:
+        X = SE3.Ad(SE3.inverse(C))
+        np.testing.assert_allclose(dense(case.work.inertia[0]), X.T @ dense(m) @ X, **CLOSE)
+        expected = left + dense(m) @ case.work.drift[1]
+        np.testing.assert_allclose(np.concatenate([torque, force]), expected, **CLOSE)
+    else:
+        np.testing.assert_array_equal(np.concatenate([torque, force]), left)
+        assert not case.work.inertia.any()
+
+
+@pytest.mark.parametrize(
+    "code", [code for code in CODES if getattr(table.GROUPS[code], "MAY_BE_HELD", False)]
+)
+def test_a_held_freedom_stays_in_the_inertia(code):
+    case = Case(code)
+    case.work.held[:] = 1.0
+    I, p, m, left = eliminated(case)
+    np.testing.assert_array_equal(dense(m), dense([I[i, j] for i, j in ENTRIES]))
+    np.testing.assert_array_equal(left, p)
+    above, W = case.rng.uniform(-1.0, 1.0, (2, 6))
+    moved = np.concatenate(table.accelerate(case.link, case.work, 0, *pair(above)))
+    np.testing.assert_array_equal(moved, above)
+    left = np.concatenate(table.leave(case.link, case.work, 0, 0, 1, *pair(W)))
+    np.testing.assert_array_equal(left, W)
+    short, *_ = table.hand_on(case.link, case.work, 1, m, *pair(p))
+    assert not short
+
+
+def test_a_lower_pair_has_one_motion_group():
+    kinds = [kind for group in table.GROUPS for kind in group.JOINTS]
+    assert len(kinds) == len(set(kinds)) == len(table.OF_JOINT)
+    for code in CODES:
+        assert sorted(table.ORDERS[code]) == list(range(table.FREEDOMS[code]))
