@@ -25,7 +25,7 @@ def project_pose(link, rot, p, coordinates, row):
 
 
 @kernel
-def turn(link, coordinates, row, screws, at, out):
+def displace(link, coordinates, row, screws, at, out):
     """X exp(Psi)."""
     xi = (screws[at, 0], screws[at + 1, 0], screws[at + 2, 0])
     store9(matmul3(load9(coordinates, row, 0), so3_exp(xi)), out, row, 0)

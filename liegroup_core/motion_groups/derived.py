@@ -20,6 +20,7 @@ CALLED = {
     "leave_direction": leave_direction,
     "se3_ad": se3_ad,
     "store_place": about_z.store_place,
+    "turn": about_z.turn,
     "turn_of": about_z.turn_of,
     "vector3": vector3,
     **{f"without_{k}": without for k, without in enumerate(WITHOUT)},
@@ -75,21 +76,37 @@ def _part(c, angular, linear):
 
 
 def _on_coordinates_about_z(components, pitch):
-    """Functions on coordinates (cos, sin, x, y, z)."""
-    turns, lift = 2 in components, "return"
-    if Z in components or pitch:
-        by = 'link["pitch"] * screws[at, 0]' if pitch else f"screws[at + {components.index(Z)}, 0]"
-        lift = f"out[row, 4] = coordinates[row, 4] + {by}"
+    """Functions on coordinates (cos, sin, x, y, z).
+
+    Not `displace` of a group that turns and translates along x or y: its exponential couples them.
+    """
+    turns, shifts = 2 in components, [c for c in components if c > 2]
     kept = ", ".join(f"p[{c - 3}]" if c in components else "0.0" for c in (3, 4, 5))
-    return {
+    functions = {
         "relative_rotation": about_z.relative_rotation,
-        "relative_point": AT_JOINT if components == (2,) and not pitch else about_z.relative_point,
+        "relative_point": about_z.relative_point if shifts or pitch else AT_JOINT,
         "project_pose": f"c, s = {'turn_of(rot)' if turns else '1.0, 0.0'}\n"
         f"store_place(c, s, {kept}, coordinates, row)",
-        "turn": about_z.turn if turns else "out[row, 0], out[row, 1] = 1.0, 0.0\nreturn 0.0",
-        "lift": lift,
+        "lift": "return",
         "normalise": about_z.normalise if turns else "return",
     }
+    moves = [
+        f"out[row, {c - 1}] = coordinates[row, {c - 1}] + screws[at + {components.index(c)}, 0]"
+        for c in shifts
+    ]
+    if pitch:
+        moves = ['out[row, 4] = coordinates[row, 4] + link["pitch"] * screws[at, 0]']
+    if not turns:
+        lines = ["out[row, 0], out[row, 1] = 1.0, 0.0", *moves, "return 0.0"]
+        return functions | {"displace": "\n".join(lines)}
+    if shifts in ([], [Z]):
+        # One text for all of them: the exponential of the rotation is compiled once.
+        functions["lift"] = "\n".join(moves or ["return"])
+        functions["displace"] = (
+            "square = turn(link, coordinates, row, screws, at, out)\n"
+            "lift(link, coordinates, row, screws, at, out)\nreturn square"
+        )
+    return functions
 
 
 def functions_of(components, order, held, pitch):

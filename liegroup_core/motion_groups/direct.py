@@ -32,13 +32,13 @@ from .free import leave as leave
 from .free import move_coordinates as move_coordinates
 from .free import project_pose as project_pose
 from .free import relative_point as relative_point
-from .free import turn as turn_by_twist  # noqa: F401
+from .free import displace as displace_by_twist  # noqa: F401
 
 IN_WORLD_AXES = True
 
 
 @kernel
-def turn(link, coordinates, row, screws, at, out):
+def displace(link, coordinates, row, screws, at, out):
     """X exp(Psi): rotation and position on their own."""
     xi = (screws[at, 0], screws[at + 1, 0], screws[at + 2, 0])
     eta = (screws[at + 3, 0], screws[at + 4, 0], screws[at + 5, 0])

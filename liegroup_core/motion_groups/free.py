@@ -43,7 +43,7 @@ def project_pose(link, rot, p, coordinates, row):
 
 
 @kernel
-def turn(link, coordinates, row, screws, at, out):
+def displace(link, coordinates, row, screws, at, out):
     """X exp(Psi)."""
     xi = (screws[at, 0], screws[at + 1, 0], screws[at + 2, 0])
     eta = (screws[at + 3, 0], screws[at + 4, 0], screws[at + 5, 0])

@@ -11,7 +11,7 @@ COMPONENTS = PLANE_COMPONENTS = (2, 3, 4)
 
 
 @kernel
-def turn(link, coordinates, row, screws, at, out):
+def displace(link, coordinates, row, screws, at, out):
     """X exp(Psi)."""
     psi = screws[at, 0]
     sinc, versinc = turn_coefficients(psi * psi)

@@ -45,9 +45,9 @@ SPACE = {
     "project_pose": "rot, p, coordinates, row",  # X nearest to a pose in the joint's frame
     "rate_twist": "rates, row",  # S qdot
     "add_rates": "sw, sv, w, v",  # V and [V, S qdot]
-    "turn": "coordinates, row, screws, at, out",  # X exp(Psi); its squared angle
-    "turn_by_twist": "coordinates, row, screws, at, out",  # X exp(Psi) for Psi in link axes
-    "lift": "coordinates, row, screws, at, out",  # its translation along z, if that is independent
+    "displace": "coordinates, row, screws, at, out",  # X exp(Psi); its squared angle
+    "displace_by_twist": "coordinates, row, screws, at, out",  # the same for Psi in link axes
+    "lift": "coordinates, row, screws, at, out",  # its translation along z beside a rotation
     "normalise": "coordinates, row",  # X without round-off
     "slope": "first, b, u, rates, row, slopes, at",  # dexp^-1 of the rates, where that is curved
     "move": "psi, at",  # displacement of a RATTLE step: rotation vector, shift
@@ -109,24 +109,9 @@ def _chosen(name, other=None):
     return choice(name, SPACE[name], functions)
 
 
-_turn, _lift = _chosen("turn"), _chosen("lift")
-_turn_by_twist = _chosen("turn_by_twist", _turn)
-
-
-@kernel
-def displace(link, coordinates, row, screws, at, out):
-    """Write X exp(Psi) to a row of `out`; see SPACE. Returns its squared angle."""
-    _lift(link, coordinates, row, screws, at, out)
-    return _turn(link, coordinates, row, screws, at, out)
-
-
-@kernel
-def displace_by_twist(link, coordinates, row, screws, at, out):
-    """`displace` where Psi is in link axes for all groups."""
-    _lift(link, coordinates, row, screws, at, out)
-    return _turn_by_twist(link, coordinates, row, screws, at, out)
-
-
+derived.CALLED["lift"] = _chosen("lift")
+displace = _chosen("displace")
+displace_by_twist = _chosen("displace_by_twist", displace)
 relative_rotation, relative_point = _chosen("relative_rotation"), _chosen("relative_point")
 project_pose, normalise = _chosen("project_pose"), _chosen("normalise")
 rate_twist, add_rates = _chosen("rate_twist"), _chosen("add_rates")
