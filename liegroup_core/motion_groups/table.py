@@ -133,6 +133,9 @@ slope = choice("slope", SPACE["slope"], _CURVED)
 
 _DIRECT = [code for code, group in enumerate(GROUPS) if getattr(group, "IN_WORLD_AXES", False)]
 in_world_axes = _kernel("in_world_axes", "link", f"return {_is_any(_DIRECT)}", {})
+# Whether the first freedom is a translation.
+_SLIDING = [code for code, components in enumerate(COMPONENTS) if components[0] > 2]
+slides = _kernel("slides", "link", f"return {_is_any(_SLIDING)}", {})
 
 # S qdot of a link of a planar mechanism, whose slides move along x, as a twist in space.
 plane_rate_twist = choice(

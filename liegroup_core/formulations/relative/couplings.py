@@ -15,6 +15,7 @@ import math
 from liegroup_core.compiling import kernel
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.vec3 import ZERO3, load3, load9
+from liegroup_core.motion_groups.table import slides
 
 from .trees import add_wrench
 
@@ -23,7 +24,7 @@ from .trees import add_wrench
 def link_coordinate(model, b, pose):
     """Angle in [-pi, pi] or displacement of link b: hinge, screw or slide."""
     row = len(model.parts) + b
-    if model.order[model.bodies[b]["freedom"], 1] >= 3:
+    if slides(model.bodies[b]):
         return pose[row, 4]
     return math.atan2(pose[row, 1], pose[row, 0])
 
@@ -42,7 +43,7 @@ def add_pair(model, work, b, component, value, out, stride):
     out : row stride * (number of a link) has its wrench
     """
     link = model.bodies[b]
-    axis = model.order[link["freedom"] + component, 1]
+    axis = 5 if component == 1 or slides(link) else 2
     out[stride * b, axis] += value
     if link["parent"] != WORLD:
         rot, p = load9(work.relative, b, 0), load3(work.relative, b, 9)
