@@ -27,12 +27,12 @@ from .ball import slope as slope
 from .free import COMPONENTS as COMPONENTS
 from .free import JOINTS as JOINTS
 from .free import ORDER as ORDER
+from .free import displace as displace_by_twist  # noqa: F401
 from .free import eliminate as eliminate
 from .free import leave as leave
 from .free import move_coordinates as move_coordinates
 from .free import project_pose as project_pose
 from .free import relative_point as relative_point
-from .free import displace as displace_by_twist  # noqa: F401
 
 IN_WORLD_AXES = True
 

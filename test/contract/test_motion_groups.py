@@ -12,7 +12,7 @@ from liegroup_core.compiling import Struct
 from liegroup_core.formulations.relative.arrays import LINK
 from liegroup_core.lie import SE3, SO3
 from liegroup_core.lie.coefficients import dexpinv_coefficients
-from liegroup_core.motion_groups import table
+from liegroup_core.motion_groups import direct, table
 from liegroup_core.motion_groups.elimination import ENTRIES
 
 CODES = range(len(table.GROUPS))
@@ -74,10 +74,24 @@ class Case:
         pose[:3, :3], pose[:3, 3] = np.reshape(rot, (3, 3)), p
         return pose
 
-    def displaced(self, psi):
+    def displaced(self, psi, displace=table.displace):
         out = self.coordinates.copy()
-        square = table.displace(self.link, self.coordinates, 0, psi.reshape(-1, 1), 0, out)
+        square = displace(self.link, self.coordinates, 0, psi.reshape(-1, 1), 0, out)
         return out, square
+
+    @property
+    def is_direct(self):
+        """Whether rotation and position are products of their own."""
+        return table.in_world_axes(self.link)
+
+    def displaced_densely(self, psi):
+        """X exp(Psi) as a matrix."""
+        if not self.is_direct:
+            return self.X @ SE3.exp(self.S @ psi)
+        X = self.X.copy()
+        X[:3, :3] = X[:3, :3] @ SO3.exp(psi[:3])
+        X[:3, 3] += psi[3:]
+        return X
 
     def numbers(self, size):
         return self.rng.uniform(-size, size, self.count)
@@ -111,8 +125,7 @@ def test_displace_multiplies_by_exp_and_back(code, size):
     case = Case(code)
     psi = case.numbers(size)
     out, square = case.displaced(psi)
-    expected = case.T @ case.X @ SE3.exp(case.S @ psi)
-    np.testing.assert_allclose(case.pose(out), expected, **CLOSE)
+    np.testing.assert_allclose(case.pose(out), case.T @ case.displaced_densely(psi), **CLOSE)
     np.testing.assert_allclose(square, ((case.S @ psi)[:3] ** 2).sum(), **CLOSE)
     table.displace(case.link, out, 0, -psi.reshape(-1, 1), 0, out)
     np.testing.assert_allclose(out, case.coordinates, **CLOSE)
@@ -127,7 +140,9 @@ def test_rate_twist_is_the_derivative_of_the_pose(code):
     twist = np.concatenate(table.rate_twist(case.link, row, 0))
     np.testing.assert_array_equal(twist, case.S @ rates)
     step = 1e-5
-    after, before = (case.pose(case.displaced(h * rates)[0]) for h in (step, -step))
+    after, before = (
+        case.pose(case.displaced(h * rates, table.displace_by_twist)[0]) for h in (step, -step)
+    )
     slope = SE3.log(SE3.inverse(before) @ after) / (2.0 * step)
     np.testing.assert_allclose(twist, slope, atol=1e-9)
 
@@ -167,8 +182,30 @@ def test_slope_is_the_inverse_of_dexp_on_the_algebra(code):
         rates_of_psi = slopes[:, 0]
     else:
         rates_of_psi = rates
-    expected = SE3.dexpinv(-case.S @ psi) @ case.S @ rates
-    np.testing.assert_allclose(case.S @ rates_of_psi, expected, **CLOSE)
+    if case.is_direct:  # what integrates on the group converts the velocity of the position
+        expected, found = SO3.dexpinv(-psi[:3]) @ rates[:3], rates_of_psi[:3]
+    else:
+        expected, found = SE3.dexpinv(-case.S @ psi) @ case.S @ rates, case.S @ rates_of_psi
+    np.testing.assert_allclose(found, expected, **CLOSE)
+
+
+def test_velocities_of_direct_products_are_those_of_the_position():
+    """rdot and its derivative against differences of positions, and the way back."""
+    case = Case(table.DIRECT)
+    (w, v), (dw, dv) = pair(case.numbers(1.0)), pair(case.numbers(1.0))
+    h, at = 1e-4, []
+    for t in (-h, 0.0, h):
+        # the pose after t: twist and its derivative, up to t^3
+        psi = np.array([*w, *v]) * t + np.array([*dw, *dv]) * t * t / 2.0
+        at.append(case.displaced(psi, table.displace_by_twist)[0][0, 9:])
+    coordinates = case.coordinates
+    first, second = (at[2] - at[0]) / (2.0 * h), (at[2] - 2.0 * at[1] + at[0]) / h**2
+    velocity = direct.to_world(coordinates, 0, v)
+    rate = direct.to_world_rate(coordinates, 0, w, v, dv)
+    np.testing.assert_allclose(velocity, first, atol=1e-7)
+    np.testing.assert_allclose(rate, second, atol=1e-6)
+    np.testing.assert_allclose(direct.to_link(coordinates, 0, velocity), v, **CLOSE)
+    np.testing.assert_allclose(direct.to_link_rate(coordinates, 0, w, v, rate), dv, **CLOSE)
 
 
 @every_group
