@@ -19,7 +19,7 @@ from timing import seconds_of_step
 
 from liegroup_core import SimulationError, load_scene
 from liegroup_core.engine import Engine
-from liegroup_core.integrators.methods import METHODS
+from liegroup_core.methods.table import METHODS
 
 SCENES = {"free_body": 0.05, "lagrangian_top": 1e-4}  # and the step of the long run, s
 SAMPLES = 60  # of a long run, evenly in log steps

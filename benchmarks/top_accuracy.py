@@ -16,7 +16,7 @@ from rich.table import Table
 
 from liegroup_core import SimulationError, load_scene
 from liegroup_core.engine import Engine
-from liegroup_core.integrators.methods import METHODS
+from liegroup_core.methods.table import METHODS
 
 # Taylor series in 45 digits.
 R_1 = np.array(

@@ -23,7 +23,7 @@ import numpy as np
 from side_by_side import trade_page
 
 from liegroup_core import Simulation, SimulationError, load_scene
-from liegroup_core.model.build import initial_state
+from liegroup_core.mechanism.body_model import initial_state
 from liegroup_core.reference import Reference, Trajectory, distance
 from liegroup_core.study.trade.reference_solution import scaled
 from liegroup_core.study.trade.trade import BUDGET, WANTED, Trade

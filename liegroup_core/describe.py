@@ -6,14 +6,13 @@ JSON types, computed without taking a step; independent of the machine.
 
 import numpy as np
 
-from liegroup_core.formulations.relative.build import tree_of
 from liegroup_core.joints.elements import PAIR
 from liegroup_core.joints.limits import BeyondLimits
-from liegroup_core.model.symmetry import body_groups, conserved_momentum
+from liegroup_core.mechanism.mechanism import tree_of
+from liegroup_core.mechanism.symmetry import body_groups, conserved_momentum
+from liegroup_core.methods.families import fitting_methods
 from liegroup_core.robots.description import COORDINATES
 from liegroup_core.scene.consistency import resolve_couplings
-
-from .integrators.families import fitting_methods
 
 MOTION_GROUPS = {
     "revolute": "SO(2)",

@@ -10,24 +10,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from liegroup_core.compiling import warm_up
+from liegroup_core.errors import SimulationError
 from liegroup_core.fields.arguments import finite, floats, got, is_count, is_finite
 from liegroup_core.forces.instants import NEVER, StepGrid
 from liegroup_core.forces.schedule import DRIVE
 from liegroup_core.forces.timetable import Timetable
-from liegroup_core.integrators.methods import METHODS, is_positive
-from liegroup_core.model.build import initial_state
+from liegroup_core.inputs import Inputs
+from liegroup_core.joint_events import JointEvents
+from liegroup_core.layout import Layout, make_layout
+from liegroup_core.mechanism.body_model import initial_state
+from liegroup_core.methods.families import check_group, check_options, choose_group, make_integrator
+from liegroup_core.methods.table import METHODS, is_positive
 from liegroup_core.observables.reactions import REGULAR
 from liegroup_core.observables.sample import Sample
+from liegroup_core.placing import Placing
+from liegroup_core.reports import Reports
 from liegroup_core.scene.description import Scene
-
-from .errors import SimulationError
-from .inputs import Inputs
-from .integrators.families import check_group, check_options, choose_group, make_integrator
-from .joint_events import JointEvents
-from .layout import Layout, make_layout
-from .placing import Placing
-from .reports import Reports
-from .status import OK
+from liegroup_core.status import OK
 
 Floats = NDArray[np.float64]
 

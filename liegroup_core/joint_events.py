@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from liegroup_core.integrators.rkmk.switching import JointEvent, JointInstant
+from liegroup_core.events.switching import JointEvent, JointInstant
 from liegroup_core.scene.description import Scene
 from liegroup_core.scene.switches import switches_of
 

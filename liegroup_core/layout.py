@@ -8,39 +8,39 @@ from functools import cached_property
 
 import numpy as np
 
-from .errors import SceneError
-from .forces import kinds
-from .forces.external import AXES
-from .forces.joint_effort import unit_wrenches
-from .forces.schedule import DRIVE, SERVO
-from .formulations.relative.arrays import PlaneModel
-from .formulations.relative.build import (
+from liegroup_core.dynamics.usual_pivot import with_usual_pivot
+from liegroup_core.errors import SceneError
+from liegroup_core.forces import kinds
+from liegroup_core.forces.external import AXES
+from liegroup_core.forces.joint_effort import unit_wrenches
+from liegroup_core.forces.schedule import DRIVE, SERVO
+from liegroup_core.joints.coupling import COUPLED
+from liegroup_core.joints.limits import limits_of
+from liegroup_core.joints.motion import COLUMNS
+from liegroup_core.joints.pairs import LOWER_PAIRS
+from liegroup_core.lie.groups import UNKNOWN_TURN
+from liegroup_core.mechanism.arrays import PlaneModel
+from liegroup_core.mechanism.bodies import Model
+from liegroup_core.mechanism.body_model import build_model, initial_state, levers
+from liegroup_core.mechanism.mechanism import (
     refuse_cut_couplings,
     refuse_freedoms_without_inertia,
     relative_model,
 )
-from .formulations.relative.spanning_tree import WORLD_NAME
-from .integrators.methods import RELATIVE
-from .integrators.usual_pivot import with_usual_pivot
-from .joints.coupling import COUPLED
-from .joints.limits import limits_of
-from .joints.motion import COLUMNS
-from .joints.pairs import LOWER_PAIRS
-from .lie.groups import UNKNOWN_TURN
-from .model.arrays import Model
-from .model.build import build_model, initial_state, levers
-from .model.size import mechanism_size
-from .observables.joint_coordinates import JointCoordinates
-from .observables.joint_forces import JointForces
-from .observables.reactions import Reactions
-from .observables.sample import Sample
-from .scene.assembly import ready
-from .scene.centres import Offsets
-from .scene.consistency import resolve_drives, resolve_frames
-from .scene.description import Scene
-from .scene.massless import lack_of_inertia
-from .scene.switches import switches_of, unit_of
-from .threads import one_blas_thread
+from liegroup_core.mechanism.size import mechanism_size
+from liegroup_core.mechanism.spanning_tree import WORLD_NAME
+from liegroup_core.methods.table import RELATIVE
+from liegroup_core.observables.joint_coordinates import JointCoordinates
+from liegroup_core.observables.joint_forces import JointForces
+from liegroup_core.observables.reactions import Reactions
+from liegroup_core.observables.sample import Sample
+from liegroup_core.scene.assembly import ready
+from liegroup_core.scene.centres import Offsets
+from liegroup_core.scene.consistency import resolve_drives, resolve_frames
+from liegroup_core.scene.description import Scene
+from liegroup_core.scene.massless import lack_of_inertia
+from liegroup_core.scene.switches import switches_of, unit_of
+from liegroup_core.threads import one_blas_thread
 
 NO_MOTIONS = np.zeros((0, COLUMNS))
 NO_ANGLES = np.zeros(0)

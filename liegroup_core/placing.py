@@ -3,9 +3,9 @@
 
 import numpy as np
 
+from liegroup_core.events.switching import BEYOND
 from liegroup_core.fields.arguments import check_name, finite, got, is_finite, mapping
 from liegroup_core.forces.schedule import DRIVE
-from liegroup_core.integrators.rkmk.switching import BEYOND
 from liegroup_core.joints.coupling import COUPLED, gap, turns
 from liegroup_core.joints.motion import at, uniform
 from liegroup_core.scene.centres import pose_matrix

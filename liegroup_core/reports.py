@@ -4,9 +4,9 @@
 import logging
 import math
 
-from liegroup_core.integrators.methods import METHODS
-from liegroup_core.integrators.smaller_step import step_that_works
 from liegroup_core.joints.motion import at
+from liegroup_core.methods.smaller_step import step_that_works
+from liegroup_core.methods.table import METHODS
 from liegroup_core.observables.reach import beyond_reach
 
 from .status import (

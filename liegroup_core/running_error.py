@@ -30,7 +30,7 @@ the last substep of each, which ends with the step, would often make the substep
 substeps are at most 4/3 of a step, with an accuracy only where joints have stops or friction: it would
 step over contacts that the simulation meets.
 
-What both runs get wrong alike, whatever the step, is no distance: see integrators/added_inertia.py, and
+What both runs get wrong alike, whatever the step, is no distance: see methods/added_inertia.py, and
 impacts that follow each other without end and are made plastic, though they would go on (LOST_REBOUND).
 There the estimate is infinite.
 
@@ -42,14 +42,14 @@ import math
 
 import numpy as np
 
-from .compiling import SameTypes
-from .engine import BAUMGARTE_STEPS, Engine
-from .error_estimate import UNPREDICTABLE, ErrorEstimate
-from .errors import SimulationError
-from .forces.schedule import DRIVE, SERVO
-from .integrators.added_inertia import AddedInertia
-from .integrators.methods import METHODS
-from .observables.distances import distances
+from liegroup_core.compiling import SameTypes
+from liegroup_core.engine import BAUMGARTE_STEPS, Engine
+from liegroup_core.error_estimate import UNPREDICTABLE, ErrorEstimate
+from liegroup_core.errors import SimulationError
+from liegroup_core.forces.schedule import DRIVE, SERVO
+from liegroup_core.methods.added_inertia import AddedInertia
+from liegroup_core.methods.table import METHODS
+from liegroup_core.observables.distances import distances
 
 HIGH = 8  # order from which the steps are more similar
 FIRST_MEETINGS, MEETINGS = 2, 48  # between two checkpoints, from the second one on

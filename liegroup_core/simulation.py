@@ -9,17 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from .accuracy import DEFAULT, LONGEST, METHOD, MINUTE, SMALLEST, AccuracyControl
-from .engine import Engine
-from .errors import SimulationError
-from .fields.arguments import got, is_count, is_like
-from .integrators.families import check_group, choose_group
-from .integrators.methods import is_positive
-from .layout import make_layout
-from .observables.sample import Sample
-from .running_error import RunningError
-from .scene.description import Scene
-from .stiffness import MOST_ATTEMPTS, STIFF, MethodChoice
+from liegroup_core.accuracy import DEFAULT, LONGEST, METHOD, MINUTE, SMALLEST, AccuracyControl
+from liegroup_core.engine import Engine
+from liegroup_core.errors import SimulationError
+from liegroup_core.fields.arguments import got, is_count, is_like
+from liegroup_core.layout import make_layout
+from liegroup_core.methods.families import check_group, choose_group
+from liegroup_core.methods.table import is_positive
+from liegroup_core.observables.sample import Sample
+from liegroup_core.running_error import RunningError
+from liegroup_core.scene.description import Scene
+from liegroup_core.stiffness import MOST_ATTEMPTS, STIFF, MethodChoice
 
 log = logging.getLogger("liegroup_core")
 

@@ -18,9 +18,9 @@ import math
 
 import numpy as np
 
-from .errors import SimulationError
-from .integrators.methods import METHODS
-from .integrators.rkmk.implicit import FREEDOMS_SQUARED
+from liegroup_core.errors import SimulationError
+from liegroup_core.methods.munthe_kaas.implicit import FREEDOMS_SQUARED
+from liegroup_core.methods.table import METHODS
 
 EXPLICIT, IMPLICIT = 0, 1  # numbers of the methods in the integrators
 STIFF = "radau5"

@@ -4,16 +4,16 @@
 import naive
 import numpy as np
 
+from liegroup_core.dynamics.constraints import position_residuals
+from liegroup_core.dynamics.coupled_rows import set_all_rows
+from liegroup_core.dynamics.kinds import lift_links, move_links, place_links
+from liegroup_core.dynamics.loops import gather_alone, project
+from liegroup_core.dynamics.state import place
 from liegroup_core.engine import Engine
-from liegroup_core.formulations.constraints import position_residuals
-from liegroup_core.formulations.relative.arrays import PlaneModel, make_relative_work
-from liegroup_core.formulations.relative.coupled_rows import set_all_rows
-from liegroup_core.formulations.relative.kinds import lift_links, move_links, place_links
-from liegroup_core.formulations.relative.loops import gather_alone, project
-from liegroup_core.integrators.link_state import place
-from liegroup_core.integrators.rkmk import relative
 from liegroup_core.lie.groups import SE3
-from liegroup_core.model.arrays import make_work
+from liegroup_core.mechanism.arrays import PlaneModel, make_relative_work
+from liegroup_core.mechanism.bodies import make_work
+from liegroup_core.methods.munthe_kaas import steps as relative
 
 
 def residual(model, found):

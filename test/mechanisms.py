@@ -9,10 +9,10 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import null_space
 
 from liegroup_core import Scene
-from liegroup_core.integrators.methods import METHODS
 from liegroup_core.joints import forbidden_rows
 from liegroup_core.joints.kinds import CONSTRAINTS
 from liegroup_core.lie.groups import SE3, SO3
+from liegroup_core.methods.table import METHODS
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
 from liegroup_core.scene.description import (
     Body,

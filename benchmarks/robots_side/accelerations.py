@@ -3,11 +3,11 @@
 
 import numpy as np
 
+from liegroup_core.dynamics.inverse_dynamics import inverse_dynamics
+from liegroup_core.dynamics.trees import move_links
 from liegroup_core.engine import Engine
-from liegroup_core.formulations.relative.inverse_dynamics import inverse_dynamics
-from liegroup_core.formulations.relative.trees import move_links
-from liegroup_core.integrators.rkmk import relative
 from liegroup_core.joints.elements import WORLD
+from liegroup_core.methods.munthe_kaas import steps as relative
 from liegroup_core.scene.consistency import resolve_couplings
 
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from liegroup_core import Scene, Simulation, SimulationError, load_scene
 from liegroup_core.engine import STABILISATIONS, Engine
-from liegroup_core.integrators.methods import CONFIGURATION_GROUPS, METHODS
 from liegroup_core.lie.groups import SO3
+from liegroup_core.methods.table import CONFIGURATION_GROUPS, METHODS
 from liegroup_core.scene.description import Body, Frame, Joint
 
 from .measure import Entry, geometric

@@ -5,7 +5,7 @@
 
 q is the angle of a revolute or screw joint about z, or the displacement of a prismatic joint along z.
 A coupling transmits a torque or force lambda to `joint` and -ratio lambda to `other`: it does no
-work. Its row is in the rates of the spanning tree, see formulations/relative/couplings.py; the
+work. Its row is in the rates of the spanning tree, see dynamics/couplings.py; the
 groups of rigid bodies have no such row.
 
 Angles of poses are known modulo 2 pi. The angle of `other` is unwrapped like that of a torsional

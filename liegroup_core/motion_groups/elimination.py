@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One freedom leaves an articulated body, a wrench, an acceleration; see formulations/relative/trees.py.
+"""One freedom leaves an articulated body, a wrench, an acceleration; see dynamics/trees.py.
 
 A freedom f is a direction s of a twist. For most it is a component k, 0 to 5: three rotations, three
 translations.

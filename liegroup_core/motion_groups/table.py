@@ -12,7 +12,7 @@ the functions of SPACE that it does not share with others:
     IN_WORLD_AXES    True if velocities on the group are in world axes: see direct.py
     PLANE_COMPONENTS those of a planar mechanism; without it: none has such a joint
 
-Every function takes the record of the link first (formulations/relative/arrays.LINK). The functions
+Every function takes the record of the link first (mechanism/arrays.LINK). The functions
 of this module call that of its group. They are inlined, so that sweeps pay for a branch, no call.
 """
 

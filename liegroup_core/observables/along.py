@@ -4,9 +4,9 @@
 import numpy as np
 
 from liegroup_core.compiling import SameTypes, kernel
+from liegroup_core.dynamics.constraints import position_residuals
 from liegroup_core.forces import kinds
 from liegroup_core.forces.gravity import energy as gravity_energy
-from liegroup_core.formulations.constraints import position_residuals
 from liegroup_core.lie.so3 import so3_to_quaternion
 from liegroup_core.lie.vec3 import load9
 from liegroup_core.observables.invariants import energy

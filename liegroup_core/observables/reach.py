@@ -4,7 +4,7 @@
 import numpy as np
 
 from liegroup_core.joints.linkage import Linkage
-from liegroup_core.model.redundancy import dependent_groups
+from liegroup_core.mechanism.redundancy import dependent_groups
 from liegroup_core.scene.centres import pose_matrix
 from liegroup_core.scene.consistency import (
     ResolvedCoupling,

@@ -4,7 +4,7 @@
 Redundant rows of closed loops leave reactions undetermined: with J^T lambda given, lambda is known
 up to the null space N of J^T, and so is the wrench A^T lambda of a joint with rows A. A component is
 determined if its row of A^T N vanishes. This is a property of the linkage: it is found at generic
-poses (model/redundancy.py), and again at a singular pose, where more of them are undetermined.
+poses (mechanism/redundancy.py), and again at a singular pose, where more of them are undetermined.
 
 Source: Wojtyra, Joint reactions in rigid body mechanisms with dependent constraints, Mechanism and
 Machine Theory 44 (2009) 2265.
@@ -16,23 +16,23 @@ from typing import NamedTuple
 import numpy as np
 
 from liegroup_core.compiling import SameTypes
-from liegroup_core.errors import SimulationError
-from liegroup_core.forces.external import no_wrenches
-from liegroup_core.forces.kinds import limits
-from liegroup_core.formulations.relative.arrays import make_relative_work
-from liegroup_core.formulations.relative.reactions import (
+from liegroup_core.dynamics.reactions import (
     copy_modes,
     impulse_wrenches,
     joint_wrenches,
     reaction_table,
 )
-from liegroup_core.formulations.relative.spanning_tree import WORLD_NAME
-from liegroup_core.formulations.relative.switches import set_modes
+from liegroup_core.dynamics.switches import set_modes
+from liegroup_core.errors import SimulationError
+from liegroup_core.forces.external import no_wrenches
+from liegroup_core.forces.kinds import limits
 from liegroup_core.joints.kinds import TYPES, forbidden_rows
 from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage
-from liegroup_core.model.arrays import make_work
-from liegroup_core.model.build import initial_state
-from liegroup_core.model.redundancy import dependent_groups, generic_poses
+from liegroup_core.mechanism.arrays import make_relative_work
+from liegroup_core.mechanism.bodies import make_work
+from liegroup_core.mechanism.body_model import initial_state
+from liegroup_core.mechanism.redundancy import dependent_groups, generic_poses
+from liegroup_core.mechanism.spanning_tree import WORLD_NAME
 from liegroup_core.scene.centres import pose_matrix
 from liegroup_core.scene.consistency import (
     ResolvedCoupling,
@@ -93,7 +93,7 @@ class Reactions:
         for loops, numbers in dependent_groups(scene, couplings):
             entries = [couplings[n] for n in numbers]
             joints = {*loops, *(j for entry in entries for j in (entry.joint, entry.other))}
-            # The order of model/redundancy.py: the same linkage is analysed once.
+            # The order of mechanism/redundancy.py: the same linkage is analysed once.
             group = sorted(joints, key=lambda j: (scene.joints[j].parent != WORLD_NAME, j))
             own = [
                 entry._replace(joint=group.index(entry.joint), other=group.index(entry.other))
@@ -144,7 +144,7 @@ class Reactions:
         """(J, 6) mask of the components that are undetermined at generic poses."""
         mask = np.zeros((len(self.names), 6), dtype=bool)
         for group, linkage, _ in self._groups:
-            # Driven joints depend on no others (formulations/relative/cuts.py).
+            # Driven joints depend on no others (mechanism/cuts.py).
             for poses in generic_poses(linkage):
                 mask[group] |= _undetermined(_rows(linkage, poses))
         return mask

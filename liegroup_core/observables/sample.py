@@ -9,9 +9,9 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from liegroup_core.dynamics.constraints import position_residuals
 from liegroup_core.forces import kinds
 from liegroup_core.forces.timetable import acting_at, just_after
-from liegroup_core.formulations.constraints import position_residuals
 from liegroup_core.joints import motion
 from liegroup_core.joints.kinds import TYPES
 from liegroup_core.lie.groups import within_a_turn

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from liegroup_core.model.symmetry import conserved_momentum, momentum_values
+from liegroup_core.mechanism.symmetry import conserved_momentum, momentum_values
 
 from .drift import MOST_POINTS, Drift, thinned
 

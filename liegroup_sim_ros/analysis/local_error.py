@@ -12,7 +12,7 @@ import numpy as np
 from liegroup_core import SimulationError
 from liegroup_core.engine import BAUMGARTE_STEPS
 from liegroup_core.forces.external import AXES
-from liegroup_core.integrators.methods import METHODS
+from liegroup_core.methods.table import METHODS
 from liegroup_sim_ros.playback.rerun import Work, make_simulation
 
 WINDOWS = 8  # states of the recording at which the error is estimated

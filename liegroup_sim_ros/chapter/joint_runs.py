@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from liegroup_core import Scene, Simulation, load_scene
-from liegroup_core.integrators.methods import GROUPS as ABSOLUTE
-from liegroup_core.integrators.methods import RELATIVE
 from liegroup_core.lie.groups import SO3
+from liegroup_core.methods.table import GROUPS as ABSOLUTE
+from liegroup_core.methods.table import RELATIVE
 from liegroup_core.scene.description import Body, Frame, Joint
 
 GROUPS = (*ABSOLUTE, RELATIVE)

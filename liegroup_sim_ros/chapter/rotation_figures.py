@@ -16,7 +16,7 @@ import numpy as np
 from rich.table import Table
 
 from liegroup_core import Simulation, SimulationError, load_scene
-from liegroup_core.integrators.methods import METHODS
+from liegroup_core.methods.table import METHODS
 
 from .rotation_tables import (
     FREE_ATTITUDE,

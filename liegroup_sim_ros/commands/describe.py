@@ -15,8 +15,8 @@ from rich.text import Text
 from liegroup_core import SimulationError
 from liegroup_core.describe import describe
 from liegroup_core.engine import Engine
-from liegroup_core.integrators import methods as registered
 from liegroup_core.layout import make_layout
+from liegroup_core.methods import table as registered
 from liegroup_sim_ros.numbers import counted
 
 from .robot_options import add_robot_options, robot_scene

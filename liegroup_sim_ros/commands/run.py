@@ -20,7 +20,7 @@ from liegroup_core import Simulation, SimulationError
 from liegroup_core.accuracy import DEFAULT, LONGEST, MINUTE
 from liegroup_core.engine import STABILISATIONS, STEP
 from liegroup_core.errors import LieGroupSimError
-from liegroup_core.integrators.methods import CONFIGURATION_GROUPS, METHODS
+from liegroup_core.methods.table import CONFIGURATION_GROUPS, METHODS
 from liegroup_core.simulation import default_steps
 from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.recording.errors import FileLostError

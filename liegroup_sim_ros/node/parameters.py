@@ -21,7 +21,7 @@ from rclpy.parameter import Parameter
 from liegroup_core.accuracy import DEFAULT, LONGEST, MINUTE, SMALLEST
 from liegroup_core.engine import STABILISATIONS, STEP
 from liegroup_core.errors import LieGroupSimError
-from liegroup_core.integrators.methods import CONFIGURATION_GROUPS, METHODS
+from liegroup_core.methods.table import CONFIGURATION_GROUPS, METHODS
 from liegroup_core.simulation import STEPS, default_steps
 from liegroup_sim_ros.messages.samples import OPTIONAL, TF_LINKS
 

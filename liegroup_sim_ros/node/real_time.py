@@ -3,7 +3,7 @@
 
 from collections import deque
 
-from liegroup_core.integrators.methods import METHODS
+from liegroup_core.methods.table import METHODS
 from liegroup_core.pacing import SLOW
 from liegroup_sim_ros.messages import events
 

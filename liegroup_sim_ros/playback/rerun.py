@@ -7,7 +7,7 @@ from liegroup_core import Simulation, SimulationError
 from liegroup_core.accuracy import METHOD
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.forces.external import AXES
-from liegroup_core.model.build import initial_state as state_of_scene
+from liegroup_core.mechanism.body_model import initial_state as state_of_scene
 from liegroup_sim_ros.recording.attachments import restore
 from liegroup_sim_ros.recording.read import RecordingError
 

@@ -3,7 +3,7 @@
 
 import sys
 
-from liegroup_core.integrators.methods import CONFIGURATION_GROUPS
+from liegroup_core.methods.table import CONFIGURATION_GROUPS
 
 from .errors import RecordingError
 

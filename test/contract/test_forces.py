@@ -15,7 +15,7 @@ from liegroup_core import Simulation
 from liegroup_core.forces import gravity, kinds
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.groups import SE3
-from liegroup_core.model.build import build_model
+from liegroup_core.mechanism.body_model import build_model
 from liegroup_core.scene import (
     ConstantWrench,
     Drag,

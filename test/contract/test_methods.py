@@ -16,9 +16,9 @@ import pytest
 from scipy.integrate import RK45
 
 from liegroup_core import Simulation, SimulationError, load_scene
-from liegroup_core.integrators.families import FAMILIES, NOT_ON_SE3, ON_JOINTS, check_options
-from liegroup_core.integrators.methods import CONFIGURATION_GROUPS, METHODS, RELATIVE
-from liegroup_core.integrators.rkmk import relative
+from liegroup_core.methods.families import FAMILIES, NOT_ON_SE3, ON_JOINTS, check_options
+from liegroup_core.methods.munthe_kaas import steps as relative
+from liegroup_core.methods.table import CONFIGURATION_GROUPS, METHODS, RELATIVE
 from liegroup_core.status import (
     DEPENDENT_ROWS,
     DIVERGED,
@@ -417,8 +417,8 @@ sys.path.insert(0, sys.argv[1])
 import mechanisms
 from liegroup_core import load_scene
 from liegroup_core.engine import Engine
-from liegroup_core.integrators.families import ON_JOINTS
-from liegroup_core.integrators.methods import METHODS
+from liegroup_core.methods.families import ON_JOINTS
+from liegroup_core.methods.table import METHODS
 
 for name, method in METHODS.items():
     scenes = [(mechanisms.fitting(name, "chain of balls"), "auto")]
@@ -456,8 +456,8 @@ import mechanisms
 from numba.core.runtime import rtsys
 from liegroup_core import load_scene
 from liegroup_core.engine import Engine
-from liegroup_core.integrators.families import NOT_ON_SE3, ON_JOINTS
-from liegroup_core.integrators.methods import METHODS
+from liegroup_core.methods.families import NOT_ON_SE3, ON_JOINTS
+from liegroup_core.methods.table import METHODS
 
 for name, method in METHODS.items():
     # In their plane, in space with redundant rows, and without joints that close loops.

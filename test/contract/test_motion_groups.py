@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from liegroup_core.compiling import Struct
-from liegroup_core.formulations.relative.arrays import LINK
 from liegroup_core.lie import SE3, SO3
 from liegroup_core.lie.coefficients import dexpinv_coefficients
+from liegroup_core.mechanism.arrays import LINK
 from liegroup_core.motion_groups import direct, table
 from liegroup_core.motion_groups.elimination import ENTRIES
 

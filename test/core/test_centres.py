@@ -10,7 +10,7 @@ from other_frames import described_elsewhere
 from scipy.integrate import solve_ivp
 
 from liegroup_core import Simulation
-from liegroup_core.model.symmetry import conserved_momentum, momentum_values
+from liegroup_core.mechanism.symmetry import conserved_momentum, momentum_values
 from liegroup_core.observables.sample import Sample
 from liegroup_core.reference import WrenchChange, integrate
 from liegroup_core.scene import Body, Frame, Joint, Scene, scene_from_text

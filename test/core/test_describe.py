@@ -6,8 +6,8 @@ import pytest
 
 from liegroup_core import load_scene
 from liegroup_core.describe import describe, solve_structure
-from liegroup_core.integrators.methods import METHODS
 from liegroup_core.layout import make_layout
+from liegroup_core.methods.table import METHODS
 from liegroup_core.scene.library import chain
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.chapter.joint_runs import four_bar

@@ -6,7 +6,7 @@ import math
 import pytest
 
 from liegroup_core.errors import SceneError
-from liegroup_core.model.build import build_model
+from liegroup_core.mechanism.body_model import build_model
 from liegroup_core.scene import scene_from_text
 
 HEAD = """\

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 import random_mechanisms
 
+from liegroup_core.dynamics.kinds import inverse_dynamics
 from liegroup_core.engine import Engine
-from liegroup_core.formulations.relative.kinds import inverse_dynamics
-from liegroup_core.integrators.rkmk import relative
+from liegroup_core.methods.munthe_kaas import steps as relative
 
 SPACES = ("auto", "space")
 CASES = [(name, seed) for name in random_mechanisms.CLASSES for seed in range(4)]

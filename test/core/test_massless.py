@@ -16,9 +16,9 @@ from liegroup_core import SceneError, Simulation
 from liegroup_core.describe import describe
 from liegroup_core.engine import Engine
 from liegroup_core.errors import SimulationError
-from liegroup_core.integrators.families import ON_JOINTS, fitting_methods
-from liegroup_core.integrators.methods import METHODS
 from liegroup_core.layout import make_layout
+from liegroup_core.methods.families import ON_JOINTS, fitting_methods
+from liegroup_core.methods.table import METHODS
 from liegroup_core.reference.trajectory import Reference
 from liegroup_core.scene.load import scene_from_text
 from liegroup_core.study.trade.configurations import ladders

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from liegroup_core import Simulation, load_scene
-from liegroup_core.integrators.methods import METHODS
+from liegroup_core.methods.table import METHODS
 
 # A wrench starts before the state is saved and continues. Methods that restart when a wrench
 # changes must not restart at SAVED.

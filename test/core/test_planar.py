@@ -13,9 +13,9 @@ import pytest
 
 from liegroup_core import Scene, Simulation, load_scene
 from liegroup_core.describe import describe
-from liegroup_core.formulations.relative.arrays import PlaneModel, RelativeModel
 from liegroup_core.layout import make_layout
 from liegroup_core.lie.groups import SO3
+from liegroup_core.mechanism.arrays import PlaneModel, RelativeModel
 from liegroup_core.scene.description import (
     Body,
     Drag,

@@ -8,7 +8,7 @@ from liegroup_core import Scene, Simulation, SimulationError
 from liegroup_core.engine import Engine
 from liegroup_core.joints.linkage import Linkage
 from liegroup_core.lie.groups import SO3
-from liegroup_core.model.redundancy import loop_groups, loop_joints
+from liegroup_core.mechanism.redundancy import loop_groups, loop_joints
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
 from liegroup_core.scene.description import Body, Frame, Joint
 

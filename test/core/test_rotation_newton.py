@@ -4,14 +4,8 @@
 import numpy as np
 import pytest
 
-from liegroup_core.integrators.rotation.newton import (
-    GYROSCOPIC,
-    INCREMENT,
-    RATTLE,
-    _equation,
-    newton,
-)
 from liegroup_core.lie.groups import SO3
+from liegroup_core.methods.rotation.newton import GYROSCOPIC, INCREMENT, RATTLE, _equation, newton
 
 KINDS = (GYROSCOPIC, RATTLE, INCREMENT)
 

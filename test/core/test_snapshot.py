@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from liegroup_core import Simulation, load_scene
-from liegroup_core.integrators.methods import METHODS
+from liegroup_core.methods.table import METHODS
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.recording import attachments
 

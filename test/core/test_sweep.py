@@ -16,8 +16,8 @@ from scipy.special import ndtr
 from liegroup_core import load_scene
 from liegroup_core.fields.frames import ROTATIONS
 from liegroup_core.layout import make_layout
-from liegroup_core.model import redundancy
-from liegroup_core.model.redundancy import generic_poses
+from liegroup_core.mechanism import redundancy
+from liegroup_core.mechanism.redundancy import generic_poses
 from liegroup_core.scene.load import scene_as_written, scene_from_text
 from liegroup_core.study.sweep import sweep as sweeps
 from liegroup_core.study.sweep.file import SweepFile, SweepFileError

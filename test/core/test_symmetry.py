@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from liegroup_core import load_scene
-from liegroup_core.model.build import initial_state
-from liegroup_core.model.symmetry import conserved_momentum, momentum_values
+from liegroup_core.mechanism.body_model import initial_state
+from liegroup_core.mechanism.symmetry import conserved_momentum, momentum_values
 from liegroup_core.reference import integrate
 from liegroup_core.scene.description import Body, Frame, Joint, Scene, SpringDamper
 

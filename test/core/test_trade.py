@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from liegroup_core import Simulation, load_scene
-from liegroup_core.integrators.methods import METHODS
-from liegroup_core.model.build import initial_state
+from liegroup_core.mechanism.body_model import initial_state
+from liegroup_core.methods.table import METHODS
 from liegroup_core.reference import integrate
 from liegroup_core.scene.load import scene_from_text
 from liegroup_core.study.trade import cache as store

@@ -15,7 +15,7 @@ from browser import CHROMIUM, Browser
 from random_recordings import random_recording
 from rich.console import Console
 
-from liegroup_core.integrators.methods import METHODS
+from liegroup_core.methods.table import METHODS
 from liegroup_sim_ros import show
 from liegroup_sim_ros.analysis import analyse
 from liegroup_sim_ros.analysis.analyse import Analysis

@@ -12,7 +12,7 @@ import pytest
 from made_run import record
 
 from liegroup_core import Simulation, load_scene
-from liegroup_core.integrators.methods import METHODS
+from liegroup_core.methods.table import METHODS
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.node.parameters import TABLE

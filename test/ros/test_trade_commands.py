@@ -9,7 +9,7 @@ import pytest
 from browser import CHROMIUM, Browser
 
 from liegroup_core import load_scene
-from liegroup_core.integrators.methods import METHODS
+from liegroup_core.methods.table import METHODS
 from liegroup_core.study import tasks
 from liegroup_core.study.trade.trade import Trade
 from liegroup_sim_ros.commands.main import main

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from liegroup_core import Simulation
 from liegroup_core.engine import Engine
 from liegroup_core.joint_events import has_impacts
-from liegroup_core.model.symmetry import conserved_momentum
+from liegroup_core.mechanism.symmetry import conserved_momentum
 from liegroup_core.scene.load import scene_from_text
 
 pytestmark = pytest.mark.slow

@@ -11,8 +11,8 @@ import pytest
 
 from liegroup_core import Scene, Simulation, SimulationError, load_scene
 from liegroup_core.forces.external import no_wrenches
-from liegroup_core.integrators.methods import METHODS
-from liegroup_core.integrators.rattle.rattle import SUBSTEPS
+from liegroup_core.methods.rattle.rattle import SUBSTEPS
+from liegroup_core.methods.table import METHODS
 from liegroup_core.reference import integrate
 from liegroup_core.scene.description import Drag, Motor, TorsionalSpringDamper
 from liegroup_core.status import NOT_CONVERGED, ROTATION_TOO_LARGE

@@ -2,7 +2,7 @@
 """Forces that jump or have a kink: accuracies against closed forms, piece by piece.
 
 The error estimate of a substep is small by chance if a jump falls into some of its places, see
-integrators/rkmk/error_control.py.
+methods/munthe_kaas/error_control.py.
 """
 
 import bisect

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from liegroup_core import Simulation, SimulationError
-from liegroup_core.integrators.methods import METHODS
 from liegroup_core.joints import LOWER_PAIRS
+from liegroup_core.methods.table import METHODS
 
 COUPLED = ("spherical", "revolute", "cylindrical", "screw")
 WRENCH = (0.3, -0.2, 0.1, 0.5, 1.0, -0.7)

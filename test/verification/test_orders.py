@@ -20,8 +20,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from liegroup_core import Scene, Simulation, SimulationError, load_scene
-from liegroup_core.integrators.families import NOT_ON_SE3
-from liegroup_core.integrators.methods import METHODS
+from liegroup_core.methods.families import NOT_ON_SE3
+from liegroup_core.methods.table import METHODS
 from liegroup_core.scene.description import (
     Body,
     ConstantWrench,

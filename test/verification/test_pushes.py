@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from liegroup_core import Simulation, load_scene
-from liegroup_core.integrators.methods import METHODS
+from liegroup_core.methods.table import METHODS
 from liegroup_core.reference import WrenchChange, integrate
 from liegroup_core.scene.description import Body, ConstantWrench, Frame, Joint, Scene
 

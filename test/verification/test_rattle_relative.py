@@ -16,8 +16,8 @@ import random_mechanisms
 from liegroup_core import Scene, load_scene
 from liegroup_core.engine import Engine
 from liegroup_core.forces.external import no_wrenches
-from liegroup_core.formulations.relative.arrays import PlaneModel
-from liegroup_core.integrators.methods import METHODS
+from liegroup_core.mechanism.arrays import PlaneModel
+from liegroup_core.methods.table import METHODS
 from liegroup_core.motion_groups.table import DIRECT, FREEDOMS
 from liegroup_core.scene.description import Drag
 

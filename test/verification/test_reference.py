@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from liegroup_core.errors import SimulationError
 from liegroup_core.layout import make_layout
-from liegroup_core.model.build import initial_state
+from liegroup_core.mechanism.body_model import initial_state
 from liegroup_core.reference import Reference, Trajectory, WrenchChange, distance, integrate
 from liegroup_core.reference.equations import joint_equations
 from liegroup_core.reference.system import build_system

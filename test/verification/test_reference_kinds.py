@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from liegroup_core import Scene, Simulation, SimulationError, load_scene
-from liegroup_core.model.build import initial_state
+from liegroup_core.mechanism.body_model import initial_state
 from liegroup_core.reference import Trajectory, distance, integrate
 from liegroup_core.scene import (
     Body,

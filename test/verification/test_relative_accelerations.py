@@ -42,7 +42,7 @@ import random_mechanisms
 from liegroup_core.engine import Engine
 from liegroup_core.joints.kinds import CONSTRAINTS
 from liegroup_core.layout import make_layout
-from liegroup_core.model.redundancy import loop_joints
+from liegroup_core.mechanism.redundancy import loop_joints
 from liegroup_core.scene.description import FORCES
 
 pytestmark = pytest.mark.slow

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from liegroup_core import Simulation
-from liegroup_core.integrators.methods import METHODS
+from liegroup_core.methods.table import METHODS
 from liegroup_core.motion_groups.table import FREEDOMS
 from liegroup_core.reference.trajectory import integrate
 

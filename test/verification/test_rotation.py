@@ -13,8 +13,8 @@ import pytest
 from scipy.optimize import fsolve
 
 from liegroup_core import Scene, Simulation, SimulationError, load_scene
-from liegroup_core.integrators.methods import METHODS
 from liegroup_core.lie.groups import SO3
+from liegroup_core.methods.table import METHODS
 from liegroup_core.scene.description import Body
 from liegroup_core.status import NO_RATTLE_STEP, NOT_CONVERGED
 from liegroup_sim_ros.chapter.rotation_figures import (

@@ -13,9 +13,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from liegroup_core import Scene, Simulation, SimulationError, load_scene
-from liegroup_core.integrators.families import fitting_methods
-from liegroup_core.integrators.methods import METHODS
 from liegroup_core.layout import make_layout
+from liegroup_core.methods.families import fitting_methods
+from liegroup_core.methods.table import METHODS
 from liegroup_core.reference import integrate
 from liegroup_core.scene.description import Body, ConstantWrench, Drag, Frame, Joint, SpringDamper
 

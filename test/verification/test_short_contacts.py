@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import brentq
 
 from liegroup_core import Simulation
-from liegroup_core.integrators.rkmk.crossings import NONE, lowest
+from liegroup_core.events.crossings import NONE, lowest
 from liegroup_core.scene.load import scene_from_text
 
 G = 9.81

@@ -133,8 +133,8 @@ def test_a_block_on_a_turning_track_slips_where_it_is_steepest(share, settings, 
 
 def test_weights_of_the_stages_are_those_of_polynomials():
     """Exact up to the degree of the nodes, and without one node up to one less."""
-    from liegroup_core.integrators.methods import METHODS
-    from liegroup_core.integrators.rkmk.crossings import PARTS, rows_and_weights
+    from liegroup_core.events.crossings import PARTS, rows_and_weights
+    from liegroup_core.methods.table import METHODS
 
     s = np.arange(1, PARTS) / PARTS
     for method in METHODS.values():

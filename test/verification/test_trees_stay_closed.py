@@ -28,11 +28,11 @@ from scipy.linalg import null_space
 
 from liegroup_core import SimulationError
 from liegroup_core.engine import Engine
-from liegroup_core.integrators.families import ON_JOINTS
-from liegroup_core.integrators.methods import METHODS
 from liegroup_core.joints import forbidden_rows
 from liegroup_core.joints.kinds import CONSTRAINTS
 from liegroup_core.lie.groups import SE3
+from liegroup_core.methods.families import ON_JOINTS
+from liegroup_core.methods.table import METHODS
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
 
 STEPS = int(os.environ.get("STEPS", "2000"))

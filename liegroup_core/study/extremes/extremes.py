@@ -12,9 +12,9 @@ from functools import partial
 from pathlib import Path
 
 from liegroup_core.errors import SceneError, SimulationError
-from liegroup_core.integrators.families import misfit
-from liegroup_core.integrators.methods import METHODS
 from liegroup_core.layout import make_layout
+from liegroup_core.methods.families import misfit
+from liegroup_core.methods.table import METHODS
 from liegroup_core.scene.load import load_scene
 from liegroup_core.study.tasks import run
 from liegroup_core.study.trade.cache import Folder, key_of

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from liegroup_core.model.build import initial_state
+from liegroup_core.mechanism.body_model import initial_state
 from liegroup_core.reference import integrate
 from liegroup_core.scene.assembly import ready
 

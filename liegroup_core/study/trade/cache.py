@@ -22,7 +22,7 @@ from pathlib import Path
 from zipfile import BadZipFile
 
 from liegroup_core.compiling import cache_root, source_digest
-from liegroup_core.integrators.methods import is_positive
+from liegroup_core.methods.table import is_positive
 from liegroup_core.study.machine import cpu_name
 
 from .configurations import as_time

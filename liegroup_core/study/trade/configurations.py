@@ -9,8 +9,8 @@ import math
 from fractions import Fraction
 from typing import NamedTuple
 
-from liegroup_core.integrators.families import NOT_ON_SE3, ON_JOINTS, choose_group, fitting_methods
-from liegroup_core.integrators.methods import CONFIGURATION_GROUPS, METHODS, RELATIVE
+from liegroup_core.methods.families import NOT_ON_SE3, ON_JOINTS, choose_group, fitting_methods
+from liegroup_core.methods.table import CONFIGURATION_GROUPS, METHODS, RELATIVE
 
 STABILISATIONS = ("none", "projection")
 # Candidates for the best configuration: methods that win in at least one example scene if all are

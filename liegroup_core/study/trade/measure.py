@@ -18,7 +18,7 @@ import numpy as np
 from liegroup_core.compiling import source_digest
 from liegroup_core.engine import Engine
 from liegroup_core.errors import SimulationError
-from liegroup_core.model.symmetry import conserved_momentum
+from liegroup_core.mechanism.symmetry import conserved_momentum
 from liegroup_core.reference import Trajectory, distance
 from liegroup_core.scene.load import scene_from_text
 from liegroup_core.simulation import Simulation

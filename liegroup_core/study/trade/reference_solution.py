@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from liegroup_core.errors import SimulationError
-from liegroup_core.model.build import initial_state
-from liegroup_core.model.symmetry import momentum_values
+from liegroup_core.mechanism.body_model import initial_state
+from liegroup_core.mechanism.symmetry import momentum_values
 from liegroup_core.observables.along import Along
 from liegroup_core.reference import Distance, Reference, Trajectory, distance
 from liegroup_core.reference.exact import exact_solution

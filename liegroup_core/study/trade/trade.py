@@ -13,9 +13,9 @@ the reference uncertainty, or the next step would take too long (docs/how-to/cho
 from liegroup_core.accuracy import DEFAULT
 from liegroup_core.compiling import source_digest
 from liegroup_core.engine import Engine
-from liegroup_core.integrators.families import fitting_methods
-from liegroup_core.integrators.methods import METHODS, is_positive
 from liegroup_core.layout import make_layout
+from liegroup_core.methods.families import fitting_methods
+from liegroup_core.methods.table import METHODS, is_positive
 from liegroup_core.study.tasks import run
 
 from .cache import Store

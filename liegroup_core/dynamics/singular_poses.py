@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Accelerations of loops near a singular pose, where two branches of their motion cross.
+
+At a distance t from such a pose a row of the cut joints, or a sum of rows, is J_s = t B. At a stage that is
+off the constraints by e the accelerations are wrong by about e / t^2: they are those of another mechanism,
+whose branches do not cross. On the constraints they are smooth in t. So the stage is projected before they
+are computed. That fails nearer to the pose, where round-off is e. There they are interpolated from both
+sides, from the poses displaced by +- d V, +- 2 d V and +- 3 d V and projected, up to O(d^6).
+What is left is round-off in the accelerations: error control does not resolve it.
+
+Steps keep their normal size at these poses: test/verification/test_accuracy.py. Scenes with stops or
+friction are left to the regularisation of loops.py.
+"""
+
+from liegroup_core.compiling import kernel
+from liegroup_core.mechanism.bodies import copy_state
+
+from .kinds import displace_by_twist
+
+# Displacement d V of the joint that turns fastest, rad: three times the distance at which a pose is singular.
+ASIDE = 2e-2
+# Round-off in accelerations as a part of the square of the fastest rate of rotation: a tenth of that of a pose,
+# 3e-16, divided by the cube of the distance at which it counts as singular.
+NOISE = 4e-10
+# Displacements in d, and weights of the interpolation.
+SIDES = (0.0, 1.0, -1.0, 2.0, -2.0, 3.0, -3.0)
+WEIGHTS = (0.0, 0.75, 0.75, -0.3, -0.3, 0.05, 0.05)
+
+
+@kernel
+def begin_aside(model, work):
+    """Keep the stage and its accelerations; returns d in s, or 0 if no joint turns."""
+    n, fastest = len(model.parts), 0.0
+    copy_state(work.stage_pose, work.stage_twist, work.middle_pose, work.middle_twist)
+    for b in range(len(model.bodies)):
+        first = model.bodies[b]["freedom"]
+        for k in range(first, first + model.bodies[b]["freedoms"]):
+            if model.order[k, 1] < 3:
+                rate = work.stage_twist[n + b, model.order[k, 0] - first]
+                fastest = max(fastest, abs(rate))
+    for f in range(len(work.freedoms)):
+        work.middle[f, 0] = work.acceleration[f, 0]
+        work.middle[f, 1] = 0.0
+    work.report[4] = max(work.report[4], NOISE * fastest * fastest)
+    return ASIDE / fastest if fastest > 0.0 else 0.0
+
+
+@kernel
+def go_aside(model, work, d):
+    """Displace the stage by the time d along its velocities and kept accelerations."""
+    n = len(model.parts)
+    for b in range(len(model.bodies)):
+        f = model.bodies[b]["freedom"]
+        for k in range(model.bodies[b]["freedoms"]):
+            rate = work.middle_twist[n + b, k]
+            work.total[f + k, 0] = d * rate
+            work.stage_twist[n + b, k] = rate + d * work.middle[f + k, 0]
+        displace_by_twist(model, b, work.middle_pose, work.total, f, work.stage_pose)
+
+
+@kernel
+def add_aside(work, weight):
+    """Add the accelerations of a displaced stage to their sum."""
+    for f in range(len(work.freedoms)):
+        work.middle[f, 1] += weight * work.acceleration[f, 0]
+
+
+@kernel
+def end_aside(work, column):
+    """Return to the kept stage; its accelerations are the sum, column 1, or as they were, 0."""
+    copy_state(work.middle_pose, work.middle_twist, work.stage_pose, work.stage_twist)
+    for f in range(len(work.freedoms)):
+        work.acceleration[f, 0] = work.middle[f, column]

@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Coordinates with stops or dry friction: their forces, and how far the next event is.
+
+A switch is such a coordinate. It is free or held. Most are freedoms of the tree. A held freedom does
+not accelerate: the sweeps of trees.py leave it in the inertia of its link, so that its rate stays
+exactly zero. What holds it, the contact at a rigid stop or the friction of a joint at rest, follows
+from what the equations of motion of its link lack. The others, the length of a cable, the slack of a
+coupling, the angle of a cone, the coordinate of a cut joint, are rows beside those of the cut joints:
+held, a row is solved for like them, and its multiplier is what holds it; else it does not act. Where
+more switches are at rest than the mechanism has freedoms, some are held, and the others rest with
+them, each with the effort that it had last. A free switch has sliding friction, and the force of a
+compliant stop beyond it:
+
+    -slip coulomb - viscous qdot   and, beyond a compliant stop,  stiffness depth + damping d depth/dt
+
+Between two events all this is smooth. Work.modes says which branch holds, Work.guards how far the
+event is that ends it; events/switching.py changes the branch.
+"""
+
+import math
+
+import numpy as np
+
+from liegroup_core.compiling import kernel
+from liegroup_core.forces.turn import unwrapped
+from liegroup_core.mechanism.arrays import COORDINATE, EFFORT, KNOWN, RESTS, SIDE, SLIP
+
+from .coupled_rows import set_gap
+from .kinds import (
+    add_effort,
+    lift_links,
+    link_coordinate,
+    link_shift,
+    move_links,
+    place_links,
+    set_present_residual,
+)
+from .loads import FOUND, LOAD, find_loads, gather_lacking
+from .matrix import is_off
+
+# Columns of Work.guards; LOWER and UPPER are the stops, the last two the bounds of what holds.
+LOWER, UPPER, SLIDING, LEAST, MOST = 0, 1, 2, 3, 4
+# Of the wrenches on all links: what holds a freedom is known to this part.
+ROUND_OFF = 1e-13
+MOVES = 1e-9  # rad/s or m/s: what rests because of others moves from here on
+# Less than this beyond a stop, rad or m, and of a larger one, is round-off; and so is a rate of RESTING.
+AT_STOP, RESTING = 1e-13, 1e-11
+
+
+def modes_of(model, work):
+    """(k, 5) of each switch, in the coordinate of its joint: 1 if it is held, 2 if it rests because of
+    others; direction of slip; stop that it touches (-1 lower, 1 upper); coordinate; effort if it rests.
+    """
+    table, modes = model.switches, work.modes
+    signs = table["sign"][:, None]
+    own = modes[:, [SLIP, SIDE, COORDINATE, EFFORT]] * signs
+    own[:, 3] *= modes[:, RESTS]
+    at_rest = work.held[table["freedom"]] + 2.0 * modes[:, RESTS]
+    return np.hstack([at_rest[:, None], own])
+
+
+def set_modes(model, work, modes):
+    """Write `modes_of` another model of the same scene."""
+    table = model.switches
+    work.held[:] = 0.0
+    work.held[table["freedom"]] = modes[:, 0] == 1.0
+    work.modes[:, [SLIP, SIDE, COORDINATE, EFFORT]] = modes[:, 1:] * table["sign"][:, None]
+    work.modes[:, KNOWN], work.modes[:, RESTS] = 1.0, modes[:, 0] == 2.0
+
+
+@kernel
+def coordinate(model, work, k, pose):
+    """Coordinate of switch k, rad in the turn of the last one, or m; of a row: see `set_gap`."""
+    switch = model.switches[k]
+    b = switch["link"]
+    if b < 0:
+        return work.reach[k]
+    if switch["component"] == 1:
+        return link_shift(model, b, pose)
+    q = link_coordinate(model, b, pose)
+    if switch["turned"] == 0:
+        return q
+    return unwrapped(q, work.modes[k, COORDINATE])
+
+
+@kernel
+def _find_rows(model, work):
+    """Coordinates of the switches that are rows, at the links of the stage."""
+    if model.has_switched_rows:
+        lift_links(model, work)
+        set_gap(model, work)
+
+
+@kernel
+def count_coordinates(model, work):
+    """Keep the coordinates of all switches at the end of a step; held rows stay where they are held."""
+    if model.has_switched_rows:
+        move_links(model, work)
+        place_links(model, work)
+        _find_rows(model, work)
+    for k in range(len(model.switches)):
+        if model.switches[k]["row"] < 0 or work.held[model.switches[k]["freedom"]] == 0.0:
+            work.modes[k, COORDINATE] = coordinate(model, work, k, work.stage_pose)
+
+
+@kernel
+def set_rates(model, work, out):
+    """Rates and accelerations of all switches at the stage, to out (k, 2)."""
+    if model.has_switched_rows:
+        set_present_residual(model, work)
+    for k in range(len(model.switches)):
+        switch = model.switches[k]
+        r = switch["row"]
+        if r < 0:
+            out[k, 0] = work.stage_twist[len(model.parts) + switch["link"], switch["component"]]
+            out[k, 1] = work.acceleration[switch["freedom"], 0]
+        else:
+            out[k, 0], out[k, 1] = work.slip[r], work.right[r]
+
+
+@kernel
+def too_fast(model, work, h):
+    """First switch with stops whose angle changes by half a turn or more in a step h to the stage, or -1.
+
+    Poses do not tell in which turn it is then.
+    """
+    counts = False
+    for k in range(len(model.switches)):
+        counts = counts or _counts_turns(model.switches[k])
+    if counts:
+        set_rates(model, work, work.now)
+        for k in range(len(model.switches)):
+            if _counts_turns(model.switches[k]) and abs(h * work.now[k, 0]) >= math.pi:
+                return k
+    return -1
+
+
+@kernel
+def _counts_turns(switch):
+    return switch["turned"] == 1 and (switch["lower"] > -math.inf or switch["upper"] < math.inf)
+
+
+@kernel
+def _depth(switch, q, rate, side):
+    """(depth, its rate) beyond the lower stop, side -1, or the upper one, side 1."""
+    if side < 0.0:
+        return switch["lower"] - q, -rate
+    return q - switch["upper"], rate
+
+
+@kernel
+def _pressure(switch, q, rate, side):
+    """Force of a compliant stop if it acts, N m or N; it does not pull."""
+    depth, speed = _depth(switch, q, rate, side)
+    return switch["stiffness"] * depth + switch["damping"] * speed
+
+
+@kernel
+def _effort(model, work, k, rate):
+    """Friction and force of a compliant stop of switch k, which is not held, N m or N."""
+    switch, side = model.switches[k], work.modes[k, SIDE]
+    if work.modes[k, RESTS] != 0.0:
+        return work.modes[k, EFFORT]
+    sliding = switch["coulomb"] + switch["sliding_by_load"] * work.loads[k, LOAD]
+    effort = -work.modes[k, SLIP] * sliding - switch["viscous"] * rate
+    if side != 0.0:
+        q = coordinate(model, work, k, work.stage_pose)
+        effort -= side * _pressure(switch, q, rate, side)
+    return effort
+
+
+@kernel
+def apply_switches(model, work):
+    """Apply friction and compliant stops of freedoms to the links at the stage."""
+    n = len(model.parts)
+    for k in range(len(model.switches)):
+        switch = model.switches[k]
+        b, component = switch["link"], switch["component"]
+        if b >= 0 and work.held[switch["freedom"]] == 0.0:
+            effort = _effort(model, work, k, work.stage_twist[n + b, component])
+            add_effort(model, work, b, component, effort)
+
+
+@kernel
+def set_row_efforts(model, work):
+    """Multipliers of the rows that are not held, by friction and compliant stops; whether there are any."""
+    compliant, found = False, False
+    for k in range(len(model.switches)):
+        if model.switches[k]["row"] >= 0 and work.modes[k, SIDE] != 0.0:
+            compliant = compliant or model.switches[k]["stiffness"] > 0.0
+    if compliant:
+        _find_rows(model, work)
+    for k in range(len(model.switches)):
+        r = model.switches[k]["row"]
+        if r >= 0 and is_off(model, work, r):
+            work.multipliers[r] = -_effort(model, work, k, work.slip[r])
+            found = found or work.multipliers[r] != 0.0
+    return found
+
+
+@kernel
+def bounds(most, side):
+    """(least, largest) effort that can hold a switch which touches the rigid stop of a side, or none.
+
+    most : friction at rest
+    """
+    return (-math.inf if side > 0.0 else -most, math.inf if side < 0.0 else most)
+
+
+@kernel
+def set_guards(model, work):
+    """How far every switch is from its next event, to work.guards: negative if it is beyond."""
+    held = False
+    for k in range(len(model.switches)):
+        for c in range(5):
+            work.guards[k, c] = math.inf
+        held = held or work.held[model.switches[k]["freedom"]] != 0.0
+    set_rates(model, work, work.now)
+    _find_rows(model, work)
+    total = 0.0
+    if held or model.has_loads:
+        total = gather_lacking(model, work)
+        find_loads(model, work)
+    for k in range(len(model.switches)):
+        switch, guards, side = model.switches[k], work.guards, work.modes[k, SIDE]
+        f = switch["freedom"]
+        if work.held[f] != 0.0:
+            row = switch["row"]
+            effort = -work.freedoms[f, 7] if row < 0 else -work.multipliers[row]
+            at_rest = switch["static"] + switch["static_by_load"] * work.loads[k, FOUND]
+            least, most = bounds(at_rest, side)
+            guards[k, LEAST] = effort - least + ROUND_OFF * total
+            guards[k, MOST] = most - effort + ROUND_OFF * total
+            continue
+        rate = work.now[k, 0]
+        if work.modes[k, RESTS] != 0.0:
+            guards[k, SLIDING] = MOVES - abs(rate)
+            continue
+        q = coordinate(model, work, k, work.stage_pose)
+        if switch["stiffness"] == 0.0:
+            guards[k, LOWER], guards[k, UPPER] = q - switch["lower"], switch["upper"] - q
+        else:
+            for end in range(2):
+                at = -1.0 if end == 0 else 1.0
+                depth, _ = _depth(switch, q, rate, at)
+                acting = min(depth, _pressure(switch, q, rate, at))
+                guards[k, end] = acting if side == at else -acting
+        if switch["static"] > 0.0 or switch["static_by_load"] > 0.0:
+            guards[k, SLIDING] = work.modes[k, SLIP] * rate

@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where in a substep a guard of a switch is crossed: one that is negative at the end, or in between.
+
+Between its ends a gap follows from its rates and accelerations there. The effort that holds a switch
+has no known derivative: a contact may give way for a part of a substep. Its guards are computed at some
+of the stages, which the method has anyway, and are taken to be the polynomial through these. How near
+to it they are shows the polynomial that leaves out the node in the middle.
+
+What seems to be crossed is looked at closely by event_times.py.
+"""
+
+import math
+
+import numpy as np
+
+from liegroup_core.compiling import kernel
+from liegroup_core.dynamics.switches import (
+    AT_STOP,
+    LEAST,
+    LOWER,
+    MOST,
+    RESTING,
+    SLIDING,
+    coordinate,
+    set_guards,
+)
+from liegroup_core.mechanism.arrays import COORDINATE, NODES, RESTS, SIDE, SLIP
+
+NONE = -1.0  # in Work.crossed: the guard is not crossed
+START, END = 0, 1  # rows of Work.course of the first stage and of the end
+APART = 0.125  # parts of a step; stages that are closer to a later one are left out
+PARTS, DOUBT = 16, 4.0  # of a step at whose ends guards are tested; see `lowest`
+
+
+def rows_and_weights(times):
+    """(s + 1,) row of Work.course of every stage, or -1, and (2, PARTS - 1, NODES) weights of these rows.
+
+    times : (s + 1,) of the stages and of the end, parts of a step
+    The weights give the polynomials through all nodes, and through all but one.
+    """
+    stages = len(times) - 1
+    chosen = [0, stages]
+    for stage in reversed(range(1, stages)):
+        if len(chosen) < NODES and np.abs(times[stage] - times[chosen]).min() >= APART:
+            chosen.append(stage)
+    rows = np.full(stages + 1, -1)
+    rows[chosen] = range(len(chosen))
+    nodes = times[chosen]
+    inner = sorted(range(2, len(nodes)), key=lambda row: nodes[row])
+    weights = np.zeros((2, PARTS - 1, NODES))
+    for which, without in enumerate((None, inner[len(inner) // 2] if inner else None)):
+        used = [row for row in range(len(nodes)) if row != without]
+        for i, s in enumerate(np.arange(1, PARTS) / PARTS):
+            for row in used:
+                others = nodes[[other for other in used if other != row]]
+                weights[which, i, row] = np.prod((s - others) / (nodes[row] - others))
+    return rows, weights
+
+
+@kernel
+def note_guards(model, work, row):
+    """Set the guards of a stage, and keep those of what is held in a row of Work.course."""
+    held = row == END
+    for k in range(len(model.switches)):
+        held = held or work.held[model.switches[k]["freedom"]] != 0.0
+    if row < 0 or not held:
+        return
+    set_guards(model, work)
+    for k in range(len(model.switches)):
+        for c in range(2):
+            work.course[row, k, c] = work.guards[k, LEAST + c]
+
+
+@kernel
+def begin_at_end(work):
+    """The next substep begins where this one ends."""
+    for k in range(len(work.guards)):
+        for c in range(2):
+            work.course[START, k, c] = work.course[END, k, c]
+
+
+@kernel
+def _gives_way(weights, course, k, c):
+    """Part of a step at which a guard c, LEAST or MOST, of switch k may be below zero, or NONE."""
+    if not course[END, k, c - LEAST] < math.inf:
+        return NONE
+    place, least = NONE, 0.0
+    for i in range(PARTS - 1):
+        guard, other = 0.0, 0.0
+        for row in range(NODES):
+            guard += weights[0, i, row] * course[row, k, c - LEAST]
+            other += weights[1, i, row] * course[row, k, c - LEAST]
+        guard -= abs(guard - other)
+        if guard < least:
+            place, least = (i + 1) / PARTS, guard
+    return place
+
+
+@kernel
+def _dip(g0, d0, g1, d1, h):
+    """Part of a step at which a cubic with these ends and slopes dips below zero, or NONE."""
+    if not (d0 < 0.0 < d1):
+        return NONE
+    a, b, c = (
+        3.0 * (2.0 * (g0 - g1) + (d0 + d1) * h),
+        2.0 * (3.0 * (g1 - g0) - (2.0 * d0 + d1) * h),
+        d0 * h,
+    )
+    # The root of a s^2 + b s + c with a positive slope; c < 0 and a + b + c > 0.
+    root = math.sqrt(max(b * b - 4.0 * a * c, 0.0))
+    s = -2.0 * c / (b + root) if b + root > 0.0 else 1.0
+    least = g0 + s * (c + s * (0.5 * b + s * a / 3.0))
+    return s if 0.0 < s < 1.0 and least < min(g0, 0.0) else NONE
+
+
+@kernel
+def lowest(g0, v0, a0, g1, v1, a1, h, depth, lag):
+    """Part of a step at which a gap may be deepest below zero, or NONE: it stays above.
+
+    g, v, a : gap, rate and acceleration at the start and at the end of a step of size h. A gap that
+              starts below zero has to become less than it was
+    lag     : s; what may be below zero is the gap and `lag` times its rate
+    Between its ends the gap is near the polynomial of degree five with these values. How near, shows
+    the distance to that of degree three: DOUBT times it is taken off. Where the gap is not smooth,
+    as that of a point that passes another one, this is about as much as it could have closed.
+    """
+    p0, p1, r0, r1, lag = v0 * h, v1 * h, 0.5 * a0 * h * h, 0.5 * a1 * h * h, lag / h
+    if lag == 0.0 and min(g0, g1) > abs(p0) + abs(p1) + abs(r0) + abs(r1):
+        return NONE
+    rise = g1 - g0
+    b, c = 3.0 * rise - 2.0 * p0 - p1, p0 + p1 - 2.0 * rise
+    first, last = r0 - b, r1 - b - 3.0 * c
+    doubt = DOUBT * max(abs(first), abs(last))
+    after = g0 + lag * p0
+    place, least = NONE, min(after, 0.0) - depth
+    before, now = after, after
+    for i in range(PARTS + 1):
+        before, now = now, after
+        if i < PARTS:
+            s = (i + 1) / PARTS
+            bump, more = s * (1.0 - s), first + s * (last - first)
+            after = g0 + s * (p0 + s * (b + s * c)) + bump * bump * (more - doubt)
+            if lag != 0.0:
+                slope = p0 + s * (2.0 * b + s * 3.0 * c) + bump * bump * (last - first)
+                bend = 2.0 * bump * (1.0 - 2.0 * s)
+                after += lag * (slope + bend * more - abs(bend) * doubt)
+        # A parabola through three points; at an end, through two with the slope there.
+        slope, bend = 0.5 * (after - before), after - 2.0 * now + before
+        if i == 0:
+            slope = (p0 + 2.0 * lag * r0) / PARTS
+            bend = 2.0 * (after - now - slope)
+        elif i == PARTS:
+            slope = (p1 + 2.0 * lag * r1) / PARTS
+            bend = 2.0 * (before - now + slope)
+        aside = -slope / bend if bend > 0.0 else math.inf
+        if abs(aside) <= 1.0 and 0.0 <= i + aside <= PARTS:
+            gap = now + 0.5 * slope * aside
+            if gap < least:
+                place, least = (i + aside) / PARTS, gap
+    return place
+
+
+@kernel
+def crossed(model, work, h, weights):
+    """Whether a guard is crossed in a step of size h to the stage; where, to work.crossed."""
+    found = False
+    for k in range(len(model.switches)):
+        switch, guards, places = model.switches[k], work.guards, work.crossed
+        for c in range(5):
+            places[k, c] = NONE
+        if work.held[switch["freedom"]] != 0.0 or work.modes[k, RESTS] != 0.0:
+            for c in range(SLIDING, MOST + 1):
+                if guards[k, c] < 0.0:
+                    places[k, c] = 1.0
+                elif c > SLIDING:
+                    places[k, c] = _gives_way(weights, work.course, k, c)
+        else:
+            q0, v0, v1 = work.modes[k, COORDINATE], work.since[k, 0], work.now[k, 0]
+            a0, a1, soft = work.since[k, 1], work.now[k, 1], switch["stiffness"] > 0.0
+            for c in range(2):
+                sign = 1.0 if c == LOWER else -1.0
+                stop = switch["lower"] if c == LOWER else switch["upper"]
+                # Rows that were held drift by round-off and the error of the method: one that leaves
+                # its stop may start beyond it, and leaves with the third power of time.
+                before, depth, lag = sign * (q0 - stop), AT_STOP * (1.0 + abs(stop)), 0.0
+                if guards[k, c] < 0.0:
+                    further = guards[k, c] < min(before, 0.0) - depth
+                    if soft or further or sign * v1 < -RESTING:
+                        places[k, c] = 1.0
+                elif before < math.inf:
+                    after = guards[k, c]
+                    if soft:
+                        after = sign * (coordinate(model, work, k, work.stage_pose) - stop)
+                    if soft and work.modes[k, SIDE] == -sign:
+                        # It ends where its pressure does.
+                        sign, before, after = -sign, -before, -after
+                        lag = switch["damping"] / switch["stiffness"]
+                    v, w, a, b = sign * v0, sign * v1, sign * a0, sign * a1
+                    places[k, c] = lowest(before, v, a, after, w, b, h, depth, lag)
+            if guards[k, SLIDING] < 0.0:
+                places[k, SLIDING] = 1.0
+            elif guards[k, SLIDING] < math.inf:
+                sign = work.modes[k, SLIP]
+                places[k, SLIDING] = _dip(sign * v0, sign * a0, sign * v1, sign * a1, h)
+        for c in range(5):
+            found = found or places[k, c] != NONE
+    return found

@@ -1,0 +1,286 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What changes at an event of stops and dry friction: impulses, and the modes from then on.
+
+    impact     impulses p at all rigid stops that are touched, with the velocities v- and v+ of their
+               coordinates, v+ - v- = A p and A = D M^-1 D^T with loops: p >= 0, v+ + e v- >= 0, one of
+               them zero (Newton's law; Moreau). Friction at rest gives no impulse.
+    modes      efforts x of the freedoms at rest, within what stop and friction can give, and their
+               accelerations: x inside its bounds and the freedom held, or x at a bound and the
+               freedom moves away from it
+
+Both are one complementarity problem for all switches (complementarity.py). With equal restitution e
+kinetic energy never grows; where different ones would let it grow, all have the smallest. A rebound
+that is lower than SMALLEST_REBOUND is none: bouncing that never ends becomes contact. After many events in
+a step LOW_REBOUND is enough.
+
+Source: Brogliato, Nonsmooth Mechanics, 5.1; Acary and Brogliato, Numerical Methods for Nonsmooth
+Dynamical Systems, 8. Accuracy: test/verification/test_stops.py, test_friction.py.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from liegroup_core.compiling import SameTypes
+from liegroup_core.dynamics.loads import FOUND, GIVEN, LOAD, MOST_ITERATIONS
+from liegroup_core.dynamics.switches import AT_STOP, LEAST, MOST, RESTING, ROUND_OFF, bounds
+from liegroup_core.mechanism.arrays import COORDINATE, EFFORT, RESTS, SIDE, SLIP
+from liegroup_core.status import NO_FRICTION, OK
+
+from .complementarity import FREE, HIGH, LOW, independent, solve
+from .kernels import change_rates, look, respond
+
+# rad, or of the mechanism's size: a lower rebound is none, of many events in a step one below the second height.
+SMALLEST_REBOUND, LOW_REBOUND = 1e-10, 1e-8
+LAST_DIGITS = 1e-14  # of the largest distance from the origin: round-off of a position
+RETURNING = 1e-10  # of its terms: an acceleration below is zero
+SAME_LOADS = 1e-12
+ACCELERATION = 1e-13  # of all accelerations of the mechanism: round-off of one
+SPENT = 1e-9  # of its bound: the effort of what can give no more
+IMMOBILE = 1e-13  # of its mobility without closed loops: a coordinate that loops hold at this pose
+IMPACT = "impact"
+
+
+class JointEvent(NamedTuple):
+    """What happened at a joint with stops or friction.
+
+    time    : s
+    joint   : number of the switch
+    kind    : "impact", "stop" (it stays at a stop), "leave" (a stop), "stick" or "slip"
+    impulse : of an impact, on the joint's coordinate, N m s or N s
+    energy  : change of the kinetic energy by this impulse, J; not positive in sum
+    """
+
+    time: float
+    joint: int
+    kind: str
+    impulse: float = 0.0
+    energy: float = 0.0
+
+
+class ModeChanges:
+    """Impulses and modes at an event of the switches of a model, at the state that `work` has.
+
+    sizes   : (k,) of the mechanism in the units of the switches: 1 rad, or m
+    events  : [JointEvent] since they were taken
+    impacts : [(time in s, pose (n, 12), impulses (k,) on the coordinates of the joints)] since they
+              were taken; None: not wanted
+    lost    : longest way of a rebound that was made plastic, in a step or until it returns to its stop,
+              rad or parts of the mechanism's size
+    """
+
+    def __init__(self, model, work, sizes):
+        self._model, self._work, self._sizes = model, work, sizes
+        table = model.switches
+        self._freedoms, self._is_row = table["freedom"], table["row"] >= 0
+        self._rigid = table["stiffness"] == 0.0
+        self._dry = table["static"] + table["static_by_load"] > 0.0
+        self._responses = np.zeros((len(table), len(work.freedoms)))
+        self._mobility = np.zeros((len(table), len(table)))
+        self._open_mobility = np.zeros(len(table))
+        self._no_changes = np.zeros(len(work.freedoms))
+        self._look, self._respond = SameTypes(look), SameTypes(respond)
+        self._change_rates = SameTypes(change_rates)
+        self.events, self.impacts = [], None
+        self.is_dense = False  # impacts follow each other without end: they are plastic
+        self.has_many = False  # events in this step
+        self.step, self.lost = 1.0, 0.0
+
+    def _height(self, pose, part):
+        """(k,) part of 1 rad or of the mechanism's size, above round-off, rad or m."""
+        return np.maximum(part * self._sizes, LAST_DIGITS * np.abs(pose[:, 9:]).max())
+
+    def _reach(self, pose, stop):
+        """(k,) what is not further from a stop is at it, rad or m."""
+        round_off = AT_STOP * (1.0 + np.abs(stop))
+        if not self.is_dense:
+            return round_off
+        return np.maximum(self._height(pose, SMALLEST_REBOUND), round_off)
+
+    def _respond_at_stage(self):
+        mobility, of_open = self._mobility, self._open_mobility
+        status = self._respond(self._model, self._work, self._responses, mobility, of_open)
+        # At a dead point of a loop nothing moves the coordinate: round-off is no mobility.
+        mobility[:] = 0.5 * (mobility + mobility.T)
+        dead = np.diagonal(mobility) <= IMMOBILE * of_open
+        mobility[dead], mobility[:, dead] = 0.0, 0.0
+        return status
+
+    def _rates(self):
+        """(k,) rates where `look` was."""
+        return self._work.now[:, 0].copy()
+
+    def _at_rest(self):
+        """(k,) 1 for what is held, or rests because of others that are."""
+        return np.maximum(self._work.held[self._freedoms], self._work.modes[:, RESTS])
+
+    def _stop(self, switches):
+        """Rates of freedoms become exactly zero."""
+        links, n = self._model.switches["link"], len(self._model.parts)
+        for k in switches:
+            if not self._is_row[k]:
+                row, component = n + links[k], self._model.switches["component"][k]
+                self._work.twist[row, component] = self._work.now[k, 0] = 0.0
+
+    def _impact(self, time, state, side, touching, rates, stays):
+        """Impulses at the stops that are touched; `stays`: mask of those that stop in either direction.
+
+        returns a status
+        """
+        model, work = self._model, self._work
+        work.held[:], work.modes[:, RESTS] = 0.0, 0.0
+        work.modes[touching, SLIP] = 0.0
+        status = self._look(model, work, *state)
+        accelerations = work.now[:, 1].copy()
+        if status == OK:
+            status = self._respond_at_stage()
+        if status != OK:
+            return status
+        hit = np.flatnonzero(touching)
+        restitution = model.switches["restitution"][hit]
+        towards = side[hit] * accelerations[hit]
+        rebound = restitution * np.maximum(side[hit] * rates[hit], 0.0)
+        if self.is_dense:
+            self._note_lost(hit, rebound, towards)
+            restitution[:] = 0.0
+        lowest = self._height(state[0], LOW_REBOUND if self.has_many else SMALLEST_REBOUND)[hit]
+        restitution[rebound**2 <= 2.0 * lowest * np.maximum(towards, 0.0)] = 0.0
+        A = self._mobility[np.ix_(hit, hit)]
+        lo = np.where((side[hit] > 0.0) | stays[hit], -np.inf, 0.0)
+        hi = np.where((side[hit] < 0.0) | stays[hit], np.inf, 0.0)
+        approach = np.where(side[hit] * rates[hit] > 0.0, rates[hit], 0.0)
+        smallest = restitution[side[hit] * rates[hit] > RESTING].min(initial=1.0)
+        for e in (restitution, np.full(len(hit), smallest)):
+            p, _, at = solve(A, rates[hit] + e * approach, lo, hi)
+            after = rates[hit] + p @ A
+            after[(at == FREE) & (e * approach == 0.0)] = 0.0
+            energy = 0.5 * p * (rates[hit] + after)
+            if energy.sum() <= ROUND_OFF * np.abs(p * rates[hit]).sum():
+                break
+        self._change_rates(model, work, p @ self._responses[hit], *state[:2])
+        self._stop(hit[(at == FREE) & (e * approach == 0.0)])
+        signs = model.switches["sign"]
+        if self.impacts is not None:
+            impulses = np.zeros(len(signs))
+            impulses[hit] = signs[hit] * p
+            self.impacts.append((time, state[0].copy(), impulses))
+        for k, impulse, loss in zip(hit, p, energy):
+            if impulse != 0.0:
+                self.events.append(
+                    JointEvent(time, int(k), IMPACT, float(signs[k] * impulse), float(loss))
+                )
+        return self._look(model, work, *state)
+
+    def _note_lost(self, hit, rebound, towards):
+        """Keep what rebounds that are made plastic would do; towards: accelerations to their stops."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            height = np.where(towards > 0.0, rebound**2 / (2.0 * towards), np.inf)
+        way = np.minimum(rebound * self.step, height) / self._sizes[hit]
+        self.lost = max(self.lost, float(way.max(initial=0.0)))
+
+    def _choose(self, state, side, resting, rates, crossed, pressed):
+        """Modes of all switches from here on. Returns a status.
+
+        crossed : mask of the guards that are zero: what held by the bound of one is released there,
+                  unless it would move back
+        pressed : which ones were held, or came back to their stop: they are held where both are possible
+        """
+        model, work = self._model, self._work
+        modes = work.modes
+        shares = np.where(modes[:, RESTS] != 0.0, modes[:, EFFORT], 0.0)
+        modes[:, SLIP] = np.where(self._dry & ~resting, np.sign(rates), 0.0)
+        modes[self._rigid, SIDE] = 0.0
+        chosen = np.flatnonzero(resting)
+        if not len(chosen):
+            work.held[:], modes[:, RESTS] = 0.0, 0.0
+            return OK
+        self._stop(chosen)
+        released = np.where(
+            crossed[chosen, LEAST], LOW, np.where(crossed[chosen, MOST], HIGH, FREE)
+        )
+        status = OK
+        for _ in range(MOST_ITERATIONS):
+            status = self._distribute(state, side, chosen, released, pressed, shares)
+            if status != OK or not model.has_loads:
+                break
+            # The loads for which the modes were chosen are those that they cause, or it is repeated.
+            status = self._look_with_loads(state)
+            loads = work.loads
+            if status != OK or np.abs(loads[:, FOUND] - loads[:, LOAD]).max() <= SAME_LOADS * (
+                loads[:, FOUND].max()
+            ):
+                break
+        else:
+            status = NO_FRICTION
+        if status == OK:
+            self._change_rates(model, work, self._no_changes, *state[:2])
+        return status
+
+    def _look_with_loads(self, state):
+        """`look` for friction of given loads: those that were found last. Returns a status."""
+        work = self._work
+        work.iteration[GIVEN] = 1.0
+        status = self._look(self._model, work, *state)
+        work.iteration[GIVEN] = 0.0
+        return status
+
+    def _distribute(self, state, side, chosen, released, pressed, shares):
+        """What the switches at rest bear, and which of them move: new modes. Returns a status.
+
+        shares : (k,) efforts of those that rested beside others until now
+        """
+        model, work = self._model, self._work
+        modes, table = work.modes, model.switches
+        work.held[:], modes[:, RESTS], modes[chosen, SLIP] = 0.0, 0.0, 0.0
+        work.loads[:, LOAD] = work.loads[:, FOUND]
+        loads = work.loads[:, LOAD].copy()
+        status = self._look_with_loads(state)
+        b = work.now[chosen, 1].copy()
+        # Where a cable goes slack, for one, terms of the size of gravity leave nothing.
+        turning = np.abs(work.twist).max(initial=0.0) ** 2
+        round_off = ACCELERATION * (np.abs(work.acceleration).max(initial=0.0) + turning)
+        if status == OK:
+            status = self._respond_at_stage()
+        if status != OK:
+            return status
+        A = self._mobility[np.ix_(chosen, chosen)]
+        at_rest = table["static"] + table["static_by_load"] * loads
+        ends = [bounds(at_rest[k], side[k] if self._rigid[k] else 0.0) for k in chosen]
+        lo, hi = np.array(ends).T.copy()
+        sliding = (table["coulomb"] + table["sliding_by_load"] * loads)[chosen]
+        if released.any():
+            # What rests beside others with all that it can give does not take over from them.
+            share = shares[chosen]
+            released[(share != 0.0) & (share <= lo * (1.0 - SPENT))] = LOW
+            released[(share != 0.0) & (share >= hi * (1.0 - SPENT))] = HIGH
+        for _ in range(2 * len(chosen)):
+            x, w, at = solve(A, b, lo, hi, released)
+            back = released * w > RETURNING * (np.abs(A) @ np.abs(x) + np.abs(b)) + round_off
+            if back.any():
+                released[back] = FREE
+                continue
+            # What breaks away has the friction of sliding from then on, and others bear the rest.
+            held, rests = independent(A, at == FREE)
+            away = (at != FREE) & ~rests & (np.where(at == LOW, lo, hi) != 0.0)
+            away &= np.abs(x) > sliding * (1.0 + 1e-15)
+            if not away.any():
+                break
+            lo[away & (at == LOW)] = -sliding[away & (at == LOW)]
+            hi[away & (at != LOW)] = sliding[away & (at != LOW)]
+        slow = np.abs(w) <= RETURNING * (np.abs(A) @ np.abs(x) + np.abs(b))
+        held |= slow & (released == FREE) & pressed[chosen] & ~rests
+        rests &= slow
+        for i, k in enumerate(chosen):
+            modes[k, SIDE] = 0.0 if self._rigid[k] else modes[k, SIDE]
+            if self._rigid[k] and (held[i] or rests[i]):
+                modes[k, SIDE] = side[k]
+            if held[i]:
+                work.held[self._freedoms[k]] = 1.0
+                if self._is_row[k] and modes[k, SIDE] != 0.0:
+                    modes[k, COORDINATE] = table["lower" if side[k] < 0.0 else "upper"][k]
+            elif rests[i]:
+                modes[k, RESTS], modes[k, EFFORT] = 1.0, x[i]
+            elif self._dry[k]:
+                modes[k, SLIP] = -at[i]
+        work.loads[:, LOAD] = loads
+        return OK

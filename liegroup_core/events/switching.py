@@ -1,0 +1,290 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Steps of a Munthe-Kaas method with the events of stops and dry friction.
+
+An event ends the smooth motion between two steps: a joint reaches a stop or leaves it, comes to rest
+or breaks away. munthe_kaas.py returns at the start of the substep in which a guard is crossed
+(crossings.py). When it is: event_times.py. What changes there: mode_changes.py.
+
+More than MOST_EVENTS in a step are a fault.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from liegroup_core.dynamics.switches import LOWER, RESTING, SLIDING, UPPER, modes_of
+from liegroup_core.joints.stops import WITHIN_A_TURN
+from liegroup_core.mechanism.arrays import COORDINATE, KNOWN, SIDE, SLIP
+from liegroup_core.status import BEYOND_STOP, EVENT, EVENTS_WITHOUT_END, MOST_EVENTS, OK
+
+from .crossings import lowest
+from .mode_changes import IMPACT, JointEvent
+from .times import SAME_PART, SAME_TIME, EventTimes
+
+BEYOND = 1e-9  # rad or m: a state that is set is not this far beyond a stop
+# Impacts of several contacts that follow each other without end become plastic: after half of
+# MOST_EVENTS in a step, where so many are in this part of it.
+DENSE, SHORT = 50, 0.005
+# Events, and the time in s in which so many take far more time than that.
+CROWD, CROWDED = 1000, 0.1
+MOST_KEPT = 100_000  # events that nobody has taken
+
+STOP, LEAVE, STICK, SLIDE = "stop", "leave", "stick", "slip"
+
+
+class JointInstant(NamedTuple):
+    """Modes of all joints with stops or friction where one of them changes.
+
+    time   : s
+    modes  : (k, 5) from then on, as Sample.switching
+    events : [JointEvent] of this time; none where a run starts
+    """
+
+    time: float
+    modes: np.ndarray
+    events: list
+
+
+class Switching(EventTimes):
+    """Steps of a Munthe-Kaas method with the events of the switches of its model.
+
+    sizes, take, control : see EventTimes
+
+    instants : [JointInstant] since they were taken; None: not wanted
+    count   : of all events since the state was set
+    endless : (time in s, switches) of the first impacts without end that became plastic, or None
+    crowded : (time in s, switches, s between two) of the first CROWD events in the time CROWDED, or None
+    """
+
+    def __init__(self, model, work, sizes, take, control):
+        super().__init__(model, work, sizes, take, control)
+        self.instants, self.count = None, 0
+        self.endless = self.crowded = self._inputs = None
+        self._crowd = 0, 0.0  # events and time from which on they are counted
+        work.watch[0] = 1.0
+
+    def touch(self, pose, twist, external):
+        """Call every kernel once; the state stays."""
+        self._look(self._model, self._work, pose, twist, external)
+        lowest(*np.ones(9).tolist())
+        self._respond_at_stage()
+        self._change_rates(self._model, self._work, self._no_changes, pose, twist)
+
+    def adopt(self, other):
+        """Continue with the modes of another one, at the same state."""
+        self._work.held[:] = other._work.held
+        self._work.modes[:] = other._work.modes
+
+    def expect(self, coordinates):
+        """Take the angles of a state that was set in the turns next to these coordinates (k,), rad or m."""
+        self._work.modes[:, COORDINATE] = coordinates * self._model.switches["sign"]
+
+    def restart(self):
+        """Forget the modes: the state was set. Angles are next to 0, see `_meet_inputs`."""
+        self._work.held[:] = 0.0
+        self._work.modes[:] = 0.0
+        self.events, self.count, self._crowd, self.lost = [], 0, (0, 0.0), 0.0
+        self.endless = self.crowded = self._inputs = None
+        self.instants = None if self.instants is None else []
+        self.impacts = None if self.impacts is None else []
+
+    def advance(self, h, steps, pose, twist, external):
+        """Take steps of size h in place, with all events; returns (steps done, status)."""
+        work, state = self._work, (pose, twist, external)
+        if steps == 0:
+            return self._take(h, 0, *state)
+        del self.events[:-MOST_KEPT]
+        done, first, base = 0, work.clock[0], work.clock[1]
+        status = self._meet_inputs(first * h + base, state)
+        while status == OK and done < steps:
+            work.clock[0], work.clock[1] = first + done, base
+            more, status = self._take(h, steps - done, *state)
+            done += more
+            if status == EVENT:
+                kept = self._keep(pose, twist, True)
+                log, instants = len(self.events), len(self.instants or ())
+                impacts, lost = len(self.impacts or ()), self.lost
+                status = self._finish(h, (first + done) * h + base, state)
+                if status == OK:
+                    done += 1
+                else:
+                    self._return(kept, pose, twist)
+                    self._change_rates(self._model, work, self._no_changes, pose, twist)
+                    self.count -= len(self.events) - log
+                    del self.events[log:]
+                    self.lost = lost
+                    self.impacts = self.impacts and self.impacts[:impacts]
+                    if self.instants:
+                        del self.instants[instants:]
+        work.clock[0], work.clock[1] = first, base
+        return done, status
+
+    def _meet_inputs(self, time, state):
+        """Find the modes of a state that was set, and of new inputs."""
+        work, known = self._work, self._work.modes[:, KNOWN].all()
+        inputs = (state[2].copy(), work.acting.copy(), work.wanted.copy(), work.motions.copy())
+        same = self._inputs is not None and all(map(np.array_equal, inputs, self._inputs))
+        self._inputs = inputs
+        if known and (same or not self._at_rest().any()):
+            return OK
+        if not known:
+            work.modes[:, COORDINATE] = self._in_turns_of_stops(work.modes[:, COORDINATE])
+        status = self._look(self._model, work, *state)
+        if status != OK:
+            return status
+        if not known:
+            beyond = (self._rigid[:, None] & (work.guards[:, : UPPER + 1] < -BEYOND)).any(axis=1)
+            if beyond.any():
+                return BEYOND_STOP + (int(np.argmax(beyond)) << 8)
+            rates = self._rates()
+            work.modes[:, SLIP] = np.where(self._dry, np.sign(rates), 0.0)
+            soft = ~self._rigid
+            for end, side in ((0, -1.0), (1, 1.0)):
+                work.modes[soft & (work.guards[:, end] < 0.0), SIDE] = side
+            work.modes[:, KNOWN] = 1.0
+            log, count = len(self.events), self.count
+            status = self._switch(time, state, np.zeros(work.guards.shape, dtype=bool))
+            # A joint that starts at rest or at its stop is no event. One that hits its stop is.
+            hit = {event.joint for event in self.events[log:] if event.kind == IMPACT}
+            self.events[log:] = [event for event in self.events[log:] if event.joint in hit]
+            self.count = count + len(self.events) - log
+            if self.instants and status == OK:
+                self.instants[-1] = self.instants[-1]._replace(events=self.events[log:])
+            return status
+        if (work.guards[:, SLIDING + 1 :] >= 0.0).all():
+            return OK
+        return self._switch(time, state, np.zeros(work.guards.shape, dtype=bool))
+
+    def _in_turns_of_stops(self, near):
+        """Coordinates next to which those of a state that was set are: near (k,), as far as stops allow."""
+        table = self._model.switches
+        first, last = table["lower"] + WITHIN_A_TURN, table["upper"] - WITHIN_A_TURN
+        return np.where(first > last, table["expected"], np.clip(near, first, last))
+
+    def _finish(self, h, start, state):
+        """Take the step in which the next event is, from the substep with it on. Returns a status."""
+        self.step, self.same_time = h, min(SAME_TIME, SAME_PART * h)
+        status = self._take_events(h, start, state)
+        self.is_dense = self.has_many = False
+        return status
+
+    def _take_events(self, h, start, state):
+        work = self._work
+        elapsed, times = 0.0, []
+        for _ in range(MOST_EVENTS):
+            begin_of_substep, size = elapsed + work.watch[1], work.watch[2]
+            work.clock[0], work.clock[1] = 0.0, start + begin_of_substep
+            tau, crossed, status = self._locate(size, state)
+            if status != OK:
+                return status
+            elapsed = begin_of_substep + tau
+            if crossed is not None:
+                times.append(elapsed)
+                # Those that converge do so by then; so many in so short a time are far too many.
+                self.has_many = len(times) > MOST_EVENTS // 2
+                self.is_dense = self.has_many and elapsed - times[-DENSE] < SHORT * h
+                if self.is_dense and self.endless is None:
+                    self.endless = start + elapsed, np.argwhere(crossed)[:, 0].tolist()
+                status = self._switch(start + elapsed, state, crossed)
+                if status != OK:
+                    return status
+                self._watch_crowd(start + elapsed, crossed)
+            if not elapsed < h * (1.0 - 1e-13):
+                return OK
+            work.clock[0], work.clock[1] = 0.0, start + elapsed
+            _, status = self._take(h - elapsed, 1, *state)
+            if status != EVENT:
+                return status
+        return EVENTS_WITHOUT_END
+
+    def _watch_crowd(self, time, crossed):
+        count, since = self._crowd
+        if self.count >= count + CROWD:
+            if time - since < CROWDED and self.crowded is None:
+                between = (time - since) / (self.count - count)
+                self.crowded = time, np.argwhere(crossed)[:, 0].tolist(), between
+            self._crowd = self.count, time
+
+    def _switch(self, time, state, crossed):
+        """Impulses and new modes at an event; crossed: mask of the guards that are zero.
+
+        returns a status
+        """
+        model, work = self._model, self._work
+        time = float(time)  # users read it in the events
+        status = self._look(model, work, *state)
+        if status != OK:
+            return status
+        log = len(self.events)
+        modes, before = work.modes, (self._at_rest(), work.modes.copy())
+        for k, c in np.argwhere(crossed[:, : UPPER + 1] & ~self._rigid[:, None]):
+            side = -1.0 if c == LOWER else 1.0
+            modes[k, SIDE] = 0.0 if modes[k, SIDE] == side else side
+        table, q = model.switches, modes[:, COORDINATE]
+        side = np.where(self._rigid, 0.0, modes[:, SIDE])
+        for end, (stop, sign) in enumerate(((table["lower"], -1.0), (table["upper"], 1.0))):
+            with np.errstate(invalid="ignore"):
+                near = sign * (q - stop) >= -self._reach(state[0], stop)
+            side[self._rigid & np.isfinite(stop) & (near | crossed[:, end])] = sign
+        touching = self._rigid & (side != 0.0)
+        # A held row is at rest: its rate is the error of the method. So is what slid and has come to rest:
+        # its rate is what the event's time leaves of it, however large its acceleration.
+        at_rest = self._is_row & (work.held[self._freedoms] != 0.0)
+        at_rest |= crossed[:, SLIDING] & (modes[:, SLIP] != 0.0)
+        drift = np.where(at_rest, self._rates(), 0.0)
+        rates = self._rates() - drift
+        # It left the stop, and returns before it was away from it: it never left.
+        stays = touching & crossed[:, : UPPER + 1].any(axis=1) & (side * rates <= 0.0)
+        if (touching & (side * rates > RESTING)).any() or stays.any():
+            status = self._impact(time, state, side, touching, rates, stays)
+            if status != OK:
+                return status
+            rates = self._rates() - drift
+        resting = (np.abs(rates) <= RESTING) | (crossed[:, SLIDING] & self._is_slow(before, rates))
+        resting &= self._dry | touching
+        pressed = (before[0] != 0.0) | crossed[:, : UPPER + 1].any(axis=1)
+        status = self._choose(state, side, resting, rates, crossed, pressed)
+        if status != OK:
+            return status
+        self._note(time, before)
+        self.count += len(self.events) - log
+        if self.instants is not None:
+            self.instants.append(JointInstant(time, self._modes(), self.events[log:]))
+        return OK
+
+    def _is_slow(self, before, rates):
+        """Mask of the switches that slid until now and whose rate has changed its sign, or is zero."""
+        slip = before[1][:, SLIP]
+        return (slip != 0.0) & (slip * rates <= RESTING * (1.0 + np.abs(rates).max(initial=0.0)))
+
+    def _modes(self):
+        return modes_of(self._model, self._work)
+
+    def modes(self, time, state):
+        """(k, 5) of all switches, see switches.modes_of; of a state that was set, the modes it will have."""
+        if self._work.modes[:, KNOWN].all():
+            return self._modes()
+        self._look(self._model, self._work, *state)  # the links have this state from here on
+        noted = self.events, self.impacts, self.instants, self.count, self._inputs
+        kept, self.events, self.impacts, self.instants = self._keep(*state[:2]), [], None, None
+        # Where the state is beyond a stop, the next step reports that.
+        self._meet_inputs(time, state)
+        modes = self._modes()
+        self._return(kept, *state[:2])
+        self.events, self.impacts, self.instants, self.count, self._inputs = noted
+        return modes
+
+    def _note(self, time, before):
+        """Write what has changed to `events`."""
+        held, modes = before
+        now = self._at_rest()
+        for k in range(len(modes)):
+            side, old = self._work.modes[k, SIDE], modes[k, SIDE]
+            if side != 0.0 and old != side:
+                self.events.append(JointEvent(time, k, STOP))
+            elif side == 0.0 and old != 0.0:
+                self.events.append(JointEvent(time, k, LEAVE))
+            elif side == 0.0 and now[k] and not held[k]:
+                self.events.append(JointEvent(time, k, STICK))
+            elif held[k] and not now[k] and self._dry[k]:
+                self.events.append(JointEvent(time, k, SLIDE))

@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: Apache-2.0
+"""When an event of stops and dry friction is: the zero of a guard inside a substep.
+
+Steps of the method from the start of the substep to a variable time give the guard at that time. So an
+event is as accurate as the method.
+"""
+
+import functools
+import math
+
+import numpy as np
+from scipy.optimize import brentq, minimize_scalar
+
+from liegroup_core.dynamics.switches import AT_STOP, LOWER, RESTING, SLIDING, UPPER
+from liegroup_core.mechanism.arrays import COORDINATE, SIDE
+from liegroup_core.status import OK
+
+from .crossings import lowest
+from .mode_changes import ModeChanges
+
+TIME_PART = 1e-13  # of a substep; an event is found to this, and to round-off
+DIGIT = 2.0**-52  # of the mechanism's size and of the stop's place: no gap is known better
+SAME_TIME, SAME_PART = 1e-14, 1e-9  # s, and of a step; events that are closer are one
+HALVINGS, MOST_LOOKS = 40, 400
+# Parts of a substep: where the smallest effort is sought, and how precisely.
+NEAR, PRECISE = 0.2, 1e-3
+BEFORE, AFTER = 0.8, 1.25  # times the expected time of a zero: it is sought there at first
+NEWTON = 6  # steps, which converge or start too far away
+LOOSE = 1e100  # tolerance of error control that no step fails
+
+
+class EventTimes(ModeChanges):
+    """Times of events, by steps of a Munthe-Kaas method.
+
+    sizes   : see ModeChanges
+    take    : function (h, steps, pose, twist, external) -> (steps done, status)
+    control : of error control, see munthe_kaas.advance
+
+    parts   : steps that lead to an event. Where an event is sets the size of this step: another number
+              of parts shows its error, see RunningError
+    """
+
+    def __init__(self, model, work, sizes, take, control):
+        super().__init__(model, work, sizes)
+        self._take, self._control, self.parts = take, control, 1
+        self.same_time = SAME_TIME
+        table = model.switches
+        # A guard that starts below this starts at its zero.
+        self._at_zero, self._digit = np.zeros((2, len(table), 5))
+        for end, stop in ((LOWER, table["lower"]), (UPPER, table["upper"])):
+            far = np.where(np.isfinite(stop), np.abs(stop), 0.0)
+            self._at_zero[:, end] = AT_STOP * (1.0 + far)
+            self._digit[:, end] = DIGIT * (sizes + far)
+        self._at_zero[:, SLIDING] = RESTING
+        # Of compliant stops, s: how long before its depth the pressure of one that returns is zero.
+        self._lag = table["damping"] / np.where(self._rigid, np.inf, table["stiffness"])
+
+    def _locate(self, size, state):
+        """Go to the first zero of a guard in a substep.
+
+        returns (time after its start, mask of the guards that are zero there, status); no mask: there
+        is no event, and the substep is taken
+        """
+        work = self._work
+        places = work.crossed.copy()
+        kept = self._keep(*state[:2])
+        failed = []
+
+        @functools.cache
+        def seen(tau):
+            """(guards, coordinates, rates and accelerations) at a time."""
+            self._return(kept, *state[:2])
+            status = self._single(tau, state) if tau > 0.0 else OK
+            if status != OK:
+                failed.append(status)
+                return np.full_like(work.guards, np.nan), None, None
+            self._look(self._model, work, *state)
+            return work.guards.copy(), work.modes[:, COORDINATE].copy(), work.now.copy()
+
+        def guard(tau, k, c):
+            """Guard of a stop: beyond the place where it starts, if that is beyond the stop."""
+            start = min(seen(0.0)[0][k, c], 0.0) if c <= UPPER and self._rigid[k] else 0.0
+            return seen(tau)[0][k, c] - start
+
+        def gap(tau, k, c):
+            """(gap of a stop, its rate, its acceleration); of a compliant one that acts, its depth."""
+            sign, stop = (1.0, "lower") if c == LOWER else (-1.0, "upper")
+            if self._acts(k, c):
+                sign = -sign
+            _, q, rates = seen(tau)
+            return sign * (q[k] - self._model.switches[stop][k]), *(sign * rates[k])
+
+        ends = []
+        for k, c in np.argwhere(places >= 0.0):
+            end = places[k, c] * size
+            if not guard(end, k, c) < 0.0:
+                end = None
+                if c <= UPPER and not failed:
+                    end = self._dip(guard, gap, size, k, c, failed)
+                elif c > SLIDING and places[k, c] < 1.0 and not failed:
+                    end = self._give_way(guard, places[k, c], size, k, c)
+            if failed:
+                return 0.0, None, failed[0]
+            if end is not None:  # else it only seemed to dip below zero
+                above = max(guard(0.0, k, c), 0.0)
+                ends.append((end * above / (above - guard(end, k, c)), end, k, c))
+        tau, crossed = size, np.zeros(places.shape, dtype=bool)
+        for _, end, k, c in sorted(ends):  # by linear interpolation
+            later = tau + self.same_time
+            if crossed.any():
+                if end > later and not guard(later, k, c) < 0.0:
+                    continue  # its zero is later
+                end = min(end, later)
+            if end == later and tau > self.same_time and guard(tau - self.same_time, k, c) > 0.0:
+                crossed[k, c] = True
+                continue
+            at = self._zero(guard, gap, end, TIME_PART * size, k, c)
+            if at < tau - self.same_time:
+                crossed[:] = False
+            tau, crossed[k, c] = min(at, tau), True
+        if failed:
+            return 0.0, None, failed[0]
+        self._return(kept, *state[:2])
+        status = self._single(tau, state) if tau > 0.0 else OK
+        return tau, crossed if crossed.any() and status == OK else None, status
+
+    def _acts(self, k, c):
+        """Whether a compliant stop acts."""
+        return not self._rigid[k] and self._work.modes[k, SIDE] == (-1.0 if c == LOWER else 1.0)
+
+    def _dip(self, guard, gap, size, k, c, failed):
+        """First time found at which the guard of a stop is negative in a substep, or None."""
+        spans, depth = [(0.0, size)], self._at_zero[k, c]
+        lag = self._lag[k] if self._acts(k, c) else 0.0
+        for _ in range(MOST_LOOKS):
+            if failed or not spans:
+                return None
+            begin, end = spans.pop()
+            ends = gap(begin, k, c), gap(end, k, c)
+            place = lowest(*ends[0], *ends[1], end - begin, depth, lag)
+            if place < 0.0 or end - begin < TIME_PART * size:
+                continue
+            middle = begin + min(max(place, 0.25), 0.75) * (end - begin)
+            if guard(middle, k, c) < 0.0:
+                return middle
+            spans += (middle, end), (begin, middle)
+        return None
+
+    def _give_way(self, guard, place, size, k, c):
+        """Time at which the guard of what is held is negative, near a part of a substep, or None."""
+        near = max(place - NEAR, 0.0) * size, min(place + NEAR, 1.0) * size
+        found = minimize_scalar(
+            guard, args=(k, c), bounds=near, method="bounded", options={"xatol": PRECISE * size}
+        )
+        return float(found.x) if found.fun < 0.0 else None
+
+    def _zero(self, guard, gap, end, precise, k, c):
+        """Time of the zero of a guard before `end`, where it is negative; to `precise` s."""
+        begin, starts = 0.0, guard(0.0, k, c) > self._at_zero[k, c]
+        # Near its zero for a constant acceleration: a small part of the substep, after an impact.
+        near = _first_zero(*gap(0.0, k, c)) if c <= UPPER else end
+        if c <= UPPER and self._rigid[k]:
+            time = self._closed(guard, gap, near, end, precise, k, c)
+            if time is not None:
+                return time
+        if AFTER * near < end and guard(AFTER * near, k, c) < 0.0:
+            end = AFTER * near
+            if guard(BEFORE * near, k, c) > 0.0:
+                begin, starts = BEFORE * near, True
+        if not starts:
+            # It starts at zero, after an event, and grows at first; else it is there already.
+            begin = end
+            for _ in range(HALVINGS):
+                begin *= 0.5
+                if guard(begin, k, c) > 0.0:
+                    break
+            else:
+                return 0.0
+        return brentq(guard, begin, end, (k, c), precise, 1e-15)
+
+    def _closed(self, guard, gap, near, end, precise, k, c):
+        """Time at which a gap closes, by Newton's method from `near`, or None."""
+        time = near
+        for _ in range(NEWTON):
+            if not 0.0 < time < end:
+                return None
+            value, rate = guard(time, k, c), gap(time, k, c)[1]
+            if not rate < 0.0:
+                return None
+            change = -value / rate
+            if abs(value) <= self._digit[k, c] or abs(change) <= precise:
+                return time
+            time += change
+        return None
+
+    def _single(self, tau, state):
+        """Take one step of size tau, or its parts, without events and without error control."""
+        work, control = self._work, self._control
+        kept, size = control.copy(), tau / self.parts
+        control[0], control[4:11] = size, LOOSE
+        control[11] = 0.0  # a rounded state would make guards rough
+        work.watch[0] = 0.0
+        _, status = self._take(size, self.parts, *state)
+        work.watch[0] = 1.0
+        control[:] = kept
+        return status
+
+    def _keep(self, pose, twist, from_start=False):
+        """Copies of the state; from_start: of that at the start of the step under error control."""
+        work = self._work
+        own = [work.pose, work.twist, work.angle]
+        if from_start and self._control[2]:
+            own = [work.start_pose, work.start_twist, work.start_angle]
+        return [part.copy() for part in (*own, work.held, work.modes, pose, twist)]
+
+    def _return(self, kept, pose, twist):
+        work = self._work
+        own = (work.pose, work.twist, work.angle, work.held, work.modes, pose, twist)
+        for part, values in zip(own, kept):
+            part[:] = values
+
+
+def _first_zero(gap, rate, acceleration):
+    """Time at which a gap closes with a constant acceleration, or inf."""
+    gap = max(gap, 0.0)
+    root = rate * rate - 2.0 * acceleration * gap
+    if root < 0.0:
+        return math.inf
+    if rate < 0.0:
+        return 2.0 * gap / (-rate + math.sqrt(root))
+    return (rate + math.sqrt(root)) / -acceleration if acceleration < 0.0 else math.inf

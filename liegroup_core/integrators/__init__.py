@@ -1,6 +1,0 @@
-# SPDX-License-Identifier: Apache-2.0
-"""Time integration methods, one folder per family; methods.py lists all methods.
-
-In: a layout, a method, a step, a state. Out: the state after n steps, or a status code. Integrators
-know no scene file and no clock. `families.py` defines the interface of a family.
-"""

@@ -1,0 +1,358 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Arrays of the relative formulation, as Model and Work for bodies on SE(3)^n.
+
+A link is a body of the spanning tree with everything that is welded to it. Its frame is the child
+frame of the joint to its parent link; that of a floating link is at its centre of mass. The joint
+lets the link move relative to its parent link in a subgroup H of SE(3), its motion group:
+
+    C_b = C_a T X ,   V_b = Ad(C_ba) V_a + S qdot ,   X in H, S a basis of the Lie algebra of H
+
+with the constant placement T of the joint in the parent link. S has unit columns (for a screw: one
+column with the pitch). A universal joint is two hinges with a massless link between them.
+
+    n bodies of the scene, L links, f freedoms (columns of S of all links), m rows of cut joints
+
+A state has n + L rows. The first n are poses (n, 12) and twists (n, 6) of the bodies, as in Work.
+Row n + b has the coordinates of link b: X as (R row by row, r) for the groups SO(3) and SE(3), else
+(cos, sin, x, y, z) of a rotation about z and a translation; and qdot.
+"""
+
+import numpy as np
+
+from liegroup_core.compiling import Struct
+from liegroup_core.forces.external import COLUMNS as EXTERNAL_COLUMNS
+from liegroup_core.motion_groups.table import FREE as FREE
+from liegroup_core.motion_groups.table import PLANE as PLANE
+
+from .bodies import Model, Work
+
+LARGEST_ROWS = 6  # of a joint
+
+# Columns of Work.modes.
+SLIP, SIDE, COORDINATE, KNOWN, RESTS, EFFORT = range(6)
+NODES = 6  # stages of a step whose guards are kept, at most
+
+# How the coordinates of a link are found from poses of bodies.
+OWN, CROSS, AFTER_CROSS = 0, 1, 2
+
+LINK = np.dtype(
+    [
+        ("group", "i8"),  # motion_groups/table.py
+        ("parent", "i8"),  # parent: link, or WORLD
+        ("freedom", "i8"),
+        ("freedoms", "i8"),  # first freedom, and their number
+        ("body", "i8"),
+        ("coordinates", "i8"),  # body that represents the link; OWN, or CROSS for
+        # the massless link of a universal joint
+        ("rotation", "f8", (9,)),
+        ("point", "f8", (3,)),  # T
+        ("body_rotation", "f8", (9,)),
+        ("body_point", "f8", (3,)),  # D: pose of `body` in the link
+        ("aligned", "i8"),  # 1: T turns about x, and then about z
+        ("pitch", "f8"),
+        ("mass", "f8"),  # m/rad, kg
+        ("moment", "f8", (3,)),
+        ("inertia", "f8", (6,)),  # m c; xx, xy, xz, yy, yz, zz about the origin
+    ],
+    align=True,
+)
+
+PART = np.dtype(
+    [  # body of the scene in its link
+        ("link", "i8"),  # link, or WORLD: welded to the world
+        ("rotation", "f8", (9,)),
+        ("point", "f8", (3,)),  # its pose in the link
+    ],
+    align=True,
+)
+
+JOINT = np.dtype(
+    [  # cut element with rows that are solved for
+        ("parent", "i8"),
+        ("child", "i8"),  # link; the parent may be WORLD, the child not
+        ("kind", "i8"),
+        ("element", "i8"),  # kind of element, and its index in `elements`
+        ("rows", "i8"),
+        ("first", "i8"),  # rows, and the first of them in `row_residual`
+        ("in_loop", "i8"),  # 0: at no pose do its rows depend on those of others
+        ("own_points", "i8"),  # 1: its force acts on each link at its own point, see rows.py
+    ],
+    align=True,
+)
+
+
+COUPLED = np.dtype(
+    [  # coupling of the coordinates of two links, each a hinge, slide or screw: couplings.py
+        ("row", "i8"),
+        ("residual", "i8"),  # of this row, and of its residual
+        ("links", "i8", (2,)),
+        ("factors", "f8", (2,)),  # of their coordinates in the residual
+        ("offset", "f8"),
+        ("angle", "i8"),  # unwrapped angle of the second joint, -1: none
+        ("sign", "f8"),  # of the second link's coordinate when that of its joint increases
+        ("turned", "i8"),  # 1: the residual counts modulo 2 pi
+        ("motion", "i8"),  # of a driven joint: the first coordinate is given; -1: a coupling
+        ("order", "i8"),  # of the derivative that a solve finds: 2 accelerations, 1 rates
+    ],
+    align=True,
+)
+
+
+SWITCH = np.dtype(
+    [  # coordinate with stops or dry friction: of a link of the tree, or of a row; see switches.py
+        ("row", "i8"),  # -1: a freedom of the tree
+        ("joint", "i8"),  # cut joint whose wrench the row is, else -1
+        ("link", "i8"),
+        ("freedom", "i8"),  # of the tree; of row r: f + r
+        ("component", "i8"),  # of the rates of the link
+        ("turned", "i8"),  # 1: poses determine the coordinate modulo 2 pi
+        ("sign", "f8"),  # of this coordinate when that of the joint increases
+        ("lower", "f8"),
+        ("upper", "f8"),  # stops, rad or m; infinite: none
+        ("expected", "f8"),  # coordinate next to which that of a new state is
+        ("restitution", "f8"),
+        ("stiffness", "f8"),  # 0: rigid stops
+        ("damping", "f8"),
+        ("coulomb", "f8"),
+        ("static", "f8"),
+        ("viscous", "f8"),
+        ("sliding_by_load", "f8"),  # friction for each N of load: N m or N
+        ("static_by_load", "f8"),
+        ("bearing", "i8"),  # cut joint whose load it is; -1: that of the link
+    ],
+    align=True,
+)
+
+
+class RelativeModel(Struct):
+    """Constants of a mechanism in relative coordinates; parents precede their children."""
+
+    space: Model  # the same mechanism on SE(3)^n
+    gravity: np.ndarray  # (1, 3) m/s^2, world axes
+    bodies: np.ndarray  # (L,) of LINK
+    parts: np.ndarray  # (n,) of PART
+    order: (
+        np.ndarray
+    )  # (f, 2) freedoms of every link in the order of elimination, and components of
+    # a twist that they are
+    elements: np.ndarray  # of ELEMENT: those of the cut joints, between links
+    joints: np.ndarray  # (c,) of JOINT
+    owners: np.ndarray  # (c,) their elements in `space`
+    row_residual: np.ndarray  # (m,) which residual is that of a row
+    row_turns: np.ndarray  # (m,) 1: the row forbids a rotation, 0: a translation
+    child_jacobian: np.ndarray  # (m, 6) rows of every PAIR for its child link
+    paths: np.ndarray  # (c, 2) range of each joint in `path_links`
+    path_links: np.ndarray  # links between the joint and the world, children first
+    path_freedoms: np.ndarray  # freedoms of these links, in the order of elimination
+    path_ends: np.ndarray  # (c + 1,) where those of each joint start in `path_freedoms`
+    path_places: np.ndarray  # (c + 1,) where the joint's responses start in Work.response
+    shared: np.ndarray  # (k, 3) joints i, j < i that share freedoms, end in shared_freedoms
+    shared_freedoms: np.ndarray  # (l, 3) a freedom, its place in the responses of both joints
+    couplings: np.ndarray  # of COUPLED
+    coupling: np.ndarray  # (c,) which coupling a cut joint is, or -1
+    switches: np.ndarray  # (k,) of SWITCH
+    switched: np.ndarray  # (m,) 1: the row is that of a switch
+    has_switched_rows: bool  # any of them
+    has_loads: bool  # any friction by load
+    first_column: np.ndarray  # (m,) first nonzero column of each row of the factor of W
+    is_empty_tree: bool  # all bodies float, all joints are cut
+    only_free_bodies: (
+        bool  # links that all float, each with one body; no joints: see free_bodies.py
+    )
+    refinements: int  # steps of iterative refinement that each solve takes
+    usual_pivot: float  # smallest pivot of W, part of the mobility, at poses that are not singular
+    projects: bool
+    baumgarte_rate: float
+
+    def kept_rows(self, element):
+        """Numbers of the rows that are solved for, of an element of `space` in a cut joint."""
+        (found,) = (self.owners == element).nonzero()
+        if not len(found):
+            return []
+        joint = self.joints[found[0]]
+        rows = self.row_residual[joint["first"] : joint["first"] + joint["rows"]]
+        return (rows - self.elements[joint["element"]]["row_start"]).tolist()
+
+
+PLANE_LINK = np.dtype(
+    [  # link of a planar mechanism; what the sweeps need, close together
+        ("group", "i8"),
+        ("parent", "i8"),
+        ("freedom", "i8"),
+        ("mass", "f8"),  # kg
+        ("moment_x", "f8"),
+        ("moment_y", "f8"),  # m c, kg m
+        ("inertia", "f8"),  # about the origin, kg m^2
+        ("cos", "f8"),
+        ("sin", "f8"),
+        ("x", "f8"),
+        ("y", "f8"),  # T
+    ],
+    align=True,
+)
+
+
+class PlaneModel(RelativeModel):
+    """RelativeModel of a planar mechanism; z of all link frames is normal to the plane.
+
+    The coordinates of a link are its pose in its parent, T X, as (cos, sin, x, y). A slide moves
+    along the x axis of its frame. Twists are (omega, v_x, v_y).
+    """
+
+    axes: np.ndarray  # (1, 9) axes of the plane in world axes, as columns; the last is its normal
+    plane_gravity: np.ndarray  # (1, 2) m/s^2
+    links: np.ndarray  # (L,) of PLANE_LINK
+    link_heights: np.ndarray  # (L,) of the link frames along the normal, m
+    heights: np.ndarray  # (n,) of the bodies
+
+
+class RelativeWork(Struct):
+    """Scratch memory of one simulation; fields without a comment as in Work.
+
+    In a plane velocities, moved, force and U have 3 numbers and inertia has 6; drift is A, (L, 2);
+    moved is E, and `applied` has the bias forces of the links less the applied wrenches: see
+    plane_trees.py.
+    """
+
+    space: Work
+    angle: np.ndarray  # that of `space`
+    acting: np.ndarray  # that of `space`
+    wanted: np.ndarray  # that of `space`
+    motions: np.ndarray  # that of `space`
+    clock: np.ndarray  # that of `space`
+    start_angle: np.ndarray  # that of `space`
+    report: np.ndarray  # that of `space`
+    known: np.ndarray  # (1,) 1 if the rows of the links in pose and twist are those of the state
+    pose: np.ndarray  # (n + L, 12) the state
+    twist: np.ndarray  # (n + L, 6)
+    stage_pose: np.ndarray  # (n + L, 12)
+    stage_twist: np.ndarray  # (n + L, 6)
+    start_pose: np.ndarray  # (n + L, 12)
+    start_twist: np.ndarray  # (n + L, 6)
+    middle_pose: np.ndarray  # (n + L, 12) the stage at a singular pose, see singular_poses.py
+    middle_twist: np.ndarray  # (n + L, 6)
+    middle: np.ndarray  # (f, 2) its regularised accelerations, and their mean beside it
+    velocity: np.ndarray  # (L, 6) qdot at the start of the step
+    slopes: np.ndarray  # ((s + 1) f, 2) k: algebra, then qdot part
+    external: np.ndarray  # (n, COLUMNS), see forces/external.py: external wrenches of the call
+    pushed: np.ndarray  # (1,) 1 if any of them is not zero
+    held: np.ndarray  # (f + m,) 1 if a freedom, or the row of a switch, is held: see switches.py
+    modes: (
+        np.ndarray
+    )  # (k, 6) of each switch: SLIP, its direction; SIDE of the stop that it touches,
+    # -1 lower, 1 upper; COORDINATE at the start of the step, in its turn; 1 if these are KNOWN; 1 if
+    # it RESTS because of others that are held, and its EFFORT then
+    reach: np.ndarray  # (k,) coordinate of each switch that is a row
+    since: np.ndarray  # (k, 2) rate and acceleration of each at the start of the step
+    now: np.ndarray  # (k, 2) and at the stage
+    loads: (
+        np.ndarray
+    )  # (k, 4) force across the axis of each that its friction counts with, and that
+    # of the present accelerations, N; both of the iteration before: see loads.py
+    iteration: np.ndarray  # (3,) 1: the loads are given; 1: they did not settle; scratch
+    guards: np.ndarray  # (k, 5) how far each switch is from its next events
+    course: np.ndarray  # (NODES, k, 2) the last two of them at some stages: see events/crossings.py
+    crossed: np.ndarray  # (k, 5) part of the step at which each is at the latest, or -1
+    watch: np.ndarray  # (3,) 1 if events are looked for; start of the substep with one, its size
+    wrench: np.ndarray  # (n, 6) wrenches on the bodies
+    relative: np.ndarray  # (L, 12) pose of each link in its parent link
+    world: np.ndarray  # (L, 12) pose in the world; where it is needed
+    placed: np.ndarray  # (L, 4) pose in the plane: cos, sin, x, y
+    velocities: np.ndarray  # (L, 6) twists of the links
+    drift: np.ndarray  # (L, 6) [V, S qdot]
+    moved: np.ndarray  # (L, 6) Vdot - gravity of the links
+    inertia: np.ndarray  # (L, 21) of the articulated body: A (6), B (9), C (6)
+    applied: np.ndarray  # (L, 6) applied wrenches on the links
+    force: np.ndarray  # (L, 6) its bias force
+    freedoms: np.ndarray  # (f, 8) U, 1 / D, u of each freedom
+    acceleration: np.ndarray  # (f, 1) qddot
+    total: np.ndarray  # (f, 1) qddot and
+    total_moved: np.ndarray  # (L, 6) Vdot - gravity before a refinement
+    child_jacobian: np.ndarray  # (m, 6)
+    parent_jacobian: np.ndarray  # (m, 6)
+    slip: np.ndarray  # (m,) J V
+    gap: np.ndarray  # (all rows of the cut joints,)
+    bias: np.ndarray  # (m,) J Vdot = bias
+    right: np.ndarray  # (m,) residual, then a change of the multipliers
+    multipliers: np.ndarray  # (m,)
+    carried: np.ndarray  # (6 L, 6) wrenches of the rows of a joint on their way to the world
+    response: np.ndarray  # y of each row and freedom on its path
+    matrix: np.ndarray  # (m, m) W in the upper, its factor in the lower triangle
+    diagonal: np.ndarray  # (m,) pivots
+    difference: np.ndarray  # (2, 6) that of a link: algebra, qdot
+    errors: np.ndarray  # (2 L, 12) error estimates of the links: xi, eta, dw, dv
+
+
+POSES = ("pose", "stage_pose", "start_pose", "middle_pose")
+TWISTS = ("twist", "stage_twist", "start_twist", "middle_twist")
+
+
+def make_relative_work(model, work, stages):
+    """Allocate the scratch memory of a RelativeModel; work: Work of the same mechanism."""
+    n, links, rows = len(model.parts), len(model.bodies), len(model.row_residual)
+    freedoms = int(model.bodies["freedoms"].sum())
+    in_plane = isinstance(model, PlaneModel)
+    size = 3 if in_plane else 6
+    return RelativeWork(
+        space=work,
+        angle=work.angle,
+        acting=work.acting,
+        wanted=work.wanted,
+        motions=work.motions,
+        clock=work.clock,
+        start_angle=work.start_angle,
+        report=work.report,
+        **{name: np.zeros((n + links, 12)) for name in POSES},
+        **{name: np.zeros((n + links, 6)) for name in TWISTS},
+        middle=np.zeros((freedoms, 2)),
+        known=np.zeros(1),
+        velocity=np.zeros((links, 6)),
+        slopes=np.zeros(((stages + 1) * freedoms, 2)),
+        external=np.zeros((n, EXTERNAL_COLUMNS)),
+        pushed=np.zeros(1),
+        held=np.zeros(freedoms + rows),
+        reach=np.zeros(len(model.switches)),
+        since=np.zeros((len(model.switches), 2)),
+        now=np.zeros((len(model.switches), 2)),
+        loads=np.zeros((len(model.switches), 4)),
+        iteration=np.zeros(3),
+        modes=np.zeros((len(model.switches), 6)),
+        guards=np.zeros((len(model.switches), 5)),
+        course=np.zeros((NODES, len(model.switches), 2)),
+        crossed=np.zeros((len(model.switches), 5)),
+        watch=np.zeros(3),
+        wrench=np.zeros((n, 6)),
+        relative=np.zeros((links, 12)),
+        world=np.zeros((links, 12)),
+        placed=np.zeros((links, 4)),
+        velocities=np.zeros((links, size)),
+        drift=np.zeros((links, 2 if in_plane else 6)),
+        moved=np.zeros((links, size)),
+        inertia=np.zeros((links, 6 if in_plane else 21)),
+        applied=np.zeros((links, size)),
+        force=np.zeros((links, size)),
+        freedoms=np.zeros((freedoms, 8)),
+        acceleration=np.zeros((freedoms, 1)),
+        total=np.zeros((freedoms, 1)),
+        total_moved=np.zeros((links, size)),
+        child_jacobian=model.child_jacobian.copy(),
+        parent_jacobian=np.zeros((rows, 6)),
+        slip=np.zeros(rows),
+        gap=np.zeros(int(model.elements["rows"].sum())),
+        bias=np.zeros(rows),
+        right=np.zeros(rows),
+        multipliers=np.zeros(rows),
+        carried=np.zeros((LARGEST_ROWS * links, 6)),
+        response=np.zeros(int(model.path_places[-1])),
+        matrix=np.zeros((rows, rows)),
+        diagonal=np.zeros(rows),
+        difference=np.zeros((2, 6)),
+        errors=np.zeros((2 * links, 12)),
+    )
+
+
+def links_of(work):
+    """Arrays of a RelativeWork that are the state: coordinates and rates, and whether they are."""
+    n = len(work.pose) - len(work.relative)
+    switches = (work.held, work.modes) if len(work.modes) else ()
+    return work.known, work.pose[n:], work.twist[n:], *switches

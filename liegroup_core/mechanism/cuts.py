@@ -1,0 +1,371 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cut joints of a spanning tree: the rows that are independent, and where each touches the tree."""
+
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+from liegroup_core.errors import SceneError
+from liegroup_core.joints.elements import ELEMENT, PAIR, WORLD, Element
+from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage
+from liegroup_core.lie.groups import SE3
+from liegroup_core.motion_groups.table import FREEDOMS, ORDERS
+from liegroup_core.scene.consistency import ResolvedCoupling, resolve_couplings
+
+from .arrays import COUPLED, JOINT
+from .links import FIRST_AXIS, SECOND_AXIS, link_poses
+from .redundancy import dependent_groups, generic_poses, independent_rows
+from .spanning_tree import WORLD_NAME
+
+# A coupling as a part of a cut joint: one row, which couplings.py writes.
+COUPLING_PART = Element(PAIR, ("coupling",), np.zeros((1, 6)))
+
+
+def coupled_links(scene, links):
+    """[(ResolvedCoupling, indices of the links of both joints)] of couplings, then of driven joints.
+
+    Raises SceneError for a joint that is no joint of the spanning tree.
+    """
+    of_joint = {link.joint: i for i, link in enumerate(links) if link.joint is not None}
+    found = []
+    driven = [j for j, joint in enumerate(scene.joints) if joint.driven]
+    for j in driven:
+        if j not in of_joint:
+            raise SceneError(
+                f'joints[{j}] "{scene.joints[j].name}": it is driven, but closes a loop of driven or '
+                "coupled joints, or its bodies are welded; drive another joint of this loop",
+                ("joints", j, "driven"),
+            )
+    for i, coupling in enumerate(resolve_couplings(scene)):
+        for end, j in (("joint", coupling.joint), ("other", coupling.other)):
+            if j not in of_joint:
+                raise SceneError(
+                    f'couplings[{i}] "{scene.couplings[i].name}": joint "{scene.joints[j].name}" '
+                    "closes a loop of coupled joints, or its bodies are welded; couple other joints "
+                    "of this loop",
+                    ("couplings", i, end),
+                )
+        found.append((coupling, (of_joint[coupling.joint], of_joint[coupling.other])))
+    return found + [(ResolvedCoupling(j, j, 0.0, 0.0), (of_joint[j],) * 2) for j in driven]
+
+
+def cut_rows(scene, frames, parts, tree, links, places, stops, coupled):
+    """([(joint, element of the scene, part)], [kept rows]) of the cut joints, then of couplings.
+
+    stops   : of `stop_rows`, between the two; they have element -1
+    coupled : of `coupled_links`; their entries have joint None
+    """
+    cut = []
+    element = 0
+    for j, elements in enumerate(parts):
+        for part in elements:
+            if j in tree.cut:
+                cut.append((j, element, part))
+            element += 1
+    joints = len(cut)
+    cut += [(j, -1, part) for j, part in stops]
+    loose = {c for c, coupling in enumerate(scene.couplings) if coupling.backlash}
+    rigid = [c for c in range(len(coupled)) if c not in loose]
+    first = len(cut)
+    cut += [(None, element + i, COUPLING_PART) for i in range(len(coupled))]
+    if not cut:
+        return cut, []
+    keep = [np.ones(len(part.names), dtype=bool) for _, _, part in cut]
+    # A distance joint is cut also where it closes no loop: then its row is independent.
+    for loops, numbers in dependent_groups(scene, [coupled[c][0] for c in rigid]):
+        entries = [rigid[n] for n in numbers]
+        closing = [k for k, (j, _, _) in enumerate(cut[:joints]) if j in loops]
+        length, matrices = 1.0, [np.zeros((0, _first_freedoms(links)[-1]))]
+        if closing:
+            ends = sorted({cut[k][0] for k in closing})
+            length, matrices = _tree_jacobians(scene, frames, parts, loops, ends, links, places)
+        closing += [first + c for c in entries]
+        rows = _coupling_rows(links, [coupled[c] for c in entries], length)
+        matrices = [np.concatenate([matrix, rows]) for matrix in matrices]
+        drives = np.array([False] * len(matrices[0]))
+        drives[len(drives) - len(entries) :] = [coupled[c][0].is_given for c in entries]
+        _refuse_dependent(scene, matrices, drives, [coupled[c][0].joint for c in entries])
+        chosen, _ = independent_rows(matrices, np.zeros(len(drives), dtype=bool))
+        at = 0
+        for k in closing:
+            keep[k] = chosen[at : at + len(keep[k])]
+            at += len(keep[k])
+    return cut, [np.flatnonzero(rows) for rows in keep]
+
+
+def _refuse_dependent(scene, matrices, drives, joints):
+    """Refuse a driven joint whose coordinate other joints determine: its effort is undetermined.
+
+    matrices : rows at generic poses;  drives : mask of those of driven joints
+    joints   : of the last rows
+    """
+    for r in np.flatnonzero(drives):
+        others = np.arange(len(drives)) != r
+        if max(map(_rank, matrices)) > max(_rank(matrix[others]) for matrix in matrices):
+            continue
+        j = joints[r - len(drives)]
+        raise SceneError(
+            f'joints[{j}] "{scene.joints[j].name}": it cannot be driven, because the other joints, '
+            "couplings and driven joints already determine its coordinate",
+            ("joints", j, "driven"),
+        )
+
+
+def _rank(matrix):
+    return np.linalg.matrix_rank(matrix, tol=RANK_TOLERANCE) if matrix.size else 0
+
+
+def _tree_jacobians(scene, frames, parts, loops, joints, links, places):
+    """Length, and rows of the cut joints of loops for the freedoms of the tree at generic poses.
+
+    loops, joints : indices of the joints in loops, and of the cut ones among them
+    """
+    first = _first_freedoms(links)
+    ends = {
+        j: [
+            _path(links, places[name][0])
+            for name in (scene.joints[j].child, scene.joints[j].parent)
+        ]
+        for j in joints
+    }
+    # On their common path to the world both ends of a joint move alike.
+    needed = sorted(set().union(*(set(a) ^ set(b) for a, b in ends.values())))
+    # The loops move with welded bodies, and with the joints that hold them beside a floating part.
+    used = ({links[i].joint for i in needed} - {None}).union(loops)
+    used |= _welded(scene, used)
+    # In the order of mechanism/redundancy.py: the same linkage is analysed once.
+    used = sorted(used, key=lambda j: (scene.joints[j].parent != WORLD_NAME, j))
+    linkage = Linkage(scene, frames, parts, used)
+    length = linkage.length
+    # Rotations and translations in comparable units.
+    units = np.concatenate(
+        [np.where(link.directions()[:3].any(axis=0), length, 1.0) for link in links]
+    )
+    matrices = []
+    for poses in generic_poses(linkage):
+        world = link_poses(links, needed, poses)
+        motions = {i: SE3.Ad(world[i]) @ links[i].directions() for i in needed}
+        blocks = []
+        for j in joints:
+            J = linkage.joint_rows(used.index(j), poses)
+            J = J / np.linalg.norm(J / ([length] * 3 + [1.0] * 3), axis=1, keepdims=True)
+            J = J @ SE3.Ad(SE3.inverse(poses[scene.joints[j].child]))
+            block = np.zeros((len(J), first[-1]))
+            child, parent = ends[j]
+            for sign, path, other in ((1.0, child, parent), (-1.0, parent, child)):
+                for i in set(path) - set(other):
+                    block[:, first[i] : first[i + 1]] = sign * J @ motions[i]
+            blocks.append(block)
+        matrix = np.concatenate(blocks) / units
+        # Rows that the tree satisfies already, such as those out of the plane of planar loops.
+        matrix[np.linalg.norm(matrix, axis=1) < RANK_TOLERANCE] = 0.0
+        matrices.append(matrix)
+    return length, matrices
+
+
+def _first_freedoms(links):
+    """(links + 1,) first freedom of each link."""
+    return np.concatenate([[0], np.cumsum([FREEDOMS[link.group] for link in links])])
+
+
+def _coupling_rows(links, coupled, length):
+    """Unit rows of the couplings for the freedoms of the tree, (omega length, v)."""
+    first = _first_freedoms(links)
+    rows = np.zeros((len(coupled), first[-1]))
+    for row, (coupling, ends) in zip(rows, coupled):
+        for i, factor in zip(ends, (1.0, -coupling.ratio)):
+            unit = length if links[i].turns else 1.0
+            row[first[i]] += links[i].sign * factor / unit
+        row /= np.linalg.norm(row)
+    return rows
+
+
+def _welded(scene, joints):
+    """Fixed joints that hold bodies to those of other joints, directly or by each other."""
+    bodies = {end for j in joints for end in (scene.joints[j].parent, scene.joints[j].child)}
+    bodies.discard(WORLD_NAME)
+    found, grown = set(), True
+    while grown:
+        grown = False
+        for j, joint in enumerate(scene.joints):
+            ends = {joint.parent, joint.child} - {WORLD_NAME}
+            if joint.type == "fixed" and j not in found and ends & bodies:
+                found.add(j)
+                bodies |= ends
+                grown = True
+    return found
+
+
+def cut_elements(scene, frames, cut, places, coupled):
+    """ELEMENT records of the cut joints, between links and in link frames; then of couplings."""
+    records = np.zeros(len(cut), dtype=ELEMENT)
+    first = 0
+    for record, (j, element, part) in zip(records, cut):
+        if j is None:
+            child, parent = coupled[element - (cut[-1][1] + 1 - len(coupled))][1]
+            for name, value in zip(ELEMENT.names, part.record(parent, child, first)):
+                record[name] = value
+            first += 1
+            continue
+        joint, (F_a, F_b) = scene.joints[j], frames[j]
+        (a, pose_a), (b, pose_b) = places[joint.parent], places[joint.child]
+        F_a, F_b = pose_a @ F_a, pose_b @ F_b
+        if b == WORLD:
+            # The child of a joint moves: exchange the ends.
+            if joint.type == "universal":
+                F_a, F_b = F_a @ SECOND_AXIS, F_b @ FIRST_AXIS
+            a, b, F_a, F_b = b, a, F_b, F_a
+        records_of = part.record(a, b, first, F_a, F_b)
+        for name, value in zip(ELEMENT.names, records_of):
+            record[name] = value
+        first += len(part.names)
+    return records
+
+
+def _path(links, b):
+    """Links between a link and the world, itself first."""
+    path = []
+    while b != WORLD:
+        path.append(b)
+        b = links[b].parent
+    return path
+
+
+def loop_arrays(links, records, cut, rows, elements, coupled, counted, loops):
+    """Arrays of the cut joints and couplings, ordered so that the envelope of W is narrow.
+
+    counted : index of the first unwrapped angle that belongs to a coupling
+    loops   : of an empty tree the joints of the scene in closed loops, else None
+    """
+    solved = [k for k in range(len(cut)) if len(rows[k])]
+    paths = [
+        sorted(
+            {i for end in ("parent", "child") for i in _path(links, int(elements[k][end]))},
+            reverse=True,
+        )
+        for k in solved
+    ]
+    order = _narrow([set(path) for path in paths])
+    solved, paths = [solved[k] for k in order], [paths[k] for k in order]
+    joints = np.zeros(len(solved), dtype=JOINT)
+    jacobians, residuals, turns, first = [np.zeros((0, 6))], [], [], 0
+    for joint, k in zip(joints, solved):
+        element = elements[k]
+        joint["parent"], joint["child"], joint["kind"] = (
+            element["parent"],
+            element["child"],
+            element["kind"],
+        )
+        joint["element"], joint["rows"], joint["first"] = k, len(rows[k]), first
+        joint["in_loop"] = loops is None or cut[k][0] in loops
+        joint["own_points"] = loops is None and element["turns_freely"]
+        first += len(rows[k])
+        residuals += [element["row_start"] + r for r in rows[k]]
+        turns += [cut[k][2].names[r].startswith("w") for r in rows[k]]
+        jacobian = np.zeros((element["rows"], 6))
+        if element["kind"] == PAIR:
+            frame = np.eye(4)
+            frame[:3, :3] = element["child_rotation"].reshape(3, 3)
+            frame[:3, 3] = element["child_point"]
+            jacobian = element["forbidden"][: 6 * element["rows"]].reshape(-1, 6) @ SE3.Ad(
+                SE3.inverse(frame)
+            )
+        jacobians.append(jacobian[rows[k]])
+    ranges, at = [], 0
+    for path in paths:
+        ranges.append((at, at + len(path)))
+        at += len(path)
+    path_places, path_freedoms, path_ends, spots, at = [], [], [0], [], 0
+    for path, joint in zip(paths, joints):
+        path_places.append(at)
+        spot = {}
+        for i in path:
+            group, f = records[i]["group"], records[i]["freedom"]
+            for number in ORDERS[group]:
+                spot[int(f + number)] = at
+                at += int(joint["rows"])
+        spots.append(spot)
+        path_freedoms += spot
+        path_ends.append(len(path_freedoms))
+    shared, entries = [], []
+    first_joint = list(range(len(joints)))
+    for i, spot_i in enumerate(spots):
+        for j in range(i):
+            common = sorted(spot_i.keys() & spots[j].keys())
+            if common:
+                entries += [(f, spot_i[f], spots[j][f]) for f in common]
+                shared.append((i, j, len(entries)))
+                first_joint[i] = min(first_joint[i], j)
+    column = np.array(
+        [
+            joints[first_joint[i]]["first"]
+            for i in range(len(joints))
+            for _ in range(joints[i]["rows"])
+        ],
+        dtype=np.int64,
+    )
+    number = {len(cut) - len(coupled) + i: i for i in range(len(coupled))}
+    coupling = np.array([number.get(k, -1) for k in solved], dtype=np.int64)
+    return {
+        "joints": joints,
+        "coupling": _numbered(coupling),
+        "couplings": _couplings(links, records, joints, coupling, residuals, coupled, counted),
+        "owners": np.array([cut[k][1] for k in solved], dtype=np.int64),
+        "row_turns": np.array(turns, dtype=np.int64),
+        "row_residual": np.array(residuals, dtype=np.int64),
+        "child_jacobian": np.concatenate(jacobians),
+        "paths": np.array(ranges, dtype=np.int64).reshape(-1, 2),
+        "path_links": np.array([i for path in paths for i in path], dtype=np.int64),
+        "path_freedoms": np.array(path_freedoms, dtype=np.int64),
+        "path_ends": np.array(path_ends, dtype=np.int64),
+        "path_places": np.array([*path_places, at], dtype=np.int64),
+        "shared": np.array(shared, dtype=np.int64).reshape(-1, 3),
+        "shared_freedoms": np.array(entries, dtype=np.int64).reshape(-1, 3),
+        "first_column": column,
+    }
+
+
+def _numbered(coupling):
+    """Position of each coupling among those that are solved for; -1 stays."""
+    numbers = np.full(len(coupling), -1, dtype=np.int64)
+    numbers[coupling >= 0] = np.arange((coupling >= 0).sum())
+    return numbers
+
+
+def _couplings(links, records, joints, coupling, residuals, coupled, counted):
+    """(k,) of COUPLED, in the order of the joints; coupling: which of `coupled` a joint is, or -1."""
+    motions = np.cumsum([entry.is_given for entry, _ in coupled]) - 1
+    is_angle = [
+        (links[a].turns, links[b].turns and not entry.is_given) for entry, (a, b) in coupled
+    ]
+    angles = counted + np.cumsum([0, *(second for _, second in is_angle)])
+    rows = []
+    for joint, c in zip(joints, coupling):
+        if c < 0:
+            continue
+        entry, ends = coupled[c]
+        signs = [links[i].sign for i in ends]
+        turned, counts = is_angle[c]
+        rows.append(
+            (
+                joint["first"],
+                residuals[joint["first"]],
+                ends,
+                (signs[0], -entry.ratio * signs[1]),
+                entry.offset,
+                angles[c] if counts else -1,
+                signs[1],
+                turned,
+                motions[c] if entry.is_given else -1,
+                2,
+            )
+        )
+    return np.array(rows, dtype=COUPLED)
+
+
+def _narrow(paths):
+    """Order of the cut joints with a narrow envelope, by reverse Cuthill-McKee."""
+    if not paths:
+        return []
+    touch = np.array([[bool(a & b) for b in paths] for a in paths])
+    return reverse_cuthill_mckee(csr_matrix(touch), symmetric_mode=True).tolist()

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Error control of Munthe-Kaas methods with an error estimate: each step is divided into substeps.
+
+The estimate is the difference of two methods in the algebra:
+    delta = h sum_j e_j k_j ,   k_s+1 = dexp^-1_{-Psi} F(X_1) ,   Psi = h sum_j b_j k_j
+It has one screw (dxi, deta) and one twist difference (dw, dv) for every body. A substep is accepted
+if for every body
+    |dxi|^2/atol^2 + |deta|^2/(atol L)^2 + |dw|^2/tol_w^2 + |dv|^2/tol_v^2 <= 1
+    tol_w = atol + rtol max(|w_0|, |w_1|),   tol_v = atol L + rtol max(|v_0|, |v_1|)
+in rad, m, rad/s and m/s. L is 1 m, or with an accuracy the mechanism's size. The tolerance of poses is
+absolute, so that it does not depend on the origin of the world. The largest error of a body decides: a
+mean would hide one fast body among many slow ones. A method with two estimates of such norms e_5 and
+e_3 has e_5^2 / sqrt(e_5^2 + e_3^2 / 100) instead (Hairer, Norsett and Wanner, Solving ODEs I, (10.17)).
+
+That norm is small by chance where a force jumps within a substep and e_5 is not far from a zero. So e_3 must be
+at most 1, too, if it is JUMP times what the last substep lets expect: it is proportional to h^4 where the
+motion is smooth.
+
+A tolerance below rounding would only make substeps smaller. So atol is larger by h times the round-off in the
+accelerations next to a singular pose, and with an accuracy by ROUNDING / h. With given tolerances such a step
+ends with SUBSTEP_TOO_SMALL.
+"""
+
+import math
+
+from liegroup_core.compiling import kernel
+from liegroup_core.status import OK, SUBSTEP_TOO_SMALL
+
+from . import steps
+
+# Bounds of the ratio of two successive substeps, and safety factor of the next one.
+LARGEST_GROWTH, LARGEST_CUT, SAFETY = 5.0, 0.2, 0.9
+# Rounding of a pose, m or rad, as it shows in an error estimate: stiff forces make accelerations of it. At h
+# of their fastest oscillation that is a velocity of about the rounding of a pose divided by h.
+ROUNDING = 0.03 * 2.0**-52
+# Smallest substep as a fraction of a step: dampers may stop light bodies that fast.
+SMALLEST_SUBSTEP = 1e-13
+# A push from outside may be felt as a jump: then it costs a few substeps.
+JUMP = 1e3
+
+
+@kernel
+def _change(error, estimates):
+    """Ratio of the next substep to this one: 0.9 error^(-3/16), or 0.9 error^(-1/8), within bounds.
+
+    For an estimate of order 4 the error is proportional to h^5. The exponent 3/16 instead of 1/5
+    needs only square roots. They are bit-identical on every machine, and so is the run. With two
+    estimates the error is proportional to h^8.
+    """
+    if not error < 1e8:
+        return LARGEST_CUT
+    root = math.sqrt(math.sqrt(math.sqrt(max(error, 1e-8))))
+    if estimates == 1:
+        root *= math.sqrt(root)
+    return min(LARGEST_GROWTH, max(LARGEST_CUT, SAFETY / root))
+
+
+@kernel
+def _error(model, work, scheme, h, twist, control):
+    """Norm of the error estimate of a step from `twist`, accepted up to 1, and e_3 if there are two."""
+    largest, largest_3, rtol, length = 0.0, 0.0, control[4], control[8]
+    atol = control[5] + h * work.report[4] + control[9] / h
+    for i in range(len(model.bodies)):
+        error = steps.error_square(model, work, scheme, 0, h, twist, i, rtol, atol, length)
+        if len(scheme.error) == 2:
+            other = steps.error_square(model, work, scheme, 1, h, twist, i, rtol, atol, length)
+            largest_3 = max(largest_3, other)
+            if error > 0.0:
+                error *= error / (error + 0.01 * other)
+        if not error < math.inf:
+            return math.inf, 0.0
+        largest = max(largest, error)
+    return math.sqrt(largest), math.sqrt(largest_3)
+
+
+@kernel
+def judge(model, work, scheme, h, size, status, twist, control):
+    """Accept or reject a substep of the given size, and set the size of the next one.
+
+    h       : s, the whole step
+    status  : of the substep; a substep that failed is rejected
+    control : see munthe_kaas.advance
+    returns (status, accepted): status is not OK if no smaller substep is allowed
+    """
+    error, growth = math.inf, 0.0
+    if status == OK:
+        error, error_3 = _error(model, work, scheme, size, twist, control)
+        if work.report[4] == 0.0:  # next to a singular pose it is rounding that jumps
+            growth = error_3 * control[5] / (size * size * size * size)
+        if growth > JUMP * control[12] > 0.0:
+            error = max(error, error_3)
+    change = _change(error, len(scheme.error))
+    # A substep that ends early, at a change of inputs, says little about the longer one before it.
+    kept = control[0] if change == LARGEST_GROWTH else 0.0
+    control[0] = min(control[6], max(kept, size * change))
+    control[2] += 1.0
+    if error <= 1.0:
+        control[1] += 1.0
+        control[12] = growth
+        return OK, True
+    if control[0] < SMALLEST_SUBSTEP * h:
+        return (status if status != OK else SUBSTEP_TOO_SMALL), False
+    return OK, False

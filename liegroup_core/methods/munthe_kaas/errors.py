@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Error estimates in relative coordinates: those of the bodies, from those of the freedoms.
+
+The differences of the freedoms add up along the tree: links come in the order of the tree.
+"""
+
+from liegroup_core.compiling import Choice, kernel
+from liegroup_core.joints.elements import WORLD
+from liegroup_core.lie.se3 import se3_Ad_inverse
+from liegroup_core.lie.vec3 import add3, cross3, load3, load9, store3, vector3
+from liegroup_core.mechanism.arrays import PlaneModel, RelativeModel
+from liegroup_core.methods.checks import error_norm_square
+from liegroup_core.motion_groups.direct import to_link
+from liegroup_core.motion_groups.table import in_world_axes, plane_rate_twist, rate_twist
+
+
+@kernel
+def _difference(model, work, scheme, row, h, i):
+    """Write the differences of the freedoms of link i to work.difference: algebra, qdot."""
+    count, parts = len(work.freedoms), work.difference
+    for k in range(model.bodies[i]["freedoms"]):
+        psi, dq = 0.0, 0.0
+        for stage in range(scheme.error.shape[1]):
+            weight = scheme.error[row, stage]
+            if weight != 0.0:
+                at = stage * count + model.bodies[i]["freedom"] + k
+                psi += weight * work.slopes[at, 0]
+                dq += weight * work.slopes[at, 1]
+        parts[0, k], parts[1, k] = h * psi, h * dq
+
+
+@kernel
+def _with_parent(work, at, rot, p, moved, rate):
+    """Differences of a link in those of its parent: row `at` of work.errors; rot, p: its pose there."""
+    errors = work.errors
+    xi, eta = se3_Ad_inverse(rot, p, load3(errors, at, 0), load3(errors, at, 3))
+    dw, dv = se3_Ad_inverse(rot, p, load3(errors, at, 6), load3(errors, at, 9))
+    return add3(moved[0], xi), add3(moved[1], eta), add3(rate[0], dw), add3(rate[1], dv)
+
+
+@kernel
+def _in_space(model, work, i, place):
+    """Differences (xi, eta, dw, dv) of the origin of link i; work.errors has its parent's."""
+    link = model.bodies[i]
+    moved, rate = rate_twist(link, work.difference, 0), rate_twist(link, work.difference, 1)
+    a = link["parent"]
+    if a == WORLD:
+        if in_world_axes(link):
+            pose, at = work.stage_pose, len(model.parts) + i
+            return moved[0], to_link(pose, at, moved[1]), rate[0], to_link(pose, at, rate[1])
+        return moved[0], moved[1], rate[0], rate[1]
+    rot, p = load9(work.relative, i, 0), load3(work.relative, i, 9)
+    return _with_parent(work, place + a, rot, p, moved, rate)
+
+
+@kernel
+def _in_plane(model, work, i, place):
+    """`_in_space` for a planar mechanism."""
+    link = model.links[i]
+    a = link["parent"]
+    moved = plane_rate_twist(link, work.difference, 0)
+    rate = plane_rate_twist(link, work.difference, 1)
+    if a == WORLD:
+        return moved[0], moved[1], rate[0], rate[1]
+    row = len(model.parts) + i
+    c, s = work.stage_pose[row, 0], work.stage_pose[row, 1]
+    rot = (c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0)
+    p = (work.stage_pose[row, 2], work.stage_pose[row, 3], 0.0)
+    return _with_parent(work, place + a, rot, p, moved, rate)
+
+
+_of_link = Choice("_of_link", {RelativeModel: _in_space, PlaneModel: _in_plane})
+
+
+@kernel
+def error_square(model, work, scheme, row, h, twist, i, rtol, atol, length):
+    """Square of an error estimate of the body that represents link i; see error_control.py."""
+    _difference(model, work, scheme, row, h, i)
+    place = row * len(model.bodies)
+    xi, eta, dw, dv = _of_link(model, work, i, place)
+    store3(xi, work.errors, place + i, 0)
+    store3(eta, work.errors, place + i, 3)
+    store3(dw, work.errors, place + i, 6)
+    store3(dv, work.errors, place + i, 9)
+    link = model.bodies[i]
+    body = link["body"]
+    if body < 0:
+        return 0.0
+    point = vector3(link["body_point"])
+    eta, dv = add3(eta, cross3(xi, point)), add3(dv, cross3(dw, point))
+    return error_norm_square(xi, eta, dw, dv, twist, work.stage_twist, body, rtol, atol, length)

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A step, or a substep, of an explicit Munthe-Kaas method: see munthe_kaas.py."""
+
+import numpy as np
+
+from liegroup_core.compiling import Struct, kernel
+from liegroup_core.events.crossings import rows_and_weights
+from liegroup_core.methods.table import EXACT
+from liegroup_core.status import DEPENDENT_ROWS, OK
+
+from . import steps
+from .collocation import Collocation, make_collocation, no_collocation
+
+
+class Scheme(Struct):
+    """Data of a Munthe-Kaas method: tableau of s stages, series of dexpinv.
+
+    The sums of an implicit step are computed in implicit.py. The operations of steps.py see a method of
+    one stage whose derivatives times 1 are Psi; its nodes are those of the stages, then 0 and 1.
+    """
+
+    a: np.ndarray  # (s + 1, s) the tableau's a, below it its b
+    nodes: np.ndarray  # (s + 1,) its c, then 1: times of the stages in parts of a step
+    rows: np.ndarray  # (s + 1,) and weights: see crossings.py
+    weights: np.ndarray
+    error: np.ndarray  # (0 to 2, s + 1) weights of the error estimates
+    highest: int  # last power of ad in dexpinv, or EXACT
+    spent: np.ndarray  # (1,) evaluations of the accelerations so far, with error control
+    newton: Collocation  # of an implicit method
+
+
+def make_scheme(tableau, highest):
+    """Scheme of an explicit Tableau."""
+    times = np.append(tableau.c, 1.0)
+    a, data = np.vstack([tableau.a, tableau.b]), rows_and_weights(times)
+    return Scheme(a, times, *data, tableau.e, highest, np.zeros(1), no_collocation())
+
+
+def make_implicit_scheme(tableau, freedoms):
+    """Scheme of an implicit Tableau of three stages, for a number of freedoms."""
+    data = rows_and_weights(np.concatenate([[0.0], tableau.c, [1.0]]))
+    a, nodes = np.array([[0.0], [1.0]]), np.concatenate([tableau.c, [0.0, 1.0]])
+    newton = make_collocation(tableau, freedoms)
+    return Scheme(a, nodes, *data, np.array([[0.0, 1.0]]), EXACT, np.zeros(1), newton)
+
+
+@kernel
+def substep(scheme, model, work, size, start, elapsed, first, pose, external):
+    """Set the stage to the end of a substep of a size in s, from a pose and the twist of `begin`.
+
+    start, elapsed : s, time of the step, and of the substep in it
+    first          : 1: the stage derivatives of the start are in work.slopes
+    returns a status
+    """
+    stages = scheme.a.shape[1]
+    controlled = len(scheme.error) > 0
+    watching = steps.watches(model, work)
+    # Accelerations at the end serve events, the next substep unless the end is projected, and estimates
+    # that have a weight for them.
+    ending = watching or controlled and not model.projects
+    for row in range(len(scheme.error)):
+        ending = ending or scheme.error[row, stages] != 0.0
+    if controlled:
+        scheme.spent[0] += stages
+    # The end is one more stage.
+    for stage in range(first, stages + 1):
+        if stage > 0:
+            status = steps.move(model, work, scheme, size, stage, stage == stages, pose)
+            if status != OK:
+                return status
+        work.clock[2] = start + elapsed + scheme.nodes[stage] * size
+        if stage < stages or ending:
+            dependent = steps.accelerate(model, work, external)
+            if dependent >= 0:
+                return DEPENDENT_ROWS + (dependent << 8)
+            steps.store_slopes(model, work, scheme, stage)
+            if watching:
+                steps.note_stage(model, work, scheme, stage)
+    return OK

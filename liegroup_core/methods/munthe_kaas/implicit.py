@@ -1,0 +1,286 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A substep of an implicit Munthe-Kaas method of three stages, for stiff scenes.
+
+In the algebra, with y = (Psi, change of the velocities), a mechanism is an ordinary differential
+equation y' = F(y) from y = 0 on: F = (dexp^-1_{-Psi} V, Vdot) at X_0 exp Psi. The stages of a collocation
+method satisfy z_j = h sum_l a_jl F(z_l), and the end is the last stage. With the inverse of a, which has
+one real and two complex eigenvalues, Newton's method for
+
+    1/h sum_l (a^-1)_jl z_l - F(z_j) = 0 ,    J = [0 1; Q D]
+
+takes a real and a complex system of the size of the freedoms, mu^2 - mu D - Q, mu = eigenvalue / h
+(Hairer and Wanner, Solving ODEs II, IV.8; second-order systems: IV.8, exercise 5). J is by finite
+differences at the start of a step, so that all forces are implicit without further formulas, and again
+in a later substep if the iteration becomes slow. Its part of the chart, about half of the angular
+velocity, is omitted.
+
+The error estimate is (mu - J)^-1 (F(0) + mu sum_j e_j z_j), mu real (IV.8.19): of order three, and bounded
+for stiff forces.
+"""
+
+import math
+
+from liegroup_core.compiling import borrowed, kernel, subroutine
+from liegroup_core.methods.dense_lu import (
+    complex_lu_factorise,
+    complex_lu_solve,
+    lu_factorise,
+    lu_solve,
+)
+from liegroup_core.status import DEPENDENT_ROWS, NOT_CONVERGED, OK
+
+from . import steps
+from .collocation import END, STAGES, START
+
+# Newton's method ends where the next correction is below ROUNDING, rad or m, and times 1 + the rate for
+# rates, or, up to STUCK times that, where it is not below STALLED times the last one: that is rounding. What
+# it leaves is no random error: with a bound of 1e-3 of the tolerance motions are wrong by 50 to 500 times
+# as much. The matrix is computed anew if a correction is more than SLOW times the one before.
+ROUNDING, STUCK, STALLED = 1e-17, 1e5, 0.3
+SLOW, MOST_ITERATIONS = 0.05, 20
+FREEDOMS_SQUARED = 200  # of a mechanism whose factorisations take as long as an evaluation
+DISPLACEMENT = 1e-8  # rad, m, rad/s, m/s: the derivative has half of all digits
+
+
+@kernel
+def _load(source, block, out):
+    """Copy a block of Work.slopes to (f, 2): algebra, velocity."""
+    half = source.shape[1] // 2
+    rows = len(out) // half
+    for r in range(rows):
+        for c in range(half):
+            out[r * half + c, 0] = source[block * rows + r, c]
+            out[r * half + c, 1] = source[block * rows + r, half + c]
+
+
+@kernel
+def _store(values, factor, out, block):
+    """Copy (f, 2) times a factor to a block of Work.slopes."""
+    half = out.shape[1] // 2
+    rows = len(values) // half
+    for r in range(rows):
+        for c in range(half):
+            out[block * rows + r, c] = factor * values[r * half + c, 0]
+            out[block * rows + r, half + c] = factor * values[r * half + c, 1]
+
+
+@subroutine
+def _evaluate(scheme, model, work, j, time, pose, external):
+    """F at z of row j; the stage is there. Returns a status."""
+    newton = scheme.newton
+    scheme.spent[0] += 1.0
+    half = work.slopes.shape[1] // 2
+    rows = len(newton.initial) // half
+    for r in range(rows):
+        for c in range(half):
+            work.slopes[r, c] = newton.z[j, r * half + c, 0]
+            work.slopes[r, half + c] = newton.z[j, r * half + c, 1]
+    status = steps.move(model, work, scheme, 1.0, 1, j == END, pose)
+    if status != OK:
+        return status
+    work.clock[2] = time
+    dependent = steps.accelerate(model, work, external)
+    if dependent >= 0:
+        return DEPENDENT_ROWS + (dependent << 8)
+    steps.store_slopes(model, work, scheme, 1)
+    for r in range(rows):
+        for c in range(half):
+            newton.slopes[j, r * half + c, 0] = work.slopes[rows + r, c]
+            newton.slopes[j, r * half + c, 1] = work.slopes[rows + r, half + c]
+    if j != START and steps.watches(model, work):
+        steps.note_stage(model, work, scheme, j + 1 if j < STAGES else STAGES + 1)
+    return OK
+
+
+@kernel
+def _differentiate(scheme, model, work, time, pose, external):
+    """Set Q and D at the start. Returns a status."""
+    newton = scheme.newton
+    f = len(newton.initial)
+    for p in range(f):
+        newton.z[START, p, 0] = newton.z[START, p, 1] = 0.0
+    for p in range(f):
+        for part in range(2):
+            change = DISPLACEMENT
+            if part == 1:
+                change *= 1.0 + abs(newton.initial[p, 0])
+            newton.z[START, p, part] = change
+            status = _evaluate(scheme, model, work, START, time, pose, external)
+            newton.z[START, p, part] = 0.0
+            if status != OK:
+                return status
+            for r in range(f):
+                slope = (newton.slopes[START, r, 1] - newton.initial[r, 1]) / change
+                if part == 0:
+                    newton.stiffness[r, p] = slope
+                else:
+                    newton.damping[r, p] = slope
+    return OK
+
+
+@kernel
+def _factorise(newton, h):
+    """Factorise the real and the complex matrix for a substep of size h; False: one is singular."""
+    f, mu = len(newton.initial), newton.real_value / h
+    a, b = newton.pair_value[0] / h, newton.pair_value[1] / h
+    for r in range(f):
+        for c in range(f):
+            q, d = newton.stiffness[r, c], newton.damping[r, c]
+            newton.factors[r, c] = -mu * d - q
+            newton.real_factors[r, c] = -a * d - q
+            newton.imag_factors[r, c] = -b * d
+        newton.factors[r, r] += mu * mu
+        newton.real_factors[r, r] += a * a - b * b
+        newton.imag_factors[r, r] += 2.0 * a * b
+    if not lu_factorise(newton.factors, newton.pivots):
+        return False
+    return complex_lu_factorise(newton.real_factors, newton.imag_factors, newton.pair_pivots)
+
+
+@kernel
+def _correct(newton, h):
+    """Add the correction of Newton's method to z; returns its size as a multiple of ROUNDING."""
+    f, mu = len(newton.initial), newton.real_value / h
+    a, b = newton.pair_value[0] / h, newton.pair_value[1] / h
+    for j in range(STAGES):
+        for p in range(f):
+            for c in range(2):
+                total = newton.slopes[j, p, c]
+                for other in range(STAGES):
+                    total -= newton.inverse[j, other] / h * newton.z[other, p, c]
+                newton.residual[j, p, c] = total
+    real, pair = newton.real, newton.pair
+    for r in range(f):
+        # The right side r2 + mu r1 - D r1.
+        right, right_a, right_b = 0.0, 0.0, 0.0
+        for j in range(STAGES):
+            one, two = newton.residual[j, r, 0], newton.residual[j, r, 1]
+            for p in range(f):
+                two -= newton.damping[r, p] * newton.residual[j, p, 0]
+            right += real[j, 0] * (two + mu * one)
+            right_a += pair[j, 0] * (two + a * one) - pair[j, 1] * b * one
+            right_b += pair[j, 1] * (two + a * one) + pair[j, 0] * b * one
+        newton.x[r], newton.real_x[r], newton.imag_x[r] = right, right_a, right_b
+    lu_solve(newton.factors, newton.pivots, newton.x)
+    complex_lu_solve(
+        newton.real_factors, newton.imag_factors, newton.pair_pivots, newton.real_x, newton.imag_x
+    )
+    largest = 0.0
+    for p in range(f):
+        one, one_a, one_b = 0.0, 0.0, 0.0
+        for j in range(STAGES):
+            one += real[j, 0] * newton.residual[j, p, 0]
+            one_a += pair[j, 0] * newton.residual[j, p, 0]
+            one_b += pair[j, 1] * newton.residual[j, p, 0]
+        x, u, v = newton.x[p], newton.real_x[p], newton.imag_x[p]
+        rate, rate_u, rate_v = mu * x - one, a * u - b * v - one_a, a * v + b * u - one_b
+        of_rates = ROUNDING * (1.0 + abs(newton.initial[p, 0]))
+        for j in range(STAGES):
+            moved = real[j, 1] * x + pair[j, 2] * u - pair[j, 3] * v
+            change = real[j, 1] * rate + pair[j, 2] * rate_u - pair[j, 3] * rate_v
+            newton.z[j, p, 0] += moved
+            newton.z[j, p, 1] += change
+            largest = max(largest, abs(moved) / ROUNDING, abs(change) / of_rates)
+            if not abs(moved) + abs(change) < math.inf:
+                return math.inf
+    return largest
+
+
+@kernel
+def _solve(scheme, model, work, h, start, pose, external):
+    """Solve for the stages of a substep of size h. Returns a status."""
+    newton = scheme.newton
+    for j in range(STAGES):
+        for p in range(len(newton.initial)):
+            newton.z[j, p, 0] = h * scheme.nodes[j] * newton.initial[p, 0]
+            newton.z[j, p, 1] = 0.0
+    before = math.inf
+    for iteration in range(MOST_ITERATIONS):
+        for j in range(STAGES):
+            time = start + scheme.nodes[j] * h
+            status = _evaluate(scheme, model, work, j, time, pose, external)
+            if status != OK:
+                return status
+        size = _correct(newton, h)
+        if iteration > 0:
+            ratio = size / before if before > 0.0 else 0.0
+            if size > STUCK and ratio > SLOW:
+                newton.known[0] = 0.0
+            if size <= STUCK and ratio > STALLED:
+                return OK
+            if ratio >= 1.0:
+                return NOT_CONVERGED
+            if ratio * size <= 1.0 - ratio:
+                return OK
+        before = size
+    return NOT_CONVERGED
+
+
+@kernel
+def _estimate(newton, h):
+    """Write the error estimate of a substep of size h to newton.next."""
+    f, real = len(newton.initial), newton.real_value / h
+    for p in range(f):
+        for c in range(2):
+            total = newton.initial[p, c]
+            for j in range(STAGES):
+                total += real * newton.estimate[j] * newton.z[j, p, c]
+            newton.next[p, c] = total
+    for r in range(f):
+        right = newton.next[r, 1] + real * newton.next[r, 0]
+        for p in range(f):
+            right -= newton.damping[r, p] * newton.next[p, 0]
+        newton.x[r] = right
+    lu_solve(newton.factors, newton.pivots, newton.x)
+    for p in range(f):
+        newton.next[p, 1] = real * newton.x[p] - newton.next[p, 0]
+        newton.next[p, 0] = newton.x[p]
+
+
+@subroutine
+def substep(scheme, model, work, size, start, elapsed, first, pose_in, external_in):
+    """Set the stage to the end of a substep of a size in s; see explicit.py.
+
+    The error estimate is in work.slopes, as the derivative of stage 1.
+    """
+    pose, external = borrowed(pose_in), borrowed(external_in)
+    newton = scheme.newton
+    begin = start + elapsed
+    if first == 0:
+        work.clock[2] = begin
+        dependent = steps.accelerate(model, work, external)
+        if dependent >= 0:
+            return DEPENDENT_ROWS + (dependent << 8)
+        steps.store_slopes(model, work, scheme, 0)
+        if steps.watches(model, work):
+            steps.note_stage(model, work, scheme, 0)
+    _load(work.slopes, 0, newton.initial)
+    # Not from an earlier step: a run that is repeated from this step on is to be bit-identical.
+    fresh = elapsed == 0.0 or newton.known[0] == 0.0
+    status = NOT_CONVERGED
+    for _ in range(2):
+        if fresh:
+            status = _differentiate(scheme, model, work, begin, pose, external)
+            if status != OK:
+                break
+        newton.known[0] = 1.0
+        status = NOT_CONVERGED
+        # whole: sums are exact, and repeated runs the same
+        f = len(newton.initial)
+        scheme.spent[0] += f * f // FREEDOMS_SQUARED
+        if _factorise(newton, size):
+            status = _solve(scheme, model, work, size, begin, pose, external)
+        if status != NOT_CONVERGED or fresh:
+            break
+        fresh = True
+    if status == OK:
+        _estimate(newton, size)
+        for p in range(len(newton.initial)):
+            for c in range(2):
+                newton.z[END, p, c] = newton.z[STAGES - 1, p, c]
+        status = _evaluate(scheme, model, work, END, begin + size, pose, external)
+    else:
+        newton.known[0] = 0.0
+    _store(newton.initial, 1.0, work.slopes, 0)
+    _store(newton.next, 1.0 / size, work.slopes, 1)
+    return status

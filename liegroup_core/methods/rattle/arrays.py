@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Memory of a RATTLE step."""
+
+import numpy as np
+
+from liegroup_core.compiling import Struct, kernel
+from liegroup_core.mechanism.arrays import PlaneModel
+
+# Corrections that Broyden's method stores before it restarts.
+HISTORY = 8
+LONGER = (
+    10.0  # than the last substep: such a substep is too long for the growth known from the last one
+)
+
+
+class Memory(Struct):
+    """Memory of the method besides the state and the work; the last but one are for initial guesses.
+
+    Wrenches and momenta have s numbers: 6, in a plane 3.
+    """
+
+    centre: np.ndarray  # (L, 3) centre of mass in the link, m
+    central: np.ndarray  # (L, 6) inertia about it: xx, xy, xz, yy, yz, zz
+    weight: np.ndarray  # (L, 3) acceleration of gravity, link axes
+    load: np.ndarray  # (L, s) Q at the start of a substep, then at its end; about the origin
+    last_load: np.ndarray  # (L, s) that of the last iteration
+    impulse: np.ndarray  # (L, s) M V + (h/2) Q, then M V'+ + (h/2) Q+, about the origin
+    half: np.ndarray  # (L, s) M V' about the centre of mass, axes of the start
+    moves: np.ndarray  # (L, 8) displacement of each link in a substep, axes of the start: unit
+    # quaternion (real part first), m, bound of the angle. In a plane: angle, cos - 1, sin, m
+    world: np.ndarray  # (L, 12) poses at the end of a substep; of links at cut joints
+    psi: np.ndarray  # (f, 1) displacements of the joints in a substep
+    corrections: np.ndarray  # (HISTORY, f) of psi, then of the rates, in this substep
+    residual: np.ndarray  # (f,) of the rates at the end
+    bias: np.ndarray  # (f,) (2/h) (psi/h - qdot) of the last substep
+    growth: np.ndarray  # (f,) time derivative of `bias`
+    size: np.ndarray  # (1,) s, the last substep; 0: none yet
+    turned: np.ndarray  # (1,) rad^2, largest squared rotation of a link in a substep
+
+
+def make_memory(model):
+    """Allocate a Memory of a RelativeModel."""
+    links = model.bodies
+    count, f = len(links), int(links["freedoms"].sum())
+    mass = np.where(links["mass"] > 0.0, links["mass"], 1.0)[:, None]
+    centre = links["moment"] / mass
+    moment = np.einsum("bi,bj->bij", links["moment"], centre)
+    shift = np.einsum("bii->b", moment)[:, None, None] * np.eye(3) - moment
+    rows, columns = np.triu_indices(3)
+    size = 3 if isinstance(model, PlaneModel) else 6
+    return Memory(
+        centre=np.ascontiguousarray(centre),
+        central=np.ascontiguousarray(links["inertia"] - shift[:, rows, columns]),
+        weight=np.zeros((count, 3)),
+        **{name: np.zeros((count, size)) for name in ("load", "last_load", "impulse", "half")},
+        moves=np.zeros((count, 8)),
+        world=np.zeros((count, 12)),
+        psi=np.zeros((f, 1)),
+        corrections=np.zeros((HISTORY, f)),
+        residual=np.zeros(f),
+        bias=np.zeros(f),
+        growth=np.zeros(f),
+        size=np.zeros(1),
+        turned=np.zeros(1),
+    )
+
+
+@kernel
+def times_between(memory, h):
+    """Times in s between the points at h/3 of the last substep and of this one, for initial guesses.
+
+    returns (this time, the part of it over which `growth` is extrapolated): none after a substep that a
+    change of wrenches has cut short, as its growth is that of the change, or round-off
+    """
+    since = (2.0 * memory.size[0] + h) / 3.0
+    return since, since if abs(h) <= LONGER * abs(memory.size[0]) else 0.0
+
+
+def clear_guesses(memory):
+    """Clear the initial guesses: the state was set."""
+    for guess in (memory.bias, memory.growth, memory.size):
+        guess[:] = 0.0
