@@ -13,7 +13,7 @@ from liegroup_core.engine import Engine
 from liegroup_core.lie.groups import SE3
 from liegroup_core.mechanism.arrays import PlaneModel, make_relative_work
 from liegroup_core.mechanism.bodies import make_work
-from liegroup_core.methods.munthe_kaas import steps as relative
+from liegroup_core.methods.munthe_kaas import steps
 
 
 def residual(model, found):
@@ -34,8 +34,8 @@ def _set_stage(simulation, model, work, pose, twist):
     pose = simulation.state()[0] if pose is None else pose
     twist = simulation.state()[1] if twist is None else twist
     work.known[0] = 0.0  # the coordinates are found from the state
-    relative.enter(model, work, pose, twist, simulation._external)
-    relative.begin(model, work, work.pose, work.twist)
+    steps.enter(model, work, pose, twist, simulation._external)
+    steps.begin(model, work, work.pose, work.twist)
     work.known[0] = 0.0
 
 
@@ -109,7 +109,7 @@ def engine_accelerations(scene, wrenches=(), **options):
         simulation.apply_wrench(body, wrench, source=axes, axes=axes)
     simulation.advance(0)  # writes the wrenches of this instant
     model, work = at_stage(simulation)
-    assert relative.accelerate(model, work, simulation._external) == -1
+    assert steps.accelerate(model, work, simulation._external) == -1
     return _of_bodies(model, work, simulation.state()[0])
 
 

@@ -17,7 +17,7 @@ from scipy.integrate import RK45
 
 from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.methods.families import FAMILIES, NOT_ON_SE3, ON_JOINTS, check_options
-from liegroup_core.methods.munthe_kaas import steps as relative
+from liegroup_core.methods.munthe_kaas import steps
 from liegroup_core.methods.table import CONFIGURATION_GROUPS, METHODS, RELATIVE
 from liegroup_core.status import (
     DEPENDENT_ROWS,
@@ -385,7 +385,7 @@ def test_the_error_norm_is_the_documented_one():
     expected = np.sqrt(((np.linalg.norm(delta, axis=2) / tolerance) ** 2).sum(axis=1)).max()
     found = math.sqrt(
         max(
-            relative.error_square(
+            steps.error_square(
                 model, work, integrator._methods[0][0], 0, 0.01, before, i, 3e-4, 2e-5, 0.7
             )
             for i in range(n)

@@ -37,9 +37,9 @@ from liegroup_core.mechanism.bodies import copy_state
 from liegroup_core.methods.table import refuse_stabilisation
 from liegroup_core.status import DEPENDENT_ROWS, OK
 
-from . import steps
 from .arrays import Coefficients, keep_end, make_memory, set_old
 from .newton import newton
+from .steps import begin, enter, finish, leave, move, set_unknowns
 
 
 @stepper
@@ -51,25 +51,25 @@ def advance(model, work, memory, numbers, h, steps, pose_in, twist_in, external_
     returns (steps done, status), as munthe_kaas.advance; if status is not OK, memory is invalid
     """
     pose_in, twist_in, external_in = borrowed(pose_in), borrowed(twist_in), borrowed(external_in)
-    pose, twist, external, status = steps.enter(model, work, pose_in, twist_in, external_in)
+    pose, twist, external, status = enter(model, work, pose_in, twist_in, external_in)
     done = 0
     while done < steps and status == OK:
-        steps.begin(model, work, memory, pose, twist)
+        begin(model, work, memory, pose, twist)
         set_old(memory, numbers)
         work.clock[2] = (work.clock[0] + (done + 1)) * h + work.clock[1]
         status = newton(model, work, memory, numbers, h, pose, external)
         work.report[1] = 0.0
         if status == OK:
-            status = steps.move(model, work, memory, numbers, h, pose)
+            status = move(model, work, memory, numbers, h, pose)
         if status == OK:
-            status = steps.finish(model, work, memory, h)
+            status = finish(model, work, memory, h)
         if status == OK:
             keep_end(memory, numbers)
             copy_state(work.stage_pose, work.stage_twist, pose, twist)
             work.report[0] = max(work.report[0], work.report[1])
             done += 1
     if done > 0:
-        steps.leave(model, work, pose, twist, pose_in, twist_in)
+        leave(model, work, pose, twist, pose_in, twist_in)
     return done, status
 
 
@@ -80,8 +80,8 @@ def initialise(model, work, memory, pose_in, twist_in, external_in):
     returns -1, or the element with dependent rows
     """
     pose_in, twist_in, external_in = borrowed(pose_in), borrowed(twist_in), borrowed(external_in)
-    pose, twist, external, _ = steps.enter(model, work, pose_in, twist_in, external_in)
-    dependent = steps.initialise(model, work, memory, pose, twist, external)
+    pose, twist, external, _ = enter(model, work, pose_in, twist_in, external_in)
+    dependent = set_unknowns(model, work, memory, pose, twist, external)
     for k in range(len(memory.rate)):
         memory.rate[k] = memory.mean[k] = memory.x[k]
     memory.factored[0] = 0.0

@@ -47,7 +47,7 @@ def begin(model, work, memory, pose, twist):
 
 
 @kernel
-def initialise(model, work, memory, pose, twist, external):
+def set_unknowns(model, work, memory, pose, twist, external):
     """qddot and lambda from the index-1 equations, to memory.x; returns -1 or a dependent element."""
     set_size(model.space, memory, pose)
     link_state.begin(model, work, pose, twist)

@@ -26,6 +26,17 @@ from liegroup_core.status import DEPENDENT_ROWS, EVENT, OK, SUBSTEP_TOO_SMALL, T
 
 from . import explicit, implicit
 from .error_control import ROUNDING, judge
+from .steps import (
+    begin,
+    check_end,
+    close,
+    count_turns,
+    enter,
+    has_event,
+    leave,
+    store_slopes,
+    watches,
+)
 
 MOST_SUBSTEPS = 100_000
 # If no substep meets the tolerance, as next to a singular pose, a step is repeated with these multiples.
@@ -86,11 +97,11 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
     """
     pose_in, twist_in = borrowed(pose_in), borrowed(twist_in)
     external_in, control = borrowed(external_in), borrowed(control)
-    pose, twist, external, status = steps.enter(model, work, pose_in, twist_in, external_in)
+    pose, twist, external, status = enter(model, work, pose_in, twist_in, external_in)
     if status != OK:
         return 0, status
     controlled = len(scheme.error) > 0
-    watching = steps.watches(model, work)
+    watching = watches(model, work)
     first = 0  # 1: the last substep has already written the derivatives of stage 0
     done = 0
     while done < steps and status == OK:
@@ -107,7 +118,7 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
             size = remaining / count
             attempts += 1
             work.report[1] = work.report[4] = 0.0
-            steps.begin(model, work, pose, twist)
+            begin(model, work, pose, twist)
             if len(scheme.newton.z) > 0:
                 status = implicit.substep(
                     scheme, model, work, size, start, h - remaining, first, pose, external
@@ -117,7 +128,7 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
                     scheme, model, work, size, start, h - remaining, first, pose, external
                 )
             if status == OK:
-                status = steps.check_end(model, work, size)
+                status = check_end(model, work, size)
             if controlled:
                 if status == OK:
                     first = 1
@@ -127,18 +138,18 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
                 if status == OK and not accepted:
                     continue
             if status == OK and watching:
-                if steps.has_event(model, work, scheme, h - remaining, size):
+                if has_event(model, work, scheme, h - remaining, size):
                     status = EVENT
             if status == OK and model.projects:
-                status = steps.close(model, work, controlled)
+                status = close(model, work, controlled)
             if status != OK:
                 break
             if controlled:
                 # First same as last: the end of a substep is stage 0 of the next one, where Psi is
                 # zero. Projection changes the end, so that it must be evaluated again.
-                steps.store_slopes(model, work, scheme, 0)
+                store_slopes(model, work, scheme, 0)
                 first = 0 if model.projects else 1
-            steps.count_turns(model, work)
+            count_turns(model, work)
             copy_state(work.stage_pose, work.stage_twist, pose, twist)
             if control[11] > 0.0:
                 _coarsen(control[11], pose, twist)
@@ -153,7 +164,7 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
                 control[10] = attempts / (attempts + remaining / control[0])
             _restore(work, pose, twist, control)
     if done > 0 or status == EVENT:
-        steps.leave(model, work, pose, twist, pose_in, twist_in)
+        leave(model, work, pose, twist, pose_in, twist_in)
     return done, status
 
 

@@ -40,8 +40,8 @@ from liegroup_core.mechanism.bodies import copy_state
 from liegroup_core.methods.table import refuse_stabilisation
 from liegroup_core.status import OK
 
-from . import halves
 from .arrays import clear_guesses, make_memory
+from .halves import begin, enter, finish, first_half, keep, leave, second_half
 
 
 def _mirrored(*half):
@@ -82,30 +82,30 @@ def advance(model, work, memory, parts, h, steps, pose_in, twist_in, external_in
     """
     pose_in, twist_in = borrowed(pose_in), borrowed(twist_in)
     external_in, parts = borrowed(external_in), borrowed(parts)
-    pose, twist, external, status = halves.enter(model, work, pose_in, twist_in, external_in)
+    pose, twist, external, status = enter(model, work, pose_in, twist_in, external_in)
     done = 0
     while done < steps and status == OK:
-        halves.begin(model, work, memory, pose, twist, external, done == 0)
+        begin(model, work, memory, pose, twist, external, done == 0)
         work.report[1] = 0.0
         start, passed = (work.clock[0] + done) * h + work.clock[1], 0.0
         for part in range(len(parts)):
             size = parts[part] * h
             passed = passed + parts[part] if part + 1 < len(parts) else 1.0
             work.clock[2] = start + passed * h
-            status = halves.first_half(model, work, memory, size, done + part == 0)
+            status = first_half(model, work, memory, size, done + part == 0)
             if status == OK:
-                status = halves.second_half(model, work, memory, size, external)
+                status = second_half(model, work, memory, size, external)
             if status != OK:
                 break
-            halves.keep(model, work, memory)
+            keep(model, work, memory)
         if status == OK:
-            status = halves.finish(model, work, h)
+            status = finish(model, work, h)
         if status == OK:
             copy_state(work.stage_pose, work.stage_twist, pose, twist)
             work.report[0] = max(work.report[0], work.report[1])
             done += 1
     if done > 0:
-        halves.leave(model, work, pose, twist, pose_in, twist_in)
+        leave(model, work, pose, twist, pose_in, twist_in)
     return done, status
 
 
