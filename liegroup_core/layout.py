@@ -84,7 +84,7 @@ class Layout:
         return self._with_usual_pivot(relative_model(self.centred, self.model, in_space=True))
 
     def floating(self, group):
-        """RelativeModel with an empty tree, on a group of GROUPS: all bodies float, all joints are cut."""
+        """RelativeModel with an empty tree, on a group of FLOATING: all bodies float, all joints are cut."""
         if group not in self._floating:
             inverse = self.model.bodies["inverse_inertia"].reshape(-1, 3, 3)
             ratios = levers(self.model.bodies["mass"], inverse, self.model.elements)

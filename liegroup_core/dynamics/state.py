@@ -9,9 +9,8 @@ from liegroup_core.compiling import borrowed, kernel, shared
 from liegroup_core.lie.vec3 import load3, store3
 from liegroup_core.mechanism.arrays import PlaneModel, make_relative_work
 from liegroup_core.mechanism.bodies import copy_state, make_work
-from liegroup_core.methods.table import RELATIVE
 from liegroup_core.motion_groups.direct import to_world
-from liegroup_core.motion_groups.table import in_world_axes
+from liegroup_core.motion_groups.table import FLOATING, in_world_axes
 from liegroup_core.status import OK
 
 from .free_bodies import copy_bodies, copy_links
@@ -24,7 +23,7 @@ def model_and_work(layout, group, options, stages):
     options : "space": "auto" for the plane of a planar mechanism, or "space"
     """
     work = make_work(layout.model, stages)
-    model = layout.floating(group) if group != RELATIVE else layout.relative
+    model = layout.floating(group) if group in FLOATING else layout.relative
     if options["space"] == "space" and model is layout.relative:
         model = layout.relative_in_space
     ending = "-plane" if isinstance(model, PlaneModel) else ""

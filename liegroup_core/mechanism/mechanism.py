@@ -4,7 +4,7 @@
 import numpy as np
 
 from liegroup_core.joints.elements import WORLD
-from liegroup_core.motion_groups.table import DIRECT, FREE, ORDERS
+from liegroup_core.motion_groups.table import FLOATING, FREE, ORDERS
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
 from liegroup_core.threads import one_blas_thread
 
@@ -26,7 +26,7 @@ def relative_model(scene, model, in_space=False, group=None):
     scene    : Scene with body frames at the centres of mass
     model    : its Model
     in_space : True: never a PlaneModel
-    group    : name of GROUPS for an empty tree: all bodies float on it, all joints are cut
+    group    : name of FLOATING for an empty tree: all bodies float on it, all joints are cut
     """
     frames, parts = resolve_frames(scene), resolve_elements(scene)
     plane = None if in_space else find_plane(scene, frames, parts)
@@ -34,7 +34,7 @@ def relative_model(scene, model, in_space=False, group=None):
     if group is not None:
         allowed = ()
     tree = spanning_tree(scene, allowed)
-    floating = DIRECT if group == "so3xr3" else FREE
+    floating = FLOATING.get(group, FREE)
     links, places = find_links(scene, frames, tree, normal, floating)
     index = {body.name: i for i, body in enumerate(scene.bodies)}
     records = link_records(scene, links, index)

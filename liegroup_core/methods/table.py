@@ -29,13 +29,11 @@ from functools import cached_property
 import numpy as np
 
 from liegroup_core.fields.arguments import is_finite
+from liegroup_core.motion_groups.table import FLOATING
 
-# Groups of the pose of a body, with their codes for kernels.
-SE3, SO3XR3 = 0, 1
-GROUPS = {"se3": SE3, "so3xr3": SO3XR3}
-# The product of the motion groups of the joints of a tree, dynamics.
+# The product of the motion groups of the joints of a tree.
 RELATIVE = "relative"
-CONFIGURATION_GROUPS = (*GROUPS, RELATIVE)
+CONFIGURATION_GROUPS = (*FLOATING, RELATIVE)
 
 EXACT = -1                  # instead of the last power of ad in dexpinv: closed form
 

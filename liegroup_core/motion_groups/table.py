@@ -28,6 +28,9 @@ from .elimination import made
 GROUPS = (hinge, slide, screw, cylinder, plane, ball, free, direct)
 HINGE, SLIDE, SCREW, CYLINDER, PLANE, BALL, FREE, DIRECT = range(len(GROUPS))
 
+# Groups of SE(3)^n and (SO(3) x R^3)^n, on which all bodies float.
+FLOATING = {"se3": FREE, "so3xr3": DIRECT}
+
 COMPONENTS = tuple(group.COMPONENTS for group in GROUPS)
 FREEDOMS = tuple(map(len, COMPONENTS))
 ORDERS = tuple(getattr(group, "ORDER", tuple(range(len(group.COMPONENTS)))) for group in GROUPS)
