@@ -34,10 +34,16 @@ def twist_of(components, number, pitch=False):
 
     number : text of number {k} of q;  pitch : whether a translation along z goes with the first
     """
-    parts = [number.format(k=components.index(c)) if c in components else "0.0" for c in range(6)]
+    numbers = [number.format(k=k) for k in range(len(components))]
+    parts = [numbers[components.index(c)] if c in components else "0.0" for c in range(6)]
+    if 0 in components:
+        return f"w = ({', '.join(parts[:3])})\nreturn w, ({', '.join(parts[3:])})"
+    # All groups about z begin with the same line, which is then outside of their choice.
+    parts = ["first" if part == numbers[0] else part for part in parts]
     if pitch:
-        parts[Z] = 'link["pitch"] * ' + number.format(k=0)
-    return f"return ({', '.join(parts[:3])}), ({', '.join(parts[3:])})"
+        parts[Z] = 'link["pitch"] * first'
+    twist = f"({', '.join(parts[:3])}), ({', '.join(parts[3:])})"
+    return f"first = {numbers[0]}\nreturn {twist}"
 
 
 def _eliminate(components, order, held):

@@ -24,7 +24,7 @@ from liegroup_core.compiling import kernel
 from . import ball, cylinder, derived, direct, free, hinge, plane, screw, slide
 from .elimination import made
 
-# The code of a group is its place.
+# The code of a group is its place. Those that turn about z at most come first.
 GROUPS = (hinge, slide, screw, cylinder, plane, ball, free, direct)
 HINGE, SLIDE, SCREW, CYLINDER, PLANE, BALL, FREE, DIRECT = range(len(GROUPS))
 
@@ -32,6 +32,7 @@ HINGE, SLIDE, SCREW, CYLINDER, PLANE, BALL, FREE, DIRECT = range(len(GROUPS))
 FLOATING = {"se3": FREE, "so3xr3": DIRECT}
 
 COMPONENTS = tuple(group.COMPONENTS for group in GROUPS)
+FIRST_OF_ALL_AXES = next(code for code, components in enumerate(COMPONENTS) if 0 in components)
 FREEDOMS = tuple(map(len, COMPONENTS))
 ORDERS = tuple(getattr(group, "ORDER", tuple(range(len(group.COMPONENTS)))) for group in GROUPS)
 PLANE_COMPONENTS = {
@@ -73,21 +74,40 @@ def functions_of(code):
 def choice(name, arguments, functions):
     """Kernel that calls the function for the group of a link; functions: {code: function or text}.
 
-    What most groups share comes last, once: the machine code of all is in every caller.
+    Rotations about all axes are asked for first, unless they share a function with other groups.
     """
-    count, called, lines = Counter(functions.values()), dict(derived.CALLED), []
-    last = max(reversed(functions.values()), key=count.get)
-    for number, function in enumerate([*(each for each in count if each is not last), last]):
-        body = function
+    called, bodies = dict(derived.CALLED), {}
+    for code, function in functions.items():
         if not isinstance(function, str):
-            called[f"_{number}"], body = function, f"return _{number}(link, {arguments})"
-        if function is not last:
-            lines.append(
-                f"if {_is_any(code for code in functions if functions[code] == function)}:"
-            )
-            body = indent(body + ("" if "return" in body else "\nreturn"), "    ")
-        lines.append(body)
-    return _kernel(name, f"link, {arguments}", "\n".join(lines), called)
+            own = f"_{list(functions.values()).index(function)}"
+            called[own], function = function, f"return {own}(link, {arguments})"
+        bodies[code] = function if "return" in function else f"{function}\nreturn"
+    about_z = {code: body for code, body in bodies.items() if code < FIRST_OF_ALL_AXES}
+    others = {code: body for code, body in bodies.items() if code >= FIRST_OF_ALL_AXES}
+    if about_z and others and not set(about_z.values()) & set(others.values()):
+        split = f'if link["group"] >= {FIRST_OF_ALL_AXES}:\n{indent(_chain(others), "    ")}\n'
+        return _kernel(name, f"link, {arguments}", split + _chain(about_z), called)
+    return _kernel(name, f"link, {arguments}", _chain(bodies), called)
+
+
+def _chain(bodies):
+    """Text that chooses one of some texts; bodies: {code: text}.
+
+    What most groups share comes last, once: the machine code of all is in every caller. A first line
+    that all have comes before the choice.
+    """
+    count = Counter(bodies.values())
+    first = {body.partition("\n")[0] for body in count}
+    if len(first) == 1 and len(count) > 1:
+        rest = {code: body.partition("\n")[2] for code, body in bodies.items()}
+        return f"{first.pop()}\n{_chain(rest)}"
+    last = max(reversed(bodies.values()), key=count.get)
+    lines = []
+    for body in count:
+        if body != last:
+            lines.append(f"if {_is_any(code for code in bodies if bodies[code] == body)}:")
+            lines.append(indent(body, "    "))
+    return "\n".join([*lines, last])
 
 
 def _is_any(codes):
