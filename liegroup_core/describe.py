@@ -11,17 +11,12 @@ from liegroup_core.joints.limits import BeyondLimits
 from liegroup_core.mechanism.mechanism import tree_of
 from liegroup_core.mechanism.symmetry import body_groups, conserved_momentum
 from liegroup_core.methods.families import fitting_methods
+from liegroup_core.motion_groups.table import JOINTS
 from liegroup_core.robots.description import COORDINATES
 from liegroup_core.scene.consistency import resolve_couplings
 
-MOTION_GROUPS = {
-    "revolute": "SO(2)",
-    "prismatic": "R",
-    "screw": "screw",
-    "cylindrical": "SO(2) x R",
-    "planar": "SE(2)",
-    "spherical": "SO(3)",
-    "universal": "SO(2) x SO(2)",
+MOTION_GROUPS = {name: group.NAME for name, group in JOINTS.items()} | {
+    "universal": "SO(2) x SO(2)"
 }
 
 

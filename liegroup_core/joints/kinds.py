@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """All types of joints, and the geometry of the elements that they are made of.
 
-A lower pair is one entry of LOWER_PAIRS (pairs.py). A joint whose row depends on the pose is a
+A lower pair is a file of motion_groups. A joint whose row depends on the pose is a
 file with a class for the scene and the functions that elements.py names, and its lines below.
 test/contract/test_joints.py holds for every type.
 """
@@ -44,8 +44,9 @@ COORDINATES = {
     DISTANCE: Element(distance.KIND, ("length",), np.eye(6)[3:]),
     CONE: cone.CONE_ANGLE,
 }
-# Types that a name and two frames describe.
+# Types that a name and two frames describe, and those with a pitch.
 PLAIN = (*(name for name, pair in LOWER_PAIRS.items() if not pair.has_pitch), "universal")
+THREADED = tuple(name for name, pair in LOWER_PAIRS.items() if pair.has_pitch)
 
 
 class Joint(JointBase):
@@ -65,14 +66,14 @@ class Joint(JointBase):
 class ScrewJoint(JointBase):
     """Nut on a bolt: turning about z moves the child along z."""
 
-    type: Literal["screw"] = Field("screw", description="screw")
+    type: Literal[THREADED] = Field("screw", description=" or ".join(THREADED))
     pitch: Number = Field(
         description="displacement along z in m per radian, positive for a right-handed thread"
     )
 
     def elements(self, C_rel):
         """One lower pair."""
-        return (pair_element("screw", self.pitch),)
+        return (pair_element(self.type, self.pitch),)
 
 
 JOINTS = (Joint, ScrewJoint, DistanceJoint, CableJoint)

@@ -12,7 +12,7 @@ rows span the complement of the Lie algebra of H:
     position      A (tilt_x, tilt_y, turn, x, y, z) = 0
 
 Twists are (omega, v), angular first, in the axes of the child's joint frame. The axis of a pair is
-the z axis of both joint frames. A new lower pair is one entry of `LOWER_PAIRS`.
+the z axis of both joint frames. A new lower pair is a file of `motion_groups`.
 """
 
 import math
@@ -22,6 +22,7 @@ import numpy as np
 
 from liegroup_core.compiling import kernel
 from liegroup_core.lie.vec3 import tmatvec3
+from liegroup_core.motion_groups.table import JOINTS
 
 from .elements import PAIR, Element
 
@@ -81,36 +82,14 @@ class LowerPair:
         return 2 if self.turns else 5 if self.slides else None
 
 
-LOWER_PAIRS = {
-    "spherical": LowerPair(
-        ("vx", "vy", "vz"),
-        "the frames share their origin; the child rotates freely about it (ball joint)",
-    ),
-    "revolute": LowerPair(
-        ("wx", "wy", "vx", "vy", "vz"),
-        "the frames share origin and z axis; the child rotates about z (hinge)",
-    ),
-    "prismatic": LowerPair(
-        ("wx", "wy", "wz", "vx", "vy"),
-        "the frames share their axes; the child translates along z (slider)",
-    ),
-    "cylindrical": LowerPair(
-        ("wx", "wy", "vx", "vy"),
-        "the frames share the z axis; the child rotates about it and translates along "
-        "it (shaft in a sleeve)",
-    ),
-    "planar": LowerPair(
-        ("wx", "wy", "vz"),
-        "the frames share the x-y plane; the child translates and rotates in it (plate on a plate)",
-    ),
-    "screw": LowerPair(
-        ("wx", "wy", "vx", "vy", "vz"),
-        "the frames share the z axis; the child rotates about z and translates along "
-        "it by pitch per radian (nut on a bolt)",
-        has_pitch=True,
-    ),
-    "fixed": LowerPair(("wx", "wy", "wz", "vx", "vy", "vz"), "the frames coincide (weld)"),
-}
+def _of_group(group, text):
+    """LowerPair that allows the motions of a motion group: it forbids the other components."""
+    names = (name for k, name in enumerate(_COORDINATES) if k not in group.COMPONENTS)
+    return LowerPair(tuple(names), text, getattr(group, "HAS_PITCH", False))
+
+
+LOWER_PAIRS = {kind: _of_group(group, group.JOINTS[kind]) for kind, group in JOINTS.items()}
+LOWER_PAIRS["fixed"] = LowerPair(_COORDINATES, "the frames coincide (weld)")
 
 
 def pair_element(name, pitch=0.0):

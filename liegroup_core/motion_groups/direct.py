@@ -34,6 +34,7 @@ from .free import move_coordinates as move_coordinates
 from .free import project_pose as project_pose
 from .free import relative_point as relative_point
 
+NAME = "SO(3) x R^3"
 IN_WORLD_AXES = True
 
 

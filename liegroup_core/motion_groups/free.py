@@ -24,7 +24,8 @@ from .elimination import WITHOUT, leave_direction, store_freedom
 
 _without_x, _without_y, _without_z = WITHOUT[:3]
 
-JOINTS = ()
+NAME = "SE(3)"
+JOINTS = {}
 COMPONENTS, ORDER = (0, 1, 2, 3, 4, 5), (2, 0, 1, 3, 4, 5)
 
 

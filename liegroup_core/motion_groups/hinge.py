@@ -6,7 +6,8 @@ from liegroup_core.lie.vec3 import load3, load9
 
 from .articulated import add_aligned_hinge_inertia, add_hinge_inertia
 
-JOINTS = ("revolute",)
+NAME = "SO(2)"
+JOINTS = {"revolute": "the frames share origin and z axis; the child rotates about z (hinge)"}
 COMPONENTS = PLANE_COMPONENTS = (2,)
 MAY_BE_HELD = True
 

@@ -6,7 +6,10 @@ from liegroup_core.lie.coefficients import turn_coefficients
 
 from .about_z import turned_by
 
-JOINTS = ("planar",)
+NAME = "SE(2)"
+JOINTS = {
+    "planar": "the frames share the x-y plane; the child translates and rotates in it (plate on a plate)"
+}
 COMPONENTS = PLANE_COMPONENTS = (2, 3, 4)
 
 

@@ -17,7 +17,11 @@ from .elimination import (
     store_freedom,
 )
 
-JOINTS = ("screw",)
+NAME = "screw"
+JOINTS = {
+    "screw": "the frames share the z axis; the child rotates about z and translates along "
+    "it by pitch per radian (nut on a bolt)"
+}
 COMPONENTS = (2,)  # that of the rate; with it goes the translation
 MAY_BE_HELD = HAS_PITCH = True
 

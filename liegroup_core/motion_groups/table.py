@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The motion groups, and what a sweep asks of the group of a link.
 
-A new lower pair is a file of this folder and its line in GROUPS. A file has the data of its group and
+A new lower pair is a file of this folder and its place in _LIST. A file has the data of its group and
 the functions of SPACE that it does not share with others:
 
-    JOINTS           types of joints that it is made for
+    NAME             as users know it
+    JOINTS           types of joints that it is made for: {type: motion that it allows, as text}
     COMPONENTS       of a twist: which one each freedom is, S has unit columns
     ORDER            in which the freedoms are eliminated; without it: as they come
     HAS_PITCH        True if a translation of link["pitch"] m/rad goes with its first freedom
@@ -24,9 +25,12 @@ from liegroup_core.compiling import kernel
 from . import ball, cylinder, derived, direct, free, hinge, plane, screw, slide
 from .elimination import made
 
-# The code of a group is its place. Those that turn about z at most come first.
-GROUPS = (hinge, slide, screw, cylinder, plane, ball, free, direct)
-HINGE, SLIDE, SCREW, CYLINDER, PLANE, BALL, FREE, DIRECT = range(len(GROUPS))
+# All groups, in the order of texts for users.
+_LIST = (ball, hinge, slide, cylinder, plane, screw, free, direct)
+# The code of a group is its place here: those that turn about z at most come first.
+GROUPS = tuple(sorted(_LIST, key=lambda group: 0 in group.COMPONENTS))
+HINGE, SLIDE, PLANE, FREE, DIRECT = map(GROUPS.index, (hinge, slide, plane, free, direct))
+JOINTS = {name: group for group in _LIST for name in group.JOINTS}
 
 # Groups of SE(3)^n and (SO(3) x R^3)^n, on which all bodies float.
 FLOATING = {"se3": FREE, "so3xr3": DIRECT}
@@ -40,7 +44,7 @@ PLANE_COMPONENTS = {
     for code, group in enumerate(GROUPS)
     if hasattr(group, "PLANE_COMPONENTS")
 }
-OF_JOINT = {kind: code for code, group in enumerate(GROUPS) for kind in group.JOINTS}
+OF_JOINT = {kind: GROUPS.index(group) for kind, group in JOINTS.items()}
 
 # Function: its arguments after the link.
 SPACE = {
