@@ -9,7 +9,7 @@ NAME = "liegroup_sim_ros"
 
 setup(
     name=NAME,
-    version="0.2.0",
+    version="0.3.0",
     description="Multibody dynamics on Lie groups, simulated in real time, served to ROS 2 and "
     "recorded.",
     maintainer="liegroup_sim_ros developers",
