@@ -270,6 +270,19 @@ def test_repeated_changes_are_bit_identical(options):
     assert one.state()[1].tobytes() == other.state()[1].tobytes()
 
 
+@pytest.mark.parametrize("method", ["rkmk54", "rkmk853", "radau5"])
+@pytest.mark.parametrize("text", [PIVOT, ARM], ids=["pivot", "arm"])
+def test_calls_divide_steps_without_a_trace(text, method):
+    """The time at the end of a step and at the start of the next one are rounded apart."""
+    scene, ends = scene_from_text(text), []
+    for calls in (1, 4, 200):
+        engine = Engine(scene, method, step=1e-3, quiet=True)
+        for _ in range(calls):
+            engine.advance(200 // calls)
+        ends.append(b"".join(part.tobytes() for part in engine.state()))
+    assert ends[0] == ends[1] == ends[2]
+
+
 def test_snapshot_in_a_motion():
     simulation = Simulation(scene_from_text(PIVOT), accuracy=1e-6)
     commanded(simulation, 50)

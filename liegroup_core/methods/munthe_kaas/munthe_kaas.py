@@ -109,6 +109,8 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
             _save(work, pose, twist, control)
         remaining = h
         start = (work.clock[0] + done) * h + work.clock[1]
+        if len(work.motions) > 0:
+            first = 0  # the end of the last step is another time, by round-off
         attempts = 0
         while remaining > 0.0 and status == OK:
             count = 1
