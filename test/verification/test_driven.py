@@ -8,6 +8,7 @@ test_reactions.py.
 
 import numpy as np
 import pytest
+import random_mechanisms
 from scipy.interpolate import make_interp_spline
 
 from liegroup_core import SceneError, Simulation, load_scene
@@ -271,14 +272,14 @@ def test_repeated_changes_are_bit_identical(options):
 
 
 @pytest.mark.parametrize("method", ["rkmk54", "rkmk853", "radau5"])
-@pytest.mark.parametrize("text", [PIVOT, ARM], ids=["pivot", "arm"])
-def test_calls_divide_steps_without_a_trace(text, method):
+@pytest.mark.parametrize("seed", [1, 2])
+def test_calls_divide_steps_without_a_trace(seed, method):
     """The time at the end of a step and at the start of the next one are rounded apart."""
-    scene, ends = scene_from_text(text), []
-    for calls in (1, 4, 200):
+    scene, ends = random_mechanisms.random_mechanism("driven", seed)[0], []
+    for calls in (1, 4, 100):
         engine = Engine(scene, method, step=1e-3, quiet=True)
         for _ in range(calls):
-            engine.advance(200 // calls)
+            engine.advance(100 // calls)
         ends.append(b"".join(part.tobytes() for part in engine.state()))
     assert ends[0] == ends[1] == ends[2]
 
