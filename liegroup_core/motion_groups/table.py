@@ -78,7 +78,7 @@ def functions_of(code):
 def choice(name, arguments, functions):
     """Kernel that calls the function for the group of a link; functions: {code: function or text}.
 
-    Rotations about all axes are asked for first, unless they share a function with other groups.
+    Rotations about all axes are asked for first, where one of both sides then shares something.
     """
     called, bodies = dict(derived.CALLED), {}
     for code, function in functions.items():
@@ -88,10 +88,18 @@ def choice(name, arguments, functions):
         bodies[code] = function if "return" in function else f"{function}\nreturn"
     about_z = {code: body for code, body in bodies.items() if code < FIRST_OF_ALL_AXES}
     others = {code: body for code, body in bodies.items() if code >= FIRST_OF_ALL_AXES}
-    if about_z and others and not set(about_z.values()) & set(others.values()):
+    apart = about_z and others and not set(about_z.values()) & set(others.values())
+    if apart and (_is_shared(about_z) or _is_shared(others)):
         split = f'if link["group"] >= {FIRST_OF_ALL_AXES}:\n{indent(_chain(others), "    ")}\n'
         return _kernel(name, f"link, {arguments}", split + _chain(about_z), called)
     return _kernel(name, f"link, {arguments}", _chain(bodies), called)
+
+
+def _is_shared(bodies):
+    """Whether some of several texts are the same, or all begin alike."""
+    texts = set(bodies.values())
+    alike = len({text.partition("\n")[0] for text in texts}) == 1
+    return len(bodies) > 1 and (alike or len(texts) < len(bodies))
 
 
 def _chain(bodies):
