@@ -14,11 +14,11 @@ import numpy as np
 
 from liegroup_core import Scene, Simulation, load_scene
 from liegroup_core.lie.groups import SO3
-from liegroup_core.methods.table import GROUPS as ABSOLUTE
 from liegroup_core.methods.table import RELATIVE
+from liegroup_core.motion_groups.table import FLOATING
 from liegroup_core.scene.description import Body, Frame, Joint
 
-GROUPS = (*ABSOLUTE, RELATIVE)
+GROUPS = (*FLOATING, RELATIVE)
 STEPS = (1e-2, 1e-3, 1e-4)  # s
 TOP_HORIZON, BAR_HORIZON = 6.0, 1.0  # s
 # Horizon at step 1e-2 s: soon after, the energy error of the four-bar is 20 %.

@@ -48,6 +48,7 @@ from liegroup_core.status import (
 
 from . import plane_links, space_links
 from .arrays import HISTORY, times_between
+from .free_bodies import first_half_of_bodies, loads_of_bodies, second_half_of_bodies
 
 MAX_ITERATIONS = 50
 # Velocity-dependent forces are iterated until no rate changes by more than TOLERANCE times the
@@ -107,7 +108,14 @@ def begin(model, work, memory, pose, twist, external, fresh):
                 work.stage_pose[row, c] = pose[row, c]
             for c in range(6):
                 work.stage_twist[row, c] = twist[row, c]
-        _move(model, work, False)
+        if not model.only_free_bodies:
+            _move(model, work, False)
+    if model.only_free_bodies:
+        loads_of_bodies(model, work, external)
+        for i in range(len(model.parts)):
+            for c in range(6):
+                memory.load[i, c] = work.wrench[i, c]
+        return
     _loads(model, work, memory, external)
 
 
@@ -199,6 +207,8 @@ def first_half(model, work, memory, h, fresh):
     h     : s, substep
     fresh : True: the matrices at the start are not factorised yet
     """
+    if model.only_free_bodies:
+        return first_half_of_bodies(model, work, memory, h)
     if fresh:
         gather_alone(model, work)
         if len(model.joints) > 0:
@@ -305,6 +315,8 @@ def _change_rates(model, work, memory, h, k):
 @kernel
 def second_half(model, work, memory, h, external):
     """Find V+ at the end of a substep, as the rates at the stage, and Q+. Returns a status."""
+    if model.only_free_bodies:
+        return second_half_of_bodies(model, work, memory, h, external)
     applied = _has_applied(model, work)
     transport(model, work, memory)
     _move(model, work, False)
