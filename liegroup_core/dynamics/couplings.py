@@ -7,31 +7,24 @@ lambda, a torque or force acts on each link, and its reaction on the parent link
 linear in coordinates of SO(2) and R are kept by every Runge-Kutta method: they do not drift, but for
 those of driven joints, whose motion depends on time.
 
-plane_couplings.py has the same functions for planar mechanisms, coupled_rows.py the rest.
+coupled_rows.py has the rest.
 """
-
-import math
 
 from liegroup_core.compiling import kernel
 from liegroup_core.joints.elements import WORLD
-from liegroup_core.lie.vec3 import ZERO3, load3, load9
-from liegroup_core.motion_groups.table import slides
 
-from .trees import add_wrench
+from .algebra import add_to, choice, column, coordinate, link_of, relative, unit, wrench_at
 
 
 @kernel
 def link_coordinate(model, b, pose):
     """Angle in [-pi, pi] or displacement of link b: hinge, screw or slide."""
-    row = len(model.parts) + b
-    if slides(model.bodies[b]):
-        return pose[row, 4]
-    return math.atan2(pose[row, 1], pose[row, 0])
+    return coordinate(model, link_of(model, b), pose, len(model.parts) + b)
 
 
 @kernel
 def link_shift(model, b, pose):
-    """Displacement of link b along its axis: cylinder."""
+    """Displacement of link b along its axis: cylinder. No link of a plane is one."""
     return pose[len(model.parts) + b, 4]
 
 
@@ -42,16 +35,12 @@ def add_pair(model, work, b, component, value, out, stride):
     component : 1 for the displacement of a cylinder, else 0
     out : row stride * (number of a link) has its wrench
     """
-    link = model.bodies[b]
-    axis = 5 if component == 1 or slides(link) else 2
+    link = link_of(model, b)
+    axis = column(model, link, component)
     out[stride * b, axis] += value
     if link["parent"] != WORLD:
-        rot, p = load9(work.relative, b, 0), load3(work.relative, b, 9)
-        back = (0.0, 0.0, -value)
-        if axis == 5:
-            add_wrench(ZERO3, back, rot, p, out, stride * link["parent"])
-        else:
-            add_wrench(back, ZERO3, rot, p, out, stride * link["parent"])
+        back = wrench_at(model, relative(model, work, b), unit(model, axis, -value))
+        add_to(model, back, out, stride * link["parent"])
 
 
 @kernel
@@ -64,9 +53,19 @@ def add_coupling(model, work, c, value, out, stride):
 
 
 @kernel
-def add_effort(model, work, b, component, value):
+def _add_effort_in_space(model, work, b, component, value):
     """Apply a generalised force to link b, and its reaction to the parent."""
     add_pair(model, work, b, component, value, work.applied, 1)
+
+
+@kernel
+def _add_effort_in_plane(model, work, b, component, value):
+    # The links have bias forces already.
+    add_pair(model, work, b, component, value, work.applied, 1)
+    add_pair(model, work, b, component, -value, work.force, 1)
+
+
+add_effort = choice("add_effort", _add_effort_in_space, _add_effort_in_plane)
 
 
 @kernel

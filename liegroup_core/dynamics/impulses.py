@@ -4,15 +4,9 @@
 from liegroup_core.compiling import kernel
 
 from .kinds import add_pair, gather_forces, lift_links, spread_response
-from .loops import (
-    apply_multipliers,
-    close_loops,
-    factor_alone,
-    gather_alone,
-    set_response_residual,
-    set_system,
-)
+from .loops import apply_multipliers, close_loops, factor_alone, gather_alone, set_system
 from .matrix import REGULARISATION
+from .residuals import set_response_residual
 
 
 @kernel

@@ -14,12 +14,22 @@ Source: Featherstone, Rigid Body Dynamics Algorithms, section 5.3 (recursive New
 
 from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.joints.elements import WORLD
-from liegroup_core.lie.se3 import se3_Ad_inverse
-from liegroup_core.lie.vec3 import ZERO3, add3, load3, load9, store3
-from liegroup_core.motion_groups.table import rate_twist
+from liegroup_core.lie.vec3 import load3
 
+from .algebra import (
+    add,
+    add_to,
+    link_of,
+    load,
+    offset,
+    rate_twist,
+    relative,
+    size,
+    store,
+    wrench_at,
+)
+from .links import without_freedoms
 from .residuals import add_multipliers, add_own_forces
-from .trees import pass_on
 
 
 @kernel
@@ -27,18 +37,11 @@ def _accelerate(model, work, rates):
     """Vdot - gravity of all links for the joint accelerations `rates`, to work.moved."""
     g = load3(model.gravity, 0, 0)
     for b in range(len(model.bodies)):
-        link = model.bodies[b]
-        a, first = link["parent"], link["freedom"]
-        rot, p = load9(work.relative, b, 0), load3(work.relative, b, 9)
-        if a == WORLD:
-            w, v = se3_Ad_inverse(rot, p, ZERO3, (-g[0], -g[1], -g[2]))
-        else:
-            w, v = se3_Ad_inverse(rot, p, load3(work.moved, a, 0), load3(work.moved, a, 3))
+        link = link_of(model, b)
         for k in range(link["freedoms"]):
-            work.velocity[b, k] = rates[first + k]
-        sw, sv = rate_twist(link, work.velocity, b)
-        store3(add3(add3(w, load3(work.drift, b, 0)), sw), work.moved, b, 0)
-        store3(add3(add3(v, load3(work.drift, b, 3)), sv), work.moved, b, 3)
+            work.velocity[b, k] = rates[link["freedom"] + k]
+        V = without_freedoms(model, work, b, link["parent"], g, 1)
+        store(model, add(model, V, rate_twist(model, link, work.velocity, b)), work.moved, b)
 
 
 @subroutine
@@ -52,17 +55,18 @@ def inverse_dynamics(model, work, rates, force_out):
     """
     _accelerate(model, work, rates)
     for b in range(len(model.bodies)):
-        for c in range(6):
+        for c in range(size(model)):
             work.force[b, c] = 0.0
     add_multipliers(model, work)
     add_own_forces(model, work)
     for b in range(len(model.bodies) - 1, -1, -1):
-        link = model.bodies[b]
+        link, pitch = link_of(model, b), model.bodies[b]["pitch"]
         first, a = link["freedom"], link["parent"]
         for k in range(first, first + link["freedoms"]):
-            force_out[model.order[k, 0]] = work.force[b, model.order[k, 1]]
-        if link["pitch"] != 0.0:
-            force_out[first] += link["pitch"] * work.force[b, 5]
+            force_out[model.order[k, 0]] = work.force[b, model.order[k, 1] - offset(model)]
+        if pitch != 0.0:
+            force_out[first] += pitch * work.force[b, 5]
         if a != WORLD:
-            pass_on(work, b, work.force, b, a)
+            F = wrench_at(model, relative(model, work, b), load(model, work.force, b))
+            add_to(model, F, work.force, a)
     return 0

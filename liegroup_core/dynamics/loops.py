@@ -107,22 +107,6 @@ def set_loops(model, work):
 
 
 @kernel
-def set_response_residual(model, work):
-    """Residual of the rows in the response to u of all freedoms, J Vdot - bias, to work.right."""
-    for j in range(len(model.joints)):
-        first, rows = model.joints[j]["first"], model.joints[j]["rows"]
-        at = model.path_places[j]
-        for r in range(first, first + rows):
-            work.right[r] = -work.bias[r]
-        for k in range(model.path_ends[j], model.path_ends[j + 1]):
-            f = model.path_freedoms[k]
-            rate = work.freedoms[f, 6] * work.freedoms[f, 7]
-            for r in range(rows):
-                work.right[first + r] += work.response[at + r] * rate
-            at += rows
-
-
-@kernel
 def apply_multipliers(model, work):
     """Change u of the freedoms by the multipliers that are known: those of switches, not held."""
     for r in range(len(work.right)):

@@ -3,28 +3,11 @@
 
 from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.joints.elements import WORLD
-from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, tmatvec3
 
+from .algebra import add, add_to, choice, link_of, load, offset, product, size, sub
 from .couplings import add_coupling, coupled_rate
-from .trees import momentum, pass_on, spread, spread_response
-
-
-@kernel
-def eliminate(work, f, axis, pitch, wrenches, row):
-    """Component s . w of a wrench along freedom f of a link; w becomes w - U (s . w) / D.
-
-    axis, pitch : the component of a twist that f is, and the pitch of its screw or 0
-    wrenches    : row `row` has w
-    """
-    y = wrenches[row, axis]
-    if pitch != 0.0:
-        y += pitch * wrenches[row, 5]
-    share = y * work.freedoms[f, 6]
-    for c in range(6):
-        wrenches[row, c] -= share * work.freedoms[f, c]
-    if pitch == 0.0 and work.held[f] == 0.0:
-        wrenches[row, axis] = 0.0
-    return y
+from .links import acceleration_of, bias_force, leave, momentum
+from .trees import spread, spread_response
 
 
 @kernel
@@ -35,28 +18,17 @@ def add_own_forces(model, work):
     very different ones: the residual has the digits that a solve with those loses.
     """
     for b in range(len(model.bodies)):
-        link = model.bodies[b]
-        w, v = load3(work.velocities, b, 0), load3(work.velocities, b, 3)
-        angular, linear = momentum(link, w, v)
-        torque, force = add3(cross3(w, angular), cross3(v, linear)), cross3(w, linear)
-        angular, linear = momentum(link, load3(work.moved, b, 0), load3(work.moved, b, 3))
-        torque, force = add3(torque, angular), add3(force, linear)
-        for c in range(3):
-            work.force[b, c] += torque[c] - work.applied[b, c]
-            work.force[b, 3 + c] += force[c] - work.applied[b, 3 + c]
+        link = link_of(model, b)
+        F = bias_force(model, work, link, b)
+        F = add(model, F, momentum(model, link, load(model, work.moved, b)))
+        add_to(model, sub(model, F, load(model, work.applied, b)), work.force, b)
 
 
 @subroutine
 def gather_forces(model, work):
-    """u of all freedoms for the wrenches -work.force (L, 6) on the links; work.force is overwritten."""
+    """u of all freedoms for the wrenches -work.force (L, s) on the links; work.force is overwritten."""
     for b in range(len(model.bodies) - 1, -1, -1):
-        link = model.bodies[b]
-        for k in range(link["freedom"], link["freedom"] + link["freedoms"]):
-            f, axis = model.order[k, 0], model.order[k, 1]
-            work.freedoms[f, 7] = -eliminate(work, f, axis, link["pitch"], work.force, b)
-        a = link["parent"]
-        if a != WORLD:
-            pass_on(work, b, work.force, b, a)
+        leave(model, work, link_of(model, b), b)
     return 0
 
 
@@ -64,7 +36,7 @@ def gather_forces(model, work):
 def gather_residual(model, work):
     """u of all freedoms for what the accelerations in work.moved leave of the equations of motion.
 
-    work.force : J^T lambda of the cut joints (L, 6); overwritten
+    work.force : J^T lambda of the cut joints (L, s); overwritten
     """
     add_own_forces(model, work)
     gather_forces(model, work)
@@ -77,10 +49,11 @@ def add_multipliers(model, work):
         joint = model.joints[j]
         a, b = joint["parent"], joint["child"]
         for r in range(joint["first"], joint["first"] + joint["rows"]):
-            for c in range(6):
-                work.force[b, c] += work.multipliers[r] * work.child_jacobian[r, c]
+            for c in range(size(model)):
+                at = offset(model) + c
+                work.force[b, c] += work.multipliers[r] * work.child_jacobian[r, at]
                 if a != WORLD:
-                    work.force[a, c] += work.multipliers[r] * work.parent_jacobian[r, c]
+                    work.force[a, c] += work.multipliers[r] * work.parent_jacobian[r, at]
     for c in range(len(model.couplings)):
         multiplier = work.multipliers[model.couplings[c]["row"]]
         add_coupling(model, work, c, multiplier, work.force, 1)
@@ -92,16 +65,12 @@ def _set_right(model, work):
     for j in range(len(model.joints)):
         joint = model.joints[j]
         a, b = joint["parent"], joint["child"]
-        w, v = load3(work.moved, b, 0), load3(work.moved, b, 3)
-        if a == WORLD:
-            # The world accelerates by -g, see trees.py.
-            v = add3(v, tmatvec3(load9(work.world, b, 0), load3(model.gravity, 0, 0)))
+        V = acceleration_of(model, work, b, a)
         for r in range(joint["first"], joint["first"] + joint["rows"]):
-            value = dot3(load3(work.child_jacobian, r, 0), w)
-            value += dot3(load3(work.child_jacobian, r, 3), v)
+            value = product(model, 0.0, work.child_jacobian, r, V)
             if a != WORLD:
-                value += dot3(load3(work.parent_jacobian, r, 0), load3(work.moved, a, 0))
-                value += dot3(load3(work.parent_jacobian, r, 3), load3(work.moved, a, 3))
+                above = load(model, work.moved, a)
+                value = product(model, value, work.parent_jacobian, r, above)
             work.right[r] = value - work.bias[r]
 
 
@@ -116,10 +85,36 @@ def set_present_residual(model, work):
 
 
 @kernel
-def set_free_residual(model, work):
+def set_response_residual(model, work):
+    """Residual of the rows in the response to u of all freedoms, J Vdot - bias, to work.right."""
+    for j in range(len(model.joints)):
+        first, rows = model.joints[j]["first"], model.joints[j]["rows"]
+        at = model.path_places[j]
+        for r in range(first, first + rows):
+            work.right[r] = -work.bias[r]
+        for k in range(model.path_ends[j], model.path_ends[j + 1]):
+            f = model.path_freedoms[k]
+            rate = work.freedoms[f, 6] * work.freedoms[f, 7]
+            for r in range(rows):
+                work.right[first + r] += work.response[at + r] * rate
+            at += rows
+
+
+@kernel
+def _set_moved_residual(model, work):
     """Residual of the rows without cut joints, to work.right."""
     spread(model, work)
     set_present_residual(model, work)
+
+
+@kernel
+def _set_carried_residual(model, work):
+    """The same in a plane: `respond` has written J E to work.right."""
+    for r in range(len(work.right)):
+        work.right[r] -= work.bias[r]
+
+
+set_free_residual = choice("set_free_residual", _set_moved_residual, _set_carried_residual)
 
 
 @subroutine
@@ -127,7 +122,7 @@ def set_residual(model, work):
     """Residual of the rows at work.total_moved and the response to u, to work.right."""
     spread_response(model, work)
     for b in range(len(model.bodies)):
-        for c in range(6):
+        for c in range(size(model)):
             work.moved[b, c] += work.total_moved[b, c]
     _set_right(model, work)
     for c in range(len(model.couplings)):

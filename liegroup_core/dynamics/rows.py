@@ -19,30 +19,16 @@ those of all joints, as in the chapter.
 """
 
 from liegroup_core.compiling import kernel
-from liegroup_core.joints.elements import PAIR, WORLD
-from liegroup_core.joints.kinds import variable_row
-from liegroup_core.lie.se3 import se3_Ad, se3_ad, se3_inverse
-from liegroup_core.lie.vec3 import (
-    ZERO3,
-    add3,
-    axpy3,
-    cross3,
-    dot3,
-    load3,
-    load9,
-    matvec3,
-    store3,
-    sub3,
-    tmatmul3,
-    tmatvec3,
-    vector3,
-)
+from liegroup_core.joints.elements import WORLD
+from liegroup_core.lie.se2 import se2_wrench
+from liegroup_core.lie.vec3 import add_to3, axpy3, load3
 from liegroup_core.mechanism.arrays import LARGEST_ROWS
 from liegroup_core.motion_groups.table import leave
 
+from .algebra import add_row, add_to, choice, column, load, product, relative, sub, wrench_at, zero
 from .couplings import add_coupling
+from .links import row_bracket, seen_from, set_variable_row, store_parent_row
 from .matrix import set_block
-from .trees import add_wrench
 
 
 @kernel
@@ -51,49 +37,24 @@ def set_rows(model, work):
     for j in range(len(model.joints)):
         joint = model.joints[j]
         a, b, first, rows = joint["parent"], joint["child"], joint["first"], joint["rows"]
-        rot_b, r_b = load9(work.world, b, 0), load3(work.world, b, 9)
-        w_b, v_b = load3(work.velocities, b, 0), load3(work.velocities, b, 3)
-        element = model.elements[joint["element"]]
-        turn = w_b
-        if a == WORLD:
-            rot, p = se3_inverse(rot_b, r_b)
-            w_a, v_a = ZERO3, ZERO3
-        else:
-            rot = tmatmul3(rot_b, load9(work.world, a, 0))
-            p = tmatvec3(rot_b, sub3(load3(work.world, a, 9), r_b))
-            if joint["own_points"] == 1:
-                # The parent, moved by the gap: its point is that of the child.
-                point = matvec3(rot, vector3(element["parent_point"]))
-                p = sub3(vector3(element["child_point"]), point)
-            w_a, v_a = se3_Ad(rot, p, load3(work.velocities, a, 0), load3(work.velocities, a, 3))
-            if joint["own_points"] == 1:
-                turn = add3(w_b, w_a)
-        error_w, error_v = sub3(w_b, w_a), sub3(v_b, v_a)
-        rate = 0.0
-        if joint["kind"] != PAIR:
-            row_w, row_v, rate = variable_row(element, rot, p, error_w, error_v)
-            store3(row_w, work.child_jacobian, first, 0)
-            store3(row_v, work.child_jacobian, first, 3)
-        e = ZERO3
+        V = load(model, work.velocities, b)
+        X, W = seen_from(model, work, joint, a, b)
+        error = sub(model, V, W)
+        rate = set_variable_row(model, work, joint, X, error)
+        e = zero(model)
         for r in range(first, first + rows):
-            alpha, beta = load3(work.child_jacobian, r, 0), load3(work.child_jacobian, r, 3)
-            slip = dot3(alpha, error_w) + dot3(beta, error_v)
+            slip = product(model, 0.0, work.child_jacobian, r, error)
             work.slip[r] = slip
-            e = axpy3(slip, beta, e)
-            store3(tmatvec3(rot, sub3(cross3(p, beta), alpha)), work.parent_jacobian, r, 0)
-            back = tmatvec3(rot, beta)
-            store3((-back[0], -back[1], -back[2]), work.parent_jacobian, r, 3)
-        bracket_w, bracket_v = se3_ad(w_b, v_b, w_a, v_a)
-        bracket_v = add3(bracket_v, cross3(turn, e))
+            e = add_row(model, e, slip, work.child_jacobian, r)
+            if a != WORLD:
+                store_parent_row(model, work, X, r)
+        bracket = row_bracket(model, work, joint, a, b, X, V, W, e)
         for r in range(first, first + rows):
-            work.bias[r] = -rate - (
-                dot3(load3(work.child_jacobian, r, 0), bracket_w)
-                + dot3(load3(work.child_jacobian, r, 3), bracket_v)
-            )
+            work.bias[r] = -rate - product(model, 0.0, work.child_jacobian, r, bracket)
 
 
 @kernel
-def respond(model, work, j):
+def _respond_in_space(model, work, j):
     """Responses y of the rows of joint j, along its path to the world, and their block of W."""
     joint = model.joints[j]
     a, b, first, rows = joint["parent"], joint["child"], joint["first"], joint["rows"]
@@ -113,15 +74,78 @@ def respond(model, work, j):
     for p in range(model.paths[j, 0], model.paths[j, 1]):
         i = model.path_links[p]
         link = model.bodies[i]
-        parent = link["parent"]
         # The rows do not depend on each other: a processor works on several at once.
         for r in range(rows):
-            row = LARGEST_ROWS * i + r
             # It stays in registers: that is a fifth faster.
-            w, v = load3(carried, row, 0), load3(carried, row, 3)
-            w, v = leave(link, work, link["freedom"], at + r, rows, w, v)
-            if parent != WORLD:
-                rot, shift = load9(work.relative, i, 0), load3(work.relative, i, 9)
-                add_wrench(w, v, rot, shift, carried, LARGEST_ROWS * parent + r)
+            w, v = load(model, carried, LARGEST_ROWS * i + r)
+            F = leave(link, work, link["freedom"], at + r, rows, w, v)
+            if link["parent"] != WORLD:
+                F = wrench_at(model, relative(model, work, i), F)
+                add_to(model, F, carried, LARGEST_ROWS * link["parent"] + r)
         at += rows * link["freedoms"]
     set_block(model, work, j)
+
+
+@kernel
+def _respond_in_plane(model, work, j):
+    """The same in a plane, two rows at a time: few joints have more.
+
+    Writes J E of the links without cut joints, the sums of y u / D, to work.right.
+    """
+    joint = model.joints[j]
+    a, b, first, rows = joint["parent"], joint["child"], joint["first"], joint["rows"]
+    begin, end = model.paths[j, 0], model.paths[j, 1]
+    carried, U, W = work.carried, work.freedoms, work.matrix
+    for start in range(0, rows, 2):
+        r, both = first + start, start + 1 < rows
+        at = model.path_places[j] + start
+        for k in range(begin, end):
+            for c in range(6):
+                carried[model.path_links[k], c] = 0.0
+        for c in range(3):
+            carried[b, c] = work.child_jacobian[r, 2 + c]
+            if both:
+                carried[b, 3 + c] = work.child_jacobian[r + 1, 2 + c]
+            if a != WORLD:
+                carried[a, c] += work.parent_jacobian[r, 2 + c]
+                if both:
+                    carried[a, 3 + c] += work.parent_jacobian[r + 1, 2 + c]
+        if model.coupling[j] >= 0:
+            add_coupling(model, work, model.coupling[j], 1.0, carried, 1)
+        right, other_right = 0.0, 0.0
+        square, product, other_square = 0.0, 0.0, 0.0
+        for k in range(begin, end):
+            i = model.path_links[k]
+            link = model.links[i]
+            f, axis, whole = link["freedom"], column(model, link, 0), link["freedoms"] == 3
+            for d in range(f, f + link["freedoms"]):
+                y, z = carried[i, axis + d - f], carried[i, 3 + axis + d - f]
+                work.response[at] = y
+                if both:
+                    work.response[at + 1] = z
+                at += rows
+                share, other = y * U[d, 6], z * U[d, 6]
+                right, other_right = right + share * U[d, 7], other_right + other * U[d, 7]
+                square, product = square + share * y, product + share * z
+                other_square += other * z
+                if whole:
+                    for c in range(3):
+                        carried[i, c] -= share * U[d, c]
+                        carried[i, 3 + c] -= other * U[d, c]
+                elif link["parent"] != WORLD:
+                    # U is in the axes of the parent.
+                    X, to, u = relative(model, work, i), link["parent"], load3(U, d, 0)
+                    F = axpy3(-share, u, se2_wrench(X, load3(carried, i, 0)))
+                    add_to3(F, carried, to, 0)
+                    F = axpy3(-other, u, se2_wrench(X, load3(carried, i, 3)))
+                    add_to3(F, carried, to, 3)
+        work.right[r] = right
+        W[r, r] = square
+        if both:
+            work.right[r + 1] = other_right
+            W[r, r + 1], W[r + 1, r + 1] = product, other_square
+    if rows > 2:
+        set_block(model, work, j)
+
+
+respond = choice("respond", _respond_in_space, _respond_in_plane)

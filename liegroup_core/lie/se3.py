@@ -61,6 +61,13 @@ def se3_Ad_inverse(R, r, w, v):
 
 
 @kernel
+def se3_wrench(R, r, torque, force):
+    """Ad_C^-T of a wrench: that on a frame at C = (R, r) in another one, in the axes of that one."""
+    f = matvec3(R, force)
+    return add3(matvec3(R, torque), cross3(r, f)), f
+
+
+@kernel
 def se3_ad(xi, eta, w, v):
     """Lie bracket ad_X V: (xi x w, eta x w + xi x v)."""
     return cross3(xi, w), add3(cross3(eta, w), cross3(xi, v))

@@ -29,6 +29,13 @@ def store3(vector, array_out, row, start):
 
 
 @kernel
+def add_to3(vector, array_out, row, start):
+    """Add a vector to three entries of a row of a two-dimensional array, from `start` on."""
+    for c in range(3):
+        array_out[row, start + c] += vector[c]
+
+
+@kernel
 def load_column(array, row, column):
     """Read three entries of a column of a two-dimensional array, from `row` on."""
     return (array[row, column], array[row + 1, column], array[row + 2, column])

@@ -179,6 +179,7 @@ PLANE_LINK = np.dtype(
         ("group", "i8"),
         ("parent", "i8"),
         ("freedom", "i8"),
+        ("freedoms", "i8"),
         ("mass", "f8"),  # kg
         ("moment_x", "f8"),
         ("moment_y", "f8"),  # m c, kg m
@@ -210,8 +211,7 @@ class RelativeWork(Struct):
     """Scratch memory of one simulation; fields without a comment as in Work.
 
     In a plane velocities, moved, force and U have 3 numbers and inertia has 6; drift is A, (L, 2);
-    moved is E, and `applied` has the bias forces of the links less the applied wrenches: see
-    plane_trees.py.
+    moved is E: see dynamics/plane.py.
     """
 
     space: Work

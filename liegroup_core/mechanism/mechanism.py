@@ -109,6 +109,7 @@ def _plane_arrays(model, links, records, places, scene, normal):
                 link.group,
                 link.parent,
                 record["freedom"],
+                record["freedoms"],
                 record["mass"],
                 *record["moment"][:2],
                 record["inertia"][5],

@@ -6,6 +6,8 @@ eliminated (ORDER) and whether stops and friction may hold them (MAY_BE_HELD). A
 is part of its choice in table.py. A kernel for every group would double the time to compile.
 """
 
+import math
+
 from liegroup_core.lie.se3 import se3_ad
 from liegroup_core.lie.vec3 import add3, vector3
 
@@ -17,6 +19,7 @@ CALLED = {
     "accelerate_direction": accelerate_direction,
     "add3": add3,
     "is_held": is_held,
+    "math": math,
     "leave_direction": leave_direction,
     "se3_ad": se3_ad,
     "store_place": about_z.store_place,
@@ -89,6 +92,9 @@ def _on_coordinates_about_z(components, pitch):
     turns, shifts = 2 in components, [c for c in components if c > 2]
     kept = ", ".join(f"p[{c - 3}]" if c in components else "0.0" for c in (3, 4, 5))
     functions = {
+        "coordinate": "return math.atan2(coordinates[row, 1], coordinates[row, 0])"
+        if turns
+        else "return coordinates[row, 4]",
         "relative_rotation": about_z.relative_rotation,
         "relative_point": about_z.relative_point if shifts or pitch else AT_JOINT,
         "project_pose": f"c, s = {'turn_of(rot)' if turns else '1.0, 0.0'}\n"

@@ -11,7 +11,8 @@ the functions of SPACE that it does not share with others:
     HAS_PITCH        True if a translation of link["pitch"] m/rad goes with its first freedom
     MAY_BE_HELD      True if stops and friction may hold its freedoms
     IN_WORLD_AXES    True if velocities on the group are in world axes: see direct.py
-    PLANE_COMPONENTS those of a planar mechanism; without it: none has such a joint
+    PLANE_COMPONENTS those of a planar mechanism; without it: none has such a joint. The functions of
+                     IN_PLANE that it does not share with others begin with plane_
 
 Every function takes the record of the link first (mechanism/arrays.LINK). The functions
 of this module call that of its group. They are inlined, so that sweeps pay for a branch, no call.
@@ -22,7 +23,7 @@ from textwrap import indent
 
 from liegroup_core.compiling import kernel
 
-from . import ball, cylinder, derived, direct, free, hinge, plane, screw, slide
+from . import ball, cylinder, derived, direct, free, hinge, in_plane, plane, screw, slide
 from .elimination import made
 
 # All groups, in the order of texts for users.
@@ -51,6 +52,7 @@ SPACE = {
     "relative_rotation": "coordinates, row",  # of the pose T X of the link in its parent
     "relative_point": "coordinates, row",  # its position
     "project_pose": "rot, p, coordinates, row",  # X nearest to a pose in the joint's frame
+    "coordinate": "coordinates, row",  # angle in [-pi, pi], or displacement of a slide
     "rate_twist": "rates, row",  # S qdot
     "add_rates": "sw, sv, w, v",  # V and [V, S qdot]
     "displace": "coordinates, row, screws, at, out",  # X exp(Psi); its squared angle
@@ -64,6 +66,16 @@ SPACE = {
     "hand_on": "work, b, m, torque, force",  # what is left, added to the parent in a short form
     "accelerate": "work, f, w, v",  # acceleration with that of the freedoms
     "leave": "work, f, place, rows, w, v",  # a wrench without them, and its responses
+}
+# The same for a planar mechanism: see in_plane.py.
+IN_PLANE = {
+    **{name: SPACE[name] for name in ("project_pose", "coordinate", "rate_twist", "displace")},
+    **{name: SPACE[name] for name in ("normalise", "move", "move_coordinates")},
+    "add_rates": "S, V",  # V and the translation of [V, S qdot]
+    "eliminate": "work, f, m, F",  # freedoms leave an articulated body, or do so in hand_on
+    "hand_on": "work, row, m, F",  # what is left, added to the parent
+    "accelerate": "work, f, E, V",  # acceleration with that of the freedoms; E of the parent
+    "leave": "work, f, row, F",  # a wrench without them, in the axes of the parent; its responses
 }
 
 
@@ -80,7 +92,7 @@ def choice(name, arguments, functions):
 
     Rotations about all axes are asked for first, where one of both sides then shares something.
     """
-    called, bodies = dict(derived.CALLED), {}
+    called, bodies = derived.CALLED | in_plane.CALLED, {}
     for code, function in functions.items():
         if not isinstance(function, str):
             own = f"_{list(functions.values()).index(function)}"
@@ -147,6 +159,10 @@ def _chosen(name, other=None):
 derived.CALLED["lift"] = _chosen("lift")
 displace = _chosen("displace")
 displace_by_twist = _chosen("displace_by_twist", displace)
+_WITH = [code for code, each in enumerate(_FUNCTIONS) if "coordinate" in each]
+coordinate = choice(
+    "coordinate", SPACE["coordinate"], {c: _FUNCTIONS[c]["coordinate"] for c in _WITH}
+)
 relative_rotation, relative_point = _chosen("relative_rotation"), _chosen("relative_point")
 project_pose, normalise = _chosen("project_pose"), _chosen("normalise")
 rate_twist, add_rates = _chosen("rate_twist"), _chosen("add_rates")
@@ -172,12 +188,37 @@ in_world_axes = _kernel("in_world_axes", "link", f"return {_is_any(_DIRECT)}", {
 _SLIDING = [code for code, components in enumerate(COMPONENTS) if components[0] > 2]
 slides = _kernel("slides", "link", f"return {_is_any(_SLIDING)}", {})
 
-# S qdot of a link of a planar mechanism, whose slides move along x, as a twist in space.
-plane_rate_twist = choice(
-    "plane_rate_twist",
-    "rates, row",
-    {
-        code: derived.twist_of(components, "rates[row, {k}]")
-        for code, components in PLANE_COMPONENTS.items()
-    },
-)
+
+def plane_functions_of(code):
+    """{name: function of a group in a plane, or its text}; without those that sweeps do not ask."""
+    own = {name: getattr(GROUPS[code], f"plane_{name}", None) for name in IN_PLANE}
+    found = in_plane.functions_of(PLANE_COMPONENTS[code])
+    return found | {name: function for name, function in own.items() if function is not None}
+
+
+_PLANE_FUNCTIONS = {code: plane_functions_of(code) for code in PLANE_COMPONENTS}
+
+
+def _in_plane(name, other=None):
+    """Kernel of IN_PLANE."""
+    functions = {code: each.get(name, each.get(other)) for code, each in _PLANE_FUNCTIONS.items()}
+    return choice(
+        f"plane_{name}", IN_PLANE[name], {c: each for c, each in functions.items() if each}
+    )
+
+
+plane_project_pose, plane_coordinate = _in_plane("project_pose"), _in_plane("coordinate")
+plane_rate_twist, plane_add_rates = _in_plane("rate_twist"), _in_plane("add_rates")
+plane_displace, plane_normalise = _in_plane("displace"), _in_plane("normalise")
+plane_displace_by_twist = plane_displace
+plane_move, plane_move_coordinates = _in_plane("move"), _in_plane("move_coordinates", "displace")
+plane_eliminate, plane_hand_on = _in_plane("eliminate"), _in_plane("hand_on")
+plane_accelerate, plane_leave = _in_plane("accelerate"), _in_plane("leave")
+
+
+def by_model(name):
+    """Kernels (model, link, ...) of a function in space and in a plane, to be selected by the model."""
+    arguments = SPACE["displace" if name == "displace_by_twist" else name]
+    text = f"return function(link, {arguments})"
+    each = (globals()[name], globals()[f"plane_{name}"])
+    return [_kernel(name, f"model, link, {arguments}", text, {"function": f}) for f in each]

@@ -58,8 +58,10 @@ def _in_plane(model, work, i, place):
     """`_in_space` for a planar mechanism."""
     link = model.links[i]
     a = link["parent"]
-    moved = plane_rate_twist(link, work.difference, 0)
-    rate = plane_rate_twist(link, work.difference, 1)
+    w, x, y = plane_rate_twist(link, work.difference, 0)
+    moved = ((0.0, 0.0, w), (x, y, 0.0))
+    w, x, y = plane_rate_twist(link, work.difference, 1)
+    rate = ((0.0, 0.0, w), (x, y, 0.0))
     if a == WORLD:
         return moved[0], moved[1], rate[0], rate[1]
     row = len(model.parts) + i

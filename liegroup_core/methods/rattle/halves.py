@@ -19,18 +19,19 @@ import math
 
 from liegroup_core.compiling import borrowed, kernel, subroutine
 from liegroup_core.dynamics.accelerations import apply_forces, solve_equations
+from liegroup_core.dynamics.algebra import by_space
 from liegroup_core.dynamics.constraints import is_satisfied, position_residuals
 from liegroup_core.dynamics.coupled_rows import set_coupled_gaps
 from liegroup_core.dynamics.kinds import (
     add_multipliers,
-    by_space,
     gather_forces,
     move_links,
     normalise,
     place_links,
     spread_response,
 )
-from liegroup_core.dynamics.loops import close_loops, gather_alone, set_loops, set_response_residual
+from liegroup_core.dynamics.loops import close_loops, gather_alone, set_loops
+from liegroup_core.dynamics.residuals import set_response_residual
 from liegroup_core.dynamics.state import enter as enter
 from liegroup_core.dynamics.state import leave as leave
 from liegroup_core.dynamics.state import place

@@ -115,10 +115,10 @@ def weigh(model, work, memory):
 
 @kernel
 def add_applied(model, work, memory):
-    """Add the applied wrenches on the links to memory.load; work.applied has them subtracted."""
+    """Add the applied wrenches on the links to memory.load."""
     for b in range(len(model.links)):
         for c in range(3):
-            memory.load[b, c] -= work.applied[b, c]
+            memory.load[b, c] += work.applied[b, c]
 
 
 @kernel
@@ -152,5 +152,5 @@ def set_at_rest(model, work, memory, h):
         work.drift[b, 0] = work.drift[b, 1] = 0.0
         for c in range(3):
             work.velocities[b, c] = 0.0
-            force = -(memory.impulse[b, c] + 0.5 * h * memory.load[b, c])
-            work.force[b, c] = work.applied[b, c] = force
+            work.applied[b, c] = memory.impulse[b, c] + 0.5 * h * memory.load[b, c]
+            work.force[b, c] = -work.applied[b, c]

@@ -11,7 +11,7 @@ numbers. So velocities D / h have all their digits, which a difference of poses 
 import math
 
 from liegroup_core.compiling import kernel, subroutine
-from liegroup_core.dynamics.trees import momentum
+from liegroup_core.dynamics.space import momentum
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.coefficients import dexpinv_coefficients, sum_series, turn_coefficients
 from liegroup_core.lie.so3 import so3_dexpinv_of
@@ -195,9 +195,8 @@ def add_applied(model, work, memory):
 def set_momentum(model, work, memory, h):
     """M V + (h/2) Q of all links at the start, to memory.impulse."""
     for b in range(len(model.bodies)):
-        angular, linear = momentum(
-            model.bodies[b], load3(work.velocities, b, 0), load3(work.velocities, b, 3)
-        )
+        V = (load3(work.velocities, b, 0), load3(work.velocities, b, 3))
+        angular, linear = momentum(model, model.bodies[b], V)
         store3(axpy3(0.5 * h, load3(memory.load, b, 0), angular), memory.impulse, b, 0)
         store3(axpy3(0.5 * h, load3(memory.load, b, 3), linear), memory.impulse, b, 3)
 

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The algebra of the sweeps, selected by the type of the model: se(3), or se(2) in a plane.
+
+A sweep is written once. It asks these functions, those of links.py, and the motion group of a link. In
+space twists and wrenches are pairs of an angular and a linear part, in a plane (omega, v_x, v_y).
+"""
+
+from liegroup_core.compiling import Choice
+from liegroup_core.lie.se2 import se2_Ad_inverse, se2_wrench
+from liegroup_core.lie.se3 import se3_Ad_inverse, se3_wrench
+from liegroup_core.lie.vec3 import ZERO3, add3, add_to3, axpy3, dot3, load3, load9, store3, sub3
+from liegroup_core.mechanism.arrays import PlaneModel, RelativeModel
+from liegroup_core.motion_groups.elimination import made
+from liegroup_core.motion_groups.in_plane import place
+from liegroup_core.motion_groups.table import by_model, slides
+
+
+def choice(name, space, plane):
+    """Choice of two functions."""
+    return Choice(name, {RelativeModel: space, PlaneModel: plane})
+
+
+def by_space(name, space, plane):
+    """Choice of the function of this name of two modules."""
+    return choice(name, getattr(space, name), getattr(plane, name))
+
+
+def of_group(name):
+    """Choice of a function of the motion group of a link: (model, link, arguments of the table)."""
+    return choice(name, *by_model(name))
+
+
+def _of(name, arguments, *texts):
+    """Choice of two expressions: in space, and in a plane."""
+    called = {each.__name__: each for each in _CALLED} | {"ZERO3": ZERO3}
+    head = f"def {name}({', '.join(['model', *arguments.split()])}):\n    "
+    return choice(name, *(made(name, f"{head}{text}\n", called) for text in texts))
+
+
+_CALLED = (add3, add_to3, axpy3, dot3, load3, load9, store3, sub3)
+_CALLED += (se2_Ad_inverse, se2_wrench, se3_Ad_inverse, se3_wrench, place, slides)
+
+# Numbers of a twist, and the first column of those in a row (6) of a Jacobian.
+size, offset = _of("size", "", "return 6", "return 3"), _of("offset", "", "return 0", "return 2")
+# Record of link b.
+link_of = _of("link_of", "b", "return model.bodies[b]", "return model.links[b]")
+zero = _of("zero", "", "return ZERO3, ZERO3", "return ZERO3")
+load = _of(
+    "load",
+    "array row",
+    "return load3(array, row, 0), load3(array, row, 3)",
+    "return load3(array, row, 0)",
+)
+store = _of(
+    "store",
+    "V out row",
+    "store3(V[0], out, row, 0); store3(V[1], out, row, 3)",
+    "store3(V, out, row, 0)",
+)
+add_to = _of(
+    "add_to",
+    "F out row",
+    "add_to3(F[0], out, row, 0); add_to3(F[1], out, row, 3)",
+    "add_to3(F, out, row, 0)",
+)
+add = _of("add", "V W", "return add3(V[0], W[0]), add3(V[1], W[1])", "return add3(V, W)")
+sub = _of("sub", "V W", "return sub3(V[0], W[0]), sub3(V[1], W[1])", "return sub3(V, W)")
+# value + J V for row r of J, and e + slip times the linear part of the row.
+product = _of(
+    "product",
+    "value rows r V",
+    "return value + dot3(load3(rows, r, 0), V[0]) + dot3(load3(rows, r, 3), V[1])",
+    "return value + dot3(load3(rows, r, 2), V)",
+)
+add_row = _of(
+    "add_row",
+    "e slip rows r",
+    "return e[0], axpy3(slip, load3(rows, r, 3), e[1])",
+    "return axpy3(slip, (0.0, rows[r, 3], rows[r, 4]), e)",
+)
+# Component of a wrench that is the force of a hinge, screw, slide or cylinder (component 1 for its
+# displacement, else 0), and the wrench with this component alone.
+column = _of(
+    "column",
+    "link component",
+    "return 5 if component == 1 or slides(link) else 2",
+    "return 1 if slides(link) else 0",
+)
+unit = _of(
+    "unit",
+    "column value",
+    "return (ZERO3, (0.0, 0.0, value)) if column == 5 else ((0.0, 0.0, value), ZERO3)",
+    "return (0.0, value, 0.0) if column == 1 else (value, 0.0, 0.0)",
+)
+# Pose of link b in its parent; a twist of the parent in the axes of b, a wrench on b in those of the parent.
+relative = _of(
+    "relative",
+    "work b",
+    "return load9(work.relative, b, 0), load3(work.relative, b, 9)",
+    "return place(work.stage_pose, len(model.parts) + b)",
+)
+Ad_inverse = _of(
+    "Ad_inverse",
+    "X V",
+    "return se3_Ad_inverse(X[0], X[1], V[0], V[1])",
+    "return se2_Ad_inverse(X, V)",
+)
+wrench_at = _of(
+    "wrench_at", "X F", "return se3_wrench(X[0], X[1], F[0], F[1])", "return se2_wrench(X, F)"
+)
+coordinate, rate_twist = map(of_group, ("coordinate", "rate_twist"))

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Groups of a planar mechanism: what hinges and slides share, and what follows from their data.
+
+The coordinates of a link are its pose in its parent link, (cos, sin, x, y) in m: the placement of
+the joint and its motion in one. Links are displaced by products from the right, so that no stage
+needs the placement. Twists are (omega, v_x, v_y), an inertia is (6): I, -m c_y, m c_x, and that of a
+translation (xx, xy, yy).
+
+Hinges and slides store U in the axes of their parents, U X: qddot = (u - U X . E_a) / D follows from
+the parent at once. A link with all freedoms of the plane adds nothing to its parent.
+"""
+
+from liegroup_core.compiling import kernel, subroutine
+from liegroup_core.lie.se2 import se2_compose, se2_turned_mass, se2_wrench, turn2
+from liegroup_core.lie.vec3 import add_to3
+
+from .about_z import turn_of
+from .elimination import inverse_of
+
+
+@kernel
+def place(coordinates, row):
+    """Pose of a link in its parent."""
+    return coordinates[row, 0], coordinates[row, 1], coordinates[row, 2], coordinates[row, 3]
+
+
+@kernel
+def place_at(link, c, s, x, y, coordinates, row):
+    """Write coordinates T X for the pose X."""
+    T = (link["cos"], link["sin"], link["x"], link["y"])
+    c, s, x, y = se2_compose(T, (c, s, x, y))
+    coordinates[row, 0], coordinates[row, 1] = c, s
+    coordinates[row, 2], coordinates[row, 3] = x, y
+
+
+@kernel
+def store_freedom(work, f, U, inverse, u):
+    """Store a freedom: U, 1 / D and u."""
+    freedoms = work.freedoms
+    freedoms[f, 0], freedoms[f, 1], freedoms[f, 2] = U
+    freedoms[f, 6], freedoms[f, 7] = inverse, u
+
+
+@kernel
+def begin_freedom(work, f, D, part):
+    """Store 1 / D and u of a freedom; one that is held does not accelerate. U follows if it has a parent."""
+    inverse, u = (inverse_of(D), -part) if work.held[f] == 0.0 else (0.0, 0.0)
+    work.freedoms[f, 6], work.freedoms[f, 7] = inverse, u
+
+
+@subroutine
+def hand_on_whole(work, a, row, m, F):
+    """Add inertia and bias force of a link to those of its parent a."""
+    inertia, (c, s, x, y) = work.inertia, place(work.stage_pose, row)
+    ww, (wx, wy) = m[0], turn2(c, s, m[1], m[2])
+    xx, xy, yy = se2_turned_mass(c, s, m[3], m[4], m[5])
+    # M times the velocity of the link if the parent turns
+    bx, by = xy * x - xx * y, yy * x - xy * y
+    ww += x * (by + 2.0 * wy) - y * (bx + 2.0 * wx)
+    add_to3((ww, wx + bx, wy + by), inertia, a, 0)
+    add_to3((xx, xy, yy), inertia, a, 3)
+    add_to3(se2_wrench((c, s, x, y), F), work.force, a, 0)
+    return 0
+
+
+@kernel
+def accelerate_at(work, f, E):
+    """Acceleration of freedom f, from E of the parent of its link."""
+    U = work.freedoms
+    rate = U[f, 6] * (U[f, 7] - (U[f, 0] * E[0] + U[f, 1] * E[1] + U[f, 2] * E[2]))
+    work.acceleration[f, 0] = rate
+    return rate
+
+
+@kernel
+def leave_at(work, f, row, F, y):
+    """Wrench without freedom f, whose component is y, in the axes of the parent; that component."""
+    U, share = work.freedoms, y * work.freedoms[f, 6]
+    torque, fx, fy = se2_wrench(place(work.stage_pose, row), F)
+    return (torque - share * U[f, 0], fx - share * U[f, 1], fy - share * U[f, 2]), y, 0.0, 0.0
+
+
+# What the texts call.
+CALLED = {
+    each.__name__: each for each in (accelerate_at, begin_freedom, leave_at, place_at, turn_of)
+}
+
+
+def twist_of(components, number):
+    """S q; number: text of number {k} of q."""
+    parts = [number.format(k=components.index(c)) if c in components else "0.0" for c in (2, 3, 4)]
+    return f"return {', '.join(parts)}"
+
+
+def functions_of(components):
+    """{name: text of a function} of a group, see table.IN_PLANE; accelerate to leave of one freedom."""
+    x, y = (f"p[{c - 3}]" if c in components else "0.0" for c in (3, 4))
+    turn = "turn_of(rot)" if 2 in components else "1.0, 0.0"
+    k = components[0] - 2
+    moved = ", ".join(f"V[{c}]{' + rate' * (c == k)}" for c in range(3))
+    return {
+        "rate_twist": twist_of(components, "rates[row, {k}]"),
+        "move": twist_of(components, "psi[at + {k}, 0]"),
+        "project_pose": f"c, s = {turn}\nplace_at(link, c, s, {x}, {y}, coordinates, row)",
+        "eliminate": f"begin_freedom(work, f, m[{3 * k}], F[{k}])\nreturn m, F",
+        "accelerate": f"rate = accelerate_at(work, f, E)\nreturn {moved}",
+        "leave": f"return leave_at(work, f, row, F, F[{k}])",
+    }
