@@ -11,7 +11,7 @@ import pytest
 from liegroup_core.compiling import Struct
 from liegroup_core.lie import SE3, SO3
 from liegroup_core.lie.coefficients import dexpinv_coefficients
-from liegroup_core.mechanism.arrays import LINK
+from liegroup_core.mechanism.arrays import LINK, PLANE_LINK
 from liegroup_core.motion_groups import direct, table
 from liegroup_core.motion_groups.elimination import ENTRIES
 
@@ -33,6 +33,8 @@ class Scratch(Struct):
     relative: np.ndarray
     drift: np.ndarray
     inertia: np.ndarray
+    stage_pose: np.ndarray
+    force: np.ndarray
 
 
 class Case:
@@ -62,6 +64,8 @@ class Case:
             relative=np.zeros((2, 12)),
             drift=np.zeros((2, 6)),
             inertia=np.zeros((2, 21)),
+            stage_pose=np.zeros((0, 12)),
+            force=np.zeros((0, 6)),
         )
 
     def project(self, X, coordinates):
@@ -302,3 +306,134 @@ def test_a_lower_pair_has_one_motion_group():
     assert len(kinds) == len(set(kinds)) == len(table.OF_JOINT)
     for code in CODES:
         assert sorted(table.ORDERS[code]) == list(range(table.FREEDOMS[code]))
+
+
+class PlaneCase:
+    """A link of a group in a plane; the references are those in space, with z normal to the plane."""
+
+    KEPT = [2, 3, 4]  # components of a twist that are left
+
+    def __init__(self, code):
+        self.rng = rng = np.random.default_rng(code)
+        components = table.PLANE_COMPONENTS[code]
+        self.count = len(components)
+        self.S = np.eye(6)[:, list(components)]
+        self.T = SE3.exp(self.in_space(rng.uniform(-1.0, 1.0, 3)))
+        self.link = np.zeros(1, dtype=PLANE_LINK)[0]
+        self.link["group"], self.link["parent"], self.link["freedoms"] = code, 0, self.count
+        self.link["cos"], self.link["sin"] = self.T[:2, 0]
+        self.link["x"], self.link["y"] = self.T[:2, 3]
+        self.X = SE3.exp(self.S @ rng.uniform(3.5, 4.0, self.count))
+        self.coordinates = np.zeros((2, 12))
+        rot, p = tuple(self.X[:3, :3].ravel()), tuple(self.X[:3, 3])
+        table.plane_project_pose(self.link, rot, p, self.coordinates, 1)
+        self.work = Scratch(
+            freedoms=np.zeros((self.count, 8)),
+            acceleration=np.zeros((self.count, 1)),
+            held=np.zeros(self.count),
+            response=np.zeros(0),
+            relative=np.zeros((0, 12)),
+            drift=np.zeros((0, 2)),
+            inertia=np.zeros((2, 6)),
+            stage_pose=self.coordinates,
+            force=np.zeros((2, 3)),
+        )
+
+    def in_space(self, V):
+        return np.eye(6)[:, self.KEPT] @ V
+
+    def pose(self, coordinates):
+        c, s, x, y = coordinates[1, :4]
+        pose = np.eye(4)
+        pose[:2, :2], pose[:2, 3] = [[c, -s], [s, c]], (x, y)
+        return pose
+
+    def numbers(self, size):
+        return self.rng.uniform(-size, size, self.count)
+
+    def displaced(self, psi, displace):
+        out = self.coordinates.copy()
+        square = displace(self.link, self.coordinates, 1, psi.reshape(-1, 1), 0, out)
+        return out, square
+
+    def inertia(self):
+        root = self.rng.uniform(-1.0, 1.0, (3, 3))
+        return root @ root.T + np.eye(3)
+
+
+UPPER = np.triu_indices(3)
+every_plane_group = pytest.mark.parametrize(
+    "code", list(table.PLANE_COMPONENTS), ids=[NAMES[code] for code in table.PLANE_COMPONENTS]
+)
+
+
+@every_plane_group
+def test_coordinates_in_a_plane_are_those_in_space(code):
+    case = PlaneCase(code)
+    np.testing.assert_allclose(case.pose(case.coordinates), case.T @ case.X, **CLOSE)
+    psi = case.numbers(1.0)
+    out, square = case.displaced(psi, table.plane_displace)
+    np.testing.assert_allclose(case.pose(out), case.T @ case.X @ SE3.exp(case.S @ psi), **CLOSE)
+    np.testing.assert_allclose(square, ((case.S @ psi)[:3] ** 2).sum(), **CLOSE)
+    turn, x, y = table.plane_move(case.link, psi.reshape(-1, 1), 0)
+    step = SE3.exp([0.0, 0.0, turn, 0.0, 0.0, 0.0])
+    step[:2, 3] = x, y
+    out, _ = case.displaced(psi, table.plane_move_coordinates)
+    np.testing.assert_allclose(case.pose(out), case.T @ case.X @ step, **CLOSE)
+    kept = case.coordinates.copy()
+    table.plane_normalise(case.link, kept, 1)
+    np.testing.assert_allclose(kept, case.coordinates, atol=1e-15)
+    moved = case.coordinates * (1.0 + 1e-9)
+    table.plane_normalise(case.link, moved, 1)
+    np.testing.assert_allclose(np.hypot(*moved[1, :2]), 1.0, atol=1e-14)
+    if case.count == 1:
+        angle = SE3.log(case.X) @ case.S
+        found = table.plane_coordinate(case.link, case.coordinates, 1)
+        np.testing.assert_allclose(found, angle, **CLOSE)
+
+
+@every_plane_group
+def test_rates_in_a_plane_are_those_in_space(code):
+    case = PlaneCase(code)
+    rates, above = np.zeros((1, 6)), case.rng.uniform(-1.0, 1.0, 3)
+    rates[0, : case.count] = case.numbers(1.0)
+    own = table.plane_rate_twist(case.link, rates, 0)
+    np.testing.assert_array_equal(case.in_space(own), case.S @ rates[0, : case.count])
+    V, bracket = table.plane_add_rates(case.link, own, tuple(above))
+    np.testing.assert_allclose(V, above + own, **CLOSE)
+    expected = SE3.ad(case.in_space(V)) @ case.in_space(own)
+    np.testing.assert_allclose([0.0, *bracket], expected[case.KEPT], **CLOSE)
+
+
+@pytest.mark.parametrize(
+    "code, held",
+    [
+        (code, held)
+        for code in table.PLANE_COMPONENTS
+        for held in (False, True)
+        if not held or getattr(table.GROUPS[code], "MAY_BE_HELD", False)
+    ],
+)
+def test_articulated_bodies_in_a_plane_are_those_of_the_dense_equations(code, held):
+    case = PlaneCase(code)
+    case.work.held[:] = held
+    I, p, S = case.inertia(), case.rng.uniform(-1.0, 1.0, 3), case.S[case.KEPT]
+    X = SE3.Ad(SE3.inverse(case.T @ case.X))[np.ix_(case.KEPT, case.KEPT)]
+    D = np.zeros((case.count, case.count)) if held else np.linalg.inv(S.T @ I @ S)
+    m, F = tuple(I[UPPER]), tuple(p)
+    case.work.inertia[1], case.work.force[1] = m, F
+    m, F = table.plane_eliminate(case.link, case.work, 0, m, F)
+    table.plane_hand_on(case.link, case.work, 1, m, F)
+    left = I - I @ S @ D @ S.T @ I
+    np.testing.assert_allclose(case.work.inertia[0], (X.T @ left @ X)[UPPER], **CLOSE)
+    expected = X.T @ (p - I @ S @ D @ S.T @ p)
+    np.testing.assert_allclose(case.work.force[0], expected, **CLOSE)
+    above, W = case.rng.uniform(-1.0, 1.0, (2, 3))
+    moved = table.plane_accelerate(case.link, case.work, 0, tuple(above), tuple(X @ above))
+    rates = -D @ S.T @ (p + I @ X @ above)
+    np.testing.assert_allclose(case.work.acceleration[:, 0], rates, **CLOSE)
+    np.testing.assert_allclose(moved, X @ above + S @ rates, **CLOSE)
+    left, *parts = table.plane_leave(case.link, case.work, 0, 1, tuple(W))
+    np.testing.assert_allclose(left, X.T @ (W - I @ S @ D @ S.T @ W), **CLOSE)
+    mobility = (np.square(parts[: case.count]) * case.work.freedoms[:, 6]).sum()
+    np.testing.assert_allclose(mobility, W @ S @ D @ S.T @ W, **CLOSE)
