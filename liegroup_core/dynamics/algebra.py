@@ -6,13 +6,13 @@ space twists and wrenches are pairs of an angular and a linear part, in a plane 
 """
 
 from liegroup_core.compiling import Choice
-from liegroup_core.lie.se2 import se2_Ad_inverse, se2_wrench
-from liegroup_core.lie.se3 import se3_Ad_inverse, se3_wrench
+from liegroup_core.lie.se2 import se2_Ad_inverse, se2_compose, se2_wrench
+from liegroup_core.lie.se3 import se3_Ad_inverse, se3_compose, se3_wrench
 from liegroup_core.lie.vec3 import ZERO3, add3, add_to3, axpy3, dot3, load3, load9, store3, sub3
 from liegroup_core.mechanism.arrays import PlaneModel, RelativeModel
 from liegroup_core.motion_groups.elimination import made
 from liegroup_core.motion_groups.in_plane import place
-from liegroup_core.motion_groups.table import by_model, slides
+from liegroup_core.motion_groups.table import by_model, relative_pose, slides
 
 
 def choice(name, space, plane):
@@ -38,6 +38,7 @@ def _of(name, arguments, *texts):
 
 
 _CALLED = (add3, add_to3, axpy3, dot3, load3, load9, store3, sub3)
+_CALLED += (relative_pose, se2_compose, se3_compose)
 _CALLED += (se2_Ad_inverse, se2_wrench, se3_Ad_inverse, se3_wrench, place, slides)
 
 # Numbers of a twist, and the first column of those in a row (6) of a Jacobian.
@@ -108,4 +109,29 @@ Ad_inverse = _of(
 wrench_at = _of(
     "wrench_at", "X F", "return se3_wrench(X[0], X[1], F[0], F[1])", "return se2_wrench(X, F)"
 )
-coordinate, rate_twist = map(of_group, ("coordinate", "rate_twist"))
+# Poses of links in the world, or in the plane, at the stage.
+compose = _of(
+    "compose", "X Y", "return se3_compose(X[0], X[1], Y[0], Y[1])", "return se2_compose(X, Y)"
+)
+placed = _of(
+    "placed",
+    "work b",
+    "return load9(work.world, b, 0), load3(work.world, b, 9)",
+    "return place(work.placed, b)",
+)
+# Coordinates as a pose in the parent; a pose and a twist as in space, z normal to the plane; and back.
+in_parent = _of(
+    "in_parent",
+    "link coordinates row",
+    "return relative_pose(link, coordinates, row)",
+    "return place(coordinates, row)",
+)
+lifted = _of(
+    "lifted",
+    "X",
+    "return X",
+    "return (X[0], -X[1], 0.0, X[1], X[0], 0.0, 0.0, 0.0, 1.0), (X[2], X[3], 0.0)",
+)
+spatial = _of("spatial", "V", "return V", "return (0.0, 0.0, V[0]), (V[1], V[2], 0.0)")
+planar = _of("planar", "V", "return V", "return V[0][2], V[1][0], V[1][1]")
+coordinate, rate_twist, project_pose = map(of_group, ("coordinate", "rate_twist", "project_pose"))

@@ -10,7 +10,6 @@ round-off of poses to them, always to the same side: 1e-15 in a step of a mechan
 from liegroup_core.compiling import kernel, shared
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.se3 import se3_Ad_inverse, se3_compose
-from liegroup_core.lie.so3 import so3_nearest
 from liegroup_core.lie.vec3 import (
     ZERO3,
     add3,
@@ -30,16 +29,36 @@ from liegroup_core.lie.vec3 import (
     vector3,
 )
 from liegroup_core.mechanism.arrays import AFTER_CROSS, CROSS
-from liegroup_core.motion_groups import table
 from liegroup_core.motion_groups.about_z import nearest_turn
-from liegroup_core.motion_groups.table import project_pose, relative_pose
+from liegroup_core.motion_groups.table import relative_pose
+
+from . import algebra
+from .algebra import (
+    compose,
+    in_parent,
+    lifted,
+    link_of,
+    load,
+    placed,
+    planar,
+    project_pose,
+    relative,
+    spatial,
+    store,
+)
+from .links import lift_links as lift_links
+from .links import set_place
+
+_displace, _displace_by_twist, _normalise = map(
+    algebra.of_group, ("displace", "displace_by_twist", "normalise")
+)
 
 
 @kernel
 def displace_by_twist(model, b, coordinates, screws, at, out):
     """`displace` where Psi is in link axes for all groups."""
     row = len(model.parts) + b
-    return table.displace_by_twist(model.bodies[b], coordinates, row, screws, at, out)
+    return _displace_by_twist(model, link_of(model, b), coordinates, row, screws, at, out)
 
 
 @kernel
@@ -50,13 +69,13 @@ def displace(model, b, coordinates, screws, at, out):
     returns the squared rotation angle, rad^2
     """
     row = len(model.parts) + b
-    return table.displace(model.bodies[b], coordinates, row, screws, at, out)
+    return _displace(model, link_of(model, b), coordinates, row, screws, at, out)
 
 
 @kernel
 def normalise(model, b, coordinates):
     """Remove the round-off by which the coordinates of link b leave the group."""
-    table.normalise(model.bodies[b], coordinates, len(model.parts) + b)
+    _normalise(model, link_of(model, b), coordinates, len(model.parts) + b)
 
 
 @kernel
@@ -68,7 +87,7 @@ def _store_rates(model, b, w, v, rates_out, row):
 
 
 @kernel
-def _body_of_link(link, pose, twist, world_out, velocities_out, b):
+def _body_of_link(model, link, pose, twist, world_out, velocities_out, b):
     """Write pose in the world and twist of link b from those of the body that represents it."""
     rotation, point = matrix3(link["body_rotation"]), vector3(link["body_point"])
     i = link["body"]
@@ -76,8 +95,8 @@ def _body_of_link(link, pose, twist, world_out, velocities_out, b):
     store9(rot, world_out, b, 0)
     store3(sub3(load3(pose, i, 9), matvec3(rot, point)), world_out, b, 9)
     w = matvec3(rotation, load3(twist, i, 0))
-    store3(w, velocities_out, b, 0)
-    store3(add3(matvec3(rotation, load3(twist, i, 3)), cross3(point, w)), velocities_out, b, 3)
+    v = add3(matvec3(rotation, load3(twist, i, 3)), cross3(point, w))
+    store(model, planar(model, (w, v)), velocities_out, b)
 
 
 @shared
@@ -96,11 +115,11 @@ def coordinates(model, work, pose, twist):
         rot_a, r_a, w_a, v_a = matrix3(link["rotation"]), vector3(link["point"]), ZERO3, ZERO3
         if a != WORLD:
             rot_a, r_a = se3_compose(load9(world, a, 0), load3(world, a, 9), rot_a, r_a)
-            w_a, v_a = load3(velocities, a, 0), load3(velocities, a, 3)
+            w_a, v_a = spatial(model, load(model, velocities, a))
         if place == CROSS:
             # The parent's rotation to the link after the cross is T1 Rz(first) T2 Rz(second).
             after = model.bodies[b + 1]
-            _body_of_link(after, pose, twist, world, velocities, b + 1)
+            _body_of_link(model, after, pose, twist, world, velocities, b + 1)
             rot_2 = matrix3(after["rotation"])
             rot = matmul3(tmatmul3(rot_a, load9(world, b + 1, 0)), transpose3(rot_2))
             # Rz(first) T2 Rz(second) T2^T leaves the second axis d = T2 e_z at Rz(first) d.
@@ -115,24 +134,24 @@ def coordinates(model, work, pose, twist):
             store3(r_a, world, b, 9)
             # The second axis does not rotate about the first: its rate is the component along it.
             w_rel = sub3(
-                matvec3(load9(world, b + 1, 0), load3(velocities, b + 1, 0)),
+                matvec3(load9(world, b + 1, 0), spatial(model, load(model, velocities, b + 1))[0]),
                 matvec3(load9(world, a, 0), w_a) if a != WORLD else ZERO3,
             )
             rate = dot3((rot[2], rot[5], rot[8]), w_rel)
             twist[row, 0] = rate
             rel, p = relative_pose(link, pose, row)
             w, v = se3_Ad_inverse(rel, p, w_a, v_a)
-            store3((w[0], w[1], w[2] + rate), velocities, b, 0)
-            store3(v, velocities, b, 3)
+            store(model, planar(model, ((w[0], w[1], w[2] + rate), v)), velocities, b)
             continue
         if place != AFTER_CROSS:
-            _body_of_link(link, pose, twist, world, velocities, b)
+            _body_of_link(model, link, pose, twist, world, velocities, b)
         rot = tmatmul3(rot_a, load9(world, b, 0))
         p = tmatvec3(rot_a, sub3(load3(world, b, 9), r_a))
-        project_pose(link, rot, p, pose, row)
-        rel, q = relative_pose(link, pose, row)
+        project_pose(model, link_of(model, b), rot, p, pose, row)
+        rel, q = lifted(model, in_parent(model, link_of(model, b), pose, row))
         w, v = se3_Ad_inverse(rel, q, w_a, v_a)
-        w, v = sub3(load3(velocities, b, 0), w), sub3(load3(velocities, b, 3), v)
+        w_b, v_b = spatial(model, load(model, velocities, b))
+        w, v = sub3(w_b, w), sub3(v_b, v)
         _store_rates(model, b, w, v, twist, row)
     return 0
 
@@ -140,26 +159,18 @@ def coordinates(model, work, pose, twist):
 @kernel
 def place_links(model, work):
     """Poses in the world of all links at the stage, from their poses in their parents."""
-    relative, world_out = work.relative, work.world
     for b in range(len(model.bodies)):
-        a = model.bodies[b]["parent"]
-        rot, p = load9(relative, b, 0), load3(relative, b, 9)
+        a, X = link_of(model, b)["parent"], relative(model, work, b)
         if a != WORLD:
-            rot, p = se3_compose(load9(world_out, a, 0), load3(world_out, a, 9), rot, p)
-        # Without it a chain of many links would lose orthogonality along its length.
-        store9(so3_nearest(rot), world_out, b, 0)
-        store3(p, world_out, b, 9)
-
-
-@kernel
-def lift_links(model, work):
-    """Nothing: `place_links` has written work.world. See plane_coordinates.py."""
+            X = compose(model, placed(model, work, a), X)
+        set_place(model, work, X, b)
 
 
 @kernel
 def place_bodies(model, work, pose, twist):
     """Poses and twists of the bodies, from those of the links."""
-    world, velocities = work.world, work.velocities
+    lift_links(model, work)
+    world = work.world
     for i in range(len(model.parts)):
         part = model.parts[i]
         b = part["link"]
@@ -169,6 +180,6 @@ def place_bodies(model, work, pose, twist):
         rot, p = se3_compose(load9(world, b, 0), load3(world, b, 9), rotation, point)
         store9(rot, pose, i, 0)
         store3(p, pose, i, 9)
-        w = load3(velocities, b, 0)
+        w, v = spatial(model, load(model, work.velocities, b))
         store3(tmatvec3(rotation, w), twist, i, 0)
-        store3(tmatvec3(rotation, sub3(load3(velocities, b, 3), cross3(point, w))), twist, i, 3)
+        store3(tmatvec3(rotation, sub3(v, cross3(point, w))), twist, i, 3)

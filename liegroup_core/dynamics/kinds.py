@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Functions of the sweeps, selected by the type of the model: in space or in a plane."""
 
-from . import coordinates as space_coordinates
-from . import plane_coordinates
-from .algebra import by_space as _by_space
+from .coordinates import coordinates as coordinates
+from .coordinates import displace as displace
+from .coordinates import displace_by_twist as displace_by_twist
+from .coordinates import lift_links as lift_links
+from .coordinates import normalise as normalise
+from .coordinates import place_bodies as place_bodies
+from .coordinates import place_links as place_links
 from .couplings import add_effort as add_effort
 from .couplings import add_pair as add_pair
 from .couplings import link_coordinate as link_coordinate
@@ -23,12 +27,3 @@ from .trees import gather as gather
 from .trees import move_links as move_links
 from .trees import spread as spread
 from .trees import spread_response as spread_response
-
-coordinates, displace, displace_by_twist, normalise = (
-    _by_space(name, space_coordinates, plane_coordinates)
-    for name in ("coordinates", "displace", "displace_by_twist", "normalise")
-)
-place_links, lift_links, place_bodies = (
-    _by_space(name, space_coordinates, plane_coordinates)
-    for name in ("place_links", "lift_links", "place_bodies")
-)

@@ -15,3 +15,4 @@ start, pass_inertia, accelerated = _asked("start", "pass_inertia", "accelerated"
 acceleration_of, leave = _asked("acceleration_of", "leave")
 seen_from, set_variable_row = _asked("seen_from", "set_variable_row")
 store_parent_row, row_bracket = _asked("store_parent_row", "row_bracket")
+set_place, lift_links = _asked("set_place", "lift_links")

@@ -19,8 +19,9 @@ from liegroup_core.lie.se2 import (
     turn2,
     turn_back2,
 )
-from liegroup_core.lie.vec3 import ZERO3, load3, store3, sub3
+from liegroup_core.lie.vec3 import ZERO3, load3, load9, matvec3, store3, store9, sub3
 from liegroup_core.motion_groups import table
+from liegroup_core.motion_groups.about_z import turned
 from liegroup_core.motion_groups.in_plane import place
 
 from . import space
@@ -162,3 +163,20 @@ def row_bracket(model, work, joint, a, b, X, V, W, e):
     ax = work.drift[b, 0] - ax + (wa * V[2] - w * W[2])
     ay = work.drift[b, 1] - ay + (w * W[1] - wa * V[1])
     return 0.0, ax - w * e[2], ay + w * e[1]
+
+
+@kernel
+def set_place(model, work, X, b):
+    work.placed[b, 0], work.placed[b, 1], work.placed[b, 2], work.placed[b, 3] = X
+
+
+@kernel
+def lift_links(model, work):
+    """From those in the plane."""
+    axes = load9(model.axes, 0, 0)
+    for b in range(len(model.links)):
+        c, s, x, y = place(work.placed, b)
+        # Nearest to a rotation: one Newton iteration.
+        scale = 1.5 - 0.5 * (c * c + s * s)
+        store9(turned(axes, c * scale, s * scale), work.world, b, 0)
+        store3(matvec3(axes, (x, y, model.link_heights[b])), work.world, b, 9)

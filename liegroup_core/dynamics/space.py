@@ -5,6 +5,7 @@ from liegroup_core.compiling import kernel
 from liegroup_core.joints.elements import PAIR, WORLD
 from liegroup_core.joints.kinds import variable_row
 from liegroup_core.lie.se3 import se3_Ad, se3_ad, se3_Ad_inverse, se3_inverse, se3_wrench
+from liegroup_core.lie.so3 import so3_nearest
 from liegroup_core.lie.vec3 import (
     ZERO3,
     add3,
@@ -221,3 +222,16 @@ def row_bracket(model, work, joint, a, b, X, V, W, e):
         turn = add3(V[0], W[0])
     w, v = se3_ad(V[0], V[1], W[0], W[1])
     return w, add3(v, cross3(turn, e[1]))
+
+
+@kernel
+def set_place(model, work, X, b):
+    """Write the pose of link b in the world."""
+    # Without it a chain of many links would lose orthogonality along its length.
+    store9(so3_nearest(X[0]), work.world, b, 0)
+    store3(X[1], work.world, b, 9)
+
+
+@kernel
+def lift_links(model, work):
+    """Poses in the world of all links, to work.world: it has them already."""

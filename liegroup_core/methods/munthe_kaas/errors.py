@@ -4,14 +4,14 @@
 The differences of the freedoms add up along the tree: links come in the order of the tree.
 """
 
-from liegroup_core.compiling import Choice, kernel
+from liegroup_core.compiling import kernel
+from liegroup_core.dynamics.algebra import lifted, link_of, rate_twist, relative, spatial
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.se3 import se3_Ad_inverse
-from liegroup_core.lie.vec3 import add3, cross3, load3, load9, store3, vector3
-from liegroup_core.mechanism.arrays import PlaneModel, RelativeModel
+from liegroup_core.lie.vec3 import add3, cross3, load3, store3, vector3
 from liegroup_core.methods.checks import error_norm_square
 from liegroup_core.motion_groups.direct import to_link
-from liegroup_core.motion_groups.table import in_world_axes, plane_rate_twist, rate_twist
+from liegroup_core.motion_groups.table import in_world_axes
 
 
 @kernel
@@ -39,39 +39,19 @@ def _with_parent(work, at, rot, p, moved, rate):
 
 
 @kernel
-def _in_space(model, work, i, place):
+def _of_link(model, work, i, place):
     """Differences (xi, eta, dw, dv) of the origin of link i; work.errors has its parent's."""
-    link = model.bodies[i]
-    moved, rate = rate_twist(link, work.difference, 0), rate_twist(link, work.difference, 1)
+    link = link_of(model, i)
+    moved = spatial(model, rate_twist(model, link, work.difference, 0))
+    rate = spatial(model, rate_twist(model, link, work.difference, 1))
     a = link["parent"]
     if a == WORLD:
         if in_world_axes(link):
             pose, at = work.stage_pose, len(model.parts) + i
             return moved[0], to_link(pose, at, moved[1]), rate[0], to_link(pose, at, rate[1])
         return moved[0], moved[1], rate[0], rate[1]
-    rot, p = load9(work.relative, i, 0), load3(work.relative, i, 9)
+    rot, p = lifted(model, relative(model, work, i))
     return _with_parent(work, place + a, rot, p, moved, rate)
-
-
-@kernel
-def _in_plane(model, work, i, place):
-    """`_in_space` for a planar mechanism."""
-    link = model.links[i]
-    a = link["parent"]
-    w, x, y = plane_rate_twist(link, work.difference, 0)
-    moved = ((0.0, 0.0, w), (x, y, 0.0))
-    w, x, y = plane_rate_twist(link, work.difference, 1)
-    rate = ((0.0, 0.0, w), (x, y, 0.0))
-    if a == WORLD:
-        return moved[0], moved[1], rate[0], rate[1]
-    row = len(model.parts) + i
-    c, s = work.stage_pose[row, 0], work.stage_pose[row, 1]
-    rot = (c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0)
-    p = (work.stage_pose[row, 2], work.stage_pose[row, 3], 0.0)
-    return _with_parent(work, place + a, rot, p, moved, rate)
-
-
-_of_link = Choice("_of_link", {RelativeModel: _in_space, PlaneModel: _in_plane})
 
 
 @kernel

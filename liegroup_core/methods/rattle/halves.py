@@ -19,7 +19,6 @@ import math
 
 from liegroup_core.compiling import borrowed, kernel, subroutine
 from liegroup_core.dynamics.accelerations import apply_forces, solve_equations
-from liegroup_core.dynamics.algebra import by_space
 from liegroup_core.dynamics.constraints import is_satisfied, position_residuals
 from liegroup_core.dynamics.coupled_rows import set_coupled_gaps
 from liegroup_core.dynamics.kinds import (
@@ -47,26 +46,24 @@ from liegroup_core.status import (
     ROTATION_TOO_LARGE,
 )
 
-from . import plane_links, space_links
 from .arrays import HISTORY, times_between
 from .free_bodies import first_half_of_bodies, loads_of_bodies, second_half_of_bodies
+from .links import (
+    add_applied,
+    displace_links,
+    move_coordinates,
+    place_ends,
+    set_at_rest,
+    set_momentum,
+    transport,
+    weigh,
+)
 
 MAX_ITERATIONS = 50
 # Velocity-dependent forces are iterated until no rate changes by more than TOLERANCE times the
 # largest one. If round-off is larger: until changes below STUCK times that stop decreasing.
 TOLERANCE, STUCK = 1e-15, 100.0
 MAX_REPEATS = 100
-
-
-def _of(name):
-    return by_space(name, space_links, plane_links)
-
-
-displace_links, place_ends, move_coordinates = map(
-    _of, ("displace_links", "place_ends", "move_coordinates")
-)
-weigh, add_applied, set_momentum = map(_of, ("weigh", "add_applied", "set_momentum"))
-transport, set_at_rest = map(_of, ("transport", "set_at_rest"))
 
 
 @kernel

@@ -7,11 +7,10 @@ A rotation is an angle, and dexpinv is the identity: V' is the mean velocity of 
 import math
 
 from liegroup_core.compiling import kernel, subroutine
-from liegroup_core.dynamics.plane_coordinates import displace
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.coefficients import turn_coefficients
 from liegroup_core.lie.vec3 import load3, load9, matvec3, store3, store9
-from liegroup_core.motion_groups.about_z import turned, turned_by
+from liegroup_core.motion_groups.about_z import turned
 from liegroup_core.motion_groups.table import HINGE, SLIDE
 
 
@@ -80,20 +79,6 @@ def place_ends(model, work, memory):
 
 
 @kernel
-def move_coordinates(model, b, psi, coordinates):
-    """Displace the coordinates of link b by its part of psi, in place."""
-    link, row = model.links[b], len(model.parts) + b
-    f, group = link["freedom"], link["group"]
-    if group == HINGE or group == SLIDE:
-        displace(model, b, coordinates, psi, f, coordinates)
-        return
-    c, s, x, y = coordinates[row, 0], coordinates[row, 1], psi[f + 1, 0], psi[f + 2, 0]
-    coordinates[row, 2] += c * x - s * y
-    coordinates[row, 3] += s * x + c * y
-    coordinates[row, 0], coordinates[row, 1] = turned_by(psi[f, 0], c, s)
-
-
-@kernel
 def weigh(model, work, memory):
     """Acceleration of gravity in the axes of all links, to memory.weight; weights to memory.load."""
     n, g = len(model.parts), load3(model.space.gravity, 0, 0)
@@ -114,27 +99,6 @@ def weigh(model, work, memory):
 
 
 @kernel
-def add_applied(model, work, memory):
-    """Add the applied wrenches on the links to memory.load."""
-    for b in range(len(model.links)):
-        for c in range(3):
-            memory.load[b, c] += work.applied[b, c]
-
-
-@kernel
-def set_momentum(model, work, memory, h):
-    """M V + (h/2) Q of all links at the start, to memory.impulse."""
-    impulse, load = memory.impulse, memory.load
-    for b in range(len(model.links)):
-        link = model.links[b]
-        mass, mx, my = link["mass"], link["moment_x"], link["moment_y"]
-        w, x, y = load3(work.velocities, b, 0)
-        impulse[b, 0] = link["inertia"] * w + (mx * y - my * x) + 0.5 * h * load[b, 0]
-        impulse[b, 1] = mass * x - my * w + 0.5 * h * load[b, 1]
-        impulse[b, 2] = mass * y + mx * w + 0.5 * h * load[b, 2]
-
-
-@kernel
 def transport(model, work, memory):
     """M V'+ of all links, about the origin and in the axes of the end, to memory.impulse."""
     for b in range(len(model.links)):
@@ -143,14 +107,3 @@ def transport(model, work, memory):
         x, y = x + (less * x + s * y), y + (less * y - s * x)
         cx, cy = memory.centre[b, 0], memory.centre[b, 1]
         store3((spin + (cx * y - cy * x), x, y), memory.impulse, b, 0)
-
-
-@kernel
-def set_at_rest(model, work, memory, h):
-    """Set all links to rest under the impulses M V'+ + (h/2) Q+ as applied wrenches."""
-    for b in range(len(model.links)):
-        work.drift[b, 0] = work.drift[b, 1] = 0.0
-        for c in range(3):
-            work.velocities[b, c] = 0.0
-            work.applied[b, c] = memory.impulse[b, c] + 0.5 * h * memory.load[b, c]
-            work.force[b, c] = -work.applied[b, c]

@@ -11,7 +11,6 @@ numbers. So velocities D / h have all their digits, which a difference of poses 
 import math
 
 from liegroup_core.compiling import kernel, subroutine
-from liegroup_core.dynamics.space import momentum
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.coefficients import dexpinv_coefficients, sum_series, turn_coefficients
 from liegroup_core.lie.so3 import so3_dexpinv_of
@@ -161,15 +160,6 @@ def place_ends(model, work, memory):
 
 
 @kernel
-def move_coordinates(model, b, psi, coordinates):
-    """Displace the coordinates of link b by its part of psi, in place."""
-    link, row = model.bodies[b], len(model.parts) + b
-    # Rotation and shift of floating links and planes are independent of each other, which
-    # `displace` does not do: see `displace_links`.
-    table.move_coordinates(link, coordinates, row, psi, link["freedom"], coordinates)
-
-
-@kernel
 def weigh(model, work, memory):
     """Acceleration of gravity in the axes of all links, to memory.weight; weights to memory.load."""
     g = load3(model.space.gravity, 0, 0)
@@ -184,24 +174,6 @@ def weigh(model, work, memory):
 
 
 @kernel
-def add_applied(model, work, memory):
-    """Add the applied wrenches on the links to memory.load."""
-    for b in range(len(model.bodies)):
-        for c in range(6):
-            memory.load[b, c] += work.applied[b, c]
-
-
-@kernel
-def set_momentum(model, work, memory, h):
-    """M V + (h/2) Q of all links at the start, to memory.impulse."""
-    for b in range(len(model.bodies)):
-        V = (load3(work.velocities, b, 0), load3(work.velocities, b, 3))
-        angular, linear = momentum(model, model.bodies[b], V)
-        store3(axpy3(0.5 * h, load3(memory.load, b, 0), angular), memory.impulse, b, 0)
-        store3(axpy3(0.5 * h, load3(memory.load, b, 3), linear), memory.impulse, b, 3)
-
-
-@kernel
 def transport(model, work, memory):
     """M V'+ of all links, about the origin and in the axes of the end, to memory.impulse."""
     for b in range(len(model.bodies)):
@@ -211,12 +183,3 @@ def transport(model, work, memory):
         angular = add3(angular, cross3(load3(memory.centre, b, 0), linear))
         store3(angular, memory.impulse, b, 0)
         store3(linear, memory.impulse, b, 3)
-
-
-@kernel
-def set_at_rest(model, work, memory, h):
-    """Set all links to rest under the impulses M V'+ + (h/2) Q+ as applied wrenches."""
-    for b in range(len(model.bodies)):
-        for c in range(6):
-            work.velocities[b, c] = work.drift[b, c] = 0.0
-            work.applied[b, c] = memory.impulse[b, c] + 0.5 * h * memory.load[b, c]

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Momenta and displacements of links, for a RATTLE step; halves.py has the equations."""
+
+from liegroup_core.compiling import kernel
+from liegroup_core.dynamics.algebra import by_space, link_of, load, of_group, size, store
+from liegroup_core.dynamics.links import momentum
+
+from . import plane_links, space_links
+
+_move_coordinates = of_group("move_coordinates")
+displace_links, place_ends, weigh, transport = (
+    by_space(name, space_links, plane_links)
+    for name in ("displace_links", "place_ends", "weigh", "transport")
+)
+
+
+@kernel
+def move_coordinates(model, b, psi, coordinates):
+    """Displace the coordinates of link b by its part of psi, in place."""
+    link, row = link_of(model, b), len(model.parts) + b
+    # Rotation and shift of floating links and planes are independent of each other, which
+    # `displace` does not do: see `displace_links`.
+    _move_coordinates(model, link, coordinates, row, psi, link["freedom"], coordinates)
+
+
+@kernel
+def add_applied(model, work, memory):
+    """Add the applied wrenches on the links to memory.load."""
+    for b in range(len(model.bodies)):
+        for c in range(size(model)):
+            memory.load[b, c] += work.applied[b, c]
+
+
+@kernel
+def set_momentum(model, work, memory, h):
+    """M V + (h/2) Q of all links at the start, to memory.impulse."""
+    for b in range(len(model.bodies)):
+        V = load(model, work.velocities, b)
+        store(model, momentum(model, link_of(model, b), V), memory.impulse, b)
+        for c in range(size(model)):
+            memory.impulse[b, c] += 0.5 * h * memory.load[b, c]
+
+
+@kernel
+def set_at_rest(model, work, memory, h):
+    """Set all links to rest under the impulses M V'+ + (h/2) Q+ as applied wrenches."""
+    for b in range(len(model.bodies)):
+        for c in range(work.drift.shape[1]):
+            work.drift[b, c] = 0.0
+        for c in range(size(model)):
+            work.velocities[b, c] = 0.0
+            work.applied[b, c] = memory.impulse[b, c] + 0.5 * h * memory.load[b, c]
+            # In a plane the links have bias forces already.
+            work.force[b, c] = -work.applied[b, c]
