@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Planar mechanisms move in their plane as in space.
 
-Both are relative coordinates, but the sweeps in space have six numbers per twist and share no line
-with those in the plane. On SE(3)^n see test/verification/test_relative_accelerations.py.
+Both are relative coordinates and the same sweeps, but the algebra and the functions of the motion
+groups have six numbers for a twist in space and three in the plane. On SE(3)^n see
+test/verification/test_relative_accelerations.py.
 """
 
 import engine
