@@ -34,10 +34,10 @@ SAMPLES = 2000
 def put(turn):
     """Replace the rotation update of the method; call it before anything is compiled."""
     from liegroup_core.compiling import kernel
-    from liegroup_core.integrators.rattle import space_links
     from liegroup_core.lie.coefficients import turn_coefficients
     from liegroup_core.lie.so3 import so3_exp
     from liegroup_core.lie.vec3 import axpy3, cross3, dot3, matvec3, scale3
+    from liegroup_core.methods.rattle import space_links
 
     # In place of dexpinv_{-x}, with its arguments.
     @kernel

@@ -5,10 +5,11 @@ import naive
 import numpy as np
 
 from liegroup_core.dynamics.constraints import position_residuals
+from liegroup_core.dynamics.coordinates import lift_links, place_links
 from liegroup_core.dynamics.coupled_rows import set_all_rows
-from liegroup_core.dynamics.kinds import lift_links, move_links, place_links
 from liegroup_core.dynamics.loops import gather_alone, project
 from liegroup_core.dynamics.state import place
+from liegroup_core.dynamics.trees import move_links
 from liegroup_core.engine import Engine
 from liegroup_core.lie.groups import SE3
 from liegroup_core.mechanism.arrays import PlaneModel, make_relative_work

@@ -2,31 +2,25 @@
 """Index-1 accelerations in relative coordinates, with applied wrenches, forces and loops."""
 
 from liegroup_core.compiling import kernel, shared, subroutine
-from liegroup_core.forces.external import external_wrench
+from liegroup_core.forces.external import set_external_wrenches
 from liegroup_core.forces.kinds import add_wrenches
-from liegroup_core.lie.vec3 import store3
 from liegroup_core.status import OK
 
+from .coordinates import place_bodies, place_links
 from .free_bodies import accelerations_of_free_bodies
-from .kinds import (
-    add_multipliers,
-    apply_wrenches,
-    gather,
-    gather_residual,
-    move_links,
-    place_bodies,
-    place_links,
-    set_free_residual,
-    set_present_residual,
-    set_residual,
-    spread,
-    spread_response,
-)
 from .loads import GIVEN, MOST_ITERATIONS, begin_loads, settle_loads
 from .loops import POOR, SINGULAR, apply_multipliers, close_loops, project, set_loops
 from .matrix import AT, NEAR
+from .residuals import (
+    add_multipliers,
+    gather_residual,
+    set_free_residual,
+    set_present_residual,
+    set_residual,
+)
 from .singular_poses import SIDES, WEIGHTS, add_aside, begin_aside, end_aside, go_aside
 from .switches import apply_switches, set_row_efforts
+from .trees import apply_wrenches, gather, move_links, spread, spread_response
 
 # Each refinement multiplies the error in regular directions by the shift of W divided by its pivot.
 REFINEMENTS_WHEN_SINGULAR = 4
@@ -40,10 +34,7 @@ def apply_forces(model, work, external):
     """
     space = work.space
     place_bodies(model, work, space.stage_pose, space.stage_twist)
-    for i in range(len(model.parts)):
-        torque, force = external_wrench(external, space.stage_pose, i)
-        store3(torque, work.wrench, i, 0)
-        store3(force, work.wrench, i, 3)
+    set_external_wrenches(external, space.stage_pose, work.wrench)
     add_wrenches(
         model.space.forces,
         work.angle,

@@ -13,8 +13,9 @@ from liegroup_core.joints.motion import acceleration, position, rate
 from liegroup_core.mechanism.arrays import COORDINATE
 
 from .constraints import ROUND_OFF, position_residuals
-from .kinds import link_coordinate, set_rows
+from .couplings import link_coordinate
 from .matrix import is_off
+from .rows import set_rows
 
 
 @kernel

@@ -3,10 +3,12 @@
 
 from liegroup_core.compiling import kernel
 
-from .kinds import add_pair, gather_forces, lift_links, spread_response
+from .coordinates import lift_links
+from .couplings import add_pair
 from .loops import apply_multipliers, close_loops, factor_alone, gather_alone, set_system
 from .matrix import REGULARISATION
-from .residuals import set_response_residual
+from .residuals import gather_forces, set_response_residual
+from .trees import spread_response
 
 
 @kernel

@@ -19,7 +19,8 @@ from liegroup_core.compiling import kernel
 from liegroup_core.lie.vec3 import ZERO3, axpy3, dot3, load3
 from liegroup_core.mechanism.arrays import RESTS, SLIP
 
-from .kinds import add_effort, add_multipliers, add_own_forces, gather_forces
+from .couplings import add_effort
+from .residuals import add_multipliers, add_own_forces, gather_forces
 
 # Columns of Work.loads.
 LOAD, FOUND, OLD_LOAD, OLD_FOUND = 0, 1, 2, 3

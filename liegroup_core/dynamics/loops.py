@@ -19,17 +19,11 @@ from liegroup_core.lie.vec3 import load3, load_column, store3, tmatvec3
 from liegroup_core.status import DEPENDENT_ROWS, NOT_PROJECTED, OK
 
 from .constraints import MAX_ITERATIONS, is_satisfied
+from .coordinates import displace_by_twist, lift_links, place_links
 from .coupled_rows import set_all_rows, set_gap
-from .kinds import (
-    displace_by_twist,
-    gather,
-    lift_links,
-    move_links,
-    place_links,
-    respond,
-    spread_response,
-)
 from .matrix import AT, REGULARISATION, factor, has_small_pivot, is_off, set_shared, solve
+from .rows import respond
+from .trees import gather, move_links, spread_response
 
 SINGULAR, POOR = -2, -3
 # Each iteration multiplies the residual of the rows that are determined by AT divided by their pivot.

@@ -15,7 +15,7 @@ friction are left to the regularisation of loops.py.
 from liegroup_core.compiling import kernel
 from liegroup_core.mechanism.bodies import copy_state
 
-from .kinds import displace_by_twist
+from .coordinates import displace_by_twist
 
 # Displacement d V of the joint that turns fastest, rad: three times the distance at which a pose is singular.
 ASIDE = 2e-2

@@ -13,8 +13,9 @@ from liegroup_core.motion_groups.direct import to_world
 from liegroup_core.motion_groups.table import FLOATING, in_world_axes
 from liegroup_core.status import OK
 
+from .coordinates import coordinates, place_bodies, place_links
 from .free_bodies import copy_bodies, copy_links
-from .kinds import coordinates, move_links, place_bodies, place_links
+from .trees import move_links
 
 
 def model_and_work(layout, group, options, stages):

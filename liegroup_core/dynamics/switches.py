@@ -25,18 +25,13 @@ from liegroup_core.compiling import kernel
 from liegroup_core.forces.turn import unwrapped
 from liegroup_core.mechanism.arrays import COORDINATE, EFFORT, KNOWN, RESTS, SIDE, SLIP
 
+from .coordinates import lift_links, place_links
 from .coupled_rows import set_gap
-from .kinds import (
-    add_effort,
-    lift_links,
-    link_coordinate,
-    link_shift,
-    move_links,
-    place_links,
-    set_present_residual,
-)
+from .couplings import add_effort, link_coordinate, link_shift
 from .loads import FOUND, LOAD, find_loads, gather_lacking
 from .matrix import is_off
+from .residuals import set_present_residual
+from .trees import move_links
 
 # Columns of Work.guards; LOWER and UPPER are the stops, the last two the bounds of what holds.
 LOWER, UPPER, SLIDING, LEAST, MOST = 0, 1, 2, 3, 4

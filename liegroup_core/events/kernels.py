@@ -3,6 +3,7 @@
 
 from liegroup_core.compiling import borrowed, stepper
 from liegroup_core.dynamics.accelerations import accelerations
+from liegroup_core.dynamics.coordinates import place_links
 from liegroup_core.dynamics.impulses import (
     add_impulse,
     clear_impulses,
@@ -10,10 +11,10 @@ from liegroup_core.dynamics.impulses import (
     respond_to_impulses,
     set_rate_changes,
 )
-from liegroup_core.dynamics.kinds import move_links, place_links
 from liegroup_core.dynamics.loads import UNSETTLED
 from liegroup_core.dynamics.state import begin, enter, leave
 from liegroup_core.dynamics.switches import count_coordinates, set_guards
+from liegroup_core.dynamics.trees import move_links
 from liegroup_core.status import DEPENDENT_ROWS, NO_FRICTION, OK
 
 

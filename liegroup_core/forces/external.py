@@ -23,7 +23,7 @@ Columns of the array (n, COLUMNS) that the integrators receive:
 import numpy as np
 
 from liegroup_core.compiling import kernel
-from liegroup_core.lie.vec3 import add3, cross3, load3, load9, matmul3, sub3, tmatvec3
+from liegroup_core.lie.vec3 import add3, cross3, load3, load9, matmul3, store3, sub3, tmatvec3
 
 COLUMNS = 25
 # Pairs of forces in world axes, one per axis of the body frame.
@@ -75,6 +75,15 @@ def external_wrench(external, pose, i):
             pairs = matmul3(load9(external, i, 16), rot)
             torque = add3(torque, (pairs[5] - pairs[7], pairs[6] - pairs[2], pairs[1] - pairs[3]))
     return torque, force
+
+
+@kernel
+def set_external_wrenches(external, pose, wrench_out):
+    """Write `external_wrench` of all bodies to wrench_out (n, 6)."""
+    for i in range(len(wrench_out)):
+        torque, force = external_wrench(external, pose, i)
+        store3(torque, wrench_out, i, 0)
+        store3(force, wrench_out, i, 3)
 
 
 def parts_of_wrench(wrench, axes, point):

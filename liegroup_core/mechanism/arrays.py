@@ -21,8 +21,6 @@ import numpy as np
 
 from liegroup_core.compiling import Struct
 from liegroup_core.forces.external import COLUMNS as EXTERNAL_COLUMNS
-from liegroup_core.motion_groups.table import FREE as FREE
-from liegroup_core.motion_groups.table import PLANE as PLANE
 
 from .bodies import Model, Work
 
@@ -204,7 +202,6 @@ class PlaneModel(RelativeModel):
     plane_gravity: np.ndarray  # (1, 2) m/s^2
     links: np.ndarray  # (L,) of PLANE_LINK
     link_heights: np.ndarray  # (L,) of the link frames along the normal, m
-    heights: np.ndarray  # (n,) of the bodies
 
 
 class RelativeWork(Struct):

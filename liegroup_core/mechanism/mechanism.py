@@ -83,7 +83,7 @@ def relative_model(scene, model, in_space=False, group=None):
     )
     if normal is None:
         return RelativeModel(**common)
-    return PlaneModel(**common, **_plane_arrays(model, links, records, places, scene, normal))
+    return PlaneModel(**common, **_plane_arrays(model, links, records, normal))
 
 
 def tree_of(scene):
@@ -92,7 +92,7 @@ def tree_of(scene):
     return spanning_tree(scene, None if plane is None else plane[1])
 
 
-def _plane_arrays(model, links, records, places, scene, normal):
+def _plane_arrays(model, links, records, normal):
     """Fields of a PlaneModel that a RelativeModel does not have."""
     axes = plane_axes(normal)
     plane_links, heights = [], []
@@ -122,12 +122,6 @@ def _plane_arrays(model, links, records, places, scene, normal):
         "plane_gravity": model.gravity @ axes[:, :2],
         "links": np.array(plane_links, dtype=PLANE_LINK),
         "link_heights": np.array(heights),
-        "heights": np.array(
-            [
-                (0.0 if b == WORLD else heights[b]) + pose[2, 3]
-                for b, pose in (places[body.name] for body in scene.bodies)
-            ]
-        ),
     }
 
 

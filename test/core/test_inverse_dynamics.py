@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import random_mechanisms
 
-from liegroup_core.dynamics.kinds import inverse_dynamics
+from liegroup_core.dynamics.inverse_dynamics import inverse_dynamics
 from liegroup_core.engine import Engine
 from liegroup_core.methods.munthe_kaas import steps as relative
 

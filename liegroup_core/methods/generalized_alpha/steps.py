@@ -11,18 +11,13 @@ joints, lambda their multipliers.
 from liegroup_core.compiling import borrowed, kernel, subroutine
 from liegroup_core.dynamics import state as link_state
 from liegroup_core.dynamics.accelerations import accelerations, apply_forces
+from liegroup_core.dynamics.coordinates import displace, lift_links, normalise, place_links
 from liegroup_core.dynamics.coupled_rows import set_gap
-from liegroup_core.dynamics.kinds import (
-    displace,
-    inverse_dynamics,
-    lift_links,
-    move_links,
-    normalise,
-    place_links,
-    set_rows,
-)
+from liegroup_core.dynamics.inverse_dynamics import inverse_dynamics
+from liegroup_core.dynamics.rows import set_rows
 from liegroup_core.dynamics.state import enter as enter
 from liegroup_core.dynamics.state import leave as leave
+from liegroup_core.dynamics.trees import move_links
 from liegroup_core.forces import kinds as forces
 from liegroup_core.lie.vec3 import load3, load_column, store3
 from liegroup_core.methods.checks import end_status, rotation_status

@@ -9,7 +9,7 @@ import math
 
 from liegroup_core.compiling import kernel
 from liegroup_core.dynamics.accelerations import accelerations
-from liegroup_core.dynamics.kinds import displace, normalise
+from liegroup_core.dynamics.coordinates import displace, normalise
 from liegroup_core.dynamics.loads import UNSETTLED
 from liegroup_core.dynamics.loops import project
 from liegroup_core.dynamics.state import begin as begin

@@ -6,6 +6,10 @@ import numpy as np
 from liegroup_core.compiling import Struct, kernel
 from liegroup_core.mechanism.arrays import PlaneModel
 
+# Velocity-dependent forces are iterated until no rate changes by more than TOLERANCE times the
+# largest one. If round-off is larger: until changes below STUCK times that stop decreasing.
+TOLERANCE, STUCK = 1e-15, 100.0
+MAX_REPEATS = 100
 # Corrections that Broyden's method stores before it restarts.
 HISTORY = 8
 LONGER = (

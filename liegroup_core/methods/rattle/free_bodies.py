@@ -10,7 +10,7 @@ import math
 
 from liegroup_core.compiling import borrowed, subroutine
 from liegroup_core.dynamics.free_bodies import copy_bodies
-from liegroup_core.forces.external import external_wrench
+from liegroup_core.forces.external import set_external_wrenches
 from liegroup_core.forces.gravity import add_wrench as add_gravity
 from liegroup_core.forces.kinds import add_wrenches
 from liegroup_core.lie.so3 import so3_nearest
@@ -34,10 +34,7 @@ from liegroup_core.methods.rotation.maps import turn, velocity
 from liegroup_core.methods.rotation.newton import EXPONENTIAL, newton
 from liegroup_core.status import NOT_CONVERGED, OK
 
-# Velocity-dependent forces are iterated until no velocity changes by more than TOLERANCE times the
-# largest one. If round-off is larger: until changes below STUCK times that stop decreasing.
-TOLERANCE, STUCK = 1e-15, 100.0
-MAX_REPEATS = 100
+from .arrays import MAX_REPEATS, STUCK, TOLERANCE
 
 
 @subroutine
@@ -46,10 +43,7 @@ def loads_of_bodies(model, work, external_in):
     external, space = borrowed(external_in), work.space
     pose, twist = space.stage_pose, space.stage_twist
     copy_bodies(model, work.stage_pose, work.stage_twist, pose, twist)
-    for i in range(len(model.parts)):
-        torque, force = external_wrench(external, pose, i)
-        store3(torque, work.wrench, i, 0)
-        store3(force, work.wrench, i, 3)
+    set_external_wrenches(external, pose, work.wrench)
     add_gravity(model.space, pose, work.wrench)
     add_wrenches(model.space.forces, work.angle, work.acting, work.wanted, pose, twist, work.wrench)
     return 0

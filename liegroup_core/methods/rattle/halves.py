@@ -20,20 +20,14 @@ import math
 from liegroup_core.compiling import borrowed, kernel, subroutine
 from liegroup_core.dynamics.accelerations import apply_forces, solve_equations
 from liegroup_core.dynamics.constraints import is_satisfied, position_residuals
+from liegroup_core.dynamics.coordinates import normalise, place_links
 from liegroup_core.dynamics.coupled_rows import set_coupled_gaps
-from liegroup_core.dynamics.kinds import (
-    add_multipliers,
-    gather_forces,
-    move_links,
-    normalise,
-    place_links,
-    spread_response,
-)
 from liegroup_core.dynamics.loops import close_loops, gather_alone, set_loops
-from liegroup_core.dynamics.residuals import set_response_residual
+from liegroup_core.dynamics.residuals import add_multipliers, gather_forces, set_response_residual
 from liegroup_core.dynamics.state import enter as enter
 from liegroup_core.dynamics.state import leave as leave
 from liegroup_core.dynamics.state import place
+from liegroup_core.dynamics.trees import move_links, spread_response
 from liegroup_core.forces.kinds import count_turns
 from liegroup_core.methods.broyden import broyden
 from liegroup_core.methods.checks import end_status
@@ -46,7 +40,7 @@ from liegroup_core.status import (
     ROTATION_TOO_LARGE,
 )
 
-from .arrays import HISTORY, times_between
+from .arrays import HISTORY, MAX_REPEATS, STUCK, TOLERANCE, times_between
 from .free_bodies import first_half_of_bodies, loads_of_bodies, second_half_of_bodies
 from .links import (
     add_applied,
@@ -60,10 +54,6 @@ from .links import (
 )
 
 MAX_ITERATIONS = 50
-# Velocity-dependent forces are iterated until no rate changes by more than TOLERANCE times the
-# largest one. If round-off is larger: until changes below STUCK times that stop decreasing.
-TOLERANCE, STUCK = 1e-15, 100.0
-MAX_REPEATS = 100
 
 
 @kernel

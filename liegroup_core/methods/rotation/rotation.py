@@ -30,10 +30,9 @@ import math
 import numpy as np
 
 from liegroup_core.compiling import SameTypes, borrowed, stepper
-from liegroup_core.forces.external import external_wrench
+from liegroup_core.forces.external import set_external_wrenches
 from liegroup_core.forces.gravity import add_wrench as add_gravity
 from liegroup_core.forces.kinds import add_wrenches
-from liegroup_core.lie.vec3 import store3
 from liegroup_core.mechanism.bodies import copy_state, make_work
 from liegroup_core.methods.checks import is_finite
 from liegroup_core.methods.table import METHODS, refuse_stabilisation
@@ -115,10 +114,7 @@ def advance(
         status, finished = OK, False
         evaluation, previous, earlier = 0, math.inf, math.inf
         while not finished:
-            for i in range(len(spinners)):
-                torque, force = external_wrench(external, work.stage_pose, i)
-                store3(torque, work.wrench, i, 0)
-                store3(force, work.wrench, i, 3)
+            set_external_wrenches(external, work.stage_pose, work.wrench)
             add_gravity(model, work.stage_pose, work.wrench)
             add_wrenches(
                 model.forces,
