@@ -44,12 +44,17 @@ class OuterLibrary(_Library):
     """
 
     def finalize(self):
-        reached = dict.fromkeys(self._linking_libraries)
-        for library in (waiting := list(reached)):
-            new = [each for each in library._linking_libraries if each not in reached]
-            reached |= dict.fromkeys(new)
-            waiting += new
-        self._linking_libraries = list(reached)
+        # Callers before what they call: LLVM links a function only if something needs it by then.
+        called_first = {}
+
+        def visit(library):
+            for each in library._linking_libraries:
+                if each not in called_first:
+                    visit(each)
+            called_first[library] = None
+
+        visit(self)
+        self._linking_libraries = [each for each in reversed(called_first) if each is not self]
         super().finalize()
 
     def _optimize_final_module(self):
