@@ -20,6 +20,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 DYNAMICS = ("core/test_dynamics.py",)
 JOINTS = ("core/test_joints.py",)
+GROUPS = ("contract/test_motion_groups.py",)
 LIE = ("contract/test_lie_groups.py",)
 FORCES = ("contract/test_forces.py", "-k",
           "cancel or gradient or work_is or dissipates or turned or told")
@@ -98,7 +99,7 @@ MUTANTS = [
     Mutant("plane, inertia handed on", "motion_groups/hinge.py",
            "(c * hx - s * hy) - inverse", "(c * hx + s * hy) - inverse", PLANE),
     Mutant("plane, inertia of a slide", "motion_groups/slide.py",
-           "wy - a * xy", "wy + a * xy", PLANE),
+           "wy - a * xy", "wy + a * xy", GROUPS),
     Mutant("plane, row of the parent", "dynamics/plane.py",
            "((px * y - py * x) - alpha", "((py * x - px * y) - alpha", PLANE),
     Mutant("plane, bias", "dynamics/plane.py", "(w * W[1] - wa * V[1])", "(w * W[1] + wa * V[1])",

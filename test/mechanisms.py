@@ -2,6 +2,7 @@
 """Scenes for tests: random mechanisms with every type of joint, consistent by construction."""
 
 import functools
+from typing import get_args
 
 import naive
 import numpy as np
@@ -10,22 +11,26 @@ from scipy.linalg import null_space
 
 from liegroup_core import Scene
 from liegroup_core.joints import forbidden_rows
-from liegroup_core.joints.kinds import CONSTRAINTS
+from liegroup_core.joints.kinds import CONSTRAINTS, JOINTS
 from liegroup_core.lie.groups import SE3, SO3
 from liegroup_core.methods.table import METHODS
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
-from liegroup_core.scene.description import (
-    Body,
-    DistanceJoint,
-    Frame,
-    Joint,
-    ScrewJoint,
-    SpringDamper,
-)
+from liegroup_core.scene.description import Body, Frame, Joint, SpringDamper
 
 GRAVITY = (0.3, -0.2, -9.81)
-PITCH = 0.3
 KINDS = tuple(CONSTRAINTS)
+PARAMETERS = {"pitch": 0.3, "length": 0.7}  # m/rad, m
+WX, WY, WZ, VX, VY, VZ = np.eye(6)
+# Lower pairs: the directions of relative twist that they allow, in the axes of the child's joint frame.
+FREE = {
+    "spherical": lambda pitch: [WX, WY, WZ],
+    "revolute": lambda pitch: [WZ],
+    "prismatic": lambda pitch: [VZ],
+    "cylindrical": lambda pitch: [WZ, VZ],
+    "planar": lambda pitch: [WZ, VX, VY],
+    "screw": lambda pitch: [WZ + pitch * VZ],
+    "fixed": lambda pitch: [],
+}
 
 
 def random_pose(rng, size=1.0):
@@ -50,30 +55,45 @@ def random_body(rng, name, pose):
 
 def allowed_motion(rng, kind):
     """Random relative pose that a type of joint allows, angles beyond a full turn included."""
-    angle, slide = 4.0 * rng.normal(), rng.normal(size=3)
-    turn, shift = {
-        "spherical": (rng.normal(size=3), (0, 0, 0)),
-        "revolute": ((0, 0, angle), (0, 0, 0)),
-        "prismatic": ((0, 0, 0), (0, 0, slide[2])),
-        "cylindrical": ((0, 0, angle), (0, 0, slide[2])),
-        "planar": ((0, 0, angle), (slide[0], slide[1], 0)),
-        "screw": ((0, 0, angle), (0, 0, PITCH * angle)),
-        "fixed": ((0, 0, 0), (0, 0, 0)),
-        "universal": ((angle, 0, 0), (0, 0, 0)),
-        "distance": (rng.normal(size=3), slide),
-    }[kind]
-    motion = np.eye(4)
+    angle, slide, turn, far = 4.0 * rng.normal(), *(rng.normal(size=3) for _ in range(3))
+    motion, shift = np.eye(4), far
+    if kind == "universal":
+        turn, shift = (angle, 0.0, 0.0), (0.0, 0.0, 0.0)
+    elif kind != "distance":
+        size = [angle if direction[2] else slide @ direction[3:] for direction in directions(kind)]
+        twist = np.sum([q * d for q, d in zip(size, directions(kind))] or [np.zeros(6)], axis=0)
+        turn, shift = turn if kind == "spherical" else twist[:3], twist[3:]
     motion[:3, :3], motion[:3, 3] = SO3.exp(turn), shift
     if kind == "universal":
         motion[:3, :3] = motion[:3, :3] @ SO3.exp((0, rng.normal(), 0))
     return motion
 
 
+def directions(kind):
+    """(k, 6) directions of FREE for the pitch of PARAMETERS."""
+    return np.reshape(FREE[kind](PARAMETERS["pitch"]), (-1, 6))
+
+
+def parameters(kind):
+    """{name: value} of the parameters that a type of joint has."""
+    return {name: PARAMETERS[name] for name in _class_of(kind).model_fields if name in PARAMETERS}
+
+
+def _class_of(kind):
+    (found,) = (each for each in JOINTS if kind in get_args(each.model_fields["type"].annotation))
+    return found
+
+
 def joint(kind, **keys):
-    """Joint of any type between two frames."""
-    if kind == "screw":
-        return ScrewJoint(pitch=PITCH, **keys)
-    return DistanceJoint(**keys) if kind == "distance" else Joint(type=kind, **keys)
+    """Joint of any type between two frames; the poses determine a length."""
+    pitch = {name: value for name, value in parameters(kind).items() if name == "pitch"}
+    return _class_of(kind)(type=kind, **pitch | keys)
+
+
+def with_every_pair(links):
+    """Links for `mechanism`, with a body on the world for every lower pair that they lack."""
+    missing = FREE.keys() - {kind for _, _, kind in links} - {"fixed"}
+    return [*links, *(("world", kind, kind) for kind in sorted(missing))]
 
 
 def frame(pose):

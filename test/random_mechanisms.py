@@ -31,18 +31,8 @@ from liegroup_core.scene.description import (
 )
 
 # Independent motions that a type of joint allows; None: a body without a joint.
-FREEDOMS = {
-    "spherical": 3,
-    "revolute": 1,
-    "prismatic": 1,
-    "cylindrical": 2,
-    "planar": 3,
-    "screw": 1,
-    "fixed": 0,
-    "universal": 2,
-    "distance": 5,
-    None: 6,
-}
+FREEDOMS = {kind: len(mechanisms.directions(kind)) for kind in mechanisms.FREE}
+FREEDOMS |= {"universal": 2, "distance": 5, None: 6}
 # Joints that do not leave a plane, and those that do not leave a point.
 IN_PLANE, AT_POINT = {"revolute": 1, "fixed": 0}, {"revolute": 1, "spherical": 3}
 

@@ -31,9 +31,9 @@ class Accelerations:
         relative.begin(model, work, pose, twist)
         assert relative.accelerate(model, work, external) == -1
         # Beside a singular pose the links are left as they were displaced.
-        rates = work.acceleration[:, 0].copy()
+        rates = work.acceleration[:, :1].copy()
         move_links(model, work)
-        inverse_dynamics(model, work, rates, np.zeros_like(rates))
+        inverse_dynamics(model, work, rates, np.zeros(len(rates)))
         found = np.zeros((len(model.parts), 6))
         flat = engine.state()[0]
         for i, part in enumerate(model.parts):

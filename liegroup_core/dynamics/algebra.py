@@ -12,7 +12,7 @@ from liegroup_core.lie.vec3 import ZERO3, add3, add_to3, axpy3, dot3, load3, loa
 from liegroup_core.mechanism.arrays import PlaneModel, RelativeModel
 from liegroup_core.motion_groups.elimination import made
 from liegroup_core.motion_groups.in_plane import place
-from liegroup_core.motion_groups.table import by_model, relative_pose, slides
+from liegroup_core.motion_groups.table import by_model, in_world_axes, relative_pose, slides
 
 
 def choice(name, space, plane):
@@ -38,13 +38,15 @@ def _of(name, arguments, *texts):
 
 
 _CALLED = (add3, add_to3, axpy3, dot3, load3, load9, store3, sub3)
-_CALLED += (relative_pose, se2_compose, se3_compose)
+_CALLED += (in_world_axes, relative_pose, se2_compose, se3_compose)
 _CALLED += (se2_Ad_inverse, se2_wrench, se3_Ad_inverse, se3_wrench, place, slides)
 
 # Numbers of a twist, and the first column of those in a row (6) of a Jacobian.
 size, offset = _of("size", "", "return 6", "return 3"), _of("offset", "", "return 0", "return 2")
 # Record of link b.
 link_of = _of("link_of", "b", "return model.bodies[b]", "return model.links[b]")
+# Whether velocities on the motion group are in world axes.
+is_direct = _of("is_direct", "link", "return in_world_axes(link)", "return False")
 zero = _of("zero", "", "return ZERO3, ZERO3", "return ZERO3")
 load = _of(
     "load",
@@ -135,3 +137,4 @@ lifted = _of(
 spatial = _of("spatial", "V", "return V", "return (0.0, 0.0, V[0]), (V[1], V[2], 0.0)")
 planar = _of("planar", "V", "return V", "return V[0][2], V[1][0], V[1][1]")
 coordinate, rate_twist, project_pose = map(of_group, ("coordinate", "rate_twist", "project_pose"))
+rates_of, own_forces, column_twist = map(of_group, ("rates_of", "own_forces", "column_twist"))

@@ -42,6 +42,7 @@ from .algebra import (
     placed,
     planar,
     project_pose,
+    rates_of,
     relative,
     spatial,
     store,
@@ -76,14 +77,6 @@ def displace(model, b, coordinates, screws, at, out):
 def normalise(model, b, coordinates):
     """Remove the round-off by which the coordinates of link b leave the group."""
     _normalise(model, link_of(model, b), coordinates, len(model.parts) + b)
-
-
-@kernel
-def _store_rates(model, b, w, v, rates_out, row):
-    """Write qdot of a link for a relative twist (w, v) in its axes; a CROSS: see `coordinates`."""
-    twist, first = (w[0], w[1], w[2], v[0], v[1], v[2]), model.bodies[b]["freedom"]
-    for k in range(first, first + model.bodies[b]["freedoms"]):
-        rates_out[row, model.order[k, 0] - first] = twist[model.order[k, 1]]
 
 
 @kernel
@@ -151,8 +144,8 @@ def coordinates(model, work, pose, twist):
         rel, q = lifted(model, in_parent(model, link_of(model, b), pose, row))
         w, v = se3_Ad_inverse(rel, q, w_a, v_a)
         w_b, v_b = spatial(model, load(model, velocities, b))
-        w, v = sub3(w_b, w), sub3(v_b, v)
-        _store_rates(model, b, w, v, twist, row)
+        V = planar(model, (sub3(w_b, w), sub3(v_b, v)))
+        rates_of(model, link_of(model, b), V, twist, row)
     return 0
 
 

@@ -19,10 +19,10 @@ from liegroup_core.lie.vec3 import load3
 from .algebra import (
     add,
     add_to,
+    column_twist,
     link_of,
     load,
-    offset,
-    rate_twist,
+    own_forces,
     relative,
     size,
     store,
@@ -38,19 +38,19 @@ def _accelerate(model, work, rates):
     g = load3(model.gravity, 0, 0)
     for b in range(len(model.bodies)):
         link = link_of(model, b)
-        for k in range(link["freedoms"]):
-            work.velocity[b, k] = rates[link["freedom"] + k]
         V = without_freedoms(model, work, b, link["parent"], g, 1)
-        store(model, add(model, V, rate_twist(model, link, work.velocity, b)), work.moved, b)
+        store(
+            model, add(model, V, column_twist(model, link, rates, link["freedom"])), work.moved, b
+        )
 
 
 @subroutine
 def inverse_dynamics(model, work, rates, force_out):
     """Forces that the freedoms lack for given accelerations: M qddot + bias + J^T lambda - S^T W.
 
-    rates     : (f,) qddot, rad/s^2 or m/s^2; longer arrays are allowed
+    rates     : (f, 1) qddot, rad/s^2 or m/s^2
     force_out : (f,) N m or N; zero if the equations of motion hold
-    Uses kinematics, work.applied and work.multipliers of the stage; overwrites work.velocity, moved
+    Uses kinematics, work.applied and work.multipliers of the stage; overwrites work.moved
     and force. Accuracy: test/core/test_inverse_dynamics.py.
     """
     _accelerate(model, work, rates)
@@ -60,13 +60,9 @@ def inverse_dynamics(model, work, rates, force_out):
     add_multipliers(model, work)
     add_own_forces(model, work)
     for b in range(len(model.bodies) - 1, -1, -1):
-        link, pitch = link_of(model, b), model.bodies[b]["pitch"]
-        first, a = link["freedom"], link["parent"]
-        for k in range(first, first + link["freedoms"]):
-            force_out[model.order[k, 0]] = work.force[b, model.order[k, 1] - offset(model)]
-        if pitch != 0.0:
-            force_out[first] += pitch * work.force[b, 5]
-        if a != WORLD:
-            F = wrench_at(model, relative(model, work, b), load(model, work.force, b))
-            add_to(model, F, work.force, a)
+        link, F = link_of(model, b), load(model, work.force, b)
+        own_forces(model, link, F, force_out, link["freedom"])
+        if link["parent"] != WORLD:
+            F = wrench_at(model, relative(model, work, b), F)
+            add_to(model, F, work.force, link["parent"])
     return 0

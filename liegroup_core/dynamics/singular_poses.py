@@ -15,6 +15,7 @@ friction are left to the regularisation of loops.py.
 from liegroup_core.compiling import kernel
 from liegroup_core.mechanism.bodies import copy_state
 
+from .algebra import link_of, rate_twist, spatial
 from .coordinates import displace_by_twist
 
 # Displacement d V of the joint that turns fastest, rad: three times the distance at which a pose is singular.
@@ -33,11 +34,9 @@ def begin_aside(model, work):
     n, fastest = len(model.parts), 0.0
     copy_state(work.stage_pose, work.stage_twist, work.middle_pose, work.middle_twist)
     for b in range(len(model.bodies)):
-        first = model.bodies[b]["freedom"]
-        for k in range(first, first + model.bodies[b]["freedoms"]):
-            if model.order[k, 1] < 3:
-                rate = work.stage_twist[n + b, model.order[k, 0] - first]
-                fastest = max(fastest, abs(rate))
+        S = rate_twist(model, link_of(model, b), work.stage_twist, n + b)
+        for rate in spatial(model, S)[0]:
+            fastest = max(fastest, abs(rate))
     for f in range(len(work.freedoms)):
         work.middle[f, 0] = work.acceleration[f, 0]
         work.middle[f, 1] = 0.0

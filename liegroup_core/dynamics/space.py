@@ -148,31 +148,12 @@ def acceleration_of(model, work, b, a):
 
 
 @kernel
-def _eliminate(work, f, axis, pitch, wrenches, row):
-    """Component s . w of a wrench along freedom f of a link; w becomes w - U (s . w) / D.
-
-    axis, pitch : the component of a twist that f is, and the pitch of its screw or 0
-    wrenches    : row `row` has w
-    """
-    y = wrenches[row, axis]
-    if pitch != 0.0:
-        y += pitch * wrenches[row, 5]
-    share = y * work.freedoms[f, 6]
-    for c in range(6):
-        wrenches[row, c] -= share * work.freedoms[f, c]
-    if pitch == 0.0 and work.held[f] == 0.0:
-        wrenches[row, axis] = 0.0
-    return y
-
-
-@kernel
 def leave(model, work, link, b):
     """u of the freedoms of link b for the wrench -work.force on it; the rest is added to the parent."""
-    for k in range(link["freedom"], link["freedom"] + link["freedoms"]):
-        f, axis = model.order[k, 0], model.order[k, 1]
-        work.freedoms[f, 7] = -_eliminate(work, f, axis, link["pitch"], work.force, b)
+    w, v = load(model, work.force, b)
+    F = table.load_freedoms(link, work, link["freedom"], w, v)
     if link["parent"] != WORLD:
-        F = wrench_at(model, relative(model, work, b), load(model, work.force, b))
+        F = wrench_at(model, relative(model, work, b), F)
         add_to(model, F, work.force, link["parent"])
 
 

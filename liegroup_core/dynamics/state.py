@@ -10,9 +10,10 @@ from liegroup_core.lie.vec3 import load3, store3
 from liegroup_core.mechanism.arrays import PlaneModel, make_relative_work
 from liegroup_core.mechanism.bodies import copy_state, make_work
 from liegroup_core.motion_groups.direct import to_world
-from liegroup_core.motion_groups.table import FLOATING, in_world_axes
+from liegroup_core.motion_groups.table import FLOATING
 from liegroup_core.status import OK
 
+from .algebra import is_direct
 from .coordinates import coordinates, place_bodies, place_links
 from .free_bodies import copy_bodies, copy_links
 from .trees import move_links
@@ -70,7 +71,7 @@ def begin(model, work, pose, twist):
         for k in range(6):
             work.velocity[b, k] = twist[n + b, k]
             work.stage_twist[n + b, k] = twist[n + b, k]
-        if in_world_axes(model.bodies[b]):
+        if is_direct(model, model.bodies[b]):
             store3(to_world(pose, n + b, load3(twist, n + b, 3)), work.velocity, b, 3)
 
 

@@ -46,7 +46,7 @@ class LowerPair:
     def forbidden(self, pitch=0.0):
         """A (k, 6), rows of forbidden relative twist, angular first."""
         rows = np.eye(6)[[_COORDINATES.index(name) for name in self.coordinates]]
-        if self.has_pitch:
+        if self.has_pitch and "vz" in self.coordinates:
             rows[self.coordinates.index("vz"), _COORDINATES.index("wz")] = -pitch
         return rows
 

@@ -129,10 +129,6 @@ class RelativeModel(Struct):
     gravity: np.ndarray  # (1, 3) m/s^2, world axes
     bodies: np.ndarray  # (L,) of LINK
     parts: np.ndarray  # (n,) of PART
-    order: (
-        np.ndarray
-    )  # (f, 2) freedoms of every link in the order of elimination, and components of
-    # a twist that they are
     elements: np.ndarray  # of ELEMENT: those of the cut joints, between links
     joints: np.ndarray  # (c,) of JOINT
     owners: np.ndarray  # (c,) their elements in `space`

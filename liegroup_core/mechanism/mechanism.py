@@ -4,7 +4,7 @@
 import numpy as np
 
 from liegroup_core.joints.elements import WORLD
-from liegroup_core.motion_groups.table import FLOATING, FREE, ORDERS
+from liegroup_core.motion_groups.table import FLOATING, FREE
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
 from liegroup_core.threads import one_blas_thread
 
@@ -63,14 +63,6 @@ def relative_model(scene, model, in_space=False, group=None):
         gravity=model.gravity,
         bodies=records,
         parts=part_records,
-        order=np.array(
-            [
-                (record["freedom"] + k, link.components[k])
-                for link, record in zip(links, records)
-                for k in ORDERS[link.group]
-            ],
-            dtype=np.int64,
-        ).reshape(-1, 2),
         elements=elements,
         **switch_arrays(scene, links, records, arrays, elements, places),
         refinements=_refinements(scene, model, len(arrays["joints"]) > 0, normal),

@@ -12,7 +12,15 @@ from liegroup_core.lie.se3 import se3_ad
 from liegroup_core.lie.vec3 import add3, vector3
 
 from . import about_z
-from .elimination import WITHOUT, accelerate_direction, is_held, leave_direction, replaced
+from .elimination import (
+    WITHOUT,
+    accelerate_direction,
+    is_held,
+    leave_direction,
+    load_direction,
+    replaced,
+    without_helix,
+)
 
 # What the texts call.
 CALLED = {
@@ -21,11 +29,13 @@ CALLED = {
     "is_held": is_held,
     "math": math,
     "leave_direction": leave_direction,
+    "load_direction": load_direction,
     "se3_ad": se3_ad,
     "store_place": about_z.store_place,
     "turn": about_z.turn,
     "turn_of": about_z.turn_of,
     "vector3": vector3,
+    "without_helix": without_helix,
     **{f"without_{k}": without for k, without in enumerate(WITHOUT)},
 }
 Z = 5  # component of a translation along z
@@ -33,10 +43,7 @@ AT_JOINT = 'return vector3(link["point"])'  # position of T X without a translat
 
 
 def twist_of(components, number, pitch=False):
-    """S q as angular and linear part.
-
-    number : text of number {k} of q;  pitch : whether a translation along z goes with the first
-    """
+    """S q as angular and linear part; number: text of number {k} of q."""
     numbers = [number.format(k=k) for k in range(len(components))]
     parts = [numbers[components.index(c)] if c in components else "0.0" for c in range(6)]
     if 0 in components:
@@ -44,37 +51,58 @@ def twist_of(components, number, pitch=False):
     # All groups about z begin with the same line, which is then outside of their choice.
     parts = ["first" if part == numbers[0] else part for part in parts]
     if pitch:
-        parts[Z] = 'link["pitch"] * first'
+        parts[Z] = " + ".join(['link["pitch"] * first', *(p for p in parts[Z:] if p != "0.0")])
     twist = f"({', '.join(parts[:3])}), ({', '.join(parts[3:])})"
     return f"first = {numbers[0]}\nreturn {twist}"
 
 
-def _eliminate(components, order, held):
+def _rates_of(components, pitch):
+    lines = []
+    for k, c in enumerate(components):
+        less = ' - link["pitch"] * V[0][2]' if pitch and c == Z else ""
+        lines.append(f"rates[row, {k}] = V[{c // 3}][{c % 3}]{less}")
+    return "\n".join(lines)
+
+
+def _own_forces(components, pitch):
+    lines = [f"out[f + {k}] = F[{c // 3}][{c % 3}]" for k, c in enumerate(components)]
+    if pitch:
+        lines[0] += ' + link["pitch"] * F[1][2]'
+    return "\n".join(lines)
+
+
+def _eliminate(components, order, held, pitch):
     lines = []
     for k in order:
         unless = f"if not is_held(work, f + {k}): " if held else ""
-        lines.append(
-            f"{unless}m, torque, force = without_{components[k]}(work, f + {k}, m, torque, force)"
-        )
+        without = f"without_{components[k]}(work"
+        if pitch and k == 0:
+            without = 'without_helix(work, link["pitch"]'
+        lines.append(f"{unless}m, torque, force = {without}, f + {k}, m, torque, force)")
     return "\n".join([*lines, "return m, torque, force"])
 
 
-def _accelerate(components, order):
+def _accelerate(components, order, pitch):
     lines = []
     for k in reversed(order):
         lines.append(f"rate = accelerate_direction(work, f + {k}, w, v)")
         vector, c = _part(components[k], "w", "v")
         lines.append(f"{vector} = {replaced(vector, c, f'{vector}[{c}] + rate')}")
+        if pitch and k == 0:
+            lines.append('v = (v[0], v[1], v[2] + link["pitch"] * rate)')
     return "\n".join([*lines, "return w, v"])
 
 
-def _leave(components, order, held):
+def _wrench_without(components, order, held, pitch, one):
+    """A wrench without the freedoms; one: text that takes freedom {k}, the {position}th, with component {y}."""
     lines = []
     for position, k in enumerate(order):
         vector, c = _part(components[k], "w", "v")
-        at = f"place + {position} * rows"
-        lines.append(f"w, v = leave_direction(work, f + {k}, {vector}[{c}], {at}, w, v)")
-        left = f"0.0 if work.held[f + {k}] == 0.0 else {vector}[{c}]" if held else "0.0"
+        y, vanishes = f"{vector}[{c}]", [f"work.held[f + {k}] == 0.0"] * held
+        if pitch and k == 0:
+            y, vanishes = f'{y} + link["pitch"] * v[2]', ['link["pitch"] == 0.0', *vanishes]
+        lines.append(f"w, v = {one.format(k=k, position=position, y=y)}")
+        left = f"0.0 if {' and '.join(vanishes)} else {vector}[{c}]" if vanishes else "0.0"
         lines.append(f"{vector} = {replaced(vector, c, left)}")
     return "\n".join([*lines, "return w, v"])
 
@@ -107,7 +135,8 @@ def _on_coordinates_about_z(components, pitch):
         for c in shifts
     ]
     if pitch:
-        moves = ['out[row, 4] = coordinates[row, 4] + link["pitch"] * screws[at, 0]']
+        shift = ['link["pitch"] * screws[at, 0]', *(move.split(" + ", 1)[1] for move in moves)]
+        moves = [f"out[row, 4] = coordinates[row, 4] + ({' + '.join(shift)})"]
     if not turns:
         lines = ["out[row, 0], out[row, 1] = 1.0, 0.0", *moves, "return 0.0"]
         return functions | {"displace": "\n".join(lines)}
@@ -123,16 +152,20 @@ def _on_coordinates_about_z(components, pitch):
 
 def functions_of(components, order, held, pitch):
     """{name: function or its text} of a group, see table.SPACE."""
+    data, at = (components, order, held, pitch), "place + {position} * rows"
     coordinates = {"relative_point": AT_JOINT, "lift": "return"}
     if 0 not in components:
         coordinates = _on_coordinates_about_z(components, pitch)
     return {
         "rate_twist": twist_of(components, "rates[row, {k}]", pitch),
-        "move": twist_of(components, "psi[at + {k}, 0]", pitch),
+        "column_twist": twist_of(components, "psi[at + {k}, 0]", pitch),
         "add_rates": "w, v = add3(w, sw), add3(v, sv)\nreturn (w, v), se3_ad(w, v, sw, sv)",
-        "eliminate": _eliminate(components, order, held),
+        "rates_of": _rates_of(components, pitch),
+        "own_forces": _own_forces(components, pitch),
+        "eliminate": _eliminate(components, order, held, pitch),
         "hand_on": "return False, torque, force",
-        "accelerate": _accelerate(components, order),
-        "leave": _leave(components, order, held),
+        "accelerate": _accelerate(components, order, pitch),
+        "leave": _wrench_without(*data, f"leave_direction(work, f + {{k}}, {{y}}, {at}, w, v)"),
+        "load_freedoms": _wrench_without(*data, "load_direction(work, f + {k}, {y}, w, v)"),
         **coordinates,
     }

@@ -75,6 +75,17 @@ def leave_direction(work, f, y, place, torque, force):
 
 
 @kernel
+def load_direction(work, f, y, torque, force):
+    """Wrench -W less U y / D of freedom f, whose u is -y: W has its component."""
+    work.freedoms[f, 7] = -y
+    share = -y * work.freedoms[f, 6]
+    return (
+        axpy3(share, load3(work.freedoms, f, 0), torque),
+        axpy3(share, load3(work.freedoms, f, 3), force),
+    )
+
+
+@kernel
 def inverse_of(D):
     """1 / D; a freedom without inertia does not accelerate."""
     return 1.0 / D if D > 0.0 else 0.0
@@ -92,6 +103,25 @@ _SCALED = "s = (" + ", ".join(f"inverse * U[{c}]" for c in range(6)) + ")"
 reduced = made(
     "reduced", f"def reduced(m, U, inverse):\n    {_SCALED}\n    return ({_less()})\n", {}
 )
+
+
+@kernel
+def without_helix(work, pitch, f, m, torque, force):
+    """Inertia and bias force without freedom f, a rotation about z with a translation of pitch along z."""
+    U = (
+        m[2] + pitch * m[8],
+        m[4] + pitch * m[11],
+        m[5] + pitch * m[14],
+        m[12] + pitch * m[17],
+        m[13] + pitch * m[19],
+        m[14] + pitch * m[20],
+    )
+    u = -(torque[2] + pitch * force[2])
+    inverse = inverse_of(U[2] + pitch * U[5])
+    store_freedom(work, f, U, inverse, u)
+    share = u * inverse
+    torque = axpy3(share, (U[0], U[1], U[2]), torque)
+    return reduced(m, U, inverse), torque, axpy3(share, (U[3], U[4], U[5]), force)
 
 
 def _without(k):

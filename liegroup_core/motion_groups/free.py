@@ -57,7 +57,7 @@ def displace(link, coordinates, row, screws, at, out):
 
 @kernel
 def move_coordinates(link, coordinates, row, psi, at, out):
-    """X displaced by `move`: rotation and shift are independent of each other."""
+    """X displaced by a column: rotation and shift are independent of each other."""
     rot = load9(coordinates, row, 0)
     shift = matvec3(rot, (psi[at + 3, 0], psi[at + 4, 0], psi[at + 5, 0]))
     store3(add3(load3(coordinates, row, 9), shift), out, row, 9)

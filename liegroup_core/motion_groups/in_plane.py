@@ -100,7 +100,9 @@ def functions_of(components):
     moved = ", ".join(f"V[{c}]{' + rate' * (c == k)}" for c in range(3))
     return {
         "rate_twist": twist_of(components, "rates[row, {k}]"),
-        "move": twist_of(components, "psi[at + {k}, 0]"),
+        "column_twist": twist_of(components, "psi[at + {k}, 0]"),
+        "rates_of": "\n".join(f"rates[row, {n}] = V[{c - 2}]" for n, c in enumerate(components)),
+        "own_forces": "\n".join(f"out[f + {n}] = F[{c - 2}]" for n, c in enumerate(components)),
         "project_pose": f"c, s = {turn}\nplace_at(link, c, s, {x}, {y}, coordinates, row)",
         "eliminate": f"begin_freedom(work, f, m[{3 * k}], F[{k}])\nreturn m, F",
         "accelerate": f"rate = accelerate_at(work, f, E)\nreturn {moved}",

@@ -36,7 +36,7 @@ def displace(link, coordinates, row, screws, at, out):
 
 @kernel
 def move_coordinates(link, coordinates, row, psi, at, out):
-    """X displaced by `move`: rotation and shift are independent of each other."""
+    """X displaced by a column: rotation and shift are independent of each other."""
     c, s, x, y = coordinates[row, 0], coordinates[row, 1], psi[at + 1, 0], psi[at + 2, 0]
     out[row, 2] = coordinates[row, 2] + (c * x - s * y)
     out[row, 3] = coordinates[row, 3] + (s * x + c * y)

@@ -39,7 +39,7 @@ FLOATING = {"se3": FREE, "so3xr3": DIRECT}
 COMPONENTS = tuple(group.COMPONENTS for group in GROUPS)
 FIRST_OF_ALL_AXES = next(code for code, components in enumerate(COMPONENTS) if 0 in components)
 FREEDOMS = tuple(map(len, COMPONENTS))
-ORDERS = tuple(getattr(group, "ORDER", tuple(range(len(group.COMPONENTS)))) for group in GROUPS)
+ORDERS = tuple(getattr(group, "ORDER", range(len(group.COMPONENTS))) for group in GROUPS)
 PLANE_COMPONENTS = {
     code: group.PLANE_COMPONENTS
     for code, group in enumerate(GROUPS)
@@ -54,23 +54,27 @@ SPACE = {
     "project_pose": "rot, p, coordinates, row",  # X nearest to a pose in the joint's frame
     "coordinate": "coordinates, row",  # angle in [-pi, pi], or displacement of a slide
     "rate_twist": "rates, row",  # S qdot
+    "rates_of": "V, rates, row",  # qdot of a twist S qdot
+    "own_forces": "F, out, f",  # S^T F
     "add_rates": "sw, sv, w, v",  # V and [V, S qdot]
     "displace": "coordinates, row, screws, at, out",  # X exp(Psi); its squared angle
     "displace_by_twist": "coordinates, row, screws, at, out",  # the same for Psi in link axes
     "lift": "coordinates, row, screws, at, out",  # its translation along z beside a rotation
     "normalise": "coordinates, row",  # X without round-off
     "slope": "first, b, u, rates, row, slopes, at",  # dexp^-1 of the rates, where that is curved
-    "move": "psi, at",  # displacement of a RATTLE step: rotation vector, shift
-    "move_coordinates": "coordinates, row, psi, at, out",  # X displaced by it
+    "column_twist": "psi, at",  # S psi for a column psi; a displacement as rotation vector and shift
+    "move_coordinates": "coordinates, row, psi, at, out",  # X displaced by that
     "eliminate": "work, f, m, torque, force",  # inertia and bias force without the freedoms
     "hand_on": "work, b, m, torque, force",  # what is left, added to the parent in a short form
     "accelerate": "work, f, w, v",  # acceleration with that of the freedoms
     "leave": "work, f, place, rows, w, v",  # a wrench without them, and its responses
+    "load_freedoms": "work, f, w, v",  # the same with u of the freedoms for the wrench -(w, v)
 }
 # The same for a planar mechanism: see in_plane.py.
 IN_PLANE = {
     **{name: SPACE[name] for name in ("project_pose", "coordinate", "rate_twist", "displace")},
-    **{name: SPACE[name] for name in ("normalise", "move", "move_coordinates")},
+    **{name: SPACE[name] for name in ("rates_of", "own_forces")},
+    **{name: SPACE[name] for name in ("normalise", "column_twist", "move_coordinates")},
     "add_rates": "S, V",  # V and the translation of [V, S qdot]
     "eliminate": "work, f, m, F",  # freedoms leave an articulated body, or do so in hand_on
     "hand_on": "work, row, m, F",  # what is left, added to the parent
@@ -79,11 +83,11 @@ IN_PLANE = {
 }
 
 
-def functions_of(code):
+def functions_of(group):
     """{name: function of a group, or its text}; without those that sweeps do not ask."""
-    group = GROUPS[code]
+    order = getattr(group, "ORDER", range(len(group.COMPONENTS)))
     held, pitch = getattr(group, "MAY_BE_HELD", False), getattr(group, "HAS_PITCH", False)
-    found = derived.functions_of(COMPONENTS[code], ORDERS[code], held, pitch)
+    found = derived.functions_of(group.COMPONENTS, order, held, pitch)
     return found | {name: getattr(group, name) for name in SPACE if hasattr(group, name)}
 
 
@@ -144,7 +148,7 @@ def _kernel(name, arguments, body, called):
     return made(name, text, called | {"__name__": __name__})
 
 
-_FUNCTIONS = [functions_of(code) for code in range(len(GROUPS))]
+_FUNCTIONS = list(map(functions_of, GROUPS))
 
 
 def _chosen(name, other=None):
@@ -166,9 +170,11 @@ coordinate = choice(
 relative_rotation, relative_point = _chosen("relative_rotation"), _chosen("relative_point")
 project_pose, normalise = _chosen("project_pose"), _chosen("normalise")
 rate_twist, add_rates = _chosen("rate_twist"), _chosen("add_rates")
-move, move_coordinates = _chosen("move"), _chosen("move_coordinates", displace)
+rates_of, own_forces = _chosen("rates_of"), _chosen("own_forces")
+column_twist, move_coordinates = _chosen("column_twist"), _chosen("move_coordinates", displace)
 eliminate, hand_on = _chosen("eliminate"), _chosen("hand_on")
 accelerate, leave = _chosen("accelerate"), _chosen("leave")
+load_freedoms = _chosen("load_freedoms")
 
 
 @kernel
@@ -209,9 +215,11 @@ def _in_plane(name, other=None):
 
 plane_project_pose, plane_coordinate = _in_plane("project_pose"), _in_plane("coordinate")
 plane_rate_twist, plane_add_rates = _in_plane("rate_twist"), _in_plane("add_rates")
+plane_rates_of, plane_own_forces = _in_plane("rates_of"), _in_plane("own_forces")
 plane_displace, plane_normalise = _in_plane("displace"), _in_plane("normalise")
 plane_displace_by_twist = plane_displace
-plane_move, plane_move_coordinates = _in_plane("move"), _in_plane("move_coordinates", "displace")
+plane_column_twist = _in_plane("column_twist")
+plane_move_coordinates = _in_plane("move_coordinates", "displace")
 plane_eliminate, plane_hand_on = _in_plane("eliminate"), _in_plane("hand_on")
 plane_accelerate, plane_leave = _in_plane("accelerate"), _in_plane("leave")
 

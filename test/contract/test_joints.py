@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Contract of every joint type. A new type only needs its parameters in PARAMETERS."""
+"""Contract of every joint type. A new type only needs its parameters in PARAMETERS of test/mechanisms.py."""
 
 import math
 from typing import get_args
@@ -22,24 +22,19 @@ from liegroup_core.joints.kinds import (
 from liegroup_core.lie.groups import SE3
 
 ENDS = {"name": "j", "parent": "world", "child": "b", "parent_frame": {}, "child_frame": {}}
-# The parameters of each type that has some.
-PARAMETERS = {"screw": {"pitch": 0.3}} | {
-    kind: {"length": 0.7} for kind in ("distance", "cable", "strut")
-}
 EPS = np.finfo(float).eps
 
 
 def example(kind):
-    """Joint of a type, with its parameters from PARAMETERS."""
-    (cls,) = (cls for cls in JOINTS if kind in get_args(cls.model_fields["type"].annotation))
-    return cls(**ENDS, type=kind, **PARAMETERS.get(kind, {}))
+    """Joint of a type."""
+    return mechanisms.joint(kind, **ENDS | mechanisms.parameters(kind))
 
 
 def closed_pose(kind, rng):
     """Pose (4, 4) that satisfies the joint, reached along its free directions from the start."""
     C = np.eye(4)
     if kind == "distance":
-        C[:3, 3] = PARAMETERS[kind]["length"], 0.0, 0.0
+        C[:3, 3] = mechanisms.PARAMETERS["length"], 0.0, 0.0
     elements = example(kind).elements(C)
     for _ in range(300):
         rows = forbidden_rows(elements, C)

@@ -5,6 +5,10 @@ A further group is tested by its line in the table. The references are exp and A
 algebra with the columns of S, from the data of the group alone.
 """
 
+import itertools
+from types import SimpleNamespace
+from unittest import mock
+
 import numpy as np
 import pytest
 
@@ -12,15 +16,46 @@ from liegroup_core.compiling import Struct
 from liegroup_core.lie import SE3, SO3
 from liegroup_core.lie.coefficients import dexpinv_coefficients
 from liegroup_core.mechanism.arrays import LINK, PLANE_LINK
-from liegroup_core.motion_groups import direct, table
+from liegroup_core.motion_groups import derived, direct, table
 from liegroup_core.motion_groups.elimination import ENTRIES
 
 CODES = range(len(table.GROUPS))
-NAMES = [group.__name__.rpartition(".")[2] for group in table.GROUPS]
 PITCH = 0.3
 CLOSE = dict(rtol=1e-12, atol=1e-12)
 
-every_group = pytest.mark.parametrize("code", CODES, ids=NAMES)
+
+class HelicalSpline:
+    """A pair of data alone, as one who adds it would write its file: a turn, and a slide beside its thread."""
+
+    COMPONENTS, ORDER = (2, 5), (1, 0)
+    MAY_BE_HELD = HAS_PITCH = True
+
+
+def functions_alone():
+    """The functions of table.py for HelicalSpline alone."""
+    functions = table.functions_of(HelicalSpline)
+    found = {}
+    with mock.patch.dict(derived.CALLED):
+        for name in sorted(functions, key=lambda name: name != "lift"):  # displace calls it
+            found[name] = table.choice(name, table.SPACE[name], {0: functions[name]})
+            derived.CALLED["lift"] = found["lift"]
+
+    def relative_pose(link, coordinates, row):
+        parts = found["relative_rotation"], found["relative_point"]
+        return [part(link, coordinates, row) for part in parts]
+
+    found |= {"relative_pose": relative_pose, "displace_by_twist": found["displace"]}
+    found |= {"move_coordinates": found["displace"]}
+    return SimpleNamespace(**found, is_curved=lambda link: False, in_world_axes=lambda link: False)
+
+
+GROUPS = (*table.GROUPS, HelicalSpline)
+NAMES = [group.__name__.rpartition(".")[2] for group in GROUPS]
+every_group = pytest.mark.parametrize("code", range(len(GROUPS)), ids=NAMES)
+
+
+def may_be_held(code):
+    return getattr(GROUPS[code], "MAY_BE_HELD", False)
 
 
 class Scratch(Struct):
@@ -42,9 +77,12 @@ class Case:
 
     def __init__(self, code):
         self.rng = rng = np.random.default_rng(code)
-        self.count = table.FREEDOMS[code]
-        self.S = np.eye(6)[:, list(table.COMPONENTS[code])]
-        pitch = PITCH if getattr(table.GROUPS[code], "HAS_PITCH", False) else 0.0
+        group = GROUPS[code]
+        self.ask = table if group in table.GROUPS else functions_alone()
+        self.count = len(group.COMPONENTS)
+        self.order = list(getattr(group, "ORDER", range(self.count)))
+        self.S = np.eye(6)[:, list(group.COMPONENTS)]
+        pitch = PITCH if getattr(group, "HAS_PITCH", False) else 0.0
         self.S[5, 0] += pitch
         self.T = SE3.exp(rng.uniform(-1.0, 1.0, 6))
         records = np.zeros(1, dtype=LINK)
@@ -52,9 +90,8 @@ class Case:
         record["group"], record["freedoms"], record["pitch"] = code, self.count, pitch
         record["rotation"], record["point"] = self.T[:3, :3].ravel(), self.T[:3, 3]
         self.coordinates = np.zeros((1, 12))
-        self.X = SE3.exp(
-            self.S @ rng.uniform(3.5, 4.0, self.count)
-        )  # a screw is in its second turn
+        # A screw is in its second turn.
+        self.X = SE3.exp(self.S @ rng.uniform(3.5, 4.0, self.count))
         self.project(self.X, self.coordinates)
         self.work = Scratch(
             freedoms=np.zeros((self.count, 8)),
@@ -69,24 +106,24 @@ class Case:
         )
 
     def project(self, X, coordinates):
-        table.project_pose(self.link, tuple(X[:3, :3].ravel()), tuple(X[:3, 3]), coordinates, 0)
+        self.ask.project_pose(self.link, tuple(X[:3, :3].ravel()), tuple(X[:3, 3]), coordinates, 0)
 
     def pose(self, coordinates):
         """T X as a matrix."""
-        rot, p = table.relative_pose(self.link, coordinates, 0)
+        rot, p = self.ask.relative_pose(self.link, coordinates, 0)
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = np.reshape(rot, (3, 3)), p
         return pose
 
-    def displaced(self, psi, displace=table.displace):
+    def displaced(self, psi, by="displace"):
         out = self.coordinates.copy()
-        square = displace(self.link, self.coordinates, 0, psi.reshape(-1, 1), 0, out)
+        square = getattr(self.ask, by)(self.link, self.coordinates, 0, psi.reshape(-1, 1), 0, out)
         return out, square
 
     @property
     def is_direct(self):
         """Whether rotation and position are products of their own."""
-        return table.in_world_axes(self.link)
+        return self.ask.in_world_axes(self.link)
 
     def displaced_densely(self, psi):
         """X exp(Psi) as a matrix."""
@@ -131,7 +168,7 @@ def test_displace_multiplies_by_exp_and_back(code, size):
     out, square = case.displaced(psi)
     np.testing.assert_allclose(case.pose(out), case.T @ case.displaced_densely(psi), **CLOSE)
     np.testing.assert_allclose(square, ((case.S @ psi)[:3] ** 2).sum(), **CLOSE)
-    table.displace(case.link, out, 0, -psi.reshape(-1, 1), 0, out)
+    case.ask.displace(case.link, out, 0, -psi.reshape(-1, 1), 0, out)
     np.testing.assert_allclose(out, case.coordinates, **CLOSE)
 
 
@@ -141,21 +178,34 @@ def test_rate_twist_is_the_derivative_of_the_pose(code):
     rates = case.numbers(1.0)
     row = np.zeros((1, 6))
     row[0, : case.count] = rates
-    twist = np.concatenate(table.rate_twist(case.link, row, 0))
+    twist = np.concatenate(case.ask.rate_twist(case.link, row, 0))
     np.testing.assert_array_equal(twist, case.S @ rates)
     step = 1e-5
     after, before = (
-        case.pose(case.displaced(h * rates, table.displace_by_twist)[0]) for h in (step, -step)
+        case.pose(case.displaced(h * rates, "displace_by_twist")[0]) for h in (step, -step)
     )
     slope = SE3.log(SE3.inverse(before) @ after) / (2.0 * step)
     np.testing.assert_allclose(twist, slope, atol=1e-9)
 
 
 @every_group
+def test_rates_and_forces_of_the_freedoms_follow_from_twists_and_wrenches(code):
+    case = Case(code)
+    rates, F = case.numbers(1.0), case.rng.uniform(-1.0, 1.0, 6)
+    row, forces = np.zeros((1, 6)), np.zeros(case.count + 1)
+    case.ask.rates_of(case.link, pair(case.S @ rates), row, 0)
+    np.testing.assert_allclose(row[0, : case.count], rates, **CLOSE)
+    case.ask.own_forces(case.link, pair(F), forces, 1)
+    np.testing.assert_allclose(forces[1:], case.S.T @ F, **CLOSE)
+    twist = np.concatenate(case.ask.column_twist(case.link, rates.reshape(-1, 1), 0))
+    np.testing.assert_array_equal(twist, case.S @ rates)
+
+
+@every_group
 def test_add_rates_adds_the_twist_and_finds_its_bracket(code):
     case = Case(code)
     own, above = case.S @ case.numbers(1.0), case.rng.uniform(-1.0, 1.0, 6)
-    (w, v), (cw, cv) = table.add_rates(case.link, *pair(own), *pair(above))
+    (w, v), (cw, cv) = case.ask.add_rates(case.link, *pair(own), *pair(above))
     V = np.concatenate([w, v])
     np.testing.assert_allclose(V, above + own, **CLOSE)
     np.testing.assert_allclose(np.concatenate([cw, cv]), SE3.ad(V) @ own, **CLOSE)
@@ -166,11 +216,11 @@ def test_normalise_removes_round_off_and_nothing_else(code):
     case = Case(code)
     out, kept = case.coordinates.copy(), case.coordinates.copy()
     out[0, :2] *= 1.0 + 1e-9
-    table.normalise(case.link, out, 0)
+    case.ask.normalise(case.link, out, 0)
     rot = case.pose(out)[:3, :3]
-    if 2 in table.COMPONENTS[code]:  # a slide never leaves its group
+    if case.S[:3].any():  # a slide never leaves its group
         np.testing.assert_allclose(rot @ rot.T, np.eye(3), atol=1e-14)
-    table.normalise(case.link, kept, 0)
+    case.ask.normalise(case.link, kept, 0)
     np.testing.assert_allclose(kept, case.coordinates, atol=1e-15)
 
 
@@ -180,9 +230,9 @@ def test_slope_is_the_inverse_of_dexp_on_the_algebra(code):
     psi, rates = case.numbers(1.0), case.numbers(1.0)
     slopes, row = psi.reshape(-1, 1).copy(), np.zeros((1, 6))
     row[0, : case.count] = rates
-    if table.is_curved(case.link):
+    if case.ask.is_curved(case.link):
         b, u = dexpinv_coefficients(float(((case.S @ psi)[:3] ** 2).sum()))
-        table.slope(case.link, 0.5, b, u, row, 0, slopes, 0)
+        case.ask.slope(case.link, 0.5, b, u, row, 0, slopes, 0)
         rates_of_psi = slopes[:, 0]
     else:
         rates_of_psi = rates
@@ -201,7 +251,7 @@ def test_velocities_of_direct_products_are_those_of_the_position():
     for t in (-h, 0.0, h):
         # the pose after t: twist and its derivative, up to t^3
         psi = np.array([*w, *v]) * t + np.array([*dw, *dv]) * t * t / 2.0
-        at.append(case.displaced(psi, table.displace_by_twist)[0][0, 9:])
+        at.append(case.displaced(psi, "displace_by_twist")[0][0, 9:])
     coordinates = case.coordinates
     first, second = (at[2] - at[0]) / (2.0 * h), (at[2] - 2.0 * at[1] + at[0]) / h**2
     velocity = direct.to_world(coordinates, 0, v)
@@ -216,11 +266,11 @@ def test_velocities_of_direct_products_are_those_of_the_position():
 def test_move_coordinates_displaces_by_rotation_and_shift(code):
     case = Case(code)
     psi = case.numbers(0.7).reshape(-1, 1)
-    turn, shift = table.move(case.link, psi, 0)
+    turn, shift = case.ask.column_twist(case.link, psi, 0)
     step = np.eye(4)
     step[:3, :3], step[:3, 3] = SO3.exp(np.array(turn)), shift
     out = case.coordinates.copy()
-    table.move_coordinates(case.link, out, 0, psi, 0, out)
+    case.ask.move_coordinates(case.link, out, 0, psi, 0, out)
     np.testing.assert_allclose(case.pose(out), case.T @ case.X @ step, **CLOSE)
 
 
@@ -229,7 +279,7 @@ def eliminated(case):
     root = case.rng.uniform(-1.0, 1.0, (6, 6))
     I, p = root @ root.T + np.eye(6), case.rng.uniform(-1.0, 1.0, 6)
     m = tuple(I[i, j] for i, j in ENTRIES)
-    m, torque, force = table.eliminate(case.link, case.work, 0, m, *pair(p))
+    m, torque, force = case.ask.eliminate(case.link, case.work, 0, m, *pair(p))
     return I, p, m, np.concatenate([torque, force])
 
 
@@ -246,33 +296,53 @@ def test_eliminated_freedoms_leave_the_schur_complement(code):
             assert not (case.S.T @ dense(m)).any() and not (case.S.T @ left).any()
 
 
-@every_group
-def test_accelerations_and_responses_are_those_of_the_dense_equations(code):
+@pytest.mark.parametrize(
+    "code, held",
+    [
+        (code, held)
+        for code, group in enumerate(GROUPS)
+        for held in itertools.product((0.0, 1.0), repeat=len(group.COMPONENTS))
+        if may_be_held(code) or not any(held)
+    ],
+    ids=lambda value: value if isinstance(value, tuple) else NAMES[value],
+)
+def test_accelerations_and_responses_are_those_of_the_dense_equations(code, held):
+    """Whichever freedoms are held: these stay in the inertia."""
     case = Case(code)
-    I, p, _, _ = eliminated(case)
-    D = np.linalg.inv(case.S.T @ I @ case.S)
+    case.work.held[:] = held
+    I, p, m, _ = eliminated(case)
+    free = np.diag(1.0 - np.array(held))
+    D = np.linalg.pinv(free @ case.S.T @ I @ case.S @ free)
+    if case.count < 6:
+        np.testing.assert_allclose(dense(m), I - I @ case.S @ D @ case.S.T @ I, **CLOSE)
     above, W = case.rng.uniform(-1.0, 1.0, (2, 6))
     rates = -D @ case.S.T @ (p + I @ above)
-    moved = np.concatenate(table.accelerate(case.link, case.work, 0, *pair(above)))
+    moved = np.concatenate(case.ask.accelerate(case.link, case.work, 0, *pair(above)))
     np.testing.assert_allclose(case.work.acceleration[:, 0], rates, **CLOSE)
     np.testing.assert_allclose(moved, above + case.S @ rates, **CLOSE)
-    left = np.concatenate(table.leave(case.link, case.work, 0, 0, 1, *pair(W)))
-    np.testing.assert_allclose(left, W - I @ case.S @ D @ case.S.T @ W, **CLOSE)
-    order = list(table.ORDERS[code])
-    mobility = (case.work.response**2 * case.work.freedoms[order, 6]).sum()
+    expected = W - I @ case.S @ D @ case.S.T @ W
+    left = np.concatenate(case.ask.leave(case.link, case.work, 0, 0, 1, *pair(W)))
+    np.testing.assert_allclose(left, expected, **CLOSE)
+    mobility = (case.work.response**2 * case.work.freedoms[case.order, 6]).sum()
     np.testing.assert_allclose(mobility, W @ case.S @ D @ case.S.T @ W, **CLOSE)
+    # u for the wrench -W is what accelerations under it follow from.
+    left = np.concatenate(case.ask.load_freedoms(case.link, case.work, 0, *pair(W)))
+    np.testing.assert_allclose(left, expected, **CLOSE)
+    case.ask.accelerate(case.link, case.work, 0, *pair(above))
+    rates = -D @ case.S.T @ (W + I @ above)
+    np.testing.assert_allclose(case.work.acceleration[:, 0], rates, **CLOSE)
 
 
 @every_group
 def test_what_is_left_is_handed_on_as_a_whole_inertia_would_be(code):
     case = Case(code)
     own, above = case.S @ case.numbers(1.0), case.rng.uniform(-1.0, 1.0, 6)
-    _, drift = table.add_rates(case.link, *pair(own), *pair(above))
+    _, drift = case.ask.add_rates(case.link, *pair(own), *pair(above))
     _, _, m, left = eliminated(case)
     C = case.T @ case.X
     case.work.drift[1] = np.concatenate(drift)
     case.work.relative[1] = [*C[:3, :3].ravel(), *C[:3, 3]]
-    short, torque, force = table.hand_on(case.link, case.work, 1, m, *pair(left))
+    short, torque, force = case.ask.hand_on(case.link, case.work, 1, m, *pair(left))
     if short:
         X = SE3.Ad(SE3.inverse(C))
         np.testing.assert_allclose(dense(case.work.inertia[0]), X.T @ dense(m) @ X, **CLOSE)
@@ -284,20 +354,13 @@ def test_what_is_left_is_handed_on_as_a_whole_inertia_would_be(code):
 
 
 @pytest.mark.parametrize(
-    "code", [code for code in CODES if getattr(table.GROUPS[code], "MAY_BE_HELD", False)]
+    "code", list(filter(may_be_held, range(len(GROUPS)))), ids=NAMES.__getitem__
 )
-def test_a_held_freedom_stays_in_the_inertia(code):
+def test_an_inertia_with_a_held_freedom_is_handed_on_as_a_whole(code):
     case = Case(code)
     case.work.held[:] = 1.0
-    I, p, m, left = eliminated(case)
-    np.testing.assert_array_equal(dense(m), dense([I[i, j] for i, j in ENTRIES]))
-    np.testing.assert_array_equal(left, p)
-    above, W = case.rng.uniform(-1.0, 1.0, (2, 6))
-    moved = np.concatenate(table.accelerate(case.link, case.work, 0, *pair(above)))
-    np.testing.assert_array_equal(moved, above)
-    left = np.concatenate(table.leave(case.link, case.work, 0, 0, 1, *pair(W)))
-    np.testing.assert_array_equal(left, W)
-    short, *_ = table.hand_on(case.link, case.work, 1, m, *pair(p))
+    _, p, m, _ = eliminated(case)
+    short, *_ = case.ask.hand_on(case.link, case.work, 1, m, *pair(p))
     assert not short
 
 
@@ -375,7 +438,7 @@ def test_coordinates_in_a_plane_are_those_in_space(code):
     out, square = case.displaced(psi, table.plane_displace)
     np.testing.assert_allclose(case.pose(out), case.T @ case.X @ SE3.exp(case.S @ psi), **CLOSE)
     np.testing.assert_allclose(square, ((case.S @ psi)[:3] ** 2).sum(), **CLOSE)
-    turn, x, y = table.plane_move(case.link, psi.reshape(-1, 1), 0)
+    turn, x, y = table.plane_column_twist(case.link, psi.reshape(-1, 1), 0)
     step = SE3.exp([0.0, 0.0, turn, 0.0, 0.0, 0.0])
     step[:2, 3] = x, y
     out, _ = case.displaced(psi, table.plane_move_coordinates)
@@ -399,6 +462,11 @@ def test_rates_in_a_plane_are_those_in_space(code):
     rates[0, : case.count] = case.numbers(1.0)
     own = table.plane_rate_twist(case.link, rates, 0)
     np.testing.assert_array_equal(case.in_space(own), case.S @ rates[0, : case.count])
+    found, forces = np.zeros((1, 6)), np.zeros(case.count)
+    table.plane_rates_of(case.link, own, found, 0)
+    np.testing.assert_array_equal(found, rates)
+    table.plane_own_forces(case.link, tuple(above), forces, 0)
+    np.testing.assert_array_equal(forces, case.S[case.KEPT].T @ above)
     V, bracket = table.plane_add_rates(case.link, own, tuple(above))
     np.testing.assert_allclose(V, above + own, **CLOSE)
     expected = SE3.ad(case.in_space(V)) @ case.in_space(own)

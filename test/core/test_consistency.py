@@ -208,20 +208,14 @@ def allowed_velocity(rng, kind, axes, way, cross_axis):
     way  : from its origin to that of the child's one; cross_axis: y axis of the child's frame
     """
     x, y, z = axes.T
-    a, b, c = rng.normal(size=3)
-    still, any_turn = np.zeros(3), rng.normal(size=3)
-    across = np.cross(way, any_turn)  # keeps the distance
-    return {
-        "spherical": (any_turn, still),
-        "revolute": (a * z, still),
-        "prismatic": (still, b * z),
-        "cylindrical": (a * z, b * z),
-        "planar": (a * z, b * x + c * y),
-        "screw": (a * z, a * mechanisms.PITCH * z),
-        "fixed": (still, still),
-        "universal": (a * x + b * cross_axis, still),
-        "distance": (any_turn, across),
-    }[kind]
+    any_turn = rng.normal(size=3)
+    if kind == "distance":
+        return any_turn, np.cross(way, any_turn)  # keeps the distance
+    if kind == "universal":
+        return axes[:, 0] * rng.normal() + cross_axis * rng.normal(), np.zeros(3)
+    free = mechanisms.directions(kind)
+    twist = rng.normal(size=len(free)) @ free
+    return axes @ twist[:3], axes @ twist[3:]
 
 
 def forbidden_direction(kind, axes, way):

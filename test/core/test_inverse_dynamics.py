@@ -36,7 +36,7 @@ def solved(scene, wrenches, space):
 def forces(model, work, rates):
     """Forces (f,) of the joint accelerations `rates`."""
     out = np.zeros(len(rates))
-    inverse_dynamics(model, work, np.ascontiguousarray(rates), out)
+    inverse_dynamics(model, work, rates.reshape(-1, 1), out)
     return out
 
 

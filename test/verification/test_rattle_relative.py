@@ -40,6 +40,7 @@ def scenes():
         ("world", "g", None),
         ("g", "h", "revolute"),
     ]
+    every = mechanisms.with_every_pair(every)
     found = {
         "every joint": mechanisms.mechanism(np.random.default_rng(3), every),
         "every joint, a loop": mechanisms.mechanism(

@@ -48,15 +48,13 @@ def make_memory(freedoms, rows):
     """Allocate a Memory."""
     size = freedoms + rows
     return Memory(
-        **{
-            name: np.zeros(freedoms)
-            for name in ("rate", "mean", "old", "velocity", "end", "body_rate")
-        },
+        **{name: np.zeros(freedoms) for name in ("rate", "mean", "old", "velocity", "end")},
         **{
             name: np.zeros(size)
             for name in ("x", "start", "residual", "base", "correction", "next")
         },
         psi=np.zeros((freedoms, 1)),
+        body_rate=np.zeros((freedoms, 1)),
         matrix=np.zeros((size, size)),
         pivots=np.zeros(size, dtype=np.int64),
         factored=np.zeros(1),

@@ -11,6 +11,7 @@ joints, lambda their multipliers.
 from liegroup_core.compiling import borrowed, kernel, subroutine
 from liegroup_core.dynamics import state as link_state
 from liegroup_core.dynamics.accelerations import accelerations, apply_forces
+from liegroup_core.dynamics.algebra import is_direct
 from liegroup_core.dynamics.coordinates import displace, lift_links, normalise, place_links
 from liegroup_core.dynamics.coupled_rows import set_gap
 from liegroup_core.dynamics.inverse_dynamics import inverse_dynamics
@@ -22,7 +23,6 @@ from liegroup_core.forces import kinds as forces
 from liegroup_core.lie.vec3 import load3, load_column, store3
 from liegroup_core.methods.checks import end_status, rotation_status
 from liegroup_core.motion_groups.direct import to_link, to_link_rate, to_world, to_world_rate
-from liegroup_core.motion_groups.table import in_world_axes
 from liegroup_core.status import OK
 
 from .arrays import set_end, set_size, sigma
@@ -36,7 +36,7 @@ def begin(model, work, memory, pose, twist):
         first = model.bodies[b]["freedom"]
         for k in range(model.bodies[b]["freedoms"]):
             memory.velocity[first + k] = twist[n + b, k]
-        if in_world_axes(model.bodies[b]):
+        if is_direct(model, model.bodies[b]):
             v = to_world(pose, n + b, load3(twist, n + b, 3))
             memory.velocity[first + 3], memory.velocity[first + 4], memory.velocity[first + 5] = v
 
@@ -54,7 +54,7 @@ def set_unknowns(model, work, memory, pose, twist, external):
         memory.x[k] = work.acceleration[k, 0]
     n = len(model.parts)
     for b in range(len(model.bodies)):
-        if in_world_axes(model.bodies[b]):
+        if is_direct(model, model.bodies[b]):
             at, w, v = (
                 model.bodies[b]["freedom"] + 3,
                 load3(twist, n + b, 0),
@@ -80,15 +80,15 @@ def move(model, work, memory, numbers, h, pose):
             largest = rotation
         for k in range(model.bodies[b]["freedoms"]):
             work.stage_twist[n + b, k] = memory.end[first + k]
-            memory.body_rate[first + k] = memory.x[first + k]
-        if in_world_axes(model.bodies[b]):
+            memory.body_rate[first + k, 0] = memory.x[first + k]
+        if is_direct(model, model.bodies[b]):
             v = to_link(work.stage_pose, n + b, load3(work.stage_twist, n + b, 3))
             store3(v, work.stage_twist, n + b, 3)
             rate = memory.x[first + 3], memory.x[first + 4], memory.x[first + 5]
             w = load3(work.stage_twist, n + b, 0)
             rate = to_link_rate(work.stage_pose, n + b, w, v, rate)
-            memory.body_rate[first + 3], memory.body_rate[first + 4] = rate[0], rate[1]
-            memory.body_rate[first + 5] = rate[2]
+            memory.body_rate[first + 3, 0], memory.body_rate[first + 4, 0] = rate[0], rate[1]
+            memory.body_rate[first + 5, 0] = rate[2]
     work.report[1] = max(work.report[1], largest)
     return rotation_status(largest)
 

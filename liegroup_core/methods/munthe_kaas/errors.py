@@ -5,13 +5,12 @@ The differences of the freedoms add up along the tree: links come in the order o
 """
 
 from liegroup_core.compiling import kernel
-from liegroup_core.dynamics.algebra import lifted, link_of, rate_twist, relative, spatial
+from liegroup_core.dynamics.algebra import is_direct, lifted, link_of, rate_twist, relative, spatial
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.se3 import se3_Ad_inverse
 from liegroup_core.lie.vec3 import add3, cross3, load3, store3, vector3
 from liegroup_core.methods.checks import error_norm_square
 from liegroup_core.motion_groups.direct import to_link
-from liegroup_core.motion_groups.table import in_world_axes
 
 
 @kernel
@@ -46,7 +45,7 @@ def _of_link(model, work, i, place):
     rate = spatial(model, rate_twist(model, link, work.difference, 1))
     a = link["parent"]
     if a == WORLD:
-        if in_world_axes(link):
+        if is_direct(model, link):
             pose, at = work.stage_pose, len(model.parts) + i
             return moved[0], to_link(pose, at, moved[1]), rate[0], to_link(pose, at, rate[1])
         return moved[0], moved[1], rate[0], rate[1]

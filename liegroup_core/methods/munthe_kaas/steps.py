@@ -9,6 +9,7 @@ import math
 
 from liegroup_core.compiling import kernel
 from liegroup_core.dynamics.accelerations import accelerations
+from liegroup_core.dynamics.algebra import is_direct
 from liegroup_core.dynamics.coordinates import displace, normalise
 from liegroup_core.dynamics.loads import UNSETTLED
 from liegroup_core.dynamics.loops import project
@@ -22,8 +23,7 @@ from liegroup_core.forces import kinds
 from liegroup_core.lie.vec3 import dot3, load3, load_column, store3, store_column
 from liegroup_core.methods.checks import end_status
 from liegroup_core.motion_groups.direct import to_link, to_world, to_world_rate
-from liegroup_core.motion_groups.table import in_world_axes, is_curved, slope
-from liegroup_core.motion_groups.table import move as displacement
+from liegroup_core.motion_groups.table import column_twist, is_curved, slope
 from liegroup_core.status import (
     LARGEST_ROTATION,
     NO_FRICTION,
@@ -70,7 +70,7 @@ def move(model, work, scheme, h, stage, end, pose):
         work.stage_twist[n + b, 0] = work.velocity[b, 0] + work.slopes[f, 1]
         for k in range(1, link["freedoms"]):
             work.stage_twist[n + b, k] = work.velocity[b, k] + work.slopes[f + k, 1]
-        if in_world_axes(link):
+        if is_direct(model, link):
             v = to_link(work.stage_pose, n + b, load3(work.stage_twist, n + b, 3))
             store3(v, work.stage_twist, n + b, 3)
     if not largest < LARGEST_ROTATION * LARGEST_ROTATION:
@@ -102,7 +102,7 @@ def store_slopes(model, work, scheme, stage):
         at = first + f
         # At stage 0 Psi is zero, and dexp^-1 the identity.
         if stage > 0 and is_curved(link):
-            turn, _ = displacement(link, work.slopes, at)
+            turn, _ = column_twist(link, work.slopes, at)
             factor, b_x, u_x = dexpinv_series(scheme, dot3(turn, turn))
             slope(link, factor, b_x, u_x, work.stage_twist, row, work.slopes, at)
         else:
@@ -110,7 +110,7 @@ def store_slopes(model, work, scheme, stage):
                 work.slopes[at + k, 0] = work.stage_twist[row, k]
         for k in range(link["freedoms"]):
             work.slopes[at + k, 1] = work.acceleration[f + k, 0]
-        if in_world_axes(link):
+        if is_direct(model, link):
             w, v = load3(work.stage_twist, row, 0), load3(work.stage_twist, row, 3)
             rate = load_column(work.slopes, at + 3, 1)
             store_column(to_world(work.stage_pose, row, v), work.slopes, at + 3, 0)

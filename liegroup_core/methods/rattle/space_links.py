@@ -99,7 +99,7 @@ def displace_links(model, work, memory, h):
     for b in range(len(model.bodies)):
         link = model.bodies[b]
         a = link["parent"]
-        x, t = table.move(link, memory.psi, link["freedom"])
+        x, t = table.column_twist(link, memory.psi, link["freedom"])
         c, q, angle = _half_turn(x)
         if a != WORLD:
             rot, p = load9(work.relative, b, 0), load3(work.relative, b, 9)
