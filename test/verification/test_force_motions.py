@@ -3,6 +3,7 @@
 
 from dataclasses import replace
 
+import mechanisms
 import numpy as np
 import pytest
 
@@ -10,7 +11,6 @@ from liegroup_core import Scene, Simulation, SimulationError
 from liegroup_core.forces import kinds
 from liegroup_core.forces.instants import StepGrid
 from liegroup_core.forces.timetable import Timetable
-from liegroup_core.joints.pairs import LOWER_PAIRS
 from liegroup_core.scene import (
     Body,
     ConstantWrench,
@@ -281,9 +281,9 @@ def along_z(force, joint_type):
         Body(name="second", mass=1.0, inertia=(0.1, 0.1, 0.2), position=0.5 * AXIS, **START),
     ]
     ground = Frame(axis=bodies[0].rotation.T @ AXIS)
-    joint = Joint(
+    joint = mechanisms.joint(
+        joint_type or "spherical",
         name="slider",
-        type=joint_type or "spherical",
         parent="first",
         child="second",
         parent_frame=ground,
@@ -308,9 +308,13 @@ def along_z(force, joint_type):
     return simulation, 1.0 / (1.0 / 2.0 + 1.0 / 1.0)
 
 
+def slides(kind):
+    return mechanisms.directions(kind).tolist()
+
+
 ON_A_LINE = pytest.mark.parametrize(
     "joint_type",
-    [None, *(kind for kind, pair in LOWER_PAIRS.items() if pair.slides and kind != "screw")],
+    [None, *(kind for kind in mechanisms.FREE if mechanisms.VZ.tolist() in slides(kind))],
 )
 
 
