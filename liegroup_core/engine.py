@@ -138,7 +138,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         self._warned_endless = self._warned_crowded = quiet
         self._start = initial_state(self.layout.centred)
         self._block, self._halted = FIRST_BLOCK, False
-        warm_up(self._touch, self._integrator.kernels)
+        warm_up(self._touch)
 
     def __copy__(self) -> "Engine":
         return copy.deepcopy(self)  # a shallow copy would share the state

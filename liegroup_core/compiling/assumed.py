@@ -6,10 +6,10 @@ import inspect
 from llvmlite import binding
 from numba.core import cgutils, ssa, types
 from numba.core.base import BaseContext
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.caching import NullCache
 from numba.core.callconv import CPUCallConv
-from numba.core.codegen import CPUCodegen, JITCodeLibrary
-from numba.core.compiler import Compiler
+from numba.core.codegen import CPUCodegen, JITCodeLibrary, JITCPUCodegen
+from numba.core.compiler import Compiler, CompileResult
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.datamodel import models
 from numba.core.dispatcher import Dispatcher
@@ -77,19 +77,15 @@ ASSUMED = {
         "get_call_signatures": "self",
         "get_impl_key": "self sig",
     },
-    FunctionCache: {
-        "__init__": "self py_func",
-        "load_overload": "self sig target_context",
-        "save_overload": "self sig data",
+    NullCache: {"load_overload": "self sig target_context", "save_overload": "self sig cres"},
+    CompileResult: {
+        "_reduce": "self",
+        "_rebuild": (
+            "target_context libdata fndesc env signature objectmode lifted typeann reload_init "
+            "referenced_envs"
+        ),
     },
-    IndexDataCacheFile: {
-        "__init__": "self cache_path filename_base source_stamp",
-        "load": "self key",
-        "save": "self key data",
-        "_data_name": "self number",
-        "_load_data": "self name",
-        "_save_data": "self name data",
-    },
+    JITCPUCodegen: {"magic_tuple": "self"},
     cgutils: {
         "get_or_insert_function": "module fnty name",
         "unpack_tuple": "builder tup count",

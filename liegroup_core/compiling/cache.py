@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Folder of the compiled kernels, renewed at every edit of a source.
+"""Files of compiled kernels, in a folder for each compiler, Python and version of `compiling`.
 
-Numba checks only the file that a kernel is defined in. An edit in a helper would leave its callers
-with the old code. The name of this folder is a hash of all sources, so any edit starts a new one.
+A file is named by what its kernel is made of (ingredients.py) and by the processor, not by the place
+of the sources: all installations of a user share it.
 """
 
+import fcntl
 import functools
 import hashlib
 import logging
@@ -13,24 +14,26 @@ import re
 import shutil
 import sys
 import tempfile
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from .trust import close_to_others, doubt, is_private
 
 log = logging.getLogger("liegroup_core")
 
-# Folders of other versions that are kept: a developer switches between a few.
-KEPT_CACHES = 6
+CODE = ".nbc"  # ending of files with code
+# Folders of other compilers, and files of kernels that are kept, those used last: a set of kernels has 10
+# to 20 files of 0.1 to 1 MB, and a developer switches between a few versions.
+KEPT_CACHES, KEPT_FILES = 6, 600
 COMPILED = re.compile("[0-9a-f]{16}(-[0-9]+)?")  # names of the folders of compiled code
 
 
 @functools.lru_cache(maxsize=None)
-def source_digest():
-    """Hash of the sources that results depend on: all but `study`, which has no kernels."""
+def source_digest(room="."):
+    """Hash of the sources that results depend on, in a room or in all but `study`, which has no kernels."""
     root = Path(__file__).parents[1]
     digest = hashlib.sha256()
-    for path in sorted(root.rglob("*.py")):
+    for path in sorted((root / room).rglob("*.py")):
         place = path.relative_to(root)
         if place.parts[0] != "study":
             digest.update(str(place).encode())
@@ -74,17 +77,17 @@ def _refuse(folder, reason):
 
 @functools.lru_cache(maxsize=None)
 def cache_folder(versions):
-    """Cache folder of these sources; created if necessary. Removes the oldest other folders.
+    """Cache folder of a compiler; created if necessary. Removes the oldest other folders.
 
     Only this user can reach what it holds, whatever the modes of the files are.
 
-    versions : text that also distinguishes compiled code: version and options of the compiler
+    versions : text that distinguishes compiled code: version and options of the compiler
     Returns None if no folder is suitable.
     """
     root = cache_root()
     if root is None:
         return None
-    text = f"private {Path(__file__).parents[1]} {sys.version} {versions} {source_digest()}"
+    text = f"private {sys.version} {versions}"
     folder = root / hashlib.sha256(text.encode()).hexdigest()[:16]
     if folder.exists() and not os.access(folder, os.W_OK):
         folder = root / f"{folder.name}-{os.getuid()}"  # the first one belongs to another user
@@ -103,6 +106,29 @@ def cache_folder(versions):
         for each in old[KEPT_CACHES:]:
             shutil.rmtree(each, ignore_errors=True)
     return folder
+
+
+def write(path, data):
+    """Write a file of a cache folder at once: no reader finds a part of it. Removes those not used for long."""
+    handle, name = tempfile.mkstemp(dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+        os.replace(name, path)
+    except BaseException:
+        os.unlink(name)
+        raise
+    files = [(each.stat().st_mtime, each.path) for each in os.scandir(path.parent)]
+    for _, old in sorted(files)[:-KEPT_FILES]:
+        with suppress(OSError):
+            os.unlink(old)
+
+
+def lock(path):
+    """Open file that this process alone holds until it is closed, also by its end; waits for it."""
+    held = open(path.with_name(f"{path.stem}.lock"), "wb")
+    fcntl.flock(held, fcntl.LOCK_EX)
+    return held
 
 
 @contextmanager

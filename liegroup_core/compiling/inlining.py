@@ -16,22 +16,27 @@ assumed.py and the package's README.md state what is assumed of Numba.
 """
 
 import logging
+import os
+import pickle
 import weakref
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
+import llvmlite
 import numba
 from llvmlite import binding
 from numba import njit
 from numba.core import cgutils, types
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.caching import NullCache
+from numba.core.compiler import CompileResult
 from numba.core.datamodel import models
 from numba.core.imputils import lower_constant
+from numba.core.serialize import dumps
 from numba.extending import intrinsic, register_model, typeof_impl
 
-from . import borrowed_arrays, struct_types
-from .cache import cache_folder, cached_in
-from .kernels import Choice, Kernel
+from . import borrowed_arrays, ingredients, struct_types
+from .cache import CODE, cache_folder, lock, source_digest, write
+from .kernels import Choice, Kernel, compiles
 from .passes import Flushing, Inner, Outer
 from .struct_types import digest, text
 from .undisturbed import compiling_apart
@@ -54,46 +59,55 @@ def _inner(function, always):
     )(function)
 
 
-class _Files(IndexDataCacheFile):
-    """A file for each type of arguments, without an index of them.
+class _Cache(NullCache):
+    """Disk cache of a kernel: a file for what it is made of, the types of its arguments and the processor.
 
-    Numba numbers the files in an index. Two processes that compile a function for different
-    types at the same time may give both the same number: one of them later runs the code of the other.
+    Only one process compiles a kernel, others wait for its file. Unreadable files are replaced, files
+    that cannot be written are omitted.
     """
-
-    def _name(self, key):
-        arguments, target, sources = key
-        texts = *map(text, arguments), repr(target), repr(sources)
-        return self._data_name(int(digest(*texts), 16))
-
-    def load(self, key):
-        try:
-            return self._load_data(self._name(key))
-        except FileNotFoundError:
-            return None
-
-    def save(self, key, data):
-        self._save_data(self._name(key), data)
-
-
-class _Cache(FunctionCache):
-    """Disk cache: unreadable files are replaced, files that cannot be written are omitted."""
 
     warned = False
 
-    def __init__(self, function):
-        super().__init__(function)
-        self._cache_file = _Files(self.cache_path, self._impl.filename_base, None)
+    def __init__(self, kernel):
+        self._name = f"{kernel.function.__module__}.{kernel.__qualname__}"
+        self._made_of = ingredients.digest(kernel)
+        self._lock = None  # held while this process compiles
 
-    def load_overload(self, *arguments):
+    def _file(self, signature, context):
+        arguments = map(text, getattr(signature, "args", signature))
+        found = digest(self._made_of, *arguments, repr(context.codegen().magic_tuple()))
+        return cache() / f"{self._name}-{found}{CODE}"
+
+    def load_overload(self, signature, context):
+        context.refresh()
+        path = self._file(signature, context)
+        found = self._load(path, context)
+        if found is None:
+            compiles()
+            with self._forgiving():
+                self._lock = lock(path)
+                found = self._load(path, context)  # of the process that had the lock
+        return found
+
+    def _load(self, path, context):
         try:
-            return super().load_overload(*arguments)
+            found = CompileResult._rebuild(context, *pickle.loads(path.read_bytes()))
+            os.utime(path)  # the files that are used are kept
+            return found
         except Exception:  # a truncated or corrupt file can raise any exception
             return None
 
-    def save_overload(self, *arguments):
+    def save_overload(self, signature, data):
         with self._forgiving():
-            super().save_overload(*arguments)
+            write(self._file(signature, data.target_context), dumps(data._reduce()))
+
+    def release(self):
+        """Let others compile: the file is there, or the attempt failed."""
+        held, self._lock = self._lock, None
+        if held is not None:
+            with suppress(OSError):
+                os.unlink(held.name)
+            held.close()
 
     @contextmanager
     def _forgiving(self):
@@ -104,7 +118,7 @@ class _Cache(FunctionCache):
                 _Cache.warned = True
                 log.warning(
                     "Compiled kernels cannot be cached, so every start compiles them again: %s: %s",
-                    self.cache_path,
+                    cache(),
                     getattr(error, "strerror", "out of memory"),
                 )
 
@@ -229,18 +243,24 @@ def _no_value(context, builder, kind, value):
 
 def cache():
     """Cache folder of this compiler; None if nothing can be cached."""
-    return cache_folder(f"{name} {numba.__version__} {numba.config.BOUNDSCHECK}")
+    return cache_folder(
+        f"{name} {numba.__version__} {llvmlite.__version__} {numba.config.BOUNDSCHECK} "
+        f"{source_digest('compiling')}"
+    )
 
 
 def for_python(kernel):
     """Dispatcher of a kernel for Python."""
-    with cached_in(cache(), numba.config):
-        pipeline = Flushing if kernel.role == "stepper" else Outer
-        dispatcher = njit(**OPTIONS, pipeline_class=pipeline)(kernel.function)
-        if cache() is not None:
-            with suppress(RuntimeError):  # its folder cannot be made: the disk is full
-                dispatcher._cache = _Cache(kernel.function)
+    pipeline = Flushing if kernel.role == "stepper" else Outer
+    dispatcher = njit(**OPTIONS, pipeline_class=pipeline)(kernel.function)
+    if cache() is None:
         return compiling_apart(dispatcher)
+    try:
+        dispatcher._cache = _Cache(kernel)
+    except TypeError as error:  # a function of a user, with something unknown in it
+        log.warning("Every start compiles %s again: %s", kernel.__qualname__, error)
+        return compiling_apart(dispatcher)
+    return compiling_apart(dispatcher, dispatcher._cache.release)
 
 
 def for_kernels(kernel):

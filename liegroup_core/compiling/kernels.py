@@ -7,7 +7,6 @@ import logging
 import os
 import threading
 import time
-from contextlib import suppress
 
 from . import backend
 from .undisturbed import undisturbed
@@ -15,6 +14,7 @@ from .undisturbed import undisturbed
 log = logging.getLogger("liegroup_core")
 
 # Without Numba the decorators return the function itself, so that calls cost no more than Python's.
+_announced = True  # whether the log has said that the present warm_up compiles
 JIT = importlib.util.find_spec("numba") is not None and os.environ.get("NUMBA_DISABLE_JIT") != "1"
 
 
@@ -137,25 +137,25 @@ def _warn_of_plain_python():
     )
 
 
-def warm_up(call, name):
-    """Run `call` once so that its kernels are compiled; log a warning if that takes time.
-
-    call : function without arguments that runs one small simulation
-    name : name of the set of kernels; each set is compiled once
-    Returns the duration in seconds.
-    """
-    compiler = backend.chosen()
-    folder = compiler.cache()
-    done = None if folder is None else folder / f"complete-{name}"
-    if compiler.name == "python":
-        _warn_of_plain_python()
-    elif done is None or not done.exists():
+def compiles():
+    """Log that a kernel is compiled, at the first one of a warm_up."""
+    global _announced
+    if not _announced:
+        _announced = True
         log.warning(
             "first run of this kind of mechanism: compiling (about 10 s). The result is cached"
         )
-    start = time.perf_counter()
+
+
+def warm_up(call):
+    """Run `call` once, so that its kernels are compiled or loaded; returns the duration in seconds.
+
+    call : function without arguments that runs one small simulation
+    """
+    if backend.chosen().name == "python":
+        _warn_of_plain_python()
+    global _announced
+    start, _announced = time.perf_counter(), False
     call()
-    if done is not None:
-        with suppress(OSError):
-            done.touch()
+    _announced = True
     return time.perf_counter() - start

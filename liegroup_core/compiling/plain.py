@@ -7,12 +7,13 @@ except for numbers below 2.2e-308, which `stepper` does not flush to zero here.
 
 import functools
 from contextlib import suppress
+from pathlib import Path
 
 import numba
 from numba.extending import overload, typeof_impl
 
 from . import struct_types
-from .cache import cache_folder, cached_in
+from .cache import cache_folder, cached_in, source_digest
 from .kernels import Choice, Kernel
 from .structs import Borrowed
 from .undisturbed import compiling_apart
@@ -24,7 +25,11 @@ OPTIONS = {"nogil": True, "error_model": "numpy"}
 
 def cache():
     """Cache folder of this compiler; None if nothing can be cached."""
-    return cache_folder(f"{name} {numba.__version__} {numba.config.BOUNDSCHECK}")
+    # Numba names files by their place, and checks only the source that a kernel is defined in.
+    place = Path(__file__).parents[1]
+    return cache_folder(
+        f"{name} {numba.__version__} {numba.config.BOUNDSCHECK} {place} {source_digest()}"
+    )
 
 
 def for_python(kernel):

@@ -56,9 +56,16 @@ class _Done:
     __del__ = __call__
 
 
-def compiling_apart(dispatcher):
-    """The same dispatcher of Numba: it compiles undisturbed."""
-    compiler = dispatcher.compile
+def compiling_apart(dispatcher, after=None):
+    """The same dispatcher of Numba: it compiles undisturbed; after: called when it has, or failed."""
+    numba_compiles = dispatcher.compile
+
+    def compiler(arguments):
+        try:
+            return numba_compiles(arguments)
+        finally:
+            if after is not None:
+                after()
 
     def compiled(arguments):
         found = dispatcher.overloads.get(arguments)

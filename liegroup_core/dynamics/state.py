@@ -7,7 +7,7 @@ dynamics/coordinates.py.
 
 from liegroup_core.compiling import borrowed, kernel, shared
 from liegroup_core.lie.vec3 import load3, store3
-from liegroup_core.mechanism.arrays import PlaneModel, make_relative_work
+from liegroup_core.mechanism.arrays import make_relative_work
 from liegroup_core.mechanism.bodies import copy_state, make_work
 from liegroup_core.motion_groups.direct import to_world
 from liegroup_core.motion_groups.table import FLOATING
@@ -20,7 +20,7 @@ from .trees import move_links
 
 
 def model_and_work(layout, group, options, stages):
-    """(model, its work, Work of the bodies, ending of the name of the kernels) of an integrator.
+    """(model, its work, Work of the bodies) of an integrator.
 
     options : "space": "auto" for the plane of a planar mechanism, or "space"
     """
@@ -28,8 +28,7 @@ def model_and_work(layout, group, options, stages):
     model = layout.floating(group) if group in FLOATING else layout.relative
     if options["space"] == "space" and model is layout.relative:
         model = layout.relative_in_space
-    ending = "-plane" if isinstance(model, PlaneModel) else ""
-    return model, make_relative_work(model, work, stages), work, ending
+    return model, make_relative_work(model, work, stages), work
 
 
 @kernel

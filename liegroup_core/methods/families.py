@@ -3,7 +3,6 @@
 
 `family(method, layout, group, step, options)` creates an integrator. It has
     options(method)  static; {name: (default, description of valid values, check)} of its options
-    kernels          name of the kernels it uses; they are compiled once on a machine
     work             scratch memory; work.report[0] is the largest squared rotation of a stage
     restart()        clear the memory between calls, because a state was set
     memory           arrays of the memory between calls; writing to them restores it

@@ -125,10 +125,10 @@ print(failed, len(module._steps.dispatcher.overloads))
 
 
 FAILING = """
-from liegroup_core.compiling.inlining import _Files
+from liegroup_core.compiling import inlining
 def fail(*arguments):
     raise MemoryError
-_Files._save_data = fail
+inlining.write = fail
 fresh("kept").check()
 print("done")
 """

@@ -287,7 +287,7 @@ def test_the_file_of_compiled_code_depends_on_the_types_alone(tmp_path):
             check=True,
             env={**os.environ, "LIEGROUP_CACHE_DIR": str(folder)},
         )
-        return {file.name for file in folder.glob("*/*/kernels*.nb*")}
+        return {file.name for file in folder.glob("*/kernels*.nbc")}
 
     numbers, integers = files("f8"), files("i8")
     assert len(numbers) == len(integers) == 1 and not numbers & integers

@@ -107,8 +107,7 @@ class GeneralizedAlpha:
         gamma = 0.5 + alpha_f - alpha_m
         self._numbers = Coefficients(alpha_m, alpha_f, 0.25 * (gamma + 0.5) ** 2, gamma)
         refuse_stabilisation(method, layout.model)
-        self._model, self._work, self.work, ending = model_and_work(layout, group, options, 1)
-        self.kernels = "generalized_alpha" + ending
+        self._model, self._work, self.work = model_and_work(layout, group, options, 1)
         n = len(layout.model.bodies)
         self._memory = make_memory(len(self._work.freedoms), len(self._model.row_residual))
         self._advance, self._initialise = SameTypes(advance), SameTypes(initialise)

@@ -188,9 +188,8 @@ class MuntheKaas:
         self._longest = step
         self._truncated = options.get("dexpinv") == "truncated"
         stages = 1 if method.implicit else len(method.tableau.b)
-        self._model, self._work, self.work, ending = model_and_work(layout, group, options, stages)
+        self._model, self._work, self.work = model_and_work(layout, group, options, stages)
         self._blocks = stages + 1
-        self.kernels = "rkmk" + ending
         self._control = np.zeros(13)
         self._control[7], self._control[8] = MOST_SUBSTEPS, 1.0
         self._tolerances = options.get("rtol", 0.0), options.get("atol", 1.0)

@@ -121,8 +121,7 @@ class Constrained:
     def __init__(self, method, layout, group, step, options):
         refuse_stabilisation(method, layout.model)
         self._parts = SUBSTEPS[method.name]
-        self._model, self._work, self.work, ending = model_and_work(layout, group, options, 1)
-        self.kernels = "constrained" + ending
+        self._model, self._work, self.work = model_and_work(layout, group, options, 1)
         self._model = _for_rates(self._model)
         self._memory = make_memory(self._model)
         self._advance = SameTypes(advance)

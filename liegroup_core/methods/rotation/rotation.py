@@ -161,7 +161,6 @@ def advance(
 class Rotation:
     """Rotation method for a model; it has no memory between steps."""
 
-    kernels = "rotation"
     substeps = (0, 0)
 
     def __init__(self, method, layout, group, step, options):

@@ -208,9 +208,8 @@ def _listening():
 
     class Listener(logging.Handler):
         def emit(self, record):
-            if (
-                record.funcName != "warm_up"
-            ):  # the message about compiling is not a warning about the run
+            # The message about compiling is not a warning about the run.
+            if record.funcName != "compiles":
                 said.append(record.getMessage())
 
     logger, listener = logging.getLogger("liegroup_core"), Listener(logging.WARNING)
