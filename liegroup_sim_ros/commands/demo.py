@@ -119,6 +119,8 @@ def _simulate(seconds, log, output, console, check):
     try:
         with open(output, "w", encoding="utf-8") as stream:
             node = _start("node.entry", ["--ros-args", *arguments], stream, processes)
+            # The analysis needs other kernels than the node: a second core compiles them meanwhile.
+            _start("analysis.compiled", [SCENE], subprocess.DEVNULL, processes)
             with console.status(
                 "starting (the first run of a kind of mechanism compiles for about 20 s)"
             ):
