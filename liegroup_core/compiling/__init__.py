@@ -8,7 +8,7 @@ the functions themselves without Numba. This package knows nothing of mechanics.
 from .backend import compiled
 from .cache import cache_root, source_digest
 from .kernels import Choice, Kernel, SameTypes, kernel, shared, stepper, subroutine, warm_up
-from .structs import Struct, borrowed
+from .structs import Struct, borrowed, shaped
 
 __all__ = [
     "Choice",
@@ -19,6 +19,7 @@ __all__ = [
     "cache_root",
     "compiled",
     "kernel",
+    "shaped",
     "shared",
     "source_digest",
     "stepper",

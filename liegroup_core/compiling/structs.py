@@ -27,6 +27,11 @@ class _Once:
         return vars(instance).setdefault(self._name, self._compute(instance))
 
 
+def shaped(*shape):
+    """Field of a Struct that `Struct.zeros` allocates: in shaped("bodies", 6) a name stands for a size."""
+    return dataclasses.field(metadata={"shape": shape})
+
+
 class Struct:
     """Base of classes whose fields are arrays, numbers and other Structs, for kernels to read.
 
@@ -45,6 +50,15 @@ class Struct:
                     raise ValueError(f"{name} must be a C-contiguous array that can be written")
             elif not isinstance(value, (Struct, bool, int, float, np.generic)):
                 raise TypeError(f"{name} must be an array, a number or a Struct, got {value!r}")
+
+    @classmethod
+    def zeros(cls, sizes, **given):
+        """Struct with zeros in its `shaped` fields; sizes: {name: size}; given: the other fields."""
+        for field in dataclasses.fields(cls):
+            if field.metadata and field.name not in given:
+                shape = [sizes.get(size, size) for size in field.metadata["shape"]]
+                given[field.name] = np.zeros(shape)
+        return cls(**given)
 
     def replace(self, **changes):
         """Copy with other values in some fields."""

@@ -19,7 +19,7 @@ Row n + b has the coordinates of link b: X as (R row by row, r) for the groups S
 
 import numpy as np
 
-from liegroup_core.compiling import Struct
+from liegroup_core.compiling import Struct, shaped
 from liegroup_core.forces.external import COLUMNS as EXTERNAL_COLUMNS
 
 from .bodies import Model, Work
@@ -203,81 +203,99 @@ class PlaneModel(RelativeModel):
 class RelativeWork(Struct):
     """Scratch memory of one simulation; fields without a comment as in Work.
 
-    In a plane velocities, moved, force and U have 3 numbers and inertia has 6; drift is A, (L, 2);
-    moved is E: see dynamics/plane.py.
+    Sizes are those of `make_relative_work`. In a plane velocities, moved, force and U have 3 numbers and
+    inertia has 6; drift is A, (links, 2); moved is E: see dynamics/plane.py.
     """
 
     space: Work
-    angle: np.ndarray  # that of `space`
-    acting: np.ndarray  # that of `space`
-    wanted: np.ndarray  # that of `space`
-    motions: np.ndarray  # that of `space`
-    clock: np.ndarray  # that of `space`
-    start_angle: np.ndarray  # that of `space`
-    report: np.ndarray  # that of `space`
-    known: np.ndarray  # (1,) 1 if the rows of the links in pose and twist are those of the state
-    pose: np.ndarray  # (n + L, 12) the state
-    twist: np.ndarray  # (n + L, 6)
-    stage_pose: np.ndarray  # (n + L, 12)
-    stage_twist: np.ndarray  # (n + L, 6)
-    start_pose: np.ndarray  # (n + L, 12)
-    start_twist: np.ndarray  # (n + L, 6)
-    middle_pose: np.ndarray  # (n + L, 12) the stage at a singular pose, see singular_poses.py
-    middle_twist: np.ndarray  # (n + L, 6)
-    middle: np.ndarray  # (f, 2) its regularised accelerations, and their mean beside it
-    velocity: np.ndarray  # (L, 6) qdot at the start of the step
-    slopes: np.ndarray  # ((s + 1) f, 2) k: algebra, then qdot part
-    external: np.ndarray  # (n, COLUMNS), see forces/external.py: external wrenches of the call
-    pushed: np.ndarray  # (1,) 1 if any of them is not zero
-    held: np.ndarray  # (f + m,) 1 if a freedom, or the row of a switch, is held: see switches.py
-    modes: (
-        np.ndarray
-    )  # (k, 6) of each switch: SLIP, its direction; SIDE of the stop that it touches,
-    # -1 lower, 1 upper; COORDINATE at the start of the step, in its turn; 1 if these are KNOWN; 1 if
-    # it RESTS because of others that are held, and its EFFORT then
-    reach: np.ndarray  # (k,) coordinate of each switch that is a row
-    since: np.ndarray  # (k, 2) rate and acceleration of each at the start of the step
-    now: np.ndarray  # (k, 2) and at the stage
-    loads: (
-        np.ndarray
-    )  # (k, 4) force across the axis of each that its friction counts with, and that
-    # of the present accelerations, N; both of the iteration before: see loads.py
-    iteration: np.ndarray  # (3,) 1: the loads are given; 1: they did not settle; scratch
-    guards: np.ndarray  # (k, 5) how far each switch is from its next events
-    course: np.ndarray  # (NODES, k, 2) the last two of them at some stages: see events/crossings.py
-    crossed: np.ndarray  # (k, 5) part of the step at which each is at the latest, or -1
-    watch: np.ndarray  # (3,) 1 if events are looked for; start of the substep with one, its size
-    wrench: np.ndarray  # (n, 6) wrenches on the bodies
-    relative: np.ndarray  # (L, 12) pose of each link in its parent link
-    world: np.ndarray  # (L, 12) pose in the world; where it is needed
-    placed: np.ndarray  # (L, 4) pose in the plane: cos, sin, x, y
-    velocities: np.ndarray  # (L, 6) twists of the links
-    drift: np.ndarray  # (L, 6) [V, S qdot]
-    moved: np.ndarray  # (L, 6) Vdot - gravity of the links
-    inertia: np.ndarray  # (L, 21) of the articulated body: A (6), B (9), C (6)
-    applied: np.ndarray  # (L, 6) applied wrenches on the links
-    force: np.ndarray  # (L, 6) its bias force
-    freedoms: np.ndarray  # (f, 8) U, 1 / D, u of each freedom
-    acceleration: np.ndarray  # (f, 1) qddot
-    total: np.ndarray  # (f, 1) qddot and
-    total_moved: np.ndarray  # (L, 6) Vdot - gravity before a refinement
+    angle: np.ndarray  # the following are those of `space`
+    acting: np.ndarray
+    wanted: np.ndarray
+    motions: np.ndarray
+    clock: np.ndarray
+    start_angle: np.ndarray
+    report: np.ndarray
     child_jacobian: np.ndarray  # (m, 6)
-    parent_jacobian: np.ndarray  # (m, 6)
-    slip: np.ndarray  # (m,) J V
-    gap: np.ndarray  # (all rows of the cut joints,)
-    bias: np.ndarray  # (m,) J Vdot = bias
-    right: np.ndarray  # (m,) residual, then a change of the multipliers
-    multipliers: np.ndarray  # (m,)
-    carried: np.ndarray  # (6 L, 6) wrenches of the rows of a joint on their way to the world
-    response: np.ndarray  # y of each row and freedom on its path
-    matrix: np.ndarray  # (m, m) W in the upper, its factor in the lower triangle
-    diagonal: np.ndarray  # (m,) pivots
-    difference: np.ndarray  # (2, 6) that of a link: algebra, qdot
-    errors: np.ndarray  # (2 L, 12) error estimates of the links: xi, eta, dw, dv
-
-
-POSES = ("pose", "stage_pose", "start_pose", "middle_pose")
-TWISTS = ("twist", "stage_twist", "start_twist", "middle_twist")
+    known: np.ndarray = shaped(
+        1
+    )  # 1 if the rows of the links in pose and twist are those of the state
+    pose: np.ndarray = shaped("state", 12)  # the state
+    twist: np.ndarray = shaped("state", 6)
+    stage_pose: np.ndarray = shaped("state", 12)
+    stage_twist: np.ndarray = shaped("state", 6)
+    start_pose: np.ndarray = shaped("state", 12)
+    start_twist: np.ndarray = shaped("state", 6)
+    middle_pose: np.ndarray = shaped(
+        "state", 12
+    )  # the stage at a singular pose, see singular_poses.py
+    middle_twist: np.ndarray = shaped("state", 6)
+    middle: np.ndarray = shaped(
+        "freedoms", 2
+    )  # its regularised accelerations, and their mean beside it
+    velocity: np.ndarray = shaped("links", 6)  # qdot at the start of the step
+    slopes: np.ndarray = shaped(
+        "slopes", 2
+    )  # k of stages and end, (s + 1) f: algebra, then qdot part
+    external: np.ndarray = shaped(
+        "bodies", EXTERNAL_COLUMNS
+    )  # see forces/external.py: external wrenches of the call
+    pushed: np.ndarray = shaped(1)  # 1 if any of them is not zero
+    held: np.ndarray = shaped(
+        "held"
+    )  # f + m: 1 if a freedom, or the row of a switch, is held: see switches.py
+    # Of each switch: SLIP, its direction; SIDE of the stop that it touches, -1 lower, 1 upper; COORDINATE
+    # at the start of the step, in its turn; 1 if these are KNOWN; 1 if it RESTS because of others that are
+    # held, and its EFFORT then
+    modes: np.ndarray = shaped("switches", 6)
+    reach: np.ndarray = shaped("switches")  # coordinate of each switch that is a row
+    since: np.ndarray = shaped(
+        "switches", 2
+    )  # rate and acceleration of each at the start of the step
+    now: np.ndarray = shaped("switches", 2)  # and at the stage
+    # Force across the axis of each that its friction counts with, and that of the present accelerations,
+    # N; both of the iteration before: see loads.py
+    loads: np.ndarray = shaped("switches", 4)
+    iteration: np.ndarray = shaped(3)  # 1: the loads are given; 1: they did not settle; scratch
+    guards: np.ndarray = shaped("switches", 5)  # how far each switch is from its next events
+    course: np.ndarray = shaped(
+        NODES, "switches", 2
+    )  # the last two at some stages: see events/crossings.py
+    crossed: np.ndarray = shaped(
+        "switches", 5
+    )  # part of the step at which each is at the latest, or -1
+    watch: np.ndarray = shaped(
+        3
+    )  # 1 if events are looked for; start of the substep with one, its size
+    wrench: np.ndarray = shaped("bodies", 6)  # wrenches on the bodies
+    relative: np.ndarray = shaped("links", 12)  # pose of each link in its parent link
+    world: np.ndarray = shaped("links", 12)  # pose in the world; where it is needed
+    placed: np.ndarray = shaped("links", 4)  # pose in the plane: cos, sin, x, y
+    velocities: np.ndarray = shaped("links", "twist")  # twists of the links
+    drift: np.ndarray = shaped("links", "drift")  # [V, S qdot]
+    moved: np.ndarray = shaped("links", "twist")  # Vdot - gravity of the links
+    inertia: np.ndarray = shaped("links", "inertia")  # of the articulated body: A (6), B (9), C (6)
+    applied: np.ndarray = shaped("links", "twist")  # applied wrenches on the links
+    force: np.ndarray = shaped("links", "twist")  # its bias force
+    freedoms: np.ndarray = shaped("freedoms", 8)  # U, 1 / D, u of each freedom
+    acceleration: np.ndarray = shaped("freedoms", 1)  # qddot
+    total: np.ndarray = shaped("freedoms", 1)  # qddot, and Vdot - gravity, before a refinement
+    total_moved: np.ndarray = shaped("links", "twist")
+    parent_jacobian: np.ndarray = shaped("rows", 6)
+    slip: np.ndarray = shaped("rows")  # J V
+    gap: np.ndarray = shaped("residuals")  # of all rows of the cut joints
+    bias: np.ndarray = shaped("rows")  # J Vdot = bias
+    right: np.ndarray = shaped("rows")  # residual, then a change of the multipliers
+    multipliers: np.ndarray = shaped("rows")
+    carried: np.ndarray = shaped(
+        "carried", 6
+    )  # wrenches of the rows of a joint on their way to the world
+    response: np.ndarray = shaped("responses")  # y of each row and freedom on its path
+    matrix: np.ndarray = shaped("rows", "rows")  # W in the upper, its factor in the lower triangle
+    diagonal: np.ndarray = shaped("rows")  # pivots
+    difference: np.ndarray = shaped(2, 6)  # that of a link: algebra, qdot
+    errors: np.ndarray = shaped(
+        "errors", 12
+    )  # error estimates of the links, two rows each: xi, eta, dw, dv
 
 
 def make_relative_work(model, work, stages):
@@ -285,63 +303,27 @@ def make_relative_work(model, work, stages):
     n, links, rows = len(model.parts), len(model.bodies), len(model.row_residual)
     freedoms = int(model.bodies["freedoms"].sum())
     in_plane = isinstance(model, PlaneModel)
-    size = 3 if in_plane else 6
-    return RelativeWork(
-        space=work,
-        angle=work.angle,
-        acting=work.acting,
-        wanted=work.wanted,
-        motions=work.motions,
-        clock=work.clock,
-        start_angle=work.start_angle,
-        report=work.report,
-        **{name: np.zeros((n + links, 12)) for name in POSES},
-        **{name: np.zeros((n + links, 6)) for name in TWISTS},
-        middle=np.zeros((freedoms, 2)),
-        known=np.zeros(1),
-        velocity=np.zeros((links, 6)),
-        slopes=np.zeros(((stages + 1) * freedoms, 2)),
-        external=np.zeros((n, EXTERNAL_COLUMNS)),
-        pushed=np.zeros(1),
-        held=np.zeros(freedoms + rows),
-        reach=np.zeros(len(model.switches)),
-        since=np.zeros((len(model.switches), 2)),
-        now=np.zeros((len(model.switches), 2)),
-        loads=np.zeros((len(model.switches), 4)),
-        iteration=np.zeros(3),
-        modes=np.zeros((len(model.switches), 6)),
-        guards=np.zeros((len(model.switches), 5)),
-        course=np.zeros((NODES, len(model.switches), 2)),
-        crossed=np.zeros((len(model.switches), 5)),
-        watch=np.zeros(3),
-        wrench=np.zeros((n, 6)),
-        relative=np.zeros((links, 12)),
-        world=np.zeros((links, 12)),
-        placed=np.zeros((links, 4)),
-        velocities=np.zeros((links, size)),
-        drift=np.zeros((links, 2 if in_plane else 6)),
-        moved=np.zeros((links, size)),
-        inertia=np.zeros((links, 6 if in_plane else 21)),
-        applied=np.zeros((links, size)),
-        force=np.zeros((links, size)),
-        freedoms=np.zeros((freedoms, 8)),
-        acceleration=np.zeros((freedoms, 1)),
-        total=np.zeros((freedoms, 1)),
-        total_moved=np.zeros((links, size)),
-        child_jacobian=model.child_jacobian.copy(),
-        parent_jacobian=np.zeros((rows, 6)),
-        slip=np.zeros(rows),
-        gap=np.zeros(int(model.elements["rows"].sum())),
-        bias=np.zeros(rows),
-        right=np.zeros(rows),
-        multipliers=np.zeros(rows),
-        carried=np.zeros((LARGEST_ROWS * links, 6)),
-        response=np.zeros(int(model.path_places[-1])),
-        matrix=np.zeros((rows, rows)),
-        diagonal=np.zeros(rows),
-        difference=np.zeros((2, 6)),
-        errors=np.zeros((2 * links, 12)),
+    sizes = dict(
+        bodies=n,
+        state=n + links,
+        links=links,
+        freedoms=freedoms,
+        rows=rows,
+        held=freedoms + rows,
+        switches=len(model.switches),
+        slopes=(stages + 1) * freedoms,
+        errors=2 * links,
+        residuals=int(model.elements["rows"].sum()),
+        responses=int(model.path_places[-1]),
+        carried=LARGEST_ROWS * links,
+        twist=3 if in_plane else 6,
+        drift=2 if in_plane else 6,
+        inertia=6 if in_plane else 21,
     )
+    shared = ("angle", "acting", "wanted", "motions", "clock", "start_angle", "report")
+    given = {name: getattr(work, name) for name in shared}
+    jacobian = model.child_jacobian.copy()
+    return RelativeWork.zeros(sizes, space=work, child_jacobian=jacobian, **given)
 
 
 def links_of(work):

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from liegroup_core.compiling import Struct, kernel
+from liegroup_core.compiling import Struct, kernel, shaped
 from liegroup_core.lie.vec3 import dot3, load3, vector3
 
 
@@ -25,41 +25,30 @@ class Coefficients(Struct):
 class Memory(Struct):
     """Memory of the method besides pose, twist and Work."""
 
-    rate: np.ndarray  # (f,) Vdot_0 on the group
-    mean: np.ndarray  # (f,) a_0
-    old: np.ndarray  # (f,) (alpha_f Vdot_0 - alpha_m a_0) / (1 - alpha_m)
-    velocity: np.ndarray  # (f,) V_0
-    end: np.ndarray  # (f,) V_1
-    psi: np.ndarray  # (f, 1) displacement of the step
-    body_rate: np.ndarray  # (f,) Vdot_1 in body axes
-    x: np.ndarray  # (N,) Vdot_1, then lambda
-    start: np.ndarray  # (N,) x before the first iteration
-    residual: np.ndarray  # (N,)
-    base: np.ndarray  # (N,) unperturbed residual of the finite differences
-    correction: np.ndarray  # (N,) last correction of x
-    next: np.ndarray  # (N,) residual, then the next correction
-    matrix: np.ndarray  # (N, N) factors of the derivative of the residual
-    pivots: np.ndarray  # (N,) see lu_factorise
-    factored: np.ndarray  # (1,) 1.0: `matrix` holds factors
+    rate: np.ndarray = shaped("freedoms")  # Vdot_0 on the group
+    mean: np.ndarray = shaped("freedoms")  # a_0
+    old: np.ndarray = shaped("freedoms")  # (alpha_f Vdot_0 - alpha_m a_0) / (1 - alpha_m)
+    velocity: np.ndarray = shaped("freedoms")  # V_0
+    end: np.ndarray = shaped("freedoms")  # V_1
+    psi: np.ndarray = shaped("freedoms", 1)  # displacement of the step
+    body_rate: np.ndarray = shaped("freedoms", 1)  # Vdot_1 in body axes
+    x: np.ndarray = shaped("unknowns")  # Vdot_1, then lambda
+    start: np.ndarray = shaped("unknowns")  # x before the first iteration
+    residual: np.ndarray = shaped("unknowns")
+    base: np.ndarray = shaped("unknowns")  # unperturbed residual of the finite differences
+    correction: np.ndarray = shaped("unknowns")  # last correction of x
+    next: np.ndarray = shaped("unknowns")  # residual, then the next correction
+    matrix: np.ndarray = shaped("unknowns", "unknowns")  # factors of the derivative of the residual
+    pivots: np.ndarray  # (unknowns,) see lu_factorise
+    factored: np.ndarray = shaped(1)  # 1.0: `matrix` holds factors
     size: np.ndarray  # (1,) m, largest coordinate of the state; at least 1
 
 
 def make_memory(freedoms, rows):
     """Allocate a Memory."""
-    size = freedoms + rows
-    return Memory(
-        **{name: np.zeros(freedoms) for name in ("rate", "mean", "old", "velocity", "end")},
-        **{
-            name: np.zeros(size)
-            for name in ("x", "start", "residual", "base", "correction", "next")
-        },
-        psi=np.zeros((freedoms, 1)),
-        body_rate=np.zeros((freedoms, 1)),
-        matrix=np.zeros((size, size)),
-        pivots=np.zeros(size, dtype=np.int64),
-        factored=np.zeros(1),
-        size=np.ones(1),
-    )
+    sizes = {"freedoms": freedoms, "unknowns": freedoms + rows}
+    pivots = np.zeros(sizes["unknowns"], dtype=np.int64)
+    return Memory.zeros(sizes, pivots=pivots, size=np.ones(1))
 
 
 @kernel

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from liegroup_core.compiling import Struct, kernel
+from liegroup_core.compiling import Struct, kernel, shaped
 from liegroup_core.mechanism.arrays import PlaneModel
 
 # Velocity-dependent forces are iterated until no rate changes by more than TOLERANCE times the
@@ -25,48 +25,42 @@ class Memory(Struct):
 
     centre: np.ndarray  # (L, 3) centre of mass in the link, m
     central: np.ndarray  # (L, 6) inertia about it: xx, xy, xz, yy, yz, zz
-    weight: np.ndarray  # (L, 3) acceleration of gravity, link axes
-    load: np.ndarray  # (L, s) Q at the start of a substep, then at its end; about the origin
-    last_load: np.ndarray  # (L, s) that of the last iteration
-    impulse: np.ndarray  # (L, s) M V + (h/2) Q, then M V'+ + (h/2) Q+, about the origin
-    half: np.ndarray  # (L, s) M V' about the centre of mass, axes of the start
-    moves: np.ndarray  # (L, 8) displacement of each link in a substep, axes of the start: unit
-    # quaternion (real part first), m, bound of the angle. In a plane: angle, cos - 1, sin, m
-    world: np.ndarray  # (L, 12) poses at the end of a substep; of links at cut joints
-    psi: np.ndarray  # (f, 1) displacements of the joints in a substep
-    corrections: np.ndarray  # (HISTORY, f) of psi, then of the rates, in this substep
-    residual: np.ndarray  # (f,) of the rates at the end
-    bias: np.ndarray  # (f,) (2/h) (psi/h - qdot) of the last substep
-    growth: np.ndarray  # (f,) time derivative of `bias`
-    size: np.ndarray  # (1,) s, the last substep; 0: none yet
-    turned: np.ndarray  # (1,) rad^2, largest squared rotation of a link in a substep
+    weight: np.ndarray = shaped("links", 3)  # acceleration of gravity, link axes
+    load: np.ndarray = shaped(
+        "links", "twist"
+    )  # Q at the start of a substep, then at its end; about the origin
+    last_load: np.ndarray = shaped("links", "twist")  # that of the last iteration
+    impulse: np.ndarray = shaped(
+        "links", "twist"
+    )  # M V + (h/2) Q, then M V'+ + (h/2) Q+, about the origin
+    half: np.ndarray = shaped("links", "twist")  # M V' about the centre of mass, axes of the start
+    # Displacement of each link in a substep, axes of the start: unit quaternion (real part first), m, bound
+    # of the angle. In a plane: angle, cos - 1, sin, m
+    moves: np.ndarray = shaped("links", 8)
+    world: np.ndarray = shaped("links", 12)  # poses at the end of a substep; of links at cut joints
+    psi: np.ndarray = shaped("freedoms", 1)  # displacements of the joints in a substep
+    corrections: np.ndarray = shaped(
+        HISTORY, "freedoms"
+    )  # of psi, then of the rates, in this substep
+    residual: np.ndarray = shaped("freedoms")  # of the rates at the end
+    bias: np.ndarray = shaped("freedoms")  # (2/h) (psi/h - qdot) of the last substep
+    growth: np.ndarray = shaped("freedoms")  # time derivative of `bias`
+    size: np.ndarray = shaped(1)  # s, the last substep; 0: none yet
+    turned: np.ndarray = shaped(1)  # rad^2, largest squared rotation of a link in a substep
 
 
 def make_memory(model):
     """Allocate a Memory of a RelativeModel."""
     links = model.bodies
-    count, f = len(links), int(links["freedoms"].sum())
     mass = np.where(links["mass"] > 0.0, links["mass"], 1.0)[:, None]
     centre = links["moment"] / mass
     moment = np.einsum("bi,bj->bij", links["moment"], centre)
     shift = np.einsum("bii->b", moment)[:, None, None] * np.eye(3) - moment
     rows, columns = np.triu_indices(3)
-    size = 3 if isinstance(model, PlaneModel) else 6
-    return Memory(
-        centre=np.ascontiguousarray(centre),
-        central=np.ascontiguousarray(links["inertia"] - shift[:, rows, columns]),
-        weight=np.zeros((count, 3)),
-        **{name: np.zeros((count, size)) for name in ("load", "last_load", "impulse", "half")},
-        moves=np.zeros((count, 8)),
-        world=np.zeros((count, 12)),
-        psi=np.zeros((f, 1)),
-        corrections=np.zeros((HISTORY, f)),
-        residual=np.zeros(f),
-        bias=np.zeros(f),
-        growth=np.zeros(f),
-        size=np.zeros(1),
-        turned=np.zeros(1),
-    )
+    central = np.ascontiguousarray(links["inertia"] - shift[:, rows, columns])
+    twist = 3 if isinstance(model, PlaneModel) else 6
+    sizes = dict(links=len(links), freedoms=int(links["freedoms"].sum()), twist=twist)
+    return Memory.zeros(sizes, centre=np.ascontiguousarray(centre), central=central)
 
 
 @kernel
