@@ -200,5 +200,5 @@ FOOT = """
 closed forms (free body, Lagrangian top), 45-digit end states of the heavy top, the crank angle of
 the four-bar by quadrature of its energy, and motions with the accelerations of Pinocchio.
 `benchmarks/trade_truth_peers.py` measures every configuration on the Pareto fronts of four scenes
-against motions of Pinocchio and MuJoCo; docs/how-to/choose_accuracy.md has the table.
+against motions of Pinocchio and MuJoCo.
 """
