@@ -4,7 +4,7 @@
     python benchmarks/sweep.py [--runs N]
 
 Rates are in wall time and need an idle machine. CPU times, summed over all processes, are valid on
-a busy one too. The advice on cluster sizes in docs/how-to/sweep.md uses these numbers.
+a busy one too. docs/how-to/sweep.md uses these numbers.
 """
 
 import argparse
