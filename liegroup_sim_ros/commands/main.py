@@ -30,6 +30,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 COMMANDS = {
     "demo": "simulate a heavy top in real time, push it, and analyse the recording",
     "import": "write the scene file of a robot: URDF, xacro, SDF or MJCF",
+    "keys": "print the keys of a scene file",
     "describe": "summarise a scene: bodies, joints, degrees of freedom, cost per step",
     "trade": "measure accuracy against cost for a scene on this machine",
     "extremes": "stress-test the methods and report where they fail",

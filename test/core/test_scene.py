@@ -18,15 +18,6 @@ from scene_files import ROOT, SCENES, each_scene
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import Described
-from liegroup_core.joints.motion import Motion
-from liegroup_core.joints.stops import (
-    Backlash,
-    Cone,
-    CylinderFriction,
-    CylinderLimits,
-    Friction,
-    Limits,
-)
 from liegroup_core.scene import (
     Body,
     DistanceJoint,
@@ -41,9 +32,7 @@ from liegroup_core.scene import (
     yaml_text,
 )
 from liegroup_core.scene import load as load_module
-from liegroup_core.scene.description import FORCES, JOINTS, SENSORS, Coupling
-from liegroup_core.scene.robot_file import RobotFile
-from liegroup_core.scene.shapes import SHAPES
+from liegroup_core.scene.keys import PLACES, key_tables
 
 GOOD = (Path(__file__).parent / "rig.yaml").read_text(encoding="utf-8")
 PARSERS = sorted(
@@ -438,53 +427,34 @@ def test_numbers_and_text_survive_a_round_trip_bit_for_bit(
 
 # ---------------------------------------------------------------- documentation
 
-MODELS = (
-    Scene,
-    Body,
-    *SHAPES,
-    *JOINTS,
-    Motion,
-    Limits,
-    Cone,
-    CylinderLimits,
-    Friction,
-    CylinderFriction,
-    Coupling,
-    Backlash,
-    Frame,
-    *FORCES,
-    *SENSORS,
-    RobotFile,
-)
-
-
-def test_every_field_is_documented():
-    """docs/reference/scene_format.md lists each field with the description in its class."""
-    text = (ROOT / "docs" / "reference" / "scene_format.md").read_text(encoding="utf-8")
-    for model in MODELS:
-        for key, field in model.model_fields.items():
-            value = list(field.default) if type(field.default) is tuple else field.default
-            default = (
-                "required"
-                if field.is_required()
-                else "-"
-                if value is None
-                else "empty"
-                if value in ("", [], {})
-                else str(value).lower()
-                if isinstance(value, bool)
-                else value
-            )
-            assert f"| `{key}` | {field.description} | {default} |" in text
-
-
-def test_every_description_class_is_checked_for_documentation():
+def test_every_field_of_a_scene_is_in_the_tables_of_keys():
     def leaves(model):
         return {model}.union(*map(leaves, model.__subclasses__())) - (
             {model} if model.__subclasses__() else set()
         )
 
-    assert leaves(Described) == {*MODELS}
+    models = [model for models in PLACES.values() for model in models]
+    assert leaves(Described) == {*models}
+    for model, table in zip(models, key_tables(), strict=True):
+        assert [key.name for key in table.keys] == list(model.model_fields)
+        assert all(key.meaning for key in table.keys) and table.summary.endswith(".")
+
+
+@pytest.mark.parametrize(
+    "title, key, default",
+    [
+        ("scene", "gravity", "required"),
+        ("scene", "assemble", "false"),
+        ("scene", "joints", "empty"),
+        ("bodies", "mass", "-"),
+        ("bodies", "com", "[0.0, 0.0, 0.0]"),
+        ("joints: cable, strut", "type", "cable"),
+        ("sensors: force_torque", "measures", "reaction"),
+    ],
+)
+def test_the_tables_of_keys_have_the_defaults_of_the_models(title, key, default):
+    [table] = [table for table in key_tables() if table.title == title]
+    assert {each.name: each.default for each in table.keys}[key] == default
 
 
 def test_the_scene_examples_in_the_documentation_load():

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Keys of scene files: one table for each part of a scene, read from the models."""
+
+from typing import NamedTuple, get_args
+
+from liegroup_core.fields.frames import Frame
+from liegroup_core.joints.coupling import Coupling
+from liegroup_core.joints.motion import Motion
+from liegroup_core.joints.stops import (
+    Backlash,
+    Cone,
+    CylinderFriction,
+    CylinderLimits,
+    Friction,
+    Limits,
+)
+
+from .description import FORCES, JOINTS, SENSORS, Body, Scene
+from .robot_file import RobotFile
+from .shapes import SHAPES
+
+# {where the keys stand: the models of this place}
+PLACES = {
+    "scene": (Scene,),
+    "bodies": (Body,),
+    "shape of a body": SHAPES,
+    "joints": JOINTS,
+    "frame": (Frame,),
+    "motion of a joint": (Motion,),
+    "limits of a joint": (Limits, Cone, CylinderLimits),
+    "friction of a joint": (Friction, CylinderFriction),
+    "couplings": (Coupling,),
+    "backlash of a coupling": (Backlash,),
+    "forces": FORCES,
+    "sensors": SENSORS,
+    "file beside a robot": (RobotFile,),
+}
+
+
+class Key(NamedTuple):
+    """One key: its name, its meaning and its default, as texts."""
+
+    name: str
+    meaning: str
+    default: str
+
+
+class Table(NamedTuple):
+    """Keys of one model: where they stand, the values of its key `type`, what it is."""
+
+    place: str
+    types: tuple[str, ...]
+    summary: str
+    keys: tuple[Key, ...]
+
+    @property
+    def title(self) -> str:
+        """Place, and types if there are any."""
+        return f"{self.place}: {', '.join(self.types)}" if self.types else self.place
+
+
+def key_tables():
+    """Tables of all parts of a scene, in the order of PLACES."""
+    return [_table(place, model) for place, models in PLACES.items() for model in models]
+
+
+def _table(place, model):
+    fields = model.model_fields
+    types = get_args(fields["type"].annotation) if "type" in fields else ()
+    keys = tuple(Key(name, field.description, _default(field)) for name, field in fields.items())
+    return Table(place, types, model.__doc__.splitlines()[0], keys)
+
+
+def _default(field):
+    if field.is_required():
+        return "required"
+    value = list(field.default) if isinstance(field.default, tuple) else field.default
+    if value is None:
+        return "-"
+    if value in ("", [], {}):
+        return "empty"
+    return str(value).lower() if isinstance(value, bool) else str(value)
