@@ -45,6 +45,11 @@ texts: .venv/installed ## write the files that are generated from tables of the 
 	@.venv/bin/python -P -m liegroup_core.scene.schema > docs/scene.schema.json
 	@.venv/bin/python -P -m liegroup_sim_ros.node.parameter_texts .
 
+docs: .venv/docs ## build the documentation as a site: site/index.html
+	@NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build -q --strict -f docs/site/mkdocs.yml
+	@echo "Open site/index.html, or for its search http://localhost:8000 after" \
+	      "$(PYTHON) -m http.server -d site"
+
 bench: .venv/peers ## measure, side by side with other software; ARGS=--quick is shorter
 	@set -e; for script in peers growth; do \
 	    echo "== $$script"; .venv/bin/python benchmarks/$$script.py $(ARGS); done
@@ -52,7 +57,7 @@ bench: .venv/peers ## measure, side by side with other software; ARGS=--quick is
 	    echo "== $$script"; .venv/bin/python benchmarks/$$script.py; done
 
 clean: ## remove all generated files
-	rm -rf .venv build install log demo_out *.egg-info .pytest_cache .hypothesis
+	rm -rf .venv build install log demo_out site *.egg-info .pytest_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
 check:
@@ -91,6 +96,9 @@ SOURCES = setup.py setup.cfg package.xml \
 .venv/lint: .venv/installed
 	@$(PIP) ruff mypy && touch $@
 
+.venv/docs: .venv/installed
+	@$(PIP) mkdocs-material mkdocstrings-python && touch $@
+
 # Without the peers the benchmarks still run and report which peers are missing.
 .venv/peers: .venv/installed
 	@echo "Installing the peers of the benchmarks into .venv (once; 0.5 GB)"
@@ -102,7 +110,7 @@ constraints: | check
 	@$(PYTHON) -m venv --clear build/resolve
 	@build/resolve/bin/python -m pip install -q --dry-run --ignore-installed --only-binary :all: \
 	    --no-binary empy --report build/report.json \
-	    setuptools colcon-common-extensions $(ROS_WHEELS) '.[test,lint,bench]'
+	    setuptools colcon-common-extensions $(ROS_WHEELS) '.[test,lint,docs,bench]'
 	@grep '^#' config/constraints.txt > build/header
 	@$(PYTHON) -c 'import json; found = json.load(open("build/report.json"))["install"]; \
 	    print(*sorted("{name}=={version}".format(**each["metadata"]).lower().replace("_", "-") \
@@ -110,4 +118,4 @@ constraints: | check
 	    | grep -v ^liegroup | cat build/header - > config/constraints.txt
 	@rm -rf build *.egg-info
 
-.PHONY: help demo test plain quick lint texts bench clean check constraints
+.PHONY: help demo test plain quick lint texts docs bench clean check constraints

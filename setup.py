@@ -85,6 +85,7 @@ setup(
             "yourdfpy",
         ],
         "lint": ["mypy", "ruff"],
+        "docs": ["mkdocs-material", "mkdocstrings-python"],
         # Peers of benchmarks/; cmeel-eigen has the Eigen headers to compile the Pinocchio loop.
         # Robots of benchmarks/robots.py: example-robot-data, dm-control.
         "bench": ["cmeel-eigen", "dm-control", "example-robot-data", "exudyn", "mujoco", "pin"],

@@ -427,6 +427,7 @@ def test_numbers_and_text_survive_a_round_trip_bit_for_bit(
 
 # ---------------------------------------------------------------- documentation
 
+
 def test_every_field_of_a_scene_is_in_the_tables_of_keys():
     def leaves(model):
         return {model}.union(*map(leaves, model.__subclasses__())) - (
