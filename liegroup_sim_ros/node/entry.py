@@ -19,8 +19,8 @@ USAGE = (
     "usage: sim_node --ros-args -p scene:=SCENE [-p NAME:=VALUE ...] [-r "
     "__ns:=/NAMESPACE]\n\nSCENE is the path of a scene file, or the name of an "
     "example scene such as heavy_top.\nParameters (step, method, publish_rate, "
-    "record, ...): see docs/reference/node.md, or ask a running node:\nros2 param list "
-    "/sim_node"
+    "record, ...): config/default.yaml lists all, or ask a running node:\nros2 param describe "
+    "/sim_node NAME"
 )
 
 

