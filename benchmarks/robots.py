@@ -20,7 +20,7 @@ from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 
-from robots_side.page import MUJOCO, TREES, page_of, summary_of
+from robots_side.page import MUJOCO, TREES, by_format, page_of, summary_of
 
 from liegroup_core import SceneError, SimulationError, load_scene
 from liegroup_core.describe import describe
@@ -156,7 +156,7 @@ def main():
     parser.add_argument("words", nargs="*")
     parser.add_argument("--states", type=int, default=100)
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--page", type=Path, help="write the table as a page of the documentation")
+    parser.add_argument("--page", type=Path, help="write one line for each robot as a page")
     parser.add_argument("--motion", action="store_true", help="also compare 1 s of motion")
     args = parser.parse_args()
     rows = []
@@ -165,7 +165,7 @@ def main():
     for path in found:
         rows.append(row_of(path, args.states, args.motion))
         print(rows[-1], flush=True)
-    print(*summary_of(rows), sep="\n")
+    print(*summary_of(rows), by_format(rows), sep="\n")
     if args.json:
         args.json.write_text(json.dumps(rows, indent=1) + "\n")
     if args.page:

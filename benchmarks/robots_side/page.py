@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Page of the documentation with one line for each robot."""
+"""Page with one line for each robot, and the table by format of docs/reference/robots.md."""
 
 PAGE = """# Robots that were tried
 
-Written by `python benchmarks/robots.py --motion --page docs/reference/robots.md` from all files of the packages
-example-robot-data, mujoco and dm_control. How to use your own: [bring your robot](../how-to/robot.md).
+Written by `python benchmarks/robots.py --motion --page FILE` from all files of the packages example-robot-data,
+mujoco and dm_control.
+
+{formats}
 
 {summary}
 
@@ -22,6 +24,11 @@ example-robot-data, mujoco and dm_control. How to use your own: [bring your robo
   ends differ by more than 1e-8 m, their steps are divided by four or five, up to twice. Then SciPy's Radau
   takes their accelerations.
 """
+FORMATS = {
+    "urdf": "URDF of example-robot-data",
+    "sdf": "SDF of example-robot-data",
+    "xml": "MJCF of mujoco and dm_control",
+}
 TREES, MUJOCO = "Pinocchio", "MuJoCo"
 CHAOTIC = 1e-6  # m; a larger effect of a disturbance of 1e-12
 HEAD = (
@@ -43,7 +50,7 @@ def page_of(rows, states):
     loaded = [row for row in rows if "refused" not in row]
     summary = "\n".join(f"* {line}" for line in summary_of(rows))
     lines = [
-        PAGE.format(states=states, summary=summary),
+        PAGE.format(states=states, formats=by_format(rows), summary=summary),
         f"| {' | '.join(HEAD)} |",
         "|---" * len(HEAD) + "|",
     ]
@@ -70,6 +77,38 @@ def page_of(rows, states):
         if "refused" in row
     ]
     return "\n".join([*lines, ""])
+
+
+def by_format(rows):
+    """Table with one line for each format: files that load, and the largest differences from other software."""
+    lines = [
+        "| files | load | difference of accelerations | of positions after 1 s |",
+        "|---|---|---|---|",
+    ]
+    for suffix, name in FORMATS.items():
+        mine = [row for row in rows if row["format"] == suffix]
+        robots = [row for row in mine if not _is_no_robot(row.get("refused", ""))]
+        loaded = [row for row in robots if "refused" not in row]
+        found = [row["difference"] for row in loaded if isinstance(row.get("difference"), float)]
+        moved = [row["motion_m"] for row in loaded if _is_compared(row)]
+        cells = (
+            f"at most {max(each):.0e}{unit}, {len(each)} robots" if each else "-"
+            for each, unit in ((found, ""), (moved, " m"))
+        )
+        lines.append(f"| {name} | {len(loaded)} of {len(robots)} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _is_no_robot(refused):
+    """True for a file without a part that moves, or one that MuJoCo's compiler refuses."""
+    return "no link that moves" in refused or ": mjcf: " in refused
+
+
+def _is_compared(row):
+    """True if the motion was compared, and is not chaotic."""
+    motion = row.get("motion_m", float("inf"))
+    finite = isinstance(motion, float) and motion < float("inf")
+    return finite and row.get("grown_m", 0.0) <= CHAOTIC
 
 
 def summary_of(rows):
