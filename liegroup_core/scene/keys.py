@@ -20,7 +20,7 @@ from .robot_file import RobotFile
 from .shapes import SHAPES
 
 # {where the keys stand: the models of this place}
-PLACES = {
+PARTS = {
     "scene": (Scene,),
     "bodies": (Body,),
     "shape of a body": SHAPES,
@@ -60,8 +60,8 @@ class Table(NamedTuple):
 
 
 def key_tables():
-    """Tables of all parts of a scene, in the order of PLACES."""
-    return [_table(place, model) for place, models in PLACES.items() for model in models]
+    """Tables of all parts of a scene, in the order of PARTS."""
+    return [_table(place, model) for place, models in PARTS.items() for model in models]
 
 
 def _table(place, model):

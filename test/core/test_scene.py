@@ -32,7 +32,7 @@ from liegroup_core.scene import (
     yaml_text,
 )
 from liegroup_core.scene import load as load_module
-from liegroup_core.scene.keys import PLACES, key_tables
+from liegroup_core.scene.keys import PARTS, key_tables
 
 GOOD = (Path(__file__).parent / "rig.yaml").read_text(encoding="utf-8")
 PARSERS = sorted(
@@ -434,7 +434,7 @@ def test_every_field_of_a_scene_is_in_the_tables_of_keys():
             {model} if model.__subclasses__() else set()
         )
 
-    models = [model for models in PLACES.values() for model in models]
+    models = [model for models in PARTS.values() for model in models]
     assert leaves(Described) == {*models}
     for model, table in zip(models, key_tables(), strict=True):
         assert [key.name for key in table.keys] == list(model.model_fields)
