@@ -34,3 +34,12 @@ def test_no_report_replaces_a_scene_or_a_recording(line, name, tmp_path, capsys)
     assert main(line.format(path).split()) == 2
     assert "give another name" in capsys.readouterr().err
     assert path.read_text() == "kept"
+
+
+def test_keys_prints_the_tables_of_a_word_and_refuses_others(capsys):
+    assert main(["keys", "servo", "couplings"]) == 0
+    printed = capsys.readouterr().out
+    assert "effort_limit" in printed and "backlash" in printed and "quadratic" not in printed
+    assert main(["keys", "servos"]) == 2
+    error = capsys.readouterr().err
+    assert "'servos' is unknown" in error and "servo, " in error and error.count("\n") == 1
