@@ -36,7 +36,7 @@ from .scene_run import (
 from .standard_codes import FAILED, Refused
 
 try:
-    # A callback takes a fifth of its time in rclpy's default executor (docs/reference/node.md).
+    # With it a callback takes a fifth of the CPU time that it takes in rclpy's default executor.
     from rclpy.experimental import EventsExecutor as Executor
 except ImportError:
     Executor = SingleThreadedExecutor
