@@ -10,24 +10,16 @@ NAME = "liegroup_sim_ros"
 setup(
     name=NAME,
     version="0.3.0",
-    description="Multibody dynamics on Lie groups, simulated in real time, served to ROS 2 and "
-    "recorded.",
+    description="Multibody dynamics on Lie groups, simulated in real time, served to ROS 2 and recorded.",
     maintainer="liegroup_sim_ros developers",
     license="Apache-2.0",
     python_requires=">=3.11",
     packages=find_packages(include=["liegroup_core*", "liegroup_sim_ros*"]),
-    package_data={
-        NAME: ["py.typed"],
-        "liegroup_core": ["py.typed"],
-        f"{NAME}.report": ["page.css", "page.js"],
-    },
+    package_data={NAME: ["py.typed"], "liegroup_core": ["py.typed"], f"{NAME}.report": ["page.css", "page.js"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        (
-            f"share/{NAME}/config",
-            [path for kind in ("yaml", "rviz", "json") for path in glob(f"config/*.{kind}")],
-        ),
+        (f"share/{NAME}/config", [path for kind in ("yaml", "rviz", "json") for path in glob(f"config/*.{kind}")]),
         (f"share/{NAME}/config/scenes", glob("config/scenes/*.yaml")),
         (f"share/{NAME}/launch", glob("launch/*.launch.*")),
         (f"lib/{NAME}", ["resource/sim_node"]),

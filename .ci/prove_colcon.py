@@ -83,10 +83,7 @@ def prove(workspace):
 
     # In this process too: the ament index and DDS read the environment when they are used.
     os.environ["AMENT_PREFIX_PATH"] = environment["AMENT_PREFIX_PATH"]
-    domain = {
-        "ROS_DOMAIN_ID": str(random.randint(1, 100)),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-    }
+    domain = {"ROS_DOMAIN_ID": str(random.randint(1, 100)), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     os.environ.update(domain)
     environment.update(domain)
 

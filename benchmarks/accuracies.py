@@ -106,10 +106,7 @@ def apart(one, other, size):
 def true_motion(scene, pushes, times, size, stabilisation, step, budget):
     """(states, uncertainties) at the first of the times, as long as they are known."""
     settings = {"step": step, "stabilisation": stabilisation, "rtol": TIGHT, "atol": TIGHT}
-    fine, other = (
-        Run(scene, pushes, method=method, estimate=False, **settings)
-        for method in ("rkmk853", "rkmk54")
-    )
+    fine, other = (Run(scene, pushes, method=method, estimate=False, **settings) for method in ("rkmk853", "rkmk54"))
     states, unknown, largest = [], [], 0.0
     for at in times:
         try:
@@ -151,8 +148,7 @@ def independent(scene, pushes, times, states, size):
     except (SimulationError, ValueError):
         return None
     return max(
-        apart(state, Trajectory(None, *(part[k : k + 1] for part in exact[1:])), size)
-        for k, state in enumerate(states)
+        apart(state, Trajectory(None, *(part[k : k + 1] for part in exact[1:])), size) for k, state in enumerate(states)
     )
 
 
@@ -243,9 +239,7 @@ def rows_of(scene, horizon, accuracies, seed, budget, first):
     truth = true_motion(scene, pushes, times, size, stabilisation, step, budget)
     common = {"scene": scene.name, "horizon": horizon}
     if first and len(truth[0]):
-        common["from_independent"] = independent(
-            scene, pushes, times[: len(truth[0])], truth[0], size
-        )
+        common["from_independent"] = independent(scene, pushes, times[: len(truth[0])], truth[0], size)
     for accuracy in accuracies:
         case = (scene, pushes, times, truth, size, accuracy, horizon, budget)
         try:

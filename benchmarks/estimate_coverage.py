@@ -122,16 +122,12 @@ def compare(job):
                     grid, horizon = scale * GRID, scale * DURATION
                     simulation = Simulation(scene, step=grid, accuracy=step, horizon=horizon)
                 else:
-                    simulation = Simulation(
-                        scene, method, scale * step, stabilisation=stabilisation
-                    )
+                    simulation = Simulation(scene, method, scale * step, stabilisation=stabilisation)
             except ValueError:
                 continue
             for body, wrench, at, duration, axes in wrenches:
                 simulation.apply_wrench(body, wrench, at, duration, str(at), axes)
-            results.append(
-                (method, step, stabilisation, *follow(simulation, times, exact, uncertainty, size))
-            )
+            results.append((method, step, stabilisation, *follow(simulation, times, exact, uncertainty, size)))
     return name, results
 
 
@@ -139,9 +135,7 @@ def motion_of(exact):
     """(4,) extent of a motion: largest change of position, rotation, and size of velocities."""
     moved = np.linalg.norm(exact.position - exact.position[:1], axis=2).max()
     turned = np.linalg.norm(exact.rotation - exact.rotation[:1], axis=(2, 3)).max()
-    speeds = [
-        np.linalg.norm(part, axis=2).max() for part in (exact.twist[..., 3:], exact.twist[..., :3])
-    ]
+    speeds = [np.linalg.norm(part, axis=2).max() for part in (exact.twist[..., 3:], exact.twist[..., :3])]
     return np.maximum([moved, turned, *speeds], 1e-12)
 
 
@@ -197,24 +191,12 @@ def main():
     args = parser.parse_args()
     scenes = sorted(path.stem for path in (ROOT / "config" / "scenes").glob("*.yaml"))
     jobs = [(name, None, args.methods) for name in scenes]
-    jobs += [
-        (f"random {seed}", seed, args.methods) for seed in range(args.seed, args.seed + args.random)
-    ]
+    jobs += [(f"random {seed}", seed, args.methods) for seed in range(args.seed, args.seed + args.random)]
     with Pool(2) as pool:
         found = list(pool.imap_unordered(compare, jobs))
     console = Console()
     table = Table(title=f"Running error: estimate over true error, {len(jobs)} mechanisms")
-    for title in (
-        "method",
-        "runs",
-        "samples",
-        "under",
-        "over",
-        "median",
-        "wrong",
-        "silent",
-        "false alarms",
-    ):
+    for title in ("method", "runs", "samples", "under", "over", "median", "wrong", "silent", "false alarms"):
         table.add_column(title, justify="right")
     rows = [(name, *row) for name, rows in found for row in rows if len(row) == 8]
     wrong = [row for row in rows if row[5]]
@@ -240,9 +222,7 @@ def main():
     unknown = [name for name, rows in found if not rows or rows[0][0] == "reference"]
     console.print(f"without a reference or refused: {len(unknown)} mechanisms")
     parts = np.array([row[7] for row in rows if row[1] == ACCURATE] or [0.0])
-    console.print(
-        f"accuracy kept: {np.mean(parts <= 1.0):.4f} of {len(parts)} runs, largest part {parts.max():.3g}"
-    )
+    console.print(f"accuracy kept: {np.mean(parts <= 1.0):.4f} of {len(parts)} runs, largest part {parts.max():.3g}")
     for row in rows:
         if row[7] > 1.0:
             console.print(f"not kept: {row[0]}, {row[2]:g}: {row[7]:.3g} times")

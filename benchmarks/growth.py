@@ -43,12 +43,7 @@ STEP, IMPLICIT_STEP = 1e-4, 1e-3
 # Largest chains of others. Beyond, the memory is gone (pinocchio: 200 balls take 8 GB, 300 take 27)
 # or the time (mujoco: 1000 balls take 5 s per step). Exudyn's stepper knows balls only.
 LARGEST_OTHER = 1000
-LARGEST = {
-    ("pinocchio", "ball"): 100,
-    ("pinocchio", "hinge"): 100,
-    ("mujoco", "ball"): 100,
-    ("exudyn", "hinge"): 0,
-}
+LARGEST = {("pinocchio", "ball"): 100, ("pinocchio", "hinge"): 100, ("mujoco", "ball"): 100, ("exudyn", "hinge"): 0}
 
 
 def microseconds(code, problem, shortest, rounds, **options):
@@ -101,9 +96,7 @@ def chains(console, groups, peers, timing):
         for name, (kind, make) in CHAINS.items():
             largest = LARGEST.get((code.CODE, kind), LINKS[-1] if options else LARGEST_OTHER)
             figures = {
-                links: microseconds(code, make(links), *timing, **options)
-                for links in LINKS
-                if links <= largest
+                links: microseconds(code, make(links), *timing, **options) for links in LINKS if links <= largest
             }
             if not figures:
                 continue
@@ -176,8 +169,7 @@ def main():
             counted, kept = allocations(take_steps, steps)
             data["allocations"][f"{problem.title}, {steps} steps"] = (counted, kept)
             console.print(
-                f"{problem.title}: {steps} steps in one call make {counted} allocations "
-                f"and keep {kept} bytes"
+                f"{problem.title}: {steps} steps in one call make {counted} allocations and keep {kept} bytes"
             )
     if options.json:
         with open(options.json, "w", encoding="utf-8") as file:

@@ -27,18 +27,7 @@ from liegroup_core import Simulation, load_scene
 
 SCENES = Path(__file__).parents[1] / "config" / "scenes"
 SAMPLES = 360
-HEAD = (
-    "scene",
-    "share %",
-    "estimate",
-    "wanted",
-    "accurate",
-    "predictable",
-    "energy",
-    "change",
-    "joints",
-    "radau5 %",
-)
+HEAD = ("scene", "share %", "estimate", "wanted", "accurate", "predictable", "energy", "change", "joints", "radau5 %")
 
 
 def row(name, seconds):

@@ -24,11 +24,7 @@ from timing import seconds_of_step
 from liegroup_core import SimulationError, load_scene
 from liegroup_core.engine import Engine
 
-SCENES = {
-    "double_pendulum": 1e-3,
-    "four_bar": 1e-3,
-    "bricard": 1e-3,
-}  # step of constrained_rattle, s
+SCENES = {"double_pendulum": 1e-3, "four_bar": 1e-3, "bricard": 1e-3}  # step of constrained_rattle, s
 METHODS = (
     ("constrained_rattle", {}),
     ("constrained_rattle4", {}),
@@ -114,12 +110,7 @@ def main():
                 continue
             scatter, drift, error = trend(energy)
             table.add_row(
-                label,
-                f"{step:.3g}",
-                f"{cost:.2f}",
-                f"{scatter:.1e}",
-                f"{drift:+.1e} ± {error:.0e}",
-                f"{gap:.0e}",
+                label, f"{step:.3g}", f"{cost:.2f}", f"{scatter:.1e}", f"{drift:+.1e} ± {error:.0e}", f"{gap:.0e}"
             )
         console.print(table)
 

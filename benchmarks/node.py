@@ -19,9 +19,7 @@ import tempfile
 import time
 from pathlib import Path
 
-os.environ.update(
-    ROS_DOMAIN_ID=str(random.randint(1, 100)), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST"
-)
+os.environ.update(ROS_DOMAIN_ID=str(random.randint(1, 100)), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
 
 import rclpy  # noqa: E402  (reads the domain from the environment)
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
@@ -42,8 +40,7 @@ PUCK = (
     "  - {name: axle, type: revolute, parent: world, child: wheel, child_frame: {}}\n"
 )
 MANY = "name: many\ngravity: [0, 0, -9.81]\nbodies:\n" + "".join(
-    f"  - {{name: b{i}, mass: 1, inertia: [1, 2, 3], position: [{i}, 0, 0], "
-    "angular_velocity: [1, 2, 3]}\n"
+    f"  - {{name: b{i}, mass: 1, inertia: [1, 2, 3], position: [{i}, 0, 0], angular_velocity: [1, 2, 3]}}\n"
     for i in range(20)
 )
 
@@ -53,10 +50,7 @@ class Process:
 
     def __init__(self, *command):
         self._process = subprocess.Popen(
-            [sys.executable, *map(str, command)],
-            text=True,
-            stdout=subprocess.PIPE,
-            start_new_session=True,
+            [sys.executable, *map(str, command)], text=True, stdout=subprocess.PIPE, start_new_session=True
         )
 
     def __enter__(self):
@@ -92,10 +86,7 @@ class Process:
 
 def simulation(**parameters):
     return Process(
-        "-c",
-        NODE,
-        "--ros-args",
-        *(part for name, value in parameters.items() for part in ("-p", f"{name}:={value}")),
+        "-c", NODE, "--ros-args", *(part for name, value in parameters.items() for part in ("-p", f"{name}:={value}"))
     )
 
 
@@ -178,10 +169,7 @@ def line(name, pacing, rate, cpu):
 
 
 def real_time(listener, folder, seconds):
-    print(
-        "\nin real time                 rate/s  late p50      p99       max   CPU %   rt factor"
-        "   (lateness in us)"
-    )
+    print("\nin real time                 rate/s  late p50      p99       max   CPU %   rt factor   (lateness in us)")
     paced(listener, folder, seconds, "heavy top", {"scene": "heavy_top", **at(1000.0)})
     many = folder / "many.yaml"
     many.write_text(MANY)
@@ -209,8 +197,7 @@ def holds(listener, folder, seconds, kind, links):
     pacing = recording.pacing
     factor = pacing["real_time_factor"]
     print(
-        f"{kind:<12} {links:8d} {factor:15.5f} {pacing['lateness_us']['p99']:9.0f} "
-        f"{100 * cpu / seconds:7.1f}",
+        f"{kind:<12} {links:8d} {factor:15.5f} {pacing['lateness_us']['p99']:9.0f} {100 * cpu / seconds:7.1f}",
         flush=True,
     )
     return factor >= HELD
@@ -218,10 +205,7 @@ def holds(listener, folder, seconds, kind, links):
 
 def kept(listener, folder, seconds):
     """A node at 1 kHz with a push every second, with and without the estimate; a scene that is too large."""
-    print(
-        "\naccuracy, recorded           rate/s  late p50      p99       max   CPU %   rt factor"
-        "   (lateness in us)"
-    )
+    print("\naccuracy, recorded           rate/s  late p50      p99       max   CPU %   rt factor   (lateness in us)")
     heavy = {"scene": "heavy_top", **at(1000.0)}
     fixed = {**heavy, "method": "rkmk853", "step": 1e-3}
     paced(listener, folder, seconds, "default", heavy, push=True)
@@ -266,13 +250,9 @@ def trips(listener, out, back, count, pause=2e-3):
     """
     seen = []
     (commanded, make), (shown, message_class, value) = out, back
-    subscription = listener.node.create_subscription(
-        message_class, shown, lambda m: seen.append(value(m)), 10
-    )
+    subscription = listener.node.create_subscription(message_class, shown, lambda m: seen.append(value(m)), 10)
     publisher = listener.node.create_publisher(type(make(0.0)), commanded, 10)
-    listener.until(
-        lambda: publisher.get_subscription_count() and listener.node.count_publishers(shown)
-    )
+    listener.until(lambda: publisher.get_subscription_count() and listener.node.count_publishers(shown))
     times, sign = [], 1.0
     listener.spin(1.0)
     for _ in range(count):
@@ -341,10 +321,7 @@ def round_trip(listener, folder, count):
             ):
                 echo = None
                 for who in ("echo", "sim_node"):
-                    out, back = (
-                        (f"/{who}/{command}", make),
-                        (f"/{who}/{state}", message_class, value),
-                    )
+                    out, back = ((f"/{who}/{command}", make), (f"/{who}/{state}", message_class, value))
                     times = trips(listener, out, back, count, pause)
                     echo = report(f"{who}, {name}, {kind}", times, echo)
     print(f"median over the rates {statistics.median(ratios):.2f}")
@@ -353,12 +330,7 @@ def round_trip(listener, folder, count):
 def cost_of(listener, path, seconds, scene, bodies):
     """CPU us per published message, of the whole process with steps and recording."""
     with simulation(
-        scene=scene,
-        publish_rate=1000.0,
-        clock_rate=1000.0,
-        state_rate=0.0,
-        real_time_factor=0.0,
-        record=path,
+        scene=scene, publish_rate=1000.0, clock_rate=1000.0, state_rate=0.0, real_time_factor=0.0, record=path
     ) as node:
         first, cpu = listener.figures(), node.cpu()
         listener.spin(seconds)
@@ -380,11 +352,7 @@ def cost(listener, folder, seconds):
         with Process(BARE, name, seconds) as process:
             bare[name] = process.answer()["cpu_us_per_message"]
     print("\nCPU per message, flat out        us   of objects    of bytes")
-    for name, cpu in (
-        *costs.items(),
-        ("bare: objects built", bare["objects"]),
-        ("bare: ready bytes", bare["bytes"]),
-    ):
+    for name, cpu in (*costs.items(), ("bare: objects built", bare["objects"]), ("bare: ready bytes", bare["bytes"])):
         print(f"{name:<26} {cpu:8.2f} {cpu / bare['objects']:12.2f} {cpu / bare['bytes']:11.2f}")
 
 
@@ -404,9 +372,7 @@ def storm(listener, folder, seconds):
             answers = [process.answer() for process in (a, b, c)]
         last, grown = listener.figures(), node.memory() - memory
         code = node.end()
-    taken = {
-        key: int(last[key]) - int(before[key]) for key in ("wrenches_accepted", "wrenches_refused")
-    }
+    taken = {key: int(last[key]) - int(before[key]) for key in ("wrenches_accepted", "wrenches_refused")}
     sent = {key: sum(answer[key] for answer in answers) for key in ("sent", "wrong")}
     print(
         f"sent {sent['sent']}, {sent['wrong']} of them wrong; accepted "
@@ -424,10 +390,7 @@ def main():
     """Run all parts, or the named ones."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
-        "parts",
-        nargs="*",
-        metavar="PART",
-        help="real_time, kept, largest, round_trip, cost or storm; all if left out",
+        "parts", nargs="*", metavar="PART", help="real_time, kept, largest, round_trip, cost or storm; all if left out"
     )
     parser.add_argument("--long", action="store_true", help="60 and 30 s in place of 5 and 5 s")
     args = parser.parse_args()

@@ -77,8 +77,7 @@ def measure(variants, codes, groups, ratio, budget, rounds):
                 run(entry, problem)
     time_ladders(ladders, variants[0].duration, rounds)
     return [
-        (entry, rungs, {target: cost_at(rungs, target) for target in TARGETS})
-        for entry, rungs in zip(entries, ladders)
+        (entry, rungs, {target: cost_at(rungs, target) for target in TARGETS}) for entry, rungs in zip(entries, ladders)
     ], known
 
 
@@ -86,11 +85,7 @@ def promising(entries, ladders):
     """Entries that may turn out the cheapest for a target, by the cost of their first runs."""
     chosen = {}
     for target in TARGETS:
-        costs = {
-            entry: met.cost
-            for entry, rungs in zip(entries, ladders)
-            if (met := cost_at(rungs, target))
-        }
+        costs = {entry: met.cost for entry, rungs in zip(entries, ladders) if (met := cost_at(rungs, target))}
         chosen |= {e: None for e, cost in costs.items() if cost <= CLOSE * min(costs.values())}
     return list(chosen)
 
@@ -98,12 +93,8 @@ def promising(entries, ladders):
 def main():
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "--quick", action="store_true", help="coarser ladders, fewer rounds, no run above a second"
-    )
-    parser.add_argument(
-        "--only", nargs="+", metavar="P", help="first words of a problem's name: P1..S8"
-    )
+    parser.add_argument("--quick", action="store_true", help="coarser ladders, fewer rounds, no run above a second")
+    parser.add_argument("--only", nargs="+", metavar="P", help="first words of a problem's name: P1..S8")
     parser.add_argument(
         "--group",
         nargs="+",
@@ -117,18 +108,14 @@ def main():
 
     console = Console(width=None if sys.stdout.isatty() else 130, highlight=False)
     peers = load_peers(console)
-    versions = {name: version(name) for name in ("numba", "numpy")} | {
-        peer.CODE: peer.version() for peer in peers
-    }
+    versions = {name: version(name) for name in ("numba", "numpy")} | {peer.CODE: peer.version() for peer in peers}
     machine = {
         "processor": platform.processor() or platform.machine(),
         "cores": os.cpu_count(),
         "load": os.getloadavg()[0],
         "python": platform.python_version(),
     }
-    console.print(
-        ", ".join(f"{key} {value}" for key, value in (versions | machine).items()), soft_wrap=True
-    )
+    console.print(", ".join(f"{key} {value}" for key, value in (versions | machine).items()), soft_wrap=True)
 
     ours.prepare()
     groups = options.group
@@ -140,9 +127,7 @@ def main():
         problem = variants[0]
         results, known = measure(variants, peers, groups, ratio, budget, rounds)
         console.print(costs_table(name, problem, results))
-        console.print(
-            f"exact end known to {known:.0e}; {time.perf_counter() - start:.0f} s so far\n"
-        )
+        console.print(f"exact end known to {known:.0e}; {time.perf_counter() - start:.0f} s so far\n")
         missed += shortfalls(name, problem, results)
         data[name] = as_data(problem, results) | {"exact_known_to": float(known)}
     console.print("[bold]Where we fall short[/bold]" if missed else "Every target is met.")

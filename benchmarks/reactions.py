@@ -59,9 +59,7 @@ def costs(name, repeat):
         start = time.thread_time()
         simulation.advance(count)
         native = (time.thread_time() - start) / count
-        loop, arrays, samples, names_ = (
-            seconds(simulation, step, count) for step in (plain, array, sample, named)
-        )
+        loop, arrays, samples, names_ = (seconds(simulation, step, count) for step in (plain, array, sample, named))
         rows.append((native, loop, arrays - loop, names_ - samples))
     return [1e6 * statistics.median(column) for column in zip(*rows)]
 
@@ -74,15 +72,7 @@ def main():
     options = parser.parse_args()
     logging.disable(logging.WARNING)
     table = Table(title="Reactions of all joints at every step, us")
-    for column in (
-        "scene",
-        "step",
-        "advance(1)",
-        "reaction_array",
-        "of a step",
-        "of advance(1)",
-        "Sample.reactions",
-    ):
+    for column in ("scene", "step", "advance(1)", "reaction_array", "of a step", "of advance(1)", "Sample.reactions"):
         table.add_column(column, justify="left" if column == "scene" else "right")
     for name in options.scenes or sorted(example_scenes()):
         step, loop, array, named = costs(name, options.repeat)

@@ -84,9 +84,7 @@ def speed(folder, count):
         for write in found:
             wall, cpu = time.perf_counter(), time.process_time()
             write(path, messages)
-            found[write].append(
-                (time.perf_counter() - wall, time.process_time() - cpu, path.stat().st_size)
-            )
+            found[write].append((time.perf_counter() - wall, time.process_time() - cpu, path.stat().st_size))
             path.unlink()
     print(f"\nwriting {count} poses            messages/s      of CPU   CPU us each   MB/million")
     best = {}
@@ -110,9 +108,7 @@ def killed(folder, count):
     random.seed(5)
     while done < count:
         child = subprocess.Popen(
-            [sys.executable, SIDE / "writes.py", path, str(FLUSH), str(RATE)],
-            stdout=subprocess.PIPE,
-            text=True,
+            [sys.executable, SIDE / "writes.py", path, str(FLUSH), str(RATE)], stdout=subprocess.PIPE, text=True
         )
         check(child.stdout.readline() == "running\n", "a process did not start")
         started = time.monotonic_ns()
@@ -133,8 +129,7 @@ def killed(folder, count):
             reader = make_reader(stream, validate_crcs=True)
             rows = [message.log_time for _, _, message in reader.iter_messages()]
         check(
-            len(rows) == found.count == reader.get_summary().statistics.message_count
-            and rows == sorted(rows),
+            len(rows) == found.count == reader.get_summary().statistics.message_count and rows == sorted(rows),
             "the recovered file is not what was surveyed",
         )
         lags.append((at - rows[-1]) * 1e-9 if rows else (at - started) * 1e-9)
@@ -173,15 +168,9 @@ def cut(folder, _):
             refused += 1
             continue
         with open(out, "rb") as stream:
-            rows = [
-                (m.log_time, m.data)
-                for _, _, m in make_reader(stream, validate_crcs=True).iter_messages()
-            ]
+            rows = [(m.log_time, m.data) for _, _, m in make_reader(stream, validate_crcs=True).iter_messages()]
         check(rows == list(enumerate(messages[: len(rows)])), f"cut at {size}: wrong messages")
-        check(
-            found.count == len(rows) and not found.lost and not found.complete,
-            f"cut at {size}: wrong figures",
-        )
+        check(found.count == len(rows) and not found.lost and not found.complete, f"cut at {size}: wrong figures")
         counts.add(len(rows))
         out.unlink()
     print(
@@ -195,15 +184,11 @@ def disk(folder, _):
     """The simulation node records to a disk of 1 MB."""
     place = folder / "small_disk"
     place.mkdir()
-    if subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=1m", "none", place], capture_output=True
-    ).returncode:
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "none", place], capture_output=True).returncode:
         print("\ndisk full: left out, a disk of 1 MB cannot be mounted here")
         return
     try:
-        answer = subprocess.run(
-            [sys.executable, SIDE / "full.py", place / "run.mcap"], capture_output=True, text=True
-        )
+        answer = subprocess.run([sys.executable, SIDE / "full.py", place / "run.mcap"], capture_output=True, text=True)
         check(answer.returncode == 0, answer.stderr[-2000:])
         steps_at_failure, steps, written, lost, failure, logged = json.loads(answer.stdout)
         found = survey(place / "run.mcap")
@@ -232,10 +217,7 @@ def readers(folder, _):
     for name in ("mcap_ros2", "rosbags", "pybag", "small_mcap"):
         answer = json.loads(
             subprocess.run(
-                [sys.executable, SIDE / "decode.py", name, path],
-                check=True,
-                capture_output=True,
-                text=True,
+                [sys.executable, SIDE / "decode.py", name, path], check=True, capture_output=True, text=True
             ).stdout
         )
         check(answer == counts, f"{name} found {answer}")
@@ -248,10 +230,7 @@ def readers(folder, _):
     for name in ("package.json", "decode.mjs"):
         shutil.copy(SIDE / name, place)
     made = subprocess.run(
-        ["npm", "install", "--no-audit", "--no-fund", "--loglevel=error"],
-        cwd=place,
-        capture_output=True,
-        text=True,
+        ["npm", "install", "--no-audit", "--no-fund", "--loglevel=error"], cwd=place, capture_output=True, text=True
     )
     if made.returncode:
         print(f"@mcap/core   left out, npm cannot install it here: {made.stderr[:200].strip()}")
@@ -259,33 +238,19 @@ def readers(folder, _):
     done = subprocess.run(["node", "decode.mjs", path], cwd=place, capture_output=True, text=True)
     check(done.returncode == 0, f"@mcap/core: {done.stderr[-1000:]}")
     check(json.loads(done.stdout) == counts, f"@mcap/core found {done.stdout}")
-    versions = subprocess.run(
-        ["npm", "ls", "--depth=0"], cwd=place, capture_output=True, text=True
-    ).stdout.split("\n")[1:]
-    print(
-        "@mcap/core   decoded every message:",
-        ", ".join(line.split()[-1] for line in versions if line.strip()),
-    )
+    versions = subprocess.run(["npm", "ls", "--depth=0"], cwd=place, capture_output=True, text=True).stdout.split("\n")[
+        1:
+    ]
+    print("@mcap/core   decoded every message:", ", ".join(line.split()[-1] for line in versions if line.strip()))
 
 
 def main():
     """Run all parts, or the named ones."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "parts",
-        nargs="*",
-        metavar="PART",
-        help="speed, killed, cut, disk or readers (default: all)",
-    )
+    parser.add_argument("parts", nargs="*", metavar="PART", help="speed, killed, cut, disk or readers (default: all)")
     parser.add_argument("--long", action="store_true", help="a million messages, 200 kills")
     args = parser.parse_args()
-    sizes = {
-        speed: (1_000_000, 100_000),
-        killed: (200, 10),
-        cut: (0, 0),
-        disk: (0, 0),
-        readers: (0, 0),
-    }
+    sizes = {speed: (1_000_000, 100_000), killed: (200, 10), cut: (0, 0), disk: (0, 0), readers: (0, 0)}
     parts = {part.__name__: part for part in sizes}
     if unknown := set(args.parts) - set(parts):
         parser.error(f"unknown part {min(unknown)}; there are {', '.join(parts)}")

@@ -20,8 +20,7 @@ STEP = 1e-3
 PARTS = {
     "imports": "import liegroup_sim_ros.commands.analyze",
     "read_recording": "read()",
-    "samples, piece by piece": "print(sum(len(piece.stamp_ns) for piece in read().samples()),"
-    " file=sys.stderr)",
+    "samples, piece by piece": "print(sum(len(piece.stamp_ns) for piece in read().samples()), file=sys.stderr)",
     "all tracks as arrays": "r = read(); r.pose, r.twist",
     "analyze --no-reference": "analyse(read(), reference=False)",
     "analyze": "found = analyse(read()); print(found.figures['verdict'], file=sys.stderr)",
@@ -62,9 +61,7 @@ def make(path, seconds):
         "clock": "/clock",
         "diagnostics": "/diagnostics",
     }
-    with Recorder(
-        path, attachments.at_start(simulation, "/sim_node", "world", 1, topics)
-    ) as recorder:
+    with Recorder(path, attachments.at_start(simulation, "/sim_node", "world", 1, topics)) as recorder:
         pose, twist, wrench, events, clock = (
             recorder.add_channel(topic, codec.TYPE)
             for topic, codec in (
@@ -85,18 +82,12 @@ def make(path, seconds):
                 simulation.advance()
             for change in simulation.drain_applied():
                 stamp = round(change.step * STEP * 1e9)
-                recorder.write(
-                    wrench, stamp, WrenchStampedCodec("top").encode(stamp, change.wrench)
-                )
+                recorder.write(wrench, stamp, WrenchStampedCodec("top").encode(stamp, change.wrench))
             sample = simulation.sample()
             stamp = sample.time_ns
             recorder.write(clock, stamp, ClockCodec.encode(stamp))
             recorder.write(
-                pose,
-                stamp,
-                encode_pose(
-                    stamp, sample.positions["top"].tolist(), sample.quaternions["top"].tolist()
-                ),
+                pose, stamp, encode_pose(stamp, sample.positions["top"].tolist(), sample.quaternions["top"].tolist())
             )
             recorder.write(twist, stamp, encode_twist(stamp, sample.twists["top"].tolist()))
         recorder.write(events, stamp, LogCodec.encode(stamp, LogCodec.INFO, "stop", "done"))
@@ -124,17 +115,14 @@ def main():
         base = None
         for name, code in PARTS.items():
             done = subprocess.run(
-                [sys.executable, "-c", CHILD.format(code=code), str(path)],
-                stdout=subprocess.PIPE,
-                text=True,
+                [sys.executable, "-c", CHILD.format(code=code), str(path)], stdout=subprocess.PIPE, text=True
             )
             if done.returncode:
                 sys.exit(f"{name} failed")
             wall, cpu, peak = json.loads(done.stdout.splitlines()[-1])
             base = peak if base is None else base
             print(
-                f"{name:26}{wall:9.1f}{cpu:9.1f}{peak:9.0f}{wall / million:9.2f}"
-                f"{(peak - base) / million:10.1f}",
+                f"{name:26}{wall:9.1f}{cpu:9.1f}{peak:9.0f}{wall / million:9.2f}{(peak - base) / million:10.1f}",
                 flush=True,
             )
 

@@ -31,10 +31,7 @@ DURATIONS = {"Talos": 0.5, "Cassie, free": 0.3}
 
 def step_costs(problem, codes):
     """{code: median CPU s of a step}, timed in turn."""
-    steppers = {
-        code.CODE: code.stepper(problem, STEP, *(["relative"] if code is ours else []))
-        for code in codes
-    }
+    steppers = {code.CODE: code.stepper(problem, STEP, *(["relative"] if code is ours else [])) for code in codes}
     times = {name: [] for name in steppers}
     counts = dict.fromkeys(steppers, 0)
     for name, take in steppers.items():
@@ -78,18 +75,12 @@ def main():
     console = Console(width=None if sys.stdout.isatty() else 130, highlight=False)
     # Exudyn's kinematic trees are slower than both on all robots of peers.py.
     peers = [code for code in load_peers(console) if code.CODE != "exudyn"]
-    names = [
-        name for name in published.FILES if not options.only or name.startswith(tuple(options.only))
-    ]
+    names = [name for name in published.FILES if not options.only or name.startswith(tuple(options.only))]
     missing = [name for name in names if published.path_of(name) is None]
     if missing:
         console.print(f"Left out, example-robot-data is not installed: {', '.join(missing)}")
     ours.prepare()
-    problems = {
-        name: published.problem_of(name, DURATIONS.get(name, 1.0))
-        for name in names
-        if name not in missing
-    }
+    problems = {name: published.problem_of(name, DURATIONS.get(name, 1.0)) for name in names if name not in missing}
     steps = {name: step_costs(problem, [ours, *peers]) for name, problem in problems.items()}
     if steps:
         console.print(steps_table(steps))

@@ -95,9 +95,7 @@ def _compared(path, scene, states, peer, motion):
     from robots_side.with_mujoco import against_mujoco, motion_against_mujoco
 
     row = {"difference": float(against_mujoco(path, scene, states))}
-    return row | (
-        _moved(motion_against_mujoco, path, scene) if motion and not scene.couplings else {}
-    )
+    return row | (_moved(motion_against_mujoco, path, scene) if motion and not scene.couplings else {})
 
 
 def _moved(compare, path, scene):

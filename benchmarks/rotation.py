@@ -43,9 +43,7 @@ def long_run(scene, step, method, steps):
         simulation.advance(int(count) - simulation.steps)
         sample = simulation.sample()
         energy.append(sample.energy / start.energy - 1.0)
-        momentum.append(
-            np.linalg.norm((sample.spatial_momentum - start.spatial_momentum)[parts]) / size
-        )
+        momentum.append(np.linalg.norm((sample.spatial_momentum - start.spatial_momentum)[parts]) / size)
     return counts, np.array(energy), np.array(momentum)
 
 
@@ -63,15 +61,12 @@ def main():
         "--method",
         nargs="*",
         metavar="NAME",
-        default=[name for name, method in METHODS.items() if method.family == "rotation"]
-        + ["rkmk4"],
+        default=[name for name, method in METHODS.items() if method.family == "rotation"] + ["rkmk4"],
     )
     options = parser.parse_args()
     console = Console(width=130)
     for scene, step in SCENES.items():
-        table = Table(
-            title=f"{scene}, h = {step:g} s, {options.steps} steps", box=None, title_justify="left"
-        )
+        table = Table(title=f"{scene}, h = {step:g} s, {options.steps} steps", box=None, title_justify="left")
         for column in (
             "method",
             "ns a step",

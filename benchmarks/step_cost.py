@@ -72,10 +72,7 @@ def start_up_seconds(cache, *names):
 def start_up(*names):
     """(CPU s of a first start, CPU s of a later start, median of 5)."""
     with tempfile.TemporaryDirectory() as cache:
-        return (
-            start_up_seconds(cache, *names),
-            statistics.median(start_up_seconds(cache, *names) for _ in range(5)),
-        )
+        return (start_up_seconds(cache, *names), statistics.median(start_up_seconds(cache, *names) for _ in range(5)))
 
 
 def bytes_allocated(steps):
@@ -101,13 +98,7 @@ def main():
     for scene in ("heavy_top", "free_body", "double_pendulum"):
         for group in ("se3", "so3xr3"):
             times = microseconds_per_step(scene, group, options.repeat)
-            table.add_row(
-                scene,
-                group,
-                f"{statistics.median(times):.3f}",
-                f"{min(times):.3f}",
-                f"{max(times):.3f}",
-            )
+            table.add_row(scene, group, f"{statistics.median(times):.3f}", f"{min(times):.3f}", f"{max(times):.3f}")
     console = Console()
     console.print(table)
     table = Table(title="Start, CPU s from import to a ready simulation")
@@ -117,10 +108,7 @@ def main():
         cold, warm = start_up(*names)
         table.add_row(title, f"{cold:.1f}", f"{warm:.2f}")
     console.print(table)
-    console.print(
-        f"bytes allocated by 1000 steps {bytes_allocated(1000)}, "
-        f"by 100000 steps {bytes_allocated(100_000)}"
-    )
+    console.print(f"bytes allocated by 1000 steps {bytes_allocated(1000)}, by 100000 steps {bytes_allocated(100_000)}")
 
 
 if __name__ == "__main__":

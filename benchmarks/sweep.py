@@ -89,9 +89,7 @@ def main():
     print(f"CPU time of a run of {STEPS} steps, rkmk4, with 10 looks at energy and joints")
     for name in SCENES:
         least, all_ = costs(name)
-        print(
-            f"  {name:16s} {all_ * 1e3:7.2f} ms, of which {least * 1e3:6.2f} ms without the steps"
-        )
+        print(f"  {name:16s} {all_ * 1e3:7.2f} ms, of which {least * 1e3:6.2f} ms without the steps")
     few = tasks(2)
     task = (tasks(TASKS) - few) / (TASKS - 2)
     print(
@@ -100,20 +98,12 @@ def main():
     )
     found = {workers: sweeping(runs, workers) for workers in (1, 2)}
     same = np.array_equal(found[1][-1], found[2][-1])
-    print(
-        f"{runs} runs of heavy_top, {os.cpu_count()} cores; {'the same bits' if same else 'DIFFER'}"
-    )
+    print(f"{runs} runs of heavy_top, {os.cpu_count()} cores; {'the same bits' if same else 'DIFFER'}")
     print("workers   wall s   runs/s   runs/s without the start   CPU s of runs   of all")
     for workers, (wall, rest, count, own, used, _) in found.items():
-        print(
-            f"{workers:7d} {wall:8.1f} {runs / wall:8.0f} {count / rest:26.0f} {own:15.1f} "
-            f"{used:8.1f}"
-        )
+        print(f"{workers:7d} {wall:8.1f} {runs / wall:8.0f} {count / rest:26.0f} {own:15.1f} {used:8.1f}")
     rates = {workers: entry[2] / entry[1] for workers, entry in found.items()}
-    print(
-        f"efficiency of two: {found[1][0] / found[2][0] / 2:.2f}, without the start "
-        f"{rates[2] / rates[1] / 2:.2f}"
-    )
+    print(f"efficiency of two: {found[1][0] / found[2][0] / 2:.2f}, without the start {rates[2] / rates[1] / 2:.2f}")
     print(f"two processes that share nothing keep {speed_kept():.2f} of their speed here")
 
 

@@ -38,12 +38,7 @@ def speed_kept(rounds=3):
 
     def seconds(count):
         processes = [
-            subprocess.Popen(
-                [sys.executable, "-c", STEPPING],
-                text=True,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-            )
+            subprocess.Popen([sys.executable, "-c", STEPPING], text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
             for _ in range(count)
         ]
         for process in processes:

@@ -57,20 +57,12 @@ def main():
         method = METHODS[name]
         controlled = method.controlled
         for value in TOLERANCES if controlled else STEPS:
-            settings = (
-                {"step": 1.0, "rtol": value, "atol": value} if controlled else {"step": value}
-            )
+            settings = {"step": 1.0, "rtol": value, "atol": value} if controlled else {"step": value}
             try:
                 error, seconds, steps = measure(options.repeat, method=name, **settings)
             except SimulationError:
                 continue  # the step is too large for this method
-            table.add_row(
-                name,
-                f"{value:g}",
-                f"{error:.1e}",
-                f"{1e3 * seconds:.3f}",
-                f"{1e6 * seconds / steps:.2f}",
-            )
+            table.add_row(name, f"{value:g}", f"{error:.1e}", f"{1e3 * seconds:.3f}", f"{1e6 * seconds / steps:.2f}")
     Console().print(table)
 
 

@@ -74,29 +74,17 @@ def promises(scene, trade):
         k, n = poses.shape[:2]
         off = distance(
             Trajectory(
-                times[rows],
-                poses[..., :9].reshape(k, n, 3, 3),
-                poses[..., 9:],
-                np.array([row[2] for row in motion]),
+                times[rows], poses[..., :9].reshape(k, n, 3, 3), poses[..., 9:], np.array([row[2] for row in motion])
             ),
             Trajectory(*(part[rows] for part in true)),
         )
-        entry |= {
-            "measured": scaled(off.position, off.angle, trade.truth.length),
-            "known": known,
-            "instants": k,
-        }
+        entry |= {"measured": scaled(off.position, off.angle, trade.truth.length), "known": known, "instants": k}
     return found
 
 
 def condensed(part):
     """The part with only the cells on its Pareto front or in its list of cheapest cells."""
-    wanted = sorted(
-        {
-            *part["front"],
-            *(entry["cell"] for entry in part["cheapest"] if entry["cell"] is not None),
-        }
-    )
+    wanted = sorted({*part["front"], *(entry["cell"] for entry in part["cheapest"] if entry["cell"] is not None)})
     place = {k: i for i, k in enumerate(wanted)}
     stopped = sum(bool(cell["stopped"]) for cell in part["cells"])
     flagged = sum(bool(cell.get("flagged")) for cell in part["cells"])
@@ -108,8 +96,7 @@ def condensed(part):
         "cells": [part["cells"][k] for k in wanted],
         "front": [place[k] for k in part["front"]],
         "cheapest": [
-            entry | {"cell": None if entry["cell"] is None else place[entry["cell"]]}
-            for entry in part["cheapest"]
+            entry | {"cell": None if entry["cell"] is None else place[entry["cell"]]} for entry in part["cheapest"]
         ],
     }
 
@@ -121,18 +108,11 @@ def main():
     parser.add_argument("--workers", type=int, help="processes (default: one for each core)")
     parser.add_argument("--methods", nargs="+", help="default: all applicable methods")
     parser.add_argument(
-        "--budget",
-        type=float,
-        default=BUDGET,
-        help="CPU seconds of a run at most (default: %(default)g)",
+        "--budget", type=float, default=BUDGET, help="CPU seconds of a run at most (default: %(default)g)"
     )
     parser.add_argument("scenes", nargs="*", help="measure only these and keep the others")
     args = parser.parse_args()
-    known = (
-        {part["scene"]: part for part in json.loads(DATA.read_text())["scenes"]}
-        if DATA.exists()
-        else {}
-    )
+    known = {part["scene"]: part for part in json.loads(DATA.read_text())["scenes"]} if DATA.exists() else {}
     names = args.scenes or sorted(path.stem for path in (ROOT / "config/scenes").glob("*.yaml"))
     for name in () if args.write else names:
         print(name, flush=True)
@@ -144,9 +124,7 @@ def main():
             continue
         known[name] = condensed(part) | {"promises": promises(scene, trade)}
         parts = [known[key] for key in sorted(known)]
-        DATA.write_text(
-            json.dumps({"format": 1, "scenes": parts}, indent=1, allow_nan=False) + "\n"
-        )
+        DATA.write_text(json.dumps({"format": 1, "scenes": parts}, indent=1, allow_nan=False) + "\n")
     print(trade_page.text(json.loads(DATA.read_text())["scenes"]))
 
 

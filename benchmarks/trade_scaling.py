@@ -41,20 +41,16 @@ def main():
     measured(1)  # compiles the kernels
     one, two = measured(1), measured(2)
     same = [
-        json.dumps({key: value for key, value in cell.items() if key not in ("cost_us", "timings")})
-        for cell in one[0]
+        json.dumps({key: value for key, value in cell.items() if key not in ("cost_us", "timings")}) for cell in one[0]
     ] == [
-        json.dumps({key: value for key, value in cell.items() if key not in ("cost_us", "timings")})
-        for cell in two[0]
+        json.dumps({key: value for key, value in cell.items() if key not in ("cost_us", "timings")}) for cell in two[0]
     ]
     print(f"{len(one[0])} runs, {os.cpu_count()} cores; errors {'the same' if same else 'DIFFER'}")
     print("workers   wall s   without the start s   CPU s of the runs")
     for workers, (cells, wall, rest) in ((1, one), (2, two)):
         cpu = sum(cell["cost_us"] * 1e-6 * HORIZON * cell["timings"] for cell in cells)
         print(f"{workers:7d} {wall:8.1f} {rest:21.1f} {cpu:19.1f}")
-    print(
-        f"efficiency of two: {one[1] / two[1] / 2:.2f}, without the start {one[2] / two[2] / 2:.2f}"
-    )
+    print(f"efficiency of two: {one[1] / two[1] / 2:.2f}, without the start {one[2] / two[2] / 2:.2f}")
     print(f"two processes that share nothing keep {speed_kept():.2f} of their speed here")
 
 

@@ -64,11 +64,7 @@ def rods(count, length, mass, radius):
 def top():
     """Body on a spherical joint; a zero-length spring acts on its centre of mass."""
     body = Body(
-        21.6,
-        np.diag([0.36, 0.306, 0.09]),
-        np.array([0.5, 0, 0]),
-        np.array([0, 0, 0.5]),
-        np.array([0, 0.25, 0]),
+        21.6, np.diag([0.36, 0.306, 0.09]), np.array([0.5, 0, 0]), np.array([0, 0, 0.5]), np.array([0, 0.25, 0])
     )
     return Problem("", "", (body,), (Joint(BALL, GROUND, 0, np.zeros(3)),), (), DOWN, 1.0, 1, True)
 
@@ -104,15 +100,10 @@ class Pinocchio:
                 else pinocchio.JointModelRevoluteUnaligned(joint.axis)
             )
             model.addJoint(
-                joint.parent + 1,
-                kind,
-                pinocchio.SE3(np.eye(3), joint.point - origins[joint.parent]),
-                f"j{i}",
+                joint.parent + 1, kind, pinocchio.SE3(np.eye(3), joint.point - origins[joint.parent]), f"j{i}"
             )
             model.appendBodyToJoint(
-                i + 1,
-                pinocchio.Inertia(body.mass, body.position - joint.point, body.inertia),
-                place,
+                i + 1, pinocchio.Inertia(body.mass, body.position - joint.point, body.inertia), place
             )
         self._model, self._data = model, model.createData()
         self._balls = [joint.idx_q for joint in model.joints[1:] if joint.nq == 4]
@@ -139,9 +130,7 @@ class Pinocchio:
 
     def normal(self, state):
         """The state with unit quaternions."""
-        return np.concatenate(
-            [pinocchio.normalize(self._model, state[: self._model.nq]), state[self._model.nq :]]
-        )
+        return np.concatenate([pinocchio.normalize(self._model, state[: self._model.nq]), state[self._model.nq :]])
 
     def slope(self, _, state):
         """Derivative of the state."""
@@ -161,9 +150,7 @@ class Pinocchio:
             forces = pinocchio.StdVec_Force()
             forces.extend([pinocchio.Force.Zero(), pinocchio.Force(pull, np.cross(arm, pull))])
             a = pinocchio.aba(model, data, q, v, np.zeros(model.nv), forces)
-        rates = (
-            np.array(v) if not self._balls else quaternion_rate(q[[3, 0, 1, 2]], v)[[1, 2, 3, 0]]
-        )
+        rates = np.array(v) if not self._balls else quaternion_rate(q[[3, 0, 1, 2]], v)[[1, 2, 3, 0]]
         return np.concatenate([rates, a])
 
     def bodies(self, state):
@@ -173,9 +160,7 @@ class Pinocchio:
         frames = data.oMi[1:]
         return (
             np.array([frame.rotation for frame in frames]),
-            np.array(
-                [frame.act(inertia.lever) for frame, inertia in zip(frames, model.inertias[1:])]
-            ),
+            np.array([frame.act(inertia.lever) for frame, inertia in zip(frames, model.inertias[1:])]),
         )
 
 
@@ -215,10 +200,7 @@ class Mujoco:
         self._put(state)
         mujoco.mj_kinematics(self._model, self._data)
         turns = self._data.xmat[1:].reshape(-1, 3, 3).copy()
-        arms = [
-            body.position - joint.point
-            for body, joint in zip(self._problem.bodies, self._problem.tree)
-        ]
+        arms = [body.position - joint.point for body, joint in zip(self._problem.bodies, self._problem.tree)]
         return turns, self._data.xpos[1:] + np.einsum("nij,nj->ni", turns, arms)
 
     def _put(self, state):
@@ -234,9 +216,7 @@ def start_speeds(problem):
     """Initial joint velocities, in order."""
     speeds, still = [], np.zeros(3)
     for joint, body in zip(problem.tree, problem.bodies):
-        relative = body.omega - (
-            still if joint.parent == GROUND else problem.bodies[joint.parent].omega
-        )
+        relative = body.omega - (still if joint.parent == GROUND else problem.bodies[joint.parent].omega)
         speeds += [*relative] if joint.kind == BALL else [relative @ joint.axis]
     return np.array(speeds, dtype=float)
 
@@ -245,15 +225,7 @@ def motion(code, times, tolerance):
     """(k, n, 3, 3) attitudes since the start and (k, n, 3) centres of mass at times, s."""
     state, found = code.start, [code.bodies(code.start)]
     for begin, end in zip(times, times[1:]):
-        run = solve_ivp(
-            code.slope,
-            (begin, end),
-            state,
-            method="DOP853",
-            rtol=tolerance,
-            atol=tolerance,
-            t_eval=[end],
-        )
+        run = solve_ivp(code.slope, (begin, end), state, method="DOP853", rtol=tolerance, atol=tolerance, t_eval=[end])
         if not run.success:
             raise SystemExit(f"{code.NAME}: {run.message}")
         state = code.normal(run.y[:, -1])
@@ -265,9 +237,7 @@ def motion(code, times, tolerance):
 def apart(turns, places, other_turns, other_places, length):
     """Error between two motions, as defined by truth.scaled."""
     none = np.zeros((*turns.shape[:2], 6))
-    off = distance(
-        Trajectory(None, turns, places, none), Trajectory(None, other_turns, other_places, none)
-    )
+    off = distance(Trajectory(None, turns, places, none), Trajectory(None, other_turns, other_places, none))
     return scaled(off.position, off.angle, length)
 
 
@@ -276,9 +246,7 @@ def run(scene, cell, horizon):
     step, times = as_time(cell["step"]), sample_times(horizon)
     rows = [row for row, at in enumerate(times) if at % step == 0]
     simulation = Engine(
-        scene,
-        **{name: cell[name] for name in ("method", "step", "group", "stabilisation")},
-        **cell["options"],
+        scene, **{name: cell[name] for name in ("method", "step", "group", "stabilisation")}, **cell["options"]
     )
     poses = []
     with listening():  # capture accuracy warnings of coarse configurations

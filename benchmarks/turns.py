@@ -113,9 +113,7 @@ def measure(steps):
         kinetic.append(sample.energy - 9.81 * sample.pose[:, 11].sum())  # of 1 kg each
     size = max(kinetic)
     energy = np.array(energy) / size
-    print(
-        *(f"{error:.2e}" for error in errors), f"{energy.std():.2e}", f"{np.abs(energy).max():.2e}"
-    )
+    print(*(f"{error:.2e}" for error in errors), f"{energy.std():.2e}", f"{np.abs(energy).max():.2e}")
 
 
 def main():

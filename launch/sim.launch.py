@@ -17,15 +17,9 @@ from launch import LaunchDescription
 PACKAGE = "liegroup_sim_ros"
 
 ARGUMENTS = {
-    "scene": (
-        "",
-        "path of a scene file, or name of an example scene; empty: the scene of the preset",
-    ),
+    "scene": ("", "path of a scene file, or name of an example scene; empty: the scene of the preset"),
     "record": ("", "recording file (*.mcap) or existing folder; empty: as in the preset"),
-    "frame_prefix": (
-        "",
-        "prefix of the body frame names, such as robot1/; empty: as in the preset",
-    ),
+    "frame_prefix": ("", "prefix of the body frame names, such as robot1/; empty: as in the preset"),
     "accuracy": ("", "largest error, such as 1e-6; empty: as in the preset"),
     "accuracy_horizon": ("", "s, in which the error may grow by that; empty: as in the preset"),
     "method": ("", "method instead of an accuracy, such as rkmk8; empty: as in the preset"),
@@ -38,12 +32,7 @@ ARGUMENTS = {
     "foxglove": ("false", "true: start foxglove_bridge; the layout is config/foxglove.json"),
 }
 # Topics in config/scene.rviz, relative to the node.
-SHOWN = (
-    "markers",
-    "crank/pose_with_covariance",
-    "rod/pose_with_covariance",
-    "slider/pose_with_covariance",
-)
+SHOWN = ("markers", "crank/pose_with_covariance", "rod/pose_with_covariance", "slider/pose_with_covariance")
 # Arguments that are parameters of the node; a value that is not empty overrides the preset.
 TEXTS = ("scene", "record", "frame_prefix", "method")
 NUMBERS = ("accuracy", "accuracy_horizon", "step")
@@ -65,10 +54,7 @@ def _simulation(context):
             name="sim_node",
             output="screen",
             namespace=LaunchConfiguration("namespace"),
-            remappings=[
-                ("/clock", LaunchConfiguration("clock_topic")),
-                ("/tf", LaunchConfiguration("tf_topic")),
-            ],
+            remappings=[("/clock", LaunchConfiguration("clock_topic")), ("/tf", LaunchConfiguration("tf_topic"))],
             parameters=[LaunchConfiguration("params_file"), overrides]
             if overrides
             else [LaunchConfiguration("params_file")],
@@ -85,8 +71,7 @@ def _viewers(context):
             {
                 "arguments": ["-d", [FindPackageShare(PACKAGE), "/config/scene.rviz"]],
                 "remappings": [
-                    (f"/sim_node/{topic}", [LaunchConfiguration("namespace"), f"/sim_node/{topic}"])
-                    for topic in SHOWN
+                    (f"/sim_node/{topic}", [LaunchConfiguration("namespace"), f"/sim_node/{topic}"]) for topic in SHOWN
                 ],
             },
         ),
@@ -116,9 +101,7 @@ def generate_launch_description():
                 for name, (default, text) in ARGUMENTS.items()
             ),
             DeclareLaunchArgument(
-                "params_file",
-                default_value=preset,
-                description="parameter file that replaces the preset",
+                "params_file", default_value=preset, description="parameter file that replaces the preset"
             ),
             OpaqueFunction(function=_simulation),
             OpaqueFunction(function=_viewers),

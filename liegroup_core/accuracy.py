@@ -113,9 +113,7 @@ class AccuracyControl:
             self.ended, room = before, self._sum / since / LEAST_TOLERANCE
             tenfold = self._tenfold(time, span)
             self.found = dict(zip(_FOUND, (time, error, wanted, tenfold, room, float(finer))))
-        self._below = [
-            time if error <= wanted * 10.0**-k else below for k, below in enumerate(self._below, 1)
-        ]
+        self._below = [time if error <= wanted * 10.0**-k else below for k, below in enumerate(self._below, 1)]
         if not predictable:
             self._set(self._first)
         if not (predictable and math.isfinite(error)):

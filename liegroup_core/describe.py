@@ -15,9 +15,7 @@ from liegroup_core.motion_groups.table import JOINTS
 from liegroup_core.robots.description import COORDINATES
 from liegroup_core.scene.consistency import resolve_couplings
 
-MOTION_GROUPS = {name: group.NAME for name, group in JOINTS.items()} | {
-    "universal": "SO(2) x SO(2)"
-}
+MOTION_GROUPS = {name: group.NAME for name, group in JOINTS.items()} | {"universal": "SO(2) x SO(2)"}
 
 
 def describe(layout):
@@ -64,10 +62,7 @@ def describe(layout):
         "gravity": list(scene.gravity),
         "notes": [*scene.notes, *_motions_beyond(layout)],
         "import": imported(layout),
-        "bodies": [
-            {"name": body.name, "mass": float(mass)}
-            for body, mass in zip(scene.bodies, model.bodies["mass"])
-        ],
+        "bodies": [{"name": body.name, "mass": float(mass)} for body, mass in zip(scene.bodies, model.bodies["mass"])],
         "joints": [
             {
                 "name": joint.name,
@@ -77,9 +72,7 @@ def describe(layout):
                 "rows": rows[joint.name],
                 "dropped": [row for name, row in dropped if name == joint.name],
                 "driven": joint.driven,
-                "switches": [
-                    key for key in ("limits", "friction") if getattr(joint, key) is not None
-                ],
+                "switches": [key for key in ("limits", "friction") if getattr(joint, key) is not None],
             }
             for joint in scene.joints
         ],
@@ -97,14 +90,8 @@ def describe(layout):
             | {"ratio": found.ratio, "offset": found.offset}
             for entry, found in zip(scene.couplings, coupled)
         ],
-        "forces": [
-            {"name": force.name, "type": force.type, "on": _acts_on(force)}
-            for force in scene.forces
-        ],
-        "sensors": [
-            {"name": sensor.name, "type": sensor.type, "on": _acts_on(sensor)}
-            for sensor in scene.sensors
-        ],
+        "forces": [{"name": force.name, "type": force.type, "on": _acts_on(force)} for force in scene.forces],
+        "sensors": [{"name": sensor.name, "type": sensor.type, "on": _acts_on(sensor)} for sensor in scene.sensors],
         "undetermined": layout.reactions.reasons(layout.reactions.undetermined),
         "degrees_of_freedom": 6 * len(model.bodies)
         - len(model.row_residual)
@@ -119,8 +106,7 @@ def describe(layout):
         "methods": fitting_methods(layout),
         "groups": [[scene.bodies[i].name for i in group] for group in body_groups(scene)],
         "kept_momentum": [
-            {"bodies": list(kept.bodies), "components": list(kept.labels)}
-            for kept in conserved_momentum(scene)
+            {"bodies": list(kept.bodies), "components": list(kept.labels)} for kept in conserved_momentum(scene)
         ]
         if only_pairs and not scene.couplings and not layout.motions and not layout.switches
         else None,
@@ -166,9 +152,7 @@ def formulation(layout):
     cut = {}
     for element, (owner, names) in enumerate(zip(layout.owners, layout.row_names)):
         if owner in tree.cut:
-            entry = cut.setdefault(
-                owner, {"joint": scene.joints[owner].name, "rows": [], "dropped": []}
-            )
+            entry = cut.setdefault(owner, {"joint": scene.joints[owner].name, "rows": [], "dropped": []})
             for r, name in enumerate(names):
                 kept = r in relative.kept_rows(element)
                 entry["rows" if kept else "dropped"].append(name)

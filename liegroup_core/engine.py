@@ -51,9 +51,7 @@ def _next_block(steps, seconds):
 def _stabilised(model, kind, constant, step):
     """Enable a stabilisation in a model. Raises ValueError for an invalid option."""
     if kind not in STABILISATIONS:
-        raise ValueError(
-            f"unknown stabilisation {kind!r}; choose one of: {', '.join(STABILISATIONS)}"
-        )
+        raise ValueError(f"unknown stabilisation {kind!r}; choose one of: {', '.join(STABILISATIONS)}")
     if constant is None:
         constant = BAUMGARTE_STEPS * step
     elif kind != "baumgarte":
@@ -62,9 +60,7 @@ def _stabilised(model, kind, constant, step):
         raise ValueError(
             f"baumgarte_time must be a number of seconds and at least one step ({step:g} s), {got(constant)}"
         )
-    return model.replace(
-        projects=kind == "projection", baumgarte_rate=1.0 / constant if kind == "baumgarte" else 0.0
-    )
+    return model.replace(projects=kind == "projection", baumgarte_rate=1.0 / constant if kind == "baumgarte" else 0.0)
 
 
 class Engine(Inputs, JointEvents, Placing, Reports):
@@ -109,9 +105,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         **options: Any,
     ) -> None:
         if not isinstance(scene, Scene):
-            raise ValueError(
-                f"expected a Scene, got {scene!r}; use load_scene to read one from a file"
-            )
+            raise ValueError(f"expected a Scene, got {scene!r}; use load_scene to read one from a file")
         method = METHOD if method is None else method
         step = STEP if step is None else step
         if not isinstance(method, str) or method not in METHODS:
@@ -123,9 +117,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         self.options = check_options(method, options)
         self.stabilisation, self.baumgarte_time = stabilisation, baumgarte_time
         layout = make_layout(scene) if layout is None else layout
-        self.layout = layout.with_model(
-            _stabilised(layout.model, stabilisation, baumgarte_time, self.step)
-        )
+        self.layout = layout.with_model(_stabilised(layout.model, stabilisation, baumgarte_time, self.step))
         self.group = choose_group(method, group)
         self._integrator = make_integrator(method, self.layout, self.group, self.step, self.options)
         self._work = self._integrator.work
@@ -190,19 +182,13 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         pose = floats(f"expected a pose ({n}, 12)", pose)
         twist = floats(f"expected a twist ({n}, 6)", twist)
         if pose.shape != (n, 12) or twist.shape != (n, 6):
-            raise ValueError(
-                f"expected a pose ({n}, 12) and a twist ({n}, 6), "
-                f"got {pose.shape} and {twist.shape}"
-            )
+            raise ValueError(f"expected a pose ({n}, 12) and a twist ({n}, 6), got {pose.shape} and {twist.shape}")
         if not (np.isfinite(pose).all() and np.isfinite(twist).all()):
             raise ValueError("the state contains NaN or infinity")
         turned = pose[:, :9].reshape(n, 3, 3)
         off = np.abs(turned @ turned.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
         for i in np.flatnonzero((off > NO_ROTATION) | (np.linalg.det(turned) < 0.0)):
-            raise ValueError(
-                f"pose of {self.layout.body_names[i]}: the first nine numbers are not a "
-                "rotation matrix"
-            )
+            raise ValueError(f"pose of {self.layout.body_names[i]}: the first nine numbers are not a rotation matrix")
         k = len(self._work.angle)
         if angles is not None:
             angles = finite(f"expected {k} finite angles, as `Sample.angles`", angles, (k,))
@@ -235,8 +221,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
             raise ValueError(f"expected {size} bytes of method memory, {got(memory)}")
         if len(memory) != size:
             raise ValueError(
-                f"expected {size} bytes of method memory, got {len(memory)}: it belongs to "
-                "another method or version"
+                f"expected {size} bytes of method memory, got {len(memory)}: it belongs to another method or version"
             )
 
     def _remember(self, memory):
@@ -459,9 +444,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
 
     def sample(self) -> Sample:
         """Create a Sample of the present state."""
-        sample = Sample(
-            self.layout, self.time, self.time_ns, self.steps, *self.state(), self._work.angle.copy()
-        )
+        sample = Sample(self.layout, self.time, self.time_ns, self.steps, *self.state(), self._work.angle.copy())
         if self._schedule:
             sample.external = self._external.copy()
             sample.joint_efforts = self._schedule.efforts

@@ -113,11 +113,7 @@ class ErrorEstimate:
         self.distance[:] = self._window[:] = self._motion[:] = self._least[:] = 0.0
         self._least_pose = 0.0
         # Largest m and rad of all bodies, of the distance and of each part of the window.
-        self.largest, self._largest_m, self._largest_rad = (
-            (0.0, 0.0),
-            [0.0] * WINDOW,
-            [0.0] * WINDOW,
-        )
+        self.largest, self._largest_m, self._largest_rad = ((0.0, 0.0), [0.0] * WINDOW, [0.0] * WINDOW)
         self.checkpoints, self.predictable_until, self._kept_at = 0, math.inf, time
 
     def set_infinite(self):

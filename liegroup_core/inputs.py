@@ -9,14 +9,7 @@ from numpy.typing import ArrayLike
 from liegroup_core.fields.arguments import check_name, finite, floats, got, is_finite
 from liegroup_core.forces.external import AXES, PAIRS, no_wrenches, set_wrench
 from liegroup_core.forces.kinds import servos, wanted_values
-from liegroup_core.forces.schedule import (
-    DRIVE,
-    SERVO,
-    AppliedMotion,
-    AppliedTarget,
-    AppliedWrench,
-    WrenchSchedule,
-)
+from liegroup_core.forces.schedule import DRIVE, SERVO, AppliedMotion, AppliedTarget, AppliedWrench, WrenchSchedule
 from liegroup_core.joints.motion import COLUMNS, at, row_at, through
 
 
@@ -139,9 +132,7 @@ class Inputs:
     ) -> None:
         """As `command_servo`, of wanted values that were checked before: repeats a run."""
         begin, end = self._interval(start, duration)
-        self._schedule.command_servo(
-            self._servo(joint), float(position), float(velocity), begin, end
-        )
+        self._schedule.command_servo(self._servo(joint), float(position), float(velocity), begin, end)
 
     def _servo(self, joint):
         """Number of the servo of a joint. Raises ValueError for a joint without one."""
@@ -173,9 +164,7 @@ class Inputs:
         for instant, row in planned:
             self._schedule.command_motion(self._drive(joint), row, instant)
 
-    def check_motion(
-        self, joint, times, positions, velocities=None, accelerations=None, start=None
-    ):
+    def check_motion(self, joint, times, positions, velocities=None, accelerations=None, start=None):
         """Raise what `command_motion` would raise; command nothing."""
         self._planned(joint, times, positions, velocities, accelerations, start)
 
@@ -188,14 +177,8 @@ class Inputs:
         points = [
             part
             if part is None
-            else finite(
-                f"{name} must be {len(after)} finite numbers", np.atleast_1d(part), after.shape
-            )
-            for name, part in (
-                ("positions", positions),
-                ("velocities", velocities),
-                ("accelerations", accelerations),
-            )
+            else finite(f"{name} must be {len(after)} finite numbers", np.atleast_1d(part), after.shape)
+            for name, part in (("positions", positions), ("velocities", velocities), ("accelerations", accelerations))
         ]
         if not (len(after) and after[0] > 0.0 and (np.diff(after) > 0.0).all()):
             raise ValueError(f"times must be positive and increase, got {after}")
@@ -216,9 +199,7 @@ class Inputs:
             self.layout.limits[joint].check_motion(rows, *points[:2])
         return list(zip(instants, rows))
 
-    def prescribe(
-        self, joint: str, motion: ArrayLike, start: float | Fraction | None = None
-    ) -> None:
+    def prescribe(self, joint: str, motion: ArrayLike, start: float | Fraction | None = None) -> None:
         """Command a motion (7,) of a driven joint as it is: see AppliedMotion.
 
         Raises ValueError for a joint that is not driven, or what is no motion.

@@ -98,8 +98,7 @@ class JointEvents:
         instants, self._switching.instants = self._switching.instants or [], []
         names = [switch.name for switch in self.layout.switches]
         return [
-            instant._replace(events=[e._replace(joint=names[e.joint]) for e in instant.events])
-            for instant in instants
+            instant._replace(events=[e._replace(joint=names[e.joint]) for e in instant.events]) for instant in instants
         ]
 
     def take_modes(self, other: "JointEvents") -> None:

@@ -22,11 +22,7 @@ from liegroup_core.lie.groups import UNKNOWN_TURN
 from liegroup_core.mechanism.arrays import PlaneModel
 from liegroup_core.mechanism.bodies import Model
 from liegroup_core.mechanism.body_model import build_model, initial_state, levers
-from liegroup_core.mechanism.mechanism import (
-    refuse_cut_couplings,
-    refuse_freedoms_without_inertia,
-    relative_model,
-)
+from liegroup_core.mechanism.mechanism import refuse_cut_couplings, refuse_freedoms_without_inertia, relative_model
 from liegroup_core.mechanism.size import mechanism_size
 from liegroup_core.mechanism.spanning_tree import WORLD_NAME
 from liegroup_core.methods.table import RELATIVE
@@ -166,9 +162,7 @@ class Layout:
 
         def changed(relative):
             return relative.replace(
-                space=model,
-                projects=model.projects and len(relative.joints) > 0,
-                baumgarte_rate=model.baumgarte_rate,
+                space=model, projects=model.projects and len(relative.joints) > 0, baumgarte_rate=model.baumgarte_rate
             )
 
         for name in ("relative", "relative_in_space"):

@@ -45,9 +45,7 @@ class LatenessHistogram:
         """Count one latency in s."""
         bins = 0
         if lateness > self.LOWEST:
-            bins = min(
-                int(math.log10(lateness / self.LOWEST) * self.PER_DECADE), len(self._counts) - 1
-            )
+            bins = min(int(math.log10(lateness / self.LOWEST) * self.PER_DECADE), len(self._counts) - 1)
         self._counts[bins] += 1
         self.count += 1
         self.largest = max(self.largest, lateness)
@@ -65,11 +63,7 @@ class LatenessHistogram:
 
     def microseconds(self):
         """{"p50", "p99", "max"} in us."""
-        return {
-            "p50": 1e6 * self.quantile(0.5),
-            "p99": 1e6 * self.quantile(0.99),
-            "max": 1e6 * self.largest,
-        }
+        return {"p50": 1e6 * self.quantile(0.5), "p99": 1e6 * self.quantile(0.99), "max": 1e6 * self.largest}
 
 
 class Pacer:
@@ -121,10 +115,7 @@ class Pacer:
             allowed = deadline if earliest is None else w0 + (earliest - t0) / self.factor
             if allowed > now:
                 if allowed - now > WATCH:
-                    if (
-                        self._sleep(min(allowed - now - WATCH, longest))
-                        or allowed - self._clock() > WATCH
-                    ):
+                    if self._sleep(min(allowed - now - WATCH, longest)) or allowed - self._clock() > WATCH:
                         return False
                 while (now := self._clock()) < allowed:
                     pass
@@ -144,9 +135,7 @@ class Pacer:
 
     def _totals(self):
         """Simulated and wall seconds of all stretches, up to the last tick."""
-        return tuple(
-            span + last - start for span, last, start in zip(self._spans, self._last, self._start)
-        )
+        return tuple(span + last - start for span, last, start in zip(self._spans, self._last, self._start))
 
     def recent_factor(self):
         """Achieved real-time factor between the previous call and this one, at tick times."""

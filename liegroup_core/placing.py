@@ -65,17 +65,9 @@ class Placing:
         counted = [joint for joint, _ in self.scene.unwrapped]
         angles = dict(zip(counted, self._work.angle.tolist()))
         motions = self.layout.motions_at(self.time, self._commanded)
-        driven = {
-            name: at(motion, self.time)[1] for name, motion in zip(self.layout.motions, motions)
-        }
+        driven = {name: at(motion, self.time)[1] for name, motion in zip(self.layout.motions, motions)}
         *state, angles = rearranged(
-            self.layout.centred,
-            *self.state(),
-            centred_poses,
-            centred_twists,
-            joints,
-            angles,
-            driven,
+            self.layout.centred, *self.state(), centred_poses, centred_twists, joints, angles, driven
         )
         self._refuse_beyond_stops(*state, joints)
         commanded, before = self._commanded.copy(), self._schedule
@@ -110,9 +102,7 @@ class Placing:
 
     def _refuse_beyond_stops(self, pose, twist, joints):
         """Raise SceneError if a rigid stop does not allow a state, or a coordinate that was given."""
-        for switch, q in switch_coordinates(
-            self.layout.centred, self._start_of(pose, twist), self.layout.joint_frames
-        ):
+        for switch, q in switch_coordinates(self.layout.centred, self._start_of(pose, twist), self.layout.joint_frames):
             limits, (given, _) = switch.limits, joints.get(switch.name, (None, None))
             if limits is None or limits.stiffness is not None:
                 continue

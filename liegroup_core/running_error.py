@@ -327,8 +327,7 @@ class RunningError:
         return {
             "acting": companion.acting_now(),
             "later": [
-                [time, names[axes][number], axes, *wrench]
-                for time, number, wrench, axes in companion._schedule.waiting
+                [time, names[axes][number], axes, *wrench] for time, number, wrench, axes in companion._schedule.waiting
             ],
         }
 
@@ -362,15 +361,11 @@ class RunningError:
     def remember(self, memory):
         """Restore the estimate from `memory`, at the same state of the engine."""
         n, k = len(self._seen), len(self._companion.sample().angles)
-        own, origin, pose, twist, angles, rest = np.split(
-            memory, np.cumsum([8, 12 * n, 12 * n, 6 * n, k])
-        )
+        own, origin, pose, twist, angles, rest = np.split(memory, np.cumsum([8, 12 * n, 12 * n, 6 * n, k]))
         self._origin[:] = origin.reshape(n, 12)
         rest = self.estimate.remember(rest)
         set_at, start, *alive, following, block, substeps, steps = map(int, own)
-        self._companion.set_state(
-            pose.reshape(n, 12), twist.reshape(n, 6), steps, angles, rest.tobytes()
-        )
+        self._companion.set_state(pose.reshape(n, 12), twist.reshape(n, 6), steps, angles, rest.tobytes())
         self._set_at, self._start = set_at, None if start < 0 else start
         (self._alive, self._failed), self._next = map(bool, alive), following
         self._block, self._substeps, self._seen_at = block, substeps, -1

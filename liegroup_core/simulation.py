@@ -81,24 +81,13 @@ class Simulation(Engine):
         if method is not None and (accuracy, horizon) != (None, None):
             raise ValueError("give either an accuracy or a method: an accuracy chooses the method")
         if method is not None or not isinstance(scene, Scene):
-            super().__init__(
-                scene,
-                method,
-                step,
-                group,
-                stabilisation or "none",
-                baumgarte_time,
-                quiet,
-                **options,
-            )
+            super().__init__(scene, method, step, group, stabilisation or "none", baumgarte_time, quiet, **options)
             self._running = RunningError(self) if estimate else None
             return
         accuracy = DEFAULT if accuracy is None else _checked(accuracy)
         horizon = MINUTE if horizon is None else horizon
         if not (is_positive(horizon) and horizon <= LONGEST):
-            raise ValueError(
-                f"the horizon must be a positive number of seconds up to {LONGEST:g}, {got(horizon)}"
-            )
+            raise ValueError(f"the horizon must be a positive number of seconds up to {LONGEST:g}, {got(horizon)}")
         if step is None:
             step = default_steps(horizon)
         if not estimate:
@@ -144,11 +133,7 @@ class Simulation(Engine):
         """Accuracy, horizon in s, and the mechanism's size in m; None with a method."""
         if self._control is None:
             return None
-        return {
-            "accuracy": self._control.accuracy,
-            "horizon": self._control.horizon,
-            "length": self._running.size,
-        }
+        return {"accuracy": self._control.accuracy, "horizon": self._control.horizon, "length": self._running.size}
 
     @property
     def accuracy(self) -> float | None:
@@ -277,16 +262,10 @@ class Simulation(Engine):
         mine = self._identity
         theirs = snapshot.get("simulation") if isinstance(snapshot, dict) else None
         if not isinstance(theirs, dict):
-            raise ValueError(
-                f"expected what `snapshot` of this simulation returned, {got(snapshot)}"
-            )
+            raise ValueError(f"expected what `snapshot` of this simulation returned, {got(snapshot)}")
         for what in (*mine, *theirs):
             if mine.get(what) != theirs.get(what):
-                values = (
-                    ""
-                    if what == "scene"
-                    else f", {theirs.get(what)!r} instead of {mine.get(what)!r}"
-                )
+                values = "" if what == "scene" else f", {theirs.get(what)!r} instead of {mine.get(what)!r}"
                 raise ValueError(f"the snapshot is of a simulation with another {what}{values}")
         for name, part in self._shapes.items():
             if name not in snapshot or not is_like(snapshot[name], part):
@@ -369,9 +348,7 @@ class Simulation(Engine):
             if running.estimate.checkpoints > count:
                 if self._control is not None:
                     predictable = running.estimate.predictable_until == math.inf
-                    self._control.follow(
-                        self.time, running.largest, predictable, running.follows_tolerance
-                    )
+                    self._control.follow(self.time, running.largest, predictable, running.follows_tolerance)
                     self._choice.follow()
                 self._look()
             if self.steps >= end or (enough is not None and enough()):

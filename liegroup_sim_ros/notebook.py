@@ -100,9 +100,7 @@ def _record(simulation, seconds, path):
     every = max(1, round(1.0 / (FRAMES_PER_SECOND * step)))
     count = max(1, round(seconds / (every * step)))
     copy = make_simulation(
-        simulation.scene,
-        attachments.settings(simulation, every),
-        estimate=simulation.sample().errors is not None,
+        simulation.scene, attachments.settings(simulation, every), estimate=simulation.sample().errors is not None
     )
     copy.set_state(*simulation.state(), simulation.steps, simulation.sample().angles)
     copy.take_modes(simulation)  # with the whole turns of joints with stops

@@ -60,10 +60,7 @@ def rows(simulation, pose=None, twist=None):
         first = model.elements["row_start"][joint["element"]]
         where = model.row_residual[of] - first + space.elements["row_start"][owner]
         bias[where] = work.bias[of]
-        for link, jacobian in (
-            (joint["child"], work.child_jacobian),
-            (joint["parent"], work.parent_jacobian),
-        ):
+        for link, jacobian in ((joint["child"], work.child_jacobian), (joint["parent"], work.parent_jacobian)):
             if link >= 0:
                 body = int(np.argmax(model.parts["link"] == link))
                 part = model.parts[body]

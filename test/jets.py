@@ -26,9 +26,7 @@ def precise(function):
 def decimals(values):
     """Array of the same shape with the exact decimal value of every number."""
     values = np.asarray(values, dtype=float)
-    return np.array([Decimal(x) for x in values.ravel().tolist()], dtype=object).reshape(
-        values.shape
-    )
+    return np.array([Decimal(x) for x in values.ravel().tolist()], dtype=object).reshape(values.shape)
 
 
 NONE = decimals(np.zeros(TWISTS + 1))
@@ -57,9 +55,7 @@ class Jet:
     def __add__(self, other):
         if not isinstance(other, Jet):
             return Jet(self.value + Decimal(other), self.slopes, self.curvature)
-        return Jet(
-            self.value + other.value, self.slopes + other.slopes, self.curvature + other.curvature
-        )
+        return Jet(self.value + other.value, self.slopes + other.slopes, self.curvature + other.curvature)
 
     def __mul__(self, other):
         if not isinstance(other, Jet):
@@ -67,9 +63,7 @@ class Jet:
         return Jet(
             self.value * other.value,
             self.value * other.slopes + other.value * self.slopes,
-            self.value * other.curvature
-            + 2 * self.rate * other.rate
-            + other.value * self.curvature,
+            self.value * other.curvature + 2 * self.rate * other.rate + other.value * self.curvature,
         )
 
     __radd__, __rmul__ = __add__, __mul__
@@ -101,11 +95,7 @@ class Jet:
         turn = x.value * y.slopes - y.value * x.slopes
         bend = x.value * y.curvature - y.value * x.curvature
         grows = 2 * (x.value * x.rate + y.value * y.rate)
-        return Jet(
-            Decimal(mpmath.nstr(angle, DIGITS)),
-            turn / square,
-            bend / square - turn[TWISTS] * grows / square**2,
-        )
+        return Jet(Decimal(mpmath.nstr(angle, DIGITS)), turn / square, bend / square - turn[TWISTS] * grows / square**2)
 
     def round(self, decimals=0, out=None):
         """The nearest integer: a constant."""

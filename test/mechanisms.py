@@ -114,9 +114,7 @@ def mechanism(rng, links, springs=2, loops=(), place=random_pose, start=None):
             poses[child] = random_pose(rng)
             continue
         at_parent, at_child = place(rng, 0.4), place(rng, 0.4)
-        poses[child] = (
-            poses[parent] @ at_parent @ allowed_motion(rng, kind) @ np.linalg.inv(at_child)
-        )
+        poses[child] = poses[parent] @ at_parent @ allowed_motion(rng, kind) @ np.linalg.inv(at_child)
         joints.append(
             joint(
                 kind,
@@ -130,14 +128,7 @@ def mechanism(rng, links, springs=2, loops=(), place=random_pose, start=None):
     for parent, child, kind in loops:
         keys = {"child_frame": frame(place(rng, 0.5))} if kind == "distance" else {}
         joints.append(
-            joint(
-                kind,
-                name=f"j{len(joints)}",
-                parent=parent,
-                child=child,
-                parent_frame=frame(place(rng, 0.5)),
-                **keys,
-            )
+            joint(kind, name=f"j{len(joints)}", parent=parent, child=child, parent_frame=frame(place(rng, 0.5)), **keys)
         )
     del poses["world"]
     bodies = [random_body(rng, name, pose) for name, pose in poses.items()]
@@ -172,18 +163,10 @@ def moving(rng, scene):
     rows = exact_jacobian(scene)
     twists = twists.ravel() - np.linalg.pinv(rows) @ (rows @ twists.ravel())
     bodies = [
-        body.model_copy(
-            update={"angular_velocity": tuple(twist[:3]), "linear_velocity": tuple(twist[3:])}
-        )
+        body.model_copy(update={"angular_velocity": tuple(twist[:3]), "linear_velocity": tuple(twist[3:])})
         for body, twist in zip(scene.bodies, twists.reshape(-1, 6))
     ]
-    return Scene(
-        name=scene.name,
-        gravity=scene.gravity,
-        bodies=bodies,
-        joints=scene.joints,
-        forces=scene.forces,
-    )
+    return Scene(name=scene.name, gravity=scene.gravity, bodies=bodies, joints=scene.joints, forces=scene.forces)
 
 
 def exact_jacobian(scene):
@@ -191,9 +174,7 @@ def exact_jacobian(scene):
     index = {body.name: i for i, body in enumerate(scene.bodies)}
     poses = {body.name: body.pose for body in scene.bodies} | {"world": np.eye(4)}
     rows = [np.zeros((0, 6 * len(index)))]
-    for link, (at_parent, at_child), elements in zip(
-        scene.joints, resolve_frames(scene), resolve_elements(scene)
-    ):
+    for link, (at_parent, at_child), elements in zip(scene.joints, resolve_frames(scene), resolve_elements(scene)):
         relative = np.linalg.inv(poses[link.parent] @ at_parent) @ poses[link.child] @ at_child
         block = np.zeros((6, 6 * len(index)))
         if link.child in index:
@@ -209,10 +190,7 @@ def exact_jacobian(scene):
 def chain(n, kind="spherical", length=0.1, mass=0.1):
     """Chain of n equal rods along x; axes of revolute joints along y."""
     inertia = (mass * length**2 / 600, mass * length**2 / 12, mass * length**2 / 12)
-    bodies = [
-        Body(name=f"rod{i}", mass=mass, inertia=inertia, position=((i + 0.5) * length, 0, 0))
-        for i in range(n)
-    ]
+    bodies = [Body(name=f"rod{i}", mass=mass, inertia=inertia, position=((i + 0.5) * length, 0, 0)) for i in range(n)]
     names = ["world"] + [body.name for body in bodies]
     joints = [
         Joint(
@@ -238,28 +216,12 @@ def two_links(second_length):
         name="links",
         gravity=(0, 0, -9.81),
         bodies=[
-            Body(
-                name="first",
-                mass=1.0,
-                inertia=inertia,
-                position=corner / 2,
-                rotation_vector=(0, 0, angle),
-            ),
-            Body(
-                name="second",
-                mass=1.0,
-                inertia=inertia,
-                position=(corner + pin) / 2,
-                rotation_vector=(0, 0, other),
-            ),
+            Body(name="first", mass=1.0, inertia=inertia, position=corner / 2, rotation_vector=(0, 0, angle)),
+            Body(name="second", mass=1.0, inertia=inertia, position=(corner + pin) / 2, rotation_vector=(0, 0, other)),
         ],
         joints=[
             Joint(
-                name="left",
-                type="spherical",
-                parent="world",
-                child="first",
-                child_frame=Frame(position=(-0.5, 0, 0)),
+                name="left", type="spherical", parent="world", child="first", child_frame=Frame(position=(-0.5, 0, 0))
             ),
             Joint(
                 name="right",
@@ -289,14 +251,8 @@ TREE = [
 MECHANISMS = {
     "ball": ([("world", "a", "spherical")], []),
     "pendulum": ([("world", "a", "revolute")], []),
-    "chain of balls": (
-        [("world", "a", "spherical"), ("a", "b", "spherical"), ("b", "c", "spherical")],
-        [],
-    ),
-    "chain of hinges": (
-        [("world", "a", "revolute"), ("a", "b", "revolute"), ("b", "c", "revolute")],
-        [],
-    ),
+    "chain of balls": ([("world", "a", "spherical"), ("a", "b", "spherical"), ("b", "c", "spherical")], []),
+    "chain of hinges": ([("world", "a", "revolute"), ("a", "b", "revolute"), ("b", "c", "revolute")], []),
     "tree": (TREE, []),
     "loop of hinges and balls": (
         [("world", "a", "revolute"), ("a", "b", "spherical"), ("b", "c", "spherical")],
@@ -304,10 +260,7 @@ MECHANISMS = {
     ),
     "net": (TREE, [("b", "e", "spherical"), ("world", "d", "spherical")]),
     **{f"{kind} to ground": ([("world", "a", kind)], []) for kind in KINDS},
-    **{
-        f"{kind} between bodies": ([("world", "a", "spherical"), ("a", "b", kind)], [])
-        for kind in KINDS
-    },
+    **{f"{kind} between bodies": ([("world", "a", "spherical"), ("a", "b", kind)], []) for kind in KINDS},
     "every kind": (
         [
             ("world", "a", "cylindrical"),
@@ -322,22 +275,13 @@ MECHANISMS = {
         [("c", "g", "distance"), ("world", "h", "universal")],
     ),
     "floating": (
-        [
-            ("world", "a", None),
-            ("a", "b", "universal"),
-            ("b", "c", "prismatic"),
-            ("b", "d", "spherical"),
-        ],
+        [("world", "a", None), ("a", "b", "universal"), ("b", "c", "prismatic"), ("b", "d", "spherical")],
         [("c", "d", "distance")],
     ),
 }
 
 # Those without a joint that welds bodies together.
-UNWELDED = [
-    name
-    for name, joints in MECHANISMS.items()
-    if not any(kind == "fixed" for _, _, kind in sum(joints, []))
-]
+UNWELDED = [name for name, joints in MECHANISMS.items() if not any(kind == "fixed" for _, _, kind in sum(joints, []))]
 
 
 @functools.lru_cache(maxsize=None)

@@ -69,11 +69,7 @@ def residual(scene, frames, matrices):
         length = getattr(joint, "length", None) or np.linalg.norm(
             (starts[joint.parent] @ parent)[:3, 3] - (starts[joint.child] @ child)[:3, 3]
         )
-        parts.append(
-            joint_residual(
-                joint, matrices[joint.parent] @ parent, matrices[joint.child] @ child, length
-            )
-        )
+        parts.append(joint_residual(joint, matrices[joint.parent] @ parent, matrices[joint.child] @ child, length))
     return np.concatenate(parts)
 
 
@@ -94,15 +90,10 @@ def applied_wrenches(scene, matrices, twists):
     wrenches = {}
     for body in scene.bodies:
         R = matrices[body.name][:3, :3]
-        wrenches[body.name] = np.concatenate(
-            [np.zeros(3), body.mass * R.T @ np.array(scene.gravity)]
-        )
+        wrenches[body.name] = np.concatenate([np.zeros(3), body.mass * R.T @ np.array(scene.gravity)])
     for spring in scene.forces:
         ends = []
-        for name, point in (
-            (spring.parent, spring.parent_point),
-            (spring.child, spring.child_point),
-        ):
+        for name, point in ((spring.parent, spring.parent_point), (spring.child, spring.child_point)):
             matrix = matrices.get(name, np.eye(4))
             twist = twists.get(name, np.zeros(6))
             point = np.array(point)
@@ -116,9 +107,7 @@ def applied_wrenches(scene, matrices, twists):
             )
         d, ddot = ends[1][2] - ends[0][2], ends[1][3] - ends[0][3]
         length = np.linalg.norm(d)
-        tension = (
-            spring.stiffness * (length - spring.rest_length) + spring.damping * (d @ ddot) / length
-        )
+        tension = spring.stiffness * (length - spring.rest_length) + spring.damping * (d @ ddot) / length
         for sign, (name, point, _, _) in zip((1.0, -1.0), ends):
             if name in wrenches:
                 force = sign * tension * matrices[name][:3, :3].T @ d / length

@@ -35,7 +35,5 @@ def described_elsewhere(scene, com):
             )
         )
     return scene.remade(
-        bodies=bodies,
-        joints=[moved(joint) for joint in scene.joints],
-        forces=[moved(force) for force in scene.forces],
+        bodies=bodies, joints=[moved(joint) for joint in scene.joints], forces=[moved(force) for force in scene.forces]
     )

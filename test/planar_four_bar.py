@@ -28,9 +28,7 @@ class PlanarFourBar:
     def __init__(self, scene):
         self.mass = np.array([[body.inertia[2], body.mass, body.mass] for body in scene.bodies])
         self.q = np.array([(body.rotation_vector[2], *body.position[:2]) for body in scene.bodies])
-        self.V = np.array(
-            [(body.angular_velocity[2], *body.linear_velocity[:2]) for body in scene.bodies]
-        )
+        self.V = np.array([(body.angular_velocity[2], *body.linear_velocity[:2]) for body in scene.bodies])
 
     def acceleration(self, q, V):
         """V' out of (6.22)."""
@@ -54,15 +52,8 @@ class PlanarFourBar:
         for a in (0.0, 0.5, 0.5, 1.0):
             phi, change = (a * h * part for part in slopes[-1]) if slopes else np.zeros((2, 3, 3))
             V = self.V + change
-            slopes.append(
-                (
-                    np.array([_dexpinv(-x, v) for x, v in zip(phi, V)]),
-                    self.acceleration(self._moved(phi), V),
-                )
-            )
-        phi, change = (
-            h * sum(w * slope[k] for w, slope in zip((1, 2, 2, 1), slopes)) / 6.0 for k in (0, 1)
-        )
+            slopes.append((np.array([_dexpinv(-x, v) for x, v in zip(phi, V)]), self.acceleration(self._moved(phi), V)))
+        phi, change = (h * sum(w * slope[k] for w, slope in zip((1, 2, 2, 1), slopes)) / 6.0 for k in (0, 1))
         self.q, self.V = self._moved(phi), self.V + change
 
     def _moved(self, phi):

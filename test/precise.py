@@ -151,14 +151,10 @@ def _coordinate(force, joint_frames, bodies, read):
     if force.type == "spring_damper":
         parent, child = (
             _point(bodies[name], read.vector(place), end)
-            for end, (name, place) in enumerate(
-                ((force.parent, force.parent_point), (force.child, force.child_point))
-            )
+            for end, (name, place) in enumerate(((force.parent, force.parent_point), (force.child, force.child_point)))
         )
         return np.sqrt((child - parent) @ (child - parent))
-    return _joint_coordinate(
-        joint_frames, force.type not in ("linear_motor", "linear_spring_damper", "linear_servo")
-    )
+    return _joint_coordinate(joint_frames, force.type not in ("linear_motor", "linear_spring_damper", "linear_servo"))
 
 
 def _law(force, q, read):
@@ -215,8 +211,7 @@ def _system(scene, wrenches, read):
     for joint, pair in zip(scene.joints, resolve_frames(scene)):
         ends = joint.parent, joint.child
         frames[joint.name] = tuple(
-            _frame(bodies[name], frame, end, read)
-            for end, (name, frame) in enumerate(zip(ends, pair))
+            _frame(bodies[name], frame, end, read) for end, (name, frame) in enumerate(zip(ends, pair))
         )
         # The length of a rod has no influence on derivatives.
         for g in naive.joint_residual(joint, *frames[joint.name], 1.0):
@@ -231,10 +226,7 @@ def _system(scene, wrenches, read):
     joints = {joint.name: joint for joint in scene.joints}
     for coupling in scene.couplings:
         row, curvature, share = decimals(np.zeros(n)), Decimal(0), {}
-        for name, factor in (
-            (coupling.joint, Decimal(1)),
-            (coupling.other, -read.number(coupling.ratio)),
-        ):
+        for name, factor in ((coupling.joint, Decimal(1)), (coupling.other, -read.number(coupling.ratio))):
             q = _joint_coordinate(frames[name], joints[name].type != "prismatic")
             for end, body in enumerate((joints[name].parent, joints[name].child)):
                 if body != "world":
@@ -248,10 +240,7 @@ def _system(scene, wrenches, read):
     for joint in scene.joints:
         if not joint.driven:
             continue
-        row, q = (
-            decimals(np.zeros(n)),
-            _joint_coordinate(frames[joint.name], joint.type != "prismatic"),
-        )
+        row, q = (decimals(np.zeros(n)), _joint_coordinate(frames[joint.name], joint.type != "prismatic"))
         for end, body in enumerate((joint.parent, joint.child)):
             if body != "world":
                 row[index[body]] += q.slopes[6 * end : 6 * end + 6]
@@ -266,9 +255,7 @@ def _system(scene, wrenches, read):
         block[:3, :3], block[3:, 3:] = body.inertia, body.mass * AXES
         masses.append(block)
         momentum = block @ np.concatenate([body.w, body.v])
-        Q[index[name]] -= np.concatenate(
-            [np.cross(body.w, momentum[:3]), np.cross(body.w, momentum[3:])]
-        )
+        Q[index[name]] -= np.concatenate([np.cross(body.w, momentum[:3]), np.cross(body.w, momentum[3:])])
         Q[index[name]][3:] += body.mass * (body.R.T @ gravity)
     for name, wrench, axes in wrenches:
         Q[index[name]] += _push(bodies[name], wrench[:3], wrench[3:], np.zeros(3), axes, read)
@@ -276,9 +263,7 @@ def _system(scene, wrenches, read):
     for force in scene.forces:
         if force.type == "applied_wrench":
             body = bodies[force.body]
-            Q[index[force.body]] += _push(
-                body, force.torque, force.force, force.point, force.axes, read
-            )
+            Q[index[force.body]] += _push(body, force.torque, force.force, force.point, force.axes, read)
         elif force.type == "drag":
             body = bodies[force.body]
             kinds = ((body.w, force.angular, force.angular_quadratic),)

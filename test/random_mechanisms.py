@@ -86,9 +86,7 @@ def _between(up, a, b):
             parent, way[body] = up[body]
             body = parent
         ways.append(way)
-    return [
-        kind for body, kind in (ways[0] | ways[1]).items() if (body in ways[0]) != (body in ways[1])
-    ]
+    return [kind for body, kind in (ways[0] | ways[1]).items() if (body in ways[0]) != (body in ways[1])]
 
 
 def flat_frame(rng, size):
@@ -207,15 +205,7 @@ def forced(rng, scene):
                 break
     for body in scene.bodies:
         some = rng.uniform(0.0, 0.5, size=4)
-        add(
-            Drag,
-            0.2,
-            body=body.name,
-            linear=some[0],
-            quadratic=some[1],
-            angular=some[2],
-            angular_quadratic=some[3],
-        )
+        add(Drag, 0.2, body=body.name, linear=some[0], quadratic=some[1], angular=some[2], angular_quadratic=some[3])
         add(
             ConstantWrench,
             0.2,
@@ -241,12 +231,7 @@ def coupled(rng, scene, most):
             break
         joint, other = rng.choice(list(rates), 2, replace=False).tolist()
         couplings.append(
-            {
-                "name": f"c{len(couplings)}",
-                "joint": joint,
-                "other": other,
-                "ratio": rates.pop(joint) / rates[other],
-            }
+            {"name": f"c{len(couplings)}", "joint": joint, "other": other, "ratio": rates.pop(joint) / rates[other]}
         )
     if not couplings:
         raise ValueError("no two joints move")
@@ -254,10 +239,7 @@ def coupled(rng, scene, most):
     joints = resolve_frames(scene), resolve_elements(scene), range(len(scene.joints))
     ranks = [
         np.linalg.matrix_rank(linkage.velocity_rows(linkage.start), tol=1e-6)
-        for linkage in (
-            Linkage(scene, *joints),
-            Linkage(scene, *joints, couplings=resolve_couplings(scene)),
-        )
+        for linkage in (Linkage(scene, *joints), Linkage(scene, *joints, couplings=resolve_couplings(scene)))
     ]
     if ranks[1] - ranks[0] < len(couplings):
         raise ValueError("a coupling is satisfied already, or holds a loop that moves with it")
@@ -300,9 +282,7 @@ def pushes(rng, scene):
 
 def with_centres(rng, scene):
     """The mechanism in body frames that are not at the centres of mass."""
-    return described_elsewhere(
-        scene, {body.name: rng.normal(size=3) * 0.2 for body in scene.bodies}
-    )
+    return described_elsewhere(scene, {body.name: rng.normal(size=3) * 0.2 for body in scene.bodies})
 
 
 def _tree(rng, low=1, high=8):

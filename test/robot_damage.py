@@ -3,22 +3,7 @@
 
 import re
 
-WORDS = [
-    "0",
-    "-1",
-    "1e308",
-    "nan",
-    "inf",
-    "",
-    "1 2",
-    "text",
-    "upper",
-    "slide",
-    "world",
-    "<",
-    "&a;",
-    "\u00e9",
-]
+WORDS = ["0", "-1", "1e308", "nan", "inf", "", "1 2", "text", "upper", "slide", "world", "<", "&a;", "\u00e9"]
 
 
 def mutated(text, rng):

@@ -237,8 +237,7 @@ def scissor_lift(stages, angle=0.5):
     The foot of the first right bar is pinned to a slider on the ground.
     """
     slider = (
-        '<inertial><mass value="0.2"/>'
-        '<inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial>'
+        '<inertial><mass value="0.2"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial>'
     )
     links = ['<link name="ground"/>', f'<link name="slider">{slider}</link>']
     joints = [
@@ -300,8 +299,7 @@ def mimic_urdf(folder):
         'izz="0.025" ixy="0.001" ixz="0.002" iyz="0.0005"/></inertial>'
     )
     links = "".join(
-        f'<link name="{name}">{inertial.format(mass)}</link>'
-        for name, mass in (("a", 1.5), ("b", 0.7), ("c", 0.4))
+        f'<link name="{name}">{inertial.format(mass)}</link>' for name, mass in (("a", 1.5), ("b", 0.7), ("c", 0.4))
     )
     path = folder / "hand.urdf"
     path.write_text(MIMIC_URDF.format(links=links))

@@ -53,10 +53,7 @@ def chain(seed, joints, floating):
             "type": "revolute" if size == 1.0 else "prismatic",
             "parent": f"b{i - 1 if rng.random() < 0.8 else int(rng.integers(i))}",
             "child": f"b{i}",
-            "child_frame": {
-                "position": [-0.3, 0.0, 0.0],
-                "rotation_vector": rng.uniform(-1.5, 1.5, 3).tolist(),
-            },
+            "child_frame": {"position": [-0.3, 0.0, 0.0], "rotation_vector": rng.uniform(-1.5, 1.5, 3).tolist()},
             "limits": {
                 "lower": float(-rng.uniform(0.2, 1.0) * size),
                 "upper": float(rng.uniform(0.2, 1.0) * size),

@@ -33,22 +33,14 @@ def build(step):
         message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
         message.header.frame_id = frame
     clock.clock.sec, clock.clock.nanosec = sec, nanosec
-    p, q, v, w = (
-        pose.pose.position,
-        pose.pose.orientation,
-        twist.twist.linear,
-        twist.twist.angular,
-    )
+    p, q, v, w = (pose.pose.position, pose.pose.orientation, twist.twist.linear, twist.twist.angular)
     p.x, p.y, p.z, q.x, q.y, q.z, q.w = 0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0
     v.x, v.y, v.z, w.x, w.y, w.z = 0.1, 0.2, 0.3, 0.4, 0.5, 0.6
     return pose, twist, clock
 
 
 def publishers(node):
-    return [
-        node.create_publisher(kind, f"bare/{kind.__name__}", 10)
-        for kind in (PoseStamped, TwistStamped, Clock)
-    ]
+    return [node.create_publisher(kind, f"bare/{kind.__name__}", 10) for kind in (PoseStamped, TwistStamped, Clock)]
 
 
 def paced(node, seconds):
@@ -101,12 +93,7 @@ def storm(node, rate, seconds):
     """Alternate valid wrenches and wrenches with one of four errors."""
     stream = node.create_publisher(WrenchStamped, "/sim_node/wrench", 1000)
     messages = []
-    for frame, force, sec in (
-        ("nobody", 1.0, 0),
-        ("top", math.nan, 0),
-        ("", 1.0, 0),
-        ("top", 1.0, 2_000_000_000),
-    ):
+    for frame, force, sec in (("nobody", 1.0, 0), ("top", math.nan, 0), ("", 1.0, 0), ("top", 1.0, 2_000_000_000)):
         for wrong in (False, True):
             message = WrenchStamped()
             message.header.frame_id = frame if wrong else "top"

@@ -12,9 +12,7 @@ import subprocess
 import sys
 import time
 
-os.environ.update(
-    ROS_DOMAIN_ID=str(random.randint(1, 100)), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST"
-)
+os.environ.update(ROS_DOMAIN_ID=str(random.randint(1, 100)), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
 
 import rclpy  # noqa: E402  (reads the domain from the environment)
 from geometry_msgs.msg import WrenchStamped  # noqa: E402
@@ -64,9 +62,7 @@ until(
 )
 prefix, suffix = "/sim_node/", "/pose"
 message.header.frame_id = next(
-    name[len(prefix) : -len(suffix)]
-    for name, _ in client.get_topic_names_and_types()
-    if name.endswith(suffix)
+    name[len(prefix) : -len(suffix)] for name, _ in client.get_topic_names_and_types() if name.endswith(suffix)
 )
 message.wrench.force.x = 1.0
 publisher.publish(message)

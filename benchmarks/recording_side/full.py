@@ -12,9 +12,7 @@ import subprocess
 import sys
 import time
 
-os.environ.update(
-    ROS_DOMAIN_ID=str(random.randint(1, 100)), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST"
-)
+os.environ.update(ROS_DOMAIN_ID=str(random.randint(1, 100)), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
 
 import rclpy  # noqa: E402  (reads the domain from the environment)
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402

@@ -11,9 +11,7 @@ from liegroup_sim_ros.messages.codecs import PoseStampedCodec
 from liegroup_sim_ros.recording.write import Recorder
 
 path, flush_interval, rate = sys.argv[1], float(sys.argv[2]), float(sys.argv[3])
-recorder = Recorder(
-    path, {"settings.json": ("application/json", b'{"format": 1}')}, flush_interval=flush_interval
-)
+recorder = Recorder(path, {"settings.json": ("application/json", b'{"format": 1}')}, flush_interval=flush_interval)
 channel = recorder.add_channel("/sim_node/top/pose", PoseStampedCodec.TYPE)
 encode = PoseStampedCodec("world").encode
 print("running", flush=True)

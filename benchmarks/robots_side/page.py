@@ -56,20 +56,14 @@ def page_of(rows, states):
     ]
     for row in loaded:
         out = ", ".join(
-            f"**{count} {what}**" if changes else f"{count} {what}"
-            for what, count, changes in row["left_out"]
+            f"**{count} {what}**" if changes else f"{count} {what}" for what, count, changes in row["left_out"]
         )
-        cells = [
-            row[key] for key in ("robot", "bodies", "freedoms", "loops", "couplings", "merged")
-        ]
+        cells = [row[key] for key in ("robot", "bodies", "freedoms", "loops", "couplings", "merged")]
         cells += [out or "-", f"{row['load_s']:.2f}"]
         cells += [_short(row.get("difference")), _short(row.get("motion_m"))]
         lines.append(f"| {' | '.join(map(str, cells))} |")
     lines += ["", "## Refused", ""]
-    lines += [
-        "Many files of the packages are no robots: arenas, parts that others include, tests.",
-        "",
-    ]
+    lines += ["Many files of the packages are no robots: arenas, parts that others include, tests.", ""]
     lines += ["| file | reason |", "|---|---|"]
     lines += [
         f"| {row['robot']} | {row['refused'].replace('|', '/').replace('<', '`<').replace('>', '>`')} |"
@@ -81,10 +75,7 @@ def page_of(rows, states):
 
 def by_format(rows):
     """Table with one line for each format: files that load, and the largest differences from other software."""
-    lines = [
-        "| files | load | difference of accelerations | of positions after 1 s |",
-        "|---|---|---|---|",
-    ]
+    lines = ["| files | load | difference of accelerations | of positions after 1 s |", "|---|---|---|---|"]
     for suffix, name in FORMATS.items():
         mine = [row for row in rows if row["format"] == suffix]
         robots = [row for row in mine if not _is_no_robot(row.get("refused", ""))]

@@ -127,9 +127,7 @@ def _coupled_mujoco(scene, offsets, model, data):
     """Make a state of MuJoCo satisfy the couplings; returns their rows (k, nv)."""
     rows = np.zeros((len(scene.couplings), model.nv))
     for row, coupling, offset in zip(rows, scene.couplings, offsets):
-        first, other = (
-            _number(model, scene.robot.joints[name]) for name in (coupling.joint, coupling.other)
-        )
+        first, other = (_number(model, scene.robot.joints[name]) for name in (coupling.joint, coupling.other))
         at, to = model.jnt_qposadr[other], model.jnt_qposadr[first]
         value = coupling.ratio * (data.qpos[at] - model.qpos0[at]) + offset
         data.qpos[to] = model.qpos0[to] + value
@@ -152,9 +150,7 @@ def _as_imported(model):
     model.dof_armature[:] = 0.0
     model.body_gravcomp[:] = 0.0
     model.opt.density = model.opt.viscosity = 0.0
-    model.opt.disableflags |= (
-        mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_ACTUATION
-    )
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_ACTUATION
     model.tendon_stiffness[:] = model.tendon_damping[:] = model.tendon_armature[:] = 0.0
     model.jnt_stiffnesspoly[:] = model.dof_dampingpoly[:] = 0.0
     for j in range(model.njnt):

@@ -37,9 +37,7 @@ def motion_against_pinocchio(path, scene, seconds=1.0):
     tree = _Tree(path, scene)
     start = tree.random_state(np.random.default_rng(3), 0.5)
     pose, twist, _ = tree.poses_and_twists(*start[:2], 0.0 * start[1])
-    return motion_against(
-        scene, pose, twist, seconds, STEPS, lambda step: tree.end(*start, seconds, step)
-    )
+    return motion_against(scene, pose, twist, seconds, STEPS, lambda step: tree.end(*start, seconds, step))
 
 
 class _Tree:
@@ -55,11 +53,7 @@ class _Tree:
             else pin.buildModelFromUrdf(str(path))
         )
         kept = set(names.joints.values())
-        held = [
-            j
-            for j in range(1, model.njoints)
-            if model.names[j] not in kept and model.names[j] != "root_joint"
-        ]
+        held = [j for j in range(1, model.njoints) if model.names[j] not in kept and model.names[j] != "root_joint"]
         if held:
             model = pin.buildReducedModel(model, held, pin.neutral(model))
         model.gravity.linear = np.array(scene.gravity)
@@ -148,14 +142,11 @@ class _Tree:
         rows = np.zeros((len(scene.couplings), model.nv))
         for row, coupling, offset in zip(rows, scene.couplings, self.offsets):
             first, other = (
-                model.joints[model.getJointId(scene.robot.joints[name])]
-                for name in (coupling.joint, coupling.other)
+                model.joints[model.getJointId(scene.robot.joints[name])] for name in (coupling.joint, coupling.other)
             )
             at = q[other.idx_q : other.idx_q + other.nq]
             value = coupling.ratio * (at[0] if other.nq == 1 else np.arctan2(at[1], at[0])) + offset
-            q[first.idx_q : first.idx_q + first.nq] = (
-                [value] if first.nq == 1 else [np.cos(value), np.sin(value)]
-            )
+            q[first.idx_q : first.idx_q + first.nq] = [value] if first.nq == 1 else [np.cos(value), np.sin(value)]
             v[first.idx_v] = coupling.ratio * v[other.idx_v]
             row[first.idx_v], row[other.idx_v] = 1.0, -coupling.ratio
         return rows

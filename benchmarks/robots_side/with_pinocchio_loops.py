@@ -20,11 +20,7 @@ from liegroup_core.scene.consistency import resolve_couplings, resolve_elements,
 
 from .accelerations import Accelerations, difference
 
-MODELS = {
-    "revolute": pin.JointModelRZ,
-    "prismatic": pin.JointModelPZ,
-    "spherical": pin.JointModelSpherical,
-}
+MODELS = {"revolute": pin.JointModelRZ, "prismatic": pin.JointModelPZ, "spherical": pin.JointModelSpherical}
 FARTHEST = 0.1  # rad and m: how far the twists that make a random state move the bodies
 REDUNDANT = 1e-7  # singular values of the rows of loops, relative to the largest one
 

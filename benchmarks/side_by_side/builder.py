@@ -8,19 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from .problems import (
-    BALL,
-    CYLINDRICAL,
-    FREE,
-    GRAVITY,
-    GROUND,
-    HINGE,
-    SLIDE,
-    UNIVERSAL,
-    Body,
-    Joint,
-    Problem,
-)
+from .problems import BALL, CYLINDRICAL, FREE, GRAVITY, GROUND, HINGE, SLIDE, UNIVERSAL, Body, Joint, Problem
 
 X, Y, Z = np.eye(3)
 DOWN = np.array([0.0, 0.0, -GRAVITY])

@@ -53,24 +53,17 @@ def _one_body(mbs, problem):
     inertia = body.inertia + body.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
     speed = [0.0, 0.0, 0.0] if problem.tree else [*body.velocity]
     node = mbs.AddNode(
-        items.NodeRigidBodyRotVecLG(
-            referenceCoordinates=[*at, 0.0, 0.0, 0.0], initialVelocities=[*speed, *body.omega]
-        )
+        items.NodeRigidBodyRotVecLG(referenceCoordinates=[*at, 0.0, 0.0, 0.0], initialVelocities=[*speed, *body.omega])
     )
     made = mbs.AddObject(
         items.ObjectRigidBody(
-            nodeNumber=node,
-            physicsMass=body.mass,
-            physicsInertia=inertia[[0, 1, 2, 1, 0, 0], [0, 1, 2, 2, 2, 1]],
+            nodeNumber=node, physicsMass=body.mass, physicsInertia=inertia[[0, 1, 2, 1, 0, 0], [0, 1, 2, 2, 2, 1]]
         )
     )
     if problem.gravity.any():
         marker = mbs.AddMarker(items.MarkerBodyPosition(bodyNumber=made, localPosition=[*arm]))
         mbs.AddLoad(items.Force(markerNumber=marker, loadVector=[*body.mass * problem.gravity]))
-    return lambda: (
-        [mbs.GetNodeOutput(node, exu.OutputVariableType.RotationMatrix).reshape(3, 3)],
-        0.0,
-    )
+    return lambda: ([mbs.GetNodeOutput(node, exu.OutputVariableType.RotationMatrix).reshape(3, 3)], 0.0)
 
 
 def _axis_frame(axis):
@@ -125,8 +118,7 @@ def _tree(mbs, problem):
         for i, frame in zip(held, frames)
     ]
     inertias = [
-        np.zeros((3, 3)) if body is None else frame.T @ body.inertia @ frame
-        for body, frame in zip(bodies, frames)
+        np.zeros((3, 3)) if body is None else frame.T @ body.inertia @ frame for body, frame in zip(bodies, frames)
     ]
     kinds = exu.JointType
     mbs.AddObject(
@@ -146,9 +138,7 @@ def _tree(mbs, problem):
     def state():
         found = mbs.GetNodeOutput(node, exu.OutputVariableType.Coordinates)
         rotations = []
-        for turns, parent, before, frame, q in zip(
-            turning, parents, outer, frames, np.atleast_1d(found)
-        ):
+        for turns, parent, before, frame, q in zip(turning, parents, outer, frames, np.atleast_1d(found)):
             c, s = np.cos(q), np.sin(q)
             turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) if turns else np.eye(3)
             base = np.eye(3) if parent < 0 else rotations[parent]
@@ -173,9 +163,7 @@ def _planar_bodies(mbs, problem):
         )
         made[i] = (
             mbs.AddObject(
-                items.ObjectRigidBody2D(
-                    nodeNumber=nodes[i], physicsMass=body.mass, physicsInertia=body.inertia[2, 2]
-                )
+                items.ObjectRigidBody2D(nodeNumber=nodes[i], physicsMass=body.mass, physicsInertia=body.inertia[2, 2])
             ),
             body.position,
         )
@@ -185,9 +173,7 @@ def _planar_bodies(mbs, problem):
     for joint in problem.tree + problem.loops:
         ends = [
             mbs.AddMarker(
-                items.MarkerBodyPosition(
-                    bodyNumber=made[end][0], localPosition=[*joint.point - made[end][1]]
-                )
+                items.MarkerBodyPosition(bodyNumber=made[end][0], localPosition=[*joint.point - made[end][1]])
             )
             for end in (joint.parent, joint.child)
         ]
@@ -200,9 +186,7 @@ def _planar_bodies(mbs, problem):
             [mbs.GetMarkerOutput(marker, exu.OutputVariableType.Position) for marker in markers]
         ).reshape(-1, 2, 3)
         gap = np.linalg.norm(positions[:, 0] - positions[:, 1], axis=1).max()
-        return [
-            [[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]] for a in angles
-        ], gap
+        return [[[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]] for a in angles], gap
 
     return state
 
@@ -213,8 +197,7 @@ def _spatial_bodies(mbs, problem):
     for i, body in enumerate(problem.bodies):
         node = mbs.AddNode(
             items.NodeRigidBodyRotVecLG(
-                referenceCoordinates=[*body.position, 0.0, 0.0, 0.0],
-                initialVelocities=[*body.velocity, *body.omega],
+                referenceCoordinates=[*body.position, 0.0, 0.0, 0.0], initialVelocities=[*body.velocity, *body.omega]
             )
         )
         made[i] = (
@@ -231,11 +214,7 @@ def _spatial_bodies(mbs, problem):
         mbs.AddLoad(items.Force(markerNumber=marker, loadVector=[*body.mass * problem.gravity]))
     for joint in problem.tree:
         ends = [
-            mbs.AddMarker(
-                items.MarkerBodyRigid(
-                    bodyNumber=made[end][0], localPosition=[*joint.point - made[end][1]]
-                )
-            )
+            mbs.AddMarker(items.MarkerBodyRigid(bodyNumber=made[end][0], localPosition=[*joint.point - made[end][1]]))
             for end in (joint.parent, joint.child)
         ]
         mbs.AddObject(items.SphericalJoint(markerNumbers=ends))
@@ -275,9 +254,7 @@ class _Run:
         self.settings.timeIntegration.numberOfSteps = steps
         self.settings.timeIntegration.endTime = steps * self.step
         try:
-            self.mbs.SolveDynamic(
-                self.settings, solverType=self.solver, storeSolver=self.controlled
-            )
+            self.mbs.SolveDynamic(self.settings, solverType=self.solver, storeSolver=self.controlled)
         except Exception as error:
             raise ArithmeticError(f"Exudyn's solver failed: {error}") from None
 
@@ -322,16 +299,11 @@ def entries(problem, ratio):
         yield Entry(
             CODE,
             f"{CONTROLLED} {problem.joints}".strip(),
-            [
-                LOOSEST / ratio ** (5 * k)
-                for k in range(ceil(log(LOOSEST / TIGHTEST, ratio) / 5) + 1)
-            ],
+            [LOOSEST / ratio ** (5 * k) for k in range(ceil(log(LOOSEST / TIGHTEST, ratio) / 5) + 1)],
             lambda tolerance: _Run(problem, _tree, CONTROLLED, 1, tolerance=tolerance),
         )
 
 
 def stepper(problem, step):
     """Function take_steps(n) of implicit steps from the start; spherical joints, sparse solver."""
-    return _Run(
-        problem, _spatial_bodies, "TrapezoidalIndex2", round(problem.duration / step), sparse=True
-    ).take
+    return _Run(problem, _spatial_bodies, "TrapezoidalIndex2", round(problem.duration / step), sparse=True).take

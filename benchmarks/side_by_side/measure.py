@@ -89,10 +89,7 @@ class Cost:
 
 def geometric(first, ratio, last=10_000_000):
     """Integers from first to last, growing by about `ratio`."""
-    return [
-        round(first * ratio**k)
-        for k in range(math.floor(math.log(last / first) / math.log(ratio)) + 1)
-    ]
+    return [round(first * ratio**k) for k in range(math.floor(math.log(last / first) / math.log(ratio)) + 1)]
 
 
 def _finite(value):
@@ -116,9 +113,7 @@ def climb(entry, problem, exact, budget):
             steps = run.steps_per_duration()
         except ArithmeticError:
             took = time.process_time() - start
-        rungs.append(
-            Rung(level, error, _finite(gap), steps / problem.duration, took / problem.duration, run)
-        )
+        rungs.append(Rung(level, error, _finite(gap), steps / problem.duration, took / problem.duration, run))
         if len(rungs) > 1 and max(rung.error for rung in rungs[-2:]) <= TARGETS[-1]:
             break
         if took * max(1.0, took / before if before > SHORTEST else 1.0) > budget:
@@ -153,11 +148,7 @@ def cost_at(rungs, target):
         errors = _settled_errors(rungs)[list(found)]
         part = math.log(errors[0] / target) / math.log(errors[0] / max(errors[1], 1e-16))
         coarse = rungs[coarse]
-    return Cost(
-        coarse.cost ** (1 - part) * fine.cost**part,
-        coarse.steps ** (1 - part) * fine.steps**part,
-        fine.gap,
-    )
+    return Cost(coarse.cost ** (1 - part) * fine.cost**part, coarse.steps ** (1 - part) * fine.steps**part, fine.gap)
 
 
 def time_run(run, duration, estimate):

@@ -83,8 +83,7 @@ class _Links:
             np.array(inertia),
             np.array([[link_of[end] for end in pair] for pair in ends], dtype=int).reshape(-1, 2),
             np.array(
-                [[l.point - place[end] for end in pair] for l, pair in zip(problem.loops, ends)],
-                dtype=float,
+                [[l.point - place[end] for end in pair] for l, pair in zip(problem.loops, ends)], dtype=float
             ).reshape(-1, 2, 3),
             np.array(problem.gravity),
         )
@@ -92,9 +91,7 @@ class _Links:
 
 @njit(cache=True)
 def _cross(a, b):
-    return np.array(
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    )
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 @njit(cache=True)
@@ -163,9 +160,7 @@ def _directions(kind, axis):
 
 
 @njit(cache=True)
-def slope(
-    kind, parent, at_q, at_v, origin, axis, mass, centre, inertia, loops, anchors, gravity, q, v
-):
+def slope(kind, parent, at_q, at_v, origin, axis, mass, centre, inertia, loops, anchors, gravity, q, v):
     """Rates of the coordinates q and of the speeds v.
 
     All right sides are swept at once: column 0 has the true wrenches, the others a unit force in

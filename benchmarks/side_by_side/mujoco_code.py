@@ -112,10 +112,7 @@ class _Run:
 def entries(problem, ratio):
     """RK4 with joint coordinates; loops are closed by springs."""
     yield Entry(
-        CODE,
-        f"RK4 {problem.joints}".strip(),
-        geometric(problem.coarsest, ratio),
-        lambda steps: _Run(problem, steps),
+        CODE, f"RK4 {problem.joints}".strip(), geometric(problem.coarsest, ratio), lambda steps: _Run(problem, steps)
     )
 
 

@@ -141,12 +141,7 @@ def entries(problem, ratio, groups=GROUPS[:1]):
 
 
 def _entry(problem, scene, method, ratio, options):
-    words = [
-        method,
-        options["group"].replace("auto", ""),
-        problem.joints,
-        options["stabilisation"].replace("none", ""),
-    ]
+    words = [method, options["group"].replace("auto", ""), problem.joints, options["stabilisation"].replace("none", "")]
     setting = " ".join(filter(None, words))
     levels = _levels(problem, method, ratio)
 

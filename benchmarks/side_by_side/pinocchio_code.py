@@ -69,9 +69,7 @@ def _library():
         print("Compiling the loop around Pinocchio (once; one or two minutes)", flush=True)
         BUILD.mkdir(parents=True, exist_ok=True)
         made = path.with_suffix(f".{os.getpid()}")
-        run = subprocess.run(
-            [compiler, *FLAGS, str(SOURCE), "-o", str(made)], capture_output=True, text=True
-        )
+        run = subprocess.run([compiler, *FLAGS, str(SOURCE), "-o", str(made)], capture_output=True, text=True)
         if run.returncode:
             error = next((line for line in run.stderr.splitlines() if "error" in line), "")
             raise ImportError(f"its loop does not compile: {error[:300]}")
@@ -121,10 +119,7 @@ class _Run:
         origin = {GROUND: np.zeros(3)} | dict(enumerate(points))
         speeds = [rate for i in range(len(tree)) for rate in problem.rates(i)]
         speeds = speeds or [*bodies[0].velocity, *bodies[0].omega]
-        anchors = [
-            [*(loop.point - origin[loop.parent]), *(loop.point - origin[loop.child])]
-            for loop in problem.loops
-        ]
+        anchors = [[*(loop.point - origin[loop.parent]), *(loop.point - origin[loop.child])] for loop in problem.loops]
         self.loop = ctypes.c_void_p(
             LIBRARY.make(
                 self.count,
@@ -181,9 +176,7 @@ def entries(problem, ratio):
                 CODE,
                 " ".join(filter(None, (name, problem.joints, words))),
                 levels,
-                lambda steps, t=tableau, p=highest, c=closing, r=rate: _Run(
-                    problem, t, p, steps, c, r
-                ),
+                lambda steps, t=tableau, p=highest, c=closing, r=rate: _Run(problem, t, p, steps, c, r),
                 counted=tableau is RK4,
             )
 

@@ -123,9 +123,7 @@ def heavy_top():
         1.0,
         40,
         False,
-        lambda fineness: references.spinning_body(
-            about_pivot, omega, mass * arm, gravity, 1.0, fineness
-        ),
+        lambda fineness: references.spinning_body(about_pivot, omega, mass * arm, gravity, 1.0, fineness),
     )
 
 
@@ -142,9 +140,7 @@ def free_body():
         10.0,
         2,
         False,
-        lambda fineness: references.spinning_body(
-            moments, omega, np.zeros(3), np.zeros(3), 10.0, fineness
-        ),
+        lambda fineness: references.spinning_body(moments, omega, np.zeros(3), np.zeros(3), 10.0, fineness),
     )
 
 
@@ -192,12 +188,8 @@ def four_bar(density=1000.0):
     line, turn = atan2(-crank, base), acos(half / rod)
     coupler_angle, rocker_angle = line + turn, line + pi - turn
     # Coupler and rocker move the elbow alike: along the rocker, and along the coupler.
-    coupler_rate = (
-        -rate * crank * sin(rocker_angle - pi / 2) / (rod * sin(rocker_angle - coupler_angle))
-    )
-    rocker_rate = (
-        rate * crank * sin(coupler_angle - pi / 2) / (rod * sin(coupler_angle - rocker_angle))
-    )
+    coupler_rate = -rate * crank * sin(rocker_angle - pi / 2) / (rod * sin(rocker_angle - coupler_angle))
+    rocker_rate = rate * crank * sin(coupler_angle - pi / 2) / (rod * sin(coupler_angle - rocker_angle))
     rods, still = _Planar(0.05, density), np.zeros(3)
     first, tip, velocity = rods.add(np.zeros(3), crank, pi / 2, rate, GROUND, still)
     rods.add(tip, rod, coupler_angle, coupler_rate, first, velocity)
@@ -252,8 +244,7 @@ def chain(links, kind):
         for i in range(links)
     )
     tree = tuple(
-        Joint(kind, i - 1, i, np.array([i * length, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
-        for i in range(links)
+        Joint(kind, i - 1, i, np.array([i * length, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])) for i in range(links)
     )
     return Problem(
         f"P4 N={links}",

@@ -33,11 +33,7 @@ def spinning_body(moments, omega, mass_arm, gravity, duration, fineness):
     for _ in range(steps):
         for k in range(order):
             back = w[k::-1]
-            w[k + 1] = (
-                (_cross(w[: k + 1] * moments, back).sum(axis=0) + _cross(mass_arm, gamma[k]))
-                / moments
-                / (k + 1)
-            )
+            w[k + 1] = (_cross(w[: k + 1] * moments, back).sum(axis=0) + _cross(mass_arm, gamma[k])) / moments / (k + 1)
             gamma[k + 1] = _cross(gamma[: k + 1], back).sum(axis=0) / (k + 1)
             scalar, vector = q[: k + 1, :1], q[: k + 1, 1:]
             q[k + 1, 0] = -(vector * back).sum() / (2 * (k + 1))
@@ -71,9 +67,7 @@ def four_bar(fineness):
     """
     crank, rod, base, width, density, g = 0.5, 1.0, 1.0, 0.05, 1000.0, 9.81
     m_crank, m_rod = density * width**2 * crank, density * width**2 * rod
-    about_end = [
-        m * (length**2 / 3 + width**2 / 12) for m, length in ((m_crank, crank), (m_rod, rod))
-    ]
+    about_end = [m * (length**2 / 3 + width**2 / 12) for m, length in ((m_crank, crank), (m_rod, rod))]
     about_middle = m_rod * (rod**2 + width**2) / 12
 
     def angles(p):
@@ -87,12 +81,8 @@ def four_bar(fineness):
         # d(angle)/dp: the elbow moves across the rocker as much as the coupler lets it.
         d_coupler = -crank * np.sin(rocker - p) / (rod * np.sin(rocker - coupler))
         d_rocker = crank * np.sin(coupler - p) / (rod * np.sin(coupler - rocker))
-        middle = (
-            crank**2 + (rod / 2 * d_coupler) ** 2 + crank * rod * d_coupler * np.cos(p - coupler)
-        )
-        inertia = (
-            about_end[0] + m_rod * middle + about_middle * d_coupler**2 + about_end[1] * d_rocker**2
-        )
+        middle = crank**2 + (rod / 2 * d_coupler) ** 2 + crank * rod * d_coupler * np.cos(p - coupler)
+        inertia = about_end[0] + m_rod * middle + about_middle * d_coupler**2 + about_end[1] * d_rocker**2
         height = (
             m_crank * crank / 2 * np.sin(p)
             + m_rod * rod / 2 * np.sin(rocker)
@@ -120,9 +110,7 @@ def four_bar(fineness):
         if abs(correction) < 1e-14:
             break
     turned = [end - start] + [after - before for after, before in zip(angles(end), angles(start))]
-    return np.array(
-        [[[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]] for a in turned]
-    )
+    return np.array([[[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]] for a in turned])
 
 
 def planar_chain(links, mass, length, g, duration, fineness):
@@ -148,8 +136,8 @@ def planar_chain(links, mass, length, g, duration, fineness):
         return np.concatenate([rate, cho_solve(factor, right, check_finite=False)])
 
     tolerance = (1e-12, 1e-13)[fineness]
-    angle = solve_ivp(
-        slope, (0.0, duration), np.zeros(2 * links), method="DOP853", rtol=tolerance, atol=tolerance
-    ).y[:links, -1]
+    angle = solve_ivp(slope, (0.0, duration), np.zeros(2 * links), method="DOP853", rtol=tolerance, atol=tolerance).y[
+        :links, -1
+    ]
     c, s, zero = np.cos(angle), np.sin(angle), np.zeros(links)
     return np.array([[c, zero, s], [zero, zero + 1, zero], [-s, zero, c]]).transpose(2, 0, 1)

@@ -65,12 +65,7 @@ def costs_table(name, problem, results):
     kinds = {entry.kind: [] for entry, _, _ in results if entry.code == OURS}
     for kind, some in kinds.items():
         some += [result for result in results if result[0].kind == kind]
-    winners = {
-        id(found[0])
-        for target in TARGETS
-        for some in kinds.values()
-        if (found := best(some, target, True))
-    }
+    winners = {id(found[0]) for target in TARGETS for some in kinds.values() if (found := best(some, target, True))}
     for entry, rungs, costs in results:
         if entry.code == OURS and id(entry) not in winners:
             continue
@@ -119,8 +114,7 @@ def shortfalls(name, problem, results):
             continue
         mine, theirs = best(results, target, True), best(results, target, False)
         head = (
-            f"{name} to {word}: {value:.2f} times as fast as {theirs[0].code} "
-            f"({theirs[0].setting}); wanted {wanted:g}"
+            f"{name} to {word}: {value:.2f} times as fast as {theirs[0].code} ({theirs[0].setting}); wanted {wanted:g}"
         )
         if mine is None:
             yield f"{head}: no setting of ours reaches it"

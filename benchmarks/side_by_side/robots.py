@@ -86,10 +86,7 @@ def delta():
     velocity, centre = np.array([1.0, -0.6, 1.8]), np.array([0.0, 0.0, -sqrt(0.7**2 - 0.42**2)])
     pairs = []
     for angle in (0.0, 2 * pi / 3, 4 * pi / 3):
-        out, tangent = (
-            np.array([cos(angle), sin(angle), 0.0]),
-            np.array([-sin(angle), cos(angle), 0.0]),
-        )
+        out, tangent = (np.array([cos(angle), sin(angle), 0.0]), np.array([-sin(angle), cos(angle), 0.0]))
         elbow, along = 0.5 * out, centre - 0.42 * out
         # The elbow moves so that the rods keep their length.
         swing = np.cross(tangent, 0.3 * out)
@@ -107,16 +104,7 @@ def delta():
             rod = made.rod(arm, start, start + along, 0.15, 0.012, velocity, 200.0 * side)
             pairs.append((rod, start + along))
     middle = centre + (0.01, -0.005, -0.02)
-    platform = made.add(
-        FREE,
-        GROUND,
-        middle,
-        None,
-        (*velocity, 0.0, 0.0, 0.0),
-        0.6,
-        middle,
-        box(0.6, 0.16, 0.14, 0.04),
-    )
+    platform = made.add(FREE, GROUND, middle, None, (*velocity, 0.0, 0.0, 0.0), 0.6, middle, box(0.6, 0.16, 0.14, 0.04))
     for rod, corner in pairs:
         made.close(rod, platform, corner)
     return made.problem("S7", "Delta robot", 0.4, 3, (4.0, 6.0, 15.0))
@@ -125,12 +113,8 @@ def delta():
 def crane():
     """S8: tree of slides, hinges, universal, cylindrical and ball joints: a crane with two loads."""
     made = Builder()
-    bridge = made.add(
-        SLIDE, GROUND, (0.0, 0.0, 3.0), X, (0.5,), 40.0, (0.0, 0.0, 3.0), box(40.0, 0.5, 3.0, 0.4)
-    )
-    trolley = made.add(
-        SLIDE, bridge, (0.0, 0.2, 3.0), Y, (-0.4,), 15.0, (0.05, 0.2, 2.9), box(15.0, 0.4, 0.4, 0.3)
-    )
+    bridge = made.add(SLIDE, GROUND, (0.0, 0.0, 3.0), X, (0.5,), 40.0, (0.0, 0.0, 3.0), box(40.0, 0.5, 3.0, 0.4))
+    trolley = made.add(SLIDE, bridge, (0.0, 0.2, 3.0), Y, (-0.4,), 15.0, (0.05, 0.2, 2.9), box(15.0, 0.4, 0.4, 0.3))
     mast = made.add(
         CYLINDRICAL,
         trolley,
@@ -141,48 +125,14 @@ def crane():
         (0.02, 0.2, 2.4),
         round_link(8.0, 0.8, 0.06, Z),
     )
-    boom = made.hinge(
-        mast, (0.0, 0.2, 2.0), Y, 3.0, 5.0, (0.4, 0.2, 2.02), round_link(5.0, 0.8, 0.05, X)
-    )
-    stick = made.add(
-        SLIDE,
-        boom,
-        (0.8, 0.2, 2.0),
-        X,
-        (0.3,),
-        2.0,
-        (1.0, 0.2, 2.01),
-        round_link(2.0, 0.4, 0.03, X),
-    )
+    boom = made.hinge(mast, (0.0, 0.2, 2.0), Y, 3.0, 5.0, (0.4, 0.2, 2.02), round_link(5.0, 0.8, 0.05, X))
+    stick = made.add(SLIDE, boom, (0.8, 0.2, 2.0), X, (0.3,), 2.0, (1.0, 0.2, 2.01), round_link(2.0, 0.4, 0.03, X))
     rope = made.add(
-        UNIVERSAL,
-        stick,
-        (1.2, 0.2, 2.0),
-        X,
-        (2.0, -3.0),
-        0.5,
-        (1.2, 0.2, 1.7),
-        square_rod(0.5, 0.6, 0.02, Z),
-        Y,
+        UNIVERSAL, stick, (1.2, 0.2, 2.0), X, (2.0, -3.0), 0.5, (1.2, 0.2, 1.7), square_rod(0.5, 0.6, 0.02, Z), Y
     )
-    made.add(
-        BALL,
-        rope,
-        (1.2, 0.2, 1.4),
-        None,
-        (2.0, -3.0, 6.0),
-        4.0,
-        (1.22, 0.18, 1.25),
-        box(4.0, 0.2, 0.3, 0.25),
-    )
+    made.add(BALL, rope, (1.2, 0.2, 1.4), None, (2.0, -3.0, 6.0), 4.0, (1.22, 0.18, 1.25), box(4.0, 0.2, 0.3, 0.25))
     counter = made.hinge(
-        mast,
-        (-0.1, 0.2, 2.1),
-        (0.0, 1.0, 0.3),
-        -3.0,
-        3.0,
-        (-0.4, 0.2, 2.1),
-        round_link(3.0, 0.6, 0.04, X),
+        mast, (-0.1, 0.2, 2.1), (0.0, 1.0, 0.3), -3.0, 3.0, (-0.4, 0.2, 2.1), round_link(3.0, 0.6, 0.04, X)
     )
     made.add(
         CYLINDRICAL,
@@ -195,24 +145,7 @@ def crane():
         round_link(2.0, 0.1, 0.08, X),
     )
     swing = made.add(
-        UNIVERSAL,
-        bridge,
-        (0.0, -0.8, 2.8),
-        Y,
-        (2.4, 1.6),
-        1.0,
-        (0.0, -0.8, 2.5),
-        square_rod(1.0, 0.6, 0.03, Z),
-        X,
+        UNIVERSAL, bridge, (0.0, -0.8, 2.8), Y, (2.4, 1.6), 1.0, (0.0, -0.8, 2.5), square_rod(1.0, 0.6, 0.03, Z), X
     )
-    made.add(
-        BALL,
-        swing,
-        (0.0, -0.8, 2.2),
-        None,
-        (-4.0, 3.0, 5.0),
-        2.5,
-        (0.03, -0.78, 2.0),
-        box(2.5, 0.2, 0.15, 0.3),
-    )
+    made.add(BALL, swing, (0.0, -0.8, 2.2), None, (-4.0, 3.0, 5.0), 2.5, (0.03, -0.78, 2.0), box(2.5, 0.2, 0.15, 0.3))
     return made.problem("S8", "crane of all joints", 0.5, 3, WANTED)

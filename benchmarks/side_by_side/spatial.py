@@ -31,13 +31,7 @@ def arm():
     at, last = np.zeros(3), GROUND
     for direction, length, mass, axis, rate in links:
         last = made.hinge(
-            last,
-            at,
-            axis,
-            rate,
-            mass,
-            at + length / 2 * direction,
-            round_link(mass, length, radius, direction),
+            last, at, axis, rate, mass, at + length / 2 * direction, round_link(mass, length, radius, direction)
         )
         at = at + length * direction
     return made.problem("S1", "robot arm of 6 hinges", 0.5, 4, (3.0, 6.0, 12.0))
@@ -62,9 +56,7 @@ def chain_in_space(links, kind=HINGE):
             square_rod(mass, length, width, X),
         )
     name, wanted = ("S3", (3.0, 8.0, 20.0)) if links == 100 else ("S2", (3.0, 6.0, 12.0))
-    return made.problem(
-        name, f"chain of {links} {kind}s in space", 0.5, 6, wanted, gravity=SPACE_GRAVITY
-    )
+    return made.problem(name, f"chain of {links} {kind}s in space", 0.5, 6, wanted, gravity=SPACE_GRAVITY)
 
 
 def _four_bar(made, crank, foot, axis):
@@ -80,9 +72,7 @@ def _four_bar(made, crank, foot, axis):
     swing = np.cross(axis, height * Z)
     rate = (speed @ along) / (swing @ along)
     coupler = made.rod(body, tip, top, 2.0, 0.02, rate * swing)
-    rocker = made.hinge(
-        GROUND, foot, axis, rate, 1.5, foot + height / 2 * Z, square_rod(1.5, height, 0.02, Z)
-    )
+    rocker = made.hinge(GROUND, foot, axis, rate, 1.5, foot + height / 2 * Z, square_rod(1.5, height, 0.02, Z))
     made.close(coupler, rocker, top)
     return rocker
 
@@ -119,25 +109,10 @@ def stewart():
         rate = speed @ d
         rates = np.array([-speed @ second, (speed - rate * d) @ tangent]) / (length * sine)
         lower = made.add(
-            UNIVERSAL,
-            GROUND,
-            foot,
-            tangent,
-            rates,
-            2.0,
-            foot + 0.175 * d,
-            round_link(2.0, 0.35, 0.03, d),
-            second,
+            UNIVERSAL, GROUND, foot, tangent, rates, 2.0, foot + 0.175 * d, round_link(2.0, 0.35, 0.03, d), second
         )
         upper = made.add(
-            SLIDE,
-            lower,
-            foot + 0.35 * d,
-            d,
-            (rate,),
-            1.0,
-            top - 0.175 * d,
-            round_link(1.0, 0.35, 0.02, d),
+            SLIDE, lower, foot + 0.35 * d, d, (rate,), 1.0, top - 0.175 * d, round_link(1.0, 0.35, 0.02, d)
         )
         uppers.append(upper)
     inertia = np.array([[0.30, 0.02, -0.01], [0.02, 0.22, 0.015], [-0.01, 0.015, 0.42]])
@@ -163,10 +138,5 @@ def ladder(loops):
     crank = made.hinge(GROUND, np.zeros(3), Y, 1.0, 1.5, tip / 2, square_rod(1.5, 0.5, 0.02, Z))
     for i in range(1, loops + 1):
         foot = np.array([0.4 * i, 0.1 * (i % 2), 0.0])
-        crank, tip = (
-            _four_bar(made, (crank, tip), foot, (0.2 * (-1) ** i, 1.0, 0.0)),
-            foot + tip[2] * Z,
-        )
-    return made.problem(
-        f"{loops} spatial loops", "spatial four-bars in a row", 0.1, 100, (4.0, 6.0, 15.0)
-    )
+        crank, tip = (_four_bar(made, (crank, tip), foot, (0.2 * (-1) ** i, 1.0, 0.0)), foot + tip[2] * Z)
+    return made.problem(f"{loops} spatial loops", "spatial four-bars in a row", 0.1, 100, (4.0, 6.0, 15.0))

@@ -17,9 +17,7 @@ def by_method(part):
             if part["margin"] * error <= entry["accuracy"]:
                 best[cell["method"]] = min(best.get(cell["method"], float("inf")), cell["cost_us"])
         for cell in part["cells"]:
-            found.setdefault(cell["method"], {})[f"{entry['accuracy']:g}"] = best.get(
-                cell["method"]
-            )
+            found.setdefault(cell["method"], {})[f"{entry['accuracy']:g}"] = best.get(cell["method"])
     return found
 
 
@@ -93,8 +91,7 @@ def words(parts):
                 if entry["accuracy"] == accuracy and entry["cell"] is not None:
                     won.setdefault(part["cells"][entry["cell"]]["method"], []).append(part["scene"])
         said = "; ".join(
-            f"{method} ({', '.join(names)})"
-            for method, names in sorted(won.items(), key=lambda pair: -len(pair[1]))
+            f"{method} ({', '.join(names)})" for method, names in sorted(won.items(), key=lambda pair: -len(pair[1]))
         )
         none = [
             part["scene"]
@@ -103,9 +100,7 @@ def words(parts):
             if entry["accuracy"] == accuracy and entry["cell"] is None
         ]
         lines.append(
-            f"* {accuracy:g} is cheapest with {said}"
-            + (f"; out of reach for {', '.join(none)}" if none else "")
-            + "."
+            f"* {accuracy:g} is cheapest with {said}" + (f"; out of reach for {', '.join(none)}" if none else "") + "."
         )
     for method in ("rkmk8", "rkmk4"):
         worst = [
@@ -114,11 +109,7 @@ def words(parts):
             for accuracy in (1e-3, 1e-6, 1e-9)
             for best in [
                 min(
-                    (
-                        costs[f"{accuracy:g}"]
-                        for costs in part["methods"].values()
-                        if costs[f"{accuracy:g}"]
-                    ),
+                    (costs[f"{accuracy:g}"] for costs in part["methods"].values() if costs[f"{accuracy:g}"]),
                     default=None,
                 )
             ]
@@ -128,18 +119,12 @@ def words(parts):
         if worst:
             middle = sorted(ratio for ratio, *_ in worst)[len(worst) // 2]
             most = max(worst)
-            missed = sum(
-                1 for part in parts for entry in part["cheapest"] if entry["cell"] is not None
-            ) - len(worst)
+            missed = sum(1 for part in parts for entry in part["cheapest"] if entry["cell"] is not None) - len(worst)
             lines.append(
                 f"* taken everywhere, {method} costs {middle:.2g} times the cheapest in "
                 f"the median, at most {most[0]:.2g} times ({most[1]} at "
                 f"{most[2]:g})"
-                + (
-                    f", and in {missed} of them misses the accuracy within the time limit of a run"
-                    if missed
-                    else ""
-                )
+                + (f", and in {missed} of them misses the accuracy within the time limit of a run" if missed else "")
                 + "."
             )
     fastest = [
@@ -149,9 +134,7 @@ def words(parts):
         if entry["cell"] is not None
     ]
     slow = [
-        f"{name} at {accuracy:g} ({shown(factor)} times)"
-        for factor, name, accuracy in sorted(fastest)
-        if factor < 2.0
+        f"{name} at {accuracy:g} ({shown(factor)} times)" for factor, name, accuracy in sorted(fastest) if factor < 2.0
     ]
     lines.append(
         "* real time with half of a core to spare is reached "
@@ -162,10 +145,7 @@ def words(parts):
 
 def promised(parts):
     """Table of requested accuracies and measured errors."""
-    lines = [
-        "| scene | horizon | requested | measured | estimated at the end | kept |",
-        "|---|---|---|---|---|---|",
-    ]
+    lines = ["| scene | horizon | requested | measured | estimated at the end | kept |", "|---|---|---|---|---|---|"]
     for part in parts:
         for entry in part["promises"]:
             begin = f"| {part['scene']} | {shown(part['horizon'], 's')} | {entry['accuracy']:g} |"

@@ -93,11 +93,7 @@ def on_files(files, config):
         for _, link, _ in LINK.findall((ROOT / path).read_text(encoding="utf-8")):
             target = posixpath.normpath(posixpath.join(posixpath.dirname(path), link))
             name = _on_site(target)
-            if (
-                name.startswith(OUTSIDE)
-                and (ROOT / target).is_file()
-                and name not in files.src_uris
-            ):
+            if name.startswith(OUTSIDE) and (ROOT / target).is_file() and name not in files.src_uris:
                 files.append(File.generated(config, name, abs_src_path=str(ROOT / target)))
                 waiting += [target] * target.endswith(".md")
     return files

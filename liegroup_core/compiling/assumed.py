@@ -81,8 +81,7 @@ ASSUMED = {
     CompileResult: {
         "_reduce": "self",
         "_rebuild": (
-            "target_context libdata fndesc env signature objectmode lifted typeann reload_init "
-            "referenced_envs"
+            "target_context libdata fndesc env signature objectmode lifted typeann reload_init referenced_envs"
         ),
     },
     JITCPUCodegen: {"magic_tuple": "self"},
@@ -92,10 +91,7 @@ ASSUMED = {
         "alloca_once": "builder ty size name zfill",
         "do_boundscheck": "context builder ind dimlen axis",
     },
-    arrayobj: {
-        "load_item": "context builder arrayty ptr",
-        "store_item": "context builder arrayty val ptr",
-    },
+    arrayobj: {"load_item": "context builder arrayty ptr", "store_item": "context builder arrayty val ptr"},
     binding: {
         "create_new_function_pass_manager": "",
         "create_new_module_pass_manager": "",

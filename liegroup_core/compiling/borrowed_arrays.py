@@ -8,15 +8,7 @@ from numba.core import cgutils, types
 from numba.core.datamodel import models
 from numba.core.errors import TypingError
 from numba.core.registry import cpu_target
-from numba.extending import (
-    NativeValue,
-    box,
-    intrinsic,
-    lower_builtin,
-    register_model,
-    typeof_impl,
-    unbox,
-)
+from numba.extending import NativeValue, box, intrinsic, lower_builtin, register_model, typeof_impl, unbox
 from numba.np import arrayobj
 
 from .struct_types import WORD, digest, native_array, native_value, text

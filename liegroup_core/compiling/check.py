@@ -82,17 +82,9 @@ def check():
     inner = Inner(matrix=np.arange(4.0).reshape(2, 2), shift=0.5)
     outer = Outer(flag=False, count=7, inner=inner, rows=rows)
     array = np.array([2.0**-1022])
-    results = (
-        _steps(outer, array, 2),
-        inner.matrix.tolist(),
-        int(rows["number"][0]),
-        _shared(outer, 3, True),
-    )
+    results = (_steps(outer, array, 2), inner.matrix.tolist(), int(rows["number"][0]), _shared(outer, 3, True))
     expected = (30.0, [[0.0, 1.0], [8.5, 3.0]], 20, 21)
     if results != expected:
         raise ArithmeticError(f"small kernels returned {results}, expected {expected}")
-    if platform.machine() in ("x86_64", "AMD64") and (array[0], 0.5 * 2.0**-1022) != (
-        0.0,
-        2.0**-1023,
-    ):
+    if platform.machine() in ("x86_64", "AMD64") and (array[0], 0.5 * 2.0**-1022) != (0.0, 2.0**-1023):
         raise ArithmeticError("subnormal numbers are not flushed to zero in steps only")

@@ -50,13 +50,9 @@ OPTIONS = {"nogil": True, "error_model": "numpy"}
 
 def _inner(function, always):
     """Dispatcher of a function for compiled callers; always: inline it into them."""
-    return njit(
-        **OPTIONS,
-        forceinline=always,
-        pipeline_class=Inner,
-        no_cpython_wrapper=True,
-        no_cfunc_wrapper=True,
-    )(function)
+    return njit(**OPTIONS, forceinline=always, pipeline_class=Inner, no_cpython_wrapper=True, no_cfunc_wrapper=True)(
+        function
+    )
 
 
 class _Cache(NullCache):
@@ -145,9 +141,7 @@ class _Symbol:
         compiled = dispatcher.overloads[self.arguments]
         if types.unliteral(compiled.signature.return_type) != types.int64:
             raise TypeError(f"{dispatcher.__qualname__} must return an integer")
-        binding.add_symbol(
-            self.name, compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
-        )
+        binding.add_symbol(self.name, compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
 
 
 def _shared(kernel):
@@ -161,20 +155,14 @@ def _shared(kernel):
         def codegen(context, builder, signature, values):
             numbers = [
                 context.cast(builder, value, kind, wanted)
-                for value, kind, wanted in zip(
-                    cgutils.unpack_tuple(builder, values[0]), given, symbol.arguments
-                )
+                for value, kind, wanted in zip(cgutils.unpack_tuple(builder, values[0]), given, symbol.arguments)
             ]
             convention = context.call_conv
             function = cgutils.get_or_insert_function(
-                builder.module,
-                convention.get_function_type(types.int64, symbol.arguments),
-                symbol.name,
+                builder.module, convention.get_function_type(types.int64, symbol.arguments), symbol.name
             )
             context.active_code_library._reload_init.add(symbol)
-            return convention.call_function(
-                builder, function, types.int64, symbol.arguments, numbers
-            )[1]
+            return convention.call_function(builder, function, types.int64, symbol.arguments, numbers)[1]
 
         return types.int64(given), codegen
 
@@ -244,8 +232,7 @@ def _no_value(context, builder, kind, value):
 def cache():
     """Cache folder of this compiler; None if nothing can be cached."""
     return cache_folder(
-        f"{name} {numba.__version__} {llvmlite.__version__} {numba.config.BOUNDSCHECK} "
-        f"{source_digest('compiling')}"
+        f"{name} {numba.__version__} {llvmlite.__version__} {numba.config.BOUNDSCHECK} {source_digest('compiling')}"
     )
 
 

@@ -142,9 +142,7 @@ def compiles():
     global _announced
     if not _announced:
         _announced = True
-        log.warning(
-            "first run of this kind of mechanism: compiling (about 10 s). The result is cached"
-        )
+        log.warning("first run of this kind of mechanism: compiling (about 10 s). The result is cached")
 
 
 def warm_up(call):

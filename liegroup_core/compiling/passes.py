@@ -85,9 +85,7 @@ class _Lower(Lower):
     def setup_function(self, fndesc):
         super().setup_function(fndesc)
         sizes = {
-            f"arg.{name}": kind.size
-            for name, kind in zip(fndesc.args, fndesc.argtypes)
-            if isinstance(kind, StructType)
+            f"arg.{name}": kind.size for name, kind in zip(fndesc.args, fndesc.argtypes) if isinstance(kind, StructType)
         }
         for argument in self.function.args:
             if argument.name in sizes:
@@ -107,10 +105,7 @@ class _FlushingLower(_Lower):
             self._given = self._control("stmxcsr", cgutils.alloca_once(self.builder, WORD32))
             flushing = cgutils.alloca_once(self.builder, WORD32)
             self.builder.store(
-                self.builder.or_(
-                    self.builder.load(self._given), FLUSH_TO_ZERO_AND_DENORMALS_ARE_ZERO
-                ),
-                flushing,
+                self.builder.or_(self.builder.load(self._given), FLUSH_TO_ZERO_AND_DENORMALS_ARE_ZERO), flushing
             )
             self._control("ldmxcsr", flushing)
 
@@ -210,9 +205,7 @@ class Inner(Compiler):
         }
         for manager in managers:
             manager.passes = [
-                (own.get(each, each), text)
-                for each, text in manager.passes
-                if each.__name__ not in OMITTED
+                (own.get(each, each), text) for each, text in manager.passes if each.__name__ not in OMITTED
             ]
             manager.finalize()
         return managers

@@ -27,9 +27,7 @@ def cache():
     """Cache folder of this compiler; None if nothing can be cached."""
     # Numba names files by their place, and checks only the source that a kernel is defined in.
     place = Path(__file__).parents[1]
-    return cache_folder(
-        f"{name} {numba.__version__} {numba.config.BOUNDSCHECK} {place} {source_digest()}"
-    )
+    return cache_folder(f"{name} {numba.__version__} {numba.config.BOUNDSCHECK} {place} {source_digest()}")
 
 
 def for_python(kernel):

@@ -16,14 +16,7 @@ from llvmlite import ir
 from numba.core import types
 from numba.core.datamodel import models
 from numba.core.typing.templates import AttributeTemplate
-from numba.extending import (
-    NativeValue,
-    infer_getattr,
-    lower_getattr_generic,
-    register_model,
-    typeof_impl,
-    unbox,
-)
+from numba.extending import NativeValue, infer_getattr, lower_getattr_generic, register_model, typeof_impl, unbox
 from numba.np.numpy_support import from_dtype
 
 from .structs import Struct
@@ -166,9 +159,7 @@ def _load(context, builder, struct, pointer, name):
         return value
 
     if isinstance(kind, types.Array):
-        return array_value(
-            context, builder, kind, word(0), [word(1 + axis) for axis in range(kind.ndim)]
-        )
+        return array_value(context, builder, kind, word(0), [word(1 + axis) for axis in range(kind.ndim)])
     if isinstance(kind, StructType):
         inner = word(0, pointer.type)
         for name, number in (("dereferenceable", kind.size), ("align", 8)):

@@ -38,11 +38,7 @@ def close_to_others(folder):
 def is_private(folder):
     """Whether only this user can reach what a folder holds."""
     status = os.lstat(folder)
-    return (
-        stat.S_ISDIR(status.st_mode)
-        and status.st_uid == os.getuid()
-        and not status.st_mode & OTHERS
-    )
+    return stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & OTHERS
 
 
 def _way(path):

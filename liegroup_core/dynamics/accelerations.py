@@ -11,13 +11,7 @@ from .free_bodies import accelerations_of_free_bodies
 from .loads import GIVEN, MOST_ITERATIONS, begin_loads, settle_loads
 from .loops import POOR, SINGULAR, apply_multipliers, close_loops, project, set_loops
 from .matrix import AT, NEAR
-from .residuals import (
-    add_multipliers,
-    gather_residual,
-    set_free_residual,
-    set_present_residual,
-    set_residual,
-)
+from .residuals import add_multipliers, gather_residual, set_free_residual, set_present_residual, set_residual
 from .singular_poses import SIDES, WEIGHTS, add_aside, begin_aside, end_aside, go_aside
 from .switches import apply_switches, set_row_efforts
 from .trees import apply_wrenches, gather, move_links, spread, spread_response
@@ -36,13 +30,7 @@ def apply_forces(model, work, external):
     place_bodies(model, work, space.stage_pose, space.stage_twist)
     set_external_wrenches(external, space.stage_pose, work.wrench)
     add_wrenches(
-        model.space.forces,
-        work.angle,
-        work.acting,
-        work.wanted,
-        space.stage_pose,
-        space.stage_twist,
-        work.wrench,
+        model.space.forces, work.angle, work.acting, work.wanted, space.stage_pose, space.stage_twist, work.wrench
     )
     apply_wrenches(model, work)
 
@@ -152,11 +140,7 @@ def _accelerations_aside(model, work, external):
         go_aside(model, work, SIDES[side] * d)
         # Beside a singular pose pivots grow as the square of the distance.
         least = max(AT, 2.0 * SIDES[side] * SIDES[side] * first)
-        if (
-            project(model, work) != OK
-            or _accelerations_of_stage(model, work, external) >= 0
-            or work.report[3] < least
-        ):
+        if project(model, work) != OK or _accelerations_of_stage(model, work, external) >= 0 or work.report[3] < least:
             end_aside(work, 0)
             return -1
         add_aside(work, WEIGHTS[side] if sides > 1 else 1.0)

@@ -48,24 +48,9 @@ link_of = _of("link_of", "b", "return model.bodies[b]", "return model.links[b]")
 # Whether velocities on the motion group are in world axes.
 is_direct = _of("is_direct", "link", "return in_world_axes(link)", "return False")
 zero = _of("zero", "", "return ZERO3, ZERO3", "return ZERO3")
-load = _of(
-    "load",
-    "array row",
-    "return load3(array, row, 0), load3(array, row, 3)",
-    "return load3(array, row, 0)",
-)
-store = _of(
-    "store",
-    "V out row",
-    "store3(V[0], out, row, 0); store3(V[1], out, row, 3)",
-    "store3(V, out, row, 0)",
-)
-add_to = _of(
-    "add_to",
-    "F out row",
-    "add_to3(F[0], out, row, 0); add_to3(F[1], out, row, 3)",
-    "add_to3(F, out, row, 0)",
-)
+load = _of("load", "array row", "return load3(array, row, 0), load3(array, row, 3)", "return load3(array, row, 0)")
+store = _of("store", "V out row", "store3(V[0], out, row, 0); store3(V[1], out, row, 3)", "store3(V, out, row, 0)")
+add_to = _of("add_to", "F out row", "add_to3(F[0], out, row, 0); add_to3(F[1], out, row, 3)", "add_to3(F, out, row, 0)")
 add = _of("add", "V W", "return add3(V[0], W[0]), add3(V[1], W[1])", "return add3(V, W)")
 sub = _of("sub", "V W", "return sub3(V[0], W[0]), sub3(V[1], W[1])", "return sub3(V, W)")
 # value + J V for row r of J, and e + slip times the linear part of the row.
@@ -84,10 +69,7 @@ add_row = _of(
 # Component of a wrench that is the force of a hinge, screw, slide or cylinder (component 1 for its
 # displacement, else 0), and the wrench with this component alone.
 column = _of(
-    "column",
-    "link component",
-    "return 5 if component == 1 or slides(link) else 2",
-    "return 1 if slides(link) else 0",
+    "column", "link component", "return 5 if component == 1 or slides(link) else 2", "return 1 if slides(link) else 0"
 )
 unit = _of(
     "unit",
@@ -102,24 +84,12 @@ relative = _of(
     "return load9(work.relative, b, 0), load3(work.relative, b, 9)",
     "return place(work.stage_pose, len(model.parts) + b)",
 )
-Ad_inverse = _of(
-    "Ad_inverse",
-    "X V",
-    "return se3_Ad_inverse(X[0], X[1], V[0], V[1])",
-    "return se2_Ad_inverse(X, V)",
-)
-wrench_at = _of(
-    "wrench_at", "X F", "return se3_wrench(X[0], X[1], F[0], F[1])", "return se2_wrench(X, F)"
-)
+Ad_inverse = _of("Ad_inverse", "X V", "return se3_Ad_inverse(X[0], X[1], V[0], V[1])", "return se2_Ad_inverse(X, V)")
+wrench_at = _of("wrench_at", "X F", "return se3_wrench(X[0], X[1], F[0], F[1])", "return se2_wrench(X, F)")
 # Poses of links in the world, or in the plane, at the stage.
-compose = _of(
-    "compose", "X Y", "return se3_compose(X[0], X[1], Y[0], Y[1])", "return se2_compose(X, Y)"
-)
+compose = _of("compose", "X Y", "return se3_compose(X[0], X[1], Y[0], Y[1])", "return se2_compose(X, Y)")
 placed = _of(
-    "placed",
-    "work b",
-    "return load9(work.world, b, 0), load3(work.world, b, 9)",
-    "return place(work.placed, b)",
+    "placed", "work b", "return load9(work.world, b, 0), load3(work.world, b, 9)", "return place(work.placed, b)"
 )
 # Coordinates as a pose in the parent; a pose and a twist as in space, z normal to the plane; and back.
 in_parent = _of(
@@ -128,12 +98,7 @@ in_parent = _of(
     "return relative_pose(link, coordinates, row)",
     "return place(coordinates, row)",
 )
-lifted = _of(
-    "lifted",
-    "X",
-    "return X",
-    "return (X[0], -X[1], 0.0, X[1], X[0], 0.0, 0.0, 0.0, 1.0), (X[2], X[3], 0.0)",
-)
+lifted = _of("lifted", "X", "return X", "return (X[0], -X[1], 0.0, X[1], X[0], 0.0, 0.0, 0.0, 1.0), (X[2], X[3], 0.0)")
 spatial = _of("spatial", "V", "return V", "return (0.0, 0.0, V[0]), (V[1], V[2], 0.0)")
 planar = _of("planar", "V", "return V", "return V[0][2], V[1][0], V[1][1]")
 coordinate, rate_twist, project_pose = map(of_group, ("coordinate", "rate_twist", "project_pose"))

@@ -47,32 +47,22 @@ def position_residuals(model, pose, residual_out):
         kind = element["kind"]
         first = element["row_start"]
         rot_a, at_a = _frame(
-            pose,
-            element["parent"],
-            matrix3(element["parent_rotation"]),
-            vector3(element["parent_point"]),
+            pose, element["parent"], matrix3(element["parent_rotation"]), vector3(element["parent_point"])
         )
         rot_b, at_b = _frame(
-            pose,
-            element["child"],
-            matrix3(element["child_rotation"]),
-            vector3(element["child_point"]),
+            pose, element["child"], matrix3(element["child_rotation"]), vector3(element["child_point"])
         )
         rot = tmatmul3(rot_a, rot_b)
         p = tmatvec3(rot_a, sub3(at_b, at_a))
         if kind != PAIR:
             residual_out[first] = variable_residual(kind, rot, p, element["parameter"])
         else:
-            angular, linear = pair_coordinates(
-                rot, p, element["turns_freely"] == 1, element["parameter"]
-            )
+            angular, linear = pair_coordinates(rot, p, element["turns_freely"] == 1, element["parameter"])
             forbidden = element["forbidden"]
             for r in range(element["rows"]):
                 total = 0.0
                 for c in range(3):
-                    total += (
-                        forbidden[6 * r + c] * angular[c] + forbidden[6 * r + 3 + c] * linear[c]
-                    )
+                    total += forbidden[6 * r + c] * angular[c] + forbidden[6 * r + 3 + c] * linear[c]
                 residual_out[first + r] = total
     return 0
 

@@ -50,9 +50,7 @@ from .algebra import (
 from .links import lift_links as lift_links
 from .links import set_place
 
-_displace, _displace_by_twist, _normalise = map(
-    algebra.of_group, ("displace", "displace_by_twist", "normalise")
-)
+_displace, _displace_by_twist, _normalise = map(algebra.of_group, ("displace", "displace_by_twist", "normalise"))
 
 
 @kernel

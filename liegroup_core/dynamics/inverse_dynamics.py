@@ -16,18 +16,7 @@ from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.vec3 import load3
 
-from .algebra import (
-    add,
-    add_to,
-    column_twist,
-    link_of,
-    load,
-    own_forces,
-    relative,
-    size,
-    store,
-    wrench_at,
-)
+from .algebra import add, add_to, column_twist, link_of, load, own_forces, relative, size, store, wrench_at
 from .links import without_freedoms
 from .residuals import add_multipliers, add_own_forces
 
@@ -39,9 +28,7 @@ def _accelerate(model, work, rates):
     for b in range(len(model.bodies)):
         link = link_of(model, b)
         V = without_freedoms(model, work, b, link["parent"], g, 1)
-        store(
-            model, add(model, V, column_twist(model, link, rates, link["freedom"])), work.moved, b
-        )
+        store(model, add(model, V, column_twist(model, link, rates, link["freedom"])), work.moved, b)
 
 
 @subroutine

@@ -11,14 +11,7 @@ Work.moved has E.
 
 from liegroup_core.compiling import kernel
 from liegroup_core.joints.elements import WORLD
-from liegroup_core.lie.se2 import (
-    se2_Ad,
-    se2_Ad_inverse,
-    se2_between,
-    se2_inverse,
-    turn2,
-    turn_back2,
-)
+from liegroup_core.lie.se2 import se2_Ad, se2_Ad_inverse, se2_between, se2_inverse, turn2, turn_back2
 from liegroup_core.lie.vec3 import ZERO3, load3, load9, matvec3, store3, store9, sub3
 from liegroup_core.motion_groups import table
 from liegroup_core.motion_groups.about_z import turned
@@ -97,11 +90,7 @@ def pass_inertia(model, work, link, b):
 
 @kernel
 def without_freedoms(model, work, b, a, g, drift):
-    return (
-        Ad_inverse(model, relative(model, work, b), load(model, work.moved, a))
-        if a != WORLD
-        else ZERO3
-    )
+    return Ad_inverse(model, relative(model, work, b), load(model, work.moved, a)) if a != WORLD else ZERO3
 
 
 @kernel

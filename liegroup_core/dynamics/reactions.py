@@ -82,9 +82,9 @@ def reaction_table(layout):
         owners.append(layout.owners[model.owners[k]] if own is None else own)
     return ReactionTable(
         ends=np.array(ends, dtype=np.int64).reshape(-1, 2),
-        frames=np.array(
-            [[*B[:3, :3].ravel(), *B[:3, 3]] for _, B in resolve_frames(scene)], dtype=float
-        ).reshape(-1, 12),
+        frames=np.array([[*B[:3, :3].ravel(), *B[:3, 3]] for _, B in resolve_frames(scene)], dtype=float).reshape(
+            -1, 12
+        ),
         order=np.array(order[::-1], dtype=np.int64).reshape(-1, 3),
         owners=np.array(owners, dtype=np.int64),
         hidden=np.zeros((len(ends), 6), dtype=bool),
@@ -106,9 +106,7 @@ def _set_lacking(model, work, table, weight, out):
             g = scale3(weight, tmatvec3(rot, load3(model.gravity, 0, 0)))
             w, v, dw, dv = ZERO3, ZERO3, ZERO3, (-g[0], -g[1], -g[2])
         else:
-            w, v = se3_Ad_inverse(
-                turn, at, load3(work.velocities, b, 0), load3(work.velocities, b, 3)
-            )
+            w, v = se3_Ad_inverse(turn, at, load3(work.velocities, b, 0), load3(work.velocities, b, 3))
             dw, dv = se3_Ad_inverse(turn, at, load3(work.moved, b, 0), load3(work.moved, b, 3))
         inertia = matrix3(body["inertia"])
         torque = add3(matvec3(inertia, dw), cross3(w, matvec3(inertia, w)))
@@ -116,10 +114,7 @@ def _set_lacking(model, work, table, weight, out):
         store3(dw, out, first + i, 0)
         store3(dv, out, first + i, 3)
         force = scale3(body["mass"], dv)
-        torque, force = (
-            sub3(torque, load3(work.wrench, i, 0)),
-            sub3(force, load3(work.wrench, i, 3)),
-        )
+        torque, force = (sub3(torque, load3(work.wrench, i, 0)), sub3(force, load3(work.wrench, i, 3)))
         store3(matvec3(rot, torque), table.lacking, i, 0)
         store3(matvec3(rot, force), table.lacking, i, 3)
 

@@ -23,12 +23,7 @@ from liegroup_core.lie.vec3 import (
     vector3,
 )
 from liegroup_core.motion_groups import table
-from liegroup_core.motion_groups.articulated import (
-    add_inertia,
-    load_inertia,
-    symmetric_times,
-    times,
-)
+from liegroup_core.motion_groups.articulated import add_inertia, load_inertia, symmetric_times, times
 
 from .algebra import Ad_inverse, add, add_to, load, relative, store, wrench_at
 
@@ -38,9 +33,7 @@ def momentum(model, link, V):
     """I V of a link without its children."""
     w, v = V
     moment, inertia = vector3(link["moment"]), link["inertia"]
-    angular = symmetric_times(
-        inertia[0], inertia[1], inertia[2], inertia[3], inertia[4], inertia[5], w
-    )
+    angular = symmetric_times(inertia[0], inertia[1], inertia[2], inertia[3], inertia[4], inertia[5], w)
     return add3(angular, cross3(moment, v)), axpy3(link["mass"], v, cross3(w, moment))
 
 

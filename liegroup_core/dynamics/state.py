@@ -78,9 +78,7 @@ def begin(model, work, pose, twist):
 def place(model, work, pose_out, twist_out):
     """Poses and twists of the bodies, from the links at the stage."""
     if model.only_free_bodies:
-        copy_bodies(
-            model, work.stage_pose, work.stage_twist, borrowed(pose_out), borrowed(twist_out)
-        )
+        copy_bodies(model, work.stage_pose, work.stage_twist, borrowed(pose_out), borrowed(twist_out))
         return 0
     move_links(model, work)
     place_links(model, work)

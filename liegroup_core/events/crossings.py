@@ -14,16 +14,7 @@ import math
 import numpy as np
 
 from liegroup_core.compiling import kernel
-from liegroup_core.dynamics.switches import (
-    AT_STOP,
-    LEAST,
-    LOWER,
-    MOST,
-    RESTING,
-    SLIDING,
-    coordinate,
-    set_guards,
-)
+from liegroup_core.dynamics.switches import AT_STOP, LEAST, LOWER, MOST, RESTING, SLIDING, coordinate, set_guards
 from liegroup_core.mechanism.arrays import COORDINATE, NODES, RESTS, SIDE, SLIP
 
 NONE = -1.0  # in Work.crossed: the guard is not crossed
@@ -101,11 +92,7 @@ def _dip(g0, d0, g1, d1, h):
     """Part of a step at which a cubic with these ends and slopes dips below zero, or NONE."""
     if not (d0 < 0.0 < d1):
         return NONE
-    a, b, c = (
-        3.0 * (2.0 * (g0 - g1) + (d0 + d1) * h),
-        2.0 * (3.0 * (g1 - g0) - (2.0 * d0 + d1) * h),
-        d0 * h,
-    )
+    a, b, c = (3.0 * (2.0 * (g0 - g1) + (d0 + d1) * h), 2.0 * (3.0 * (g1 - g0) - (2.0 * d0 + d1) * h), d0 * h)
     # The root of a s^2 + b s + c with a positive slope; c < 0 and a + b + c > 0.
     root = math.sqrt(max(b * b - 4.0 * a * c, 0.0))
     s = -2.0 * c / (b + root) if b + root > 0.0 else 1.0

@@ -166,9 +166,7 @@ class ModeChanges:
             self.impacts.append((time, state[0].copy(), impulses))
         for k, impulse, loss in zip(hit, p, energy):
             if impulse != 0.0:
-                self.events.append(
-                    JointEvent(time, int(k), IMPACT, float(signs[k] * impulse), float(loss))
-                )
+                self.events.append(JointEvent(time, int(k), IMPACT, float(signs[k] * impulse), float(loss)))
         return self._look(model, work, *state)
 
     def _note_lost(self, hit, rebound, towards):
@@ -195,9 +193,7 @@ class ModeChanges:
             work.held[:], modes[:, RESTS] = 0.0, 0.0
             return OK
         self._stop(chosen)
-        released = np.where(
-            crossed[chosen, LEAST], LOW, np.where(crossed[chosen, MOST], HIGH, FREE)
-        )
+        released = np.where(crossed[chosen, LEAST], LOW, np.where(crossed[chosen, MOST], HIGH, FREE))
         status = OK
         for _ in range(MOST_ITERATIONS):
             status = self._distribute(state, side, chosen, released, pressed, shares)
@@ -206,9 +202,7 @@ class ModeChanges:
             # The loads for which the modes were chosen are those that they cause, or it is repeated.
             status = self._look_with_loads(state)
             loads = work.loads
-            if status != OK or np.abs(loads[:, FOUND] - loads[:, LOAD]).max() <= SAME_LOADS * (
-                loads[:, FOUND].max()
-            ):
+            if status != OK or np.abs(loads[:, FOUND] - loads[:, LOAD]).max() <= SAME_LOADS * (loads[:, FOUND].max()):
                 break
         else:
             status = NO_FRICTION

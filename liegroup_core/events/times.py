@@ -149,9 +149,7 @@ class EventTimes(ModeChanges):
     def _give_way(self, guard, place, size, k, c):
         """Time at which the guard of what is held is negative, near a part of a substep, or None."""
         near = max(place - NEAR, 0.0) * size, min(place + NEAR, 1.0) * size
-        found = minimize_scalar(
-            guard, args=(k, c), bounds=near, method="bounded", options={"xatol": PRECISE * size}
-        )
+        found = minimize_scalar(guard, args=(k, c), bounds=near, method="bounded", options={"xatol": PRECISE * size})
         return float(found.x) if found.fun < 0.0 else None
 
     def _zero(self, guard, gap, end, precise, k, c):

@@ -15,9 +15,7 @@ SCALARS = int, float, str, np.generic, type(None)
 def is_finite(value):
     """True for a real number, no bool, that is finite as a float."""
     try:
-        return (
-            isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(float(value))
-        )
+        return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(float(value))
     except OverflowError:
         return False
 

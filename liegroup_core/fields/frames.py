@@ -30,11 +30,7 @@ def rotation_z_to(axis):
     u_x, u_y = (x / horizontal, y / horizontal) if horizontal > 0.0 else (1.0, 0.0)
     bend = 1.0 - z
     return np.array(
-        [
-            [1.0 - bend * u_x * u_x, -bend * u_x * u_y, x],
-            [-bend * u_x * u_y, 1.0 - bend * u_y * u_y, y],
-            [-x, -y, z],
-        ]
+        [[1.0 - bend * u_x * u_x, -bend * u_x * u_y, x], [-bend * u_x * u_y, 1.0 - bend * u_y * u_y, y], [-x, -y, z]]
     )
 
 
@@ -45,10 +41,7 @@ class Placed(Described):
     def _one_rotation(self):
         given = [key for key in ROTATIONS if getattr(self, key, None) is not None]
         if len(given) > 1:
-            raise SceneError(
-                f"{' and '.join(given)} both define the rotation: keep one of them",
-                place=(given[1],),
-            )
+            raise SceneError(f"{' and '.join(given)} both define the rotation: keep one of them", place=(given[1],))
         return self
 
     @property
@@ -73,9 +66,7 @@ class Placed(Described):
 class Frame(Placed):
     """Joint frame, relative to the body (or world) that it is fixed to."""
 
-    position: Vector3 = Field(
-        (0.0, 0.0, 0.0), description="origin in m, in the frame to which it is fixed"
-    )
+    position: Vector3 = Field((0.0, 0.0, 0.0), description="origin in m, in the frame to which it is fixed")
     quaternion: Quaternion | None = Field(
         None, description="rotation as unit quaternion x, y, z, w; default: no rotation"
     )

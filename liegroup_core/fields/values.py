@@ -130,8 +130,7 @@ def _unit(quaternion):
     norm = math.hypot(*quaternion)
     if not abs(norm - 1.0) <= QUATERNION_NORM_TOLERANCE:
         raise ValueError(
-            f"must have norm 1 within {QUATERNION_NORM_TOLERANCE:g} (it is then "
-            f"normalised), but the norm is {norm:.6g}"
+            f"must have norm 1 within {QUATERNION_NORM_TOLERANCE:g} (it is then normalised), but the norm is {norm:.6g}"
         )
     return quaternion
 
@@ -145,10 +144,7 @@ def _sizes(vector):
 def _within_a_turn(vector):
     angle = math.hypot(*vector)
     if angle > 2.0 * math.pi:
-        raise ValueError(
-            f"must have a magnitude of at most 2 pi, but has {angle:.6g}; the unit is rad, "
-            "not degrees"
-        )
+        raise ValueError(f"must have a magnitude of at most 2 pi, but has {angle:.6g}; the unit is rad, not degrees")
     return vector
 
 
@@ -183,9 +179,7 @@ def positive_inertia(moments):
     # a few 1e-15: the zero of a rod without thickness may come out negative.
     if not small >= -NEGATIVE_ROUND_OFF:
         principal = ", ".join(f"{scale * moment:.6g}" for moment in (small, middle, large))
-        raise ValueError(
-            f"must not be negative, but its principal moments are {principal}; check order and signs"
-        )
+        raise ValueError(f"must not be negative, but its principal moments are {principal}; check order and signs")
     return moments
 
 
@@ -215,9 +209,7 @@ def _flag(value):
 
 def _name(value):
     if not isinstance(value, str) or not _NAME.fullmatch(value):
-        raise ValueError(
-            "must be a name: a letter, then letters, digits or _, at most 64 characters"
-        )
+        raise ValueError("must be a name: a letter, then letters, digits or _, at most 64 characters")
     return str(value)
 
 
@@ -231,37 +223,25 @@ _POSITIVE = {"type": "number", "exclusiveMinimum": 0}
 
 Number = Annotated[float, BeforeValidator(_number)]
 Positive = Annotated[Number, AfterValidator(_positive), WithJsonSchema(_POSITIVE)]
-NotNegative = Annotated[
-    Number, AfterValidator(_not_negative), WithJsonSchema(_NUMBER | {"minimum": 0})
-]
+NotNegative = Annotated[Number, AfterValidator(_not_negative), WithJsonSchema(_NUMBER | {"minimum": 0})]
 Vector3 = Annotated[tuple[Number, Number, Number], BeforeValidator(_three), _array(_NUMBER, 3, 3)]
 Sizes = Annotated[Vector3, AfterValidator(_sizes), _array(_POSITIVE, 3, 3)]
 RotationVector = Annotated[Vector3, AfterValidator(_within_a_turn)]
 Direction = Annotated[Vector3, AfterValidator(_direction)]
 Quaternion = Annotated[
-    tuple[Number, Number, Number, Number],
-    BeforeValidator(_four),
-    AfterValidator(_unit),
-    _array(_NUMBER, 4, 4),
+    tuple[Number, Number, Number, Number], BeforeValidator(_four), AfterValidator(_unit), _array(_NUMBER, 4, 4)
 ]
 Inertia = Annotated[
-    tuple[Number, ...],
-    BeforeValidator(listed),
-    AfterValidator(positive_inertia),
-    _array(_NUMBER, 3, 6),
+    tuple[Number, ...], BeforeValidator(listed), AfterValidator(positive_inertia), _array(_NUMBER, 3, 6)
 ]
 Flag = Annotated[bool, BeforeValidator(_flag)]
 Text = Annotated[str, BeforeValidator(_text)]
-Name = Annotated[
-    str, BeforeValidator(_name), WithJsonSchema({"type": "string", "pattern": f"^{_NAME.pattern}$"})
-]
+Name = Annotated[str, BeforeValidator(_name), WithJsonSchema({"type": "string", "pattern": f"^{_NAME.pattern}$"})]
 
 
 def one_of(classes):
     """Type of a value whose key `type` selects one of these models."""
-    by_type = {
-        name: cls for cls in classes for name in get_args(cls.model_fields["type"].annotation)
-    }
+    by_type = {name: cls for cls in classes for name in get_args(cls.model_fields["type"].annotation)}
 
     def make(value):
         if isinstance(value, classes):
@@ -273,9 +253,7 @@ def one_of(classes):
             raise SceneError(f"type is missing: give {kinds}", place=("type",))
         if not isinstance(value["type"], str) or value["type"] not in by_type:
             raise SceneError(
-                f"type {value['type']!r:.40} is not known; "
-                f"{suggestion(value['type'], list(by_type))}",
-                place=("type",),
+                f"type {value['type']!r:.40} is not known; {suggestion(value['type'], list(by_type))}", place=("type",)
             )
         return by_type[value["type"]].model_validate(value)
 

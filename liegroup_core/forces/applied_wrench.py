@@ -39,9 +39,7 @@ class ConstantWrench(Force):
     body: Text = Field(description="name of a body")
     torque: Vector3 = Field((0.0, 0.0, 0.0), description="torque in N m")
     force: Vector3 = Field((0.0, 0.0, 0.0), description="force in N")
-    point: Vector3 = Field(
-        (0.0, 0.0, 0.0), description="point of application in m, in the body frame"
-    )
+    point: Vector3 = Field((0.0, 0.0, 0.0), description="point of application in m, in the body frame")
     axes: Literal["body", "world"] = Field(
         "body", description="axes in which torque and force are constant: body or world"
     )
@@ -52,9 +50,7 @@ class ConstantWrench(Force):
     def _check(self):
         if self.end is not None and self.end <= self.start:
             raise SceneError(
-                f"end {self.end:g} must be later than start {self.start:g}: give a later end or "
-                "omit it",
-                place=("end",),
+                f"end {self.end:g} must be later than start {self.start:g}: give a later end or omit it", place=("end",)
             )
         return self
 

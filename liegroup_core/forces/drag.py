@@ -34,18 +34,10 @@ class Drag(Force):
 
     type: Literal["drag"] = Field("drag", description="drag")
     body: Text = Field(description="name of a body")
-    linear: NotNegative = Field(
-        0.0, description="linear drag of the centre of mass in N s/m, not negative"
-    )
-    quadratic: NotNegative = Field(
-        0.0, description="quadratic drag of the centre of mass in N s^2/m^2, not negative"
-    )
-    angular: NotNegative = Field(
-        0.0, description="linear rotational drag in N m s/rad, not negative"
-    )
-    angular_quadratic: NotNegative = Field(
-        0.0, description="quadratic rotational drag in N m s^2/rad^2, not negative"
-    )
+    linear: NotNegative = Field(0.0, description="linear drag of the centre of mass in N s/m, not negative")
+    quadratic: NotNegative = Field(0.0, description="quadratic drag of the centre of mass in N s^2/m^2, not negative")
+    angular: NotNegative = Field(0.0, description="linear rotational drag in N m s/rad, not negative")
+    angular_quadratic: NotNegative = Field(0.0, description="quadratic rotational drag in N m s^2/rad^2, not negative")
 
 
 def make_row(drag, index, ends):

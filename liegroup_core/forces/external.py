@@ -96,7 +96,5 @@ def parts_of_wrench(wrench, axes, point):
     if axes == "body":
         return [(axes, np.concatenate([torque + _moment(point, force), force]))]
     pairs = zip(PAIRS, point)
-    turning = [
-        (pair, np.concatenate([np.zeros(3), lever * force])) for pair, lever in pairs if lever
-    ]
+    turning = [(pair, np.concatenate([np.zeros(3), lever * force])) for pair, lever in pairs if lever]
     return [(axes, wrench), *turning]

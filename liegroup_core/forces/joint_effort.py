@@ -32,10 +32,7 @@ def unit_wrenches(joints, frames, index, com):
         if unit is None:
             continue
         wrenches = []
-        for body, frame, sign in (
-            (joint.child, child_frame, 1.0),
-            (joint.parent, parent_frame, -1.0),
-        ):
+        for body, frame, sign in ((joint.child, child_frame, 1.0), (joint.parent, parent_frame, -1.0)):
             if body not in index:
                 continue
             wrench = np.zeros(6)

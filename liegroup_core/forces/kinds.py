@@ -98,8 +98,7 @@ def make_forces(described, index, ends, counted=()):
     return Forces(
         **{
             kind: np.array(
-                [module.make_row(force, index, ends) for force in described if force.type == kind],
-                dtype=module.ROW,
+                [module.make_row(force, index, ends) for force in described if force.type == kind], dtype=module.ROW
             )
             for kind, module in KINDS.items()
         },
@@ -113,9 +112,7 @@ def make_forces(described, index, ends, counted=()):
 
 def servos(described):
     """Servos among the forces of a scene, in the order of their wanted values."""
-    return [
-        force for kind in ("servo", "linear_servo") for force in described if force.type == kind
-    ]
+    return [force for kind in ("servo", "linear_servo") for force in described if force.type == kind]
 
 
 def wanted_values(forces):
@@ -158,9 +155,7 @@ def add_wrenches(forces, angle, acting, wanted, pose, twist, wrench_out):
 @shared
 def _add_wrenches(forces, angle, acting, wanted, pose, twist, wrench_out):
     spring_damper.add_wrench(forces.spring_damper, pose, twist, wrench_out)
-    torsional_spring_damper.add_wrench(
-        forces.torsional_spring_damper, angle, pose, twist, wrench_out
-    )
+    torsional_spring_damper.add_wrench(forces.torsional_spring_damper, angle, pose, twist, wrench_out)
     linear_spring_damper.add_wrench(forces.linear_spring_damper, pose, twist, wrench_out)
     motor.add_wrench(forces.motor, pose, twist, wrench_out)
     linear_motor.add_wrench(forces.linear_motor, pose, twist, wrench_out)

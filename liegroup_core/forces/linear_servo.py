@@ -25,9 +25,7 @@ class LinearServo(SlideForce):
     type: Literal["linear_servo"] = Field("linear_servo", description="linear_servo")
     stiffness: NotNegative = Field(description="gain of the position in N/m, not negative")
     damping: NotNegative = Field(0.0, description="gain of the velocity in N s/m, not negative")
-    effort_limit: Positive | None = Field(
-        None, description="largest force in N, greater than 0; default: no limit"
-    )
+    effort_limit: Positive | None = Field(None, description="largest force in N, greater than 0; default: no limit")
     position: Number = Field(0.0, description="wanted position in m without a command")
     velocity: Number = Field(0.0, description="wanted velocity in m/s without a command")
 
@@ -39,9 +37,7 @@ def make_row(servo, index, ends):
 
 @kernel
 def _effort(row, position, velocity, pose, twist):
-    return limited(
-        row, position - slide.coordinate(row, pose), velocity - slide.rate(row, pose, twist)
-    )
+    return limited(row, position - slide.coordinate(row, pose), velocity - slide.rate(row, pose, twist))
 
 
 @kernel

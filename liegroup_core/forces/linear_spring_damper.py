@@ -26,9 +26,7 @@ ROW = np.dtype(
 class LinearSpringDamper(SlideForce):
     """Spring and damper along the z axis of a joint."""
 
-    type: Literal["linear_spring_damper"] = Field(
-        "linear_spring_damper", description="linear_spring_damper"
-    )
+    type: Literal["linear_spring_damper"] = Field("linear_spring_damper", description="linear_spring_damper")
     stiffness: NotNegative = Field(description="stiffness in N/m, not negative")
     damping: NotNegative = Field(0.0, description="damping in N s/m, not negative")
     rest_position: Number = Field(0.0, description="rest position in m")
@@ -41,12 +39,7 @@ class LinearSpringDamper(SlideForce):
 
 def make_row(spring, index, ends):
     """Record of a LinearSpringDamper; arguments as in kinds.make_forces."""
-    return (
-        *slide.fields(*ends[spring.joint]),
-        spring.stiffness,
-        spring.damping,
-        spring.rest_position,
-    )
+    return (*slide.fields(*ends[spring.joint]), spring.stiffness, spring.damping, spring.rest_position)
 
 
 @kernel

@@ -57,9 +57,7 @@ class AppliedWrench(NamedTuple):
 
     def repeat(self, simulation):
         """Apply it to another simulation of the same scene, from its time on."""
-        simulation.apply_wrench(
-            self.body, self.wrench, _start(self), source=self.axes, axes=self.axes
-        )
+        simulation.apply_wrench(self.body, self.wrench, _start(self), source=self.axes, axes=self.axes)
 
 
 class AppliedTarget(NamedTuple):
@@ -174,11 +172,7 @@ class WrenchSchedule:
         The number is that of a body; with the axes "servo" that of a servo, and the wrench its wanted
         position and velocity; with "drive" that of a driven joint, and the wrench its motion.
         """
-        return [
-            (c.start.time, number, values, axes)
-            for c in self._waiting
-            for axes, number, values in c.parts
-        ]
+        return [(c.start.time, number, values, axes) for c in self._waiting for axes, number, values in c.parts]
 
     def act(self, number, wrench, axes):
         """Let a wrench (6,), or the wanted values of a servo, act that act already: it is no change.
@@ -249,9 +243,7 @@ class WrenchSchedule:
         parts = tuple((axes, number, tuple(map(float, values))) for axes, number, values in parts)
         end = AFTER if end is None else end
         bisect.insort(
-            self._waiting,
-            _Command(start, end, self._arrived, key, parts, effort),
-            key=lambda c: (c.start, c.number),
+            self._waiting, _Command(start, end, self._arrived, key, parts, effort), key=lambda c: (c.start, c.number)
         )
         self._known_next = None
 

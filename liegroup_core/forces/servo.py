@@ -34,12 +34,8 @@ class Servo(TurnForce):
     type: Literal["servo"] = Field("servo", description="servo")
     stiffness: NotNegative = Field(description="gain of the position in N m/rad, not negative")
     damping: NotNegative = Field(0.0, description="gain of the velocity in N m s/rad, not negative")
-    effort_limit: Positive | None = Field(
-        None, description="largest torque in N m, greater than 0; default: no limit"
-    )
-    position: Number = Field(
-        0.0, description="wanted angle in rad without a command, may exceed 2 pi"
-    )
+    effort_limit: Positive | None = Field(None, description="largest torque in N m, greater than 0; default: no limit")
+    position: Number = Field(0.0, description="wanted angle in rad without a command, may exceed 2 pi")
     velocity: Number = Field(0.0, description="wanted velocity in rad/s without a command")
 
 
@@ -63,9 +59,7 @@ def limited(row, position_error, velocity_error):
 
 @kernel
 def _effort(row, near, position, velocity, pose, twist, n):
-    return limited(
-        row, position - turn.angle(row, pose, near), velocity - turn.rate(row, pose, twist, n)
-    )
+    return limited(row, position - turn.angle(row, pose, near), velocity - turn.rate(row, pose, twist, n))
 
 
 @kernel

@@ -62,11 +62,7 @@ def rate(row, pose, twist):
     place = vector3(row["child_origin"])
     at_parent = place_of(pose, row["parent"], point(pose, row["child"], place))
     return dot3(
-        z,
-        sub3(
-            point_velocity(pose, twist, row["child"], place),
-            point_velocity(pose, twist, row["parent"], at_parent),
-        ),
+        z, sub3(point_velocity(pose, twist, row["child"], place), point_velocity(pose, twist, row["parent"], at_parent))
     )
 
 

@@ -43,9 +43,7 @@ class SpringDamper(Force):
     child: Text = Field(description="name of a body")
     child_point: Vector3 = Field(description="attachment point in m, in the child frame")
     stiffness: NotNegative = Field(description="stiffness in N/m, not negative")
-    damping: NotNegative = Field(
-        0.0, description="damping along the line between the points in N s/m, not negative"
-    )
+    damping: NotNegative = Field(0.0, description="damping along the line between the points in N s/m, not negative")
     rest_length: NotNegative = Field(0.0, description="rest length in m, not negative")
 
     @property
@@ -71,8 +69,7 @@ def make_row(spring, index, ends):
 def _line(row, pose):
     """Vector from the parent's point to the child's point, world axes."""
     return sub3(
-        point(pose, row["child"], vector3(row["child_point"])),
-        point(pose, row["parent"], vector3(row["parent_point"])),
+        point(pose, row["child"], vector3(row["child_point"])), point(pose, row["parent"], vector3(row["parent_point"]))
     )
 
 
@@ -100,9 +97,7 @@ def add_wrench(rows, pose, twist, wrench_out):
                 factor += row["damping"] * (dot3(d, ddot) / length) / length
         force = scale3(-factor, d)
         apply_force(pose, row["child"], vector3(row["child_point"]), force, wrench_out)
-        apply_force(
-            pose, row["parent"], vector3(row["parent_point"]), scale3(-1.0, force), wrench_out
-        )
+        apply_force(pose, row["parent"], vector3(row["parent_point"]), scale3(-1.0, force), wrench_out)
 
 
 @kernel

@@ -32,9 +32,7 @@ class TorsionalSpringDamper(TurnForce):
     """Spring and damper about the z axis of a joint."""
 
     counts_turns: ClassVar = True
-    type: Literal["torsional_spring_damper"] = Field(
-        "torsional_spring_damper", description="torsional_spring_damper"
-    )
+    type: Literal["torsional_spring_damper"] = Field("torsional_spring_damper", description="torsional_spring_damper")
     stiffness: NotNegative = Field(description="stiffness in N m/rad, not negative")
     damping: NotNegative = Field(0.0, description="damping in N m s/rad, not negative")
     rest_angle: Number = Field(0.0, description="rest angle in rad, may exceed 2 pi")

@@ -20,17 +20,7 @@ from pydantic import Field
 from liegroup_core.compiling import kernel
 from liegroup_core.fields.values import Text
 from liegroup_core.joints.elements import WORLD
-from liegroup_core.lie.vec3 import (
-    add3,
-    dot3,
-    load3,
-    load9,
-    matmul3,
-    matrix3,
-    scale3,
-    sub3,
-    tmatmul3,
-)
+from liegroup_core.lie.vec3 import add3, dot3, load3, load9, matmul3, matrix3, scale3, sub3, tmatmul3
 
 from .described import Force
 from .points import apply_torque, world_axes

@@ -22,9 +22,7 @@ class CableJoint(JointBase, Stop):
     type: Literal["cable", "strut"] = Field("cable", description="cable or strut")
     parent_frame: Frame = Field(description="frame in the parent frame; only its origin is used")
     child_frame: Frame = Field(description="frame in the child frame; only its origin is used")
-    length: Positive = Field(
-        description="largest distance of the origins in m, of a strut the least one"
-    )
+    length: Positive = Field(description="largest distance of the origins in m, of a strut the least one")
 
     def elements(self, C_rel):
         """None: it takes no freedom from the mechanism."""

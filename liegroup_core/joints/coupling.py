@@ -36,12 +36,8 @@ class Coupling(Described):
         description="ratio r of q_joint = r q_other + offset: -0.5 for a gear pair where joint has "
         "twice the teeth; in m/rad for a rack"
     )
-    offset: Number | None = Field(
-        None, description="offset in rad or m; default: that of the initial poses"
-    )
-    backlash: Backlash | None = Field(
-        None, description="slack: the relation holds within a gap; default: none"
-    )
+    offset: Number | None = Field(None, description="offset in rad or m; default: that of the initial poses")
+    backlash: Backlash | None = Field(None, description="slack: the relation holds within a gap; default: none")
 
     @property
     def switches(self):

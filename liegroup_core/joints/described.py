@@ -54,9 +54,7 @@ class JointBase(Described):
         description="true: the joint moves as prescribed, whatever effort that requires: at its initial "
         "rate until a command; of revolute, prismatic and screw joints",
     )
-    motion: Motion | None = Field(
-        None, description="prescribed motion from the start on, of a driven joint; see there"
-    )
+    motion: Motion | None = Field(None, description="prescribed motion from the start on, of a driven joint; see there")
     limits: Annotated[Limits | Cone | CylinderLimits | None, limits_of_type] = Field(
         None, description="stops of the joint; see there"
     )

@@ -35,8 +35,7 @@ class DistanceJoint(JointBase):
     parent_frame: Frame = Field(description="frame in the parent frame; only its origin is used")
     child_frame: Frame = Field(description="frame in the child frame; only its origin is used")
     length: Positive | None = Field(
-        None,
-        description="distance of the origins in m, greater than 0; default: the initial distance",
+        None, description="distance of the origins in m, greater than 0; default: the initial distance"
     )
 
     def elements(self, C_rel):

@@ -28,8 +28,7 @@ __all__ = ["CableJoint", "DistanceJoint", "Joint", "ScrewJoint"]
 # Types with rows.
 CONSTRAINTS = LOWER_PAIRS | {
     "universal": JointType(
-        "the frames share their origin; the parent's x axis and the child's y axis are the arms "
-        "of the cross"
+        "the frames share their origin; the parent's x axis and the child's y axis are the arms of the cross"
     ),
     "distance": JointType("the origins of the frames keep their distance (rod)"),
 }
@@ -52,9 +51,7 @@ THREADED = tuple(name for name, pair in LOWER_PAIRS.items() if pair.has_pitch)
 class Joint(JointBase):
     """Joint without a parameter: a lower pair, or a universal joint."""
 
-    type: Literal[PLAIN] = Field(
-        description=f"kind of joint: {', '.join(PLAIN[:-1])} or {PLAIN[-1]}"
-    )
+    type: Literal[PLAIN] = Field(description=f"kind of joint: {', '.join(PLAIN[:-1])} or {PLAIN[-1]}")
 
     def elements(self, C_rel):
         """One lower pair, of a universal joint with a row for the arms of its cross."""
@@ -67,9 +64,7 @@ class ScrewJoint(JointBase):
     """Nut on a bolt: turning about z moves the child along z."""
 
     type: Literal[THREADED] = Field("screw", description=" or ".join(THREADED))
-    pitch: Number = Field(
-        description="displacement along z in m per radian, positive for a right-handed thread"
-    )
+    pitch: Number = Field(description="displacement along z in m per radian, positive for a right-handed thread")
 
     def elements(self, C_rel):
         """One lower pair."""

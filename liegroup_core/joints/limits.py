@@ -46,8 +46,7 @@ class CommandLimits(NamedTuple):
         """Raises BeyondLimits."""
         if abs(velocity) > self.speed * (1.0 + ROUNDING):
             raise BeyondLimits(
-                f"velocity {velocity:.6g} {self.unit}/s of joint {self.joint!r} is beyond its limit of "
-                f"{self._speed}"
+                f"velocity {velocity:.6g} {self.unit}/s of joint {self.joint!r} is beyond its limit of {self._speed}"
             )
 
     def check_effort(self, effort):
@@ -55,8 +54,7 @@ class CommandLimits(NamedTuple):
         if abs(effort) > self.effort * (1.0 + ROUNDING):
             unit = "N m" if self.unit == "rad" else "N"
             raise BeyondLimits(
-                f"effort {effort:.6g} {unit} of joint {self.joint!r} is beyond its limit of "
-                f"{self.effort:.6g} {unit}"
+                f"effort {effort:.6g} {unit} of joint {self.joint!r} is beyond its limit of {self.effort:.6g} {unit}"
             )
 
     def check_jump(self, before, after):

@@ -65,9 +65,7 @@ class Linkage:
         self.counts = [sum(len(part.names) for part in elements) for elements in self.parts]
         names = {name for joint in self.joints for name in (joint.parent, joint.child)}
         self.start = {body.name: body.pose for body in scene.bodies} | {"world": np.eye(4)}
-        self.bodies = [
-            body.name for body in scene.bodies if body.name in names and body.name not in held
-        ]
+        self.bodies = [body.name for body in scene.bodies if body.name in names and body.name not in held]
         self.place = {name: 6 * i for i, name in enumerate(self.bodies)}
         offsets = [np.sum(frame[:3, 3] ** 2) for pair in self.frames for frame in pair]
         self.length = np.sqrt(np.mean(offsets or [0.0])) or 1.0
@@ -81,11 +79,7 @@ class Linkage:
             tuple(self.bodies),
             tuple(self.couplings),
             np.array(self.frames).tobytes(),
-            tuple(
-                (part.kind, part.forbidden.tobytes(), part.parameter)
-                for parts in self.parts
-                for part in parts
-            ),
+            tuple((part.kind, part.forbidden.tobytes(), part.parameter) for parts in self.parts for part in parts),
             tuple((name, pose.tobytes()) for name, pose in self.start.items() if name in ends),
         )
 
@@ -158,17 +152,10 @@ class Linkage:
             [
                 np.zeros(0),
                 *(
-                    np.where(
-                        _are_angular(forbidden_rows(part, self.relative(j, self.start))),
-                        1.0,
-                        self.length,
-                    )
+                    np.where(_are_angular(forbidden_rows(part, self.relative(j, self.start))), 1.0, self.length)
                     for j, part in enumerate(self.parts)
                 ),
-                [
-                    1.0 if turns(self.joints[entry.joint]) else self.length
-                    for entry in self.couplings
-                ],
+                [1.0 if turns(self.joints[entry.joint]) else self.length for entry in self.couplings],
             ]
         )
 
@@ -201,9 +188,7 @@ class Linkage:
     def moved(self, poses, step):
         """Poses moved along body twists; step (6 bodies,) as (omega length, v)."""
         step = step.reshape(-1, 6) / np.array([self.length] * 3 + [1.0] * 3)
-        return poses | {
-            name: poses[name] @ SE3.exp(twist) for name, twist in zip(self.bodies, step)
-        }
+        return poses | {name: poses[name] @ SE3.exp(twist) for name, twist in zip(self.bodies, step)}
 
     def closed(self, poses):
         """Nearest poses that satisfy all joints, or None."""
@@ -271,8 +256,6 @@ class Linkage:
                         self.joint_residual(j, poses | {name: poses[name] @ SE3.exp(sign * nudge)})
                         for sign in (1.0, -1.0)
                     )
-                    matrix[first : first + count, self.place[name] + c] = (ahead - behind) / (
-                        2.0 * np.abs(nudge).max()
-                    )
+                    matrix[first : first + count, self.place[name] + c] = (ahead - behind) / (2.0 * np.abs(nudge).max())
             first += count
         return matrix

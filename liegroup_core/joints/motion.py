@@ -44,8 +44,7 @@ class Motion(Described):
     )
     accelerations: Numbers | None = Field(
         None,
-        description="acceleration in rad/s^2 or m/s^2 at each time, with velocities; default: the "
-        "mean of both sides",
+        description="acceleration in rad/s^2 or m/s^2 at each time, with velocities; default: the mean of both sides",
     )
 
     @model_validator(mode="after")
@@ -56,15 +55,12 @@ class Motion(Described):
             raise SceneError(f"times must start with 0, got {self.times[0]:g}", place=("times", 0))
         for i, (before, after) in enumerate(zip(self.times, self.times[1:]), 1):
             if not after > before:
-                raise SceneError(
-                    f"times must increase, got {after:g} after {before:g}", place=("times", i)
-                )
+                raise SceneError(f"times must increase, got {after:g} after {before:g}", place=("times", i))
         for key in ("positions", "velocities", "accelerations"):
             given = getattr(self, key)
             if given is not None and len(given) != len(self.times):
                 raise SceneError(
-                    f"{key} must have as many numbers as times, {len(self.times)}, got {len(given)}",
-                    place=(key,),
+                    f"{key} must have as many numbers as times, {len(self.times)}, got {len(given)}", place=(key,)
                 )
         if self.accelerations is not None:
             if self.velocities is None:
@@ -203,9 +199,7 @@ def prescribed(motion, q, v):
         return uniform(0.0, q, v)[None]
     v0 = v if motion.velocities is None else motion.velocities[0]
     a0 = 0.0 if motion.accelerations is None else motion.accelerations[0]
-    rest = [
-        None if part is None else part[1:] for part in (motion.velocities, motion.accelerations)
-    ]
+    rest = [None if part is None else part[1:] for part in (motion.velocities, motion.accelerations)]
     return through((motion.positions[0], v0, a0), motion.times, motion.positions[1:], *rest)
 
 

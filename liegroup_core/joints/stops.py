@@ -19,22 +19,17 @@ class Stop(Described):
     """What a stop is like: rigid, or compliant with a stiffness."""
 
     restitution: NotNegative | None = Field(
-        None,
-        description="rebound speed as a part of the impact speed at a rigid stop, 0 to 1; default 0",
+        None, description="rebound speed as a part of the impact speed at a rigid stop, 0 to 1; default 0"
     )
     stiffness: Positive | None = Field(
         None, description="of compliant stops in N m/rad or N/m; default: the stops are rigid"
     )
-    damping: NotNegative | None = Field(
-        None, description="of compliant stops in N m s/rad or N s/m; default 0"
-    )
+    damping: NotNegative | None = Field(None, description="of compliant stops in N m s/rad or N s/m; default 0")
 
     @model_validator(mode="after")
     def _check(self):
         if self.restitution is not None and self.restitution > 1.0:
-            raise SceneError(
-                f"restitution must be at most 1, got {self.restitution:g}", place=("restitution",)
-            )
+            raise SceneError(f"restitution must be at most 1, got {self.restitution:g}", place=("restitution",))
         if self.stiffness is None and self.damping is not None:
             raise SceneError("damping requires a stiffness", place=("damping",))
         if self.stiffness is not None and self.restitution is not None:
@@ -63,10 +58,7 @@ class Limits(Stop):
         if self.lower is None and self.upper is None:
             raise SceneError("give lower, upper or both")
         if not self.least < self.largest:
-            raise SceneError(
-                f"lower must be below upper, got {self.lower:g} and {self.upper:g}",
-                place=("lower",),
-            )
+            raise SceneError(f"lower must be below upper, got {self.lower:g} and {self.upper:g}", place=("lower",))
         return self
 
     @property
@@ -110,36 +102,29 @@ class Limits(Stop):
 class Friction(Described):
     """Friction of a joint: dry, with stiction, and viscous."""
 
-    coulomb: NotNegative = Field(
-        0.0, description="torque or force of sliding friction in N m or N, against the motion"
-    )
+    coulomb: NotNegative = Field(0.0, description="torque or force of sliding friction in N m or N, against the motion")
     static: NotNegative | None = Field(
         None, description="largest friction at rest in N m or N, at least coulomb; default: coulomb"
     )
     viscous: NotNegative = Field(0.0, description="of the rate, in N m s/rad or N s/m")
     mu: NotNegative | None = Field(
         None,
-        description="coefficient of sliding friction by load, the force across the axis; not of a screw; "
-        "default 0",
+        description="coefficient of sliding friction by load, the force across the axis; not of a screw; default 0",
     )
     mu_static: NotNegative | None = Field(
         None, description="coefficient of friction at rest by load, at least mu; default: mu"
     )
-    radius: Positive | None = Field(
-        None, description="of the bearing in m, required with mu where the joint rotates"
-    )
+    radius: Positive | None = Field(None, description="of the bearing in m, required with mu where the joint rotates")
 
     @model_validator(mode="after")
     def _check(self):
         if self.static is not None and self.static < self.coulomb:
             raise SceneError(
-                f"static must be at least coulomb, got {self.static:g} and {self.coulomb:g}",
-                place=("static",),
+                f"static must be at least coulomb, got {self.static:g} and {self.coulomb:g}", place=("static",)
             )
         if self.mu_static is not None and self.mu_static < (self.mu or 0.0):
             raise SceneError(
-                f"mu_static must be at least mu, got {self.mu_static:g} and {self.mu:g}",
-                place=("mu_static",),
+                f"mu_static must be at least mu, got {self.mu_static:g} and {self.mu:g}", place=("mu_static",)
             )
         if self.radius is not None and self.mu is None and self.mu_static is None:
             raise SceneError("radius requires mu", place=("radius",))
@@ -163,9 +148,7 @@ class Friction(Described):
 class Cone(Stop):
     """Largest angle between the z axes of both frames of a ball joint."""
 
-    cone: Positive = Field(
-        description="largest angle between the z axes of both joint frames, rad, below pi"
-    )
+    cone: Positive = Field(description="largest angle between the z axes of both joint frames, rad, below pi")
 
     @model_validator(mode="after")
     def _check_angle(self):
@@ -177,9 +160,7 @@ class Cone(Stop):
 class Backlash(Stop):
     """Slack of a coupling, between two stops."""
 
-    gap: Positive = Field(
-        description="play of the coordinate of joint in rad or m, half of it on either side"
-    )
+    gap: Positive = Field(description="play of the coordinate of joint in rad or m, half of it on either side")
 
 
 class _OfBoth(Described):

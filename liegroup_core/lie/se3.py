@@ -133,11 +133,7 @@ def se3_dexpinv_of(first, b, u, xi, eta, w, v):
     g = add3(cross3(eta, w), cross3(xi, v))
     gg = add3(cross3(eta, a), cross3(xi, g))
     return (
-        (
-            w[0] - first * a[0] + b * aa[0],
-            w[1] - first * a[1] + b * aa[1],
-            w[2] - first * a[2] + b * aa[2],
-        ),
+        (w[0] - first * a[0] + b * aa[0], w[1] - first * a[1] + b * aa[1], w[2] - first * a[2] + b * aa[2]),
         (
             v[0] - first * g[0] + b * gg[0] + q * aa[0],
             v[1] - first * g[1] + b * gg[1] + q * aa[1],

@@ -133,11 +133,7 @@ def so3_dexpinv_of(first, b, xi, w):
     """w - first xi x w + b xi x (xi x w), see `dexpinv_coefficients`."""
     a = cross3(xi, w)
     aa = cross3(xi, a)
-    return (
-        w[0] - first * a[0] + b * aa[0],
-        w[1] - first * a[1] + b * aa[1],
-        w[2] - first * a[2] + b * aa[2],
-    )
+    return (w[0] - first * a[0] + b * aa[0], w[1] - first * a[1] + b * aa[1], w[2] - first * a[2] + b * aa[2])
 
 
 @kernel
@@ -149,15 +145,5 @@ def so3_nearest(rot):
     """
     x, y, z = (rot[0], rot[3], rot[6]), (rot[1], rot[4], rot[7]), (rot[2], rot[5], rot[8])
     xy, xz, yz = -0.5 * dot3(x, y), -0.5 * dot3(x, z), -0.5 * dot3(y, z)
-    defect = (
-        1.5 - 0.5 * dot3(x, x),
-        xy,
-        xz,
-        xy,
-        1.5 - 0.5 * dot3(y, y),
-        yz,
-        xz,
-        yz,
-        1.5 - 0.5 * dot3(z, z),
-    )
+    defect = (1.5 - 0.5 * dot3(x, x), xy, xz, xy, 1.5 - 0.5 * dot3(y, y), yz, xz, yz, 1.5 - 0.5 * dot3(z, z))
     return matmul3(rot, defect)

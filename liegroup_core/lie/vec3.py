@@ -81,17 +81,7 @@ def vector3(field):
 @kernel
 def matrix3(field):
     """Convert a nine-component field of a record to a matrix."""
-    return (
-        field[0],
-        field[1],
-        field[2],
-        field[3],
-        field[4],
-        field[5],
-        field[6],
-        field[7],
-        field[8],
-    )
+    return (field[0], field[1], field[2], field[3], field[4], field[5], field[6], field[7], field[8])
 
 
 @kernel

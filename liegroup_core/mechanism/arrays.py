@@ -150,9 +150,7 @@ class RelativeModel(Struct):
     has_loads: bool  # any friction by load
     first_column: np.ndarray  # (m,) first nonzero column of each row of the factor of W
     is_empty_tree: bool  # all bodies float, all joints are cut
-    only_free_bodies: (
-        bool  # links that all float, each with one body; no joints: see free_bodies.py
-    )
+    only_free_bodies: bool  # links that all float, each with one body; no joints: see free_bodies.py
     refinements: int  # steps of iterative refinement that each solve takes
     usual_pivot: float  # smallest pivot of W, part of the mobility, at poses that are not singular
     projects: bool
@@ -216,56 +214,36 @@ class RelativeWork(Struct):
     start_angle: np.ndarray
     report: np.ndarray
     child_jacobian: np.ndarray  # (m, 6)
-    known: np.ndarray = shaped(
-        1
-    )  # 1 if the rows of the links in pose and twist are those of the state
+    known: np.ndarray = shaped(1)  # 1 if the rows of the links in pose and twist are those of the state
     pose: np.ndarray = shaped("state", 12)  # the state
     twist: np.ndarray = shaped("state", 6)
     stage_pose: np.ndarray = shaped("state", 12)
     stage_twist: np.ndarray = shaped("state", 6)
     start_pose: np.ndarray = shaped("state", 12)
     start_twist: np.ndarray = shaped("state", 6)
-    middle_pose: np.ndarray = shaped(
-        "state", 12
-    )  # the stage at a singular pose, see singular_poses.py
+    middle_pose: np.ndarray = shaped("state", 12)  # the stage at a singular pose, see singular_poses.py
     middle_twist: np.ndarray = shaped("state", 6)
-    middle: np.ndarray = shaped(
-        "freedoms", 2
-    )  # its regularised accelerations, and their mean beside it
+    middle: np.ndarray = shaped("freedoms", 2)  # its regularised accelerations, and their mean beside it
     velocity: np.ndarray = shaped("links", 6)  # qdot at the start of the step
-    slopes: np.ndarray = shaped(
-        "slopes", 2
-    )  # k of stages and end, (s + 1) f: algebra, then qdot part
-    external: np.ndarray = shaped(
-        "bodies", EXTERNAL_COLUMNS
-    )  # see forces/external.py: external wrenches of the call
+    slopes: np.ndarray = shaped("slopes", 2)  # k of stages and end, (s + 1) f: algebra, then qdot part
+    external: np.ndarray = shaped("bodies", EXTERNAL_COLUMNS)  # see forces/external.py: external wrenches of the call
     pushed: np.ndarray = shaped(1)  # 1 if any of them is not zero
-    held: np.ndarray = shaped(
-        "held"
-    )  # f + m: 1 if a freedom, or the row of a switch, is held: see switches.py
+    held: np.ndarray = shaped("held")  # f + m: 1 if a freedom, or the row of a switch, is held: see switches.py
     # Of each switch: SLIP, its direction; SIDE of the stop that it touches, -1 lower, 1 upper; COORDINATE
     # at the start of the step, in its turn; 1 if these are KNOWN; 1 if it RESTS because of others that are
     # held, and its EFFORT then
     modes: np.ndarray = shaped("switches", 6)
     reach: np.ndarray = shaped("switches")  # coordinate of each switch that is a row
-    since: np.ndarray = shaped(
-        "switches", 2
-    )  # rate and acceleration of each at the start of the step
+    since: np.ndarray = shaped("switches", 2)  # rate and acceleration of each at the start of the step
     now: np.ndarray = shaped("switches", 2)  # and at the stage
     # Force across the axis of each that its friction counts with, and that of the present accelerations,
     # N; both of the iteration before: see loads.py
     loads: np.ndarray = shaped("switches", 4)
     iteration: np.ndarray = shaped(3)  # 1: the loads are given; 1: they did not settle; scratch
     guards: np.ndarray = shaped("switches", 5)  # how far each switch is from its next events
-    course: np.ndarray = shaped(
-        NODES, "switches", 2
-    )  # the last two at some stages: see events/crossings.py
-    crossed: np.ndarray = shaped(
-        "switches", 5
-    )  # part of the step at which each is at the latest, or -1
-    watch: np.ndarray = shaped(
-        3
-    )  # 1 if events are looked for; start of the substep with one, its size
+    course: np.ndarray = shaped(NODES, "switches", 2)  # the last two at some stages: see events/crossings.py
+    crossed: np.ndarray = shaped("switches", 5)  # part of the step at which each is at the latest, or -1
+    watch: np.ndarray = shaped(3)  # 1 if events are looked for; start of the substep with one, its size
     wrench: np.ndarray = shaped("bodies", 6)  # wrenches on the bodies
     relative: np.ndarray = shaped("links", 12)  # pose of each link in its parent link
     world: np.ndarray = shaped("links", 12)  # pose in the world; where it is needed
@@ -286,16 +264,12 @@ class RelativeWork(Struct):
     bias: np.ndarray = shaped("rows")  # J Vdot = bias
     right: np.ndarray = shaped("rows")  # residual, then a change of the multipliers
     multipliers: np.ndarray = shaped("rows")
-    carried: np.ndarray = shaped(
-        "carried", 6
-    )  # wrenches of the rows of a joint on their way to the world
+    carried: np.ndarray = shaped("carried", 6)  # wrenches of the rows of a joint on their way to the world
     response: np.ndarray = shaped("responses")  # y of each row and freedom on its path
     matrix: np.ndarray = shaped("rows", "rows")  # W in the upper, its factor in the lower triangle
     diagonal: np.ndarray = shaped("rows")  # pivots
     difference: np.ndarray = shaped(2, 6)  # that of a link: algebra, qdot
-    errors: np.ndarray = shaped(
-        "errors", 12
-    )  # error estimates of the links, two rows each: xi, eta, dw, dv
+    errors: np.ndarray = shaped("errors", 12)  # error estimates of the links, two rows each: xi, eta, dw, dv
 
 
 def make_relative_work(model, work, stages):

@@ -22,9 +22,7 @@ SLENDER, ALIGNED = (1e2, 1e6, 1e8), 1e-4
 
 def initial_state(scene):
     """Pose (n, 12) and twist (n, 6) of all bodies at the start of a scene."""
-    pose = np.array(
-        [np.concatenate([body.rotation.ravel(), body.position]) for body in scene.bodies]
-    ).reshape(-1, 12)
+    pose = np.array([np.concatenate([body.rotation.ravel(), body.position]) for body in scene.bodies]).reshape(-1, 12)
     twist = np.array([body.twist for body in scene.bodies], dtype=float).reshape(-1, 6)
     return pose, twist
 
@@ -52,12 +50,7 @@ def build_model(scene):
     inertias = [_solved_inertia(i, body, elements) for i, body in enumerate(scene.bodies)]
     bodies = np.array(
         [
-            (
-                body.mass,
-                1.0 / body.mass,
-                body.inertia_matrix.ravel(),
-                np.linalg.inv(inertia).ravel(),
-            )
+            (body.mass, 1.0 / body.mass, body.inertia_matrix.ravel(), np.linalg.inv(inertia).ravel())
             for body, inertia in zip(scene.bodies, inertias)
         ],
         dtype=BODY,
@@ -68,9 +61,7 @@ def build_model(scene):
         forces=_forces(scene, index, frames),
         motions=np.zeros((len(driven_joints(scene)), COLUMNS)),  # set before every step
         elements=elements,
-        row_residual=np.array(
-            [elements[e]["row_start"] + r for e in solved for r in kept[e]], dtype=np.int64
-        ),
+        row_residual=np.array([elements[e]["row_start"] + r for e in solved for r in kept[e]], dtype=np.int64),
         refinements=refinements(bodies, np.trace(inertias, axis1=1, axis2=2), ends, elements),
     )
     names = tuple(part.names for elements in parts for part in elements)
@@ -102,10 +93,7 @@ def _solved_inertia(i, body, elements):
 
 def _forces(scene, index, frames):
     """Forces of the scene as rows of every kind."""
-    ends = {
-        joint.name: (index[joint.parent], index[joint.child], *pair)
-        for joint, pair in zip(scene.joints, frames)
-    }
+    ends = {joint.name: (index[joint.parent], index[joint.child], *pair) for joint, pair in zip(scene.joints, frames)}
     springs = sum(force.counts_turns for force in scene.forces)
     servos = sum(force.type == "servo" for force in scene.forces)
     counted = [joint for joint, _ in scene.unwrapped[springs : len(scene.unwrapped) - servos]]
@@ -147,12 +135,7 @@ def _mixed_turns(inverse, elements, outer):
         return 1.0
     moments, axes = np.linalg.eigh(inverse[outer[turns]])
     ratio = moments[:, :, None] / moments[:, None, :]
-    rows = np.einsum(
-        "erf,ebf,ebp->erp",
-        forbidden[turns],
-        elements["child_rotation"][turns].reshape(-1, 3, 3),
-        axes,
-    )
+    rows = np.einsum("erf,ebf,ebp->erp", forbidden[turns], elements["child_rotation"][turns].reshape(-1, 3, 3), axes)
     mix = np.abs(rows[:, :, :, None] * rows[:, :, None, :]).max(axis=1)
     # In the parent's axes rows rotate with the joint, like rows that depend on the pose.
     mix[(outer != elements["child"])[turns] | (elements["kind"] != PAIR)[turns]] = 1.0
@@ -171,9 +154,7 @@ def _outer_ends(n, ends, elements):
         reached = sorted({b for a in front for b in near[a] if depth[b] > n})
         depth[reached] = depth[front[0]] + 1
         front = reached
-    return np.where(
-        depth[elements["parent"]] > depth[elements["child"]], elements["parent"], elements["child"]
-    )
+    return np.where(depth[elements["parent"]] > depth[elements["child"]], elements["parent"], elements["child"])
 
 
 def are_unlike(masses, inertias, ends, turned):
@@ -182,10 +163,5 @@ def are_unlike(masses, inertias, ends, turned):
     ends   : (parent, child) of each joint: masses and inertias are compared with their neighbours'
     turned : of `levers`: ratio of the mobilities of a point by rotation and by translation of its body
     """
-    ratios = [1.0] + [
-        sizes[a] / sizes[b] for sizes in (masses, inertias) for a, b in ends if a != WORLD
-    ]
-    return (
-        max(max(ratio, 1.0 / ratio) for ratio in ratios) > LARGE_RATIO
-        or max(turned, default=0.0) > LARGE_RATIO
-    )
+    ratios = [1.0] + [sizes[a] / sizes[b] for sizes in (masses, inertias) for a, b in ends if a != WORLD]
+    return max(max(ratio, 1.0 / ratio) for ratio in ratios) > LARGE_RATIO or max(turned, default=0.0) > LARGE_RATIO

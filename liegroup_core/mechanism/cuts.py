@@ -122,11 +122,7 @@ def _tree_jacobians(scene, frames, parts, loops, joints, links, places):
     """
     first = _first_freedoms(links)
     ends = {
-        j: [
-            _path(links, places[name][0])
-            for name in (scene.joints[j].child, scene.joints[j].parent)
-        ]
-        for j in joints
+        j: [_path(links, places[name][0]) for name in (scene.joints[j].child, scene.joints[j].parent)] for j in joints
     }
     # On their common path to the world both ends of a joint move alike.
     needed = sorted(set().union(*(set(a) ^ set(b) for a, b in ends.values())))
@@ -138,9 +134,7 @@ def _tree_jacobians(scene, frames, parts, loops, joints, links, places):
     linkage = Linkage(scene, frames, parts, used)
     length = linkage.length
     # Rotations and translations in comparable units.
-    units = np.concatenate(
-        [np.where(link.directions()[:3].any(axis=0), length, 1.0) for link in links]
-    )
+    units = np.concatenate([np.where(link.directions()[:3].any(axis=0), length, 1.0) for link in links])
     matrices = []
     for poses in generic_poses(linkage):
         world = link_poses(links, needed, poses)
@@ -239,10 +233,7 @@ def loop_arrays(links, records, cut, rows, elements, coupled, counted, loops):
     """
     solved = [k for k in range(len(cut)) if len(rows[k])]
     paths = [
-        sorted(
-            {i for end in ("parent", "child") for i in _path(links, int(elements[k][end]))},
-            reverse=True,
-        )
+        sorted({i for end in ("parent", "child") for i in _path(links, int(elements[k][end]))}, reverse=True)
         for k in solved
     ]
     order = _narrow([set(path) for path in paths])
@@ -251,11 +242,7 @@ def loop_arrays(links, records, cut, rows, elements, coupled, counted, loops):
     jacobians, residuals, turns, first = [np.zeros((0, 6))], [], [], 0
     for joint, k in zip(joints, solved):
         element = elements[k]
-        joint["parent"], joint["child"], joint["kind"] = (
-            element["parent"],
-            element["child"],
-            element["kind"],
-        )
+        joint["parent"], joint["child"], joint["kind"] = (element["parent"], element["child"], element["kind"])
         joint["element"], joint["rows"], joint["first"] = k, len(rows[k]), first
         joint["in_loop"] = loops is None or cut[k][0] in loops
         joint["own_points"] = loops is None and element["turns_freely"]
@@ -267,9 +254,7 @@ def loop_arrays(links, records, cut, rows, elements, coupled, counted, loops):
             frame = np.eye(4)
             frame[:3, :3] = element["child_rotation"].reshape(3, 3)
             frame[:3, 3] = element["child_point"]
-            jacobian = element["forbidden"][: 6 * element["rows"]].reshape(-1, 6) @ SE3.Ad(
-                SE3.inverse(frame)
-            )
+            jacobian = element["forbidden"][: 6 * element["rows"]].reshape(-1, 6) @ SE3.Ad(SE3.inverse(frame))
         jacobians.append(jacobian[rows[k]])
     ranges, at = [], 0
     for path in paths:
@@ -297,12 +282,7 @@ def loop_arrays(links, records, cut, rows, elements, coupled, counted, loops):
                 shared.append((i, j, len(entries)))
                 first_joint[i] = min(first_joint[i], j)
     column = np.array(
-        [
-            joints[first_joint[i]]["first"]
-            for i in range(len(joints))
-            for _ in range(joints[i]["rows"])
-        ],
-        dtype=np.int64,
+        [joints[first_joint[i]]["first"] for i in range(len(joints)) for _ in range(joints[i]["rows"])], dtype=np.int64
     )
     number = {len(cut) - len(coupled) + i: i for i in range(len(coupled))}
     coupling = np.array([number.get(k, -1) for k in solved], dtype=np.int64)
@@ -335,9 +315,7 @@ def _numbered(coupling):
 def _couplings(links, records, joints, coupling, residuals, coupled, counted):
     """(k,) of COUPLED, in the order of the joints; coupling: which of `coupled` a joint is, or -1."""
     motions = np.cumsum([entry.is_given for entry, _ in coupled]) - 1
-    is_angle = [
-        (links[a].turns, links[b].turns and not entry.is_given) for entry, (a, b) in coupled
-    ]
+    is_angle = [(links[a].turns, links[b].turns and not entry.is_given) for entry, (a, b) in coupled]
     angles = counted + np.cumsum([0, *(second for _, second in is_angle)])
     rows = []
     for joint, c in zip(joints, coupling):

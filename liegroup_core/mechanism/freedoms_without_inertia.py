@@ -117,8 +117,7 @@ def _refusal(scene, links, places, world, i, turns, always):
     """SceneError that names the joint and the body of link i; turns, always: see `check_inertia`."""
     link = links[i]
     number = max(
-        (k for k, body in enumerate(scene.bodies) if body.name in link.bodies),
-        key=lambda k: scene.bodies[k].mass,
+        (k for k, body in enumerate(scene.bodies) if body.name in link.bodies), key=lambda k: scene.bodies[k].mass
     )
     name = scene.bodies[number].name
     pose = world[i] @ places[name][1]

@@ -7,14 +7,7 @@ import numpy as np
 
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.groups import SE3
-from liegroup_core.motion_groups.table import (
-    COMPONENTS,
-    FREE,
-    FREEDOMS,
-    HINGE,
-    OF_JOINT,
-    PLANE_COMPONENTS,
-)
+from liegroup_core.motion_groups.table import COMPONENTS, FREE, FREEDOMS, HINGE, OF_JOINT, PLANE_COMPONENTS
 
 from .arrays import AFTER_CROSS, CROSS, LINK, OWN
 from .planar import align, frame_in_plane

@@ -49,11 +49,7 @@ def relative_model(scene, model, in_space=False, group=None):
     arrays = loop_arrays(links, records, cut, rows, elements, coupled, springs, loops)
     part_records = np.array(
         [
-            (
-                places[body.name][0],
-                places[body.name][1][:3, :3].ravel(),
-                places[body.name][1][:3, 3],
-            )
+            (places[body.name][0], places[body.name][1][:3, :3].ravel(), places[body.name][1][:3, 3])
             for body in scene.bodies
         ],
         dtype=PART,

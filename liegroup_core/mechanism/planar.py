@@ -40,9 +40,7 @@ def find_plane(scene, frames, parts):
     for normal in _candidates(axes[turns], axes[slides]):
         normal_to = np.abs(np.cross(axes, normal)).max(axis=1) <= PARALLEL
         within = np.abs(axes @ normal) <= PARALLEL
-        joints = np.flatnonzero(
-            (types == "fixed") | (turns & normal_to) | (slides & within)
-        ).tolist()
+        joints = np.flatnonzero((types == "fixed") | (turns & normal_to) | (slides & within)).tolist()
         if len(joints) >= len(scene.bodies) and _connect(scene, joints):
             cut = (part for j, of in enumerate(parts) if j not in joints for part in of)
             return (normal, joints) if all(part.kind == PAIR for part in cut) else None

@@ -167,11 +167,7 @@ def _chosen(linkage):
     matrices = [linkage.jacobian(poses) for poses in places]
     chosen, best = independent_rows(
         matrices,
-        [
-            joint.parent == "world"
-            for joint, count in zip(linkage.joints, linkage.counts)
-            for _ in range(count)
-        ],
+        [joint.parent == "world" for joint, count in zip(linkage.joints, linkage.counts) for _ in range(count)],
     )
     chosen.flags.writeable = False
     return chosen, bool(chosen.all()) or _moves_freely(linkage, places[best], matrices[best])
@@ -188,18 +184,12 @@ def independent_rows(matrices, grounded):
     rank = max(ranks)
     if rank == len(grounded):
         return np.ones(rank, dtype=bool), int(np.argmax(ranks))
-    vanishing = [
-        np.linalg.svd(matrix)[0][:, rank:]
-        for matrix, found in zip(matrices, ranks)
-        if found == rank
-    ]
+    vanishing = [np.linalg.svd(matrix)[0][:, rank:] for matrix, found in zip(matrices, ranks) if found == rank]
     first = np.flatnonzero(~_independent(matrices[int(np.argmax(ranks))]))
     weight = np.where(grounded, 1.0 / MUCH_BETTER, 1.0)
     best = _spared(vanishing, weight)
     # Near the tolerance the two numbers of dependent rows may differ: then `best` is complete.
-    better = len(first) != len(best) or _quality(best, vanishing) > MUCH_BETTER * _quality(
-        first, vanishing
-    )
+    better = len(first) != len(best) or _quality(best, vanishing) > MUCH_BETTER * _quality(first, vanishing)
     mask = np.ones(len(grounded), dtype=bool)
     mask[best if better else first] = False
     return mask, int(np.argmax(ranks))
@@ -276,8 +266,7 @@ def _moves_freely(linkage, poses, matrix):
             return False
         back = np.concatenate(
             [
-                SE3.log(np.linalg.inv(moved[name]) @ closed[name])
-                * ([linkage.length] * 3 + [1.0] * 3)
+                SE3.log(np.linalg.inv(moved[name]) @ closed[name]) * ([linkage.length] * 3 + [1.0] * 3)
                 for name in linkage.bodies
             ]
         )

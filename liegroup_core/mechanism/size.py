@@ -23,9 +23,5 @@ def mechanism_size(model, joints):
         for end in ("parent", "child")
     ]
     rods = elements["parameter"][elements["kind"] == distance.KIND].max(initial=0.0)
-    cables = [
-        joint.length
-        for joint in joints
-        if any(switch.kind == DISTANCE for switch in joint.switches)
-    ]
+    cables = [joint.length for joint in joints if any(switch.kind == DISTANCE for switch in joint.switches)]
     return float(max(gyration.max(), *arms, rods, *cables)) or 1.0

@@ -109,8 +109,4 @@ def _grow(scene, of_group, depth, links, used, root):
         depth[child] = depth[parent] + 1
         links.append((child, parent, j))
         used.add(j)
-        frontier = [
-            entry
-            for entry in (*frontier, *of_group[child])
-            if (entry[1] in depth) != (entry[2] in depth)
-        ]
+        frontier = [entry for entry in (*frontier, *of_group[child]) if (entry[1] in depth) != (entry[2] in depth)]

@@ -122,9 +122,7 @@ def momentum_values(scene, kept, rotation, position, twist):
     turn, place = rotation[:, index], position[:, index]
     linear = mass[:, None] * np.einsum("knij,knj->kni", turn, twist[:, index, 3:])
     spin = np.einsum("knij,njl,knl->kni", turn, inertia, twist[:, index, :3])
-    about = (
-        np.einsum("n,kni->ki", mass, place) / mass.sum() if kept.point is None else kept.point[None]
-    )
+    about = np.einsum("n,kni->ki", mass, place) / mass.sum() if kept.point is None else kept.point[None]
     angular = (spin + np.cross(place - about[:, None], linear)).sum(axis=1)
     return np.concatenate((angular @ kept.angular.T, linear.sum(axis=1) @ kept.linear.T), axis=1)
 
@@ -161,9 +159,7 @@ def _split(screws, start, size):
     moments = (np.linalg.lstsq(screws[:, :3].T, axes.T, rcond=None)[0].T @ screws)[:, 3:]
     across = np.eye(3) - linear.T @ linear
     system = np.vstack([-across @ _hat(axis) for axis in axes])
-    wanted = np.concatenate(
-        [across @ (eta - np.cross(start, axis)) for eta, axis in zip(moments, axes)]
-    )
+    wanted = np.concatenate([across @ (eta - np.cross(start, axis)) for eta, axis in zip(moments, axes)])
     shift = np.linalg.lstsq(system, wanted, rcond=CUTOFF)[0]
     if np.abs(system @ shift - wanted).max() > 1e3 * CUTOFF * size:
         return np.zeros(3), np.zeros((0, 3)), linear  # helical: no angular momentum on its own
@@ -255,10 +251,7 @@ def body_groups(scene):
     """Index lists of bodies that joints, couplings or forces connect, not counting the world."""
     label = {body.name: i for i, body in enumerate(scene.bodies)}
     # Forces at a joint connect the same bodies as the joint; forces on one body connect none.
-    pairs = [
-        (getattr(link, "child", WORLD), getattr(link, "parent", WORLD))
-        for link in (*scene.joints, *scene.forces)
-    ]
+    pairs = [(getattr(link, "child", WORLD), getattr(link, "parent", WORLD)) for link in (*scene.joints, *scene.forces)]
     child_of = {joint.name: joint.child for joint in scene.joints}
     pairs += [(child_of[entry.joint], child_of[entry.other]) for entry in scene.couplings]
     for child, parent in pairs:

@@ -6,13 +6,7 @@ import math
 from liegroup_core.compiling import kernel
 from liegroup_core.forces.kinds import too_fast
 from liegroup_core.lie.vec3 import dot3, load3
-from liegroup_core.status import (
-    LARGEST_ROTATION,
-    NOT_FINITE,
-    OK,
-    ROTATION_TOO_LARGE,
-    TURNS_NOT_COUNTED,
-)
+from liegroup_core.status import LARGEST_ROTATION, NOT_FINITE, OK, ROTATION_TOO_LARGE, TURNS_NOT_COUNTED
 
 
 @kernel

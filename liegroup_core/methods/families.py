@@ -22,12 +22,7 @@ from liegroup_core.methods.rotation.rotation import Rotation
 
 from .table import CONFIGURATION_GROUPS, METHODS, RELATIVE
 
-FAMILIES = {
-    "rkmk": MuntheKaas,
-    "generalized_alpha": GeneralizedAlpha,
-    "rotation": Rotation,
-    "constrained": Constrained,
-}
+FAMILIES = {"rkmk": MuntheKaas, "generalized_alpha": GeneralizedAlpha, "rotation": Rotation, "constrained": Constrained}
 NOT_ON_SE3 = ("rotation", "constrained")  # families without SE(3)^n
 ON_JOINTS = ("rkmk", "generalized_alpha", "constrained")  # families with relative coordinates
 
@@ -48,9 +43,7 @@ def check_options(method, options):
 def check_group(method, group):
     """Raise ValueError, one line, for a group that is unknown or that a method does not support."""
     if group not in ("auto", *CONFIGURATION_GROUPS):
-        raise ValueError(
-            f"unknown group {group!r}; choose one of: auto, {', '.join(CONFIGURATION_GROUPS)}"
-        )
+        raise ValueError(f"unknown group {group!r}; choose one of: auto, {', '.join(CONFIGURATION_GROUPS)}")
     family = METHODS[method].family
     if group == RELATIVE and family not in ON_JOINTS:
         raise ValueError(
@@ -59,9 +52,7 @@ def check_group(method, group):
         )
     if family in NOT_ON_SE3 and group == "se3":
         others = "'so3xr3', 'relative' or 'auto'" if family in ON_JOINTS else "'so3xr3' or 'auto'"
-        raise ValueError(
-            f"method {method} does not integrate on SE(3): group must be {others}, got {group!r}"
-        )
+        raise ValueError(f"method {method} does not integrate on SE(3): group must be {others}, got {group!r}")
 
 
 def choose_group(method, group):
@@ -101,7 +92,6 @@ def make_integrator(method, layout, group, step, options):
     reason = misfit(method, layout)
     if reason:
         raise ValueError(
-            f"method {method} cannot integrate this scene: {reason}. Use one of: "
-            f"{', '.join(fitting_methods(layout))}"
+            f"method {method} cannot integrate this scene: {reason}. Use one of: {', '.join(fitting_methods(layout))}"
         )
     return FAMILIES[entry.family](entry, layout, group, step, options)

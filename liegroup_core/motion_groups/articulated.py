@@ -206,8 +206,4 @@ def mass_times(m, a):
 @kernel
 def symmetric_times(xx, xy, xz, yy, yz, zz, a):
     """Product of a symmetric matrix and a vector."""
-    return (
-        xx * a[0] + xy * a[1] + xz * a[2],
-        xy * a[0] + yy * a[1] + yz * a[2],
-        xz * a[0] + yz * a[1] + zz * a[2],
-    )
+    return (xx * a[0] + xy * a[1] + xz * a[2], xy * a[0] + yy * a[1] + yz * a[2], xz * a[0] + yz * a[1] + zz * a[2])

@@ -8,9 +8,7 @@ from liegroup_core.lie.vec3 import ZERO3, add3, dot3, load3, load9, matmul3, mat
 from .articulated import add_mass, mass_times
 
 NAME = "SO(3)"
-JOINTS = {
-    "spherical": "the frames share their origin; the child rotates freely about it (ball joint)"
-}
+JOINTS = {"spherical": "the frames share their origin; the child rotates freely about it (ball joint)"}
 COMPONENTS, ORDER = (0, 1, 2), (2, 0, 1)
 
 

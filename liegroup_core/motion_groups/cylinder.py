@@ -3,8 +3,7 @@
 
 NAME = "SO(2) x R"
 JOINTS = {
-    "cylindrical": "the frames share the z axis; the child rotates about it and translates along "
-    "it (shaft in a sleeve)"
+    "cylindrical": "the frames share the z axis; the child rotates about it and translates along it (shaft in a sleeve)"
 }
 COMPONENTS = (2, 5)
 MAY_BE_HELD = True

@@ -130,10 +130,7 @@ def _on_coordinates_about_z(components, pitch):
         "lift": "return",
         "normalise": about_z.normalise if turns else "return",
     }
-    moves = [
-        f"out[row, {c - 1}] = coordinates[row, {c - 1}] + screws[at + {components.index(c)}, 0]"
-        for c in shifts
-    ]
+    moves = [f"out[row, {c - 1}] = coordinates[row, {c - 1}] + screws[at + {components.index(c)}, 0]" for c in shifts]
     if pitch:
         shift = ['link["pitch"] * screws[at, 0]', *(move.split(" + ", 1)[1] for move in moves)]
         moves = [f"out[row, 4] = coordinates[row, 4] + ({' + '.join(shift)})"]

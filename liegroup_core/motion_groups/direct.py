@@ -7,19 +7,7 @@ rates of the link stay its twist; what integrates on the group converts them.
 
 from liegroup_core.compiling import kernel
 from liegroup_core.lie.so3 import so3_exp
-from liegroup_core.lie.vec3 import (
-    add3,
-    cross3,
-    dot3,
-    load3,
-    load9,
-    matmul3,
-    matvec3,
-    store3,
-    store9,
-    sub3,
-    tmatvec3,
-)
+from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, matmul3, matvec3, store3, store9, sub3, tmatvec3
 
 from .ball import normalise as normalise
 from .ball import relative_rotation as relative_rotation

@@ -68,10 +68,7 @@ def leave_direction(work, f, y, place, torque, force):
     """Wrench less U y / D of freedom f, whose component y goes to a place of work.response."""
     work.response[place] = y
     share = -y * work.freedoms[f, 6]
-    return (
-        axpy3(share, load3(work.freedoms, f, 0), torque),
-        axpy3(share, load3(work.freedoms, f, 3), force),
-    )
+    return (axpy3(share, load3(work.freedoms, f, 0), torque), axpy3(share, load3(work.freedoms, f, 3), force))
 
 
 @kernel
@@ -79,10 +76,7 @@ def load_direction(work, f, y, torque, force):
     """Wrench -W less U y / D of freedom f, whose u is -y: W has its component."""
     work.freedoms[f, 7] = -y
     share = -y * work.freedoms[f, 6]
-    return (
-        axpy3(share, load3(work.freedoms, f, 0), torque),
-        axpy3(share, load3(work.freedoms, f, 3), force),
-    )
+    return (axpy3(share, load3(work.freedoms, f, 0), torque), axpy3(share, load3(work.freedoms, f, 3), force))
 
 
 @kernel
@@ -93,16 +87,11 @@ def inverse_of(D):
 
 def _less(k=None):
     """Text of I - U U^T / D, without row and column k."""
-    return ", ".join(
-        "0.0" if k in (i, j) else f"m[{place}] - s[{i}] * U[{j}]"
-        for place, (i, j) in enumerate(ENTRIES)
-    )
+    return ", ".join("0.0" if k in (i, j) else f"m[{place}] - s[{i}] * U[{j}]" for place, (i, j) in enumerate(ENTRIES))
 
 
 _SCALED = "s = (" + ", ".join(f"inverse * U[{c}]" for c in range(6)) + ")"
-reduced = made(
-    "reduced", f"def reduced(m, U, inverse):\n    {_SCALED}\n    return ({_less()})\n", {}
-)
+reduced = made("reduced", f"def reduced(m, U, inverse):\n    {_SCALED}\n    return ({_less()})\n", {})
 
 
 @kernel

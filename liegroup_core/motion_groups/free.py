@@ -4,19 +4,7 @@
 from liegroup_core.compiling import kernel
 from liegroup_core.lie.se3 import se3_compose, se3_dexpinv_of, se3_exp
 from liegroup_core.lie.so3 import so3_exp, so3_nearest
-from liegroup_core.lie.vec3 import (
-    ZERO3,
-    add3,
-    dot3,
-    load3,
-    load9,
-    matmul3,
-    matrix3,
-    matvec3,
-    store3,
-    store9,
-    vector3,
-)
+from liegroup_core.lie.vec3 import ZERO3, add3, dot3, load3, load9, matmul3, matrix3, matvec3, store3, store9, vector3
 
 from .ball import normalise as normalise
 from .ball import relative_rotation as relative_rotation

@@ -81,9 +81,7 @@ def leave_at(work, f, row, F, y):
 
 
 # What the texts call.
-CALLED = {
-    each.__name__: each for each in (accelerate_at, begin_freedom, leave_at, place_at, turn_of)
-}
+CALLED = {each.__name__: each for each in (accelerate_at, begin_freedom, leave_at, place_at, turn_of)}
 
 
 def twist_of(components, number):

@@ -11,9 +11,7 @@ from .elimination import inverse_of
 from .in_plane import store_freedom
 
 NAME = "SE(2)"
-JOINTS = {
-    "planar": "the frames share the x-y plane; the child translates and rotates in it (plate on a plate)"
-}
+JOINTS = {"planar": "the frames share the x-y plane; the child translates and rotates in it (plate on a plate)"}
 COMPONENTS = PLANE_COMPONENTS = (2, 3, 4)
 
 

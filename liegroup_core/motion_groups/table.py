@@ -41,9 +41,7 @@ FIRST_OF_ALL_AXES = next(code for code, components in enumerate(COMPONENTS) if 0
 FREEDOMS = tuple(map(len, COMPONENTS))
 ORDERS = tuple(getattr(group, "ORDER", range(len(group.COMPONENTS))) for group in GROUPS)
 PLANE_COMPONENTS = {
-    code: group.PLANE_COMPONENTS
-    for code, group in enumerate(GROUPS)
-    if hasattr(group, "PLANE_COMPONENTS")
+    code: group.PLANE_COMPONENTS for code, group in enumerate(GROUPS) if hasattr(group, "PLANE_COMPONENTS")
 }
 OF_JOINT = {kind: GROUPS.index(group) for kind, group in JOINTS.items()}
 
@@ -164,9 +162,7 @@ derived.CALLED["lift"] = _chosen("lift")
 displace = _chosen("displace")
 displace_by_twist = _chosen("displace_by_twist", displace)
 _WITH = [code for code, each in enumerate(_FUNCTIONS) if "coordinate" in each]
-coordinate = choice(
-    "coordinate", SPACE["coordinate"], {c: _FUNCTIONS[c]["coordinate"] for c in _WITH}
-)
+coordinate = choice("coordinate", SPACE["coordinate"], {c: _FUNCTIONS[c]["coordinate"] for c in _WITH})
 relative_rotation, relative_point = _chosen("relative_rotation"), _chosen("relative_point")
 project_pose, normalise = _chosen("project_pose"), _chosen("normalise")
 rate_twist, add_rates = _chosen("rate_twist"), _chosen("add_rates")
@@ -208,9 +204,7 @@ _PLANE_FUNCTIONS = {code: plane_functions_of(code) for code in PLANE_COMPONENTS}
 def _in_plane(name, other=None):
     """Kernel of IN_PLANE."""
     functions = {code: each.get(name, each.get(other)) for code, each in _PLANE_FUNCTIONS.items()}
-    return choice(
-        f"plane_{name}", IN_PLANE[name], {c: each for c, each in functions.items() if each}
-    )
+    return choice(f"plane_{name}", IN_PLANE[name], {c: each for c, each in functions.items() if each})
 
 
 plane_project_pose, plane_coordinate = _in_plane("project_pose"), _in_plane("coordinate")

@@ -18,9 +18,7 @@ def _along(model, angle, pose, twist, energy_out, kinetic_out, residual_out, ang
         kinds.count_turns(model.forces, pose[k], angle)
         total = energy(model, angle, pose[k], twist[k])
         energy_out[k] = total
-        kinetic_out[k] = total - (
-            gravity_energy(model, pose[k]) + kinds.energy(model.forces, angle, pose[k])
-        )
+        kinetic_out[k] = total - (gravity_energy(model, pose[k]) + kinds.energy(model.forces, angle, pose[k]))
         position_residuals(model, pose[k], residual_out[k])
         angle_out[k] = angle
 
@@ -89,9 +87,7 @@ class Along:
         (k, joints) m and rad, angles (k, t) rad of the torsional springs
         """
         layout = self._layout
-        pose, twist = (
-            np.ascontiguousarray(part) for part in layout.offsets.to_centres(pose, twist)
-        )
+        pose, twist = (np.ascontiguousarray(part) for part in layout.offsets.to_centres(pose, twist))
         if self._angle is None:
             self._angle = layout.angles(pose[0], self._near)
         k = len(pose)

@@ -17,10 +17,7 @@ def energy(model, angle, pose, twist):
     for i in range(len(model.bodies)):
         w = load3(twist, i, 0)
         v = load3(twist, i, 3)
-        total += 0.5 * (
-            dot3(w, matvec3(matrix3(model.bodies[i]["inertia"]), w))
-            + model.bodies[i]["mass"] * dot3(v, v)
-        )
+        total += 0.5 * (dot3(w, matvec3(matrix3(model.bodies[i]["inertia"]), w)) + model.bodies[i]["mass"] * dot3(v, v))
     return total
 
 

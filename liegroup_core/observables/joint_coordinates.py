@@ -15,18 +15,7 @@ import numpy as np
 from liegroup_core.compiling import SameTypes, kernel
 from liegroup_core.joints.kinds import TYPES
 from liegroup_core.lie.groups import within_a_turn
-from liegroup_core.lie.vec3 import (
-    ZERO3,
-    add3,
-    cross3,
-    dot3,
-    load3,
-    load9,
-    matmul3,
-    matvec3,
-    sub3,
-    tmatmul3,
-)
+from liegroup_core.lie.vec3 import ZERO3, add3, cross3, dot3, load3, load9, matmul3, matvec3, sub3, tmatmul3
 from liegroup_core.scene.consistency import resolve_couplings
 
 
@@ -62,10 +51,7 @@ def _coordinates(ends, slides, frames, pose, twist, out):
         a, b = ends[j]
         R_A, p_A = _placed(frames, j, 0, pose, a)
         R_B, p_B = _placed(frames, j, 12, pose, b)
-        (spin_a, speed_a), (spin_b, speed_b) = (
-            _motion(pose, twist, a, p_B),
-            _motion(pose, twist, b, p_B),
-        )
+        (spin_a, speed_a), (spin_b, speed_b) = (_motion(pose, twist, a, p_B), _motion(pose, twist, b, p_B))
         z_B = (R_B[2], R_B[5], R_B[8])
         if slides[j]:
             out[j, 0] = dot3((R_A[2], R_A[5], R_A[8]), sub3(p_B, p_A))
@@ -86,11 +72,7 @@ class JointCoordinates:
 
     def __init__(self, scene, frames):
         place = {body.name: i for i, body in enumerate(scene.bodies)}
-        found = [
-            (joint, pair)
-            for joint, pair in zip(scene.joints, frames)
-            if TYPES[joint.type].coordinate is not None
-        ]
+        found = [(joint, pair) for joint, pair in zip(scene.joints, frames) if TYPES[joint.type].coordinate is not None]
         self.names = tuple(joint.name for joint, _ in found)
         self.units = {joint.name: TYPES[joint.type].coordinate for joint, _ in found}
         n = len(place)
@@ -107,9 +89,7 @@ class JointCoordinates:
             if self.units.get(entry.joint) == "rad" and entry.other in self.units
         ]
         self._counted = {
-            name: counted.index(name)
-            for name in self.names
-            if name in counted and self.units[name] == "rad"
+            name: counted.index(name) for name in self.names if name in counted and self.units[name] == "rad"
         }
 
     @property

@@ -7,14 +7,7 @@ A joint transmits its reaction and, beside it, what these forces exert on its ch
 import numpy as np
 
 from liegroup_core.compiling import kernel
-from liegroup_core.forces import (
-    kinds,
-    linear_motor,
-    linear_spring_damper,
-    motor,
-    torsional_spring_damper,
-    turn,
-)
+from liegroup_core.forces import kinds, linear_motor, linear_spring_damper, motor, torsional_spring_damper, turn
 
 # Kinds in the order of `_efforts`; servos know their efforts.
 KINDS = ("torsional_spring_damper", "linear_spring_damper", "motor", "linear_motor")

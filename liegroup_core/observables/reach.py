@@ -38,10 +38,7 @@ def beyond_reach(scene, pose, positions):
 
         def closes(kept):
             joints = sorted({*loops, *(j for entry in kept for j in (entry.joint, entry.other))})
-            own = [
-                entry._replace(joint=joints.index(entry.joint), other=joints.index(entry.other))
-                for entry in kept
-            ]
+            own = [entry._replace(joint=joints.index(entry.joint), other=joints.index(entry.other)) for entry in kept]
             return Linkage(scene, frames, parts, joints, couplings=own).closed(places) is not None
 
         if closes(entries):

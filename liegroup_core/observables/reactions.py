@@ -16,12 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from liegroup_core.compiling import SameTypes
-from liegroup_core.dynamics.reactions import (
-    copy_modes,
-    impulse_wrenches,
-    joint_wrenches,
-    reaction_table,
-)
+from liegroup_core.dynamics.reactions import copy_modes, impulse_wrenches, joint_wrenches, reaction_table
 from liegroup_core.dynamics.switches import set_modes
 from liegroup_core.errors import SimulationError
 from liegroup_core.forces.external import no_wrenches
@@ -95,10 +90,7 @@ class Reactions:
             joints = {*loops, *(j for entry in entries for j in (entry.joint, entry.other))}
             # The order of mechanism/redundancy.py: the same linkage is analysed once.
             group = sorted(joints, key=lambda j: (scene.joints[j].parent != WORLD_NAME, j))
-            own = [
-                entry._replace(joint=group.index(entry.joint), other=group.index(entry.other))
-                for entry in entries
-            ]
+            own = [entry._replace(joint=group.index(entry.joint), other=group.index(entry.other)) for entry in entries]
             moving, held = (
                 Linkage(scene, frames, parts, group, couplings=kept)
                 for kept in ([entry for entry in own if not entry.is_given], own)

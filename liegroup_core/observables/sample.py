@@ -322,10 +322,7 @@ class Sample:
     @property
     def prescribed(self) -> dict[str, tuple[float, float, float]]:
         """{driven joint: prescribed position, velocity, acceleration}, rad or m, and per s and s^2."""
-        return {
-            joint: motion.at(row, self.time)
-            for joint, row in zip(self._layout.motions, self._motions)
-        }
+        return {joint: motion.at(row, self.time) for joint, row in zip(self._layout.motions, self._motions)}
 
     @cached_property
     def drive_efforts(self) -> dict[str, float]:

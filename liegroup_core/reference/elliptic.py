@@ -66,9 +66,7 @@ def _principal(I, w, time):
     D = (I[a] * amplitude[0]) ** 2
     n = -k2 * (I[c] * amplitude[2]) ** 2 / D
     L = mp.sqrt(L2)
-    angle = L * time / I[c] + L * (E2 - L2 / I[c]) / (D * rate) * (
-        mp.ellippi(n, end, k2) - mp.ellippi(n, start, k2)
-    )
+    angle = L * time / I[c] + L * (E2 - L2 / I[c]) / (D * rate) * (mp.ellippi(n, end, k2) - mp.ellippi(n, start, k2))
     m_end = mp.matrix([i * x for i, x in zip(I, w_end)])
     axis = mp.matrix([int(i == c) for i in range(3)])
     return _node_axes(m, axis) * _about_z(angle) * _node_axes(m_end, axis).T, w_end
@@ -109,16 +107,12 @@ def heavy_top(inertia, spin_inertia, moment, axis, gravity, rotation, omega, tim
         u = u1 + (u2 - u1) * mp.sin(last) ** 2
         # Integrals of (b -+ a) / (2 (1 -+ u)) over time: the two parts of phi' = (b - a u)/(1 - u^2)
         lower = (b - a) / (2 * (1 - u1) * rate) * _third_kind((u2 - u1) / (1 - u1), first, last, k2)
-        upper = (
-            (b + a) / (2 * (1 + u1) * rate) * _third_kind(-(u2 - u1) / (1 + u1), first, last, k2)
-        )
+        upper = (b + a) / (2 * (1 + u1) * rate) * _third_kind(-(u2 - u1) / (1 + u1), first, last, k2)
         spin = _dot(w, e)
         phi = mp.atan2(start[0, 2], -start[1, 2]) + lower + upper
         chi = mp.atan2(start[2, 0], start[2, 1]) + (spin - a) * mp.mpf(time) - lower + upper
         sine = mp.sqrt(1 - u * u)
-        slope = (
-            2 * (u2 - u1) * rate * mp.sin(last) * mp.cos(last) * mp.sqrt(1 - k2 * mp.sin(last) ** 2)
-        )
+        slope = 2 * (u2 - u1) * rate * mp.sin(last) * mp.cos(last) * mp.sqrt(1 - k2 * mp.sin(last) ** 2)
         phi_rate, theta_rate = (b - a * u) / sine**2, -slope / sine
         tilt = mp.matrix([[1, 0, 0], [0, u, -sine], [0, sine, u]])
         w_end = mp.matrix(
@@ -152,10 +146,7 @@ def _cubic_roots(a, b, c, d):
         p = (b * b - 3 * a * c) / (9 * a * a)
         q = (b * (2 * b * b - 9 * a * c) + 27 * a * a * d) / (54 * a**3)
         angle = mp.acos(min(max(q / mp.sqrt(p) ** 3, -1), 1)) if p > 0 else mp.mpf(0)
-        return sorted(
-            -2 * mp.sqrt(max(p, 0)) * mp.cos((angle + 2 * k * mp.pi) / 3) - b / (3 * a)
-            for k in range(3)
-        )
+        return sorted(-2 * mp.sqrt(max(p, 0)) * mp.cos((angle + 2 * k * mp.pi) / 3) - b / (3 * a) for k in range(3))
 
 
 def _third_kind(n, first, last, k2):
@@ -170,9 +161,7 @@ def _amplitude(tau, k2):
     quarter = mp.ellipk(k2)
     turns = mp.floor(tau / (4 * quarter) + mp.mpf(1) / 2)
     remainder = tau - 4 * quarter * turns
-    return 2 * mp.pi * turns + mp.atan2(
-        mp.ellipfun("sn", remainder, m=k2), mp.ellipfun("cn", remainder, m=k2)
-    )
+    return 2 * mp.pi * turns + mp.atan2(mp.ellipfun("sn", remainder, m=k2), mp.ellipfun("cn", remainder, m=k2))
 
 
 def _dot(a, b):
@@ -180,9 +169,7 @@ def _dot(a, b):
 
 
 def _cross(a, b):
-    return mp.matrix(
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    )
+    return mp.matrix([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def _columns(*vectors):

@@ -59,9 +59,7 @@ class Equations(NamedTuple):
     ratio: np.ndarray  # (c,)
     offset: np.ndarray  # (c,) q_1 - ratio q_2
     driven: np.ndarray  # (c,) number of a driven joint, whose ratio is 0; -1: a coupling
-    given: (
-        np.ndarray
-    )  # (3, d) coordinate, rate, acceleration of driven joints: input of an evaluation
+    given: np.ndarray  # (3, d) coordinate, rate, acceleration of driven joints: input of an evaluation
 
 
 @subroutine

@@ -75,15 +75,10 @@ class Exact:
     def uncertainty(trajectory):
         """Distance (k, n) caused by round-off of initial state, times and result."""
         time = np.abs(trajectory.times)[:, None]
-        w, v = (
-            np.linalg.norm(part, axis=2)
-            for part in (trajectory.twist[..., :3], trajectory.twist[..., 3:])
-        )
+        w, v = (np.linalg.norm(part, axis=2) for part in (trajectory.twist[..., :3], trajectory.twist[..., 3:]))
         angle = 4 * EPS * (1.0 + w * time)
         reach = np.linalg.norm(trajectory.position, axis=2) + v * time
-        return Distance(
-            4 * EPS * reach, angle, angle, angle * (w + EPS), angle * (v + w * reach + EPS)
-        )
+        return Distance(4 * EPS * reach, angle, angle, angle * (w + EPS), angle * (v + w * reach + EPS))
 
 
 def _free_body(elliptic, body, pose, twist, gravity):
@@ -92,9 +87,7 @@ def _free_body(elliptic, body, pose, twist, gravity):
     velocity = R @ twist[3:]
 
     def motion(time):
-        rotation, omega = map(
-            elliptic.to_floats, elliptic.free_body(body.inertia_matrix, R, twist[:3], time, DIGITS)
-        )
+        rotation, omega = map(elliptic.to_floats, elliptic.free_body(body.inertia_matrix, R, twist[:3], time, DIGITS))
         speed = velocity + gravity * time
         return (
             rotation,
@@ -157,10 +150,6 @@ def _heavy_top(elliptic, body, across, spin, pivot, pivot_world, pose, twist, gr
                 DIGITS,
             ),
         )
-        return (
-            rotation,
-            pivot_world - rotation @ pivot,
-            np.concatenate([omega, np.cross(omega, -pivot)]),
-        )
+        return (rotation, pivot_world - rotation @ pivot, np.concatenate([omega, np.cross(omega, -pivot)]))
 
     return motion

@@ -28,15 +28,11 @@ class Loads(NamedTuple):
     line_law: np.ndarray  # (l, 4) N, N/m, N s/m, N; coordinate: the length
     turn_body: np.ndarray  # (t, 2)
     turn_axis: np.ndarray  # (t, 3) z of the joint in the parent's axes
-    turn_law: (
-        np.ndarray
-    )  # (t, 4) N m, N m/rad, N m s/rad, N m; coordinate: the angle; zero for screws
+    turn_law: np.ndarray  # (t, 4) N m, N m/rad, N m s/rad, N m; coordinate: the angle; zero for screws
     slide_body: np.ndarray  # (s, 2)
     slide_point: np.ndarray  # (s, 2, 3) m, origins of the joint frames
     slide_axis: np.ndarray  # (s, 3) z of the joint in the parent's axes
-    slide_law: (
-        np.ndarray
-    )  # (s, 4) N, N/m, N s/m, N; coordinate: origin of the child's frame along z
+    slide_law: np.ndarray  # (s, 4) N, N/m, N s/m, N; coordinate: origin of the child's frame along z
     drag: np.ndarray  # (n, 4) N s/m, N s^2/m^2, N m s, N m s^2: linear, quadratic, the same angular
     push_body: np.ndarray  # (p,) bodies of the applied wrenches
     push_world: np.ndarray  # (p,) True: constant in world axes, False: in body axes
@@ -97,11 +93,7 @@ def _slides(loads, state, force):
         end = point(state, child, loads.slide_point[i, 1])
         d = end - point(state, parent, loads.slide_point[i, 0])
         constant, stiffness, damping, limit = loads.slide_law[i]
-        f = (
-            constant
-            - stiffness * np.dot(axis[0], d[0])
-            - damping * (np.dot(axis[1], d[0]) + np.dot(axis[0], d[1]))
-        )
+        f = constant - stiffness * np.dot(axis[0], d[0]) - damping * (np.dot(axis[1], d[0]) + np.dot(axis[0], d[1]))
         f = min(max(f, -limit), limit) * axis[0]
         _add_force(force, state, child, loads.slide_point[i, 1], f)
         if parent != GROUND:  # at the same point, so that the wrenches on both bodies cancel
@@ -128,13 +120,9 @@ def add_loads(loads, mass, state, angle, wrench, acting, force, angle_rate_out):
         q, v, omega = state[i, 0:4], state[i, 7:10], state[i, 10:13]
         linear, quadratic, angular, angular_quadratic = loads.drag[i]
         force[i, 0:3] += (
-            mass[i] * loads.gravity
-            + rotate(q, wrench[i, 3:6])
-            - (linear + quadratic * np.sqrt(np.dot(v, v))) * v
+            mass[i] * loads.gravity + rotate(q, wrench[i, 3:6]) - (linear + quadratic * np.sqrt(np.dot(v, v))) * v
         )
-        force[i, 3:6] += (
-            wrench[i, 0:3] - (angular + angular_quadratic * np.sqrt(np.dot(omega, omega))) * omega
-        )
+        force[i, 3:6] += wrench[i, 0:3] - (angular + angular_quadratic * np.sqrt(np.dot(omega, omega))) * omega
         if wrench[i, 6:12].any():
             _add_torque(force, state, i, wrench[i, 6:9])
             _add_force(force, state, i, wrench[i, 12:15], wrench[i, 9:12])

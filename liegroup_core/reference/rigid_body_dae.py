@@ -53,9 +53,7 @@ def scaled_equations(system, state, angle, right_out):
         length = np.sqrt(np.dot(rows[r], rows[r]))
         scale = 1.0 / length if length > 0.0 else 0.0
         rows[r] *= scale
-        right_out[r] = -scale * (
-            gap[2, r] + 2.0 * DRIFT_DAMPING * gap[1, r] + DRIFT_DAMPING**2 * gap[0, r]
-        )
+        right_out[r] = -scale * (gap[2, r] + 2.0 * DRIFT_DAMPING * gap[1, r] + DRIFT_DAMPING**2 * gap[0, r])
     return rows
 
 

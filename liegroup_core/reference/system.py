@@ -30,19 +30,13 @@ def build_system(scene, pose, angles=None):
     supported = {*JOINTS, "spring_damper", *TURNING, *SLIDING, "drag", "applied_wrench"}
     for entry in (*scene.joints, *scene.forces):
         if entry.type not in supported:
-            raise SimulationError(
-                f"the reference integration does not support {entry.type} ({entry.name})"
-            )
+            raise SimulationError(f"the reference integration does not support {entry.type} ({entry.name})")
     for joint in scene.joints:
         if joint.switches:
-            raise SimulationError(
-                f"the reference integration has no stops and no friction ({joint.name})"
-            )
+            raise SimulationError(f"the reference integration has no stops and no friction ({joint.name})")
     lack = lack_of_inertia(scene)
     if lack:
-        raise SimulationError(
-            f"the reference integration needs inertia about all axes, but {lack}: give it inertia"
-        )
+        raise SimulationError(f"the reference integration needs inertia about all axes, but {lack}: give it inertia")
     frames = {joint.name: pair for joint, pair in zip(scene.joints, resolve_frames(scene))}
     relative = _relative(
         scene,
@@ -60,9 +54,7 @@ def build_system(scene, pose, angles=None):
     coupled += [joint for joint in scene.joints if joint.driven for _ in range(2)]
     turns += [(joint, FREE) for joint in coupled if joint.type != "prismatic"]
     known = {} if angles is None else dict(zip((name for name, _ in scene.unwrapped), angles))
-    start = np.array(
-        [known.get(joint.name, _angle(relative[joint.name])) for joint, _ in turns], dtype=float
-    )
+    start = np.array([known.get(joint.name, _angle(relative[joint.name])) for joint, _ in turns], dtype=float)
     equations = _equations(scene, index, frames, relative, (coupled, start))
     system = System(
         mass=np.array([body.mass for body in scene.bodies], dtype=float),
@@ -215,12 +207,7 @@ def _loads(scene, index, frames, turns, slides):
     drag = np.zeros((len(scene.bodies), 4))
     for force in scene.forces:
         if force.type == "drag":
-            drag[index[force.body]] += (
-                force.linear,
-                force.quadratic,
-                force.angular,
-                force.angular_quadratic,
-            )
+            drag[index[force.body]] += (force.linear, force.quadratic, force.angular, force.angular_quadratic)
     return Loads(
         gravity=np.array(scene.gravity, dtype=float),
         line_body=_table([_ends(s, index) for s in lines], (2,), int),

@@ -135,16 +135,7 @@ class Reference:
 
     @one_blas_thread()
     def __init__(
-        self,
-        scene,
-        pose,
-        twist,
-        changes=(),
-        start=0.0,
-        end=np.inf,
-        rtol=TIGHT,
-        angles=None,
-        most_steps=MOST_STEPS,
+        self, scene, pose, twist, changes=(), start=0.0, end=np.inf, rtol=TIGHT, angles=None, most_steps=MOST_STEPS
     ):
         scene = assembled(scene)
         pose, self._offsets = np.asarray(pose, dtype=float), Offsets(scene)
@@ -153,10 +144,7 @@ class Reference:
         pieces = _pieces(scene, system, self._offsets, changes, start, end)
         rank = _rank(system, state)
         self._size = STATE * len(pose)
-        self._runs = [
-            _Run(rank, state, start, pieces, tolerance, most_steps)
-            for tolerance in (rtol, LOOSER * rtol)
-        ]
+        self._runs = [_Run(rank, state, start, pieces, tolerance, most_steps) for tolerance in (rtol, LOOSER * rtol)]
         self._largest = None
 
     @property
@@ -183,12 +171,9 @@ class Reference:
             states.append(run.at(times))
             times = times[: len(states[-1])]
         tight, loose = (
-            _at_bodies(self._offsets, _to_trajectory(times, part[: len(times), : self._size]))
-            for part in states
+            _at_bodies(self._offsets, _to_trajectory(times, part[: len(times), : self._size])) for part in states
         )
-        largest = Distance(
-            *(np.maximum.accumulate(part, axis=0) for part in distance(tight, loose))
-        )
+        largest = Distance(*(np.maximum.accumulate(part, axis=0) for part in distance(tight, loose)))
         if self._largest is not None:
             largest = Distance(*map(np.maximum, largest, self._largest))
         if len(times):
@@ -222,16 +207,9 @@ def _pieces(scene, system, offsets, changes, start, end):
             # The middle is away from all starts and ends, so that round-off does not matter.
             middle = 0.5 * (since + until)
             acting = np.array(
-                [
-                    push.start <= middle and (push.end is None or middle < push.end)
-                    for push in pushes
-                ],
-                dtype=bool,
+                [push.start <= middle and (push.end is None or middle < push.end) for push in pushes], dtype=bool
             )
-            driving = [
-                commanded.get(scene.joints[j].name, row_at(rows, middle))
-                for j, rows in motions.items()
-            ]
+            driving = [commanded.get(scene.joints[j].name, row_at(rows, middle)) for j, rows in motions.items()]
             pieces.append((since, until, system, wrench.copy(), acting, driving))
             since = until
         if isinstance(change, ServoChange):
@@ -261,9 +239,7 @@ def _rank(system, state):
     n, k = len(system.mass), len(system.equations.kind)
     if k == 0:
         return 0
-    rows = scaled_equations(
-        system, state[: STATE * n].reshape(n, STATE), state[STATE * n :], np.zeros(k)
-    )
+    rows = scaled_equations(system, state[: STATE * n].reshape(n, STATE), state[STATE * n :], np.zeros(k))
     singular = np.linalg.svd(rows, compute_uv=False)
     if singular[-1] > REDUNDANT:
         return len(singular)
@@ -294,9 +270,7 @@ class _Run:
             if ready > done:
                 if self._solver is not None and self._dense is None:
                     self._dense = self._solver.dense_output()
-                out[done:ready] = (
-                    self._state if self._dense is None else self._dense(times[done:ready]).T
-                )
+                out[done:ready] = self._state if self._dense is None else self._dense(times[done:ready]).T
                 done = ready
                 self._is_useful |= bool(times[done - 1] > self._start)
             if done == len(times) or self.steps_taken == self._most_steps:
@@ -326,9 +300,7 @@ class _Run:
         self.steps_taken += 1
         message = solver.step()
         if solver.status == "failed":
-            raise SimulationError(
-                f"the reference integration stopped at t = {solver.t:.6g} s: {message}"
-            )
+            raise SimulationError(f"the reference integration stopped at t = {solver.t:.6g} s: {message}")
         self._steps.append(solver.step_size)
         # The last evaluation of a step is at its end. Earlier ones may be far from the motion.
         smallest, beyond = self._singular
@@ -340,9 +312,7 @@ class _Run:
         self._dense, self.reached, self._state = None, solver.t, solver.y
         if solver.status == "finished":
             longest = max(self._steps)
-            self._step = (
-                longest if self._step is None or len(self._steps) > 1 else max(self._step, longest)
-            )
+            self._step = longest if self._step is None or len(self._steps) > 1 else max(self._step, longest)
         return True
 
     def _begin(self, begin, end, system, wrench, acting, driving):
@@ -353,8 +323,7 @@ class _Run:
             self._singular[:] = rate(system, self._rank, y, wrench, acting, slope)
             if not np.isfinite(slope).all():  # DOP853 would reduce its step without end
                 raise SimulationError(
-                    f"the reference integration stopped at t = {t:.6g} s: the state or a wrench is "
-                    "not finite"
+                    f"the reference integration stopped at t = {t:.6g} s: the state or a wrench is not finite"
                 )
             return slope
 

@@ -41,10 +41,7 @@ def anywhere(allowed=True):
 def search_folders(variables=(*PACKAGE_PATHS, *MODEL_PATHS)):
     """Folders of the search paths, in their order."""
     return [
-        Path(folder)
-        for variable in variables
-        for folder in os.environ.get(variable, "").split(os.pathsep)
-        if folder
+        Path(folder) for variable in variables for folder in os.environ.get(variable, "").split(os.pathsep) if folder
     ]
 
 

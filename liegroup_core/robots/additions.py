@@ -22,8 +22,7 @@ def _joint(options, grouping, i, given, names):
     which = options.joint_label.format(i)
     if given.name in names:
         raise options.error(
-            ("joints", i, "name"),
-            f'{which}: the robot has a joint with the name "{given.name}": choose another',
+            ("joints", i, "name"), f'{which}: the robot has a joint with the name "{given.name}": choose another'
         )
     _check_ends(options, grouping, ("joints", i), which, given)
     frames, poses = {}, {}
@@ -61,13 +60,9 @@ def _check_ends(options, grouping, place, which, given):
     links = [getattr(given, end) for end in ends]
     groups = [grouping.of_link[link] for link in links]
     if len(groups) == 2 and groups[0] is groups[1]:
-        raise options.error(
-            place, f"{which}: {links[0]} and {links[1]} move as one body: name other links"
-        )
+        raise options.error(place, f"{which}: {links[0]} and {links[1]} move as one body: name other links")
     if ends == ["body"] and groups[0] is grouping.world:
-        raise options.error(
-            (*place, "body"), f"{which}: {links[0]} does not move: name another link"
-        )
+        raise options.error((*place, "body"), f"{which}: {links[0]} does not move: name another link")
 
 
 def added_couplings(options, robot):
@@ -103,9 +98,7 @@ def added_forces(options, grouping, parts):
         entry = {key: getattr(given, key) for key in type(given).model_fields if key in keys}
         if "joint" in entry:
             if given.joint in known:
-                raise options.error(
-                    (*place, "joint"), f'{which}: joint "{given.joint}" does not move: unlock it'
-                )
+                raise options.error((*place, "joint"), f'{which}: joint "{given.joint}" does not move: unlock it')
             if given.joint not in joints:
                 raise options.unknown((*place, "joint"), f"{which}: joint", given.joint, joints)
             entry["joint"] = joints[given.joint]

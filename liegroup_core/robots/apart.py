@@ -74,18 +74,12 @@ def run_apart(tool, path, arguments=(), folders=None):
     if returncode is None:
         raise refusal(path, 0, f"{tool} did not end within {SECONDS} s: make the file smaller")
     if len(found) >= LARGEST_OUTPUT:
-        raise refusal(
-            path, 0, f"{tool} made more than {LARGEST_OUTPUT >> 20} MiB: make the file smaller"
-        )
+        raise refusal(path, 0, f"{tool} made more than {LARGEST_OUTPUT >> 20} MiB: make the file smaller")
     if returncode == 0:
         return found.decode(errors="replace")
     if returncode == MISSING:
         package = PACKAGES[tool]
-        raise refusal(
-            path,
-            0,
-            f"is read by the package {package}, which is not installed: pip install {package}",
-        )
+        raise refusal(path, 0, f"is read by the package {package}, which is not installed: pip install {package}")
     text = [line for line in problems.decode(errors="replace").splitlines() if line.strip()]
     if returncode == FORBIDDEN:
         raise refusal(path, 0, f"{tool}: {text[-1][-400:]} is not read: {outside(path)}")
@@ -93,9 +87,7 @@ def run_apart(tool, path, arguments=(), folders=None):
         raise refusal(path, 0, f"{tool} is not run, as it could do harm: {' '.join(text)[-400:]}")
     if returncode < 0 or any(sign in line for sign in NO_MEMORY for line in text):
         raise refusal(
-            path,
-            0,
-            f"{tool} needs more than {BYTES >> 30} GiB of memory for it, or crashes: simplify the file",
+            path, 0, f"{tool} needs more than {BYTES >> 30} GiB of memory for it, or crashes: simplify the file"
         )
     file, _, line = found.decode(errors="replace").strip().rpartition(":")
     if not line.isdecimal() or file == str(Path(path).resolve()):

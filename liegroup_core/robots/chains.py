@@ -43,9 +43,7 @@ def kept_joints(robot, options, notes):
     for name in cut:
         del robot.links[name]
     if "collision" in robot.changes:  # a note counts the shapes of the links that stay
-        robot.changes["collision"] = [
-            name for name in robot.changes["collision"] if name not in cut
-        ]
+        robot.changes["collision"] = [name for name in robot.changes["collision"] if name not in cut]
     kept.add(WORLD)
     return [joint for joint in robot.joints if joint.parent in kept and joint.child in kept]
 
@@ -53,11 +51,7 @@ def kept_joints(robot, options, notes):
 def locked_joints(robot, options, values, notes):
     """Names of joints that do not move: locked ones, and those that a mimic joint ties to them."""
     types = {joint.name: joint.type for joint in robot.joints}
-    still = (
-        set(options.lock)
-        | set(robot.locked)
-        | {name for name, kind in types.items() if kind == "fixed"}
-    )
+    still = set(options.lock) | set(robot.locked) | {name for name, kind in types.items() if kind == "fixed"}
     changed = True
     while changed:
         changed = False
@@ -66,23 +60,17 @@ def locked_joints(robot, options, values, notes):
             held = coupling.offset is not None  # else the start values define the offset
             if second and not first:
                 if held:
-                    values[coupling.first] = (
-                        coupling.ratio * values[coupling.second] + coupling.offset
-                    )
+                    values[coupling.first] = coupling.ratio * values[coupling.second] + coupling.offset
                 still.add(coupling.first)
                 changed = True
             elif first and not second and coupling.ratio:
                 if held:
-                    values[coupling.second] = (
-                        values[coupling.first] - coupling.offset
-                    ) / coupling.ratio
+                    values[coupling.second] = (values[coupling.first] - coupling.offset) / coupling.ratio
                 still.add(coupling.second)
                 changed = True
     for coupling in robot.couplings:
         ends = (coupling.first, coupling.second)
-        if coupling.offset is None or not all(
-            name in still and types.get(name) in ONE_COORDINATE for name in ends
-        ):
+        if coupling.offset is None or not all(name in still and types.get(name) in ONE_COORDINATE for name in ends):
             continue
         wanted = coupling.ratio * values[coupling.second] + coupling.offset
         if abs(values[coupling.first] - wanted) > 1e-9 * (1.0 + abs(wanted)):
@@ -149,20 +137,15 @@ def grouped(robot, options, base, joints, lock, values, notes):
         if joint is None:
             raise robot.error(
                 robot.links[group.links[0]].line,
-                f'link "{group.links[0]}" moves freely and has no mass: give it an inertial, or fix '
-                "it to another link",
+                f'link "{group.links[0]}" moves freely and has no mass: give it an inertial, or fix it to another link',
             )
         held.append((group.links[0], joint))
-        notes.append(
-            f"held in place: {listed(group.links)} at the end of joint {joint.name}, without mass"
-        )
+        notes.append(f"held in place: {listed(group.links)} at the end of joint {joint.name}, without mass")
         welded.append(
             (
                 joint.parent,
                 joint.child,
-                joint.parent_frame
-                @ joint.motion(values[joint.name])
-                @ SE3.inverse(joint.child_frame),
+                joint.parent_frame @ joint.motion(values[joint.name]) @ SE3.inverse(joint.child_frame),
             )
         )
 

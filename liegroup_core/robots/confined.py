@@ -126,9 +126,7 @@ def _restrict_files(folders):
     """Landlock: open files below the folders only, to be read."""
     version = _libc.syscall(LANDLOCK, None, 0, 1)
     if version < 1:
-        raise Unconfined(
-            "the kernel has no Landlock (it is there from Linux 5.13 on); --allow-files does without it"
-        )
+        raise Unconfined("the kernel has no Landlock (it is there from Linux 5.13 on); --allow-files does without it")
     kinds = struct.pack("=Q", _KNOWN[min(version, len(_KNOWN) - 1)])
     rules = _checked(_libc.syscall(LANDLOCK, kinds, len(kinds), 0))
     for folder in folders:

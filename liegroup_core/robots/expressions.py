@@ -10,8 +10,7 @@ import string
 
 # Methods of these only compute values; `format` is one of this module, as that of Python reads attributes.
 METHODS = {
-    kind: {name for name in dir(kind) if not name.startswith("_")} - {"format_map"}
-    for kind in (str, dict, list, tuple)
+    kind: {name for name in dir(kind) if not name.startswith("_")} - {"format_map"} for kind in (str, dict, list, tuple)
 }
 NODES = (
     ast.Expression,

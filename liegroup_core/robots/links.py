@@ -79,9 +79,7 @@ class Grouping:
         self.groups, self.of_link = [], {}
         for links in members.values():
             self._add(links, held, beside)
-        self.moving = [
-            joint for joint in joints if self.of_link[joint.parent] is not self.of_link[joint.child]
-        ]
+        self.moving = [joint for joint in joints if self.of_link[joint.parent] is not self.of_link[joint.child]]
 
     def _add(self, links, held, beside):
         """Group of links; its frame is that of the link that a joint moves, if it has mass."""

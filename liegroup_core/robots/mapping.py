@@ -95,25 +95,17 @@ def scene_parts(robot, options):
         parts.forces.append(entry)
     add_sensors(robot, options, grouping, parts, used)
     parts.frames = {
-        link: (used[id(group)], group.places[link])
-        for link, group in grouping.of_link.items()
-        if link != WORLD
+        link: (used[id(group)], group.places[link]) for link, group in grouping.of_link.items() if link != WORLD
     }
     notes += _outside_limits(grouping.moving, values)
     if not closing:  # loops add inertia to their joints
         notes += stiffness_notes(grouping)
     moving = {joint.name for joint in grouping.moving}
     parts.still = {
-        joint.name: values[joint.name]
-        for joint in joints
-        if joint.type in ONE_COORDINATE and joint.name not in moving
+        joint.name: values[joint.name] for joint in joints if joint.type in ONE_COORDINATE and joint.name not in moving
     }
     for what in ("bodies", "joints"):
-        renamed = [
-            f"{file} is {name}"
-            for (key, name), file in parts.names.items()
-            if key == what and name != file
-        ]
+        renamed = [f"{file} is {name}" for (key, name), file in parts.names.items() if key == what and name != file]
         if renamed:
             notes.append(f"renamed {what}: {listed(renamed)}")
     parts.notes = [*notes, *_left_out(robot, grouping, switches)]
@@ -132,8 +124,7 @@ def _bodies(robot, grouping, parts, notes):
                 "moves: give it an inertial",
             )
         advice = (
-            "let the root float with base: floating (--base floating), unlock a joint, or keep more "
-            "links with only"
+            "let the root float with base: floating (--base floating), unlock a joint, or keep more links with only"
             if robot.roots
             else "give a body a joint"
         )
@@ -154,16 +145,13 @@ def _bodies(robot, grouping, parts, notes):
             body["mass"] = NO_MASS * lightest
             kind = "modelled with its inertia and a mass" if inertia.any() else "a point mass"
             notes.append(
-                f"without mass: {listed(group.links)} between joints, {kind} of {NO_MASS:g} of the "
-                "lightest body"
+                f"without mass: {listed(group.links)} between joints, {kind} of {NO_MASS:g} of the lightest body"
             )
         else:
             body["mass"] = mass
         if np.abs(inertia).max() <= NO_INERTIA * mass:
             inertia = np.zeros((3, 3))
-        body["inertia"] = [
-            inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-        ]
+        body["inertia"] = [inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
         _check_inertia(robot, group, line, inertia, body, notes)
         if com.any():
             body["com"] = com
@@ -177,9 +165,7 @@ def _bodies(robot, grouping, parts, notes):
         merged = group.links[1:]
         if merged:
             notes.append(f"merged into {name}: {listed(merged)}")
-        parts.comments["bodies", number] = _from_line(robot, line) + (
-            f", with {listed(merged)}" if merged else ""
-        )
+        parts.comments["bodies", number] = _from_line(robot, line) + (f", with {listed(merged)}" if merged else "")
     return body_of
 
 
@@ -245,9 +231,7 @@ def _joints(robot, grouping, parts, body_of, added):
         parts.lines["joints", number] = joint.line if own < 0 else ("joints", own)
         parts.names["joints", name] = joint.name
         parts.comments["joints", number] = (
-            _from_line(robot, joint.line)
-            if own < 0
-            else f"added between {joint.parent} and {joint.child}"
+            _from_line(robot, joint.line) if own < 0 else f"added between {joint.parent} and {joint.child}"
         )
         _law(robot, parts, joint, name, taken)
     return taken
@@ -350,9 +334,7 @@ def _outside_limits(joints, values):
     for joint in joints:
         lower, upper = joint.data.get("lower", -np.inf), joint.data.get("upper", np.inf)
         if lower <= upper and not lower <= values[joint.name] <= upper:
-            found.append(
-                f"{joint.name} at {values[joint.name]:.6g} (from {lower:.6g} to {upper:.6g})"
-            )
+            found.append(f"{joint.name} at {values[joint.name]:.6g} (from {lower:.6g} to {upper:.6g})")
     return [f"start outside the joint limits: {', '.join(found)}"] if found else []
 
 
@@ -364,36 +346,25 @@ def _left_out(robot, grouping, switches):
     contacts = robot.changes.pop("collision", [])
     if contacts:
         notes.append(
-            f"changes the motion: no contact, {_counted(contacts)} without effect: "
-            "bodies pass through each other"
+            f"changes the motion: no contact, {_counted(contacts)} without effect: bodies pass through each other"
         )
     for keys, text, acting in (
         (("lower", "upper"), "joint limits are not enforced", stops),
         (("friction",), "joint friction is not simulated", friction),
         (("armature",), "armature (rotor inertia) is not simulated", ()),
     ):
-        names = [
-            name
-            for name, joint in moving.items()
-            if set(keys) & joint.data.keys() and name not in acting
-        ]
+        names = [name for name, joint in moving.items() if set(keys) & joint.data.keys() and name not in acting]
         if names:
             notes.append(f"changes the motion: {text}: {listed(names)}")
     swapped = [
-        name
-        for name, joint in moving.items()
-        if joint.data.get("lower", -np.inf) > joint.data.get("upper", np.inf)
+        name for name, joint in moving.items() if joint.data.get("lower", -np.inf) > joint.data.get("upper", np.inf)
     ]
     if swapped:
-        notes.append(
-            f"wrong in the file: the lower limit is above the upper one: {listed(swapped)}"
-        )
+        notes.append(f"wrong in the file: the lower limit is above the upper one: {listed(swapped)}")
     for coupling in robot.couplings:
         for name, other in ((coupling.first, coupling.second), (coupling.second, coupling.first)):
             if name in moving and other not in moving:
-                notes.append(
-                    f"changes the motion: without the coupling of {name} and {other}, which is cut"
-                )
+                notes.append(f"changes the motion: without the coupling of {name} and {other}, which is cut")
     notes += [f"{what}: {listed(names)}" for what, names in robot.remarks.items()]
     for what, names in robot.changes.items():
         notes.append(f"changes the motion: {what}, left out: {listed(names)}")

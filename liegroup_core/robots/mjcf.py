@@ -17,17 +17,7 @@ from liegroup_core.fields.frames import rotation_z_to
 from liegroup_core.lie.groups import SO3
 
 from .apart import run_apart
-from .description import (
-    MISSING_MESHES,
-    WORLD,
-    Coupling,
-    Link,
-    Robot,
-    RobotJoint,
-    Visual,
-    place,
-    refusal,
-)
+from .description import MISSING_MESHES, WORLD, Coupling, Link, Robot, RobotJoint, Visual, place, refusal
 from .mjcf_sensors import read_sensors
 from .xml import Reader
 
@@ -44,11 +34,7 @@ def robot_of_mjcf(root, path):
     except SceneError as error:
         raise _with_line(error, root, path) from None
     _refuse_infinite(path, model)
-    lines = {
-        (element.tag, element.get("name")): element.sourceline
-        for element in root.iter()
-        if element.get("name")
-    }
+    lines = {(element.tag, element.get("name")): element.sourceline for element in root.iter() if element.get("name")}
     robot = Robot(
         root.get("model") or model["name"] or "model",
         Reader(path).file,
@@ -90,10 +76,7 @@ def _refuse_infinite(path, value, place=()):
     entries = value.items() if isinstance(value, dict) else ()
     if isinstance(value, list):
         # An entry of a list is known by its name.
-        entries = [
-            (str(each.get("name") or i) if isinstance(each, dict) else i, each)
-            for i, each in enumerate(value)
-        ]
+        entries = [(str(each.get("name") or i) if isinstance(each, dict) else i, each) for i, each in enumerate(value)]
     for key, each in entries:
         _refuse_infinite(path, each, (*place, key))
 
@@ -149,9 +132,7 @@ def _joints(robot, model, names, lines):
         line = robot.links[name].line
         joints = own.get(i, [])
         if not joints:
-            robot.joints.append(
-                RobotJoint(f"{name}_weld", "fixed", parent, name, place_in_parent, np.eye(4), line)
-            )
+            robot.joints.append(RobotJoint(f"{name}_weld", "fixed", parent, name, place_in_parent, np.eye(4), line))
         for number, joint in enumerate(joints, 1):
             line_of = lines.get(("joint", joint["name"]), line)
             if joint["type"] == "free":
@@ -168,9 +149,7 @@ def _free(robot, joint, name):
     """A body with a free joint floats; its joint has no force in a scene."""
     robot.roots.append(name)
     if joint["damping"] or joint["stiffness"] or joint["friction"] or joint["armature"]:
-        robot.leave_out(
-            "damping, friction and armature of free joints", joint["label"], changes_motion=True
-        )
+        robot.leave_out("damping, friction and armature of free joints", joint["label"], changes_motion=True)
 
 
 def _joint(robot, joint, parent, child, placement, line):
@@ -180,9 +159,7 @@ def _joint(robot, joint, parent, child, placement, line):
     frame = place(joint["pos"], turn)
     if joint["type"] == "slide":  # its position has no meaning
         frame[:3, 3] = 0.0
-    found = RobotJoint(
-        joint["label"], TYPES[joint["type"]], parent, child, placement @ frame, frame, line
-    )
+    found = RobotJoint(joint["label"], TYPES[joint["type"]], parent, child, placement @ frame, frame, line)
     found.damping, found.stiffness = joint["damping"], joint["stiffness"]
     if joint["type"] != "ball":
         found.rest = joint["spring"] - joint["zero"]
@@ -203,9 +180,7 @@ def _joint(robot, joint, parent, child, placement, line):
             changes_motion=True,
         )
     elif joint["range"] is not None:
-        found.data["lower"], found.data["upper"] = (
-            value - joint["zero"] for value in joint["range"]
-        )
+        found.data["lower"], found.data["upper"] = (value - joint["zero"] for value in joint["range"])
     return found
 
 
@@ -221,14 +196,7 @@ def _equalities(robot, model, names, lines):
             robot.joints.append(_closing(robot, equality, names, line))
         elif kind == "joint" and not any(data[2:5]) and equality["second"] >= 0:
             robot.couplings.append(
-                Coupling(
-                    name,
-                    label[equality["first"]],
-                    label[equality["second"]],
-                    data[1],
-                    data[0],
-                    line,
-                )
+                Coupling(name, label[equality["first"]], label[equality["second"]], data[1], data[0], line)
             )
         elif kind == "joint" and equality["second"] < 0:
             robot.locked[label[equality["first"]]] = data[0]
@@ -287,12 +255,8 @@ def _poses(robot, model):
     """Keyframes as joint coordinates and velocities; free and ball joints have no place in them."""
     single = [joint for joint in model["joints"] if joint["type"] in ("slide", "hinge")]
     for key in model["keys"]:
-        robot.poses[key["name"]] = {
-            joint["label"]: key["qpos"][joint["qpos"]] - joint["zero"] for joint in single
-        }
-        robot.velocities[key["name"]] = {
-            joint["label"]: key["qvel"][joint["dof"]] for joint in single
-        }
+        robot.poses[key["name"]] = {joint["label"]: key["qpos"][joint["qpos"]] - joint["zero"] for joint in single}
+        robot.velocities[key["name"]] = {joint["label"]: key["qvel"][joint["dof"]] for joint in single}
 
 
 def _others(robot, model):

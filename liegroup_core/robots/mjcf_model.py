@@ -13,16 +13,12 @@ def arrays_of(path):
     off = model.opt.disableflags
     return {
         "name": _text(model.names, 0),
-        "gravity": [0.0] * 3
-        if off & mujoco.mjtDisableBit.mjDSBL_GRAVITY
-        else model.opt.gravity.tolist(),
+        "gravity": [0.0] * 3 if off & mujoco.mjtDisableBit.mjDSBL_GRAVITY else model.opt.gravity.tolist(),
         "fluid": bool(model.opt.density or model.opt.viscosity),
         "bodies": [_body(model, i) for i in range(1, model.nbody)],
         "joints": [_joint(model, i) for i in range(model.njnt)],
         "equalities": [_equality(model, i) for i in range(model.neq)],
-        "geoms": [
-            _geom(model, i) | {"missing": without_file.get(i, "")} for i in range(model.ngeom)
-        ],
+        "geoms": [_geom(model, i) | {"missing": without_file.get(i, "")} for i in range(model.ngeom)],
         "tendons": [
             {
                 "name": model.tendon(i).name or f"tendon_{i}",
@@ -40,8 +36,7 @@ def arrays_of(path):
             {
                 "name": model.actuator(i).name or f"actuator_{i}",
                 "acts": bool(
-                    model.actuator_biastype[i] != mujoco.mjtBias.mjBIAS_NONE
-                    and model.actuator_biasprm[i].any()
+                    model.actuator_biastype[i] != mujoco.mjtBias.mjBIAS_NONE and model.actuator_biasprm[i].any()
                 ),
             }
             for i in range(model.nu)

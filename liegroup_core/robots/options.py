@@ -75,15 +75,11 @@ class Options:
         values = dict.fromkeys(types, 0.0)
         if self.srdf is not None and self.pose is None:
             known = ", ".join(sorted(robot.poses)[:12]) or "none"
-            raise self.error(
-                ("srdf",), f"srdf needs a pose: give one of its group states ({known})"
-            )
+            raise self.error(("srdf",), f"srdf needs a pose: give one of its group states ({known})")
         if self.pose is not None:
             if self.pose not in robot.poses:
                 raise self.unknown(("pose",), "pose", self.pose, robot.poses)
-            values |= {
-                name: value for name, value in robot.poses[self.pose].items() if name in types
-            }
+            values |= {name: value for name, value in robot.poses[self.pose].items() if name in types}
         given = robot.locked | self._given("start", types) | self._given("lock", types)
         known = given.keys() | robot.poses.get(self.pose, {}).keys()
         return _followed(robot.couplings, values | given, known)
@@ -92,11 +88,7 @@ class Options:
         """{joint: velocity at the start}; refuses unknown joints, and those without a coordinate."""
         types = {joint.name: joint.type for joint in robot.joints}
         values = dict.fromkeys(types, 0.0)
-        values |= {
-            name: value
-            for name, value in robot.velocities.get(self.pose, {}).items()
-            if name in types
-        }
+        values |= {name: value for name, value in robot.velocities.get(self.pose, {}).items() if name in types}
         given = self._given("start_velocity", types)
         known = given.keys() | robot.velocities.get(self.pose, {}).keys()
         return _followed(robot.couplings, values | given, known, rates=True)
@@ -121,8 +113,7 @@ class Options:
         for name in self.start:
             if name not in kept:
                 raise self.error(
-                    ("start", name),
-                    f'start: joint "{name}" is cut: keep its links with only, or omit its value',
+                    ("start", name), f'start: joint "{name}" is cut: keep its links with only, or omit its value'
                 )
 
     def check_start(self, values):
@@ -134,8 +125,7 @@ class Options:
             if abs(value - values[name]) > 1e-9 * (1.0 + abs(value)):
                 raise self.error(
                     ("start", name),
-                    f'start: joint "{name}" is {value:g}, and lock holds it at {values[name]:g}: '
-                    "omit one of the two",
+                    f'start: joint "{name}" is {value:g}, and lock holds it at {values[name]:g}: omit one of the two',
                 )
 
     def check_driven(self, moving):
@@ -204,8 +194,7 @@ def _followed(couplings, values, given, rates=False):
         # From what is known, in any direction; else from a joint that follows no other.
         firsts = {entry.first for entry in left}
         entry = next(
-            (e for e in left if {e.first, e.second} & known),
-            next((e for e in left if e.second not in firsts), left[0]),
+            (e for e in left if {e.first, e.second} & known), next((e for e in left if e.second not in firsts), left[0])
         )
         left.remove(entry)
         offset = 0.0 if rates else entry.offset

@@ -36,9 +36,7 @@ def read_robot(path, srdf=None, arguments=None):
         if srdf is not None:
             _add_group_states(robot, srdf)
     except OSError as error:
-        raise refusal(
-            error.filename or path, 0, f"cannot be read: {error.strerror or error}"
-        ) from None
+        raise refusal(error.filename or path, 0, f"cannot be read: {error.strerror or error}") from None
     return robot
 
 
@@ -69,9 +67,7 @@ def _read(path, arguments):
 def _refuse_arguments(path, arguments):
     """Raise SceneError for arguments of a file that takes none."""
     if arguments:
-        raise refusal(
-            path, 0, f"is no xacro file and takes no arguments: omit {listed(list(arguments))}"
-        )
+        raise refusal(path, 0, f"is no xacro file and takes no arguments: omit {listed(list(arguments))}")
 
 
 def _add_group_states(robot, path):
@@ -81,11 +77,7 @@ def _add_group_states(robot, path):
     """
     reader, root = Reader(path), read_xml(path)
     types = {joint.name: joint.type for joint in robot.joints}
-    virtual = {
-        joint.get("name")
-        for joint in root.iterfind("virtual_joint")
-        if joint.get("type") == "floating"
-    }
+    virtual = {joint.get("name") for joint in root.iterfind("virtual_joint") if joint.get("type") == "floating"}
     for state in root.iterfind("group_state"):
         pose = reader.name(state)
         values = robot.poses.setdefault(pose, {})
@@ -104,10 +96,7 @@ def _add_group_states(robot, path):
                 robot.leave_out("values of several coordinates", f"{name} in {pose}")
         if unknown:
             raise refusal(
-                path,
-                0,
-                f'group state "{pose}": the robot has no joint {listed(sorted(set(unknown)))}: '
-                "correct it",
+                path, 0, f'group state "{pose}": the robot has no joint {listed(sorted(set(unknown)))}: correct it'
             )
 
 
@@ -116,8 +105,5 @@ def _pose_of_root(reader, element, name, text):
     numbers = reader.numbers(element, text, 7, f'value of floating joint "{name}"')
     length = np.linalg.norm(numbers[3:])
     if not length > 1e-12:
-        raise reader.error(
-            element,
-            f'the quaternion of joint "{name}" must not be zero: numbers are x y z qx qy qz qw',
-        )
+        raise reader.error(element, f'the quaternion of joint "{name}" must not be zero: numbers are x y z qx qy qz qw')
     return place(numbers[:3], SO3.from_quaternion(numbers[3:] / length))

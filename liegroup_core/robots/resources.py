@@ -31,9 +31,7 @@ def resolve(name_or_path):
             return found
     scheme, separator, _ = text.partition("://")
     if separator and scheme.isalnum() and scheme != "file":
-        raise SceneError(
-            f"{text}: nothing is fetched from a network: download the file and give its path"
-        )
+        raise SceneError(f"{text}: nothing is fetched from a network: download the file and give its path")
     return Path(text.removeprefix("file://"))
 
 

@@ -70,8 +70,7 @@ def robot_of_sdf(root, path):
         robot.remark("SDF version above 1.12, read by the rules of 1.12", root.get("version"))
     if version < OWN_RULES:
         robot.remark(
-            "SDF version before 1.7, read by the rules of 1.7, except for the axes of its joints",
-            root.get("version"),
+            "SDF version before 1.7, read by the rules of 1.7, except for the axes of its joints", root.get("version")
         )
     world = root.find("world")
     top = root if world is None else world
@@ -124,10 +123,7 @@ def _include(loader, element, depth):
         if uri is None:
             raise reader.error(include, "<include> has no <uri>: give one")
         if include.get("merge", "false") in ("true", "1"):
-            raise reader.error(
-                include,
-                "<include merge> is not supported: omit merge and name links as MODEL::LINK",
-            )
+            raise reader.error(include, "<include merge> is not supported: omit merge and name links as MODEL::LINK")
         path = find_resource(uri, loader.path)
         for name in () if uri.endswith(".sdf") else ("model.config", "model.sdf"):
             inside = find_resource(f"{uri.rstrip('/')}/{name}", loader.path)
@@ -190,11 +186,7 @@ def _model(loader, model, pose):
     if text_of(model.element, "static") in ("true", "1"):
         for element in own:
             name = model.full(element.get("name"))
-            robot.joints.append(
-                RobotJoint(
-                    f"{name}_static", "fixed", WORLD, name, robot.links[name].pose, np.eye(4)
-                )
-            )
+            robot.joints.append(RobotJoint(f"{name}_static", "fixed", WORLD, name, robot.links[name].pose, np.eye(4)))
     _joints(loader, model, pose)
     for part in model.element:
         if part.tag not in PARTS:
@@ -218,8 +210,7 @@ def _joint(loader, model, element, model_pose):
     name, kind = model.full(reader.name(element)), element.get("type", "")
     if kind not in TYPES:
         raise reader.error(
-            element,
-            f'joint "{name}" has the type {kind!r:.40}; choose one of: {", ".join(TYPES)}, gearbox',
+            element, f'joint "{name}" has the type {kind!r:.40}; choose one of: {", ".join(TYPES)}, gearbox'
         )
     ends = []
     for end in ("parent", "child"):
@@ -235,17 +226,12 @@ def _joint(loader, model, element, model_pose):
     if TYPES[kind] == "universal":
         if abs(axes[0] @ axes[1]) > 1e-9:
             raise reader.error(
-                element,
-                f'joint "{name}" has axes that are not perpendicular: put a link between two '
-                "revolute joints",
+                element, f'joint "{name}" has axes that are not perpendicular: put a link between two revolute joints'
             )
         turn[:3, :3] = np.column_stack([axes[0], axes[1], np.cross(axes[0], axes[1])])
     elif kind not in ("fixed", "ball"):
         turn[:3, :3] = rotation_z_to(axes[0])
-    frames = [
-        (np.eye(4) if end == WORLD else SE3.inverse(robot.links[end].pose)) @ X @ turn
-        for end in ends
-    ]
+    frames = [(np.eye(4) if end == WORLD else SE3.inverse(robot.links[end].pose)) @ X @ turn for end in ends]
     joint = RobotJoint(name, TYPES[kind], *ends, *frames, element.sourceline)
     if kind == "screw":
         joint.pitch = _pitch(reader, element, name)
@@ -287,9 +273,7 @@ def _pitch(reader, element, name):
         value = reader.number(old, old.text, "<thread_pitch>")
         if value:
             return -1.0 / value
-    raise reader.error(
-        element, f'joint "{name}" has no <screw_thread_pitch>: give one, in m per turn'
-    )
+    raise reader.error(element, f'joint "{name}" has no <screw_thread_pitch>: give one, in m per turn')
 
 
 def _law(reader, robot, model, element, joint):
@@ -310,14 +294,10 @@ def _law(reader, robot, model, element, joint):
             for part in ("damping", "spring_stiffness", "friction")
         )
         if min(damping, stiffness, friction) < 0.0:
-            raise reader.error(
-                dynamics, f'damping, friction and stiffness of "{joint.name}" must not be negative'
-            )
+            raise reader.error(dynamics, f'damping, friction and stiffness of "{joint.name}" must not be negative')
         if joint.type == "universal":
             if damping or stiffness:
-                robot.leave_out(
-                    "springs and dampers of universal joints", joint.name, changes_motion=True
-                )
+                robot.leave_out("springs and dampers of universal joints", joint.name, changes_motion=True)
             continue
         if key == "axis2":
             continue
@@ -364,12 +344,7 @@ def _mimic(reader, robot, model, mimic, joint):
     holder, other = model.split(reader.name(mimic, "joint"), mimic)
     robot.couplings.append(
         Coupling(
-            f"{joint.name}_mimic",
-            joint.name,
-            holder.full(other),
-            ratio,
-            offset - ratio * reference,
-            mimic.sourceline,
+            f"{joint.name}_mimic", joint.name, holder.full(other), ratio, offset - ratio * reference, mimic.sourceline
         )
     )
 
@@ -389,9 +364,7 @@ def _gearbox(loader, model, element, model_pose):
     found = []
     for key, of_gear in (("parent", "axis"), ("child", "axis2")):
         ends = {parts["gearbox_reference_body"], parts[key]}
-        joint = next(
-            (j for j in robot.joints if {j.parent, j.child} == ends and j.type == "revolute"), None
-        )
+        joint = next((j for j in robot.joints if {j.parent, j.child} == ends and j.type == "revolute"), None)
         if joint is None:
             raise reader.error(
                 element,
@@ -405,12 +378,8 @@ def _gearbox(loader, model, element, model_pose):
             held = np.eye(4) if joint.child == WORLD else robot.links[joint.child].pose
             hinge = (held @ joint.child_frame)[:3, 2]
             if abs(abs(own @ hinge) - 1.0) > 1e-6:
-                raise reader.error(
-                    element, f'gearbox "{name}": <{of_gear}> is not along that of "{joint.name}"'
-                )
+                raise reader.error(element, f'gearbox "{name}": <{of_gear}> is not along that of "{joint.name}"')
             sign *= np.sign(own @ hinge)
         found.append((joint, sign))
     (first, sign), (second, other) = found[1], found[0]
-    robot.couplings.append(
-        Coupling(name, first.name, second.name, -ratio * sign * other, 0.0, element.sourceline)
-    )
+    robot.couplings.append(Coupling(name, first.name, second.name, -ratio * sign * other, 0.0, element.sourceline))

@@ -69,9 +69,7 @@ class Model:
         if name in self._known:
             return self._known[name]
         if name in self._open:
-            raise self.reader.error(
-                element, f"poses are relative to each other in a circle: {' -> '.join(self._open)}"
-            )
+            raise self.reader.error(element, f"poses are relative to each other in a circle: {' -> '.join(self._open)}")
         self._open.append(name)
         part = self.frames[name]
         raw, base = read_pose(self.reader, part)

@@ -33,15 +33,11 @@ def read_link(reader, robot, model, element):
         if mass is not None:
             link.mass = reader.number(mass, mass.text, f'<mass> of link "{name}"')
         if link.mass < 0.0:
-            raise reader.error(
-                mass, f'mass of link "{name}" must not be negative, got {link.mass:g}'
-            )
+            raise reader.error(mass, f'mass of link "{name}" must not be negative, got {link.mass:g}')
         if inertia is not None:
             xx, yy, zz, xy, xz, yz = (
                 value_of(reader, inertia, key, default)
-                for key, default in zip(
-                    ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), (1, 1, 1, 0, 0, 0)
-                )
+                for key, default in zip(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), (1, 1, 1, 0, 0, 0))
             )
             link.inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         if not np.array_equal(pose[:3, :3], np.eye(3)):

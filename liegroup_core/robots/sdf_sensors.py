@@ -23,10 +23,7 @@ def link_sensor(reader, robot, element, link, pose):
         robot.leave_out("sensor of links", element.get("name") or link)
         return
     values, own = {}, element.find("imu")
-    for tag, key in (
-        ("angular_velocity", "angular_velocity"),
-        ("linear_acceleration", "acceleration"),
-    ):
+    for tag, key in (("angular_velocity", "angular_velocity"), ("linear_acceleration", "acceleration")):
         found = None if own is None else own.find(tag)
         deviation, mean = _noise(reader, robot, found, name)
         if deviation:
@@ -72,12 +69,7 @@ def joint_sensor(reader, robot, element, joint, at):
             robot.leave_out(NOISES, name)
     robot.sensors.append(
         RobotSensor(
-            name,
-            "force_torque",
-            element.sourceline,
-            joint=joint.name,
-            frame=place(at[:3, 3], R),
-            values=values,
+            name, "force_torque", element.sourceline, joint=joint.name, frame=place(at[:3, 3], R), values=values
         )
     )
 

@@ -25,8 +25,7 @@ def kept_fixed_joints(robot, options):
             raise options.unknown(("keep", i), "keep: joint", name, types)
         if types[name] != "fixed":
             raise options.error(
-                ("keep", i),
-                f'keep: joint "{name}" is {types[name]}: only fixed joints are merged, omit it',
+                ("keep", i), f'keep: joint "{name}" is {types[name]}: only fixed joints are merged, omit it'
             )
     measured = [sensor.joint for sensor in robot.sensors if sensor.type == "force_torque"]
     measured += [each.joint for each in options.sensors if each.type == "force_torque"]
@@ -38,17 +37,17 @@ def check_kept(options, moving):
     for i, name in enumerate(options.keep):
         if name not in moving:
             raise options.error(
-                ("keep", i),
-                f'keep: joint "{name}" has no mass behind it, or is cut: it transmits nothing, omit it',
+                ("keep", i), f'keep: joint "{name}" has no mass behind it, or is cut: it transmits nothing, omit it'
             )
 
 
 def add_sensors(robot, options, grouping, parts, body_of):
     """Append the sensors of a robot and of a user to SceneParts."""
     joints = {file: scene for (kind, scene), file in parts.names.items() if kind == "joints"}
-    taken = {
-        entry["name"] for entry in (*parts.bodies, *parts.joints, *parts.couplings, *parts.forces)
-    } | {WORLD, *robot.links}  # the frames of links are in /tf, and so are those of sensors
+    taken = {entry["name"] for entry in (*parts.bodies, *parts.joints, *parts.couplings, *parts.forces)} | {
+        WORLD,
+        *robot.links,
+    }  # the frames of links are in /tf, and so are those of sensors
     for i, each in enumerate(options.sensors):
         if each.name in robot.links:
             raise options.error(
@@ -69,11 +68,7 @@ def add_sensors(robot, options, grouping, parts, body_of):
         number = len(parts.sensors)
         parts.lines["sensors", number] = sensor.line if i is None else ("sensors", i)
         parts.comments["sensors", number] = (
-            "added"
-            if i is not None
-            else f"line {sensor.line}"
-            if sensor.line
-            else f"of the {robot.kind} file"
+            "added" if i is not None else f"line {sensor.line}" if sensor.line else f"of the {robot.kind} file"
         )
         parts.sensors.append({"name": name, "type": sensor.type} | entry | sensor.values)
 

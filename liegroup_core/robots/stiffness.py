@@ -22,9 +22,7 @@ def stiffness_notes(grouping):
     # The others and floating links are held, which can only make these slower.
     coupled = {name for each in grouping.robot.couplings for name in (each.first, each.second)}
     damped = [
-        joint
-        for joint in grouping.moving
-        if joint.damping and joint.direction.any() and joint.name not in coupled
+        joint for joint in grouping.moving if joint.damping and joint.direction.any() and joint.name not in coupled
     ]
     if not damped:
         return []

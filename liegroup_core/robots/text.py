@@ -19,9 +19,7 @@ def scene_text(parts):
         f"gravity: {_value(parts.gravity)}",
     ]
     if parts.assemble:
-        lines.append(
-            "assemble: true  # the closing joints move the poses below to the nearest ones"
-        )
+        lines.append("assemble: true  # the closing joints move the poses below to the nearest ones")
     if parts.notes:
         lines.append("notes:")
         lines += [f"  - {json.dumps(note, ensure_ascii=False)}" for note in parts.notes]
@@ -29,9 +27,7 @@ def scene_text(parts):
         entries = getattr(parts, key)
         if entries:
             lines.append(f"{key}:")
-            lines += chain.from_iterable(
-                _entry(entry, parts.comments.get((key, i))) for i, entry in enumerate(entries)
-            )
+            lines += chain.from_iterable(_entry(entry, parts.comments.get((key, i))) for i, entry in enumerate(entries))
     return "\n".join(lines) + "\n"
 
 

@@ -30,10 +30,7 @@ KNOWN = {
     "inertia": ("", "ixx ixy ixz iyy iyz izz"),
     "origin": ("", "xyz rpy"),
     "visual": ("origin geometry material", "name"),
-    "joint": (
-        "parent child origin axis calibration dynamics limit mimic safety_controller",
-        "name type",
-    ),
+    "joint": ("parent child origin axis calibration dynamics limit mimic safety_controller", "name type"),
     "parent": ("", "link"),
     "child": ("", "link"),
     "axis": ("", "xyz"),
@@ -55,8 +52,7 @@ def robot_of_urdf(root, file, text):
             if link.name in robot.links:
                 raise reader.error(
                     element,
-                    f'link "{link.name}" is defined twice, first on line '
-                    f"{robot.links[link.name].line}: keep one",
+                    f'link "{link.name}" is defined twice, first on line {robot.links[link.name].line}: keep one',
                 )
             robot.links[link.name] = link
         elif element.tag == "joint":
@@ -75,9 +71,7 @@ def robot_of_urdf(root, file, text):
         joint = _joint(reader, robot, element)
         if joint.name in lines:
             raise reader.error(
-                element,
-                f'joint "{joint.name}" is defined twice, first on line {lines[joint.name]}: '
-                "keep one",
+                element, f'joint "{joint.name}" is defined twice, first on line {lines[joint.name]}: keep one'
             )
         lines[joint.name] = joint.line
         robot.joints.append(joint)
@@ -114,9 +108,7 @@ def _link(reader, robot, element):
                 raise reader.error(inertial, f'<inertial> of link "{link.name}" has no <{what}>')
         link.mass = reader.attribute(mass, "value")
         if link.mass < 0.0:
-            raise reader.error(
-                mass, f'mass of link "{link.name}" must not be negative, got {link.mass:g}'
-            )
+            raise reader.error(mass, f'mass of link "{link.name}" must not be negative, got {link.mass:g}')
         xx, yy, zz = (reader.attribute(inertia, key) for key in ("ixx", "iyy", "izz"))
         xy, xz, yz = (reader.attribute(inertia, key, 0.0) for key in ("ixy", "ixz", "iyz"))
         origin = _origin(reader, inertial)
@@ -172,9 +164,7 @@ def _joint(reader, robot, element):
     name = reader.name(element)
     kind = element.get("type", "")
     if kind not in JOINTS:
-        raise reader.error(
-            element, f'joint "{name}" has the type {kind!r:.40}; choose one of: {", ".join(JOINTS)}'
-        )
+        raise reader.error(element, f'joint "{name}" has the type {kind!r:.40}; choose one of: {", ".join(JOINTS)}')
     ends = []
     for end in ("parent", "child"):
         part = element.find(end)
@@ -189,19 +179,11 @@ def _joint(reader, robot, element):
     turn = np.eye(4)
     if kind not in ("fixed", "floating"):
         axis = element.find("axis")
-        vector = (
-            np.array([1.0, 0.0, 0.0])
-            if axis is None
-            else reader.vector(axis, "xyz", (1.0, 0.0, 0.0))
-        )
+        vector = np.array([1.0, 0.0, 0.0]) if axis is None else reader.vector(axis, "xyz", (1.0, 0.0, 0.0))
         turn = place(
-            rotation=rotation_z_to(
-                reader.direction(element if axis is None else axis, vector, f'axis of "{name}"')
-            )
+            rotation=rotation_z_to(reader.direction(element if axis is None else axis, vector, f'axis of "{name}"'))
         )
-    joint = RobotJoint(
-        name, JOINTS[kind], *ends, _origin(reader, element) @ turn, turn, element.sourceline
-    )
+    joint = RobotJoint(name, JOINTS[kind], *ends, _origin(reader, element) @ turn, turn, element.sourceline)
     _law(reader, robot, element, joint, kind)
     return joint
 
@@ -216,9 +198,7 @@ def _law(reader, robot, element, joint, kind):
         friction = reader.attribute(dynamics, "friction", 0.0)
         for value, what in ((joint.damping, "damping"), (friction, "friction")):
             if value < 0.0:
-                raise reader.error(
-                    dynamics, f'{what} of joint "{joint.name}" must not be negative, got {value:g}'
-                )
+                raise reader.error(dynamics, f'{what} of joint "{joint.name}" must not be negative, got {value:g}')
         if friction:
             joint.data["friction"] = friction
     if limit is not None:
@@ -267,9 +247,7 @@ def _place_links(robot):
                 "loops: close them by a joint in a scene file",
             )
         if joint.child == WORLD:
-            raise robot.error(
-                joint.line, f'joint "{joint.name}" has the link "world" as child: exchange the ends'
-            )
+            raise robot.error(joint.line, f'joint "{joint.name}" has the link "world" as child: exchange the ends')
         holder[joint.child] = joint
         below.setdefault(joint.parent, []).append(joint)
     robot.roots = [name for name in robot.links if name not in holder]
@@ -289,9 +267,7 @@ def _place_links(robot):
         placed += 1
         for joint in below.get(name, ()):
             # T of the child: the frames coincide at coordinate 0.
-            robot.links[joint.child].pose = (
-                robot.links[name].pose @ joint.parent_frame @ _transposed(joint.child_frame)
-            )
+            robot.links[joint.child].pose = robot.links[name].pose @ joint.parent_frame @ _transposed(joint.child_frame)
             pending.append(joint.child)
     if placed < len(robot.links):
         name = next(j for j in robot.joints if not _reaches(j.child, holder, robot.roots[0])).name

@@ -34,8 +34,7 @@ class Reader:
         if len(value) > LONGEST_NAME:
             raise self.error(
                 element,
-                f"{key} of <{element.tag}> has {len(value)} characters, {value[:20]!r}...: give at "
-                f"most {LONGEST_NAME}",
+                f"{key} of <{element.tag}> has {len(value)} characters, {value[:20]!r}...: give at most {LONGEST_NAME}",
             )
         return value
 
@@ -104,16 +103,9 @@ def read_xml(path, text=None):
     if len(content) > LARGEST_FILE:
         raise refusal(path, 0, f"is larger than {LARGEST_FILE >> 20} MiB: give a robot's file")
     if content.count(b"<") - content.count(b"</") + content.count(b"=") > MOST_PARTS:
-        raise refusal(
-            path, 0, f"has more than {MOST_PARTS} elements and attributes: give a robot's file"
-        )
+        raise refusal(path, 0, f"has more than {MOST_PARTS} elements and attributes: give a robot's file")
     parser = etree.XMLParser(
-        resolve_entities=False,
-        no_network=True,
-        load_dtd=False,
-        huge_tree=False,
-        remove_comments=True,
-        remove_pis=True,
+        resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False, remove_comments=True, remove_pis=True
     )
     try:
         root = etree.fromstring(content, parser, base_url=None)
@@ -139,9 +131,7 @@ def root_tag(path):
         head = file.read(4096)
     if not head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
         return ""
-    parser = etree.XMLPullParser(
-        events=("start",), resolve_entities=False, no_network=True, load_dtd=False
-    )
+    parser = etree.XMLPullParser(events=("start",), resolve_entities=False, no_network=True, load_dtd=False)
     try:
         parser.feed(head)
         for _, element in parser.read_events():

@@ -136,10 +136,7 @@ def _with_bodies_placed(scene):
         else:
             poses[joint.parent] = poses[joint.child] @ SE3.inverse(between)
     return scene.remade(
-        bodies=[
-            body if body.has_pose else body.remade(**_keys(poses[body.name]))
-            for body in scene.bodies
-        ]
+        bodies=[body if body.has_pose else body.remade(**_keys(poses[body.name])) for body in scene.bodies]
     )
 
 
@@ -160,12 +157,9 @@ def _with_joints_written_out(scene):
     written = {"joints": joints}
     if scene.couplings:
         written["couplings"] = [
-            entry.remade(offset=found.offset)
-            for entry, found in zip(scene.couplings, resolve_couplings(scene))
+            entry.remade(offset=found.offset) for entry, found in zip(scene.couplings, resolve_couplings(scene))
         ]
-    return scene.remade(
-        ("assemble",), **written, bodies=[body.remade(("initial",)) for body in scene.bodies]
-    )
+    return scene.remade(("assemble",), **written, bodies=[body.remade(("initial",)) for body in scene.bodies])
 
 
 def _rows_of(scene, kept):
@@ -198,8 +192,7 @@ def consistent_velocities(scene, given, linkage, poses, rates, fixed, kept=()):
     closing = linkage.velocity_rows(poses)
     J = np.vstack([closing, linkage.relative_rows(poses, rate_rows), keeping])
     holders = [
-        next(j for j, joint in enumerate(linkage.joints) if name in (joint.parent, joint.child))
-        for name, _ in kept
+        next(j for j, joint in enumerate(linkage.joints) if name in (joint.parent, joint.child)) for name, _ in kept
     ]
     owner = [
         *np.repeat(range(len(linkage.joints)), linkage.counts),
@@ -207,9 +200,7 @@ def consistent_velocities(scene, given, linkage, poses, rates, fixed, kept=()):
         *rates,
         *holders,
     ]
-    wanted = np.concatenate(
-        [np.zeros(len(closing)), list(rates.values()), [part @ given[name] for name, part in kept]]
-    )
+    wanted = np.concatenate([np.zeros(len(closing)), list(rates.values()), [part @ given[name] for name, part in kept]])
     V = np.concatenate([given[name] for name in linkage.bodies])
 
     # The rank is that of the joints alone, in velocities (omega length, v): slender and light bodies
@@ -290,13 +281,8 @@ def cannot_close(linkage, poses):
 
     Of the joints that the start violates: those of a tree that it satisfies are not to blame.
     """
-    gaps, before = (
-        [linkage.gap(j, each) for j in range(len(linkage.joints))]
-        for each in (poses, linkage.start)
-    )
-    sizes, open_before = (
-        [max(gap / linkage.length, tilt) for gap, tilt in each] for each in (gaps, before)
-    )
+    gaps, before = ([linkage.gap(j, each) for j in range(len(linkage.joints))] for each in (poses, linkage.start))
+    sizes, open_before = ([max(gap / linkage.length, tilt) for gap, tilt in each] for each in (gaps, before))
     if max(open_before, default=0.0) > OPEN:
         sizes = [size if was > OPEN else 0.0 for size, was in zip(sizes, open_before)]
     for i, entry in enumerate(linkage.couplings):
@@ -333,9 +319,7 @@ def _with_moved_coordinates(scene, linkage, poses, entries):
         f"{given[j] + off[j]:.12g}"
         for j in off
     )
-    note = (
-        f"changes the motion: start values contradict each other, moved to close the loops: {moved}"
-    )
+    note = f"changes the motion: start values contradict each other, moved to close the loops: {moved}"
     return scene.remade(notes=[*scene.notes, note])
 
 

@@ -83,10 +83,7 @@ def _relative(scene, frames, j, poses, twists):
     """C_rel (4, 4) and V_rel (6,) of joint j, axes of the child's joint frame."""
     joint, (F_a, F_b) = scene.joints[j], frames[j]
     C_rel = relative_pose(scene, frames, j, poses)
-    V_a, V_b = (
-        SE3.Ad(inverse(frame)) @ twists[body]
-        for frame, body in ((F_a, joint.parent), (F_b, joint.child))
-    )
+    V_a, V_b = (SE3.Ad(inverse(frame)) @ twists[body] for frame, body in ((F_a, joint.parent), (F_b, joint.child)))
     return C_rel, V_b - SE3.Ad(inverse(C_rel)) @ V_a
 
 

@@ -63,9 +63,7 @@ def _shifted(link, com):
             continue
         offset = com[getattr(link, end)]
         moved[key] = (
-            place.remade(position=place.position - offset)
-            if key.endswith("frame")
-            else np.array(place) - offset
+            place.remade(position=place.position - offset) if key.endswith("frame") else np.array(place) - offset
         )
     return link.remade(**moved)
 

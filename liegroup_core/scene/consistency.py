@@ -67,8 +67,7 @@ def resolve_elements(scene):
     """
     start = _start(scene)
     return [
-        joint.elements(_relative(start, joint, *frames))
-        for joint, frames in zip(scene.joints, resolve_frames(scene))
+        joint.elements(_relative(start, joint, *frames)) for joint, frames in zip(scene.joints, resolve_frames(scene))
     ]
 
 
@@ -124,10 +123,7 @@ def resolve_drives(scene):
     if not driven:
         return {}
     start, frames, joints = _start(scene), resolve_frames(scene), scene.joints
-    return {
-        j: prescribed(joints[j].motion or True, *joint_state(start, joints[j], *frames[j]))
-        for j in driven
-    }
+    return {j: prescribed(joints[j].motion or True, *joint_state(start, joints[j], *frames[j])) for j in driven}
 
 
 def joint_state(start, joint, F_a, F_b):
@@ -246,8 +242,7 @@ def switch_coordinates(scene, start, frames):
         entry = couplings[switch.coupling]
         ends = [scene.joints[j] for j in (entry.joint, entry.other)]
         first, second = (
-            coordinate(joint, _relative(start, joint, *frames[j]))
-            for joint, j in zip(ends, (entry.joint, entry.other))
+            coordinate(joint, _relative(start, joint, *frames[j])) for joint, j in zip(ends, (entry.joint, entry.other))
         )
         found.append((switch, gap(first, second, entry.ratio, entry.offset, turns(ends[0]))))
     return found
@@ -264,11 +259,7 @@ def _check_stops(scene, start):
         off = switch.limits.excess(q)
         if off > TOLERANCE * (1.0 + abs(q)):
             unit = unit_of(switch, scene)
-            key, i = (
-                ("joints", switch.joint)
-                if switch.coupling is None
-                else ("couplings", switch.coupling)
-            )
+            key, i = ("joints", switch.joint) if switch.coupling is None else ("couplings", switch.coupling)
             raise SceneError(
                 f'{key}[{i}] "{switch.name}": it starts at {q:.6g} {unit}, {off:.3g} {unit} beyond a '
                 f"stop; correct the initial poses or {STOPPED_BY.get(switch.kind, 'its limits')}",
@@ -287,11 +278,7 @@ def _open(joint, elements, rows, C_rel, poses):
     gap, tilt = _parts(rows, position_residual(elements, C_rel))
     size = max(np.abs(pose[:3, 3]).max() for pose in poses)
     if max(gap, tilt) <= TOLERANCE * (1.0 + size):
-        if (
-            joint.constrains
-            and not joint.locates_child
-            and np.linalg.norm(C_rel[:3, 3]) <= TOLERANCE * (1.0 + size)
-        ):
+        if joint.constrains and not joint.locates_child and np.linalg.norm(C_rel[:3, 3]) <= TOLERANCE * (1.0 + size):
             return (
                 "the two points coincide, so the distance has no direction; use a spherical "
                 "joint, or move one of the frames"

@@ -65,9 +65,7 @@ class Body(Placed):
     """Rigid body and its initial state. A shape also sets mass, inertia and com."""
 
     name: Name = Field(description="name: a letter, then letters, digits or _; unique, not world")
-    mass: Positive | None = Field(
-        None, description="mass in kg, greater than 0; required without a shape"
-    )
+    mass: Positive | None = Field(None, description="mass in kg, greater than 0; required without a shape")
     unphysical: Flag = Field(
         False,
         description="true: the inertia may be that of no rigid body, its largest principal moment "
@@ -80,30 +78,20 @@ class Body(Placed):
         "matrix; principal moments may be 0; required without a shape",
     )
     com: Vector3 = Field((0.0, 0.0, 0.0), description="centre of mass in m, in the body frame")
-    shape: one_of(SHAPES) | None = Field(
-        None, description="solid that defines mass, inertia and com; replaces them"
-    )
-    position: Vector3 = Field(
-        (0.0, 0.0, 0.0), description="initial position of the body frame origin in m, world axes"
-    )
+    shape: one_of(SHAPES) | None = Field(None, description="solid that defines mass, inertia and com; replaces them")
+    position: Vector3 = Field((0.0, 0.0, 0.0), description="initial position of the body frame origin in m, world axes")
     quaternion: Quaternion | None = Field(
-        None,
-        description="initial rotation from body to world axes as unit quaternion x, y, z, w; "
-        "default: no rotation",
+        None, description="initial rotation from body to world axes as unit quaternion x, y, z, w; default: no rotation"
     )
     rotation_vector: RotationVector | None = Field(
         None, description="the same rotation as rotation vector in rad; replaces quaternion"
     )
-    angular_velocity: Vector3 = Field(
-        (0.0, 0.0, 0.0), description="initial angular velocity in rad/s, body axes"
-    )
+    angular_velocity: Vector3 = Field((0.0, 0.0, 0.0), description="initial angular velocity in rad/s, body axes")
     linear_velocity: Vector3 = Field(
         (0.0, 0.0, 0.0), description="initial velocity of the body frame origin in m/s, body axes"
     )
     initial: Literal["guess", "fixed"] = Field(
-        "guess",
-        description="use of the given pose and velocities in assembly: guess (starting values) or "
-        "fixed (kept)",
+        "guess", description="use of the given pose and velocities in assembly: guess (starting values) or fixed (kept)"
     )
 
     @field_validator("inertia")
@@ -114,22 +102,17 @@ class Body(Placed):
     @model_validator(mode="after")
     def _check(self):
         if self.name == WORLD:
-            raise SceneError(
-                f'name "{WORLD}" is reserved for the fixed frame: choose another', place=("name",)
-            )
+            raise SceneError(f'name "{WORLD}" is reserved for the fixed frame: choose another', place=("name",))
         if self.shape is None:
             for key in ("mass", "inertia"):
                 if getattr(self, key) is None:
                     raise SceneError(
-                        f"{key} is missing: give the {type(self).model_fields[key].description}",
-                        place=(key,),
+                        f"{key} is missing: give the {type(self).model_fields[key].description}", place=(key,)
                     )
             return self
         for key in ("mass", "inertia", "com"):
             if key in self.model_fields_set:
-                raise SceneError(
-                    f"{key} and shape both define the {key}: keep one of them", place=(key,)
-                )
+                raise SceneError(f"{key} and shape both define the {key}: keep one of them", place=(key,))
         try:
             self.__dict__.update(self.shape.body)
         except SceneError as error:
@@ -164,9 +147,7 @@ def entries_of(classes):
 
 def list_of(item):
     """Type of a list; a key without a value is an empty one."""
-    return Annotated[
-        tuple[item, ...], BeforeValidator(lambda value: [] if value is None else listed(value))
-    ]
+    return Annotated[tuple[item, ...], BeforeValidator(lambda value: [] if value is None else listed(value))]
 
 
 class Scene(Described):
@@ -181,16 +162,11 @@ class Scene(Described):
         "joints; false: use them as given",
     )
     notes: Annotated[tuple[Text, ...], BeforeValidator(listed)] = Field(
-        (),
-        description="remarks that `liegroup_sim describe` prints, such as what an import left out",
+        (), description="remarks that `liegroup_sim describe` prints, such as what an import left out"
     )
-    bodies: Annotated[tuple[Body, ...], BeforeValidator(listed)] = Field(
-        description="list of bodies, at least one"
-    )
+    bodies: Annotated[tuple[Body, ...], BeforeValidator(listed)] = Field(description="list of bodies, at least one")
     joints: entries_of(JOINTS) = Field((), description="list of joints")
-    couplings: list_of(Coupling) = Field(
-        (), description="list of couplings of joints: gears, belts, racks"
-    )
+    couplings: list_of(Coupling) = Field((), description="list of couplings of joints: gears, belts, racks")
     forces: entries_of(FORCES) = Field((), description="list of forces")
     sensors: entries_of(SENSORS) = Field((), description="list of sensors")
 
@@ -219,11 +195,7 @@ class Scene(Described):
         """[(joint, force or coupling)]: names, for each angle that is unwrapped: forces/turn.py."""
         types = {joint.name: joint.type for joint in self.joints}
         springs = [(force.joint, force.name) for force in self.forces if force.counts_turns]
-        coupled = [
-            (coupling.other, coupling.name)
-            for coupling in self.couplings
-            if TYPES[types[coupling.other]].turns
-        ]
+        coupled = [(coupling.other, coupling.name) for coupling in self.couplings if TYPES[types[coupling.other]].turns]
         servos = [(force.joint, force.name) for force in self.forces if force.type == "servo"]
         return springs + coupled + servos
 
@@ -244,11 +216,7 @@ class Scene(Described):
             raise SceneError("bodies is empty: give at least one body", place=("bodies",))
         bodies = [body.name for body in self.bodies]
         refuse_twins([("bodies", i, name) for i, name in enumerate(bodies)])
-        links = [
-            (key, i, link)
-            for key in ("joints", "forces")
-            for i, link in enumerate(getattr(self, key))
-        ]
+        links = [(key, i, link) for key in ("joints", "forces") for i, link in enumerate(getattr(self, key))]
         refuse_two_servos(self.forces)
         couplings = [("couplings", i, entry.name) for i, entry in enumerate(self.couplings)]
         refuse_twins([*((key, i, link.name) for key, i, link in links), *couplings])
@@ -314,6 +282,4 @@ def _written_out(scene):
     for body, written in zip(scene.bodies, values["bodies"]):
         if written.get("shape"):
             written["shape"].setdefault("type", body.shape.type)
-    return yaml.dump(
-        values, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=float("inf")
-    )
+    return yaml.dump(values, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=float("inf"))

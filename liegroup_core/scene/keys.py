@@ -6,14 +6,7 @@ from typing import NamedTuple, get_args
 from liegroup_core.fields.frames import Frame
 from liegroup_core.joints.coupling import Coupling
 from liegroup_core.joints.motion import Motion
-from liegroup_core.joints.stops import (
-    Backlash,
-    Cone,
-    CylinderFriction,
-    CylinderLimits,
-    Friction,
-    Limits,
-)
+from liegroup_core.joints.stops import Backlash, Cone, CylinderFriction, CylinderLimits, Friction, Limits
 
 from .description import FORCES, JOINTS, SENSORS, Body, Scene
 from .robot_file import RobotFile

@@ -20,27 +20,17 @@ def chain(n, kind="spherical", length=0.1, mass=0.1):
     length, mass : m, kg of a rod; its radius is a twentieth of its length
     Body frames are at the near ends with x along the rods. The rods are rod0, rod1, ...
     """
-    shape = Rod(
-        axis=(1, 0, 0), length=length, radius=length / 20, mass=mass, position=(length / 2, 0, 0)
-    )
+    shape = Rod(axis=(1, 0, 0), length=length, radius=length / 20, mass=mass, position=(length / 2, 0, 0))
     near, far = Frame(axis=(0, 1, 0)), Frame(position=(length, 0, 0), axis=(0, 1, 0))
     names = [f"rod{i}" for i in range(n)]
     return Scene(
         name="chain",
         description=f"Chain of {n} rods, {kind} joints",
         gravity=(0, 0, -GRAVITY),
-        bodies=[
-            Body(name=name, shape=shape, position=(i * length, 0, 0))
-            for i, name in enumerate(names)
-        ],
+        bodies=[Body(name=name, shape=shape, position=(i * length, 0, 0)) for i, name in enumerate(names)],
         joints=[
             Joint(
-                name=f"pin{i}",
-                type=kind,
-                parent=parent,
-                child=child,
-                child_frame=near,
-                parent_frame=far if i else near,
+                name=f"pin{i}", type=kind, parent=parent, child=child, child_frame=near, parent_frame=far if i else near
             )
             for i, (parent, child) in enumerate(zip(["world", *names], names))
         ],
@@ -58,21 +48,11 @@ def four_bar_windows(n):
     upright = Rod(axis=(0, 1, 0), length=1, mass=1, position=(0, 0.5, 0))
     level = Rod(axis=(1, 0, 0), length=1, mass=1, position=(0.5, 0, 0))
     bodies = [
-        Body(name=f"crank{k}", shape=upright, position=(k, 0, 0), angular_velocity=(0, 0, -1))
-        for k in range(n + 1)
+        Body(name=f"crank{k}", shape=upright, position=(k, 0, 0), angular_velocity=(0, 0, -1)) for k in range(n + 1)
     ]
-    bodies += [
-        Body(name=f"coupler{k}", shape=level, position=(k, 1, 0), linear_velocity=(1, 0, 0))
-        for k in range(n)
-    ]
+    bodies += [Body(name=f"coupler{k}", shape=level, position=(k, 1, 0), linear_velocity=(1, 0, 0)) for k in range(n)]
     joints = [
-        Joint(
-            name=f"ground{k}",
-            type="revolute",
-            parent="world",
-            child=f"crank{k}",
-            child_frame=Frame(),
-        )
+        Joint(name=f"ground{k}", type="revolute", parent="world", child=f"crank{k}", child_frame=Frame())
         for k in range(n + 1)
     ]
     for k in range(n):

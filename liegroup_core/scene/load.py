@@ -55,10 +55,7 @@ def scene_of(name_or_path, options=None):
                 "joints and forces in the scene itself"
             )
         if os.path.getsize(path) > LARGEST_FILE:
-            raise SceneError(
-                f"{path}: is larger than {LARGEST_FILE >> 20} MiB: "
-                "give the path of a scene file (.yaml)"
-            )
+            raise SceneError(f"{path}: is larger than {LARGEST_FILE >> 20} MiB: give the path of a scene file (.yaml)")
         content = path.read_bytes()
     except OSError as error:
         raise SceneError(f"{path}: cannot be read: {error.strerror}") from None
@@ -66,9 +63,7 @@ def scene_of(name_or_path, options=None):
         text = content.decode("utf-8")
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
-        raise SceneError(
-            f"{path}:{line}: is not UTF-8 text: give a scene file (.yaml), saved as UTF-8"
-        ) from None
+        raise SceneError(f"{path}:{line}: is not UTF-8 text: give a scene file (.yaml), saved as UTF-8") from None
     return _read(text, str(path), True, may_name_files=True)
 
 
@@ -139,19 +134,13 @@ def find_scene(name_or_path: str | os.PathLike[str]) -> Path:
 
 def example_scenes() -> dict[str, Path]:
     """{name: path} of the example scenes."""
-    return {
-        path.stem: path for folder in reversed(_folders()) for path in sorted(folder.glob("*.yaml"))
-    }
+    return {path.stem: path for folder in reversed(_folders()) for path in sorted(folder.glob("*.yaml"))}
 
 
 def _folders():
     """Folders with example scenes, the nearest to this file first."""
     here = Path(__file__).resolve()
-    prefixes = [
-        *here.parents,
-        *os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep),
-        sys.prefix,
-    ]
+    prefixes = [*here.parents, *os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
     folders = [here.parents[2] / "config" / "scenes"]
     folders += [Path(prefix) / SHARE for prefix in prefixes if prefix]
     return [folder for folder in folders if folder.is_dir()]

@@ -27,16 +27,11 @@ def refuse_ends(link, bodies, key, i):
     where = f'{key}[{i}] "{link.name}": '
     if link.child == WORLD:
         hint = "name a body" if link.parent == WORLD else "swap parent and child"
-        raise SceneError(
-            f"{where}child must be a body, not {WORLD}: {hint}", place=(key, i, "child")
-        )
+        raise SceneError(f"{where}child must be a body, not {WORLD}: {hint}", place=(key, i, "child"))
     refuse_unknown("parent", link, [WORLD, *bodies], key, i)
     refuse_unknown("child", link, bodies, key, i)
     if link.parent == link.child:
-        raise SceneError(
-            f'{where}parent and child are both "{link.child}": they must differ',
-            place=(key, i, "child"),
-        )
+        raise SceneError(f'{where}parent and child are both "{link.child}": they must differ', place=(key, i, "child"))
 
 
 def refuse_unknown(end, link, known, key, i):
@@ -44,8 +39,7 @@ def refuse_unknown(end, link, known, key, i):
     name = getattr(link, end)
     if name not in known:
         raise SceneError(
-            f'{key}[{i}] "{link.name}": {end} {name!r:.40} is not a body; '
-            f"{suggestion(name, known)}",
+            f'{key}[{i}] "{link.name}": {end} {name!r:.40} is not a body; {suggestion(name, known)}',
             place=(key, i, end),
         )
 
@@ -72,9 +66,7 @@ def refuse_sensor(sensor, bodies, kinds, taken, i):
     """
     where = f'sensors[{i}] "{sensor.name}": '
     if sensor.name in taken:
-        raise SceneError(
-            f"{where}this name is already used: choose another", place=("sensors", i, "name")
-        )
+        raise SceneError(f"{where}this name is already used: choose another", place=("sensors", i, "name"))
     if hasattr(sensor, "body"):
         refuse_unknown("body", sensor, bodies, "sensors", i)
     elif hasattr(sensor, "child"):
@@ -83,9 +75,7 @@ def refuse_sensor(sensor, bodies, kinds, taken, i):
         place = ("sensors", i, "joint")
         if sensor.joint not in kinds:
             hint = suggestion(sensor.joint, list(kinds)) if kinds else "the scene has no joints"
-            raise SceneError(
-                f"{where}joint {sensor.joint!r:.40} is not a joint; {hint}", place=place
-            )
+            raise SceneError(f"{where}joint {sensor.joint!r:.40} is not a joint; {hint}", place=place)
         if sensor.needs_coordinate and TYPES[kinds[sensor.joint]].coordinate is None:
             raise SceneError(
                 f'{where}joint "{sensor.joint}" is {kinds[sensor.joint]}, which has no single angle '
@@ -112,10 +102,7 @@ def refuse_two_servos(forces):
 def refuse_motion(joint, forces, i):
     """Refuse a prescribed motion of a joint that has not one coordinate, is not driven, or has a servo."""
     if joint.motion is not None and not joint.driven:
-        raise SceneError(
-            f'joints[{i}] "{joint.name}": motion requires driven: true',
-            place=("joints", i, "motion"),
-        )
+        raise SceneError(f'joints[{i}] "{joint.name}": motion requires driven: true', place=("joints", i, "motion"))
     if not joint.driven:
         return
     place = ("joints", i, "driven")
@@ -128,8 +115,7 @@ def refuse_motion(joint, forces, i):
     for force in forces:
         if force.type in ("servo", "linear_servo") and force.joint == joint.name:
             raise SceneError(
-                f'joints[{i}] "{joint.name}": a driven joint cannot have the servo "{force.name}": '
-                "keep one of them",
+                f'joints[{i}] "{joint.name}": a driven joint cannot have the servo "{force.name}": keep one of them',
                 place=place,
             )
 
@@ -147,9 +133,7 @@ def refuse_switches(joint, i):
         elif joint.driven:
             reason = "a driven joint moves as prescribed; remove driven, or this"
         if reason:
-            raise SceneError(
-                f'joints[{i}] "{joint.name}": {key}: {reason}', place=("joints", i, key)
-            )
+            raise SceneError(f'joints[{i}] "{joint.name}": {key}: {reason}', place=("joints", i, key))
 
 
 def _kinds_that_have(key, kind):
@@ -191,6 +175,5 @@ def refuse_coupling(coupling, kinds, i):
             )
     if coupling.joint == coupling.other:
         raise SceneError(
-            f'{where}joint and other are both "{coupling.joint}": they must differ',
-            place=("couplings", i, "other"),
+            f'{where}joint and other are both "{coupling.joint}": they must differ', place=("couplings", i, "other")
         )

@@ -66,13 +66,9 @@ def _in_steps(scene, pose, twist, joints, angles, driven):
     poses = {body.name: pose_matrix(row) for body, row in zip(scene.bodies, pose)}
     near = {numbers[name]: angle for name, angle in angles.items()}
     moved = {numbers[name]: q for name, (q, _) in joints.items() if q is not None}
-    begin = coordinates_at(
-        scene, resolve_frames(scene), poses | {WORLD: np.eye(4)}, moved.keys(), near
-    )
+    begin = coordinates_at(scene, resolve_frames(scene), poses | {WORLD: np.eye(4)}, moved.keys(), near)
     ways = {
-        j: within_a_turn(q - begin[j], 0.0)
-        if turns(scene.joints[j]) and j not in near
-        else q - begin[j]
+        j: within_a_turn(q - begin[j], 0.0) if turns(scene.joints[j]) and j not in near else q - begin[j]
         for j, q in moved.items()
     }
     done, step = 0.0, 0.5
@@ -102,28 +98,19 @@ def _at_once(scene, pose, twist, poses, twists, joints, angles, driven):
     ]
     set_parts = {body: pose_matrix(row) for body, row in poses.items()}, twists
     start, given = (old | part for old, part in zip(before, set_parts))
-    couplings, frames, parts = (
-        resolve(scene) for resolve in (rigid_couplings, resolve_frames, resolve_elements)
-    )
+    couplings, frames, parts = (resolve(scene) for resolve in (rigid_couplings, resolve_frames, resolve_elements))
     number = {joint.name: j for j, joint in enumerate(scene.joints)}
     near = {number[name]: angle for name, angle in angles.items()}
     # The turns of a coupled joint follow from those of the other one.
     others = coordinates_at(scene, frames, before[0], {entry.other for entry in couplings}, near)
     near = {e.joint: e.ratio * others[e.other] + e.offset for e in couplings} | near
-    wanted, rates = (
-        {number[name]: pair[k] for name, pair in joints.items() if pair[k] is not None}
-        for k in (0, 1)
-    )
+    wanted, rates = ({number[name]: pair[k] for name, pair in joints.items() if pair[k] is not None} for k in (0, 1))
     if joints:
         now = coordinates_at(scene, frames, before[0], wanted, near)
         changes = with_coupled(couplings, {j: wanted[j] - now[j] for j in wanted})
         near |= {j: near[j] + change for j, change in changes.items() if j in near}
-        start, given = carried(
-            scene, frames, before, set_parts, changes, with_coupled(couplings, rates)
-        )
-    ends = {
-        end for j in (*wanted, *rates) for end in (scene.joints[j].parent, scene.joints[j].child)
-    }
+        start, given = carried(scene, frames, before, set_parts, changes, with_coupled(couplings, rates))
+    ends = {end for j in (*wanted, *rates) for end in (scene.joints[j].parent, scene.joints[j].child)}
     everything = range(len(scene.joints))
     bodies = {*poses, *twists, *ends} - {WORLD}
     numbers = everything if couplings else _connected(scene.joints, bodies)
@@ -142,9 +129,7 @@ def _at_once(scene, pose, twist, poses, twists, joints, angles, driven):
     for body in {*free.bodies, *poses}:
         pose[place[body]] = np.concatenate([found[body][:3, :3].ravel(), found[body][:3, 3]])
     driven = {
-        at[number[name]]: rate
-        for name, rate in driven.items()
-        if number[name] in at and number[name] not in rates
+        at[number[name]]: rate for name, rate in driven.items() if number[name] in at and number[name] not in rates
     }
     rates = {at[j]: rate for j, rate in rates.items()}
     moving = _moving(scene, given, free, found, set(twists), rates, driven)
@@ -160,13 +145,9 @@ def _counted_from(scene, frames, poses, couplings, near):
     """
     counted = [entry for entry in couplings if turns(scene.joints[entry.other])]
     others = {entry.other for entry in counted}
-    principal, unwrapped = (
-        coordinates_at(scene, frames, poses, others, angles) for angles in ({}, near)
-    )
+    principal, unwrapped = (coordinates_at(scene, frames, poses, others, angles) for angles in ({}, near))
     return [
-        entry._replace(
-            offset=entry.offset + entry.ratio * (unwrapped[entry.other] - principal[entry.other])
-        )
+        entry._replace(offset=entry.offset + entry.ratio * (unwrapped[entry.other] - principal[entry.other]))
         if entry in counted
         else entry
         for entry in couplings

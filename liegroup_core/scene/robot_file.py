@@ -66,23 +66,18 @@ def _arguments(value):
 Arguments = Annotated[
     dict[str, str],
     BeforeValidator(_arguments),
-    WithJsonSchema(
-        {"type": "object", "additionalProperties": {"type": ["string", "number", "boolean"]}}
-    ),
+    WithJsonSchema({"type": "object", "additionalProperties": {"type": ["string", "number", "boolean"]}}),
 ]
 
 
 class RobotFile(Described):
     """YAML file beside a robot's file: what is added to it."""
 
-    robot: Text = Field(
-        description="path of a URDF, xacro, SDF or MJCF file, relative to this file"
-    )
+    robot: Text = Field(description="path of a URDF, xacro, SDF or MJCF file, relative to this file")
     name: Name | None = Field(None, description="name of the scene; default: that of the robot")
     description: Text | None = Field(None, description="free text")
     gravity: Vector3 | None = Field(
-        None,
-        description="gravity in m/s^2, world axes; default: that of the file, or 9.81 along -z",
+        None, description="gravity in m/s^2, world axes; default: that of the file, or 9.81 along -z"
     )
     base: Literal[BASES] | None = Field(
         None,
@@ -92,49 +87,28 @@ class RobotFile(Described):
     pose: Text | None = Field(
         None, description="name of a pose at the start: a keyframe of MJCF, a group state of SRDF"
     )
-    srdf: Text | None = Field(
-        None, description="path of an SRDF file with group states, relative to this file"
-    )
+    srdf: Text | None = Field(None, description="path of an SRDF file with group states, relative to this file")
     xacro: Arguments = Field({}, description="arguments of a xacro file, by name")
     start: ByJoint = Field({}, description="joint coordinates at the start, rad or m")
     start_velocity: ByJoint = Field(
-        {},
-        description="joint velocities at the start, rad/s or m/s; default: 0, or those of the keyframe",
+        {}, description="joint velocities at the start, rad/s or m/s; default: 0, or those of the keyframe"
     )
-    lock: ByJoint = Field(
-        {}, description="joints that do not move, and their coordinates, rad or m"
-    )
+    lock: ByJoint = Field({}, description="joints that do not move, and their coordinates, rad or m")
     keep: list_of(Text) = Field(
         (),
         description="fixed joints that are not merged, so that their reactions are known; those with a "
         "force_torque sensor are kept by themselves",
     )
-    stops: list_of(Text) = Field(
-        (), description="joints whose limits are rigid stops, or all; see stops and friction"
-    )
-    friction: list_of(Text) = Field(
-        (), description="joints whose dry friction acts, or all; see stops and friction"
-    )
+    stops: list_of(Text) = Field((), description="joints whose limits are rigid stops, or all; see stops and friction")
+    friction: list_of(Text) = Field((), description="joints whose dry friction acts, or all; see stops and friction")
     driven: Annotated[dict[str, Motion | None], BeforeValidator(_motions)] = Field(
-        {},
-        description="joints that move as prescribed: a motion of each, or nothing for its velocity at the "
-        "start",
+        {}, description="joints that move as prescribed: a motion of each, or nothing for its velocity at the start"
     )
-    only: list_of(Text) = Field(
-        (), description="links to keep, with the chains that lead to them; default: all"
-    )
-    joints: entries_of(JOINTS) = Field(
-        (), description="further joints, with names of links; they close loops"
-    )
-    couplings: list_of(Coupling) = Field(
-        (), description="couplings, with names of joints of the robot"
-    )
-    forces: entries_of(FORCES) = Field(
-        (), description="forces, with names of links and joints of the robot"
-    )
-    sensors: entries_of(SENSORS) = Field(
-        (), description="sensors, with names of links and joints of the robot"
-    )
+    only: list_of(Text) = Field((), description="links to keep, with the chains that lead to them; default: all")
+    joints: entries_of(JOINTS) = Field((), description="further joints, with names of links; they close loops")
+    couplings: list_of(Coupling) = Field((), description="couplings, with names of joints of the robot")
+    forces: entries_of(FORCES) = Field((), description="forces, with names of links and joints of the robot")
+    sensors: entries_of(SENSORS) = Field((), description="sensors, with names of links and joints of the robot")
 
 
 class RobotNames:

@@ -29,12 +29,7 @@ def scene_schema():
             if needed:
                 part["anyOf"] = [{"required": [key]} for key in needed]
     parts["Body"]["anyOf"] = [{"required": ["shape"]}, {"required": ["mass", "inertia"]}]
-    for key in (
-        "joints",
-        "couplings",
-        "forces",
-        "sensors",
-    ):  # a key without a value is an empty list
+    for key in ("joints", "couplings", "forces", "sensors"):  # a key without a value is an empty list
         schema["properties"][key]["type"] = ["array", "null"]
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "Scene"} | schema
 
@@ -48,8 +43,7 @@ def _tidied(part):
     return {
         key: _tidied(value)
         for key, value in part.items()
-        if not (key == "title" and isinstance(value, str))
-        and not (key == "default" and value is None)
+        if not (key == "title" and isinstance(value, str)) and not (key == "default" and value is None)
     }
 
 

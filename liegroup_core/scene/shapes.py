@@ -34,13 +34,10 @@ THIN = 1e-3
 class _Solid(Placed):
     """Common part of all solids: pose in the body frame, and mass or density."""
 
-    position: Vector3 = Field(
-        (0.0, 0.0, 0.0), description="centre of the solid in m, in the body frame"
-    )
+    position: Vector3 = Field((0.0, 0.0, 0.0), description="centre of the solid in m, in the body frame")
     quaternion: Quaternion | None = Field(
         None,
-        description="rotation from axes of the solid to body axes as unit quaternion x, y, z, w; "
-        "default: no rotation",
+        description="rotation from axes of the solid to body axes as unit quaternion x, y, z, w; default: no rotation",
     )
     rotation_vector: RotationVector | None = Field(
         None, description="that rotation as rotation vector in rad; replaces quaternion"
@@ -50,12 +47,8 @@ class _Solid(Placed):
         description="direction of the solid's z axis in the body, of any length; replaces "
         "quaternion by the smallest rotation from z to this direction",
     )
-    mass: Positive | None = Field(
-        None, description="mass in kg, greater than 0; give either mass or density"
-    )
-    density: Positive | None = Field(
-        None, description="density in kg/m^3, greater than 0; replaces mass"
-    )
+    mass: Positive | None = Field(None, description="mass in kg, greater than 0; give either mass or density")
+    density: Positive | None = Field(None, description="density in kg/m^3, greater than 0; replaces mass")
 
     @model_validator(mode="after")
     def _check(self):
@@ -80,9 +73,7 @@ class _Solid(Placed):
             inertia = mass * (R @ np.diag(self.moments) @ R.T)
         moments = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist()
         if not 0.0 < mass <= LARGEST_NUMBER or not np.abs(moments).max() <= LARGEST_NUMBER:
-            raise SceneError(
-                f"its mass of {mass:.3g} kg or its inertia is out of range: check sizes and density"
-            )
+            raise SceneError(f"its mass of {mass:.3g} kg or its inertia is out of range: check sizes and density")
         try:
             real_inertia(moments)
         except ValueError as error:
@@ -144,10 +135,7 @@ class Rod(_Round):
     def _thin(self):
         if self.radius is None:
             if self.density is not None:
-                raise SceneError(
-                    "radius is missing: give a radius, or mass instead of density",
-                    place=("density",),
-                )
+                raise SceneError("radius is missing: give a radius, or mass instead of density", place=("density",))
             self.__dict__["radius"] = THIN * self.length
         return self
 

@@ -8,15 +8,9 @@ from liegroup_core.joints.stops import BACKLASH, DISTANCE, SLIDE
 
 def switches_of(scene):
     """[Switch] of the joints of a scene, then of its couplings."""
-    found = [
-        switch._replace(joint=j)
-        for j, joint in enumerate(scene.joints)
-        for switch in joint.switches
-    ]
+    found = [switch._replace(joint=j) for j, joint in enumerate(scene.joints) for switch in joint.switches]
     return found + [
-        switch._replace(coupling=c)
-        for c, coupling in enumerate(scene.couplings)
-        for switch in coupling.switches
+        switch._replace(coupling=c) for c, coupling in enumerate(scene.couplings) for switch in coupling.switches
     ]
 
 

@@ -31,9 +31,7 @@ _WORDS = {
     )
     for word in words.split(", ")
 }
-_WORDS |= {
-    sign + word: float(sign + "inf") for sign in ("", "+", "-") for word in (".inf", ".Inf", ".INF")
-}
+_WORDS |= {sign + word: float(sign + "inf") for sign in ("", "+", "-") for word in (".inf", ".Inf", ".INF")}
 
 
 class Entry:
@@ -65,8 +63,7 @@ class Entry:
             if part.value in self.parts:
                 raise _Refused(
                     part.line,
-                    f"key {shown(part.value)} is given twice, first on line "
-                    f"{self.parts[part.value].line}: keep one",
+                    f"key {shown(part.value)} is given twice, first on line {self.parts[part.value].line}: keep one",
                 )
             self.key = part
         else:
@@ -112,9 +109,7 @@ def read_yaml(text, source):
     odd = _NOT_YAML.search(text)
     if odd:
         line = len(text[: odd.end()].splitlines())
-        raise SceneError(
-            f"{source}:{line}: is not YAML: contains the character {odd.group()!a}; remove it"
-        )
+        raise SceneError(f"{source}:{line}: is not YAML: contains the character {odd.group()!a}; remove it")
     # the parser reports an end that comes too early on the line after the last one
     last_line = max(1, len(text.splitlines()))
     try:
@@ -128,9 +123,7 @@ def read_yaml(text, source):
             "(blanks, no tabs), colons and brackets up to here"
         ) from None
     if root is None or root.value is None:
-        raise SceneError(
-            f"{source}:1: is empty: a scene has the keys {', '.join(Scene.model_fields)}"
-        )
+        raise SceneError(f"{source}:1: is empty: a scene has the keys {', '.join(Scene.model_fields)}")
     return root
 
 
@@ -153,9 +146,7 @@ def _root(events, last_line, most):
             anchors[event.anchor] = stack[-1]
             if len(stack) > DEEPEST:
                 raise _Refused(
-                    line,
-                    f"is nested deeper than {DEEPEST} levels: "
-                    "a scene is a flat list of bodies, joints and forces",
+                    line, f"is nested deeper than {DEEPEST} levels: a scene is a flat list of bodies, joints and forces"
                 )
             continue
         if isinstance(event, yaml.CollectionEndEvent):
@@ -193,9 +184,7 @@ def _repeated(anchor, anchors, line):
     """Entry for an alias."""
     target = anchors.get(anchor)
     if target is None or not target.done:
-        raise _Refused(
-            line, f"the alias *{anchor:.40} has no anchor before it: write the value out"
-        )
+        raise _Refused(line, f"the alias *{anchor:.40} has no anchor before it: write the value out")
     entry = Entry(target.value, line)
     entry.parts, entry.size = target.parts, target.size
     return entry

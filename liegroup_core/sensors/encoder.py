@@ -18,9 +18,7 @@ class Encoder(Sensor):
     needs_coordinate = True
     type: Literal["encoder"] = Field("encoder", description="encoder")
     joint: Text = Field(description="name of a joint with one angle or displacement")
-    resolution: Positive | None = Field(
-        None, description="rad or m of one step; default: exact. A step begins at 0"
-    )
+    resolution: Positive | None = Field(None, description="rad or m of one step; default: exact. A step begins at 0")
 
     def measure(self, sample):
         """(1,) rad or m, rounded down to a whole step."""

@@ -28,8 +28,7 @@ class ForceTorque(NoisySensor):
         "joint frame of the child",
     )
     acts_on: Literal["child", "parent"] = Field(
-        "child",
-        description="child: the wrench on the child; parent: the opposite one, on the parent",
+        "child", description="child: the wrench on the child; parent: the opposite one, on the parent"
     )
     measures: Literal["reaction", "transmitted"] = Field(
         "reaction",

@@ -28,12 +28,8 @@ class Imu(NoisySensor):
     type: Literal["imu"] = Field("imu", description="imu")
     body: Text = Field(description="name of the body")
     frame: Frame | None = Field(None, description="its frame in the body; default: the body frame")
-    angular_velocity_noise: NotNegative = Field(
-        0.0, description="standard deviation of each angular velocity in rad/s"
-    )
-    acceleration_noise: NotNegative = Field(
-        0.0, description="standard deviation of each specific force in m/s^2"
-    )
+    angular_velocity_noise: NotNegative = Field(0.0, description="standard deviation of each angular velocity in rad/s")
+    acceleration_noise: NotNegative = Field(0.0, description="standard deviation of each specific force in m/s^2")
     angular_velocity_bias: Vector3 = Field((0.0, 0.0, 0.0), description="bias in rad/s")
     acceleration_bias: Vector3 = Field((0.0, 0.0, 0.0), description="bias in m/s^2")
 
@@ -51,9 +47,5 @@ class Imu(NoisySensor):
         force = moving + np.cross(turning, p) + np.cross(w, np.cross(w, p))
         force -= body.T @ np.array(sample.scene.gravity)
         return np.concatenate(
-            [
-                SO3.to_quaternion(body @ R),
-                R.T @ w + self.angular_velocity_bias,
-                R.T @ force + self.acceleration_bias,
-            ]
+            [SO3.to_quaternion(body @ R), R.T @ w + self.angular_velocity_bias, R.T @ force + self.acceleration_bias]
         )

@@ -25,9 +25,7 @@ class Pose(NoisySensor):
     type: Literal["pose"] = Field("pose", description="pose")
     body: Text = Field(description="name of the body")
     frame: Frame = Field(description="frame in the body")
-    position_noise: NotNegative = Field(
-        0.0, description="standard deviation of each coordinate of the position in m"
-    )
+    position_noise: NotNegative = Field(0.0, description="standard deviation of each coordinate of the position in m")
 
     @property
     def noise(self):
@@ -39,10 +37,5 @@ class Pose(NoisySensor):
         R, p = frame_pose(self.frame)
         pose, (w, v) = sample.poses[self.body], np.split(sample.twists[self.body], 2)
         return np.concatenate(
-            [
-                pose[:3, :3] @ p + pose[:3, 3],
-                SO3.to_quaternion(pose[:3, :3] @ R),
-                R.T @ (v + np.cross(w, p)),
-                R.T @ w,
-            ]
+            [pose[:3, :3] @ p + pose[:3, 3], SO3.to_quaternion(pose[:3, :3] @ R), R.T @ (v + np.cross(w, p)), R.T @ w]
         )

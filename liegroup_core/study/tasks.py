@@ -104,9 +104,7 @@ def _on(client, function, items, follow):
             f"{MOST_DEATHS} workers died in the same task: check the memory, or use fewer workers"
         ) from None
     except (CancelledError, CommClosedError):
-        raise TasksError(
-            "the connection to the dask scheduler is lost; finished results are saved"
-        ) from None
+        raise TasksError("the connection to the dask scheduler is lost; finished results are saved") from None
 
 
 class _Team:
@@ -170,10 +168,7 @@ class _Team:
         else:
             self._deaths[k] += 1
             if self._deaths[k] >= MOST_DEATHS:
-                raise TasksError(
-                    f"{MOST_DEATHS} workers died in the same task: check the memory, or use fewer "
-                    "workers"
-                )
+                raise TasksError(f"{MOST_DEATHS} workers died in the same task: check the memory, or use fewer workers")
         if k is not None:
             self._waiting.appendleft(work)
         pipe.close()
@@ -276,15 +271,11 @@ def _cluster(address):
     try:
         from dask.distributed import Client
     except ImportError:
-        raise TasksError(
-            "a scheduler needs the package distributed: pip install 'liegroup_sim_ros[many]'"
-        ) from None
+        raise TasksError("a scheduler needs the package distributed: pip install 'liegroup_sim_ros[many]'") from None
     try:
         client = Client(address, timeout=CONNECTING)
     except (OSError, TimeoutError, ValueError) as error:
-        raise TasksError(
-            f"no dask scheduler at {address}: {' '.join(str(error).split())[:200]}"
-        ) from None
+        raise TasksError(f"no dask scheduler at {address}: {' '.join(str(error).split())[:200]}") from None
     with client:
         # The one that is used: a scheduler may be named by a file or without its protocol.
         used = client.scheduler.address

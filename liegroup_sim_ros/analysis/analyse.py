@@ -17,13 +17,7 @@ from liegroup_core.reference.exact import exact_solution
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.playback.repeat import Repeat
-from liegroup_sim_ros.playback.rerun import (
-    ReplayError,
-    Starts,
-    Work,
-    initial_state,
-    make_simulation,
-)
+from liegroup_sim_ros.playback.rerun import ReplayError, Starts, Work, initial_state, make_simulation
 from liegroup_sim_ros.playback.resimulate import platform_changes
 from liegroup_sim_ros.recording.check import check_settings
 from liegroup_sim_ros.recording.motion import Motion
@@ -142,9 +136,7 @@ class _Parts:
                 self._exact = exact_solution(layout, *initial_state(recording)[:2])
             if self._exact is None:
                 self._guarded["reference"] = _Guarded(
-                    lambda: ReferenceError(
-                        layout, recording, expected, seconds, self._promise, self._estimate, steps
-                    )
+                    lambda: ReferenceError(layout, recording, expected, seconds, self._promise, self._estimate, steps)
                 )
 
     def angles(self, block):
@@ -178,9 +170,7 @@ class _Parts:
             )
         elif "reference" in self._guarded:
             found = self._guarded["reference"].figures()
-            figures["reference"], curves["reference"] = (
-                found if isinstance(found, tuple) else (found, None)
-            )
+            figures["reference"], curves["reference"] = found if isinstance(found, tuple) else (found, None)
         figures["promise"] = self._promise.figures()
         figures["estimate"] = self._estimate.figures()
         try:

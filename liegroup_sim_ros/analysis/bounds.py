@@ -24,17 +24,14 @@ def find_exceeded(found, max_error=None, max_drift=None):
                 if reference.get("stopped"):
                     exceeded.append(f"{log}: {reference['stopped']}")
             exceeded += [
-                f"{log}: recorded estimate of the error {entry['max']:.3g} {entry['unit']} exceeds "
-                f"{max_error:g}"
+                f"{log}: recorded estimate of the error {entry['max']:.3g} {entry['unit']} exceeds {max_error:g}"
                 for entry in _estimates(figures)
                 if not entry["max"] <= max_error
             ]
         if max_drift is not None:
             drifts = _relative_drifts(figures)
             if not drifts:
-                exceeded.append(
-                    f"{log}: it has no drift to check, neither energy nor momentum is conserved"
-                )
+                exceeded.append(f"{log}: it has no drift to check, neither energy nor momentum is conserved")
             exceeded += [
                 f"{log}: relative drift {drift:.3g} of {name} exceeds {max_drift:g}"
                 for name, drift in drifts
@@ -68,7 +65,5 @@ def _relative_drifts(figures):
     if "energy" not in figures:
         return [("the motion", math.nan)]  # without a finite sample
     drifts = [("the energy", figures["energy"]["relative_drift"])]
-    drifts += [
-        ("the " + entry["component"], entry["relative_drift"]) for entry in figures["momentum"]
-    ]
+    drifts += [("the " + entry["component"], entry["relative_drift"]) for entry in figures["momentum"]]
     return [(name, drift) for name, drift in drifts if drift is not None]

@@ -44,8 +44,7 @@ def differences(one, other):
     tracks = [_Track(recording, bodies) for recording in (one, other)]
     largest = {name: {"unit": unit, "max": 0.0, "at_s": None} for name, unit in QUANTITIES}
     expected = min(
-        recording.topics.get(recording.settings["topics"]["pose"][bodies[0]], 0)
-        for recording in (one, other)
+        recording.topics.get(recording.settings["topics"]["pose"][bodies[0]], 0) for recording in (one, other)
     )
     every = -(-expected // MOST_POINTS)
     curves = {"position": [], "angle": []}
@@ -56,9 +55,7 @@ def differences(one, other):
         samples += len(stamps)
         same = np.ones(len(stamps), dtype=bool)
         for a, b in zip(mine, theirs):
-            same &= (
-                np.ascontiguousarray(a).view(np.int64) == np.ascontiguousarray(b).view(np.int64)
-            ).all(axis=(1, 2))
+            same &= (np.ascontiguousarray(a).view(np.int64) == np.ascontiguousarray(b).view(np.int64)).all(axis=(1, 2))
         identical += int(same.sum())
         if not same.all() and first is None:
             first = float(stamps[np.argmin(same)] * 1e-9)
@@ -89,9 +86,7 @@ def differences(one, other):
             if one.settings.get(key) != other.settings.get(key)
         },
     }
-    return figures, tuple(
-        tuple(np.concatenate(part) for part in zip(*parts)) for parts in curves.values()
-    )
+    return figures, tuple(tuple(np.concatenate(part) for part in zip(*parts)) for parts in curves.values())
 
 
 def _same_track(one, other):

@@ -16,11 +16,7 @@ def document(found, comparison=None, max_error=None, max_drift=None, exceeded=()
                     "format": FORMAT,
                     "logs": found,
                     "comparison": comparison,
-                    "bounds": {
-                        "max_error": max_error,
-                        "max_drift": max_drift,
-                        "exceeded": list(exceeded),
-                    },
+                    "bounds": {"max_error": max_error, "max_drift": max_drift, "exceeded": list(exceeded)},
                 }
             ),
             indent=1,

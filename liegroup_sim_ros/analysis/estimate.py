@@ -32,8 +32,7 @@ class Estimate:
         """Add the true errors, as two Distances at the samples of estimates (k, n, 4)."""
         for j, (name, _) in enumerate(COLUMNS):
             found, true, known = (
-                part.max(axis=1)
-                for part in (estimates[..., j], getattr(error, name), getattr(uncertainty, name))
+                part.max(axis=1) for part in (estimates[..., j], getattr(error, name), getattr(uncertainty, name))
             )
             counted = (true > known) & ~np.isnan(found)
             found, true = found[counted], true[counted]

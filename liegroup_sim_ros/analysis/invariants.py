@@ -52,9 +52,7 @@ class Energy:
             "relative_drift": worst / self._kinetic if kept and self._kinetic > 0.0 else None,
             "intervals": drift.intervals,
             "seconds": drift.seconds,
-            "left_out": "; ".join(self._doing_work)
-            if self._doing_work
-            else _pushed_text(motion, self._bodies),
+            "left_out": "; ".join(self._doing_work) if self._doing_work else _pushed_text(motion, self._bodies),
         }, drift.curves[0]
 
 
@@ -76,9 +74,7 @@ class Momentum:
     def add(self, block):
         """Add a Block."""
         for conserved, drift, largest, scale in self._kept:
-            values = momentum_values(
-                self._scene, conserved, block.rotation, block.position, block.twist
-            )
+            values = momentum_values(self._scene, conserved, block.rotation, block.position, block.twist)
             np.maximum(largest, np.abs(values).max(axis=0), out=largest)
             np.maximum(scale, self._scale(conserved, block), out=scale)
             drift.add(block, values)
@@ -96,11 +92,7 @@ class Momentum:
                 momentum = body.mass * np.linalg.norm(twist[:, 3:], axis=1)
                 arm = np.linalg.norm(block.position[:, i] - about, axis=1)
                 linear = linear + momentum
-                angular = (
-                    angular
-                    + arm * momentum
-                    + np.linalg.norm(twist[:, :3] @ body.inertia_matrix, axis=1)
-                )
+                angular = angular + arm * momentum + np.linalg.norm(twist[:, :3] @ body.inertia_matrix, axis=1)
         return np.max(angular), np.max(linear)
 
     def figures(self, motion):
@@ -117,9 +109,7 @@ class Momentum:
                         "bodies": list(conserved.bodies),
                         "unit": unit,
                         "drift": float(drift.worst[k]) if evaluated else None,
-                        "relative_drift": float(drift.worst[k]) / size
-                        if evaluated and size > 0.0
-                        else None,
+                        "relative_drift": float(drift.worst[k]) / size if evaluated and size > 0.0 else None,
                         "trend_per_s": float(drift.trend[k]) if evaluated else None,
                         "trend_explains": float(drift.explained[k]) if evaluated else None,
                         "largest": float(largest[k]),
@@ -138,9 +128,7 @@ class Joints:
     def __init__(self, layout, expected):
         self._names = [joint.name for joint in layout.scene.joints]
         turning = {
-            owner
-            for owner, rows in zip(layout.owners, layout.row_names)
-            if any(row.startswith("w") for row in rows)
+            owner for owner, rows in zip(layout.owners, layout.row_names) if any(row.startswith("w") for row in rows)
         }
         self._units = ["m, rad" if j in turning else "m" for j in range(len(self._names))]
         self._every = -(-expected // MOST_POINTS)
@@ -176,9 +164,7 @@ class Joints:
             }
             for j, name in enumerate(self._names)
         }
-        curves = [
-            tuple(np.concatenate(part) for part in zip(*parts)) for parts in self._curves.values()
-        ]
+        curves = [tuple(np.concatenate(part) for part in zip(*parts)) for parts in self._curves.values()]
         return figures, self._samples, curves
 
 

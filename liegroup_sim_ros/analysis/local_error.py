@@ -30,10 +30,7 @@ def local_error(scene, recording, motion, layout):
     more = {}
     if settings.get("stabilisation") == "baumgarte" and settings.get("baumgarte_time") is None:
         more["baumgarte_time"] = BAUMGARTE_STEPS * settings["step"]
-    simulations = {
-        rung: make_simulation(scene, settings, step=rung * settings["step"], **more)
-        for rung in RUNGS
-    }
+    simulations = {rung: make_simulation(scene, settings, step=rung * settings["step"], **more) for rung in RUNGS}
     method, work = METHODS[settings["method"]], Work(MOST_STEPS)
     largest, orders, windows, failure = np.zeros(2), [], 0, None
     for stretch, row in _windows(motion):
@@ -87,9 +84,7 @@ def _advance(work, simulation, stretch, row, length):
     pose = np.concatenate([stretch.rotation[row].reshape(n, 9), stretch.position[row]], axis=1)
     angles = stretch.angles[row] if stretch.angles.shape[1] else None
     simulation.set_state(
-        *simulation.layout.offsets.to_centres(pose, stretch.twist[row]),
-        round(stretch.steps[row] / rung),
-        angles,
+        *simulation.layout.offsets.to_centres(pose, stretch.twist[row]), round(stretch.steps[row] / rung), angles
     )
     before = stretch.change_steps <= stretch.steps[row]
     for i, body in enumerate(stretch.bodies):
@@ -114,17 +109,10 @@ def _advance(work, simulation, stretch, row, length):
 
 def _apart(one, other):
     """Largest distance in position (m) and attitude (rad) between two states."""
-    turn = np.einsum(
-        "nji,njk->nik", one[0][:, :9].reshape(-1, 3, 3), other[0][:, :9].reshape(-1, 3, 3)
-    )
+    turn = np.einsum("nji,njk->nik", one[0][:, :9].reshape(-1, 3, 3), other[0][:, :9].reshape(-1, 3, 3))
     # For a small angle, the sine is free of cancellation; 1 - cosine is not.
     sine = 0.5 * np.stack(
-        [
-            turn[:, 2, 1] - turn[:, 1, 2],
-            turn[:, 0, 2] - turn[:, 2, 0],
-            turn[:, 1, 0] - turn[:, 0, 1],
-        ],
-        axis=1,
+        [turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], axis=1
     )
     cosine = 0.5 * (np.trace(turn, axis1=1, axis2=2) - 1.0)
     angle = np.arctan2(np.linalg.norm(sine, axis=1), cosine)

@@ -44,9 +44,7 @@ class Promise:
         if not inside.any():
             return
         error, known = error[inside], known[inside]
-        allowed = self._promise["accuracy"] * np.maximum(
-            1.0, times[inside] / self._promise["horizon"]
-        )
+        allowed = self._promise["accuracy"] * np.maximum(1.0, times[inside] / self._promise["horizon"])
         self._inside = max(self._inside, float(error.max()))
         self._known = max(self._known, float(known.max()))
         self._part = max(self._part, float((error / allowed).max()))
@@ -84,16 +82,8 @@ def promise_text(found):
     accuracy = f"the accuracy of {found['accuracy']:g} in {found['horizon']:g} s"
     if found["seconds"] is None:
         return f"{accuracy} cannot be checked: there is no reference from the start of the run"
-    error = (
-        f"below {found['uncertainty']:.3g}"
-        if found["error"] <= found["uncertainty"]
-        else f"{found['error']:.3g}"
-    )
-    verdicts = {
-        True: "is kept",
-        False: "is not kept",
-        None: "cannot be checked with this reference",
-    }
+    error = f"below {found['uncertainty']:.3g}" if found["error"] <= found["uncertainty"] else f"{found['error']:.3g}"
+    verdicts = {True: "is kept", False: "is not kept", None: "cannot be checked with this reference"}
     verdict, seconds = verdicts[found["kept"]], f"{found['seconds']:.4g} s"
     span = (
         f"in {seconds} after the start and {counted(found['restarts'], 'restart')}"

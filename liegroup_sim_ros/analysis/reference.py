@@ -8,14 +8,7 @@ state of each stretch.
 import numpy as np
 
 from liegroup_core.forces.external import AXES
-from liegroup_core.reference import (
-    MotionChange,
-    Reference,
-    ServoChange,
-    Trajectory,
-    WrenchChange,
-    distance,
-)
+from liegroup_core.reference import MotionChange, Reference, ServoChange, Trajectory, WrenchChange, distance
 from liegroup_core.reference.trajectory import MOST_STEPS
 from liegroup_sim_ros.numbers import counted, shown
 from liegroup_sim_ros.playback.rerun import Starts
@@ -23,13 +16,7 @@ from liegroup_sim_ros.playback.rerun import Starts
 from .drift import MOST_POINTS, extremes
 
 # (name in Distance, unit)
-QUANTITIES = (
-    ("position", "m"),
-    ("attitude", "1"),
-    ("angle", "rad"),
-    ("angular", "rad/s"),
-    ("linear", "m/s"),
-)
+QUANTITIES = (("position", "m"), ("attitude", "1"), ("angle", "rad"), ("angular", "rad/s"), ("linear", "m/s"))
 EXACT_SAMPLES = 200  # each takes about 10 ms
 
 
@@ -93,9 +80,7 @@ class Errors:
             }
             for name, unit in QUANTITIES
         }
-        curves = [
-            tuple(np.concatenate(part) for part in zip(*parts)) for parts in self._curves.values()
-        ]
+        curves = [tuple(np.concatenate(part) for part in zip(*parts)) for parts in self._curves.values()]
         return found | more, curves
 
 
@@ -109,16 +94,7 @@ class ReferenceError:
     promise, estimate : see Errors
     """
 
-    def __init__(
-        self,
-        layout,
-        recording,
-        expected,
-        seconds=np.inf,
-        promise=None,
-        estimate=None,
-        steps=MOST_STEPS,
-    ):
+    def __init__(self, layout, recording, expected, seconds=np.inf, promise=None, estimate=None, steps=MOST_STEPS):
         self._scene, self._starts = layout.scene, Starts(recording, layout)
         self._servos, self._driven = tuple(layout.servos), tuple(layout.motions)
         self._left, self._judged = seconds, 0.0
@@ -156,13 +132,7 @@ class ReferenceError:
             changes += self._targets(stretch) + self._motions(stretch)
             pose, twist, angles = self._starts.of(stretch)
             self._reference = Reference(
-                self._scene,
-                pose,
-                twist,
-                changes,
-                self._start,
-                angles=angles,
-                most_steps=self._steps_left,
+                self._scene, pose, twist, changes, self._start, angles=angles, most_steps=self._steps_left
             )
         exact, uncertainty = self._reference.up_to_limit(times[:k])
         if len(exact.times) < k:
@@ -177,9 +147,7 @@ class ReferenceError:
         reached = float(times[k - 1])
         self._left, self._judged = self._end - reached, self._judged + reached - self._start
         self._start = reached
-        error = distance(
-            Trajectory(times[:k], block.rotation[:k], block.position[:k], block.twist[:k]), exact
-        )
+        error = distance(Trajectory(times[:k], block.rotation[:k], block.position[:k], block.twist[:k]), exact)
         estimates = None if block.errors is None else block.errors[:k]
         self._errors.add(stretch, times[:k], block.log_times[:k], error, uncertainty, estimates)
 
@@ -216,10 +184,7 @@ def exact_error(exact, motion, promise=None, estimate=None):
         k = len(stretch.steps)
         rows = np.unique(np.linspace(0, k - 1, min(k, EXACT_SAMPLES)).astype(int))
         found = exact.at(stretch.times[rows])
-        error = distance(
-            Trajectory(None, stretch.rotation[rows], stretch.position[rows], stretch.twist[rows]),
-            found,
-        )
+        error = distance(Trajectory(None, stretch.rotation[rows], stretch.position[rows], stretch.twist[rows]), found)
         errors.add(
             stretch,
             stretch.times[rows],

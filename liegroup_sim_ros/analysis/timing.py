@@ -13,30 +13,17 @@ def timing_figures(recording, motion):
     pacing = recording.pacing or _pacing_so_far(recording.diagnostics)
     timing = {
         key: number(pacing.get(key))
-        for key in (
-            "ticks",
-            "overruns",
-            "reanchored",
-            "real_time_factor",
-            "wall_seconds",
-            "sim_seconds",
-        )
+        for key in ("ticks", "overruns", "reanchored", "real_time_factor", "wall_seconds", "sim_seconds")
     }
     if timing["ticks"] == 0:  # only steps on request, which have no pace
         timing["real_time_factor"] = None
-    timing["lateness_us"] = {
-        key: number(pacing["lateness_us"].get(key)) for key in ("p50", "p99", "max")
-    }
+    timing["lateness_us"] = {key: number(pacing["lateness_us"].get(key)) for key in ("p50", "p99", "max")}
     requests = _requests(recording)
     timing["factor_wanted"] = requests[-1][1]
     timing["factor_wanted_mean"] = _mean_factor(requests, motion)
-    timing["factor_changes"] = sum(
-        before != after for (_, before), (_, after) in pairwise(requests)
-    )
+    timing["factor_changes"] = sum(before != after for (_, before), (_, after) in pairwise(requests))
     factors = [
-        number(entry.get("real_time_factor"))
-        for _, entry in recording.diagnostics
-        if entry.get("state") == "running"
+        number(entry.get("real_time_factor")) for _, entry in recording.diagnostics if entry.get("state") == "running"
     ]
     factors = [factor for factor in factors if factor]
     timing["real_time_factor_least"] = min(factors, default=None)
@@ -76,9 +63,7 @@ def _requests(recording):
     if first is None and recording.pacing:
         first = recording.pacing.get("real_time_factor_wanted")
     changes = [
-        (event.stamp_ns, number(event.text.rpartition(" ")[2]))
-        for event in recording.events
-        if event.name == "speed"
+        (event.stamp_ns, number(event.text.rpartition(" ")[2])) for event in recording.events if event.name == "speed"
     ]
     return [(-1, number(first)), *changes]
 
@@ -98,9 +83,7 @@ def _mean_factor(requests, motion):
     end = last.base_ns + last.last_step * last.step * 1e9
     edges = [min(max(stamp, start), end) for stamp, _ in requests] + [end]
     parts = [
-        (after - before, factor)
-        for (before, after), (_, factor) in zip(pairwise(edges), requests)
-        if after > before
+        (after - before, factor) for (before, after), (_, factor) in zip(pairwise(edges), requests) if after > before
     ]
     factors = {factor for _, factor in parts}
     if len(factors) == 1:

@@ -17,18 +17,14 @@ def find_problems(figures):
     """Problems of the run and of its recording, one sentence each."""
     problems = []
     if figures["file_problem"]:
-        problems.append(
-            "the file is incomplete: " + figures["file_problem"].removeprefix(f"{figures['log']}: ")
-        )
+        problems.append("the file is incomplete: " + figures["file_problem"].removeprefix(f"{figures['log']}: "))
     if figures["lost_messages"]:
         problems.append(
             "messages are missing: "
             + ", ".join(f"{count} of {topic}" for topic, count in figures["lost_messages"].items())
         )
     if figures["missing_samples"]:
-        problems.append(
-            "missing from the recording: " + counted(figures["missing_samples"], "sample")
-        )
+        problems.append("missing from the recording: " + counted(figures["missing_samples"], "sample"))
     if figures["recorder_lost"]:
         problems.append(f"the recorder dropped {counted(figures['recorder_lost'], 'message')}")
     if figures["not_finite_samples"]:
@@ -81,14 +77,8 @@ def _replay_problems(figures):
         problems.append(f"re-simulation is not possible: {repeat['failed']}")
     elif repeat and repeat["identical"] < repeat["samples"]:
         at = repeat["first_difference"]
-        where = (
-            f"{at['body']} differs from {shown(at['at_s'], 's')} on"
-            if at
-            else f"it {repeat['stopped']}"
-        )
-        problems.append(
-            f"re-simulation is not bit-identical: {where}; {difference_cause(repeat['platform'])}"
-        )
+        where = f"{at['body']} differs from {shown(at['at_s'], 's')} on" if at else f"it {repeat['stopped']}"
+        problems.append(f"re-simulation is not bit-identical: {where}; {difference_cause(repeat['platform'])}")
     if "failed" in reference:
         problems.append(f"no reference integration: {reference['failed']}")
     if reference.get("stopped"):
@@ -128,8 +118,7 @@ def verdict(figures):
             else f" in the first {shown(reference['seconds'], 's')}"
         )
         statements.append(
-            f"error at most {error_text(reference['position'])} and "
-            f"{error_text(reference['angle'])}{part}"
+            f"error at most {error_text(reference['position'])} and {error_text(reference['angle'])}{part}"
         )
     if figures.get("promise"):
         statements.append(promise_text(figures["promise"]))
@@ -137,10 +126,7 @@ def verdict(figures):
         worst = max(figures["joints"].values(), key=lambda joint: joint["largest"])
         statements.append(f"constraint residual at most {shown(worst['largest'], worst['unit'])}")
     if figures.get("energy") and figures["energy"]["relative_drift"] is not None:
-        statements.append(
-            f"energy drift {shown(figures['energy']['relative_drift'])} of the largest "
-            "kinetic energy"
-        )
+        statements.append(f"energy drift {shown(figures['energy']['relative_drift'])} of the largest kinetic energy")
     repeat = figures.get("repeat", {})
     if repeat and repeat.get("identical") == repeat.get("samples"):
         statements.append("re-simulation bit-identical")

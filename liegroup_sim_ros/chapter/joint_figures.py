@@ -53,26 +53,17 @@ def make_joint_figures(out, say=lambda text: None):
 
 def make_table(top, bars):
     """Largest errors of all runs and, below each, those of an independent implementation."""
-    table = Table(
-        title="Largest position error of a joint, m",
-        box=None,
-        padding=(0, 1, 0, 0),
-        title_justify="left",
-    )
+    table = Table(title="Largest position error of a joint, m", box=None, padding=(0, 1, 0, 0), title_justify="left")
     for column in ("group", "step", "", "top", *(f"joint {j}" for j in range(1, 5))):
         table.add_column(column, no_wrap=True)
     for group in GROUPS:
         for i, step in enumerate(STEPS):
             own = (*top[group, step].gap.max(axis=0), *bars[group, step].gap.max(axis=0))
-            table.add_row(
-                GROUP_NAMES[group], f"{step:g} s", "here", *(f"{error:.2e}" for error in own)
-            )
+            table.add_row(GROUP_NAMES[group], f"{step:g} s", "here", *(f"{error:.2e}" for error in own))
             if group not in TOP_INDEPENDENT:
                 continue
             independent = TOP_INDEPENDENT[group][i], *FOUR_BAR_INDEPENDENT[group][i]
-            table.add_row(
-                "", "", "elsewhere", *(f"{error:.2e}" for error in independent), style="dim"
-            )
+            table.add_row("", "", "elsewhere", *(f"{error:.2e}" for error in independent), style="dim")
     return table
 
 
@@ -80,18 +71,13 @@ def _draw(path, runs, panels):
     """One row of panels for each group, one column for each joint; a curve for each step size."""
     from matplotlib.figure import Figure
 
-    figure = Figure(
-        figsize=(4.6 * max(len(panels), 1.5), 3.2 * len(GROUPS)), layout="constrained", dpi=120
-    )
+    figure = Figure(figsize=(4.6 * max(len(panels), 1.5), 3.2 * len(GROUPS)), layout="constrained", dpi=120)
     axes = figure.subplots(len(GROUPS), len(panels), sharex=True, sharey=True, squeeze=False)
     for row, group in zip(axes, GROUPS):
         for axis, (joint, title) in zip(row, panels):
             for step, colour in zip(STEPS, COLOURS):
                 run = runs[group, step]
-                times, gap = (
-                    run.times[1:],
-                    run.gap[1:, joint],
-                )  # without the start, where the error is zero
+                times, gap = (run.times[1:], run.gap[1:, joint])  # without the start, where the error is zero
                 axis.semilogy(
                     times,
                     np.where(gap > LOWEST, gap, np.nan),
@@ -109,11 +95,7 @@ def _draw(path, runs, panels):
     for axis in axes[:, 0]:
         axis.set_ylabel("position error, m")
     figure.legend(
-        *axes[0, 0].get_legend_handles_labels(),
-        loc="outside upper center",
-        fontsize=9,
-        ncols=3,
-        frameon=False,
+        *axes[0, 0].get_legend_handles_labels(), loc="outside upper center", fontsize=9, ncols=3, frameon=False
     )
     figure.savefig(path)
     return path

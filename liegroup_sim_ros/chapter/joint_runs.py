@@ -62,19 +62,10 @@ def joint_errors(scene, step, group, horizon, samples=SAMPLES):
         child = poses[:, index[joint.child]] @ F_b
         gap[:, j] = np.linalg.norm(child[:, :3, 3] - parent[..., :3, 3], axis=-1)
         if joint.type == "revolute":
-            across = np.cross(
-                np.broadcast_to(parent[..., :3, 2], child[:, :3, 2].shape), child[:, :3, 2]
-            )
+            across = np.cross(np.broadcast_to(parent[..., :3, 2], child[:, :3, 2].shape), child[:, :3, 2])
             tilt[:, j] = np.linalg.norm(across, axis=-1)
     return JointErrors(
-        group,
-        step,
-        np.array(times),
-        tuple(joint.name for joint in scene.joints),
-        gap,
-        tilt,
-        poses,
-        np.array(energy),
+        group, step, np.array(times), tuple(joint.name for joint in scene.joints), gap, tilt, poses, np.array(energy)
     )
 
 
@@ -85,12 +76,7 @@ def heavy_top_runs(say=lambda text: None):
 
 def four_bar_runs(say=lambda text: None):
     """{(group, step): JointErrors} of Figs. 6.4 and 6.5; say: called with the name of each run."""
-    return _runs(
-        "Figs. 6.4 and 6.5",
-        four_bar(),
-        lambda step: SHORT_HORIZON if step == STEPS[0] else BAR_HORIZON,
-        say,
-    )
+    return _runs("Figs. 6.4 and 6.5", four_bar(), lambda step: SHORT_HORIZON if step == STEPS[0] else BAR_HORIZON, say)
 
 
 def _runs(name, scene, horizon, say):
@@ -119,9 +105,9 @@ def four_bar(ball="coupler_rocker"):
     sides = np.array([_turned(corner - tip), -_turned(corner - pin)]).T
     coupler_rate, rocker_rate = np.linalg.solve(sides, -tip_velocity)
     at_rest = np.zeros(2)
-    kinds = dict.fromkeys(
-        ("ground_crank", "crank_coupler", "coupler_rocker", "ground_rocker"), "revolute"
-    ) | {ball: "spherical"}
+    kinds = dict.fromkeys(("ground_crank", "crank_coupler", "coupler_rocker", "ground_rocker"), "revolute") | {
+        ball: "spherical"
+    }
     ends = {
         "ground_crank": ("world", "crank", -0.25),
         "crank_coupler": ("crank", "coupler", -0.5),

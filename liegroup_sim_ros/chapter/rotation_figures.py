@@ -104,13 +104,7 @@ PANELS = (
         "free_body",
         16.0,
         "momentum",
-        (
-            "coadjoint_rkmk2",
-            "coadjoint_rkmk4",
-            "simo_wong",
-            "austin_krishnaprasad_wang",
-            "lie_newmark",
-        ),
+        ("coadjoint_rkmk2", "coadjoint_rkmk4", "simo_wong", "austin_krishnaprasad_wang", "lie_newmark"),
         MOMENTUM_STEPS,
         MOMENTUM,
     ),
@@ -168,9 +162,7 @@ def end_attitude(scene, time):
 
     body = load_scene(scene).bodies[0]
     if scene == "free_body":
-        return to_floats(
-            free_body(body.inertia_matrix, body.rotation, body.angular_velocity, time)[0]
-        )
+        return to_floats(free_body(body.inertia_matrix, body.rotation, body.angular_velocity, time)[0])
     arm = np.array(body.position)  # the spherical joint is at the origin
     across = body.inertia_matrix[0, 0] + body.mass * (arm @ arm)
     return to_floats(
@@ -204,9 +196,7 @@ def order_and_constant(steps, step_errors, order):
 
     NaN if there are fewer than two.
     """
-    usable = [
-        (step, error) for step, error in zip(steps, step_errors) if error and error > ROUNDING
-    ]
+    usable = [(step, error) for step, error in zip(steps, step_errors) if error and error > ROUNDING]
     if len(usable) < 2:
         return np.nan, np.nan
     (step, error), (last_step, last) = usable[-2:]
@@ -238,15 +228,9 @@ def _integrals_table(say):
         table.add_column(column, min_width=9)
     for (method, step), elsewhere in TOP_INTEGRALS.items():
         say(f"Lagrangian top, 10 s, {method}, {step:g} s")
+        table.add_row(STYLES[method][0], f"{step:g} s", "here", *map(_text, top_integrals(method, step)))
         table.add_row(
-            STYLES[method][0], f"{step:g} s", "here", *map(_text, top_integrals(method, step))
-        )
-        table.add_row(
-            "",
-            "",
-            "elsewhere",
-            *("< 1e-11" if value is None else _text(value) for value in elsewhere),
-            style="dim",
+            "", "", "elsewhere", *("< 1e-11" if value is None else _text(value) for value in elsewhere), style="dim"
         )
     return table
 
@@ -282,16 +266,13 @@ def make_table(panel, found):
             step_text(step),
             [_text(found[method][k]) for method in panel.methods],
             [
-                _text(panel.elsewhere[method][k])
-                if k < len(panel.elsewhere.get(method, ()))
-                else ""
+                _text(panel.elsewhere[method][k]) if k < len(panel.elsewhere.get(method, ())) else ""
                 for method in panel.methods
             ],
         )
     if panel.constants:
         here = {
-            method: order_and_constant(panel.steps, found[method], METHODS[method].order)
-            for method in panel.methods
+            method: order_and_constant(panel.steps, found[method], METHODS[method].order) for method in panel.methods
         }
         given = [panel.constants.get(method) for method in panel.methods]
         add(

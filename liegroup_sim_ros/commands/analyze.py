@@ -38,19 +38,14 @@ def add_arguments(parser):
         "recorded estimates of the error, drift of energy and momentum, constraint residuals, "
         "bitwise re-simulation, real-time figures, lost messages."
     )
-    parser.epilog = (
-        "Exit code: 0; 1 if a given bound is exceeded or cannot be judged; 2 if a recording "
-        "cannot be read."
-    )
+    parser.epilog = "Exit code: 0; 1 if a given bound is exceeded or cannot be judged; 2 if a recording cannot be read."
     parser.add_argument(
         "logs",
         metavar="LOG",
         nargs="+",
         help="recording (*.mcap), folder of them, pattern, or address such as s3://bucket/*.mcap",
     )
-    parser.add_argument(
-        "--compare", metavar="LOG", help="also report the distance to this recording"
-    )
+    parser.add_argument("--compare", metavar="LOG", help="also report the distance to this recording")
     parser.add_argument("--html", metavar="PAGE", help="write a self-contained HTML report")
     parser.add_argument(
         "--robot",
@@ -61,8 +56,7 @@ def add_arguments(parser):
     parser.add_argument(
         "--png",
         metavar="FILE",
-        help="write the plots of one recording as an image: *.png, *.pdf or *.svg (needs "
-        "matplotlib)",
+        help="write the plots of one recording as an image: *.png, *.pdf or *.svg (needs matplotlib)",
     )
     parser.add_argument("--json", metavar="FILE", help="write all figures as JSON")
     parser.add_argument(
@@ -78,18 +72,13 @@ def add_arguments(parser):
         help="fail if a drift is larger: energy relative to the largest kinetic energy, "
         "momenta relative to the sum of the bodies' largest momenta",
     )
-    parser.add_argument(
-        "--no-reference",
-        action="store_true",
-        help="skip the comparison with a reference integration",
-    )
+    parser.add_argument("--no-reference", action="store_true", help="skip the comparison with a reference integration")
     parser.add_argument(
         "--reference-seconds",
         type=not_negative,
         default=REFERENCE_SECONDS,
         metavar="S",
-        help="simulated time covered by the reference integration in s; inf: all (default: "
-        "%(default)g)",
+        help="simulated time covered by the reference integration in s; inf: all (default: %(default)g)",
     )
     parser.add_argument(
         "--reference-steps",
@@ -99,11 +88,7 @@ def add_arguments(parser):
         help="limit of the steps of the reference integration; the error is known up to there "
         "(default: %(default)d, some minutes)",
     )
-    parser.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="scheduler of a Dask cluster, such as tls://host:8786",
-    )
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tls://host:8786")
 
 
 def _shapes(file, scene):
@@ -112,9 +97,7 @@ def _shapes(file, scene):
         return None
     robot = load_scene(file)
     if robot.robot is None:
-        raise AnalysisError(
-            f"--robot {file}: is the file of no robot: give a URDF, SDF or MJCF file"
-        )
+        raise AnalysisError(f"--robot {file}: is the file of no robot: give a URDF, SDF or MJCF file")
     names = [{body.name for body in each.bodies} for each in (scene, robot)]
     if names[0] != names[1]:
         differing = min(names[0] ^ names[1])

@@ -49,11 +49,7 @@ def add_arguments(parser):
         "overwritten (default: %(default)s)",
     )
     parser.add_argument(
-        "--seconds",
-        type=float,
-        default=10.0,
-        metavar="S",
-        help="duration of the run in s (default: %(default)g)",
+        "--seconds", type=float, default=10.0, metavar="S", help="duration of the run in s (default: %(default)g)"
     )
 
 
@@ -62,9 +58,7 @@ def run(args):
     if not (math.isfinite(args.seconds) and args.seconds >= SHORTEST):
         raise DemoError(f"--seconds must be at least {SHORTEST:g}")
     out = Path(args.out)
-    log, page, figures, output = (
-        out / name for name in ("demo.mcap", "demo.html", "demo.json", "sim_node.txt")
-    )
+    log, page, figures, output = (out / name for name in ("demo.mcap", "demo.html", "demo.json", "sim_node.txt"))
     try:
         out.mkdir(parents=True, exist_ok=True)
         for path in (log, page, figures, output):
@@ -77,11 +71,7 @@ def run(args):
     analysis = _analyse(log, page, figures)
     if not analysis.figures["pushes"]:
         raise DemoError("the applied wrench is not in the recording; see " + str(output))
-    console.print(
-        f"recording  {log}\nreport     {page}\nfigures    {figures}",
-        highlight=False,
-        soft_wrap=True,
-    )
+    console.print(f"recording  {log}\nreport     {page}\nfigures    {figures}", highlight=False, soft_wrap=True)
     return 0
 
 
@@ -104,26 +94,17 @@ def _analyse(log, page, figures):
 
 def _simulate(seconds, log, output, console, check):
     """Run the node for some seconds of simulated time, with a force in between."""
-    os.environ.update(
-        ROS_DOMAIN_ID=str(random.randint(1, 100)), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST"
-    )
+    os.environ.update(ROS_DOMAIN_ID=str(random.randint(1, 100)), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
     parameters = {"scene": SCENE, "publish_rate": PUBLISH_RATE, "record": log}
     arguments = [part for name, value in parameters.items() for part in ("-p", f"{name}:={value}")]
-    console.print(
-        "$ sim_node --ros-args " + shlex.join(arguments),
-        style="dim",
-        highlight=False,
-        soft_wrap=True,
-    )
+    console.print("$ sim_node --ros-args " + shlex.join(arguments), style="dim", highlight=False, soft_wrap=True)
     processes = []
     try:
         with open(output, "w", encoding="utf-8") as stream:
             node = _start("node.entry", ["--ros-args", *arguments], stream, processes)
             # The analysis needs other kernels than the node: a second core compiles them meanwhile.
             _start("analysis.compiled", [SCENE], subprocess.DEVNULL, processes)
-            with console.status(
-                "starting (the first run of a kind of mechanism compiles for about 20 s)"
-            ):
+            with console.status("starting (the first run of a kind of mechanism compiles for about 20 s)"):
                 _wait_until(log.exists, STARTING, node, output, check)
             _watch(seconds, node, output, processes, console, check)
             node.send_signal(signal.SIGINT)
@@ -160,15 +141,10 @@ def _watch(seconds, node, output, processes, console, check):
         while going_on():
             check()
             if node.poll() is not None:
-                raise DemoError(
-                    f"sim_node ended with exit code {node.returncode}: " + _last_line(output)
-                )
+                raise DemoError(f"sim_node ended with exit code {node.returncode}: " + _last_line(output))
             if push is None and elapsed >= PUSH_AT * seconds:
                 progress.console.print(
-                    "$ liegroup_sim " + shlex.join(PUSH),
-                    style="dim",
-                    highlight=False,
-                    soft_wrap=True,
+                    "$ liegroup_sim " + shlex.join(PUSH), style="dim", highlight=False, soft_wrap=True
                 )
                 push = _start("commands.main", PUSH, subprocess.PIPE, processes)
             if push is not None and push.poll() is not None and not answered:
@@ -179,8 +155,9 @@ def _watch(seconds, node, output, processes, console, check):
                 progress.console.print(answer, highlight=False, soft_wrap=True)
             figures = latest(0.1)
             status_text = (
-                "real-time factor {real_time_factor:.3f}, scheduling latency p99 "
-                "{lateness_p99_us:.0f} us".format(**figures)
+                "real-time factor {real_time_factor:.3f}, scheduling latency p99 {lateness_p99_us:.0f} us".format(
+                    **figures
+                )
                 if figures
                 else ""
             )
@@ -209,9 +186,7 @@ def _diagnostics():
     def take(message):
         pairs = {pair.key: pair.value for status in message.status for pair in status.values}
         if {"real_time_factor", "lateness_p99_us"} <= set(pairs):
-            figures.update(
-                (key, float(pairs[key])) for key in ("real_time_factor", "lateness_p99_us")
-            )
+            figures.update((key, float(pairs[key])) for key in ("real_time_factor", "lateness_p99_us"))
 
     node.create_subscription(DiagnosticArray, "/diagnostics", take, 10)
 
@@ -256,9 +231,7 @@ def _wait_until(condition, seconds, node, output, check):
     while not condition():
         check()
         if node.poll() is not None:
-            raise DemoError(
-                f"sim_node ended with exit code {node.returncode}: " + _last_line(output)
-            )
+            raise DemoError(f"sim_node ended with exit code {node.returncode}: " + _last_line(output))
         if time.monotonic() > end:
             raise DemoError(f"sim_node was not ready within {seconds:g} s; see {output}")
         time.sleep(0.05)

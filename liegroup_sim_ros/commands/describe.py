@@ -34,9 +34,7 @@ def add_arguments(parser):
         "equations, structure of the solve, conserved quantities, and the measured cost of a "
         "step on this machine."
     )
-    parser.add_argument(
-        "scene", metavar="SCENE", help="path of a scene or robot file, or name of an example scene"
-    )
+    parser.add_argument("scene", metavar="SCENE", help="path of a scene or robot file, or name of an example scene")
     parser.add_argument("--json", action="store_true", help="print JSON")
     add_robot_options(parser)
 
@@ -47,9 +45,7 @@ def run(args):
     layout = make_layout(scene)
     facts = describe(layout)
     with Console(stderr=True).status("measuring (the first run of a kind of mechanism compiles)"):
-        facts["cost"] = {
-            method: step_cost(scene, method) for method in METHODS if method in facts["methods"]
-        }
+        facts["cost"] = {method: step_cost(scene, method) for method in METHODS if method in facts["methods"]}
     if args.json:
         print(json.dumps(facts, indent=1, allow_nan=False))
     else:
@@ -132,31 +128,15 @@ def sections(facts):
         (
             "Couplings",
             [
-                (
-                    entry["name"],
-                    entry["joint"],
-                    f"= {entry['ratio']:.6g} {entry['other']} + {entry['offset']:.6g}",
-                )
+                (entry["name"], entry["joint"], f"= {entry['ratio']:.6g} {entry['other']} + {entry['offset']:.6g}")
                 for entry in facts["couplings"]
             ],
         ),
-        (
-            "Forces",
-            [(force["name"], force["type"], " - ".join(force["on"])) for force in facts["forces"]],
-        ),
-        (
-            "Sensors",
-            [(each["name"], each["type"], " - ".join(each["on"])) for each in facts["sensors"]],
-        ),
+        ("Forces", [(force["name"], force["type"], " - ".join(force["on"])) for force in facts["forces"]]),
+        ("Sensors", [(each["name"], each["type"], " - ".join(each["on"])) for each in facts["sensors"]]),
         ("Degrees of freedom", _freedom_rows(facts)),
-        (
-            "Reactions",
-            [(joint, "undetermined", why) for joint, why in facts["undetermined"].items()],
-        ),
-        (
-            "Formulation",
-            _formulation_rows(facts["formulation"], len(facts["bodies"]), facts["plane"]),
-        ),
+        ("Reactions", [(joint, "undetermined", why) for joint, why in facts["undetermined"].items()]),
+        ("Formulation", _formulation_rows(facts["formulation"], len(facts["bodies"]), facts["plane"])),
         ("Spanning tree", _tree_rows(facts["formulation"])),
         ("System of the cut joints", _solve_rows(facts["solve"])),
         ("Applicable methods", [("", ", ".join(facts["methods"]), "")]),
@@ -190,11 +170,7 @@ def _import_rows(facts):
     if facts is None:
         return []
     rows = [
-        (
-            "links",
-            f"{facts['links']} -> {counted(facts['bodies'], 'body')}",
-            "fixed and locked joints merge",
-        ),
+        ("links", f"{facts['links']} -> {counted(facts['bodies'], 'body')}", "fixed and locked joints merge"),
         (
             "joint coordinates",
             f"{facts['file_coordinates']} -> {facts['coordinates']}",
@@ -216,37 +192,20 @@ def _note(text):
 
 
 def _formulation_rows(facts, bodies, plane):
-    cut = [
-        f"{entry['joint']} ({' '.join(entry['rows'])})" for entry in facts["cut"] if entry["rows"]
-    ]
-    dropped = [
-        f"{entry['joint']} ({' '.join(entry['dropped'])})"
-        for entry in facts["cut"]
-        if entry["dropped"]
-    ]
+    cut = [f"{entry['joint']} ({' '.join(entry['rows'])})" for entry in facts["cut"] if entry["rows"]]
+    dropped = [f"{entry['joint']} ({' '.join(entry['dropped'])})" for entry in facts["cut"] if entry["dropped"]]
     welded = [" + ".join(link["bodies"]) for link in facts["tree"] if len(link["bodies"]) > 1]
     floating = [" + ".join(link["bodies"]) for link in facts["tree"] if link["joint"] is None]
     rows = [
         (
             "relative coordinates",
             str(facts["coordinates"]),
-            f"joint positions of a spanning tree, for {6 * bodies} of poses"
-            "; its joints are satisfied exactly",
+            f"joint positions of a spanning tree, for {6 * bodies} of poses; its joints are satisfied exactly",
         ),
-        (
-            "cut joints",
-            ", ".join(cut) or "none",
-            "and their rows that are solved for" if cut else "",
-        ),
+        ("cut joints", ", ".join(cut) or "none", "and their rows that are solved for" if cut else ""),
     ]
     if plane is not None:
-        rows.append(
-            (
-                "planar",
-                f"across {plane}",
-                "in relative coordinates bodies are integrated in the plane",
-            )
-        )
+        rows.append(("planar", f"across {plane}", "in relative coordinates bodies are integrated in the plane"))
     if dropped:
         rows.append(("redundant rows", ", ".join(dropped), "of the cut joints: eliminated"))
     if welded:
@@ -263,9 +222,7 @@ def _tree_rows(facts):
         (
             " + ".join(link["bodies"]),
             link["group"],
-            f"joint {link['joint']} to {' + '.join(link['parent'])}"
-            if link["joint"]
-            else "floating",
+            f"joint {link['joint']} to {' + '.join(link['parent'])}" if link["joint"] else "floating",
         )
         for link in facts["tree"]
     ]
@@ -282,11 +239,7 @@ def _freedom_rows(facts):
             str(len(facts["dropped_rows"])),
             f"redundant among the joints of all bodies: {dropped}" if dropped else "none redundant",
         ),
-        *(
-            [("couplings", str(len(facts["couplings"])), "one equation each")]
-            if facts["couplings"]
-            else []
-        ),
+        *([("couplings", str(len(facts["couplings"])), "one equation each")] if facts["couplings"] else []),
         *([("driven joints", str(driven), "one equation each")] if driven else []),
         ("degrees of freedom", str(facts["degrees_of_freedom"]), "remaining"),
     ]
@@ -317,13 +270,7 @@ def _solve_rows(solve):
 
 
 def _conserved_rows(facts):
-    rows = [
-        (
-            "groups of bodies",
-            str(len(facts["groups"])),
-            "; ".join(_listed(group) for group in facts["groups"][:6]),
-        )
-    ]
+    rows = [("groups of bodies", str(len(facts["groups"])), "; ".join(_listed(group) for group in facts["groups"][:6]))]
     if facts["kept_momentum"] is None:
         return rows + [("momentum", "not searched", _not_searched(facts))]
     rows += [

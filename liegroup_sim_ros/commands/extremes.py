@@ -40,30 +40,16 @@ def add_arguments(parser):
         "(docs/explanation/robustness.md)",
     )
     parser.add_argument(
-        "--horizon",
-        type=float,
-        default=8.0,
-        metavar="S",
-        help="simulated time for a SCENE in s (default: %(default)g)",
+        "--horizon", type=float, default=8.0, metavar="S", help="simulated time for a SCENE in s (default: %(default)g)"
     )
     parser.add_argument("--axes", nargs="+", metavar="NAME", help="test only these axes")
     parser.add_argument(
-        "--methods",
-        nargs="+",
-        metavar="NAME",
-        default=list(METHOD_NAMES),
-        help="test only these methods",
+        "--methods", nargs="+", metavar="NAME", default=list(METHOD_NAMES), help="test only these methods"
     )
     parser.add_argument("--quick", action="store_true", help="test a few values of each axis")
     parser.add_argument("--long", action="store_true", help="include runs of 1e7 steps")
-    parser.add_argument(
-        "--workers", type=int, metavar="N", help="number of processes (default: one per core)"
-    )
-    parser.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="scheduler of a Dask cluster, such as tls://host:8786",
-    )
+    parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one per core)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tls://host:8786")
     parser.add_argument("--png", metavar="FILE", help="write the heat map as an image")
     parser.add_argument("--json", metavar="FILE", help="write all cells as JSON")
     parser.add_argument("--markdown", metavar="FILE", help="write the map as Markdown tables")
@@ -75,9 +61,7 @@ def run(args):
     console = Console(file=sys.stdout)
     cells_of = {axis.name: [] for axis in axes}
     try:
-        with Progress(
-            BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), console=Console(stderr=True)
-        ) as bar:
+        with Progress(BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), console=Console(stderr=True)) as bar:
             task = bar.add_task("")
             for total, axis, cells, complete in survey(
                 axes, args.quick, tuple(args.methods), args.scheduler, args.workers, cache
@@ -87,18 +71,9 @@ def run(args):
                 if complete:
                     print_axis(axis, cells_of[axis.name], args.methods, console)
     except KeyboardInterrupt:
-        print(
-            "liegroup_sim: interrupted; finished cells are saved, the same command continues",
-            file=sys.stderr,
-        )
+        print("liegroup_sim: interrupted; finished cells are saved, the same command continues", file=sys.stderr)
         return EXIT_INTERRUPTED
-    cells = [
-        cell
-        for axis in axes
-        for value in axis.values
-        for cell in cells_of[axis.name]
-        if cell["value"] == value
-    ]
+    cells = [cell for axis in axes for value in axis.values for cell in cells_of[axis.name] if cell["value"] == value]
     if args.json:
         write_text(args.json, document(axes, cells))
     if args.markdown:
@@ -116,9 +91,7 @@ def _wanted(args):
     """(axes, cache of results) for checked arguments."""
     unknown = [name for name in args.methods if name not in METHOD_NAMES]
     if unknown:
-        raise ExtremesError(
-            f"unknown method {unknown[0]!r}; choose one of: {', '.join(METHOD_NAMES)}"
-        )
+        raise ExtremesError(f"unknown method {unknown[0]!r}; choose one of: {', '.join(METHOD_NAMES)}")
     if args.workers is not None and args.workers < 1:
         raise ExtremesError(f"--workers must be at least 1, got {args.workers}")
     if not (math.isfinite(args.horizon) and args.horizon >= SHORTEST):
@@ -138,18 +111,13 @@ def _axes(args):
     if not args.axes:
         if args.scene and len(axes) == 1:
             print(
-                f"liegroup_sim: {args.scene} is initially at rest, so there are no velocities "
-                "to vary",
-                file=sys.stderr,
+                f"liegroup_sim: {args.scene} is initially at rest, so there are no velocities to vary", file=sys.stderr
             )
         return axes
     names = [axis.name for axis in axes]
     for name in args.axes:
         if name == "speed" and args.scene and name not in names:
-            raise ExtremesError(
-                f"axis 'speed': {args.scene} is initially at rest, so there are no velocities "
-                "to vary"
-            )
+            raise ExtremesError(f"axis 'speed': {args.scene} is initially at rest, so there are no velocities to vary")
         if name not in names and name in [axis.name for axis in axes_of(long=True)]:
             raise ExtremesError(
                 f"axis {name!r} is "

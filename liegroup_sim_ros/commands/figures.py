@@ -101,9 +101,5 @@ class _Progress(logging.Handler):
     def emit(self, record):
         figure = self._name.partition(",")[0]
         self._bar.console.print(
-            f"{figure}: {record.getMessage()}",
-            style="yellow",
-            markup=False,
-            highlight=False,
-            soft_wrap=True,
+            f"{figure}: {record.getMessage()}", style="yellow", markup=False, highlight=False, soft_wrap=True
         )

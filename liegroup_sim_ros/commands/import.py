@@ -25,9 +25,7 @@ def add_arguments(parser):
         help="URDF, xacro, SDF or MJCF file, or a scene file with the key robot; paths may begin "
         "with package:// or model://",
     )
-    parser.add_argument(
-        "--out", metavar="FILE", help="scene file; it must not exist (default: standard output)"
-    )
+    parser.add_argument("--out", metavar="FILE", help="scene file; it must not exist (default: standard output)")
     parser.add_argument("--name", metavar="NAME", help="name of the scene")
     add_robot_options(parser)
 

@@ -25,9 +25,7 @@ def add_arguments(parser):
         "dropped messages. Reads any MCAP file, also a truncated or damaged one."
     )
     parser.add_argument("logs", metavar="FILE", nargs="+", help="recording (*.mcap)")
-    parser.add_argument(
-        "--json", action="store_true", help="print JSON: a list with one entry per file"
-    )
+    parser.add_argument("--json", action="store_true", help="print JSON: a list with one entry per file")
 
 
 def run(args):
@@ -56,9 +54,7 @@ def run(args):
 
 def as_json(found):
     """A Survey as JSON types; the keys are in docs/reference/recording.md."""
-    settings, state = (
-        found.contents.get(name, {}) for name in ("settings.json", "initial_state.json")
-    )
+    settings, state = (found.contents.get(name, {}) for name in ("settings.json", "initial_state.json"))
     first, last = found.stamps
     return {
         "file": str(found.path),
@@ -100,10 +96,7 @@ def as_json(found):
             }
             for channel in _in_order(found)
         ],
-        "attachments": [
-            {"name": name, "media_type": kind, "bytes": size}
-            for name, kind, size in found.attachments
-        ],
+        "attachments": [{"name": name, "media_type": kind, "bytes": size} for name, kind, size in found.attachments],
         "metadata": sorted(found.metadata),
         "library": found.library,
         "profile": found.profile,
@@ -120,20 +113,13 @@ def print_survey(found, console):
 
     row("file", f"{found.path}, {found.size / 1e6:.3f} MB")
     if found.complete:
-        row(
-            "complete",
-            "yes"
-            + (
-                f", recovered from {content['recovered_from']}" if content["recovered_from"] else ""
-            ),
-        )
+        row("complete", "yes" + (f", recovered from {content['recovered_from']}" if content["recovered_from"] else ""))
     else:
         row("complete", "no: " + "; ".join(listed(found.problems)))
         row("", "use `liegroup_sim recover` to make it readable")
     row(
         "duration",
-        f"{content['duration_s']:.9g} s, from {content['start_ns'] * 1e-9:.9g} s to "
-        f"{content['end_ns'] * 1e-9:.9g} s",
+        f"{content['duration_s']:.9g} s, from {content['start_ns'] * 1e-9:.9g} s to {content['end_ns'] * 1e-9:.9g} s",
     )
     row("messages", f"{found.count}, dropped: {content['lost']}")
     if content["scene"] is not None:
@@ -155,8 +141,7 @@ def print_survey(found, console):
         row("created by", found.library or "unknown")
     row(
         "attachments",
-        ", ".join(f"{name} ({counted(size, 'byte')})" for name, _, size in found.attachments[:20])
-        or "none",
+        ", ".join(f"{name} ({counted(size, 'byte')})" for name, _, size in found.attachments[:20]) or "none",
     )
     console.print(table)
     if found.figures:

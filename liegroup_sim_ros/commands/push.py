@@ -36,24 +36,13 @@ def add_arguments(parser):
             help=f"{unit}, body axes (default: 0 0 0)",
         )
     parser.add_argument(
-        "--duration",
-        type=float,
-        default=1.0,
-        metavar="S",
-        help="duration in s of wall time (default: %(default)s)",
+        "--duration", type=float, default=1.0, metavar="S", help="duration in s of wall time (default: %(default)s)"
     )
     parser.add_argument(
-        "--rate",
-        type=float,
-        default=50.0,
-        metavar="HZ",
-        help="messages per second (default: %(default)s)",
+        "--rate", type=float, default=50.0, metavar="HZ", help="messages per second (default: %(default)s)"
     )
     parser.add_argument(
-        "--node",
-        default="/sim_node",
-        metavar="NAME",
-        help="name of the simulation node (default: %(default)s)",
+        "--node", default="/sim_node", metavar="NAME", help="name of the simulation node (default: %(default)s)"
     )
 
 
@@ -122,10 +111,7 @@ def _push(args):
 
     # Both directions, else the response would be missed.
     if not spin_until(
-        lambda: (
-            publisher.get_subscription_count() and node.count_publishers(f"{name}/applied_wrench")
-        ),
-        DISCOVERY,
+        lambda: publisher.get_subscription_count() and node.count_publishers(f"{name}/applied_wrench"), DISCOVERY
     ):
         raise PushError(
             f"no simulation node {name} found within {DISCOVERY:g} s: check that it is "
@@ -141,10 +127,7 @@ def _push(args):
     message = WrenchStamped()
     message.header.frame_id = frame
     zero = WrenchStamped(header=message.header)
-    for vector, values in (
-        (message.wrench.force, args.force),
-        (message.wrench.torque, args.torque),
-    ):
+    for vector, values in ((message.wrench.force, args.force), (message.wrench.torque, args.torque)):
         vector.x, vector.y, vector.z = values
     start, sent = time.monotonic(), 0
     try:
@@ -168,11 +151,7 @@ def _push(args):
         f"{args.body} of {name} for {seconds:.2f} s: {sent} messages, then a zero "
         "wrench\n"
     )
-    stamps = [
-        m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec
-        for m in applied
-        if m.header.frame_id == frame
-    ]
+    stamps = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in applied if m.header.frame_id == frame]
     if not stamps:
         return text + "the simulation has not applied it: it may be paused; see its log"
     return text + (

@@ -25,9 +25,7 @@ def add_arguments(parser):
         "Every MCAP reader opens the new file. FILE is not changed."
     )
     parser.add_argument("log", metavar="FILE", help="recording (*.mcap)")
-    parser.add_argument(
-        "-o", "--out", metavar="OUT", help="new file (default: FILE with suffix _recovered)"
-    )
+    parser.add_argument("-o", "--out", metavar="OUT", help="new file (default: FILE with suffix _recovered)")
 
 
 def run(args):
@@ -57,7 +55,6 @@ def run(args):
     has_end = any(name == "pacing.json" for name, _, _ in found.attachments)
     print(
         f"{out}: {counted(written, 'message')} from {first:.9g} s to {last:.9g} s, {lost} missing in "
-        "between; "
-        + ("the end of the run is included" if has_end else "the end of the run is missing")
+        "between; " + ("the end of the run is included" if has_end else "the end of the run is missing")
     )
     return 0

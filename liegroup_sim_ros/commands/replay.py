@@ -40,16 +40,10 @@ def add_arguments(parser):
         help="simulated seconds per second; 0: as fast as possible (default: 1)",
     )
     parser.add_argument(
-        "--start",
-        type=float,
-        default=0.0,
-        metavar="S",
-        help="start time, s after the first message (default: 0)",
+        "--start", type=float, default=0.0, metavar="S", help="start time, s after the first message (default: 0)"
     )
     parser.add_argument("--loop", action="store_true", help="start again at the end")
-    parser.add_argument(
-        "--start-paused", action="store_true", help="start paused, until ~/resume is called"
-    )
+    parser.add_argument("--start-paused", action="store_true", help="start paused, until ~/resume is called")
     parser.add_argument(
         "--clock-rate",
         type=float,
@@ -69,27 +63,14 @@ def add_arguments(parser):
         action="store_true",
         help="with --from: apply the wrenches recorded after that, too (default: all wrenches end)",
     )
-    parser.add_argument(
-        "--record", metavar="OUT", help="with --from: record the new run to this file (*.mcap)"
-    )
-    parser.add_argument(
-        "--resimulate",
-        action="store_true",
-        help="simulate the run again and compare; publish nothing",
-    )
+    parser.add_argument("--record", metavar="OUT", help="with --from: record the new run to this file (*.mcap)")
+    parser.add_argument("--resimulate", action="store_true", help="simulate the run again and compare; publish nothing")
     parser.add_argument("--method", metavar="NAME", help="with --resimulate: use another method")
-    parser.add_argument(
-        "--step", type=float, metavar="S", help="with --resimulate: use another step, s"
-    )
+    parser.add_argument("--step", type=float, metavar="S", help="with --resimulate: use another step, s")
     parser.add_argument("--group", metavar="NAME", help="with --resimulate: use another group")
+    parser.add_argument("--stabilisation", metavar="KIND", help="with --resimulate: use another stabilisation")
     parser.add_argument(
-        "--stabilisation", metavar="KIND", help="with --resimulate: use another stabilisation"
-    )
-    parser.add_argument(
-        "--bound",
-        type=not_negative,
-        metavar="X",
-        help="with --resimulate: largest accepted difference, m and rad",
+        "--bound", type=not_negative, metavar="X", help="with --resimulate: largest accepted difference, m and rad"
     )
 
 
@@ -109,28 +90,20 @@ def run(args):
     if args.resimulate:
         return _resimulate(args.file, other, args.bound)
     if other or args.bound is not None:
-        raise ReplayError(
-            "--method, --step, --group, --stabilisation and --bound require --resimulate"
-        )
+        raise ReplayError("--method, --step, --group, --stabilisation and --bound require --resimulate")
     for name in ("rate", "start", "clock_rate"):
         value = getattr(args, name)
         if not (math.isfinite(value) and value >= 0.0):
-            raise PlayError(
-                f"--{name.replace('_', '-')} must be a number, at least 0, got {value:g}"
-            )
+            raise PlayError(f"--{name.replace('_', '-')} must be a number, at least 0, got {value:g}")
     file = PlayFile(read_recording(args.file))
     if args.start > file.seconds:
-        raise PlayError(
-            f"--start {args.start:g}: the recording has {file.seconds:.6g} s; start earlier"
-        )
+        raise PlayError(f"--start {args.start:g}: the recording has {file.seconds:.6g} s; start earlier")
     try:
         from liegroup_sim_ros.playback.player import play
     except ImportError as error:
         if (error.name or "").startswith("liegroup"):
             raise
-        raise PlayError(
-            f"publishing requires ROS 2: {error}; --resimulate works without it"
-        ) from None
+        raise PlayError(f"publishing requires ROS 2: {error}; --resimulate works without it") from None
     return play(file, args)
 
 

@@ -20,20 +20,14 @@ class RobotError(LieGroupSimError):
 def add_robot_options(parser):
     """Add the options; the path of the file is the positional argument before them."""
     parser = parser.add_argument_group("files of robots (URDF, xacro, SDF, MJCF)")
-    parser.add_argument(
-        "arguments", nargs="*", metavar="NAME:=VALUE", help="arguments of a xacro file"
-    )
+    parser.add_argument("arguments", nargs="*", metavar="NAME:=VALUE", help="arguments of a xacro file")
     parser.add_argument(
         "--base",
         choices=BASES,
         help="fixed: the root link is fixed to the world (default for URDF); floating: it moves "
         "freely (default for SDF and MJCF, unless a joint holds it)",
     )
-    parser.add_argument(
-        "--pose",
-        metavar="NAME",
-        help="pose at the start: a keyframe (MJCF) or a group state (SRDF)",
-    )
+    parser.add_argument("--pose", metavar="NAME", help="pose at the start: a keyframe (MJCF) or a group state (SRDF)")
     parser.add_argument("--srdf", metavar="FILE", help="SRDF file with group states for --pose")
     for name, each, text in (
         ("start", "JOINT=VALUE", "joint coordinates at the start, rad or m"),
@@ -43,15 +37,9 @@ def add_robot_options(parser):
         ("keep", "JOINT", "fixed joints that are not merged, so that their reactions are known"),
         ("stops", "JOINT", "joints whose limits are rigid stops, or all"),
         ("friction", "JOINT", "joints whose dry friction acts, or all"),
-        (
-            "drive",
-            "JOINT",
-            "joints that move as prescribed: at their velocity at the start, until a command",
-        ),
+        ("drive", "JOINT", "joints that move as prescribed: at their velocity at the start, until a command"),
     ):
-        parser.add_argument(
-            f"--{name}", nargs="+", action="extend", default=[], metavar=each, help=text
-        )
+        parser.add_argument(f"--{name}", nargs="+", action="extend", default=[], metavar=each, help=text)
     parser.add_argument(
         "--close",
         nargs=3,

@@ -60,25 +60,16 @@ def add_arguments(parser):
         "Simulate a scene as fast as possible and write the trajectory to a file: arrays "
         "(*.npz), a table (*.csv) or a recording (*.mcap) for `liegroup_sim analyze` and other tools."
     )
+    parser.add_argument("scene", metavar="SCENE", help="path of a scene or robot file, or name of an example scene")
     parser.add_argument(
-        "scene", metavar="SCENE", help="path of a scene or robot file, or name of an example scene"
+        "--duration", type=float, required=True, metavar="S", help="simulated time in s, a multiple of the step"
     )
-    parser.add_argument(
-        "--duration",
-        type=float,
-        required=True,
-        metavar="S",
-        help="simulated time in s, a multiple of the step",
-    )
-    parser.add_argument(
-        "--out", metavar="FILE", help="output file (*.npz, *.csv or *.mcap); it must not exist"
-    )
+    parser.add_argument("--out", metavar="FILE", help="output file (*.npz, *.csv or *.mcap); it must not exist")
     parser.add_argument(
         "--every",
         type=int,
         metavar="STEPS",
-        help="steps between two samples; the last state is always included (default: 10 with a "
-        "method, else 1)",
+        help="steps between two samples; the last state is always included (default: 10 with a method, else 1)",
     )
     parser.add_argument(
         "--no-estimate",
@@ -87,9 +78,7 @@ def add_arguments(parser):
         help="with a method: do not estimate the error, at about half of the cost",
     )
     parser.add_argument(
-        "--reactions",
-        action="store_true",
-        help="also write the wrench of every joint on its child (nan: undetermined)",
+        "--reactions", action="store_true", help="also write the wrench of every joint on its child (nan: undetermined)"
     )
     parser.add_argument(
         "--torques",
@@ -116,9 +105,7 @@ def add_settings(parser):
         metavar="S",
         help=f"simulated time in s for the accuracy, at most {LONGEST:g} (default: {MINUTE:g})",
     )
-    parser.add_argument(
-        "--method", metavar="NAME", help=f"instead of an accuracy: {', '.join(METHODS)}"
-    )
+    parser.add_argument("--method", metavar="NAME", help=f"instead of an accuracy: {', '.join(METHODS)}")
     parser.add_argument(
         "--step",
         type=float,
@@ -135,8 +122,7 @@ def add_settings(parser):
     parser.add_argument(
         "--stabilisation",
         metavar="KIND",
-        help=f"{', '.join(STABILISATIONS)} (default: none; with an accuracy projection, for "
-        "joints that would drift)",
+        help=f"{', '.join(STABILISATIONS)} (default: none; with an accuracy projection, for joints that would drift)",
     )
     parser.add_argument(
         "--baumgarte-time",
@@ -148,13 +134,10 @@ def add_settings(parser):
     parser.add_argument(
         "--space",
         metavar="KIND",
-        help="auto, or space: use the spatial formulation also for planar mechanisms "
-        "(default: auto)",
+        help="auto, or space: use the spatial formulation also for planar mechanisms (default: auto)",
     )
     for name in ("rtol", "atol"):
-        parser.add_argument(
-            f"--{name}", type=float, metavar="X", help="tolerance of a method with error control"
-        )
+        parser.add_argument(f"--{name}", type=float, metavar="X", help="tolerance of a method with error control")
     parser.add_argument("--rho-inf", type=float, metavar="X", help="damping of generalized_alpha")
 
 
@@ -210,9 +193,7 @@ def _run(args):
         short = textwrap.shorten(note, NOTE, placeholder=" ... (liegroup_sim describe has all)")
         console.print(f"{scene.name}: {short}", markup=False, highlight=False)
     try:
-        with console.status(
-            "starting (the first run of a kind of mechanism compiles for about 20 s)"
-        ):
+        with console.status("starting (the first run of a kind of mechanism compiles for about 20 s)"):
             simulation = Simulation(scene, **settings, estimate=args.estimate)
     except ValueError as error:  # SceneError, too, is one
         raise RunError(str(error)) from None
@@ -291,18 +272,13 @@ def _simulate(simulation, steps, every, write, console, signals):
         drawn = 0.0
         while simulation.steps < steps:
             due = min(steps, (simulation.steps // every + 1) * every)
-            simulation.advance(
-                due - simulation.steps,
-                lambda: signals.received or time.monotonic() > drawn + REDRAW,
-            )
+            simulation.advance(due - simulation.steps, lambda: signals.received or time.monotonic() > drawn + REDRAW)
             if simulation.steps == due:
                 write()
             signals.check()
             if time.monotonic() > drawn + REDRAW:
                 drawn = time.monotonic()
-                progress.update(
-                    task, completed=simulation.steps, status_text=f"{simulation.time:.3f} s"
-                )
+                progress.update(task, completed=simulation.steps, status_text=f"{simulation.time:.3f} s")
         progress.update(task, completed=steps, status_text=f"{simulation.time:.3f} s")
 
 

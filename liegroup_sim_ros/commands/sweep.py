@@ -38,9 +38,7 @@ def add_arguments(parser):
         "what they depend on."
     )
     parser.epilog = "Finished runs are saved as they come: after Ctrl-C the same command continues."
-    parser.add_argument(
-        "scene", metavar="SCENE", help="path of a scene or robot file, or name of an example scene"
-    )
+    parser.add_argument("scene", metavar="SCENE", help="path of a scene or robot file, or name of an example scene")
     parser.add_argument(
         "--vary",
         nargs="+",
@@ -52,27 +50,14 @@ def add_arguments(parser):
         "MEAN~DEVIATION or A,B,C",
     )
     parser.add_argument(
-        "--list",
-        action="store_true",
-        help="list all parameters with their values in the scene, and exit",
+        "--list", action="store_true", help="list all parameters with their values in the scene, and exit"
     )
     parser.add_argument("--samples", type=int, metavar="N", help="number of runs")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the sampling (default: %(default)s)")
     parser.add_argument(
-        "--seed",
-        type=int,
-        default=0,
-        metavar="N",
-        help="seed of the sampling (default: %(default)s)",
+        "--duration", type=float, metavar="S", help="simulated time of each run in s, a multiple of the step"
     )
-    parser.add_argument(
-        "--duration",
-        type=float,
-        metavar="S",
-        help="simulated time of each run in s, a multiple of the step",
-    )
-    parser.add_argument(
-        "--out", metavar="FOLDER", help="output: a folder of Parquet files, *.parquet"
-    )
+    parser.add_argument("--out", metavar="FOLDER", help="output: a folder of Parquet files, *.parquet")
     parser.add_argument(
         "--keep",
         type=float,
@@ -90,20 +75,13 @@ def add_arguments(parser):
         action="store_true",
         help="add the largest reactions of all joints at these times (nan: undetermined)",
     )
-    parser.add_argument(
-        "--workers", type=int, metavar="N", help="number of processes (default: one per core)"
-    )
-    parser.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="scheduler of a Dask cluster, such as tls://host:8786",
-    )
+    parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one per core)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tls://host:8786")
     parser.add_argument(
         "--show",
         nargs="+",
         metavar="COLUMN",
-        help="columns of the result tables (default: the states of up to two bodies, the "
-        "energy and the joints)",
+        help="columns of the result tables (default: the states of up to two bodies, the energy and the joints)",
     )
     add_settings(parser)
 
@@ -143,10 +121,7 @@ def run(args):
             return EXIT_INTERRUPTED
         statuses = print_sweep(file, args.show, Console(file=sys.stdout))
     if not args.assemble and any(hint in status for status in statuses for hint in CLOSING):
-        print(
-            "liegroup_sim: the sampled initial states violate the joints; --assemble corrects them",
-            file=sys.stderr,
-        )
+        print("liegroup_sim: the sampled initial states violate the joints; --assemble corrects them", file=sys.stderr)
     return 0 if OK in statuses else EXIT_ALL_FAILED
 
 
@@ -208,10 +183,7 @@ def _run_missing(sweep, file, args, console):
         return False
     done, failed = sweep.samples - len(missing), 0
     if done:
-        print(
-            f"liegroup_sim: {args.out} has {done} of {counted(sweep.samples, 'run')} already",
-            file=sys.stderr,
-        )
+        print(f"liegroup_sim: {args.out} has {done} of {counted(sweep.samples, 'run')} already", file=sys.stderr)
     with Progress(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -226,11 +198,7 @@ def _run_missing(sweep, file, args, console):
             for columns in sweep.run(missing, args.scheduler, args.workers):
                 file.add(columns)
                 failed += sum(status != "ok" for status in columns["status"])
-                progress.update(
-                    task,
-                    advance=len(columns["run"]),
-                    status_text=f"{failed} failed" if failed else "",
-                )
+                progress.update(task, advance=len(columns["run"]), status_text=f"{failed} failed" if failed else "")
         except KeyboardInterrupt:
             return True
     return False

@@ -34,21 +34,15 @@ def add_arguments(parser):
     )
     parser.epilog = "Measurements are cached as they come: after Ctrl-C the same command continues."
     parser.add_argument(
-        "scenes",
-        metavar="SCENE",
-        nargs="+",
-        help="path of a scene or robot file, or name of an example scene",
+        "scenes", metavar="SCENE", nargs="+", help="path of a scene or robot file, or name of an example scene"
     )
     parser.add_argument(
         "--horizon",
         type=float,
         metavar="S",
-        help="simulated time in s over which errors are measured (default: derived from the "
-        "scene, at most 10)",
+        help="simulated time in s over which errors are measured (default: derived from the scene, at most 10)",
     )
-    parser.add_argument(
-        "--methods", nargs="+", metavar="NAME", help="methods (default: all that are applicable)"
-    )
+    parser.add_argument("--methods", nargs="+", metavar="NAME", help="methods (default: all that are applicable)")
     parser.add_argument(
         "--groups",
         nargs="+",
@@ -75,14 +69,8 @@ def add_arguments(parser):
         metavar="S",
         help="limit of CPU time per run in s (default: %(default)g)",
     )
-    parser.add_argument(
-        "--workers", type=int, metavar="N", help="number of processes (default: one per core)"
-    )
-    parser.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="scheduler of a Dask cluster, such as tls://host:8786",
-    )
+    parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one per core)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tls://host:8786")
     parser.add_argument("--json", metavar="FILE", help="write all measurements as JSON")
     parser.add_argument("--html", metavar="PAGE", help="write a self-contained HTML report")
     parser.add_argument(
@@ -117,9 +105,7 @@ def measured(scene, args):
     console = Console(stderr=True)
     try:
         with console.status("") as status:
-            trade = Trade(
-                scene, args.horizon, tell=lambda text: status.update(f"{scene.name}: {text}")
-            )
+            trade = Trade(scene, args.horizon, tell=lambda text: status.update(f"{scene.name}: {text}"))
         with Progress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -139,12 +125,7 @@ def measured(scene, args):
                 args.workers,
                 lambda text: progress.update(task, status_text=text),
             ):
-                progress.update(
-                    task,
-                    completed=done,
-                    total=total,
-                    status_text=f"{cell['method']} {cell['step']:g} s",
-                )
+                progress.update(task, completed=done, total=total, status_text=f"{cell['method']} {cell['step']:g} s")
             progress.update(task, completed=progress.tasks[task].total, status_text="")
         trade.keep_only(args.methods, args.groups, args.stabilisation, args.steps)
         return trade

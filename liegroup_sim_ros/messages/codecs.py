@@ -85,10 +85,7 @@ class Fields:
         size = struct.calcsize("<" + form)
         self._at += (len(_LITTLE_ENDIAN) - self._at) % size if count else 0
         if count * size > len(self._payload) - self._at:
-            raise MessageError(
-                f"{self._name}: a message is truncated or of another type: "
-                f"{len(self._payload)} bytes"
-            )
+            raise MessageError(f"{self._name}: a message is truncated or of another type: {len(self._payload)} bytes")
         values = struct.unpack_from(f"{self._order}{count}{form}", self._payload, self._at)
         self._at += count * size
         return values
@@ -104,10 +101,7 @@ class Fields:
         """A string."""
         size = self.number("I")
         if size > len(self._payload) - self._at:
-            raise MessageError(
-                f"{self._name}: a message is truncated or of another type: "
-                f"{len(self._payload)} bytes"
-            )
+            raise MessageError(f"{self._name}: a message is truncated or of another type: {len(self._payload)} bytes")
         self._at += size
         return self._payload[self._at - size : self._at].rstrip(b"\0").decode(errors="replace")
 
@@ -267,9 +261,7 @@ def _decode(type_name, payloads, nvalues):
     values = np.empty((len(payloads), nvalues))
     for (_, _, size), index in layouts.items():
         same = np.frombuffer(b"".join([payloads[i] for i in index]), dtype=np.uint8)
-        stamp_ns[index], names, which, values[index] = _decode_same(
-            type_name, same.reshape(len(index), size), nvalues
-        )
+        stamp_ns[index], names, which, values[index] = _decode_same(type_name, same.reshape(len(index), size), nvalues)
         frame_id[index] = np.array(names, dtype=object)[which]
     return stamp_ns, frame_id, values
 
@@ -299,12 +291,8 @@ def _decode_same(type_name, rows, nvalues):
     encapsulation = rows[0, :2].tobytes()
     order = _BYTE_ORDER.get(encapsulation)
     if order is None:
-        raise MessageError(
-            f"{type_name}: a message is not plain CDR: it starts with 0x{encapsulation.hex()}"
-        )
-    frame_size = int.from_bytes(
-        rows[0, 12:_FRAME_ID].tobytes(), "little" if order == "<" else "big"
-    )
+        raise MessageError(f"{type_name}: a message is not plain CDR: it starts with 0x{encapsulation.hex()}")
+    frame_size = int.from_bytes(rows[0, 12:_FRAME_ID].tobytes(), "little" if order == "<" else "big")
     start = _offset_of_values(frame_size)
     if frame_size < 1 or size < start + 8 * nvalues:
         raise MessageError(f"{type_name}: a message is truncated or of another type: {size} bytes")
@@ -312,12 +300,7 @@ def _decode_same(type_name, rows, nvalues):
         np.dtype(
             {
                 "names": ["sec", "nanosec", "frame_id", "values"],
-                "formats": [
-                    f"{order}i4",
-                    f"{order}u4",
-                    (np.uint8, frame_size),
-                    (f"{order}f8", nvalues),
-                ],
+                "formats": [f"{order}i4", f"{order}u4", (np.uint8, frame_size), (f"{order}f8", nvalues)],
                 "offsets": [4, 8, _FRAME_ID, start],
                 "itemsize": size,
             }

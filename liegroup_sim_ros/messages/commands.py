@@ -28,9 +28,7 @@ class JointValues(NamedTuple):
     def complete(self):
         """Itself. Raises MessageError unless every name has a position and a velocity."""
         if any(len(part) != len(self.names) for part in (self.position, self.velocity)):
-            raise MessageError(
-                f"{JOINT_STATE}: the number of values differs from the number of joints"
-            )
+            raise MessageError(f"{JOINT_STATE}: the number of values differs from the number of joints")
         return self
 
 

@@ -92,9 +92,7 @@ def _joint(joint):
         lines.append(f'    <axis xyz="{_row(joint.axis)}"/>')
     if joint.type == "prismatic":
         lower, upper = (joint.data.get(end, far) for end, far in (("lower", -FAR), ("upper", FAR)))
-        lines.append(
-            f'    <limit lower="{lower}" upper="{upper}" effort="{FAR}" velocity="{FAR}"/>'
-        )
+        lines.append(f'    <limit lower="{lower}" upper="{upper}" effort="{FAR}" velocity="{FAR}"/>')
     return "\n".join([*lines, "  </joint>"])
 
 

@@ -76,16 +76,12 @@ def inaccurate(since, reason):
 
 def unpredictable(since):
     """The estimated error is large after a time in s."""
-    return (
-        f"{since:.9g} s is the last time before the error is too large for the motion to be known"
-    )
+    return f"{since:.9g} s is the last time before the error is too large for the motion to be known"
 
 
 def saturated(effort, joint, time):
     """A servo has reached its effort limit; effort : N m or N, time : s."""
-    return (
-        f"{effort:g} is the effort limit that the servo of {joint} has reached at t = {time:.6g} s"
-    )
+    return f"{effort:g} is the effort limit that the servo of {joint} has reached at t = {time:.6g} s"
 
 
 def reports(simulation):

@@ -43,9 +43,7 @@ def merged_links(scene):
         return {}
     own = {*link_of_body(scene).values(), *(body.name for body in scene.bodies)}
     return {
-        link: (body, place)
-        for link, (body, place) in scene.robot.frames.items()
-        if body != WORLD and link not in own
+        link: (body, place) for link, (body, place) in scene.robot.frames.items() if body != WORLD and link not in own
     }
 
 

@@ -63,9 +63,7 @@ class Markers:
             self._local.append(local)
         offsets = {body.name: np.array(body.com) for body in scene.bodies}
         for i, (joint, (_, frame)) in enumerate(zip(scene.joints, layout.joint_frames)):
-            _add(
-                template, "joints", i, SPHERE, world_frame, (JOINT_SIZE * largest,) * 3, JOINT_COLOR
-            )
+            _add(template, "joints", i, SPHERE, world_frame, (JOINT_SIZE * largest,) * 3, JOINT_COLOR)
             local = frame.copy()  # relative to the frame at the centre of mass
             local[:3, 3] += offsets[joint.child]
             self._owner.append(place[joint.child])
@@ -73,15 +71,7 @@ class Markers:
         self._local = np.array(self._local)
         for name, color in (("forces", FORCE_COLOR), ("torques", TORQUE_COLOR)):
             for i in range(len(solids)):
-                _add(
-                    template,
-                    name,
-                    i,
-                    ARROW,
-                    world_frame,
-                    (SHAFT * largest, HEAD * largest, 0.0),
-                    color,
-                )
+                _add(template, name, i, ARROW, world_frame, (SHAFT * largest, HEAD * largest, 0.0), color)
 
     def encode(self, stamp_ns, sample):
         """The serialized message."""
@@ -93,9 +83,7 @@ class Markers:
         for place, quaternion in zip(rows[:, 9:].tolist(), quaternions(rows).tolist()):
             slots += time, (ADD,), (*place, *quaternion)
         places = np.hstack([sample.pose[:, 9:], sample.orientation]).tolist()
-        wrenches = [
-            self._in_body_axes(body, turn) for body, turn in zip(self._bodies, sample.pose[:, :9])
-        ]
+        wrenches = [self._in_body_axes(body, turn) for body, turn in zip(self._bodies, sample.pose[:, :9])]
         for part in (slice(3, 6), slice(0, 3)):
             for wrench, pose in zip(wrenches, places):
                 vector = wrench[part]
@@ -186,11 +174,7 @@ def _of_visual(visual, file):
     if visual.kind == "box":
         return CUBE, visual.size, ""
     across = 2.0 * visual.size[0]
-    return (
-        TYPES[visual.kind],
-        (across, across, visual.size[-1] if visual.kind == "cylinder" else across),
-        "",
-    )
+    return (TYPES[visual.kind], (across, across, visual.size[-1] if visual.kind == "cylinder" else across), "")
 
 
 def solid(body):

@@ -58,13 +58,9 @@ def odometry(layout, world_frame, frame_prefix=""):
         for numbers in ("7d", "6d"):
             template.slot(numbers)
             template.slot("36d")
-        return lambda stamp_ns, sample: template.pack(
-            stamp(stamp_ns), *_with_covariances(sample, body)
-        )
+        return lambda stamp_ns, sample: template.pack(stamp(stamp_ns), *_with_covariances(sample, body))
 
-    return [
-        (f"~/{body}/odometry", "nav_msgs/msg/Odometry", of_body(body)) for body in layout.body_names
-    ]
+    return [(f"~/{body}/odometry", "nav_msgs/msg/Odometry", of_body(body)) for body in layout.body_names]
 
 
 def poses_with_covariance(layout, world_frame, frame_prefix=""):
@@ -75,16 +71,10 @@ def poses_with_covariance(layout, world_frame, frame_prefix=""):
         template.header(world_frame)
         template.slot("7d")
         template.slot("36d")
-        return lambda stamp_ns, sample: template.pack(
-            stamp(stamp_ns), *_with_covariances(sample, body)[:2]
-        )
+        return lambda stamp_ns, sample: template.pack(stamp(stamp_ns), *_with_covariances(sample, body)[:2])
 
     return [
-        (
-            f"~/{body}/pose_with_covariance",
-            "geometry_msgs/msg/PoseWithCovarianceStamped",
-            of_body(body),
-        )
+        (f"~/{body}/pose_with_covariance", "geometry_msgs/msg/PoseWithCovarianceStamped", of_body(body))
         for body in layout.body_names
     ]
 
@@ -100,10 +90,7 @@ def velocities(layout, world_frame, frame_prefix=""):
         template.slot("6d")
         return lambda stamp_ns, sample: template.pack(stamp(stamp_ns), _twist(sample, body))
 
-    return [
-        (f"~/{body}/velocity", "geometry_msgs/msg/VelocityStamped", of_body(body))
-        for body in layout.body_names
-    ]
+    return [(f"~/{body}/velocity", "geometry_msgs/msg/VelocityStamped", of_body(body)) for body in layout.body_names]
 
 
 def pose_array(layout, world_frame, frame_prefix=""):
@@ -187,16 +174,11 @@ def reactions(layout, world_frame, frame_prefix=""):
     def of_force(name):
         codec = WrenchStampedCodec(f"{frame_prefix}{forces.joints[name]}{REACTION}")
         before, after = ((0.0,) * k for k in ((2, 3) if forces.turns[name] else (5, 0)))
-        return lambda stamp_ns, sample: codec.encode(
-            stamp_ns, (*before, sample.force_efforts[name], *after)
-        )
+        return lambda stamp_ns, sample: codec.encode(stamp_ns, (*before, sample.force_efforts[name], *after))
 
     encoders = {name: of_joint(name) for name in joints}
     encoders |= {name: of_force(name) for name in forces.names}
-    return [
-        (f"~/{labels[name]}/wrench", WrenchStampedCodec.TYPE, encode)
-        for name, encode in encoders.items()
-    ]
+    return [(f"~/{labels[name]}/wrench", WrenchStampedCodec.TYPE, encode) for name, encode in encoders.items()]
 
 
 def impulses(layout, frame_prefix=""):
@@ -228,10 +210,7 @@ def fixed_frames(layout, frame_prefix=""):
     JOINT_reaction is the joint frame of the child; a force_torque sensor without a frame has it too.
     """
     scene = layout.scene
-    of_child = {
-        joint.name: (joint.child, frame)
-        for joint, (_, frame) in zip(scene.joints, resolve_frames(scene))
-    }
+    of_child = {joint.name: (joint.child, frame) for joint, (_, frame) in zip(scene.joints, resolve_frames(scene))}
     frames = {f"{joint}{REACTION}": place for joint, place in of_child.items()}
     for sensor in scene.sensors:
         if sensor.type == "force_torque":
@@ -260,15 +239,9 @@ def transforms(layout, world_frame, frame_prefix="", which="all"):
     links, _ = links_and_joints(scene)
     if which == ROOTS:
         fixed = (WORLD, np.eye(4))
-        links = {
-            name: links.get(name, fixed)
-            for name in unheld_links(scene)
-            if frame_prefix + name != world_frame
-        }
+        links = {name: links.get(name, fixed) for name in unheld_links(scene) if frame_prefix + name != world_frame}
     links |= {
-        body: (body, np.eye(4))
-        for body, link in link_of_body(scene).items()
-        if link != body and body not in links
+        body: (body, np.eye(4)) for body, link in link_of_body(scene).items() if link != body and body not in links
     }
     if not links:
         return []
@@ -314,12 +287,7 @@ OPTIONAL = {
 def _with_covariances(sample, body):
     """Pose, its covariance (36,), twist, its covariance (36,)."""
     position, attitude, linear, angular = variances(sample, body)
-    return (
-        _pose(sample, body),
-        _covariance(position, attitude),
-        _twist(sample, body),
-        _covariance(linear, angular),
-    )
+    return (_pose(sample, body), _covariance(position, attitude), _twist(sample, body), _covariance(linear, angular))
 
 
 def _covariance(linear, angular):

@@ -21,8 +21,7 @@ from liegroup_core.errors import LieGroupSimError
 _SEPARATOR = "=" * 80
 _FIELD_TYPE = re.compile(r"^\s*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+\w", re.MULTILINE)
 _PRIMITIVES = frozenset(
-    "bool byte char float32 float64 int8 uint8 int16 uint16 int32 uint32 int64 uint64 "
-    "string wstring".split()
+    "bool byte char float32 float64 int8 uint8 int16 uint16 int32 uint32 int64 uint64 string wstring".split()
 )
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}  # RMW_DURATION_INFINITE
 
@@ -41,11 +40,7 @@ def definition(msg_type):
 
     def with_dependencies(package, name):
         text = _share_file(package, name, ".msg").read_text(encoding="utf-8")
-        types = {
-            t if "/" in t else f"{package}/{t}"
-            for t in _FIELD_TYPE.findall(text)
-            if t not in _PRIMITIVES
-        }
+        types = {t if "/" in t else f"{package}/{t}" for t in _FIELD_TYPE.findall(text) if t not in _PRIMITIVES}
         for dependency in sorted(types):
             if dependency not in seen:
                 seen.add(dependency)

@@ -67,9 +67,7 @@ class CountedInput:
     def refuse_too_many(self, held, target):
         """Refuse a message if MOST commands act or wait. Raises Refusal."""
         if held >= MOST:
-            self.refuse(
-                "too_many", lambda: f"for {target}: {held} commands already act or are scheduled"
-            )
+            self.refuse("too_many", lambda: f"for {target}: {held} commands already act or are scheduled")
 
     def figures(self):
         """{name: number} for the diagnostics."""

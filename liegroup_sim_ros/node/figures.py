@@ -30,9 +30,7 @@ def error_figures(simulation, sample):
         "position_error_m": position,
         "attitude_error_rad": attitude,
         # By position, then by attitude; none while all are unknown.
-        "worst_body": max(zip(sample.errors.tolist(), sample.body_names))[1]
-        if math.isfinite(position)
-        else "",
+        "worst_body": max(zip(sample.errors.tolist(), sample.body_names))[1] if math.isfinite(position) else "",
         "predictable_until_s": simulation.predictable_until,
         **_accuracy_figures(simulation),
     }

@@ -144,10 +144,7 @@ class JointCommandInput(JointInput):
         if len(numbers) != len(names):
             self.refuse(
                 "wrong_length",
-                lambda: (
-                    f"{counted(len(numbers), 'number')} for the {counted(len(names), 'joint')} of "
-                    "command_joints"
-                ),
+                lambda: f"{counted(len(numbers), 'number')} for the {counted(len(names), 'joint')} of command_joints",
             )
         fields = [numbers if kind == interface else () for kind in INTERFACES]
         return self._commands(names, fields, 0, 0, held, None, jumps)
@@ -186,9 +183,7 @@ class JointCommandInput(JointInput):
                     self.refuse("not_finite", lambda: f"{kind} of {name} is infinite or too large")
         position, velocity, effort = (values or (math.nan,) * len(names) for values in fields)
         wanted = [
-            (name, *target)
-            for name, *target in zip(names, position, velocity)
-            if not all(map(math.isnan, target))
+            (name, *target) for name, *target in zip(names, position, velocity) if not all(map(math.isnan, target))
         ]
         self._check_servos(wanted, jumps)
         for name, value in zip(names, effort):
@@ -212,10 +207,7 @@ class JointCommandInput(JointInput):
             JointEffort(SOURCE, self.joints[name], value, start_ns)
             for name, value in zip(names, effort)
             if not math.isnan(value)
-        ] + [
-            self._target(name, position, _or_zero(velocity), start_ns)
-            for name, position, velocity in wanted
-        ]
+        ] + [self._target(name, position, _or_zero(velocity), start_ns) for name, position, velocity in wanted]
         if self._present is not None:
             for command in found:
                 self.refuse_beyond_limits(command.check, self._present)
@@ -233,8 +225,7 @@ class JointCommandInput(JointInput):
         joint = self.joints[name]
         if joint not in self._with_effort:
             self.refuse(
-                "no_coordinate",
-                lambda: f"it has an effort for {name}, a screw: command a position or velocity",
+                "no_coordinate", lambda: f"it has an effort for {name}, a screw: command a position or velocity"
             )
         self.refuse_beyond_limits(self.limits[joint].check_effort, effort)
 

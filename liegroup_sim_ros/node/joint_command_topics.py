@@ -33,9 +33,7 @@ class JointCommandTopics:
         self._node, self._values, self._server, self._qos = node, values, server, qos
         self.input = JointCommandInput(layout, values.motion_time, server)
         self.trajectories = TrajectoryInput(layout, server)
-        self._names = tuple(
-            name.strip() for name in values.command_joints.split(",") if name.strip()
-        )
+        self._names = tuple(name.strip() for name in values.command_joints.split(",") if name.strip())
         self._check_names()
         self._subscriptions = []
         if self.input.joints:
@@ -107,29 +105,18 @@ class JointCommandTopics:
     def _read(self, payload):
         server = self._server
         commands = self.input.read(
-            payload,
-            server.stamp_ns,
-            server.inputs_held,
-            self._lasting,
-            self._values.command_stamps,
-            self._jumps,
+            payload, server.stamp_ns, server.inputs_held, self._lasting, self._values.command_stamps, self._jumps
         )
         server.push(commands, self._lasting, self._refuse_command)
 
     def _read_array(self, payload):
         commands = self.input.read_array(
-            payload,
-            self._names,
-            self._values.command_interface,
-            self._server.inputs_held,
-            self._jumps,
+            payload, self._names, self._values.command_interface, self._server.inputs_held, self._jumps
         )
         self._server.push(commands, self._lasting, self._refuse_command)
 
     def _read_trajectory(self, payload):
-        trajectory = self.trajectories.read(
-            payload, self._server.stamp_ns, self._values.command_stamps, self._jumps
-        )
+        trajectory = self.trajectories.read(payload, self._server.stamp_ns, self._values.command_stamps, self._jumps)
         self._server.follow(trajectory, self._refuse_trajectory)
 
     def figures(self):

@@ -75,10 +75,7 @@ class JointInput(CountedInput):
                         f"name some of: {listed:.200}"
                     ),
                 )
-            self.refuse(
-                "unknown_joint",
-                lambda: f"unknown joint {name!r:.{LONGEST_NAME}}; name some of: {listed:.200}",
-            )
+            self.refuse("unknown_joint", lambda: f"unknown joint {name!r:.{LONGEST_NAME}}; name some of: {listed:.200}")
         if len(set(names)) < len(names):
             self.refuse("repeated_joint", lambda: "it names a joint twice; name each one once")
 

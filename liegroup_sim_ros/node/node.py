@@ -25,14 +25,7 @@ from liegroup_sim_ros.recording.write import RecorderError
 from . import own_services, standard_services
 from .answers import AnsweringNode
 from .parameters import ParameterError, read_parameters, watch_parameters
-from .scene_run import (
-    ATTENTION,
-    Interrupted,
-    SceneRun,
-    begin_simulation,
-    make_simulation,
-    served_folders,
-)
+from .scene_run import ATTENTION, Interrupted, SceneRun, begin_simulation, make_simulation, served_folders
 from .standard_codes import FAILED, Refused
 
 try:
@@ -42,13 +35,7 @@ except ImportError:
     Executor = SingleThreadedExecutor
 
 # Errors that a user can correct.
-WRONG_INPUT = (
-    ParameterError,
-    SceneError,
-    RecorderError,
-    ParameterException,
-    NameValidationException,
-)
+WRONG_INPUT = (ParameterError, SceneError, RecorderError, ParameterException, NameValidationException)
 
 # Longest time that a thread waits for the interpreter lock, s. Python's default of 5 ms would delay
 # a tick whenever a callback runs.
@@ -90,13 +77,9 @@ class SimNode(AnsweringNode):
             )
         except ValueError as error:  # such as `step: []` in a file
             empty = [
-                name
-                for name, parameter in getattr(self, "_parameter_overrides", {}).items()
-                if parameter.value is None
+                name for name, parameter in getattr(self, "_parameter_overrides", {}).items() if parameter.value is None
             ]
-            raise ParameterError(
-                f"parameter {empty[0]}: has no value" if empty else str(error)
-            ) from None
+            raise ParameterError(f"parameter {empty[0]}: has no value" if empty else str(error)) from None
         for name in ("liegroup_core", "liegroup_sim_ros"):
             logging.getLogger(name).addHandler(LogHandler(self.get_logger()))
         self.is_recorded = True  # what was to be recorded so far
@@ -105,9 +88,7 @@ class SimNode(AnsweringNode):
         simulation, start_ns = make_simulation(values, signals)
         self.folders = served_folders(values, simulation.scene)
         with _refused_by_rcl():
-            self.scene_run = SceneRun(
-                self, values, simulation, paused=values.start_paused, start_ns=start_ns
-            )
+            self.scene_run = SceneRun(self, values, simulation, paused=values.start_paused, start_ns=start_ns)
         for name, parameter in (
             ("pause", ""),
             ("resume", ""),
@@ -116,9 +97,7 @@ class SimNode(AnsweringNode):
             ("restore_snapshot", "snapshot"),
         ):
             self.create_service(Trigger, f"~/{name}", self._command(name, parameter))
-        self.create_service(
-            Trigger, "~/step", lambda *_: standard_services.take_steps(self.ask, values.step_count)
-        )
+        self.create_service(Trigger, "~/step", lambda *_: standard_services.take_steps(self.ask, values.step_count))
         self.create_service(Trigger, "~/reload", self._serve_reload)
         own_services.offer(self)
         standard_services.offer(self, values.world_frame)
@@ -159,11 +138,7 @@ class SimNode(AnsweringNode):
         before, was_running = self.scene_run, await self.ask("hold")
         try:
             after = SceneRun(
-                self,
-                self._values,
-                simulation,
-                before,
-                paused=not was_running if paused is None else paused,
+                self, self._values, simulation, before, paused=not was_running if paused is None else paused
             )
         except WRONG_INPUT:
             if was_running:
@@ -173,10 +148,7 @@ class SimNode(AnsweringNode):
         self.scene_run = after
         after.start()
         server = after.server
-        return (
-            simulation.scene,
-            f"{simulation.scene.name} at {server.stamp_ns * 1e-9:.9g} s, {server.state}",
-        )
+        return (simulation.scene, f"{simulation.scene.name} at {server.stamp_ns * 1e-9:.9g} s, {server.state}")
 
     def set_scene(self, path):
         """Set the parameter `scene`: ~/reload loads this path from now on."""
@@ -212,9 +184,7 @@ def run(args, signals):
             left = remove_ros_args(args)[1:]
             rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         if left:
-            raise ParameterError(
-                f"unknown argument {left[0]!r}; give parameters as --ros-args -p NAME:=VALUE"
-            )
+            raise ParameterError(f"unknown argument {left[0]!r}; give parameters as --ros-args -p NAME:=VALUE")
         sys.setswitchinterval(SWITCH)
         node = SimNode(signals)
         try:

@@ -17,14 +17,7 @@ from liegroup_core.forces.external import AXES
 from liegroup_core.forces.kinds import wanted_values
 from liegroup_core.joint_events import has_impacts
 from liegroup_core.joints.motion import FROM_SCENE
-from liegroup_sim_ros.messages import (
-    commands,
-    description,
-    diagnostics,
-    estimates,
-    joint_modes,
-    topics,
-)
+from liegroup_sim_ros.messages import commands, description, diagnostics, estimates, joint_modes, topics
 from liegroup_sim_ros.messages import samples as sample_messages
 from liegroup_sim_ros.messages.codecs import ClockCodec, LogCodec, WrenchStampedCodec
 from liegroup_sim_ros.messages.markers import Markers, markers
@@ -54,10 +47,7 @@ class Stream:
         message_class = getattr(importlib.import_module(f"{package}.msg"), name)
         self._node = node
         self._publisher = node.create_publisher(
-            message_class,
-            topic,
-            profile,
-            qos_overriding_options=overrides.options(node, topic, "publisher"),
+            message_class, topic, profile, qos_overriding_options=overrides.options(node, topic, "publisher")
         )
         # Publisher.publish would enter this context for every message, which doubles the time.
         self._handle = self._publisher.handle
@@ -161,9 +151,7 @@ class Outputs:
         if values.steps["reaction_rate"] and has_impacts(layout.scene):
             self.impulses = [
                 (self._stream(topic, message_type, depth=topics.IMPULSES_KEPT), encode)
-                for topic, message_type, encode in sample_messages.impulses(
-                    layout, values.frame_prefix
-                )
+                for topic, message_type, encode in sample_messages.impulses(layout, values.frame_prefix)
             ]
         self._events = self._stream(*topics.EVENTS)
         # For viewers only: the recording has the scene.
@@ -216,9 +204,7 @@ class Outputs:
         if values.estimate:
             errors, encode_errors = self._stream(*topics.ERRORS), estimates.encoder(bodies)
             self._topics["errors"] = errors.topic
-            self.timed.append(
-                (steps, lambda stamp_ns, sample: errors.send(stamp_ns, encode_errors(sample)))
-            )
+            self.timed.append((steps, lambda stamp_ns, sample: errors.send(stamp_ns, encode_errors(sample))))
 
     def _add_optional(self, parameter, entries, steps):
         for topic, message_type, encode in entries:
@@ -353,10 +339,7 @@ class Outputs:
         """Publish an event of the run; log it as well if it is a failure and not logged yet."""
         if failed and not is_logged:
             self._node.get_logger().error(text)
-        self._events.send(
-            stamp_ns,
-            LogCodec.encode(stamp_ns, LogCodec.ERROR if failed else LogCodec.INFO, name, text),
-        )
+        self._events.send(stamp_ns, LogCodec.encode(stamp_ns, LogCodec.ERROR if failed else LogCodec.INFO, name, text))
 
     def state(self, stamp_ns, figures):
         """Publish ~/state: the figures of the diagnostics, in simulated time."""

@@ -36,9 +36,7 @@ def offer(node):
     """Create the services of a SimNode."""
     for name, serve in (("set_state", set_state), ("apply_wrench", apply_wrench)):
         node.create_service(
-            SetParametersAtomically,
-            f"~/{name}",
-            lambda request, _, serve=serve: serve(node, _values(request)),
+            SetParametersAtomically, f"~/{name}", lambda request, _, serve=serve: serve(node, _values(request))
         )
 
 
@@ -55,9 +53,7 @@ async def set_state(node, values):
             joints.setdefault(_joint(node, owner), [None, None])[OF_JOINTS.index(kind)] = value
             continue
         if kind not in ("pose", "twist"):
-            raise Wrong(
-                f"unknown name {name!r:.60}: give BODY/pose, BODY/twist, JOINT/position or JOINT/velocity"
-            )
+            raise Wrong(f"unknown name {name!r:.60}: give BODY/pose, BODY/twist, JOINT/position or JOINT/velocity")
         body = _body(node, owner)
         if kind == "pose":
             numbers = _vector(name, value, 7)
@@ -81,18 +77,14 @@ def apply_wrench(node, values):
     body, place = _body_or_link(node, values.get("body", ""))
     if axes not in ("body", "world"):
         raise Wrong(f"axes must be 'body' or 'world', got {_shown(axes)}")
-    force, torque, point = (
-        _vector(name, values.get(name, [0.0] * 3), 3) for name in ("force", "torque", "point")
-    )
+    force, torque, point = (_vector(name, values.get(name, [0.0] * 3), 3) for name in ("force", "torque", "point"))
     point = place[:3, :3] @ point + place[:3, 3]
     if axes == "body":
         force, torque = place[:3, :3] @ force, place[:3, :3] @ torque
     _vector("point times force", np.outer(point, force).ravel(), 9)
     duration, name = values.get("duration"), values.get("name", "")
     if type(duration) not in (int, float) or not 1e-9 <= duration <= LONGEST:
-        raise Wrong(
-            f"duration must be a number of seconds from 1e-9 to {LONGEST:g}, got {_shown(duration)}"
-        )
+        raise Wrong(f"duration must be a number of seconds from 1e-9 to {LONGEST:g}, got {_shown(duration)}")
     if not isinstance(name, str):
         raise Wrong(f"name must be a text, got {_shown(name)}")
     server = node.scene_run.server
@@ -128,9 +120,7 @@ def _body(node, name):
 def _body_or_link(node, name):
     """(body, (4, 4) pose in its frame) of a body, or of a link that is merged into one."""
     merged = merged_links(node.scene_run.simulation.scene)
-    return (
-        merged[name] if isinstance(name, str) and name in merged else (_body(node, name), np.eye(4))
-    )
+    return merged[name] if isinstance(name, str) and name in merged else (_body(node, name), np.eye(4))
 
 
 def _joint(node, name):

@@ -25,10 +25,7 @@ PRESET_HEAD = """\
 
 def table_text():
     """Table of the parameters in Markdown."""
-    rows = [
-        "| parameter | default | allowed | settable while running | meaning |",
-        "|---|---|---|---|---|",
-    ]
+    rows = ["| parameter | default | allowed | settable while running | meaning |", "|---|---|---|---|---|"]
     for entry in TABLE:
         default = {"": "empty", False: "false", True: "true"}.get(
             entry.default if isinstance(entry.default, (str, bool)) else None, entry.default

@@ -10,12 +10,7 @@ import math
 from types import SimpleNamespace
 from typing import NamedTuple
 
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    SetParametersResult,
-)
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.parameter import Parameter
 
 from liegroup_core.accuracy import DEFAULT, LONGEST, MINUTE, SMALLEST
@@ -100,16 +95,12 @@ TABLE = (
         above=True,
     ),
     Entry(
-        "method",
-        AUTO,
-        "integration method; auto: steps of a size that keeps the accuracy",
-        choices=(AUTO, *METHODS),
+        "method", AUTO, "integration method; auto: steps of a size that keeps the accuracy", choices=(AUTO, *METHODS)
     ),
     Entry(
         "stabilisation",
         AUTO,
-        "how constraint drift is corrected; auto: projection with an accuracy, for joints that would "
-        "drift, else none",
+        "how constraint drift is corrected; auto: projection with an accuracy, for joints that would drift, else none",
         choices=(AUTO, *STABILISATIONS),
     ),
     Entry(
@@ -143,21 +134,14 @@ TABLE = (
         high=1e6,
     ),
     Entry("start_paused", False, "start paused, until ~/resume or ~/step is called"),
-    Entry(
-        "step_count", 1, "number of steps per call of ~/step", read_only=False, low=1, high=1000000
-    ),
+    Entry("step_count", 1, "number of steps per call of ~/step", read_only=False, low=1, high=1000000),
     Entry(
         "continue_from",
         "",
-        "recording (*.mcap) whose run goes on, with its scene, method and step, in place of scene; "
-        "empty: none",
+        "recording (*.mcap) whose run goes on, with its scene, method and step, in place of scene; empty: none",
     ),
     Entry(
-        "continue_at",
-        0.0,
-        "time stamp in the recording continue_from at which the run goes on, s",
-        low=0.0,
-        high=1e9,
+        "continue_at", 0.0, "time stamp in the recording continue_from at which the run goes on, s", low=0.0, high=1e9
     ),
     Entry(
         "continue_inputs",
@@ -171,11 +155,7 @@ TABLE = (
         "name of the snapshot that ~/save_snapshot saves and ~/restore_snapshot restores",
         read_only=False,
     ),
-    Entry(
-        "record",
-        "",
-        "recording file (*.mcap), whose folders are made, or existing folder; empty: no recording",
-    ),
+    Entry("record", "", "recording file (*.mcap), whose folders are made, or existing folder; empty: no recording"),
     Entry(
         "record_flush_interval",
         1.0,
@@ -200,11 +180,7 @@ TABLE = (
     ),
     Entry("record_metadata", False, "write a metadata.yaml that makes the folder a rosbag2 bag"),
     Entry("world_frame", "world", "frame id of the poses"),
-    Entry(
-        "frame_prefix",
-        "",
-        "prefix of the frame ids of all bodies, such as robot1/; world_frame has no prefix",
-    ),
+    Entry("frame_prefix", "", "prefix of the frame ids of all bodies, such as robot1/; world_frame has no prefix"),
     _rate("publish_rate", 100.0, "~/BODY/pose and ~/BODY/twist", "; recordings require it"),
     _rate("clock_rate", 100.0, "/clock"),
     _rate("state_rate", 10.0, "~/state"),
@@ -273,9 +249,7 @@ TABLE = (
         "",
         "joints of ~/commands, separated by commas, in the order of its numbers; empty: no such topic",
     ),
-    Entry(
-        "command_interface", "position", "what the numbers of ~/commands are", choices=INTERFACES
-    ),
+    Entry("command_interface", "position", "what the numbers of ~/commands are", choices=INTERFACES),
     Entry(
         "trajectory_period",
         0.002,
@@ -306,18 +280,12 @@ def check(name, value):
     if expected is float and type(value) is int:
         value = float(value)
     if type(value) is not expected:
-        raise ParameterError(
-            f"parameter {name}: must be {_TYPE_NAMES[expected]}, got {_shown(value)}"
-        )
+        raise ParameterError(f"parameter {name}: must be {_TYPE_NAMES[expected]}, got {_shown(value)}")
     if entry.choices and value not in entry.choices:
-        raise ParameterError(
-            f"parameter {name}: must be {_listed(entry.choices)}, got {_shown(value)}"
-        )
+        raise ParameterError(f"parameter {name}: must be {_listed(entry.choices)}, got {_shown(value)}")
     if expected is float and not math.isfinite(value):
         raise ParameterError(f"parameter {name}: must be finite, got {_shown(value)}")
-    if entry.low is not None and (
-        not entry.low <= value <= entry.high or entry.above and value == entry.low
-    ):
+    if entry.low is not None and (not entry.low <= value <= entry.high or entry.above and value == entry.low):
         raise ParameterError(f"parameter {name}: must be {_range(entry)}, got {_shown(value)}")
     return value
 
@@ -333,9 +301,7 @@ def read_parameters(node):
     raises ParameterError
     """
     overrides = {
-        name: parameter.value
-        for name, parameter in node.get_parameters_by_prefix("").items()
-        if name not in _BUILT_IN
+        name: parameter.value for name, parameter in node.get_parameters_by_prefix("").items() if name not in _BUILT_IN
     }
     for name in overrides:
         node.undeclare_parameter(name)  # declared again below, with its descriptor
@@ -358,14 +324,10 @@ def read_parameters(node):
     if values.method != AUTO:
         for name in ACCURACY:  # a dump of all parameters has them with their defaults
             if getattr(values, name) != _ENTRIES[name].default:
-                raise ParameterError(
-                    f"parameter {name}: cannot be combined with method; remove one of them"
-                )
+                raise ParameterError(f"parameter {name}: cannot be combined with method; remove one of them")
         values.step = values.step or STEP
     elif not (values.estimate or values.continue_from):
-        raise ParameterError(
-            "parameter estimate: must be true with an accuracy; or choose a method"
-        )
+        raise ParameterError("parameter estimate: must be true with an accuracy; or choose a method")
     values.wanted_step = values.step
     if values.step:
         set_step(values, values.step)
@@ -374,8 +336,7 @@ def read_parameters(node):
         _check_qos(name, overrides[name])
     if values.record and not values.publish_rate:
         raise ParameterError(
-            "parameter publish_rate: must be greater than 0 to record, because a recording "
-            "consists of poses and twists"
+            "parameter publish_rate: must be greater than 0 to record, because a recording consists of poses and twists"
         )
     return values
 
@@ -383,9 +344,7 @@ def read_parameters(node):
 def set_step(values, step):
     """Set `.step` and with it `.steps` of the values. Raises ParameterError."""
     values.steps = {
-        name: _whole_steps(name, getattr(values, name), step)
-        for name, entry in _ENTRIES.items()
-        if entry.is_topic_rate
+        name: _whole_steps(name, getattr(values, name), step) for name, entry in _ENTRIES.items() if entry.is_topic_rate
     }
     values.step = step
 
@@ -393,9 +352,7 @@ def set_step(values, step):
 def fitting_steps(values):
     """Steps for an accuracy, long to short, that divide the periods of all rates."""
     periods = [
-        1.0 / getattr(values, name)
-        for name, entry in _ENTRIES.items()
-        if entry.is_topic_rate and getattr(values, name)
+        1.0 / getattr(values, name) for name, entry in _ENTRIES.items() if entry.is_topic_rate and getattr(values, name)
     ]
     shortest = min(periods, default=STEPS[0])
     parts = (shortest / k for k in range(1, MOST_PARTS + 1))
@@ -426,9 +383,7 @@ def watch_parameters(node, changed):
     def convert(parameters):
         return [
             Parameter(p.name, value=float(p.value))
-            if p.name in _ENTRIES
-            and type(_ENTRIES[p.name].default) is float
-            and type(p.value) is int
+            if p.name in _ENTRIES and type(_ENTRIES[p.name].default) is float and type(p.value) is int
             else p
             for p in parameters
         ]
@@ -438,8 +393,7 @@ def watch_parameters(node, changed):
             for parameter in parameters:
                 if parameter.name == "use_sim_time" and parameter.value is not False:
                     raise ParameterError(
-                        "parameter use_sim_time: must be false, because this node publishes the "
-                        "simulated time"
+                        "parameter use_sim_time: must be false, because this node publishes the simulated time"
                     )
                 if parameter.name in _ENTRIES:
                     check(parameter.name, parameter.value)
@@ -459,9 +413,7 @@ def watch_parameters(node, changed):
 
 def allowed_values(entry):
     """Allowed values of an Entry as text."""
-    return _listed(entry.choices) or (
-        _range(entry) if entry.low is not None else _TYPE_NAMES[type(entry.default)]
-    )
+    return _listed(entry.choices) or (_range(entry) if entry.low is not None else _TYPE_NAMES[type(entry.default)])
 
 
 def _whole_steps(name, rate, step):
@@ -470,9 +422,7 @@ def _whole_steps(name, rate, step):
         return 0
     steps = 1.0 / (rate * step)
     whole = max(1, round(steps))
-    if (
-        abs(steps - whole) > 1e-6 * whole
-    ):  # far above round-off, far below one step in any recording
+    if abs(steps - whole) > 1e-6 * whole:  # far above round-off, far below one step in any recording
         nearest = sorted({1.0 / (max(1, n) * step) for n in (math.floor(steps), math.ceil(steps))})
         raise ParameterError(
             f"parameter {name}: {rate:g} Hz is one message every {steps:.6g} steps of "
@@ -486,13 +436,10 @@ def _check_qos(name, value):
     """Raise ParameterError for an invalid QoS value, with a clearer text than that of rclpy."""
     policy = name.rpartition(".")[2]
     if policy == "reliability" and value not in RELIABILITIES:
-        raise ParameterError(
-            f"parameter {name}: must be {_listed(RELIABILITIES)}, got {_shown(value)}"
-        )
+        raise ParameterError(f"parameter {name}: must be {_listed(RELIABILITIES)}, got {_shown(value)}")
     if policy == "depth" and not (type(value) is int and 1 <= value <= DEEPEST):
         raise ParameterError(
-            f"parameter {name}: must be a whole number of at least 1 and at most "
-            f"{DEEPEST}, got {_shown(value)}"
+            f"parameter {name}: must be a whole number of at least 1 and at most {DEEPEST}, got {_shown(value)}"
         )
 
 
@@ -505,9 +452,7 @@ def _descriptor(entry):
         if type(entry.default) is int:
             descriptor.integer_range = [IntegerRange(from_value=entry.low, to_value=entry.high)]
         else:
-            descriptor.floating_point_range = [
-                FloatingPointRange(from_value=entry.low, to_value=entry.high)
-            ]
+            descriptor.floating_point_range = [FloatingPointRange(from_value=entry.low, to_value=entry.high)]
     return descriptor
 
 

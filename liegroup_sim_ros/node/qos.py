@@ -40,6 +40,4 @@ class QosOverrides:
         for name in self._names:
             if name not in self._possible:
                 (near,) = difflib.get_close_matches(name, self._possible, n=1, cutoff=0.0)
-                raise ParameterError(
-                    f"parameter {name}: unknown topic or policy; did you mean {near}?"
-                )
+                raise ParameterError(f"parameter {name}: unknown topic or policy; did you mean {near}?")

@@ -68,13 +68,8 @@ class SceneRun:
                 path = before.recorder.part_path(part)
                 self._more = {"part": part, "previous": before.recorder.path.name}
         frames = [values.frame_prefix + body for body in layout.body_names]
-        if not values.world_frame or f"{values.world_frame}/".startswith(
-            tuple(f"{frame}/" for frame in frames)
-        ):
-            raise ParameterError(
-                "parameter world_frame: must differ from all body names, got "
-                f"{values.world_frame!r}"
-            )
+        if not values.world_frame or f"{values.world_frame}/".startswith(tuple(f"{frame}/" for frame in frames)):
+            raise ParameterError(f"parameter world_frame: must differ from all body names, got {values.world_frame!r}")
         if values.frame_prefix.startswith("/"):
             raise ParameterError(
                 "parameter frame_prefix: must not start with a slash (tf2 frames have none), "
@@ -159,9 +154,7 @@ class SceneRun:
             stamp_ns,
             state=state,
             parameters={
-                name: value
-                for name, value in vars(values).items()
-                if name not in ("steps", "qos", "wanted_step")
+                name: value for name, value in vars(values).items() if name not in ("steps", "qos", "wanted_step")
             },
             frame_prefix=values.frame_prefix,
             **self._more,
@@ -174,11 +167,7 @@ class SceneRun:
             if simulation.promise and simulation.steps % PART_STEPS:
                 return
             self._attach_pacing()
-            self._more = {
-                "part": recorder.part + 1,
-                "previous": recorder.path.name,
-                "sequences": recorder.sequences,
-            }
+            self._more = {"part": recorder.part + 1, "previous": recorder.path.name, "sequences": recorder.sequences}
             recorder.divide(self._attachments(stamp_ns, self.server.state))
             self.outputs.record_acting(stamp_ns, sample)
 
@@ -192,9 +181,7 @@ class SceneRun:
             self.outputs.event(stamp_ns, "unrecorded", self.recorder.failure, True, is_logged=True)
 
     def _attach_pacing(self):
-        self.recorder.add_attachment(
-            "pacing.json", *attachments.as_json(self.server.pacer.report())
-        )
+        self.recorder.add_attachment("pacing.json", *attachments.as_json(self.server.pacer.report()))
 
     def _figures(self):
         """Figures of the diagnostics besides those of the simulation thread."""
@@ -309,15 +296,10 @@ def _from_scene(values, scene):
     scene = scene or load_scene(values.scene, allow_files=os.sep == values.world_folders)
     for note in scene.differences:
         log.warning("%s: %s", scene.name, note)
-    common = {
-        "group": values.group,
-        "stabilisation": None if values.stabilisation == AUTO else values.stabilisation,
-    }
+    common = {"group": values.group, "stabilisation": None if values.stabilisation == AUTO else values.stabilisation}
     try:
         if values.method != AUTO:
-            simulation = Simulation(
-                scene, values.method, values.step, **common, estimate=values.estimate
-            )
+            simulation = Simulation(scene, values.method, values.step, **common, estimate=values.estimate)
         else:
             simulation = Simulation(
                 scene,

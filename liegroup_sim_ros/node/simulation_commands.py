@@ -88,9 +88,7 @@ class SimulationCommands:
     def _save(self, name):
         self._refuse_if_faulted()
         if name not in self._snapshots and len(self._snapshots) >= MOST_SNAPSHOTS:
-            raise CommandError(
-                f"there are {MOST_SNAPSHOTS} snapshots already: save under the name of one of them"
-            )
+            raise CommandError(f"there are {MOST_SNAPSHOTS} snapshots already: save under the name of one of them")
         self._inbox.deliver(self._base_ns, self._simulation.time)
         self._snapshots[name] = self._simulation.snapshot(), self._inbox.snapshot()
         self._event("save", f"{name}, step {self._simulation.steps}")

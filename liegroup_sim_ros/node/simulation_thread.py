@@ -71,17 +71,12 @@ class SimulationServer(SimulationCommands, threading.Thread):
         super().__init__(name="simulation", daemon=True)
         self._simulation = simulation
         self._output = output
-        self._timed = [
-            *output.timed,
-            *([(output.state_steps, self._send_state)] if output.state_steps else []),
-        ]
+        self._timed = [*output.timed, *([(output.state_steps, self._send_state)] if output.state_steps else [])]
         self._sent_ns = [None] * len(self._timed)  # stamp of the last message of each
         periods = {steps for steps, _ in self._timed} | {output.clock_steps} - {0}
         # A period that is a multiple of another one needs no ticks of its own.
         self._periods = [
-            period
-            for period in periods
-            if not any(period % other == 0 for other in periods - {period})
+            period for period in periods if not any(period % other == 0 for other in periods - {period})
         ] or [max(1, round(IDLE_TICK / simulation.step))]
         self._wake = threading.Event()
         self._lock = threading.Lock()
@@ -224,9 +219,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
             if slow:
                 self._warn_once("slow", slow)
             self._output.diagnostics(self.stamp_ns, self._figures(self._simulation.sample()))
-            self._next_diagnostics = max(
-                self._next_diagnostics + DIAGNOSTICS_PERIOD, time.monotonic()
-            )
+            self._next_diagnostics = max(self._next_diagnostics + DIAGNOSTICS_PERIOD, time.monotonic())
 
     def _execute_commands(self):
         with self._lock:
@@ -397,11 +390,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
             "state": self.state,
             "sim_time_s": self._seconds(),
             "steps": sample.steps,
-            **pacing_figures(
-                self.pacer,
-                self._real_time.factor if self.state == "running" else 0.0,
-                self._real_time,
-            ),
+            **pacing_figures(self.pacer, self._real_time.factor if self.state == "running" else 0.0, self._real_time),
             "energy_J": sample.energy,
             "energy_drift_J": drift,
             "constraint_residual": sample.constraint_residual,

@@ -49,17 +49,13 @@ class Entities:
         # Versions before 2.1 have no flags: pose and twist are set.
         sets = {name: getattr(request, f"set_{name}", True) for name in ("pose", "twist")}
         if getattr(request, "set_acceleration", False):
-            raise Refused(
-                NOT_SUPPORTED,
-                "accelerations follow from the forces: set pose and twist, and apply a wrench",
-            )
+            raise Refused(NOT_SUPPORTED, "accelerations follow from the forces: set pose and twist, and apply a wrench")
         if not any(sets.values()):
             raise Refused(FAILED, "nothing to set: set_pose and set_twist are false")
         frame = state.header.frame_id
         if frame not in ("", self._world_frame):
             raise Refused(
-                NOT_SUPPORTED,
-                f"frame {frame!r}: give pose and twist in {self._world_frame!r}, or leave it empty",
+                NOT_SUPPORTED, f"frame {frame!r}: give pose and twist in {self._world_frame!r}, or leave it empty"
             )
         pose = _pose(state.pose) if sets["pose"] else moment.sample.poses[body]
         twists = {body: _twist(state.twist, pose[:3, :3])} if sets["twist"] else {}
@@ -81,11 +77,7 @@ class Entities:
             _ = sample.accelerations
         except SimulationError as error:
             raise Refused(FAILED, str(error)) from None
-        return [
-            self._entity(moment.stamp_ns, sample, body)
-            for body in sample.body_names
-            if body in names
-        ]
+        return [self._entity(moment.stamp_ns, sample, body) for body in sample.body_names if body in names]
 
     def _entity(self, stamp_ns, sample, body):
         state = self._entity_state()
@@ -120,9 +112,7 @@ def _matcher(expression):
     try:
         import re2
     except ImportError:
-        raise Refused(
-            NOT_SUPPORTED, "filters need the package google-re2: pip install google-re2"
-        ) from None
+        raise Refused(NOT_SUPPORTED, "filters need the package google-re2: pip install google-re2") from None
     options = re2.Options()
     options.log_errors = False
     try:
@@ -152,9 +142,7 @@ def _pose(message):
     if not bounded(position):
         raise Refused(INVALID_POSE, f"the position is not finite or too large: {position.tolist()}")
     if not abs(norm - 1.0) <= NOT_UNIT:
-        raise Refused(
-            INVALID_POSE, f"the quaternion {quaternion.tolist()} has norm {norm:g}, not 1"
-        )
+        raise Refused(INVALID_POSE, f"the quaternion {quaternion.tolist()} has norm {norm:g}, not 1")
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = SO3.from_quaternion(quaternion / norm), position
     return pose

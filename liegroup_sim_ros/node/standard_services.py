@@ -21,15 +21,9 @@ from .standard_worlds import Worlds
 SERVICES = {
     "get_simulator_features": ("GetSimulatorFeatures", ()),
     "reset_simulation": ("ResetSimulation", (codes.SIMULATION_RESET, codes.SIMULATION_RESET_STATE)),
-    "step_simulation": (
-        "StepSimulation",
-        (codes.STEP_SIMULATION_SINGLE, codes.STEP_SIMULATION_MULTIPLE),
-    ),
+    "step_simulation": ("StepSimulation", (codes.STEP_SIMULATION_SINGLE, codes.STEP_SIMULATION_MULTIPLE)),
     "get_simulation_state": ("GetSimulationState", (codes.SIMULATION_STATE_GETTING,)),
-    "set_simulation_state": (
-        "SetSimulationState",
-        (codes.SIMULATION_STATE_SETTING, codes.SIMULATION_STATE_PAUSE),
-    ),
+    "set_simulation_state": ("SetSimulationState", (codes.SIMULATION_STATE_SETTING, codes.SIMULATION_STATE_PAUSE)),
     "get_entities": ("GetEntities", ()),
     "get_entities_states": ("GetEntitiesStates", ()),
     "get_entity_state": ("GetEntityState", (codes.ENTITY_STATE_GETTING,)),
@@ -57,9 +51,7 @@ def offer(node, world_frame):
 
     features = {codes.STEP_SIMULATION_ACTION} if hasattr(action, "SimulateSteps") else set()
     offered = {
-        name: (getattr(srv, kind), supported)
-        for name, (kind, supported) in SERVICES.items()
-        if hasattr(srv, kind)
+        name: (getattr(srv, kind), supported) for name, (kind, supported) in SERVICES.items() if hasattr(srv, kind)
     }
     features.update(*(supported for _, supported in offered.values()))
     handlers = (
@@ -112,9 +104,7 @@ class Control:
     async def reset_simulation(self, request, _):
         """Reset to the initial state; simulated time continues, so time alone cannot be reset."""
         scope = request.scope
-        if scope not in (0, codes.SCOPE_ALL) and (
-            scope & codes.SCOPE_TIME or not scope & codes.SCOPE_STATE
-        ):
+        if scope not in (0, codes.SCOPE_ALL) and (scope & codes.SCOPE_TIME or not scope & codes.SCOPE_STATE):
             raise Refused(
                 codes.NOT_SUPPORTED,
                 f"scope {scope}: only the state can be reset (scope 0, 2 or 255); simulated time "
@@ -143,22 +133,17 @@ class Control:
         if requested == current:
             raise Refused(codes.ALREADY_THERE, "")
         if (current, requested) == (codes.STOPPED, codes.PAUSED):
-            raise Refused(
-                codes.INCORRECT_TRANSITION, "the simulation is stopped: it is paused at step 0"
-            )
+            raise Refused(codes.INCORRECT_TRANSITION, "the simulation is stopped: it is paused at step 0")
         if requested == codes.QUITTING:
             self._signals.received = True
             return "the node is shutting down"
-        commands = {
-            codes.STOPPED: ("hold", "reset"),
-            codes.PLAYING: ("resume",),
-            codes.PAUSED: ("pause",),
-        }.get(requested)
+        commands = {codes.STOPPED: ("hold", "reset"), codes.PLAYING: ("resume",), codes.PAUSED: ("pause",)}.get(
+            requested
+        )
         if commands is None:
             raise Refused(
                 codes.NOT_SUPPORTED,
-                f"state {requested} cannot be set: choose stopped (0), playing (1), paused (2) or "
-                "quitting (3)",
+                f"state {requested} cannot be set: choose stopped (0), playing (1), paused (2) or quitting (3)",
             )
         try:
             for command in commands:
@@ -175,11 +160,7 @@ class Control:
             return codes.QUITTING, refusal.args[1]
         if moment.state == "running":
             return codes.PLAYING, ""
-        text = (
-            "the simulation has stopped with an error: reset it"
-            if moment.state == "faulted"
-            else ""
-        )
+        text = "the simulation has stopped with an error: reset it" if moment.state == "faulted" else ""
         return (codes.PAUSED if moment.sample.steps else codes.STOPPED), text
 
 

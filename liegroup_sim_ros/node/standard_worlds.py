@@ -32,9 +32,7 @@ SCHEMES = ("", "file", "package", "model")
 MOST_BODIES = 200  # of a scene that a request loads; topics of a body take some ms
 MOST_WORLDS, MOST_SOURCES = 1000, 100  # of a request, or of a folder
 HEAD = 64 * 2**10  # bytes of a scene file in which its description is looked for
-DESCRIPTION = re.compile(
-    r"^description:.*(?:\n(?:[ \t].*)?$)*", re.MULTILINE
-)  # with what is indented
+DESCRIPTION = re.compile(r"^description:.*(?:\n(?:[ \t].*)?$)*", re.MULTILINE)  # with what is indented
 
 
 class Worlds:
@@ -109,9 +107,7 @@ class Worlds:
 
     def _described(self, scene):
         is_file = os.path.isfile(scene.source)
-        world = self._entry(
-            scene.name, scene.source if is_file else "", "" if is_file else scene.text
-        )
+        world = self._entry(scene.name, scene.source if is_file else "", "" if is_file else scene.text)
         world.description = scene.description.strip()
         return world
 
@@ -179,8 +175,7 @@ def _scene(path, text):
     if not path:
         if text.lstrip().startswith("<"):
             raise Refused(
-                UNSUPPORTED_FORMAT,
-                "resource_string is XML: give a scene (YAML), or a robot's file by its uri",
+                UNSUPPORTED_FORMAT, "resource_string is XML: give a scene (YAML), or a robot's file by its uri"
             )
         try:
             return scene_from_text(text, "resource_string")
@@ -191,9 +186,7 @@ def _scene(path, text):
     except SceneError as error:
         raise Refused(NOT_FOUND, str(error)) from None
     if not _is_scene(file):
-        raise Refused(
-            UNSUPPORTED_FORMAT, f"{path}: is no scene file (.yaml) and no robot (URDF, SDF, MJCF)"
-        )
+        raise Refused(UNSUPPORTED_FORMAT, f"{path}: is no scene file (.yaml) and no robot (URDF, SDF, MJCF)")
     try:
         return load_scene(path)
     except MissingFileError as error:

@@ -110,20 +110,13 @@ def coefficients(first, last, length):
     if v is None or w is None:
         return p, way / length
     if a is None or b is None:
-        return (
-            p,
-            v,
-            (3.0 * way - (2.0 * v + w) * length) / length**2,
-            (-2.0 * way + (v + w) * length) / length**3,
-        )
+        return (p, v, (3.0 * way - (2.0 * v + w) * length) / length**2, (-2.0 * way + (v + w) * length) / length**3)
     return (
         p,
         v,
         0.5 * a,
-        (20.0 * way - (12.0 * v + 8.0 * w) * length - (3.0 * a - b) * length**2)
-        / (2.0 * length**3),
-        (-30.0 * way + (16.0 * v + 14.0 * w) * length + (3.0 * a - 2.0 * b) * length**2)
-        / (2.0 * length**4),
+        (20.0 * way - (12.0 * v + 8.0 * w) * length - (3.0 * a - b) * length**2) / (2.0 * length**3),
+        (-30.0 * way + (16.0 * v + 14.0 * w) * length + (3.0 * a - 2.0 * b) * length**2) / (2.0 * length**4),
         (12.0 * way - 6.0 * (v + w) * length + (b - a) * length**2) / (2.0 * length**5),
     )
 
@@ -226,9 +219,7 @@ class Follower:
         """End the trajectory at a time; its joints that are none of the others stay where they are."""
         if self._active is None:
             return
-        for joint, (position, _) in zip(
-            self._active.joints, self._active.at(max(0.0, time - self._start))
-        ):
+        for joint, (position, _) in zip(self._active.joints, self._active.at(max(0.0, time - self._start))):
             if joint in others or time >= self._ends.get(joint, math.inf):
                 continue
             if joint in self._driven:

@@ -55,10 +55,7 @@ class TrajectoryInput(JointInput):
         for name in names:
             if not (self.servos.get(name, False) or name in self.driven):
                 self.refuse(
-                    "no_servo",
-                    lambda: (
-                        f"{name} has no servo with a stiffness and is not driven: change the scene"
-                    ),
+                    "no_servo", lambda: f"{name} has no servo with a stiffness and is not driven: change the scene"
                 )
         if not (names and points):
             self.refuse("no_points", lambda: "it has no joints or no points")
@@ -67,17 +64,12 @@ class TrajectoryInput(JointInput):
         times = [point.time_ns for point in points]
         if times[0] < 0 or any(b <= a for a, b in zip(times, times[1:])):
             self.refuse(
-                "wrong_times",
-                lambda: (
-                    "time_from_start must not be negative, and must increase from point to point"
-                ),
+                "wrong_times", lambda: "time_from_start must not be negative, and must increase from point to point"
             )
         if any(points[-1].velocity):
             self.refuse("moving_at_end", lambda: "the velocities of its last point must be zero")
         if times[0] == 0 and not self.driven.isdisjoint(names):
-            self.refuse(
-                "wrong_times", lambda: "a driven joint cannot be at its first point at once: time 0"
-            )
+            self.refuse("wrong_times", lambda: "a driven joint cannot be at its first point at once: time 0")
         if jumps is not None:
             self._check_jumps(names, points, jumps)
         if not stamped:
@@ -120,14 +112,11 @@ class TrajectoryInput(JointInput):
                     "wrong_length",
                     lambda: (
                         f"{kind} in point {k}: {counted(len(values), 'number')} for "
-                        f"{counted(count, 'joint')}; give one per joint"
-                        + ("" if kind == "positions" else ", or none")
+                        f"{counted(count, 'joint')}; give one per joint" + ("" if kind == "positions" else ", or none")
                     ),
                 )
             if not bounded(values):
-                self.refuse(
-                    "not_finite", lambda: f"{kind} of point {k} are not finite or too large"
-                )
+                self.refuse("not_finite", lambda: f"{kind} of point {k} are not finite or too large")
 
     def _check_jumps(self, names, points, jumps):
         """Refuse a segment that moves a joint by more than the limit in a period, on average."""

@@ -31,9 +31,7 @@ class Push(NamedTuple):
     wrench: tuple  # (6,) torque N m, force N
     axes: str  # of the components: "body" or "world"
     start_ns: int  # stamp at which it starts to act; 0: at the next step
-    point: tuple | None = (
-        None  # (3,) m, of the body frame, at which the force acts; None: its origin
-    )
+    point: tuple | None = None  # (3,) m, of the body frame, at which the force acts; None: its origin
 
     @property
     def key(self):
@@ -42,9 +40,7 @@ class Push(NamedTuple):
 
     def apply(self, simulation, start, duration):
         """Apply it to a Simulation from a time in s on (None: the next step), for a duration in s."""
-        simulation.apply_wrench(
-            self.body, self.wrench, start, duration, self.source, self.axes, self.point
-        )
+        simulation.apply_wrench(self.body, self.wrench, start, duration, self.source, self.axes, self.point)
 
 
 def source_prefix(kind, target):
@@ -85,36 +81,24 @@ class WrenchInput(CountedInput):
             self.refuse("damaged", lambda: text)
         axes = "body"
         target, name = self.body_and_name(frame_id)
-        if (
-            body is not None
-            and target != body
-            and f"{frame_id}/".startswith(f"{self._world_frame}/")
-        ):
+        if body is not None and target != body and f"{frame_id}/".startswith(f"{self._world_frame}/"):
             axes, target, name = "world", body, frame_id[len(self._world_frame) + 1 :]
         if not frame_id.partition("/")[0]:
-            self.refuse(
-                "no_frame", lambda: "frame_id is empty; it must be one of: " + self._frames(body)
-            )
+            self.refuse("no_frame", lambda: "frame_id is empty; it must be one of: " + self._frames(body))
         if target is None or body not in (None, target):
             self.refuse(
                 "unknown_frame",
-                lambda: (
-                    f"unknown frame_id {frame_id[:LONGEST_NAME]!r}; it must be one of: "
-                    f"{self._frames(body)}"
-                ),
+                lambda: f"unknown frame_id {frame_id[:LONGEST_NAME]!r}; it must be one of: {self._frames(body)}",
             )
         if len(name) > LONGEST_NAME:
             self.refuse(
                 "unknown_frame",
                 lambda: (
-                    f"frame_id {frame_id[:20]!r}...: the name after the slash has more than "
-                    f"{LONGEST_NAME} characters"
+                    f"frame_id {frame_id[:20]!r}...: the name after the slash has more than {LONGEST_NAME} characters"
                 ),
             )
         if not bounded(wrench):
-            self.refuse(
-                "not_finite", lambda: f"for {target}: a component is NaN or infinite, or too large"
-            )
+            self.refuse("not_finite", lambda: f"for {target}: a component is NaN or infinite, or too large")
         self.refuse_far_stamp(start_ns, now_ns, target)
         self.refuse_too_many(held, target)
         if axes == "body":

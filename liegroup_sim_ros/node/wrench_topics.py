@@ -37,9 +37,7 @@ class WrenchTopics:
         self._subscribe("~/wrench/persistent", "persistent")
         for body in bodies if values.body_wrenches else ():
             self._subscribe(f"~/{body}/wrench", "body", body)
-        self._subscriptions.append(
-            node.create_subscription(String, "~/wrench/clear", self._clear, DEPTH)
-        )
+        self._subscriptions.append(node.create_subscription(String, "~/wrench/clear", self._clear, DEPTH))
 
     def _subscribe(self, topic, kind, body=None):
         # Raw bytes: decoding them takes a few microseconds, less than creating a message object.
@@ -56,19 +54,14 @@ class WrenchTopics:
 
     def _receive(self, payload, kind, body):
         try:
-            push = self.input.read(
-                payload, kind, body, self._server.stamp_ns, self._server.inputs_held
-            )
+            push = self.input.read(payload, kind, body, self._server.stamp_ns, self._server.inputs_held)
         except Refusal as refusal:
             self._log(refusal)
             return
         values = self._values
         hold = "until_replaced" if kind == "persistent" else values.wrench_hold
         self._server.push(
-            [push],
-            {"one_step": self._step, "timeout": values.wrench_timeout, "until_replaced": None}[
-                hold
-            ],
+            [push], {"one_step": self._step, "timeout": values.wrench_timeout, "until_replaced": None}[hold]
         )
 
     def _clear(self, message):

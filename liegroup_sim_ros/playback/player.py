@@ -42,13 +42,7 @@ ACKNOWLEDGED = 2.0  # s to wait for the acknowledgement of the last messages
 BACK = 5.0  # s, seek distance of the left cursor key
 FASTER = 1.1  # factor on the rate of the up cursor key
 LARGEST_RATE = 1e6  # simulated seconds per second
-_KEYS = {
-    b" ": "toggle_paused",
-    b"\x1b[A": "faster",
-    b"\x1b[B": "slower",
-    b"\x1b[C": "play_next",
-    b"\x1b[D": "back",
-}
+_KEYS = {b" ": "toggle_paused", b"\x1b[A": "faster", b"\x1b[B": "slower", b"\x1b[C": "play_next", b"\x1b[D": "back"}
 
 
 def play(file, args):
@@ -62,10 +56,7 @@ def play(file, args):
             signal.signal(number, player.interrupt)
         with Keys(player):
             code = player.run()
-        messages, topics = (
-            counted(player.published, "message"),
-            counted(len(player.topics), "topic"),
-        )
+        messages, topics = (counted(player.published, "message"), counted(len(player.topics), "topic"))
         print(f"{file.path}: {messages} of {topics} published")
         return code
     finally:
@@ -99,9 +90,7 @@ class Player:
             ("rate", rate, "simulated seconds per second; 0: as fast as possible"),
             ("position", start, "seek to this time, s after the first message"),
         ):
-            self._node.declare_parameter(
-                name, float(value), ParameterDescriptor(description=text, dynamic_typing=True)
-            )
+            self._node.declare_parameter(name, float(value), ParameterDescriptor(description=text, dynamic_typing=True))
         self._node.add_on_set_parameters_callback(self._check)
         self._node.add_post_set_parameters_callback(self._set)
 
@@ -112,26 +101,18 @@ class Player:
             definition(topic.type)
             message = getattr(importlib.import_module(f"{package}.msg"), name)
         except (ImportError, AttributeError, SchemaError):
-            print(
-                f"liegroup_sim: {topic.name} is omitted: {topic.type} is not installed",
-                file=sys.stderr,
-            )
+            print(f"liegroup_sim: {topic.name} is omitted: {topic.type} is not installed", file=sys.stderr)
             return
         profile = QoSProfile(
             depth=topic.depth,
-            reliability=ReliabilityPolicy.RELIABLE
-            if topic.reliable
-            else ReliabilityPolicy.BEST_EFFORT,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL
-            if topic.latched
-            else DurabilityPolicy.VOLATILE,
+            reliability=ReliabilityPolicy.RELIABLE if topic.reliable else ReliabilityPolicy.BEST_EFFORT,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE,
         )
         try:
             self._publishers[topic] = self._node.create_publisher(message, topic.name, profile)
         except (InvalidTopicNameException, ValueError, RuntimeError) as error:
             raise PlayError(
-                f"{self._file.path}: cannot publish topic {topic.name!r:.60}: "
-                f"{' '.join(str(error).split())[:120]}"
+                f"{self._file.path}: cannot publish topic {topic.name!r:.60}: {' '.join(str(error).split())[:120]}"
             ) from None
         self.topics.append(topic.name)
 

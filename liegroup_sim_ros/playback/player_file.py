@@ -50,8 +50,7 @@ class PlayFile:
         self.first_ns, self.last_ns = min(edges), max(edges)
         self.seconds = (self.last_ns - self.first_ns) * 1e-9
         self.has_clock = any(
-            topic.name == "/clock" and recording.topics.get("/clock")
-            for topic in self.topics.values()
+            topic.name == "/clock" and recording.topics.get("/clock") for topic in self.topics.values()
         )
 
     def _index(self):

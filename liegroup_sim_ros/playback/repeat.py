@@ -54,18 +54,14 @@ class Repeat:
             return
         if self._first is None:
             row = int(np.argmin(identical))
-            self._first = {
-                "at_s": float(block.log_times[row]),
-                "body": block.stretch.bodies[int(np.argmin(same[row]))],
-            }
+            self._first = {"at_s": float(block.log_times[row]), "body": block.stretch.bodies[int(np.argmin(same[row]))]}
         rotation = Rotation.from_quat(quaternion.reshape(-1, 4)).as_matrix()
         apart = distance(
             Trajectory(None, rotation.reshape(k, -1, 3, 3), pose[..., 9:], twist),
             Trajectory(None, block.rotation[:k], block.position[:k], block.twist[:k]),
         )
         self._largest = np.maximum(
-            self._largest,
-            [part.max() for part in (apart.position, apart.angle, apart.angular, apart.linear)],
+            self._largest, [part.max() for part in (apart.position, apart.angle, apart.angular, apart.linear)]
         )
 
     def _states(self, block):
@@ -99,16 +95,11 @@ class Repeat:
             "first_difference": self._first,
             "stopped": self._stopped,
             "largest_difference": dict(
-                zip(
-                    ("position_m", "angle_rad", "angular_rad_s", "linear_m_s"),
-                    map(float, self._largest),
-                )
+                zip(("position_m", "angle_rad", "angular_rad_s", "linear_m_s"), map(float, self._largest))
             ),
         }
 
 
 def _same(one, other):
     """(k, n) bool: whether all numbers of a body are bit-identical."""
-    return (
-        np.ascontiguousarray(one).view(np.int64) == np.ascontiguousarray(other).view(np.int64)
-    ).all(axis=2)
+    return (np.ascontiguousarray(one).view(np.int64) == np.ascontiguousarray(other).view(np.int64)).all(axis=2)

@@ -87,8 +87,7 @@ class Rerun:
         self._starts = Starts(recording, simulation.layout)
         self._recorded = recording.initial_state
         self._same_method = all(
-            recording.settings.get(key) == getattr(simulation, key)
-            for key in ("method", "group", "step")
+            recording.settings.get(key) == getattr(simulation, key) for key in ("method", "group", "step")
         )
         self.ratio = recording.settings["step"] / simulation.step
 
@@ -106,10 +105,7 @@ class Rerun:
         try:
             start = (recorded["steps"] if checkpoint else stretch.start) * self.ratio
             if start != round(start):
-                raise ReplayError(
-                    "the start of the recording is not a whole number of steps of "
-                    f"{simulation.step:g} s"
-                )
+                raise ReplayError(f"the start of the recording is not a whole number of steps of {simulation.step:g} s")
             if recorded and "memory" in recorded and self._same_method:
                 restore(simulation, recorded)
             else:
@@ -155,16 +151,14 @@ class Rerun:
         self._next = max(self._next, upto)
         upto = int(np.searchsorted(stretch.target_times, until, "right"))
         for time, targets in zip(
-            stretch.target_times[self._next_target : upto].tolist(),
-            stretch.targets[self._next_target : upto].tolist(),
+            stretch.target_times[self._next_target : upto].tolist(), stretch.targets[self._next_target : upto].tolist()
         ):
             for joint, target in zip(self.simulation.layout.servos, targets):
                 self.simulation.set_servo_target(joint, *target, time)
         self._next_target = max(self._next_target, upto)
         upto = int(np.searchsorted(stretch.motion_times, until, "right"))
         for time, motions in zip(
-            stretch.motion_times[self._next_motion : upto].tolist(),
-            stretch.motions[self._next_motion : upto],
+            stretch.motion_times[self._next_motion : upto].tolist(), stretch.motions[self._next_motion : upto]
         ):
             for joint, motion in zip(self.simulation.layout.motions, motions):
                 if np.isfinite(motion[0]):

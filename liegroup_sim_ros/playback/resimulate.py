@@ -42,11 +42,7 @@ def resimulate(recording, progress=lambda text: None, **other):
     for block in motion.blocks():
         repeat.add(block)
         progress(f"{motion.samples} of {counted(motion.expected, 'sample')}")
-    experiment = {
-        key: [settings.get(key), value]
-        for key, value in other.items()
-        if settings.get(key) != value
-    }
+    experiment = {key: [settings.get(key), value] for key, value in other.items() if settings.get(key) != value}
     platform = platform_changes(settings)
     return {
         "log": str(recording.path),
@@ -63,10 +59,7 @@ def resimulate(recording, progress=lambda text: None, **other):
 def platform_changes(settings):
     """{entry: [recorded, present]} of versions and machine properties that differ."""
     changes = {}
-    for key, names, present in (
-        ("versions", _VERSIONS, versions()),
-        ("machine", _MACHINE, machine()),
-    ):
+    for key, names, present in (("versions", _VERSIONS, versions()), ("machine", _MACHINE, machine())):
         recorded = settings.get(key)
         recorded = recorded if isinstance(recorded, dict) else {}
         changes |= {
@@ -96,14 +89,8 @@ def difference_cause(platform):
 def report(figures, bound=None):
     """(lines for the user, the failure in one line or None)."""
     log, samples, identical = (figures[key] for key in ("log", "samples", "identical"))
-    lines = [
-        f"{key}: {now!r} instead of {before!r}"
-        for key, (before, now) in figures["experiment"].items()
-    ]
-    lines += [
-        f"{key}: {now} here, {before} in the recording"
-        for key, (before, now) in figures["platform"].items()
-    ]
+    lines = [f"{key}: {now!r} instead of {before!r}" for key, (before, now) in figures["experiment"].items()]
+    lines += [f"{key}: {now} here, {before} in the recording" for key, (before, now) in figures["platform"].items()]
     apart = figures["largest_difference"]
     at = figures["first_difference"]
     lines.append(
@@ -124,20 +111,13 @@ def report(figures, bound=None):
             )
         )
     if figures["not_finite_samples"]:
-        return (
-            lines,
-            f"{log}: NaN or infinity in {counted(figures['not_finite_samples'], 'sample')}",
-        )
+        return (lines, f"{log}: NaN or infinity in {counted(figures['not_finite_samples'], 'sample')}")
     if figures["stopped"]:
         return lines, f"{log}: the repeated simulation {figures['stopped']}"
     if bound is not None:
         worst = max((apart["position_m"], apart["angle_rad"]), key=lambda x: (x != x, x))
         if not worst <= bound:
-            return lines, (
-                f"{log}: the difference of {shown(worst)} m or rad exceeds the bound {bound:g}"
-            )
+            return lines, (f"{log}: the difference of {shown(worst)} m or rad exceeds the bound {bound:g}")
     elif figures["must_be_equal"] and identical < samples:
-        return lines, (
-            f"{log}: re-simulation is not bit-identical; {difference_cause(figures['platform'])}"
-        )
+        return lines, (f"{log}: re-simulation is not bit-identical; {difference_cause(figures['platform'])}")
     return lines, None

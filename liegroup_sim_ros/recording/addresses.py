@@ -79,8 +79,7 @@ def _fsspec(address):
         import fsspec
     except ImportError:
         raise AddressError(
-            f"{address}: needs the package fsspec: pip install fsspec, or "
-            "'liegroup_sim_ros[remote]'"
+            f"{address}: needs the package fsspec: pip install fsspec, or 'liegroup_sim_ros[remote]'"
         ) from None
     return fsspec
 

@@ -31,11 +31,7 @@ def at_start(simulation, node, world_frame, sample_steps, topics, stamp_ns=0, **
     stamp_ns     : of the state
     more         : further entries of settings.json, JSON types
     """
-    described = (
-        settings(simulation, sample_steps)
-        | {"node": node, "world_frame": world_frame, "topics": topics}
-        | more
-    )
+    described = settings(simulation, sample_steps) | {"node": node, "world_frame": world_frame, "topics": topics} | more
     return {
         "scene.yaml": ("application/yaml", simulation.scene.text.encode()),
         "settings.json": as_json(described),

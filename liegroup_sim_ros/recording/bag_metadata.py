@@ -47,9 +47,7 @@ class Bag:
         start, end = self._spans.get(count > 0, stamps)
         self._spans[count > 0] = min(start, first), max(end, last)
         for info, number in topics:
-            entry = self._topics.setdefault(
-                info["name"], {"topic_metadata": info, "message_count": 0}
-            )
+            entry = self._topics.setdefault(info["name"], {"topic_metadata": info, "message_count": 0})
             entry["message_count"] += number
 
     def text(self):

@@ -20,9 +20,7 @@ def check_settings(recording, scene):
     """Raise RecordingError if settings, scene and initial state are inconsistent."""
     settings, path = recording.settings, recording.path
     lacking = [
-        key
-        for key in ("scene", "method", "group", "step", "steps_per_sample", "world_frame")
-        if key not in settings
+        key for key in ("scene", "method", "group", "step", "steps_per_sample", "world_frame") if key not in settings
     ]
     if lacking:
         raise RecordingError(f"{path}: its settings lack {', '.join(lacking)}")
@@ -48,9 +46,7 @@ def check_settings(recording, scene):
         if not good:
             raise RecordingError(f"{path}: invalid setting {name}: {settings.get(name)!r:.60}")
     if recording.bodies != tuple(body.name for body in scene.bodies):
-        raise RecordingError(
-            f"{path}: the bodies of its initial state differ from those of its scene"
-        )
+        raise RecordingError(f"{path}: the bodies of its initial state differ from those of its scene")
     pacing = recording.pacing
     if pacing is not None and not isinstance(pacing.get("lateness_us"), dict):
         raise RecordingError(f"{path}: its pacing has no lateness_us")

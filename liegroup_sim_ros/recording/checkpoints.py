@@ -36,9 +36,7 @@ class Checkpoints:
             return
         else:
             state = attachments.state(self._simulation, stamp_ns)
-            self._recorder.add_attachment(
-                f"{PREFIX}{stamp_ns}{SUFFIX}", "application/json", json.dumps(state).encode()
-            )
+            self._recorder.add_attachment(f"{PREFIX}{stamp_ns}{SUFFIX}", "application/json", json.dumps(state).encode())
         self._last_ns, self._used = stamp_ns, time.thread_time()
 
 

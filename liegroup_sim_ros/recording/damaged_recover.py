@@ -28,13 +28,9 @@ def write_recovered(found, out):
     try:
         file = open(out, "xb")
     except FileExistsError:
-        raise RecordingError(
-            f"{out}: the file already exists; choose another name with -o"
-        ) from None
+        raise RecordingError(f"{out}: the file already exists; choose another name with -o") from None
     except (OSError, ValueError) as error:
-        raise RecordingError(
-            f"{out}: cannot be written: {getattr(error, 'strerror', None) or error}"
-        ) from None
+        raise RecordingError(f"{out}: cannot be written: {getattr(error, 'strerror', None) or error}") from None
     try:
         with file:
             return _copy(found, file, out.name)
@@ -43,9 +39,7 @@ def write_recovered(found, out):
         if isinstance(error, OSError):
             raise RecordingError(f"{out}: cannot be written: {error.strerror or error}") from None
         if isinstance(error, Damaged):
-            raise RecordingError(
-                f"{found.path}: {error}: the file changed while it was read"
-            ) from None
+            raise RecordingError(f"{found.path}: {error}: the file changed while it was read") from None
         raise
 
 
@@ -77,19 +71,11 @@ def _copy(found, file, name):
             if number in found.channels:
                 if chunk.ends_before(log_time):
                     end_chunk()
-                chunk.add(
-                    channels.get(number) or channel(number),
-                    log_time,
-                    data[start:end],
-                    sequence,
-                    publish_time,
-                )
+                chunk.add(channels.get(number) or channel(number), log_time, data[start:end], sequence, publish_time)
 
     def copy_attachment(piece):
         end_chunk()
-        new.add_attachment(
-            piece.create_time, piece.log_time, piece.name, piece.media_type, piece.data
-        )
+        new.add_attachment(piece.create_time, piece.log_time, piece.name, piece.media_type, piece.data)
 
     def copy_metadata(piece):
         if piece.name not in (NOTE, "rosbag2"):
@@ -110,10 +96,7 @@ def _copy(found, file, name):
             "unfinished": str(found.unfinished),
         },
     )
-    topics = [
-        (_topic_info(found, old), new.counts[channels[number]])
-        for number, old in found.channels.items()
-    ]
+    topics = [(_topic_info(found, old), new.counts[channels[number]]) for number, old in found.channels.items()]
     new.add_metadata("rosbag2", bag_metadata.record_of_file(name, new.stamps, topics))
     new.finish()
     file.flush()

@@ -21,8 +21,7 @@ MOST_DEFINITIONS = 8 * 2**20  # bytes of all names and schemas
 MOST_EXTRAS = 10_000  # attachments and metadata records
 MOST_PROBLEMS = 20  # different problems that are listed
 NO_END = (
-    "its end is missing: it is still being recorded, the process was killed, the disk was full "
-    "or the file is truncated"
+    "its end is missing: it is still being recorded, the process was killed, the disk was full or the file is truncated"
 )
 _PARSED = ("settings.json", "initial_state.json")  # attachments that are parsed
 _PLAIN = frozenset(string.printable) - frozenset("\t\n\r\x0b\x0c")
@@ -110,10 +109,7 @@ class Survey:
         """(smallest, largest) stamp in ns, zeros without messages."""
         channels = [channel for channel in self.figures.values() if channel.count]
         return (
-            (
-                min(channel.first_ns for channel in channels),
-                max(channel.last_ns for channel in channels),
-            )
+            (min(channel.first_ns for channel in channels), max(channel.last_ns for channel in channels))
             if channels
             else (0, 0)
         )
@@ -258,8 +254,7 @@ def _end(result, end):
     if statistics is not None and (
         statistics.message_count != result.count
         or any(
-            statistics.channel_message_counts.get(each, 0) != figures.count
-            for each, figures in result.figures.items()
+            statistics.channel_message_counts.get(each, 0) != figures.count for each, figures in result.figures.items()
         )
     ):
         result.problem("its statistics contradict its messages")

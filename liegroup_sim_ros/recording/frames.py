@@ -20,9 +20,7 @@ def data_frame(recording, what):
             pose, twist = recording.pose[body], recording.twist[body]
             parts[body] = pandas.concat(
                 [
-                    pandas.DataFrame(
-                        np.hstack(pose[1:]), pose.time, ["x", "y", "z", "qx", "qy", "qz", "qw"]
-                    ),
+                    pandas.DataFrame(np.hstack(pose[1:]), pose.time, ["x", "y", "z", "qx", "qy", "qz", "qw"]),
                     pandas.DataFrame(twist.twist, twist.time, ["wx", "wy", "wz", "vx", "vy", "vz"]),
                 ],
                 axis=1,
@@ -31,10 +29,7 @@ def data_frame(recording, what):
     elif what == "wrench":
         changes = recording.applied_wrench
         frame = pandas.DataFrame(
-            [change.wrench for change in changes],
-            [c.stamp_ns * 1e-9 for c in changes],
-            WRENCH,
-            dtype=float,
+            [change.wrench for change in changes], [c.stamp_ns * 1e-9 for c in changes], WRENCH, dtype=float
         )
         frame.insert(0, "body", [change.body for change in changes])
         frame.insert(1, "axes", [change.axes for change in changes])
@@ -46,9 +41,7 @@ def data_frame(recording, what):
             if states is None
             else pandas.concat(
                 {
-                    name: pandas.DataFrame(
-                        {part: getattr(states, part)[:, k] for part in parts}, states.time
-                    )
+                    name: pandas.DataFrame({part: getattr(states, part)[:, k] for part in parts}, states.time)
                     for k, name in enumerate(states.names)
                 },
                 axis=1,
@@ -79,8 +72,7 @@ def data_frame(recording, what):
     elif what in ("reactions", "impulses"):
         # (stamp_ns, time, wrench or impulse) of each joint.
         parts = {
-            joint: pandas.DataFrame(track[-1], track.time, WRENCH)
-            for joint, track in getattr(recording, what).items()
+            joint: pandas.DataFrame(track[-1], track.time, WRENCH) for joint, track in getattr(recording, what).items()
         }
         frame = pandas.concat(parts, axis=1) if parts else pandas.DataFrame()
     elif what == "errors":
@@ -89,9 +81,7 @@ def data_frame(recording, what):
         frame = (
             pandas.DataFrame()
             if track is None
-            else pandas.DataFrame(
-                track.errors.reshape(len(track.errors), len(columns)), track.time, columns
-            )
+            else pandas.DataFrame(track.errors.reshape(len(track.errors), len(columns)), track.time, columns)
         )
     elif what == "events":
         frame = pandas.DataFrame(

@@ -141,20 +141,14 @@ def _decompressed(compression, data, size):
     if compression == b"zstd":
         try:
             # Not decompress(), which trusts the size claimed in the data.
-            return (
-                zstandard.ZstdDecompressor(max_window_size=LARGEST)
-                .stream_reader(data)
-                .read(size + 1)
-            )
+            return zstandard.ZstdDecompressor(max_window_size=LARGEST).stream_reader(data).read(size + 1)
         except (zstandard.ZstdError, MemoryError) as error:
             raise Damaged("a damaged chunk") from error
     if compression == b"lz4":
         try:
             from lz4.frame import LZ4FrameDecompressor
         except ImportError:
-            raise Damaged(
-                "a chunk compressed with lz4, which is not installed: pip install lz4"
-            ) from None
+            raise Damaged("a chunk compressed with lz4, which is not installed: pip install lz4") from None
         try:
             return LZ4FrameDecompressor().decompress(data, size + 1)
         except (RuntimeError, EOFError, MemoryError) as error:

@@ -42,15 +42,11 @@ class Stretch:
     change_wrenches: np.ndarray  # (m, 6) the total in its axes
     change_axes: np.ndarray  # (m,) index into AXES of liegroup_core/forces/external.py
     target_times: np.ndarray  # (p,) s since step 0, at which wanted values of servos change
-    targets: (
-        np.ndarray
-    )  # (p, servos, 2) wanted positions and velocities, in the order of the layout
+    targets: np.ndarray  # (p, servos, 2) wanted positions and velocities, in the order of the layout
     motion_times: np.ndarray  # (q,) s since step 0, at which motions of driven joints change
     motions: np.ndarray  # (q, d, 7) commanded motions, in the order of the layout
     accuracies: list  # [(step, accuracy)] from which on another accuracy holds
-    inaccurate_from: (
-        float  # s since step 0: the run said that its error exceeds the accuracy; or inf
-    )
+    inaccurate_from: float  # s since step 0: the run said that its error exceeds the accuracy; or inf
     samples: int = 0  # number of all samples
     first_step: int = 0  # of a sample
     last_step: int = 0
@@ -107,9 +103,7 @@ class Stretch:
         mine = self.change_bodies == self.bodies.index(body)
         steps = self.change_steps[mine]
         acting, acts = [False] * len(AXES), []
-        for axes, nonzero in zip(
-            self.change_axes[mine].tolist(), self.change_wrenches[mine].any(axis=1).tolist()
-        ):
+        for axes, nonzero in zip(self.change_axes[mine].tolist(), self.change_wrenches[mine].any(axis=1).tolist()):
             acting[axes] = nonzero
             acts.append(any(acting))
         switches = np.flatnonzero(np.diff(np.array(acts, dtype=bool), prepend=False))
@@ -122,9 +116,7 @@ class Stretch:
     @property
     def pushed(self):
         """((first step, end step, body), ...) intervals with a wrench, in the order of time."""
-        return tuple(
-            sorted((*pair, body) for body in self.bodies for pair in self.pushes_on(body).tolist())
-        )
+        return tuple(sorted((*pair, body) for body in self.bodies for pair in self.pushes_on(body).tolist()))
 
     def free(self, bodies):
         """(m, 2) first and last step of intervals in which no wrench acts on any of the bodies.
@@ -224,8 +216,7 @@ class Motion:
         if any(b <= a for a, b in zip(begins, begins[1:])):
             raise RecordingError(f"{recording.path}: the stamps of its resets do not increase")
         self.all = [
-            self._stretch(*each, end, step, k == 0)
-            for k, (each, end) in enumerate(zip(starts, [*begins[1:], np.inf]))
+            self._stretch(*each, end, step, k == 0) for k, (each, end) in enumerate(zip(starts, [*begins[1:], np.inf]))
         ]
         self.first = self.all[0]
         self._begins = np.array(begins, dtype=np.int64)
@@ -237,9 +228,7 @@ class Motion:
             if not (isinstance(state["steps"], int) and 0 <= state["steps"] < LATEST):
                 raise ValueError
         except (ValueError, KeyError, RecursionError):
-            raise RecordingError(
-                f"{self._recording.path}: an event state has no valid state: {text!r:.60}"
-            ) from None
+            raise RecordingError(f"{self._recording.path}: an event state has no valid state: {text!r:.60}") from None
         return state
 
     def _stretch(self, begin, start, state, end, step, is_first):
@@ -250,12 +239,10 @@ class Motion:
         when = np.concatenate([s[mask] for s, mask in zip(stamps, inside)])
         which = np.repeat(np.arange(len(stamps)), [int(mask.sum()) for mask in inside])
         wrench = np.concatenate(
-            [np.empty((0, 6))]
-            + [track.wrench[mask] for track, mask in zip(tracks.values(), inside)]
+            [np.empty((0, 6))] + [track.wrench[mask] for track, mask in zip(tracks.values(), inside)]
         )
         axes = np.concatenate(
-            [np.empty(0, dtype=np.int8)]
-            + [track.axes[mask] for track, mask in zip(tracks.values(), inside)]
+            [np.empty(0, dtype=np.int8)] + [track.axes[mask] for track, mask in zip(tracks.values(), inside)]
         )
         order = np.argsort(when, kind="stable")
         return Stretch(
@@ -354,8 +341,7 @@ class Motion:
                 yield block
         if not self.samples:
             raise RecordingError(
-                f"{self._recording.path}: contains no complete sample: the run "
-                "ended before one was written"
+                f"{self._recording.path}: contains no complete sample: the run ended before one was written"
             )
         self.stretches = [stretch for stretch in self.stretches if stretch.kept]
 
@@ -366,13 +352,9 @@ class Motion:
         steps = np.rint((stamps - stretch.base_ns) / unit).astype(np.int64)
         # Stamps are rounded to ns from the step count.
         if np.abs(stretch.base_ns + np.rint(steps * unit) - stamps).max() > 1.0:
-            raise RecordingError(
-                f"{self._recording.path}: its stamps do not lie on steps of {stretch.step:g} s"
-            )
+            raise RecordingError(f"{self._recording.path}: its stamps do not lie on steps of {stretch.step:g} s")
         self._count(stretch, steps)
-        position, quaternion, twist, errors = (
-            values if values is None else values[part] for values in samples[1:]
-        )
+        position, quaternion, twist, errors = (values if values is None else values[part] for values in samples[1:])
         norm = np.linalg.norm(quaternion, axis=2)
         finite = (
             np.isfinite(position).all(axis=(1, 2))

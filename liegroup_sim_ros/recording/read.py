@@ -139,10 +139,7 @@ class Recording:
         wanted = self._motion_topics()
         rows = {topic: self.topics.get(topic, 0) for topic in wanted}
         tracks = {
-            topic: (
-                np.empty(rows[topic], dtype=np.int64),
-                np.empty((rows[topic], self._width(kind))),
-            )
+            topic: (np.empty(rows[topic], dtype=np.int64), np.empty((rows[topic], self._width(kind))))
             for topic, (kind, _) in wanted.items()
         }
         done = dict.fromkeys(wanted, 0)
@@ -172,10 +169,7 @@ class Recording:
         """{joint: ReactionTrack} of ~/JOINT/wrench; by their names also forces and force-torque sensors."""
         rows = self._of_joints(REACTION)
         return {
-            joint: ReactionTrack(
-                np.array([stamp for stamp, _, _ in of_joint]),
-                np.array([row for *_, row in of_joint]),
-            )
+            joint: ReactionTrack(np.array([stamp for stamp, _, _ in of_joint]), np.array([row for *_, row in of_joint]))
             for joint, of_joint in rows.items()
         }
 
@@ -184,10 +178,7 @@ class Recording:
         """{joint: ImpulseTrack} of ~/JOINT/impulse; {} if they were not recorded, or there was no impact."""
         rows = self._of_joints(IMPULSE)
         return {
-            joint: ImpulseTrack(
-                np.array([stamp for stamp, _, _ in of_joint]),
-                np.array([row for *_, row in of_joint]),
-            )
+            joint: ImpulseTrack(np.array([stamp for stamp, _, _ in of_joint]), np.array([row for *_, row in of_joint]))
             for joint, of_joint in rows.items()
         }
 
@@ -276,9 +267,7 @@ class Recording:
     def _motion_topics(self):
         """{topic: (kind, body)} in the order of the bodies, then the errors of all of them."""
         topics = self.settings["topics"]
-        found = {
-            topics[kind][body]: (kind, body) for body in self.bodies for kind in ("pose", "twist")
-        }
+        found = {topics[kind][body]: (kind, body) for body in self.bodies for kind in ("pose", "twist")}
         errors = topics.get("errors")
         return found | {errors: ("errors", None)} if self.topics.get(errors) else found
 
@@ -291,8 +280,7 @@ class Recording:
         last = {}
         with ErrorsWithPath(self.path):
             world, prefix = (
-                self.settings.get(key, default)
-                for key, default in (("world_frame", "world"), ("frame_prefix", ""))
+                self.settings.get(key, default) for key, default in (("world_frame", "world"), ("frame_prefix", ""))
             )
             frames = {
                 topic: prefix + body if kind == "twist" else world
@@ -304,11 +292,7 @@ class Recording:
                     if channel.topic not in wanted:
                         continue
                     for stamps, values in self._values(
-                        wanted[channel.topic][0],
-                        channel.topic,
-                        frames.get(channel.topic),
-                        messages,
-                        index,
+                        wanted[channel.topic][0], channel.topic, frames.get(channel.topic), messages, index
                     ):
                         before = last.get(channel.topic, stamps[0] - 1)
                         if stamps[0] <= before or (np.diff(stamps) <= 0).any():
@@ -360,9 +344,7 @@ def read_recording(path: str | Path) -> Recording:
         names = Attachments(attachments, stream)
         settings = names.json("settings.json")
         if settings.get("format") != FORMAT:
-            raise RecordingError(
-                f"it has format {settings.get('format')!r:.40}, this version reads format {FORMAT}"
-            )
+            raise RecordingError(f"it has format {settings.get('format')!r:.40}, this version reads format {FORMAT}")
         initial_state = names.json("initial_state.json")
         pacing = names.json("pacing.json") if "pacing.json" in attachments else None
         bodies, topics = tuple(initial_state["bodies"]), settings["topics"]

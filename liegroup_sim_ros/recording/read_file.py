@@ -36,17 +36,13 @@ class ErrorsWithPath:
             raise RecordingError(str(error)) from None
         if isinstance(error, (RecordingError, Damaged)):
             text = str(error)
-            raise RecordingError(
-                text if text.startswith(f"{self._path}: ") else f"{self._path}: {text}"
-            ) from None
+            raise RecordingError(text if text.startswith(f"{self._path}: ") else f"{self._path}: {text}") from None
         if isinstance(error, MessageError):
             raise RecordingError(f"{self._path}: damaged message: {error}") from None
         if isinstance(error, OSError):
             raise RecordingError(f"{self._path}: {error.strerror or error}") from None
         if isinstance(error, (KeyError, AttributeError, TypeError, UnicodeDecodeError)):
-            raise RecordingError(
-                f"{self._path}: its settings or initial state lack an entry: {error!r:.120}"
-            ) from None
+            raise RecordingError(f"{self._path}: its settings or initial state lack an entry: {error!r:.120}") from None
 
 
 class Attachments:
@@ -148,14 +144,8 @@ class Scan:
         self._tallies = {}  # channel id -> _Tally
         self._wrenches = {body: ([], [], []) for body in bodies}
         prefix, world = settings.get("frame_prefix", ""), settings.get("world_frame", "world")
-        self._targets = {
-            wrench_frame(prefix + body, axes, world): (body, axes)
-            for body in bodies
-            for axes in AXES
-        }
-        events, figures, applied = (
-            topics[key] for key in ("events", "diagnostics", "applied_wrench")
-        )
+        self._targets = {wrench_frame(prefix + body, axes, world): (body, axes) for body in bodies for axes in AXES}
+        events, figures, applied = (topics[key] for key in ("events", "diagnostics", "applied_wrench"))
         targets = topics.get("servo_targets")
         self.servo_targets = []  # (stamp_ns, names, positions, velocities)
         self.motions = []  # (stamp_ns, names, numbers)
@@ -172,28 +162,20 @@ class Scan:
                 if channel.topic == events:
                     self.events += [
                         Event(stamp, name, text)
-                        for stamp, _, name, text in (
-                            LogCodec.decode_one(messages.payload(k)) for k in index
-                        )
+                        for stamp, _, name, text in (LogCodec.decode_one(messages.payload(k)) for k in index)
                     ]
                 elif channel.topic == figures:
                     self.diagnostics += [diagnostics.decode(messages.payload(k)) for k in index]
                 elif channel.topic == applied:
                     self._add_wrenches(messages, index)
                 elif channel.topic == targets:
-                    self.servo_targets += [
-                        decoder.decode(messages.payload(k)).complete()[:4] for k in index
-                    ]
+                    self.servo_targets += [decoder.decode(messages.payload(k)).complete()[:4] for k in index]
                 elif channel.topic == modes:
                     self.joint_modes += [
-                        (int(messages.log_time[k]), *joint_modes.decode(messages.payload(k)))
-                        for k in index
+                        (int(messages.log_time[k]), *joint_modes.decode(messages.payload(k))) for k in index
                     ]
                 elif channel.topic == motions:
-                    self.motions += [
-                        (int(messages.log_time[k]), *decode_motions(messages.payload(k)))
-                        for k in index
-                    ]
+                    self.motions += [(int(messages.log_time[k]), *decode_motions(messages.payload(k))) for k in index]
             if max(len(self.events), len(self.diagnostics)) > MOST_EVENTS:
                 raise RecordingError(f"contains more than {MOST_EVENTS} events or diagnostics")
         self.channels = source.stream.channels
@@ -207,14 +189,11 @@ class Scan:
         for stamps, names, which, values in decode(WrenchStampedCodec, messages, index):
             for k, frame in enumerate(names):
                 if frame not in self._targets:
-                    raise RecordingError(
-                        f"a wrench acts on {frame!r:.60}, which is not a body of the scene"
-                    )
+                    raise RecordingError(f"a wrench acts on {frame!r:.60}, which is not a body of the scene")
                 body, axes = self._targets[frame]
                 mine = which == k
                 for part, value in zip(
-                    self._wrenches[body],
-                    (stamps[mine], values[mine], np.full(mine.sum(), AXES.index(axes), np.int8)),
+                    self._wrenches[body], (stamps[mine], values[mine], np.full(mine.sum(), AXES.index(axes), np.int8))
                 ):
                     part.append(value)
 
@@ -240,9 +219,7 @@ class Scan:
         """What is wrong with the file, or None."""
         stream, problems = source.stream, []
         if stream.damaged:
-            problems.append(
-                f"{stream.damaged} damaged part(s) skipped: {', '.join(stream.remarks)}"
-            )
+            problems.append(f"{stream.damaged} damaged part(s) skipped: {', '.join(stream.remarks)}")
         if not stream.finished:
             problems.append(
                 "not finished: it is still being recorded, the process was killed or the "

@@ -151,9 +151,7 @@ class McapStream:
                 break
             if opcode == Opcode.FOOTER:
                 self.finished = (
-                    length == 20
-                    and len(file.read(20)) == 20
-                    and (file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC)
+                    length == 20 and len(file.read(20)) == 20 and (file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC)
                 )
                 break
             if opcode == Opcode.MESSAGE:
@@ -216,25 +214,19 @@ class McapStream:
         if self._wanted is not None and not self._wanted(at, head.first_ns, head.last_ns):
             return None
         body += self._file.read(length - len(body))
-        return self._messages(
-            np.frombuffer(chunk_data(head, memoryview(body)[head.data_start :]), dtype=np.uint8)
-        )
+        return self._messages(np.frombuffer(chunk_data(head, memoryview(body)[head.data_start :]), dtype=np.uint8))
 
     def _messages(self, data):
         room = len(data) // (RECORD.size + _MESSAGE_START) + 1
         channel, sequence, log_time, start, size = np.empty((5, room), dtype=np.int64)
         other = np.empty((len(data) // RECORD.size + 1, 3), dtype=np.int64)
-        found, others, walked = _find_messages(
-            data, channel, sequence, log_time, start, size, other
-        )
+        found, others, walked = _find_messages(data, channel, sequence, log_time, start, size, other)
         for opcode, begin, length in other[:others].tolist():
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self._take_names(opcode, data[begin : begin + length].tobytes())
         if walked != len(data):
             self._skip("a chunk with inconsistent record lengths")
-        return Messages(
-            data, channel[:found], sequence[:found], log_time[:found], start[:found], size[:found]
-        )
+        return Messages(data, channel[:found], sequence[:found], log_time[:found], start[:found], size[:found])
 
     def _take_names(self, opcode, data):
         if opcode == Opcode.SCHEMA:

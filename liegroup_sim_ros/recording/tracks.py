@@ -36,9 +36,7 @@ class TwistTrack(_TwistTrack, _Timed):
 
 class _ErrorTrack(NamedTuple):
     stamp_ns: np.ndarray  # (m,) int64, ns
-    errors: (
-        np.ndarray
-    )  # (m, n, 4) of n bodies: m, rad, m/s, rad/s; NaN: not known yet, inf: unknown
+    errors: np.ndarray  # (m, n, 4) of n bodies: m, rad, m/s, rad/s; NaN: not known yet, inf: unknown
 
 
 class ErrorTrack(_ErrorTrack, _Timed):

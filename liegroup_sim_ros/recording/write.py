@@ -113,8 +113,7 @@ class Recorder:
             self._open(self.path, attachments or {})
         except FileExistsError:
             raise RecorderError(
-                f"cannot record to {self.path}: the file already exists; remove it or choose "
-                "another name"
+                f"cannot record to {self.path}: the file already exists; remove it or choose another name"
             ) from None
         except OSError as error:
             if self._file is not None:  # its first records do not fit on the disk
@@ -156,9 +155,7 @@ class Recorder:
         """
         try:
             channel = _Channel(
-                topic_info(
-                    topic, msg_type, [schemas.qos_profile(qos, depth)], schemas.type_hash(msg_type)
-                ),
+                topic_info(topic, msg_type, [schemas.qos_profile(qos, depth)], schemas.type_hash(msg_type)),
                 schemas.definition(msg_type).encode(),
             )
         except schemas.SchemaError as error:
@@ -216,11 +213,7 @@ class Recorder:
 
     def add_attachment(self, name, media_type, data):
         """Add an attachment, usually at the end of a part or of the run."""
-        self._in_order(
-            lambda: self._mcap.add_attachment(
-                time.time_ns(), self._mcap.stamps[1], name, media_type, data
-            )
-        )
+        self._in_order(lambda: self._mcap.add_attachment(time.time_ns(), self._mcap.stamps[1], name, media_type, data))
 
     def is_part_due(self, stamp_ns):
         """Whether the current part has reached its size or, at this stamp, its duration."""
@@ -263,9 +256,7 @@ class Recorder:
         self._closing.set()
         self._thread.join()
         atexit.unregister(self.close)
-        self.lost = (
-            self._submitted - self.written
-        )  # including those that arrived while the thread ended
+        self.lost = self._submitted - self.written  # including those that arrived while the thread ended
 
     # The methods below run in the recorder's thread.
 
@@ -286,9 +277,7 @@ class Recorder:
         """Define a channel in the file; the order, and so its id, is the same in every part."""
         info = channel.info
         if info["type"] not in self._schema_ids:
-            self._schema_ids[info["type"]] = self._mcap.add_schema(
-                info["type"], "ros2msg", channel.definition
-            )
+            self._schema_ids[info["type"]] = self._mcap.add_schema(info["type"], "ros2msg", channel.definition)
         self._mcap.add_channel(
             info["name"],
             "cdr",

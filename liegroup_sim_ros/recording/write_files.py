@@ -18,9 +18,7 @@ def new_file_path(path):
         if path.is_dir():
             path /= time.strftime("recording_%Y_%m_%d-%H_%M_%S.mcap")
         elif path.suffix != ".mcap":
-            raise RecorderError(
-                f"cannot record to {path}: the path must end in .mcap or be an existing folder"
-            )
+            raise RecorderError(f"cannot record to {path}: the path must end in .mcap or be an existing folder")
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RecorderError(f"cannot record to {path}: {reason(error)}") from None

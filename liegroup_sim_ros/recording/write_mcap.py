@@ -169,20 +169,14 @@ class McapFile:
 
     def add_schema(self, name, encoding, data):
         """Add a schema; returns its id."""
-        self._schemas.append(
-            Schema(id=len(self._schemas) + 1, data=data, encoding=encoding, name=name)
-        )
+        self._schemas.append(Schema(id=len(self._schemas) + 1, data=data, encoding=encoding, name=name))
         self._define(self._schemas[-1])
         return self._schemas[-1].id
 
     def add_channel(self, topic, encoding, schema, metadata):
         """Add a channel; returns its id."""
         channel = Channel(
-            id=len(self._channels) + 1,
-            topic=topic,
-            message_encoding=encoding,
-            schema_id=schema,
-            metadata=metadata,
+            id=len(self._channels) + 1, topic=topic, message_encoding=encoding, schema_id=schema, metadata=metadata
         )
         self._channels.append(channel)
         self.counts[channel.id] = 0
@@ -192,13 +186,7 @@ class McapFile:
     def add_attachment(self, create_ns, stamp_ns, name, media_type, data):
         """Add an attachment."""
         offset, length = self._write(
-            Attachment(
-                create_time=create_ns,
-                log_time=stamp_ns,
-                name=name,
-                media_type=media_type,
-                data=data,
-            )
+            Attachment(create_time=create_ns, log_time=stamp_ns, name=name, media_type=media_type, data=data)
         )
         self._attachments.append(
             AttachmentIndex(
@@ -232,9 +220,7 @@ class McapFile:
             for entries in index.values():
                 entries[1::2] = array("Q", [len(front) + offset for offset in entries[1::2]])
         data = front + b"".join(chunk.parts)
-        first, last = (
-            edge(edge(entries[::2]) for entries in index.values()) for edge in (min, max)
-        )
+        first, last = (edge(edge(entries[::2]) for entries in index.values()) for edge in (min, max))
         compressed = self._compress(data)
         offset, length = self._write(
             ChunkRecord(
@@ -300,21 +286,13 @@ class McapFile:
                 record.write(summary)
             if records:
                 groups.append(
-                    SummaryOffset(
-                        group_opcode=opcode,
-                        group_start=start + begin,
-                        group_length=summary.count - begin,
-                    )
+                    SummaryOffset(group_opcode=opcode, group_start=start + begin, group_length=summary.count - begin)
                 )
         offsets_start = start + summary.count
         for group in groups:
             group.write(summary)
         data = summary.end()
         self._stream.write(data)
-        checksum = zlib.crc32(
-            _FOOTER_START.pack(Opcode.FOOTER, 8 + 8 + 4, start, offsets_start), zlib.crc32(data)
-        )
-        self._write(
-            Footer(summary_start=start, summary_offset_start=offsets_start, summary_crc=checksum)
-        )
+        checksum = zlib.crc32(_FOOTER_START.pack(Opcode.FOOTER, 8 + 8 + 4, start, offsets_start), zlib.crc32(data))
+        self._write(Footer(summary_start=start, summary_offset_start=offsets_start, summary_crc=checksum))
         self._stream.write(MCAP0_MAGIC)

@@ -141,9 +141,7 @@ class LogFile:
         self.count, self.last_step = 0, -1
         self._simulation, self._told = simulation, set()  # events that are recorded once
         try:
-            on_request = (
-                sample_messages.reactions(simulation.layout, WORLD_FRAME) if reactions else []
-            )
+            on_request = sample_messages.reactions(simulation.layout, WORLD_FRAME) if reactions else []
         except ValueError as error:
             raise OutputError(f"{path}: --reactions: {error}; *.npz has no topics") from None
         layout = simulation.layout
@@ -182,9 +180,7 @@ class LogFile:
                 schemas.type_hash(message_type)
             self._recorder = Recorder(
                 path,
-                attachments.at_start(
-                    simulation, NODE, WORLD_FRAME, every, names, simulation.time_ns
-                ),
+                attachments.at_start(simulation, NODE, WORLD_FRAME, every, names, simulation.time_ns),
                 continues=False,
             )
         except schemas.SchemaError as error:
@@ -199,19 +195,14 @@ class LogFile:
         self._channel(topics.APPLIED_WRENCH)
         self._modes = self._channel(topics.JOINT_MODES) if has_modes else None
         self._on_request = [
-            (self._channel(topics.Topic(name, message_type)), encode)
-            for name, message_type, encode in on_request
+            (self._channel(topics.Topic(name, message_type)), encode) for name, message_type, encode in on_request
         ]
         self._impulses = [
             (self._channel(topics.Topic(name, kind, depth=topics.IMPULSES_KEPT)), encode)
             for name, kind, encode in impulses
         ]
         self._events = self._channel(topics.EVENTS)
-        self._event(
-            simulation.time_ns,
-            "start",
-            f"{simulation.scene.name} at step {simulation.steps}, without a clock",
-        )
+        self._event(simulation.time_ns, "start", f"{simulation.scene.name} at step {simulation.steps}, without a clock")
         self._report("begin")
 
     def __enter__(self):
@@ -293,9 +284,7 @@ class LogFile:
                     "reanchored": None,
                     "lateness_us": {"p50": None, "p99": None, "max": None},
                     "real_time_factor_wanted": 0.0,
-                    "real_time_factor": simulation.time / wall_seconds
-                    if wall_seconds > 0.0
-                    else None,
+                    "real_time_factor": simulation.time / wall_seconds if wall_seconds > 0.0 else None,
                     "wall_seconds": wall_seconds,
                     "sim_seconds": simulation.time,
                 }

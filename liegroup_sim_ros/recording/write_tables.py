@@ -21,9 +21,7 @@ def new_file(path, mode, **options):
     try:
         return open(path, mode, **options)
     except FileExistsError:
-        raise OutputError(
-            f"{path}: the file already exists; remove it or choose another name"
-        ) from None
+        raise OutputError(f"{path}: the file already exists; remove it or choose another name") from None
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
 
@@ -86,19 +84,11 @@ class TableFile(_Table):
         *(f"w{axis} [rad/s]" for axis in "xyz"),
         *(f"v{axis} [m/s]" for axis in "xyz"),
     )
-    ERRORS = (
-        "position_error [m]",
-        "attitude_error [rad]",
-        "velocity_error [m/s]",
-        "angular_velocity_error [rad/s]",
-    )
+    ERRORS = ("position_error [m]", "attitude_error [rad]", "velocity_error [m/s]", "angular_velocity_error [rad/s]")
 
     REACTION = (*(f"t{axis} [N m]" for axis in "xyz"), *(f"f{axis} [N]" for axis in "xyz"))
 
-    IMPULSE = (
-        *(f"impulse_t{axis} [N m s]" for axis in "xyz"),
-        *(f"impulse_f{axis} [N s]" for axis in "xyz"),
-    )
+    IMPULSE = (*(f"impulse_t{axis} [N m s]" for axis in "xyz"), *(f"impulse_f{axis} [N s]" for axis in "xyz"))
 
     def __init__(self, path, simulation, _every, _samples, reactions=False):
         super().__init__(path)
@@ -121,11 +111,7 @@ class TableFile(_Table):
             "energy [J]",
             "constraint_residual [m or rad]",
             *(f"{body}.{name}" for body in layout.body_names for name in errors),
-            *(
-                f"{joint}.{name}"
-                for joint in (joint_names(simulation) if reactions else ())
-                for name in self.REACTION
-            ),
+            *(f"{joint}.{name}" for joint in (joint_names(simulation) if reactions else ()) for name in self.REACTION),
             *(
                 f"{force}.effort [{'N m' if layout.joint_forces.turns[force] else 'N'}]"
                 for force in (layout.joint_forces.names if reactions else ())
@@ -197,10 +183,7 @@ class TorqueFile(_Table):
     def sample(self, sample):
         """Write a row."""
         efforts, motions = sample.drive_efforts, sample.prescribed
-        self._write(
-            sample.time,
-            *(number for joint in efforts for number in (*motions[joint][:2], efforts[joint])),
-        )
+        self._write(sample.time, *(number for joint in efforts for number in (*motions[joint][:2], efforts[joint])))
         self.count, self.last_step = self.count + 1, sample.steps
 
 

@@ -43,15 +43,10 @@ def _numbers(cells):
     wrong = silent(cells)
     yield (counted(len(wrong), "undetected error") + (":" if wrong else "."))
     for cell in wrong:
-        yield (
-            f"* {cell['axis']} {shown(cell['value'])}, {cell['method']}: error "
-            f"{cell['error']:.2g} of the motion"
-        )
+        yield (f"* {cell['axis']} {shown(cell['value'])}, {cell['method']}: error {cell['error']:.2g} of the motion")
     flagged = [cell for cell in cells if cell["verdict"] == "flagged"]
     only_estimate = [cell for cell in flagged if not cell["says"]]
-    warned = sorted(
-        cell["error"] for cell in cells if cell["verdict"] == "accurate" and cell["says"]
-    )
+    warned = sorted(cell["error"] for cell in cells if cell["verdict"] == "accurate" and cell["says"])
     yield ""
     yield (
         f"Flagged by the estimated error alone: {len(only_estimate)} of "

@@ -26,8 +26,7 @@ def document(axes, cells):
     content = {
         "schema": 1,
         "axes": [
-            {"name": axis.name, "title": axis.title, "unit": axis.unit, "values": list(axis.values)}
-            for axis in axes
+            {"name": axis.name, "title": axis.title, "unit": axis.unit, "values": list(axis.values)} for axis in axes
         ],
         "counts": counts(cells),
         "cells": [{key: _finite(value) for key, value in cell.items()} for cell in cells],
@@ -44,9 +43,7 @@ def print_axis(axis, cells, methods, console):
     """Print the verdicts of an axis: a row for each method, a column for each value."""
     values = [value for value in axis.values if any(cell["value"] == value for cell in cells)]
     by_place = {(cell["method"], cell["value"]): cell["verdict"] for cell in cells}
-    console.print(
-        Text(axis.title + (f", {axis.unit}" if axis.unit else ""), style="bold"), soft_wrap=True
-    )
+    console.print(Text(axis.title + (f", {axis.unit}" if axis.unit else ""), style="bold"), soft_wrap=True)
     table = Table(box=None, padding=(0, 1, 0, 0))
     table.add_column("", no_wrap=True)
     for value in values:
@@ -55,11 +52,7 @@ def print_axis(axis, cells, methods, console):
         row = [by_place.get((method, value)) for value in values]
         if any(row):
             table.add_row(
-                Text(method),
-                *(
-                    Text(SIGNS[verdict], style=STYLES[verdict]) if verdict else Text("")
-                    for verdict in row
-                ),
+                Text(method), *(Text(SIGNS[verdict], style=STYLES[verdict]) if verdict else Text("") for verdict in row)
             )
     console.print(table, width=WIDTH, crop=False)
     console.print()
@@ -67,9 +60,7 @@ def print_axis(axis, cells, methods, console):
 
 def print_end(cells, console):
     """Print the number of cells for each verdict, and each undetected error."""
-    console.print(
-        Text(", ".join(f"{SIGNS[name]} {name} {number}" for name, number in counts(cells).items()))
-    )
+    console.print(Text(", ".join(f"{SIGNS[name]} {name} {number}" for name, number in counts(cells).items())))
     console.print(Text(NOTE, style="dim"))
     for cell in silent(cells):
         console.print(

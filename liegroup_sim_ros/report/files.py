@@ -43,9 +43,7 @@ def write_file(path, write):
     """
     place = Path(path).resolve()
     is_new = not os.path.exists(place)
-    direct = not is_new and not (
-        place.is_file() and os.access(place, os.W_OK) and os.access(place.parent, os.W_OK)
-    )
+    direct = not is_new and not (place.is_file() and os.access(place, os.W_OK) and os.access(place.parent, os.W_OK))
     part = place if direct else place.with_name(f".liegroup_sim.{os.getpid()}{place.suffix}")
     try:
         write(part)

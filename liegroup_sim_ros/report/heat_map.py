@@ -21,20 +21,12 @@ def write_heat_map(axes, cells, methods, path):
     rows = math.ceil(len(axes) / across)
     figure = Figure(figsize=(1.4 + 4.1 * across, 0.7 + 3.6 * rows), layout="constrained")
     panels = figure.subplots(rows, across, squeeze=False, sharey=True)
-    place = {
-        (cell["axis"], cell["value"], cell["method"]): VERDICTS.index(cell["verdict"])
-        for cell in cells
-    }
+    place = {(cell["axis"], cell["value"], cell["method"]): VERDICTS.index(cell["verdict"]) for cell in cells}
     colours = ListedColormap(COLOURS)
     colours.set_bad("white")
     for axis, panel in zip(axes, panels.flat):
-        values = [
-            value for value in axis.values if any(key[:2] == (axis.name, value) for key in place)
-        ]
-        grid = [
-            [place.get((axis.name, value, method), math.nan) for value in values]
-            for method in methods
-        ]
+        values = [value for value in axis.values if any(key[:2] == (axis.name, value) for key in place)]
+        grid = [[place.get((axis.name, value, method), math.nan) for value in values] for method in methods]
         if values:
             panel.imshow(
                 grid,

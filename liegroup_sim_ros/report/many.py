@@ -38,11 +38,7 @@ def analyse_many(logs, options, scheduler=None, page=False):
     """
     work = [(log, options, k < MOST_PARTS if page else None) for k, log in enumerate(logs)]
     with Progress(
-        TextColumn("analysing"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        console=Console(stderr=True),
-        auto_refresh=False,
+        TextColumn("analysing"), BarColumn(), MofNCompleteColumn(), console=Console(stderr=True), auto_refresh=False
     ) as progress:
         task = progress.add_task("", total=len(logs))
         results = {}

@@ -55,10 +55,7 @@ def make_page(parts, comparison=None, exceeded=(), bounds=()):
     exceeded   : texts of the bounds that are exceeded
     bounds     : texts of the bounds that were given
     """
-    data = [
-        {"plots": [plot for *_, plot in part.get("plots", ())], "view": part.get("view")}
-        for part in parts
-    ]
+    data = [{"plots": [plot for *_, plot in part.get("plots", ())], "view": part.get("view")} for part in parts]
     one = len(parts) == 1
     body = _one(parts[0], 0, exceeded, bounds) if one else _several(parts, exceeded, bounds)
     if comparison:
@@ -71,9 +68,7 @@ def make_page(parts, comparison=None, exceeded=(), bounds=()):
             f'<div class="cards" data-part="{len(parts)}">{drawn}{rows}</div>'
         )
     title = (
-        f"{parts[0]['figures']['scene']}: analysis of a recording"
-        if one
-        else f"Analysis of {len(parts)} recordings"
+        f"{parts[0]['figures']['scene']}: analysis of a recording" if one else f"Analysis of {len(parts)} recordings"
     )
     return frame(title, body, data)
 
@@ -85,9 +80,7 @@ def frame(title, body, data):
     data : for each part {"plots": for plotly.js, "view": from view.py or None}
     """
     resources = files(__package__)
-    style, code = (
-        (resources / f"page.{kind}").read_text(encoding="utf-8") for kind in ("css", "js")
-    )
+    style, code = ((resources / f"page.{kind}").read_text(encoding="utf-8") for kind in ("css", "js"))
     from plotly.offline import get_plotlyjs  # takes a second to import
 
     scripts = get_plotlyjs(), code
@@ -168,10 +161,7 @@ def _several(parts, exceeded, bounds):
             + _plots(part)
             + _tables(part)
         )
-        body += (
-            f'<details class="log" id="log{k}" data-part="{k}"><summary>{escape(name)}'
-            f"</summary>{inside}</details>"
-        )
+        body += f'<details class="log" id="log{k}" data-part="{k}"><summary>{escape(name)}</summary>{inside}</details>'
     return body
 
 
@@ -191,9 +181,7 @@ def _listed(found, names, problems_of, exceeded):
 
 def _plots(part):
     return (_view(part["view"], bool(part["plots"])) if part["view"] else "") + (
-        '<div class="cards">'
-        + "".join(plot_card(title, remark) for title, remark, _ in part["plots"])
-        + "</div>"
+        '<div class="cards">' + "".join(plot_card(title, remark) for title, remark, _ in part["plots"]) + "</div>"
     )
 
 
@@ -233,8 +221,7 @@ def plot_card(title, remark):
 def _view(view, has_plots):
     choices, first = speeds(view["seconds"])
     options = "".join(
-        f'<option value="{speed:g}"{" selected" if speed == first else ""}>{speed:g} ×</option>'
-        for speed in choices
+        f'<option value="{speed:g}"{" selected" if speed == first else ""}>{speed:g} ×</option>' for speed in choices
     )
     remark = f"{counted(view['frames'], 'frame')}; drag to rotate; toolbar: zoom and pan" + (
         "; click on a plot below to go to that time" if has_plots else ""
@@ -254,8 +241,7 @@ def _rows(title, rows):
     return (
         f'<section class="card"><h3>{escape(title)}</h3><table class="rows">'
         + "".join(
-            f"<tr><td>{escape(what)}</td><td{_alarm(value)}>{unbroken(value)}</td>"
-            f"<td>{unbroken(remark)}</td></tr>"
+            f"<tr><td>{escape(what)}</td><td{_alarm(value)}>{unbroken(value)}</td><td>{unbroken(remark)}</td></tr>"
             for what, value, remark in rows
         )
         + "</table></section>"
@@ -264,8 +250,7 @@ def _rows(title, rows):
 
 def _tiles(figures):
     tiles = "".join(
-        f"<div><span>{escape(what)}</span><b{_alarm(value)}>{unbroken(value)}</b>"
-        f"<span>{unbroken(remark)}</span></div>"
+        f"<div><span>{escape(what)}</span><b{_alarm(value)}>{unbroken(value)}</b><span>{unbroken(remark)}</span></div>"
         for what, value, remark in headline(figures)
     )
     return f'<div class="tiles">{tiles}</div>'
@@ -280,11 +265,7 @@ def _state(problems):
 
 
 def _problems(problems):
-    return (
-        '<ul class="bad">' + "".join(f"<li>{escape(text)}</li>" for text in problems) + "</ul>"
-        if problems
-        else ""
-    )
+    return '<ul class="bad">' + "".join(f"<li>{escape(text)}</li>" for text in problems) + "</ul>" if problems else ""
 
 
 def _bounds(bounds, exceeded):

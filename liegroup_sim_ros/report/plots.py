@@ -34,8 +34,7 @@ def make_plots(analysis):
         plots.append(
             (
                 "Error",
-                f"distance from {source}, largest of all bodies; dotted: reference uncertainty"
-                f"{estimate}",
+                f"distance from {source}, largest of all bodies; dotted: reference uncertainty{estimate}",
                 _plane(_error_traces(curves["reference"]), bands, "m, rad", log=True),
             )
         )
@@ -44,8 +43,7 @@ def make_plots(analysis):
             plots.append(
                 (
                     "Coverage",
-                    f"estimate divided by error, where the reference knows it; lines at {LEAST:g} and "
-                    f"{MOST:g}",
+                    f"estimate divided by error, where the reference knows it; lines at {LEAST:g} and {MOST:g}",
                     _ratio_plane(ratios, bands),
                 )
             )
@@ -70,9 +68,7 @@ def make_plots(analysis):
                 _plane(
                     _interval_traces(conserved[:6]),
                     bands,
-                    "N m s"
-                    if all(entry["unit"] == "N m s" for entry in figures["momentum"][:6])
-                    else "N m s, N s",
+                    "N m s" if all(entry["unit"] == "N m s" for entry in figures["momentum"][:6]) else "N m s, N s",
                 ),
             )
         )
@@ -81,9 +77,7 @@ def make_plots(analysis):
             (
                 "Constraint residuals",
                 "largest of all joints",
-                _plane(
-                    _interval_traces([("residual", curves["joints"])]), bands, "m, rad", log=True
-                ),
+                _plane(_interval_traces([("residual", curves["joints"])]), bands, "m, rad", log=True),
             )
         )
     for title, unit, part in (("forces", "N", slice(3, 6)), ("torques", "N m", slice(0, 3))):
@@ -93,13 +87,7 @@ def make_plots(analysis):
             plots.append((f"Reaction {title}", remark, _plane(traces, bands, unit)))
     late = _lateness_traces(analysis.recording.diagnostics)
     if late:
-        plots.append(
-            (
-                "Scheduling latency",
-                "of all ticks since the start",
-                _plane(late, bands, "µs", log=True),
-            )
-        )
+        plots.append(("Scheduling latency", "of all ticks since the start", _plane(late, bands, "µs", log=True)))
     if marks is not None and len(marks):
         for *_, plot in plots:
             plot["data"].append(_event_entry(figures, marks))
@@ -185,15 +173,9 @@ def _reaction_traces(reactions, part):
 
 def _lateness_traces(diagnostics):
     traces = []
-    for key, name, colour in (
-        ("p50", "median", "--green"),
-        ("p99", "p99", "--orange"),
-        ("max", "maximum", "--red"),
-    ):
+    for key, name, colour in (("p50", "median", "--green"), ("p99", "p99", "--orange"), ("max", "maximum", "--red")):
         field = f"lateness_{key}_us"
-        values = [
-            (stamp * 1e-9, float(entry[field])) for stamp, entry in diagnostics if field in entry
-        ]
+        values = [(stamp * 1e-9, float(entry[field])) for stamp, entry in diagnostics if field in entry]
         if values:
             traces.append({**_line(name, *np.array(values).T, colour), "mode": "lines+markers"})
     return traces
@@ -213,12 +195,7 @@ def centre_paths(analysis):
     stretches = analysis.motion.stretches
     every = max(1, sum(len(s.steps) for s in stretches) // PATH_POINTS)
     return {
-        body.name: _joined(
-            [
-                s.position[::every, n] + s.rotation[::every, n] @ np.array(body.com)
-                for s in stretches
-            ]
-        )
+        body.name: _joined([s.position[::every, n] + s.rotation[::every, n] @ np.array(body.com) for s in stretches])
         for n, body in enumerate(analysis.scene.bodies)
     }
 
@@ -228,26 +205,14 @@ def difference_plot(curve):
     if not any((values > 0.0).any() for _, values in curve):
         return []
     traces = [
-        _line(name, *part, colour)
-        for name, part, colour in zip(("position, m", "attitude, rad"), curve, COLOURS)
+        _line(name, *part, colour) for name, part, colour in zip(("position, m", "attitude, rad"), curve, COLOURS)
     ]
-    return [
-        (
-            "Difference of the two recordings",
-            "largest of all bodies",
-            _plane(traces, [], "m, rad", log=True),
-        )
-    ]
+    return [("Difference of the two recordings", "largest of all bodies", _plane(traces, [], "m, rad", log=True))]
 
 
 def _plane(traces, bands, unit, log=False):
     """Plot of curves over time; a log axis shows positive values only."""
-    axis = {
-        "gridcolor": "--grid",
-        "zerolinecolor": "--grid",
-        "linecolor": "--grid",
-        "automargin": True,
-    }
+    axis = {"gridcolor": "--grid", "zerolinecolor": "--grid", "linecolor": "--grid", "automargin": True}
     return {
         "data": traces,
         "layout": {
@@ -360,11 +325,7 @@ def _extremes(y):
     gaps = ~np.isfinite(y)
     low, high = np.where(gaps, np.inf, y), np.where(gaps, -np.inf, y)
     edges = np.linspace(0, len(y), BINS + 1).astype(int)
-    rows = {
-        a + int(values[a:b].argmax())
-        for a, b in zip(edges, edges[1:])
-        for values in (-low, high, gaps)
-    }
+    rows = {a + int(values[a:b].argmax()) for a, b in zip(edges, edges[1:]) for values in (-low, high, gaps)}
     return np.array(sorted(rows))
 
 

@@ -37,17 +37,9 @@ def headline(figures):
         ]
     if figures.get("joints"):
         name, worst = max(figures["joints"].items(), key=lambda item: item[1]["largest"])
-        rows.append(
-            ("constraint residual", shown(worst["largest"], worst["unit"]), f"maximum: {name}")
-        )
+        rows.append(("constraint residual", shown(worst["largest"], worst["unit"]), f"maximum: {name}"))
     if figures.get("energy") and figures["energy"]["relative_drift"] is not None:
-        rows.append(
-            (
-                "energy drift",
-                shown(figures["energy"]["relative_drift"]),
-                "of the largest kinetic energy",
-            )
-        )
+        rows.append(("energy drift", shown(figures["energy"]["relative_drift"]), "of the largest kinetic energy"))
     repeat = figures.get("repeat", {})
     if "identical" in repeat:
         same = repeat["identical"] == repeat["samples"]
@@ -60,11 +52,7 @@ def headline(figures):
         )
     if figures["timing"].get("real_time_factor"):
         rows.append(
-            (
-                "real-time factor",
-                f"{figures['timing']['real_time_factor']:.3f}",
-                requested_text(figures["timing"]),
-            )
+            ("real-time factor", f"{figures['timing']['real_time_factor']:.3f}", requested_text(figures["timing"]))
         )
     return rows
 
@@ -113,8 +101,7 @@ def sections(figures):
 def _run_rows(figures):
     pushes = figures["pushes"]
     shown_pushes = "; ".join(
-        f"{p['body']} {p['from_s']:.3f} s to "
-        + (f"{p['to_s']:.3f} s" if p["to_s"] is not None else "the end")
+        f"{p['body']} {p['from_s']:.3f} s to " + (f"{p['to_s']:.3f} s" if p["to_s"] is not None else "the end")
         for p in pushes[:4]
     )
     count = figures["push_count"]
@@ -141,9 +128,7 @@ def _run_rows(figures):
         (
             "applied wrenches",
             str(count),
-            shown_pushes
-            + more
-            + (f"; {counted(refused, 'wrench message')} refused" if refused else ""),
+            shown_pushes + more + (f"; {counted(refused, 'wrench message')} refused" if refused else ""),
         ),
     ]
 
@@ -236,13 +221,8 @@ def _conserved_rows(figures):
                 shown(entry["drift"], entry["unit"]),
                 _joined(
                     f"of at most {shown(entry['largest'], entry['unit'])}",
-                    _trend(
-                        entry["trend_per_s"],
-                        entry["trend_explains"],
-                        entry["unit"].removesuffix(" s"),
-                    ),
-                    len(figures["bodies"]) > len(entry["bodies"])
-                    and ", ".join(entry["bodies"][:4]),
+                    _trend(entry["trend_per_s"], entry["trend_explains"], entry["unit"].removesuffix(" s")),
+                    len(figures["bodies"]) > len(entry["bodies"]) and ", ".join(entry["bodies"][:4]),
                     entry["left_out"] and f"without {entry['left_out']}",
                 ),
             )
@@ -269,8 +249,7 @@ def _joint_event_rows(events):
     rows = [
         (
             name,
-            ", ".join(counted(entry[kind], noun) for kind, noun in NOUNS.items() if entry[kind])
-            or "no event",
+            ", ".join(counted(entry[kind], noun) for kind, noun in NOUNS.items() if entry[kind]) or "no event",
             f"impacts take {shown(-entry['impact_energy_J'], 'J')}, largest impulse "
             f"{shown(entry['largest_impulse'], entry['unit'])}"
             if entry["impact"]
@@ -313,8 +292,7 @@ def _timing_rows(timing):
             str(timing["gaps"]),
             ""
             if not timing["gaps"]
-            else f"the longest {shown(timing['largest_gap_s'], 's')}, at "
-            f"{shown(timing['largest_gap_at_s'], 's')}",
+            else f"the longest {shown(timing['largest_gap_s'], 's')}, at {shown(timing['largest_gap_at_s'], 's')}",
         ),
     ]
 
@@ -326,11 +304,7 @@ def _microseconds(value):
 def _file_rows(figures):
     lost = sum(figures["lost_messages"].values()) + figures["missing_samples"]
     return [
-        (
-            "messages",
-            str(sum(figures["messages"].values())),
-            counted(len(figures["messages"]), "topic"),
-        ),
+        ("messages", str(sum(figures["messages"].values())), counted(len(figures["messages"]), "topic")),
         ("dropped", str(lost), "by sequence numbers and sampling period"),
         ("complete", "yes" if figures["complete"] else "no", figures["file_problem"] or ""),
     ]
@@ -370,12 +344,7 @@ def overview(figures):
 
 def comparison_rows(figures):
     """Table of a comparison: [(name, value, remark)]."""
-    names = {
-        "position": "position",
-        "angle": "attitude",
-        "angular": "angular velocity",
-        "linear": "velocity",
-    }
+    names = {"position": "position", "angle": "attitude", "angular": "angular velocity", "linear": "velocity"}
     rows = [
         (
             "bit-identical",
@@ -395,12 +364,8 @@ def comparison_rows(figures):
     ]
     rows += [
         (what, "the same" if equal else "different", "")
-        for what, equal in (
-            ("scene", figures["same_scene"]),
-            ("wrenches", figures["same_wrenches"]),
-        )
+        for what, equal in (("scene", figures["same_scene"]), ("wrenches", figures["same_wrenches"]))
     ]
     return rows + [
-        (key, str(mine), f"in the other recording {theirs}")
-        for key, (mine, theirs) in figures["settings"].items()
+        (key, str(mine), f"in the other recording {theirs}") for key, (mine, theirs) in figures["settings"].items()
     ]

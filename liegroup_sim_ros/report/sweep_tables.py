@@ -71,8 +71,7 @@ def print_sweep(file, show, console):
     needed = ["run", "status", "warning", "cpu_s", "time", *sweep.paths, *columns]
     read = file.table(list(dict.fromkeys(needed)))
     table = {
-        name: read[name].to_numpy() if kinds[name] != "text" else read[name].to_pylist()
-        for name in read.column_names
+        name: read[name].to_numpy() if kinds[name] != "text" else read[name].to_pylist() for name in read.column_names
     }
     ok = np.array([status == OK for status in table["status"]])
     console.width = max(console.width, WIDTH)
@@ -87,10 +86,7 @@ def print_sweep(file, show, console):
     )
     cpu = table["cpu_s"]
     console.print(
-        Text(
-            f"{shown(cpu.mean() * 1e3, 'ms')} of CPU time a run, {shown(cpu.sum(), 's')} in all",
-            style="dim",
-        )
+        Text(f"{shown(cpu.mean() * 1e3, 'ms')} of CPU time a run, {shown(cpu.sum(), 's')} in all", style="dim")
     )
     _print_reasons(console, "failed", [s for s in table["status"] if s != OK])
     _print_reasons(console, "with warning", [w for w in table["warning"] if w])
@@ -101,21 +97,14 @@ def print_sweep(file, show, console):
         console,
         "Distribution of the completed runs",
         ("", "minimum", "5 %", "median", "95 %", "maximum"),
-        [
-            (name, *map(shown, values))
-            for name, values in distribution.items()
-            if values is not None
-        ],
+        [(name, *map(shown, values)) for name, values in distribution.items() if values is not None],
     )
     ranks = dependence(table, sweep.paths, columns)
     _print(
         console,
         "Rank correlation (Spearman): 0 none, 1 or -1 monotonically increasing or decreasing",
         ("", *sweep.paths),
-        [
-            (name, *(f"{row[path]:+.2f}" if path in row else "-" for path in sweep.paths))
-            for name, row in ranks.items()
-        ],
+        [(name, *(f"{row[path]:+.2f}" if path in row else "-" for path in sweep.paths)) for name, row in ranks.items()],
     )
     return set(table["status"])
 
@@ -127,11 +116,7 @@ def _usual(sweep):
         if kind == "float" and name not in (*sweep.paths, "cpu_s", "time", "energy_start")
     ]
     bodies = list(dict.fromkeys(name.rpartition(".")[0] for name in floats if "." in name))
-    return [
-        name
-        for name in floats
-        if not name.rpartition(".")[0] or name.rpartition(".")[0] in bodies[:BODIES]
-    ]
+    return [name for name in floats if not name.rpartition(".")[0] or name.rpartition(".")[0] in bodies[:BODIES]]
 
 
 def _print_reasons(console, what, texts):

@@ -41,17 +41,11 @@ def print_overview(analyses, console):
         table.add_column(Text(title), overflow="fold", no_wrap=title != "file")
     for name, figures in zip(names, analyses):
         table.add_row(
-            Text(name),
-            *(
-                Text(cell, style="bold red" if cell in NO_NUMBER else "")
-                for cell in overview(figures)
-            ),
+            Text(name), *(Text(cell, style="bold red" if cell in NO_NUMBER else "") for cell in overview(figures))
         )
     console.print(table)
     for name, figures in zip(names, analyses):
-        for problem in figures.get("problems") or [
-            figures[key] for key in ("failed",) if key in figures
-        ]:
+        for problem in figures.get("problems") or [figures[key] for key in ("failed",) if key in figures]:
             text = problem if problem.startswith((figures["log"], name)) else f"{name}: {problem}"
             console.print(Text(f"! {text}", style="bold red"), soft_wrap=True)
 
@@ -64,11 +58,7 @@ def print_comparison(figures, console):
         Text(
             f"Comparison with {figures['logs'][1]}: bit-identical in {identical} of "
             + counted(samples, "sample")
-            + (
-                f", the first difference at {shown(figures['first_difference_s'], 's')}"
-                if identical < samples
-                else ""
-            ),
+            + (f", the first difference at {shown(figures['first_difference_s'], 's')}" if identical < samples else ""),
             style="bold",
         )
     )
@@ -80,9 +70,7 @@ def print_comparison(figures, console):
 
 def plain_table(title, heads, rows):
     """Table without rules; markup in its texts is not interpreted."""
-    table = Table(
-        box=None, padding=(0, 2, 0, 0), title=Text(title), title_justify="left", title_style="bold"
-    )
+    table = Table(box=None, padding=(0, 2, 0, 0), title=Text(title), title_justify="left", title_style="bold")
     for head in heads:
         table.add_column(Text(head), no_wrap=True)
     for row in rows:

@@ -11,22 +11,11 @@ from .terminal import plain_table
 
 WIDTH = 130  # characters; a narrower terminal folds the lines
 CHEAPEST_HEAD = ("accuracy", "configuration", "error", "CPU s per s", "real-time factor")
-FRONT_HEAD = (
-    "error",
-    "CPU s per s",
-    "configuration",
-    "rad/s",
-    "m/s",
-    "energy",
-    "momentum",
-    "joints",
-)
+FRONT_HEAD = ("error", "CPU s per s", "configuration", "rad/s", "m/s", "energy", "momentum", "joints")
 SHARE = 0.5  # of a core, for the integration in real time
 ACCURACY_HEAD = ("accuracy", "error", "estimate", "kept, by the estimate", "CPU s per s")
 ACCURACY_TITLE = "Simulations to an accuracy, the cost of the estimate included"
-FRONT_TITLE = (
-    "Pareto front; right columns: errors of angular velocity, velocity, energy, momentum, joints"
-)
+FRONT_TITLE = "Pareto front; right columns: errors of angular velocity, velocity, energy, momentum, joints"
 
 
 def document_part(trade):
@@ -90,9 +79,7 @@ def reference_text(part):
     """Reference solution in words."""
     reference = part["reference"]
     text = (
-        "the reference integration"
-        if reference["kind"] == "integration"
-        else f"the closed form ({reference['kind']})"
+        "the reference integration" if reference["kind"] == "integration" else f"the closed form ({reference['kind']})"
     )
     if reference["agrees"] is not None:
         text += f"; the reference integration agrees within {shown(reference['agrees'])}"
@@ -104,9 +91,7 @@ def cheapest_rows(part):
     rows = []
     for entry in part["cheapest"]:
         if entry["cell"] is None:
-            rows.append(
-                (f"{entry['accuracy']:g}", f"none: best {shown(part['best'])}", "-", "-", "-")
-            )
+            rows.append((f"{entry['accuracy']:g}", f"none: best {shown(part['best'])}", "-", "-", "-"))
             continue
         cell = part["cells"][entry["cell"]]
         rows.append(
@@ -171,11 +156,7 @@ def print_trade(part, console):
     console.width = max(console.width, WIDTH)
     console.print(Text(headline(part), style="bold"))
     console.print(
-        Text(
-            f"errors against {reference_text(part)}; lengths relative to "
-            f"{shown(part['length'], 'm')}",
-            style="dim",
-        )
+        Text(f"errors against {reference_text(part)}; lengths relative to {shown(part['length'], 'm')}", style="dim")
     )
     _print(
         console,

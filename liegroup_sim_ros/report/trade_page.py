@@ -27,18 +27,14 @@ HEIGHT = 560  # px
 MARKS = ("o", "s", "^", "D", "v", "P")
 LINES = ("-", "--", ":", "-.")
 TO_ACCURACY = "to an accuracy"
-COST, ERROR = (
-    "CPU time, s per simulated second",
-    "error, rad or relative to the characteristic length",
-)
+COST, ERROR = ("CPU time, s per simulated second", "error, rad or relative to the characteristic length")
 
 
 def curves(part):
     """[(method, cells)]: Pareto front of each method, from cheap to accurate."""
     fronts = {}
     for cell in sorted(
-        (cell for cell in part["cells"] if not cell["stopped"]),
-        key=lambda cell: (cell["cost_us"], cell["error"]),
+        (cell for cell in part["cells"] if not cell["stopped"]), key=lambda cell: (cell["cost_us"], cell["error"])
     ):
         front = fronts.setdefault(cell["method"], [])
         if not front or cell["error"] < front[-1]["error"]:
@@ -48,9 +44,7 @@ def curves(part):
 
 def accuracy_text(entry):
     """Name of a simulation to an accuracy."""
-    return f"accuracy {entry['accuracy']:g}" + (
-        ", the default" if entry["accuracy"] == DEFAULT else ""
-    )
+    return f"accuracy {entry['accuracy']:g}" + (", the default" if entry["accuracy"] == DEFAULT else "")
 
 
 def _at_places(part):
@@ -58,10 +52,7 @@ def _at_places(part):
     known, places = part["reference"]["known"], {}
     for entry in part["to_accuracy"]:
         places.setdefault(entry["error"], []).append(entry)
-    return [
-        ((entries[0]["cost_us"] * 1e-6, max(error, known)), entries)
-        for error, entries in places.items()
-    ]
+    return [((entries[0]["cost_us"] * 1e-6, max(error, known)), entries) for error, entries in places.items()]
 
 
 def make_plot(part):
@@ -78,11 +69,7 @@ def make_plot(part):
                 "x": [cell["cost_us"] * 1e-6 for cell in cells],
                 "y": [max(cell["error"], known) for cell in cells],
                 "text": [label(setting(cell)) for cell in cells],
-                "line": {
-                    "color": colour,
-                    "width": 1.4,
-                    "dash": DASHES[k // len(COLOURS) % len(DASHES)],
-                },
+                "line": {"color": colour, "width": 1.4, "dash": DASHES[k // len(COLOURS) % len(DASHES)]},
                 "marker": {"color": colour, "size": 6, "symbol": SYMBOLS[k % len(SYMBOLS)]},
                 "hovertemplate": "%{text}<br>error %{y:.3g}, %{x:.3g} s per s",
             }
@@ -162,8 +149,7 @@ def make_page(parts):
             f'{escape(_processor(part))}.</p><div class="cards" data-part="{k}">'
             + plot_card(
                 "Work and precision",
-                "Pareto front of each method; red: real time on one core; grey: reference "
-                "uncertainty",
+                "Pareto front of each method; red: real time on one core; grey: reference uncertainty",
             )
             + "</div>"
             + _table(
@@ -191,8 +177,7 @@ def _table(title, heads, rows):
         + "".join(
             "<tr>"
             + "".join(
-                f'<td data-what="{escape(head)}"><span>{unbroken(cell)}</span></td>'
-                for head, cell in zip(heads, row)
+                f'<td data-what="{escape(head)}"><span>{unbroken(cell)}</span></td>' for head, cell in zip(heads, row)
             )
             + "</tr>"
             for row in rows
@@ -244,11 +229,7 @@ def write_picture(part, path):
     axes.grid(True, lw=0.3)
     title = axes.set_title(
         f"{part['scene']}, {part['horizon']:g} s; errors against "
-        + (
-            "the reference integration"
-            if part["reference"]["kind"] == "integration"
-            else "the closed form"
-        ),
+        + ("the reference integration" if part["reference"]["kind"] == "integration" else "the closed form"),
         fontsize=8.5,
     )
     title.set_parse_math(False)

@@ -89,13 +89,7 @@ def make_view(analysis, shapes=None):
         "layout": {
             "margin": {"l": 0, "r": 0, "t": 32, "b": 0},
             **BASE,
-            "legend": {
-                "orientation": "h",
-                "x": 0,
-                "y": 1,
-                "yanchor": "top",
-                "bgcolor": "rgba(0,0,0,0)",
-            },
+            "legend": {"orientation": "h", "x": 0, "y": 1, "yanchor": "top", "bgcolor": "rgba(0,0,0,0)"},
         },
     }
 
@@ -105,11 +99,7 @@ def speeds(seconds):
     seconds = seconds or 1.0
     steps = [m * 10.0**e for e in range(-6, 7) for m in (1, 2, 5)]
     usual = [s for s in steps if seconds / 200.0 <= s <= seconds / 1.5] or [1.0]
-    first = (
-        1.0
-        if 3.0 <= seconds <= 60.0
-        else min(usual, key=lambda s: abs(math.log(seconds / s / 15.0)))
-    )
+    first = 1.0 if 3.0 <= seconds <= 60.0 else min(usual, key=lambda s: abs(math.log(seconds / s / 15.0)))
     return sorted({*usual, first}), first
 
 

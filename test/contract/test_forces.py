@@ -47,12 +47,7 @@ EXAMPLES = {
             rest_length=0.7,
         ),
         SpringDamper(
-            name="t",
-            parent="world",
-            child="c",
-            parent_point=(0, 0, 1),
-            child_point=(0.4, 0, 0),
-            stiffness=20,
+            name="t", parent="world", child="c", parent_point=(0, 0, 1), child_point=(0.4, 0, 0), stiffness=20
         ),
     ],
     "torsional_spring_damper": [
@@ -63,10 +58,7 @@ EXAMPLES = {
         LinearSpringDamper(name="s", joint="between", stiffness=40, damping=3, rest_position=0.3),
         LinearSpringDamper(name="t", joint="ground", stiffness=20, damping=1),
     ],
-    "motor": [
-        Motor(name="s", joint="between", torque=-4, rate_limit=3),
-        Motor(name="t", joint="ground", torque=3),
-    ],
+    "motor": [Motor(name="s", joint="between", torque=-4, rate_limit=3), Motor(name="t", joint="ground", torque=3)],
     "linear_motor": [
         LinearMotor(name="s", joint="between", force=-4, speed_limit=3),
         LinearMotor(name="t", joint="ground", force=3),
@@ -85,18 +77,10 @@ EXAMPLES = {
     ],
     "applied_wrench": [
         ConstantWrench(name="s", body="a", torque=(1, 2, 3), force=(4, 5, -6), point=(1, 0.2, 3)),
-        ConstantWrench(
-            name="t", body="b", torque=(1, 2, 3), force=(4, 5, -6), point=(1, 0.2, 3), axes="world"
-        ),
+        ConstantWrench(name="t", body="b", torque=(1, 2, 3), force=(4, 5, -6), point=(1, 0.2, 3), axes="world"),
     ],
 }
-DRIVEN = (
-    "motor",
-    "linear_motor",
-    "servo",
-    "linear_servo",
-    "applied_wrench",
-)  # their power may be positive
+DRIVEN = ("motor", "linear_motor", "servo", "linear_servo", "applied_wrench")  # their power may be positive
 ELASTIC = [kind for kind, module in kinds.KINDS.items() if hasattr(module, "energy")]
 SEEDS = range(4)
 
@@ -120,9 +104,7 @@ class State:
             ends[name] = (INDEX[parent], INDEX[child], F_a, F_b)
         self.matrices = pose
         self.twist = rng.normal(size=(3, 6))
-        self.forces = kinds.make_forces(
-            EXAMPLES[kind] if described is None else described, INDEX, ends
-        )
+        self.forces = kinds.make_forces(EXAMPLES[kind] if described is None else described, INDEX, ends)
         self.angle = np.full(kinds.count_of_angles(self.forces), 20.0)  # three turns
         kinds.count_turns(self.forces, flat(pose), self.angle)
         self.acting = np.ones(len(self.forces.applied_wrench), dtype=bool)
@@ -130,9 +112,7 @@ class State:
 
     def wrench(self, twist):
         out = np.zeros((3, 6))
-        kinds.add_wrenches(
-            self.forces, self.angle, self.acting, self.wanted, flat(self.matrices), twist, out
-        )
+        kinds.add_wrenches(self.forces, self.angle, self.acting, self.wanted, flat(self.matrices), twist, out)
         return out
 
     def energy(self, motion=np.zeros((3, 6))):
@@ -141,9 +121,7 @@ class State:
         return kinds.energy(self.forces, self.angle, flat(moved))
 
     def power(self, twist):
-        return kinds.power(
-            self.forces, self.angle, self.acting, self.wanted, flat(self.matrices), twist
-        )
+        return kinds.power(self.forces, self.angle, self.acting, self.wanted, flat(self.matrices), twist)
 
 
 def flat(matrices):
@@ -196,10 +174,7 @@ def test_the_wrench_at_rest_is_minus_the_gradient_of_the_energy(kind, seed):
 def difference(state, motion):
     """Change of the energy along a small motion, five-point rule."""
     return (
-        state.energy(-2 * motion)
-        - 8 * state.energy(-motion)
-        + 8 * state.energy(motion)
-        - state.energy(2 * motion)
+        state.energy(-2 * motion) - 8 * state.energy(-motion) + 8 * state.energy(motion) - state.energy(2 * motion)
     ) / 12
 
 
@@ -253,15 +228,7 @@ def test_without_rows_nothing_happens():
     state = State("drag", 0, described=[])
     wrench = np.random.default_rng(0).normal(size=(3, 6))
     before = wrench.tobytes()
-    kinds.add_wrenches(
-        state.forces,
-        state.angle,
-        state.acting,
-        state.wanted,
-        flat(state.matrices),
-        state.twist,
-        wrench,
-    )
+    kinds.add_wrenches(state.forces, state.angle, state.acting, state.wanted, flat(state.matrices), state.twist, wrench)
     assert wrench.tobytes() == before
     assert state.energy() == 0.0 and state.power(state.twist) == 0.0
     assert kinds.too_fast(state.forces, 1e9, flat(state.matrices), state.twist) == -1
@@ -279,8 +246,7 @@ def test_a_wrench_acts_where_it_is_told_to():
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_wrench_in_body_axes_is_that_in_world_axes_turned(seed):
     both = [
-        ConstantWrench(name=axes, body="a", torque=(1, 2, 3), force=(4, 5, -6), axes=axes)
-        for axes in ("world", "body")
+        ConstantWrench(name=axes, body="a", torque=(1, 2, 3), force=(4, 5, -6), axes=axes) for axes in ("world", "body")
     ]
     state = State("applied_wrench", seed, both)
     state.acting[:] = (True, False)
@@ -303,17 +269,8 @@ def busy_scene():
         Motor(name="motor", joint="j2", torque=0.7, rate_limit=9),
         Motor(name="push", joint="j1", torque=-0.3),
         Servo(name="hold", joint="j1", stiffness=1.5, damping=0.1, position=3, velocity=0.2),
-        Drag(
-            name="air", body="b", linear=0.1, quadratic=0.02, angular=0.01, angular_quadratic=0.003
-        ),
-        ConstantWrench(
-            name="wind",
-            body="c",
-            torque=(0.1, 0, 0),
-            force=(1, 0.5, 0),
-            point=(0.1, 0, 0.2),
-            axes="world",
-        ),
+        Drag(name="air", body="b", linear=0.1, quadratic=0.02, angular=0.01, angular_quadratic=0.003),
+        ConstantWrench(name="wind", body="c", torque=(0.1, 0, 0), force=(1, 0.5, 0), point=(0.1, 0, 0.2), axes="world"),
         ConstantWrench(name="jet", body="a", force=(0.4, 0.1, 0), point=(0, 0, 0.3)),
     ]
     return scene.model_copy(update={"forces": tuple(forces)})
@@ -331,9 +288,7 @@ def test_energy_changes_by_the_power(group):
             simulation.advance()
             samples.append(simulation.sample())
         power = np.array([sample.power for sample in samples])
-        integral = (power[0] + power[-1] + 4 * power[1::2].sum() + 2 * power[2:-1:2].sum()) / (
-            3 * steps
-        )
+        integral = (power[0] + power[-1] + 4 * power[1::2].sum() + 2 * power[2:-1:2].sum()) / (3 * steps)
         gaps.append(abs(samples[-1].energy - samples[0].energy - integral))
     assert np.abs(power).mean() > 1.0
     assert gaps[1] < gaps[0] / 12 and gaps[1] < 1e-5 * np.abs(power).mean()
@@ -341,9 +296,7 @@ def test_energy_changes_by_the_power(group):
 
 @pytest.mark.parametrize("group", ["se3", "so3xr3"])
 def test_the_same_bits_however_the_steps_are_asked_for(group):
-    whole, pieces = (
-        Simulation(busy_scene(), method="rkmk4", step=2e-3, group=group) for _ in range(2)
-    )
+    whole, pieces = (Simulation(busy_scene(), method="rkmk4", step=2e-3, group=group) for _ in range(2))
     whole.advance(1500)
     for _ in range(2):
         pieces.reset()

@@ -90,9 +90,7 @@ def test_declared_rotation_and_translation_match_the_null_space_of_the_rows(kind
     Torques about z need parallel z axes, forces along z also coincident ones.
     """
     elements, C = closed_pose(kind, np.random.default_rng(9))
-    wx, wy, wz, vx, vy, vz = np.abs(null_space(forbidden_rows(elements, C))).max(
-        axis=1, initial=0.0
-    )
+    wx, wy, wz, vx, vy, vz = np.abs(null_space(forbidden_rows(elements, C))).max(axis=1, initial=0.0)
     free = len(null_space(forbidden_rows(elements, C)).T)
     parallel, coincident = max(wx, wy) < 1e-9, max(wx, wy, vx, vy) < 1e-9
     assert TYPES[kind].turns == (parallel and wz > 1e-3)
@@ -104,10 +102,7 @@ def test_declared_rotation_and_translation_match_the_null_space_of_the_rows(kind
 
 
 VARIABLE = {
-    element.kind: element
-    for kind in TYPES
-    for element in example(kind).elements(np.eye(4))
-    if element.kind != PAIR
+    element.kind: element for kind in TYPES for element in example(kind).elements(np.eye(4)) if element.kind != PAIR
 }
 
 

@@ -83,8 +83,7 @@ def circles(imports):
 def imports():
     known = modules()
     return {
-        name: {target for target in imports_of(name, path, known) if target in known}
-        for name, path in known.items()
+        name: {target for target in imports_of(name, path, known) if target in known} for name, path in known.items()
     }
 
 

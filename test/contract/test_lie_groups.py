@@ -259,9 +259,7 @@ def test_body_twist_is_dexp_of_minus_X(group):
     step = mp.mpf(10) ** -15
     for angle in (0.0, 1e-3, 0.9, 2.5, 4.0):
         X, rate = element(group, angle, 1.0, rng), element(group, 1.0, 1.0, rng)
-        ahead, behind = (
-            mp_exp([mp.mpf(x) + s * mp.mpf(v) for x, v in zip(X, rate)]) for s in (step, -step)
-        )
+        ahead, behind = (mp_exp([mp.mpf(x) + s * mp.mpf(v) for x, v in zip(X, rate)]) for s in (step, -step))
         inverse = mp.inverse(mp_exp(X))
         Cdot = (ahead - behind) / (2 * step)
         # 4.5 units an entry of dexp, and rows of six times a rate of norm sqrt(2).

@@ -37,8 +37,7 @@ ON_GROUPS = [
     (name, group)
     for name, method in METHODS.items()
     for group in CONFIGURATION_GROUPS
-    if group == "so3xr3"
-    or (method.family in ON_JOINTS if group == RELATIVE else method.family not in NOT_ON_SE3)
+    if group == "so3xr3" or (method.family in ON_JOINTS if group == RELATIVE else method.family not in NOT_ON_SE3)
 ]
 UNIT = 2.0**-53
 
@@ -118,10 +117,7 @@ def test_all_order_conditions_up_to_the_stated_order(name):
             off, allowed = defect(a, b, tree, 1.0 / density(tree))
             assert off <= allowed, tree
     # One order more is not reached, and not by a rounding's width.
-    assert (
-        max(defect(a, b, tree, 1.0 / density(tree))[0] for tree in rooted_trees(method.order + 1))
-        > 1e-6
-    )
+    assert max(defect(a, b, tree, 1.0 / density(tree))[0] for tree in rooted_trees(method.order + 1)) > 1e-6
 
 
 @pytest.mark.parametrize("name", CONTROLLED)
@@ -213,13 +209,7 @@ def test_too_large_steps_stop_with_the_last_valid_state(name, caplog):
     try:
         simulation.advance(10)
     except SimulationError as failure:
-        assert failure.status & 0xFF in (
-            ROTATION_TOO_LARGE,
-            NOT_FINITE,
-            NOT_CONVERGED,
-            NO_RATTLE_STEP,
-            DIVERGED,
-        )
+        assert failure.status & 0xFF in (ROTATION_TOO_LARGE, NOT_FINITE, NOT_CONVERGED, NO_RATTLE_STEP, DIVERGED)
         assert "smaller step" in str(failure) and "\n" not in str(failure)
         good = simulation.steps
         assert good == 0 or METHODS[name].family == "rotation"
@@ -276,11 +266,7 @@ def test_a_singular_pose_is_solved_or_stops_with_the_last_valid_state(name):
 
 @pytest.mark.parametrize(
     "name",
-    [
-        n
-        for n in METHODS
-        if n not in CONTROLLED and n not in ("rattle", "constrained_rattle4", "constrained_rattle8")
-    ],
+    [n for n in METHODS if n not in CONTROLLED and n not in ("rattle", "constrained_rattle4", "constrained_rattle8")],
 )
 def test_a_rotation_beyond_pi_warns_once(name, caplog):
     """A free body rotates about a principal axis; only RATTLE limits the step for that.
@@ -293,11 +279,7 @@ def test_a_rotation_beyond_pi_warns_once(name, caplog):
     simulation.advance(2)
     said = [r.message for r in caplog.records if "more than pi" in r.message]
     # 4 rad a step: pi is at 0.39 s.
-    assert (
-        len(said) == 1
-        and said[0].startswith(f"{name}, step 0.5 s:")
-        and "step below 0.39" in said[0]
-    )
+    assert len(said) == 1 and said[0].startswith(f"{name}, step 0.5 s:") and "step below 0.39" in said[0]
 
 
 @pytest.mark.parametrize("name, group", ON_GROUPS)
@@ -326,18 +308,12 @@ def test_inapplicable_or_invalid_options_are_refused():
         ({"method": "rkmk4", "dexpinv": "none"}, "'exact' or 'truncated', got 'none'"),
         ({"method": "rkmk4", "space": "plane"}, "'auto' or 'space', got 'plane'"),
         ({"method": "generalized_alpha", "rho_inf": 1.1}, "rho_inf must be a number from 0"),
-        (
-            {"method": "generalized_alpha", "stabilisation": "projection"},
-            "satisfies the constraints",
-        ),
+        ({"method": "generalized_alpha", "stabilisation": "projection"}, "satisfies the constraints"),
     ):
         with pytest.raises(ValueError, match=text):
             Simulation(scene, **options)
     groups = {name: Simulation(scene, method=name).group for name in METHODS}
-    assert groups == {
-        name: "so3xr3" if method.family == "rotation" else "relative"
-        for name, method in METHODS.items()
-    }
+    assert groups == {name: "so3xr3" if method.family == "rotation" else "relative" for name, method in METHODS.items()}
     assert Simulation(scene, method="rkmk54", rtol=1e-3).options == {
         "dexpinv": "exact",
         "space": "auto",
@@ -347,9 +323,7 @@ def test_inapplicable_or_invalid_options_are_refused():
 
 
 def test_substeps_are_deterministic_counted_and_reset():
-    simulation = Simulation(
-        load_scene("heavy_top"), method="rkmk54", step=0.1, rtol=1e-9, atol=1e-9
-    )
+    simulation = Simulation(load_scene("heavy_top"), method="rkmk54", step=0.1, rtol=1e-9, atol=1e-9)
     assert simulation.substeps == (0, 0)
     simulation.advance(5)
     good, attempts = simulation.substeps
@@ -365,9 +339,7 @@ def test_substeps_are_deterministic_counted_and_reset():
 
 def test_the_error_norm_is_the_documented_one():
     """Maximum over bodies of |dxi|, |deta| / atol and |dw|, |dv| / (atol + rtol |velocity|)."""
-    simulation = Simulation(
-        mechanisms.named("chain of balls"), method="rkmk54", group="se3", rtol=3e-4, atol=2e-5
-    )
+    simulation = Simulation(mechanisms.named("chain of balls"), method="rkmk54", group="se3", rtol=3e-4, atol=2e-5)
     integrator = simulation._integrator
     model, work = integrator.links
     weights = METHODS["rkmk54"].tableau.e[0]
@@ -385,9 +357,7 @@ def test_the_error_norm_is_the_documented_one():
     expected = np.sqrt(((np.linalg.norm(delta, axis=2) / tolerance) ** 2).sum(axis=1)).max()
     found = math.sqrt(
         max(
-            steps.error_square(
-                model, work, integrator._methods[0][0], 0, 0.01, before, i, 3e-4, 2e-5, 0.7
-            )
+            steps.error_square(model, work, integrator._methods[0][0], 0, 0.01, before, i, 3e-4, 2e-5, 0.7)
             for i in range(n)
         )
     )
@@ -396,9 +366,7 @@ def test_the_error_norm_is_the_documented_one():
 
 def test_an_unattainable_tolerance_ends_with_a_status():
     """Below round-off every substep is rejected; a long step needs too many substeps."""
-    simulation = Simulation(
-        load_scene("heavy_top"), method="rkmk54", step=0.01, rtol=1e-40, atol=1e-40
-    )
+    simulation = Simulation(load_scene("heavy_top"), method="rkmk54", step=0.01, rtol=1e-40, atol=1e-40)
     before = simulation.state()[0].tobytes()
     with pytest.raises(SimulationError, match="increase atol and rtol") as failure:
         simulation.advance(1)

@@ -181,9 +181,7 @@ def test_rate_twist_is_the_derivative_of_the_pose(code):
     twist = np.concatenate(case.ask.rate_twist(case.link, row, 0))
     np.testing.assert_array_equal(twist, case.S @ rates)
     step = 1e-5
-    after, before = (
-        case.pose(case.displaced(h * rates, "displace_by_twist")[0]) for h in (step, -step)
-    )
+    after, before = (case.pose(case.displaced(h * rates, "displace_by_twist")[0]) for h in (step, -step))
     slope = SE3.log(SE3.inverse(before) @ after) / (2.0 * step)
     np.testing.assert_allclose(twist, slope, atol=1e-9)
 
@@ -353,9 +351,7 @@ def test_what_is_left_is_handed_on_as_a_whole_inertia_would_be(code):
         assert not case.work.inertia.any()
 
 
-@pytest.mark.parametrize(
-    "code", list(filter(may_be_held, range(len(GROUPS)))), ids=NAMES.__getitem__
-)
+@pytest.mark.parametrize("code", list(filter(may_be_held, range(len(GROUPS)))), ids=NAMES.__getitem__)
 def test_an_inertia_with_a_held_freedom_is_handed_on_as_a_whole(code):
     case = Case(code)
     case.work.held[:] = 1.0

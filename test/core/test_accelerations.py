@@ -24,10 +24,7 @@ def measured(engine):
         samples.append(engine.sample())
         engine.advance(1)
     x = [sample.pose[:, 9:] for sample in samples]
-    w = [
-        np.einsum("nij,nj->ni", sample.pose[:, :9].reshape(-1, 3, 3), sample.twist[:, :3])
-        for sample in samples
-    ]
+    w = [np.einsum("nij,nj->ni", sample.pose[:, :9].reshape(-1, 3, 3), sample.twist[:, :3]) for sample in samples]
     linear = (-x[0] + 16.0 * x[1] - 30.0 * x[2] + 16.0 * x[3] - x[4]) / (12.0 * STEP**2)
     angular = (w[0] - 8.0 * w[1] + 8.0 * w[3] - w[4]) / (12.0 * STEP)
     return samples[2], np.concatenate([angular, linear], axis=1)

@@ -35,9 +35,7 @@ def test_numbers_that_are_no_floats_are_refused(top, number):
     refuses(lambda: Simulation(scene, step=number), "step must be")
     refuses(lambda: Simulation(scene, "rkmk54", rtol=number), "rtol must be")
     refuses(
-        lambda: Simulation(
-            scene, "rkmk4", stabilisation="baumgarte", baumgarte_time=number, group="se3"
-        ),
+        lambda: Simulation(scene, "rkmk4", stabilisation="baumgarte", baumgarte_time=number, group="se3"),
         "baumgarte_time must be",
     )
     refuses(lambda: top.set_accuracy(number), "accuracy must be")
@@ -123,9 +121,7 @@ def damaged(snapshot):
 
 
 @pytest.mark.parametrize(
-    "options",
-    [{"accuracy": 1e-4}, {"method": "rkmk4"}, {"method": "rkmk4", "estimate": False}],
-    ids=str,
+    "options", [{"accuracy": 1e-4}, {"method": "rkmk4"}, {"method": "rkmk4", "estimate": False}], ids=str
 )
 def test_a_damaged_snapshot_is_refused_and_changes_nothing(options):
     """A number, a text and None may stand for each other: they are left out, but for the step count."""

@@ -33,15 +33,9 @@ CLOSED = {name for name, (_, loops) in mechanisms.MECHANISMS.items() if loops}
 def disturbed(scene, rng, size, keep=()):
     """The scene with joints written out and all poses and velocities off by up to `size`."""
     joints = []
-    for joint, (a, b), [element, *_] in zip(
-        scene.joints, resolve_frames(scene), resolve_elements(scene)
-    ):
+    for joint, (a, b), [element, *_] in zip(scene.joints, resolve_frames(scene), resolve_elements(scene)):
         length = {"length": element.parameter} if joint.type == "distance" else {}
-        joints.append(
-            joint.remade(
-                parent_frame=mechanisms.frame(a), child_frame=mechanisms.frame(b), **length
-            )
-        )
+        joints.append(joint.remade(parent_frame=mechanisms.frame(a), child_frame=mechanisms.frame(b), **length))
     bodies = []
     for body in scene.bodies:
         if body.name in keep:
@@ -60,9 +54,7 @@ def disturbed(scene, rng, size, keep=()):
 
 
 def mass_matrix(scene):
-    return block_diag(
-        *(block_diag(body.inertia_matrix, body.mass * np.eye(3)) for body in scene.bodies)
-    )
+    return block_diag(*(block_diag(body.inertia_matrix, body.mass * np.eye(3)) for body in scene.bodies))
 
 
 def twists(scene):
@@ -119,9 +111,7 @@ def test_an_assembled_scene_is_not_changed_bitwise():
     for name in ("heavy_top", "double_pendulum", "free_body"):
         scene = load_scene(name)
         again = scene_from_text(scene.text.replace("gravity:", "assemble: true\ngravity:"))
-        assert [body.model_dump() for body in again.bodies] == [
-            body.model_dump() for body in scene.bodies
-        ]
+        assert [body.model_dump() for body in again.bodies] == [body.model_dump() for body in scene.bodies]
 
 
 @pytest.mark.parametrize("keep", ["a", "c"])
@@ -181,9 +171,7 @@ def test_assembly_imposes_the_joint_rates_of_a_chain():
     turning["world"], rotation["world"] = np.zeros(3), np.eye(3)
     for joint, (frame, _), rate in zip(done.joints, resolve_frames(done), rates):
         axis = rotation[joint.parent] @ frame[:3, 2]
-        np.testing.assert_allclose(
-            turning[joint.child] - turning[joint.parent], rate * axis, atol=1e-13
-        )
+        np.testing.assert_allclose(turning[joint.child] - turning[joint.parent], rate * axis, atol=1e-13)
         assert joint.rate is None
 
 
@@ -223,30 +211,9 @@ def test_bodies_without_a_pose_are_placed_by_their_joints():
         assemble=True,
         bodies=bodies,
         joints=[
-            Joint(
-                name="j",
-                type="revolute",
-                parent="c",
-                child="b",
-                parent_frame=end,
-                child_frame=frame,
-            ),
-            Joint(
-                name="k",
-                type="revolute",
-                parent="world",
-                child="b",
-                parent_frame=frame,
-                child_frame=frame,
-            ),
-            Joint(
-                name="l",
-                type="spherical",
-                parent="c",
-                child="a",
-                parent_frame=frame,
-                child_frame=end,
-            ),
+            Joint(name="j", type="revolute", parent="c", child="b", parent_frame=end, child_frame=frame),
+            Joint(name="k", type="revolute", parent="world", child="b", parent_frame=frame, child_frame=frame),
+            Joint(name="l", type="spherical", parent="c", child="a", parent_frame=frame, child_frame=end),
         ],
     )
     a, b, c = assembled(tree).bodies
@@ -257,9 +224,7 @@ def test_bodies_without_a_pose_are_placed_by_their_joints():
 
 def test_an_omitted_joint_frame_is_the_other_frame_before_assembly():
     text = load_scene("four_bar").text
-    scene = scene_from_text(
-        text.replace("    child_frame: {position: [0.5, 0.0, 0.0]}  ", "    # ")
-    )
+    scene = scene_from_text(text.replace("    child_frame: {position: [0.5, 0.0, 0.0]}  ", "    # "))
     [_, _, joint, _] = scene.joints
     coupler, rocker = (
         Body(name="b", mass=1, inertia=(1, 1, 1), position=p, rotation_vector=r)
@@ -302,9 +267,7 @@ def test_the_same_text_assembles_bit_identically_and_is_preserved():
     one, other = scene_from_text(text), scene_from_text(text)
     assert one.text == text and not one.assemble
     assert repr(one.model_dump()) == repr(other.model_dump())
-    for mine, theirs in zip(
-        Simulation(one, method="rkmk4").state(), Simulation(other, method="rkmk4").state()
-    ):
+    for mine, theirs in zip(Simulation(one, method="rkmk4").state(), Simulation(other, method="rkmk4").state()):
         assert mine.tobytes() == theirs.tobytes()
     # A copy with a change is written out with what was found, and says the same to the bit.
     calm = one.model_copy(update={"description": "calm"})
@@ -368,22 +331,17 @@ def test_an_impossible_loop_is_refused_with_joint_and_gap():
 
 
 def test_an_assembly_error_names_the_line_in_the_file():
-    text = load_scene("four_bar").text.replace(
-        "{position: [1.0, 0.0, 0.0]}", "{position: [5.0, 0.0, 0.0]}"
-    )
+    text = load_scene("four_bar").text.replace("{position: [1.0, 0.0, 0.0]}", "{position: [5.0, 0.0, 0.0]}")
     with pytest.raises(SceneError) as caught:
         scene_from_text(text, source="x.yaml")
-    line, name = re.match(
-        r'x\.yaml:(\d+): joints\[\d\] "(\w+)": cannot be assembled', str(caught.value)
-    ).groups()
+    line, name = re.match(r'x\.yaml:(\d+): joints\[\d\] "(\w+)": cannot be assembled', str(caught.value)).groups()
     assert f"name: {name}" in text.splitlines()[int(line) - 1]
 
 
 def test_contradictory_rates_are_refused_with_joint_names():
     text = load_scene("four_bar").text
     twice = text.replace(
-        "parent_frame: {position: [1.0, 0.0, 0.0]}",
-        "rate: 1.0\n    parent_frame: {position: [1.0, 0.0, 0.0]}",
+        "parent_frame: {position: [1.0, 0.0, 0.0]}", "rate: 1.0\n    parent_frame: {position: [1.0, 0.0, 0.0]}"
     )
     assert twice != text
     with pytest.raises(
@@ -400,19 +358,11 @@ def test_contradictory_rates_are_refused_with_joint_names():
 @pytest.mark.parametrize(
     "old, new, message",
     [
-        (
-            "assemble: true ",
-            "# ",
-            'bodies[0] "crank": initial is only used in assembly: omit it, or add',
-        ),
+        ("assemble: true ", "# ", 'bodies[0] "crank": initial is only used in assembly: omit it, or add'),
         ("assemble: true ", "assemble: yes ", "assemble must be true or false, got 'yes'"),
         ("assemble: true ", "assemble: 1 ", "assemble must be true or false, got 1"),
         ("initial: fixed", "initial: firm", "initial must be 'guess' or 'fixed', got 'firm'"),
-        (
-            "type: spherical ",
-            "rate: 1.0\n    type: spherical ",
-            "rate cannot be given for a spherical joint",
-        ),
+        ("type: spherical ", "rate: 1.0\n    type: spherical ", "rate cannot be given for a spherical joint"),
         ("rate: 31", "rate: fast #", "rate must be a number"),
     ],
 )
@@ -430,30 +380,19 @@ def test_a_rate_without_assembly_is_refused():
         gravity=(0, 0, 0),
         assemble=True,
         bodies=[Body(name="a", mass=1, inertia=(1, 1, 1))],
-        joints=[
-            Joint(name="j", type="revolute", parent="world", child="a", child_frame=Frame(), rate=1)
-        ],
+        joints=[Joint(name="j", type="revolute", parent="world", child="a", child_frame=Frame(), rate=1)],
     )
-    with pytest.raises(
-        SceneError, match='joints\\[0\\] "j": rate is only used in assembly: omit it'
-    ):
+    with pytest.raises(SceneError, match='joints\\[0\\] "j": rate is only used in assembly: omit it'):
         scene.remade(assemble=False)
 
 
 def test_bodies_with_an_undetermined_pose_are_named():
-    bodies = [
-        Body(name="a", mass=1, inertia=(1, 1, 1), position=(1, 0, 0)),
-        Body(name="b", mass=1, inertia=(1, 1, 1)),
-    ]
-    with pytest.raises(
-        SceneError,
-        match='bodies\\[1\\] "b": cannot be placed, it has no position, no rotation and no',
-    ):
+    bodies = [Body(name="a", mass=1, inertia=(1, 1, 1), position=(1, 0, 0)), Body(name="b", mass=1, inertia=(1, 1, 1))]
+    with pytest.raises(SceneError, match='bodies\\[1\\] "b": cannot be placed, it has no position, no rotation and no'):
         assembled(Scene(name="s", gravity=(0, 0, 0), assemble=True, bodies=bodies))
     joint = Joint(name="j", type="revolute", parent="a", child="b", child_frame=Frame())
     with pytest.raises(
-        SceneError,
-        match='joints\\[0\\] "j": must have both frames, because they determine the pose of "b"',
+        SceneError, match='joints\\[0\\] "j": must have both frames, because they determine the pose of "b"'
     ):
         assembled(Scene(name="s", gravity=(0, 0, 0), assemble=True, bodies=bodies, joints=[joint]))
 

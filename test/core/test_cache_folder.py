@@ -56,18 +56,12 @@ def chosen_with(monkeypatch, caplog, variable, value):
 
 @pytest.mark.parametrize(
     "variable, name",
-    [
-        ("LIEGROUP_CACHE_DIR", "."),
-        ("XDG_CACHE_HOME", "liegroup_core"),
-        ("HOME", ".cache/liegroup_core"),
-    ],
+    [("LIEGROUP_CACHE_DIR", "."), ("XDG_CACHE_HOME", "liegroup_core"), ("HOME", ".cache/liegroup_core")],
 )
 @pytest.mark.parametrize(
     "mode, allowed", [(0o755, True), (0o700, True), (0o775, False), (0o757, False), (0o777, False)]
 )
-def test_a_folder_that_others_can_write_to_is_refused(
-    tmp_path, monkeypatch, caplog, variable, name, mode, allowed
-):
+def test_a_folder_that_others_can_write_to_is_refused(tmp_path, monkeypatch, caplog, variable, name, mode, allowed):
     """Whatever variable names it. The reason is one line, said once; the temporary folder is used.
 
     The project's own folder, as earlier versions made it, is closed to others and used.
@@ -141,8 +135,7 @@ def test_the_folder_of_compiled_code_is_private(tmp_path, monkeypatch, caplog, h
     with caplog.at_level(logging.WARNING, logger="liegroup_core"):
         assert cache.cache_folder("x") is None
     assert [each.getMessage() for each in caplog.records] == [
-        f"the cache in {folder} is not used, because its code is executed: others can reach it: "
-        f"rm -r {folder}"
+        f"the cache in {folder} is not used, because its code is executed: others can reach it: rm -r {folder}"
     ]
 
 
@@ -156,9 +149,7 @@ def test_no_variable_of_numba_moves_the_cache(tmp_path, plain):
     )
     for name in ("numba", "own"):
         made(tmp_path / name)
-    code = (
-        f"import sys; sys.path.append({str(tmp_path)!r}); import kernels; print(kernels.twice(3.0))"
-    )
+    code = f"import sys; sys.path.append({str(tmp_path)!r}); import kernels; print(kernels.twice(3.0))"
     done = subprocess.run(
         [sys.executable, "-B", "-c", code],
         capture_output=True,

@@ -77,28 +77,19 @@ def test_the_frames_are_moved_to_the_centres_of_mass(name):
 def test_the_motion_does_not_depend_on_body_frames(name, group):
     """Round-off of 1e-15 grows by less than a factor of 1000 in 100 steps of these mechanisms."""
     scene, elsewhere, com = pair(name)
-    one, other = (
-        Simulation(scene, method="rkmk4", group=group),
-        Simulation(elsewhere, method="rkmk4", group=group),
-    )
+    one, other = (Simulation(scene, method="rkmk4", group=group), Simulation(elsewhere, method="rkmk4", group=group))
     for _ in range(3):
         mine, theirs = other.sample(), one.sample()
         close(public(mine), public(theirs), 1e-10)
         for body, c in com.items():
             R = mine.poses[body][:3, :3]
             np.testing.assert_allclose(R, theirs.poses[body][:3, :3], atol=1e-11)
-            np.testing.assert_allclose(
-                mine.positions[body] + R @ c, theirs.positions[body], atol=1e-11
-            )
+            np.testing.assert_allclose(mine.positions[body] + R @ c, theirs.positions[body], atol=1e-11)
             w, v = np.split(mine.twists[body], 2)
-            np.testing.assert_allclose(
-                np.r_[w, v + np.cross(w, c)], theirs.twists[body], atol=1e-10
-            )
+            np.testing.assert_allclose(np.r_[w, v + np.cross(w, c)], theirs.twists[body], atol=1e-10)
             turning, moving = np.split(mine.accelerations[body], 2)
             moving = moving + np.cross(turning, c) + np.cross(w, np.cross(w, c))
-            np.testing.assert_allclose(
-                np.r_[turning, moving], theirs.accelerations[body], rtol=1e-12, atol=1e-10
-            )
+            np.testing.assert_allclose(np.r_[turning, moving], theirs.accelerations[body], rtol=1e-12, atol=1e-10)
         one.advance(50)
         other.advance(50)
 
@@ -110,9 +101,7 @@ def test_wrenches_refer_to_the_origin_of_the_body_frame(name):
     one, other = Simulation(scene, method="rkmk4"), Simulation(elsewhere, method="rkmk4")
     torque, force = np.array([0.3, -0.2, 0.5]), np.array([4.0, 5.0, -6.0])
     other.apply_wrench("a", (*torque, *force), start=0.01, duration=0.03)
-    one.apply_wrench(
-        "a", (*(torque - np.cross(com["a"], force)), *force), start=0.01, duration=0.03
-    )
+    one.apply_wrench("a", (*(torque - np.cross(com["a"], force)), *force), start=0.01, duration=0.03)
     one.advance(60)
     other.advance(60)
     close(public(other.sample()), public(one.sample()), 1e-10)
@@ -135,9 +124,7 @@ def test_a_recorded_run_repeats_bit_for_bit():
     again.advance(3)
     again.set_state(*start)
     for change in first.drain_applied():
-        again.apply_wrench(
-            change.body, change.wrench, change.time, source=change.axes, axes=change.axes
-        )
+        again.apply_wrench(change.body, change.wrench, change.time, source=change.axes, axes=change.axes)
     again.advance(60 - again.steps)
     for mine, theirs in zip(
         (*again.state(), again.sample().pose, again.sample().twist),
@@ -151,9 +138,7 @@ def test_a_sample_is_restored_from_its_recorded_pose():
     simulation = Simulation(scene, method="rkmk4")
     simulation.advance(20)
     sample = simulation.sample()
-    again = simulation.layout.sample(
-        sample.pose, sample.twist, sample.time, sample.time_ns, sample.steps
-    )
+    again = simulation.layout.sample(sample.pose, sample.twist, sample.time, sample.time_ns, sample.steps)
     close(public(again), public(sample), 1e-13)
     np.testing.assert_allclose(again.pose, sample.pose, atol=1e-15)
 
@@ -185,15 +170,7 @@ def test_the_reference_integration_uses_the_same_body_frames(name):
 def test_conserved_momentum_does_not_depend_on_body_frames():
     """Two free bodies on a spherical joint, and a single one: all momentum is conserved."""
     bodies = [
-        Body(
-            name=name,
-            mass=mass,
-            inertia=(1, 2, 2.5),
-            com=com,
-            position=place,
-            angular_velocity=w,
-            linear_velocity=v,
-        )
+        Body(name=name, mass=mass, inertia=(1, 2, 2.5), com=com, position=place, angular_velocity=w, linear_velocity=v)
         for name, mass, com, place, w, v in (
             ("a", 2.0, (0.3, 0, 0.1), (0, 0, 0), (1, 0, 2), (0, 0, 0)),
             ("b", 1.0, (0, 0.2, -0.4), (0, 1, 0), (0, 3, 1), (0, 0, 0)),
@@ -201,12 +178,7 @@ def test_conserved_momentum_does_not_depend_on_body_frames():
         )
     ]
     joint = Joint(
-        name="j",
-        type="spherical",
-        parent="a",
-        child="b",
-        parent_frame=Frame(),
-        child_frame=Frame(position=(0, -1, 0)),
+        name="j", type="spherical", parent="a", child="b", parent_frame=Frame(), child_frame=Frame(position=(0, -1, 0))
     )
     scene = Scene(name="s", gravity=(0, 0, 0), assemble=True, bodies=bodies, joints=[joint])
     simulation = Simulation(scene, method="rkmk4")
@@ -219,9 +191,7 @@ def test_conserved_momentum_does_not_depend_on_body_frames():
     kept = conserved_momentum(scene)
     assert sorted(len(group.labels) for group in kept) == [6, 6]
     for group in kept:
-        values = momentum_values(
-            scene, group, pose[..., :9].reshape(5, 3, 3, 3), pose[..., 9:], twist
-        )
+        values = momentum_values(scene, group, pose[..., :9].reshape(5, 3, 3, 3), pose[..., 9:], twist)
         # the error of order 4 at this step, measured 1e-10
         np.testing.assert_allclose(values, values[:1].repeat(5, axis=0), atol=1e-9)
 
@@ -268,31 +238,13 @@ def test_pendulum_about_its_frame_origin_has_the_closed_form():
     scene = Scene(
         name="p",
         gravity=(0, 0, -9.81),
-        bodies=[
-            Body(
-                name="plate",
-                mass=2.0,
-                inertia=(0.04, moment, 0.03),
-                com=com,
-                rotation_vector=(0, 0.5, 0),
-            )
-        ],
-        joints=[
-            Joint(
-                name="pin",
-                type="revolute",
-                parent="world",
-                child="plate",
-                child_frame=Frame(axis=(0, 1, 0)),
-            )
-        ],
+        bodies=[Body(name="plate", mass=2.0, inertia=(0.04, moment, 0.03), com=com, rotation_vector=(0, 0.5, 0))],
+        joints=[Joint(name="pin", type="revolute", parent="world", child="plate", child_frame=Frame(axis=(0, 1, 0)))],
     )
     k = 2.0 * 9.81 * 0.4 / (moment + 2.0 * 0.4**2)
     hanging = np.arctan2(0.24, 0.32)  # of the centre of mass from -z, about -y
     start = hanging - 0.5
-    theta = solve_ivp(
-        lambda t, y: [y[1], -k * np.sin(y[0])], (0, 2), [start, 0], rtol=1e-12, atol=1e-13
-    ).y[0, -1]
+    theta = solve_ivp(lambda t, y: [y[1], -k * np.sin(y[0])], (0, 2), [start, 0], rtol=1e-12, atol=1e-13).y[0, -1]
     simulation = Simulation(scene, method="rkmk4")
     simulation.advance(2000)
     R = simulation.sample().poses["plate"][:3, :3]
@@ -324,6 +276,4 @@ def test_a_free_body_rotates_about_its_centre_of_mass():
         simulation.advance(250)
         C = simulation.sample().poses["b"]
         # a straight line, in 1000 sums of numbers of size 1
-        np.testing.assert_allclose(
-            C[:3, :3] @ body.com + C[:3, 3], body.com + simulation.time * velocity, atol=1e-12
-        )
+        np.testing.assert_allclose(C[:3, :3] @ body.com + C[:3, 3], body.com + simulation.time * velocity, atol=1e-12)

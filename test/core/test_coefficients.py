@@ -16,11 +16,7 @@ NAMES = ("sinc", "versinc", "cubic", "versinc slope", "cubic slope", "b", "u")
 
 def computed(x):
     """The seven coefficients as the kernels compute them."""
-    return (
-        *coefficients.exp_coefficients(x),
-        *coefficients.dexp_slopes(x),
-        *coefficients.dexpinv_coefficients(x),
-    )
+    return (*coefficients.exp_coefficients(x), *coefficients.dexp_slopes(x), *coefficients.dexpinv_coefficients(x))
 
 
 def exact(x):
@@ -85,10 +81,7 @@ def factorial(n):
         ("VERSINC_SLOPE_SERIES", lambda k: 2 * (k + 1) * (-1) ** (k + 1) / factorial(2 * k + 4)),
         ("CUBIC_SLOPE_SERIES", lambda k: 2 * (k + 1) * (-1) ** (k + 1) / factorial(2 * k + 5)),
         ("DEXPINV_SERIES", lambda k: bernoulli(2 * k + 2) / factorial(2 * k + 2)),
-        (
-            "DEXPINV_SLOPE_SERIES",
-            lambda k: 2 * (k + 1) * bernoulli(2 * k + 4) / factorial(2 * k + 4),
-        ),
+        ("DEXPINV_SLOPE_SERIES", lambda k: 2 * (k + 1) * bernoulli(2 * k + 4) / factorial(2 * k + 4)),
     ],
 )
 def test_series_coefficients_are_rounded_rationals_and_the_truncation_suffices(table, term):
@@ -98,11 +91,7 @@ def test_series_coefficients_are_rounded_rationals_and_the_truncation_suffices(t
     # What is cut off at the switch. The terms fall by a factor x/39 or faster there, so the
     # remainder is below twice the first term left out; the smallest value below the switch is
     # the one at it, but for sinc and the like, which do not fall below 0.4 of their limit.
-    switch = (
-        coefficients.DEXPINV_SERIES_BELOW
-        if table.startswith("DEXPINV")
-        else coefficients.EXP_SERIES_BELOW
-    )
+    switch = coefficients.DEXPINV_SERIES_BELOW if table.startswith("DEXPINV") else coefficients.EXP_SERIES_BELOW
     remainder = 2.0 * abs(float(term(12))) * switch**12
     assert remainder < 0.1 * UNIT * 0.4 * abs(series[0])
 

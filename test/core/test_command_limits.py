@@ -33,28 +33,12 @@ def simulation():
 @pytest.mark.parametrize(
     "joint, points, text",
     [
-        (
-            "free",
-            ([0.02], [1e12], [0.0]),
-            "'free' would need 9.375e\\+13 rad/s to reach 1e\\+12 rad",
-        ),
+        ("free", ([0.02], [1e12], [0.0]), "'free' would need 9.375e\\+13 rad/s to reach 1e\\+12 rad"),
         ("free", ([0.02], [1e300], None), "rad/s to reach 1e\\+300 rad in time"),
-        (
-            "free",
-            ([10.0], None, [1001.0]),
-            "velocity 1001 rad/s of joint 'free' is beyond its limit",
-        ),
+        ("free", ([10.0], None, [1001.0]), "velocity 1001 rad/s of joint 'free' is beyond its limit"),
         ("free", ([1.0, 1.02], [0.5, 30.0]), "to reach 0.5 rad in time"),
-        (
-            "rail",
-            ([9.0], [2.01]),
-            "position 2.01 m of joint 'rail' is beyond its limits, -0.5 to 2 m",
-        ),
-        (
-            "rail",
-            ([9.0], None, [-3.1]),
-            "velocity -3.1 m/s of joint 'rail' is beyond its limit of 3",
-        ),
+        ("rail", ([9.0], [2.01]), "position 2.01 m of joint 'rail' is beyond its limits, -0.5 to 2 m"),
+        ("rail", ([9.0], None, [-3.1]), "velocity -3.1 m/s of joint 'rail' is beyond its limit of 3"),
         ("rail", ([1.0], [1.7]), "'rail' would need 3.1875 m/s to reach 1.7 m in time"),
         (
             "rail",
@@ -73,10 +57,7 @@ def test_a_motion_beyond_the_limits_is_refused(simulation, joint, points, text):
     with pytest.raises(BeyondLimits, match=text) as caught:
         simulation.command_motion(joint, *points)
     assert "\n" not in str(caught.value)
-    assert (
-        simulation.snapshot()["external"].tobytes(),
-        len(simulation.commanded_motions),
-    ) == before
+    assert (simulation.snapshot()["external"].tobytes(), len(simulation.commanded_motions)) == before
 
 
 def test_what_is_within_the_limits_is_taken(simulation):
@@ -91,9 +72,7 @@ def test_what_is_within_the_limits_is_taken(simulation):
 
 
 def test_a_joint_that_is_faster_than_its_limit_can_go_on_and_stop():
-    scene = SCENE.replace(
-        "inertia: [1, 1, 0.5]}", "inertia: [1, 1, 0.5], angular_velocity: [0, 0, 2000]}"
-    )
+    scene = SCENE.replace("inertia: [1, 1, 0.5]}", "inertia: [1, 1, 0.5], angular_velocity: [0, 0, 2000]}")
     simulation = Simulation(scene_from_text(scene), "rkmk4", 1e-5)
     simulation.command_motion("free", [1e-3], [1.25], [500.0])
     simulation.command_motion("free", [1e-3], None, [0.0])

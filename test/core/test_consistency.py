@@ -43,9 +43,7 @@ def random_frame(rng):
 def two_bodies(rng, kind="revolute", **joint):
     """World - a - b with random poses; the joint frames satisfy both joints."""
     (C_a, a), (C_b, b) = random_frame(rng), random_frame(rng)
-    bodies = [
-        Body(name=name, mass=1, inertia=[1, 1, 1], **keys) for name, keys in (("a", a), ("b", b))
-    ]
+    bodies = [Body(name=name, mass=1, inertia=[1, 1, 1], **keys) for name, keys in (("a", a), ("b", b))]
     F_b, frame_b = random_frame(rng)
     joints = [
         Joint(name="j", type=kind, parent="a", child="b", child_frame=Frame(**frame_b)),
@@ -101,8 +99,7 @@ def pinned(offset=(0, 0, 0), kind="spherical", at=(0, 0, 0), **frame):
 
 
 @pytest.mark.parametrize(
-    "gap, at, closes",
-    [(1e-10, 0.0, True), (3e-9, 0.0, False), (1e-4, 1e6, True), (3e-3, 1e6, False)],
+    "gap, at, closes", [(1e-10, 0.0, True), (3e-9, 0.0, False), (1e-4, 1e6, True), (3e-3, 1e6, False)]
 )
 def test_the_accepted_gap_is_relative_to_the_coordinates(gap, at, closes):
     scene = pinned(offset=(0, gap, 0), at=(at, 0, 0))
@@ -116,9 +113,7 @@ def test_the_accepted_gap_is_relative_to_the_coordinates(gap, at, closes):
 def test_a_violated_joint_is_refused_with_gap_and_tilt():
     with pytest.raises(SceneError) as caught:
         check_consistency(pinned(offset=(3, 0, 4), kind="revolute", axis=(1, 0, 0)))
-    assert str(caught.value).startswith(
-        'joints[0] "j": is violated at the initial poses: gap 5 m, tilt 1.57 rad; omit'
-    )
+    assert str(caught.value).startswith('joints[0] "j": is violated at the initial poses: gap 5 m, tilt 1.57 rad; omit')
     assert caught.value.place == ("joints", 0)
     with pytest.raises(SceneError, match="gap 0 m, tilt 3.14 rad"):
         check_consistency(pinned(kind="revolute", axis=(0, 0, -1)))
@@ -175,18 +170,11 @@ def test_an_omitted_distance_is_the_initial_distance():
 
 @pytest.mark.parametrize(
     "reach, length, at",
-    [
-        ((0, 0, 0), None, 0),
-        ((0, 1e-10, 0), None, 0),
-        ((0, 1e-10, 0), 1e-10, 0),
-        ((1e-4, 0, 0), None, 1e6),
-    ],
+    [((0, 0, 0), None, 0), ((0, 1e-10, 0), None, 0), ((0, 1e-10, 0), 1e-10, 0), ((1e-4, 0, 0), None, 1e6)],
 )
 def test_a_distance_joint_of_zero_length_is_refused(reach, length, at):
     """A distance below the round-off of the positions has no direction."""
-    with pytest.raises(
-        SceneError, match="the two points coincide, .*; use a spherical joint"
-    ) as caught:
+    with pytest.raises(SceneError, match="the two points coincide, .*; use a spherical joint") as caught:
         check_consistency(rod(length, reach, (at, 0, 0)))
     assert caught.value.place == ("joints", 0)
 

@@ -21,16 +21,7 @@ from liegroup_core.scene import scene_from_text
 from liegroup_core.status import TURNS_NOT_COUNTED
 
 EPS = 2.0**-52
-SUPPORTED = (
-    "rkmk1",
-    "rkmk2",
-    "rkmk3",
-    "rkmk4",
-    "rkmk8",
-    "rkmk54",
-    "generalized_alpha",
-    "constrained_rattle",
-)
+SUPPORTED = ("rkmk1", "rkmk2", "rkmk3", "rkmk4", "rkmk8", "rkmk54", "generalized_alpha", "constrained_rattle")
 
 WHEELS = """
 name: wheels
@@ -142,9 +133,7 @@ def test_gears_turn_as_their_inertias_say(method):
     assert rate == pytest.approx(2 + 5 * acceleration, abs=500 * 16 * EPS)
     if method != "rkmk1":
         assert angle == pytest.approx(2 * 5 + 12.5 * acceleration, abs=500 * 16 * EPS)
-    assert simulation.sample().joint_coordinates["jb"][1] == pytest.approx(
-        -0.7 * rate, abs=500 * 16 * EPS
-    )
+    assert simulation.sample().joint_coordinates["jb"][1] == pytest.approx(-0.7 * rate, abs=500 * 16 * EPS)
     assert np.abs(relation(simulation)).max() < 500 * 16 * EPS
 
 
@@ -237,10 +226,7 @@ def test_a_geared_five_bar_keeps_energy_and_closes(method):
     Error of the energy: that of the method, measured at half the step to be 4 and 100 times less.
     """
     simulation = Simulation(
-        scene_from_text(FIVE_BAR),
-        method,
-        1e-3,
-        **({"stabilisation": "projection"} if method == "rkmk8" else {}),
+        scene_from_text(FIVE_BAR), method, 1e-3, **({"stabilisation": "projection"} if method == "rkmk8" else {})
     )
     assert describe(simulation.layout)["degrees_of_freedom"] == 1
     before = simulation.sample().energy
@@ -253,12 +239,7 @@ def test_a_geared_five_bar_keeps_energy_and_closes(method):
 
 @pytest.mark.parametrize(
     "scene",
-    [
-        two_pendulums(-1.7),
-        two_pendulums(0.4, bolt=True),
-        scene_from_text(FIVE_BAR),
-        scene_from_text(WHEELS),
-    ],
+    [two_pendulums(-1.7), two_pendulums(0.4, bolt=True), scene_from_text(FIVE_BAR), scene_from_text(WHEELS)],
     ids=["pendulums", "bolt", "five_bar", "wheels"],
 )
 def test_coupled_motions_are_those_of_the_classical_formulation(scene):
@@ -288,12 +269,10 @@ def test_redundant_couplings_are_eliminated():
     """Three wheels in a ring: the third ratio follows from the others."""
     text = WHEELS.replace(
         "joints:",
-        "  - {name: c, mass: 2, inertia: [0.4, 0.4, 0.5], position: [2, 0, 0], "
-        "angular_velocity: [0, 0, 0.7]}\njoints:",
+        "  - {name: c, mass: 2, inertia: [0.4, 0.4, 0.5], position: [2, 0, 0], angular_velocity: [0, 0, 0.7]}\njoints:",
     )
     text = text.replace(
-        "couplings:",
-        "  - {name: jc, type: revolute, parent: world, child: c, child_frame: {}}\ncouplings:",
+        "couplings:", "  - {name: jc, type: revolute, parent: world, child: c, child_frame: {}}\ncouplings:"
     ).replace(
         "forces:",
         "  - {name: second, joint: jc, other: jb, ratio: -0.5}\n"
@@ -304,17 +283,13 @@ def test_redundant_couplings_are_eliminated():
     assert describe(simulation.layout)["degrees_of_freedom"] == 1
     simulation.advance(100)
     acceleration = 0.25 / (0.3 + 0.7**2 * 0.5 + 0.35**2 * 0.5)
-    assert simulation.sample().joint_coordinates["ja"][1] == pytest.approx(
-        2 + acceleration, abs=100 * 16 * EPS
-    )
+    assert simulation.sample().joint_coordinates["ja"][1] == pytest.approx(2 + acceleration, abs=100 * 16 * EPS)
     assert np.abs(relation(simulation)).max() < 100 * 16 * EPS
 
 
 def test_coupled_joints_are_in_the_tree():
     """Whatever is the better cut otherwise: here the coupled joint is the last one of the loop."""
-    text = FIVE_BAR.replace(
-        "joint: b, other: a, ratio: 0.5, offset: 0.2", "joint: e, other: a, ratio: 0.5"
-    )
+    text = FIVE_BAR.replace("joint: b, other: a, ratio: 0.5, offset: 0.2", "joint: e, other: a, ratio: 0.5")
     layout = make_layout(scene_from_text(text))
     tree = [entry["joint"] for entry in describe(layout)["formulation"]["tree"]]
     assert {"a", "e"} <= set(tree)
@@ -330,11 +305,7 @@ def test_momentum_is_not_said_to_be_kept():
 @pytest.mark.parametrize(
     "old, new, message",
     [
-        (
-            "joint: jb, o",
-            "joint: jd, o",
-            r'wheels:11: couplings\[0\] "mesh": joint \'jd\' is not a joint',
-        ),
+        ("joint: jb, o", "joint: jd, o", r'wheels:11: couplings\[0\] "mesh": joint \'jd\' is not a joint'),
         ("other: ja, r", "other: jb, r", 'joint and other are both "jb"'),
         ("name: mesh", "name: ja", "already used by joints"),
         ("ratio: -0.7", "ratio: -0.8", "violated at the start by .* rad/s"),
@@ -352,12 +323,7 @@ def test_wrong_couplings_are_refused(old, new, message):
 def test_all_joints_of_a_loop_cannot_be_coupled():
     """A square of four hinges, at rest."""
     bodies = ["left", "top", "right"]
-    joints = [
-        ("world", "left", 0, 0),
-        ("left", "top", 0, 1),
-        ("top", "right", 1, 1),
-        ("world", "right", 1, 0),
-    ]
+    joints = [("world", "left", 0, 0), ("left", "top", 0, 1), ("top", "right", 1, 1), ("world", "right", 1, 0)]
     text = "name: square\ngravity: [0, 0, 0]\nbodies:\n"
     for name in bodies:
         text += f"  - {{name: {name}, mass: 1, inertia: [0.1, 0.1, 0.1]}}\n"
@@ -374,9 +340,7 @@ def test_all_joints_of_a_loop_cannot_be_coupled():
 def test_groups_of_rigid_bodies_have_no_couplings():
     scene = scene_from_text(WHEELS)
     assert Simulation(scene, "rkmk4", 0.01).group == "relative"
-    with pytest.raises(
-        ValueError, match="group 'se3' cannot integrate this scene: it has couplings"
-    ):
+    with pytest.raises(ValueError, match="group 'se3' cannot integrate this scene: it has couplings"):
         Simulation(scene, "rkmk4", 0.01, group="se3")
 
 

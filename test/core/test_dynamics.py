@@ -36,15 +36,11 @@ def test_accelerations_agree_with_the_dense_saddle_point(name, seed):
 
     def along(t):
         return naive.residual(
-            scene,
-            frames,
-            {key: naive.displaced(matrix, t * twists[key]) for key, matrix in matrices.items()},
+            scene, frames, {key: naive.displaced(matrix, t * twists[key]) for key, matrix in matrices.items()}
         )
 
     h = 1e-3
-    rate = (-along(2 * h) + 16 * along(h) - 30 * along(0) + 16 * along(-h) - along(-2 * h)) / (
-        12 * h * h
-    )
+    rate = (-along(2 * h) + 16 * along(h) - 30 * along(0) + 16 * along(-h) - along(-2 * h)) / (12 * h * h)
     expected = naive.accelerations(scene, frames, matrices, twists, rate)
     found = accelerations(scene)
     # A body on a fixed joint to the world does not accelerate, but gravity acts on it.
@@ -66,11 +62,7 @@ def test_accelerations_of_slender_rods_keep_their_digits(radius, turn, tree):
     sums along four rods.
     """
     bodies = [
-        Body(
-            name=f"r{i}",
-            shape=Rod(axis=(1, 0, 0), length=1.0, radius=radius, mass=1.0),
-            position=(i + 0.5, 0.0, 0.0),
-        )
+        Body(name=f"r{i}", shape=Rod(axis=(1, 0, 0), length=1.0, radius=radius, mass=1.0), position=(i + 0.5, 0.0, 0.0))
         for i in range(4)
     ]
     joints = [
@@ -128,10 +120,7 @@ def test_energy_rate_equals_the_power_of_the_dampers(name):
     power = 0.0
     for spring in scene.forces:
         ends, speeds = [], []
-        for body, point in (
-            (spring.parent, spring.parent_point),
-            (spring.child, spring.child_point),
-        ):
+        for body, point in ((spring.parent, spring.parent_point), (spring.child, spring.child_point)):
             matrix = start.poses.get(body, np.eye(4))
             twist = start.twists.get(body, np.zeros(6))
             ends.append(matrix[:3, :3] @ np.array(point) + matrix[:3, 3])

@@ -24,16 +24,7 @@ from liegroup_core.study.extremes.cell import (
 )
 from liegroup_core.study.extremes.extremes import axes_of, column, counts, silent, survey
 
-METHODS = (
-    "rkmk2",
-    "rkmk4",
-    "rkmk54",
-    "rkmk8",
-    "generalized_alpha",
-    "stoermer_verlet",
-    "rattle",
-    "constrained_rattle",
-)
+METHODS = ("rkmk2", "rkmk4", "rkmk54", "rkmk8", "generalized_alpha", "stoermer_verlet", "rattle", "constrained_rattle")
 
 
 def verdict(problem, method, make=Simulation, **more):
@@ -55,9 +46,7 @@ def test_plausible_wrong_answers_get_the_verdict_silent(amplitude):
     assert found["verdict"] == SILENT and found["error"] > 0.2 and not found["says"]
 
 
-@pytest.mark.parametrize(
-    "method", ["constrained_rattle", "constrained_rattle4", "constrained_rattle8"]
-)
+@pytest.mark.parametrize("method", ["constrained_rattle", "constrained_rattle4", "constrained_rattle8"])
 def test_angles_whose_squares_underflow(method):
     """Squares of angles around 1e-160 rad are subnormal or zero."""
     errors = []
@@ -107,9 +96,7 @@ def test_errors_are_relative_to_the_size_of_the_motion():
     none = np.zeros((2, 1, 3))
     truth = problems.motions.Truth(R, none, 0.0)
     assert extremes_cell.sizes(truth, 2.0) == (1e-300, 2e-300)
-    angle, _ = extremes_cell.apart(
-        about(2, np.array([3.0])), none[0], about(2, np.array([0.5])), none[0]
-    )
+    angle, _ = extremes_cell.apart(about(2, np.array([3.0])), none[0], about(2, np.array([0.5])), none[0])
     assert angle == pytest.approx(2.5, rel=1e-15)
 
 
@@ -126,9 +113,7 @@ def test_reference_solutions_agree_with_the_independent_integration():
         times = problem.samples()[:4] * problem.step
         mine = problem.motion(times)
         theirs = problems.motions.integrated(problem.scene, problem.length)(times)
-        angle, way = extremes_cell.apart(
-            mine.rotation, mine.position, theirs.rotation, theirs.position
-        )
+        angle, way = extremes_cell.apart(mine.rotation, mine.position, theirs.rotation, theirs.position)
         assert max(angle, way) < 1e-8
 
 

@@ -41,13 +41,7 @@ def test_every_number_of_a_force_reaches_the_model():
         return getattr(build_model(scene)[0].forces, scene.forces[0].type)[0]
 
     spring = row(SPRING)
-    assert [spring[key] for key in ("parent", "child", "stiffness", "damping", "rest_angle")] == [
-        0,
-        1,
-        5,
-        1,
-        -20,
-    ]
+    assert [spring[key] for key in ("parent", "child", "stiffness", "damping", "rest_angle")] == [0, 1, 5, 1, -20]
     motor = row(MOTOR)
     assert (motor["torque"], motor["slope"]) == (-5, 0.05)
     assert row(MOTOR.replace(", rate_limit: 100", ""))["slope"] == 0.0
@@ -71,10 +65,7 @@ def test_every_number_of_a_force_reaches_the_model():
             SPRING.replace("hinge", "ball"),
             'joint "ball" is spherical, but torsional_spring_damper requires a joint that is revolute or ',
         ),
-        (
-            MOTOR.replace("hinge", "ball"),
-            'joint "ball" is spherical, but motor requires a joint that is ',
-        ),
+        (MOTOR.replace("hinge", "ball"), 'joint "ball" is spherical, but motor requires a joint that is '),
         (
             "type: linear_motor, joint: hinge, force: 1",
             'joint "hinge" is revolute, but linear_motor requires a joint that is prismatic or ',
@@ -87,15 +78,9 @@ def test_every_number_of_a_force_reaches_the_model():
         (SPRING.replace("joint: hinge", "joint: 3"), "joint must be text, got 3"),
         (SPRING.replace("stiffness: 5", "stiffness: -5"), "stiffness must not be negative, got -5"),
         (SPRING.replace("-20", ".inf"), "rest_angle must be finite, got inf"),
-        (
-            SPRING.replace("rest_angle", "rest_angel"),
-            "unknown key 'rest_angel'; did you mean \"rest_angle\"?",
-        ),
+        (SPRING.replace("rest_angle", "rest_angel"), "unknown key 'rest_angel'; did you mean \"rest_angle\"?"),
         (MOTOR.replace("100", "0"), "rate_limit must be greater than 0, got 0"),
-        (
-            MOTOR.replace("torque: -5, ", ""),
-            "torque is missing: give the stall torque on the child",
-        ),
+        (MOTOR.replace("torque: -5, ", ""), "torque is missing: give the stall torque on the child"),
         (DRAG.replace("body: a", "body: c"), "body 'c' is not a body; choose one of: a, b"),
         (DRAG.replace("body: a", "body: world"), "body 'world' is not a body; choose one of: a, b"),
         (DRAG.replace("quadratic: 2", "quadratic: -2"), "quadratic must not be negative, got -2"),

@@ -107,10 +107,7 @@ def test_a_confined_process_reads_and_computes_and_no_more(tmp_path):
         folder.mkdir()
         (folder / "file").write_text("text")
     done = subprocess.run(
-        [sys.executable, "-c", RIGHTS, *map(str, folders)],
-        capture_output=True,
-        text=True,
-        check=True,
+        [sys.executable, "-c", RIGHTS, *map(str, folders)], capture_output=True, text=True, check=True
     )
     assert done.stdout.splitlines() == ["read inside", "thread"], done.stderr
     assert (tmp_path / "in" / "file").read_text() == "text"
@@ -142,9 +139,7 @@ def test_unchecked_code_in_a_xacro_file_can_do_no_harm(code, value, tmp_path):
     canary, path = tmp_path / "canary", tmp_path / "arm.xacro"
     path.write_text(xacro_text("${%s}" % code.replace("CANARY", str(canary))))
     done = subprocess.run(
-        [sys.executable, "-c", UNCHECKED, str(tmp_path), "xacro", str(path)],
-        capture_output=True,
-        text=True,
+        [sys.executable, "-c", UNCHECKED, str(tmp_path), "xacro", str(path)], capture_output=True, text=True
     )
     assert not canary.exists()
     if value is None:
@@ -223,9 +218,7 @@ def test_an_included_model_outside_of_the_tree_is_refused(tmp_path):
     (tmp_path / "other.sdf").write_text('<sdf version="1.9"><model name="m"/></sdf>')
     path = tmp_path / "a" / "b" / "robot.sdf"
     path.parent.mkdir(parents=True)
-    path.write_text(
-        '<sdf version="1.9"><model name="r">\n<include><uri>../../other.sdf</uri></include></model></sdf>'
-    )
+    path.write_text('<sdf version="1.9"><model name="r">\n<include><uri>../../other.sdf</uri></include></model></sdf>')
     with pytest.raises(SceneError, match="robot.sdf:2: .*other.sdf: is not read"):
         load_scene(path)
 
@@ -241,10 +234,7 @@ def test_a_request_includes_no_model_outside_of_what_is_served(tmp_path):
     include = "<include><uri>model://m</uri></include>"
     path.write_text(f"<sdf version='1.9'><model name='r'>{include}</model></sdf>")
     assert len(load_scene(path).bodies) == 1
-    with (
-        access.served_from([path.parent]),
-        pytest.raises(SceneError, match="model.sdf: is not read"),
-    ):
+    with access.served_from([path.parent]), pytest.raises(SceneError, match="model.sdf: is not read"):
         load_scene(path)
 
 

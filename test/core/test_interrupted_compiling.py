@@ -145,9 +145,7 @@ def test_a_cache_that_was_not_written_is_written_later(tmp_path):
     assert out == "done\n" and err.count("Compiled kernels cannot be cached") == 1
     assert "out of memory" in err and len(err.splitlines()) == 1
     run(DYING, tmp_path, ends=9)
-    report = (
-        "module = fresh('kept'); module.check(); print(module._steps.dispatcher.stats.cache_misses)"
-    )
+    report = "module = fresh('kept'); module.check(); print(module._steps.dispatcher.stats.cache_misses)"
     again = [run(report, tmp_path)[0] for _ in range(2)]
     assert again[0] != "Counter()\n" and again[1] == "Counter()\n"
 
@@ -170,13 +168,9 @@ except KeyboardInterrupt:
 
 def test_the_first_use_of_the_compiler_may_be_any(tmp_path):
     """The address of a Struct, and a kernel that is called while its module is imported."""
-    (tmp_path / "calls.py").write_text(
-        "from liegroup_core.compiling.check import check\ncheck()\nprint('checked')\n"
-    )
+    (tmp_path / "calls.py").write_text("from liegroup_core.compiling.check import check\ncheck()\nprint('checked')\n")
     address = "Inner(matrix=np.zeros((2, 2)), shift=1.0).address > 0"
-    for k, code in enumerate(
-        (f"from liegroup_core.compiling.check import *; print({address})", "import calls")
-    ):
+    for k, code in enumerate((f"from liegroup_core.compiling.check import *; print({address})", "import calls")):
         done = subprocess.run(
             [sys.executable, "-c", f"import sys; sys.path.append({str(tmp_path)!r}); {code}"],
             capture_output=True,

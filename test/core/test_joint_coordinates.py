@@ -50,9 +50,7 @@ def test_steady_motion_has_the_closed_form():
         assert rate == pytest.approx(-14.0, abs=1e-4)
 
 
-@pytest.mark.parametrize(
-    "name", ["slider_crank", "double_pendulum", "four_bar", "flyball_governor"]
-)
+@pytest.mark.parametrize("name", ["slider_crank", "double_pendulum", "four_bar", "flyball_governor"])
 def test_rates_are_those_of_the_coordinates(name):
     """Central differences, h = 1e-5 s: error h^2/6 of a third derivative, below 1e-11 * 1e5."""
     h = 1e-5

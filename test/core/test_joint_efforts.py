@@ -185,9 +185,7 @@ def test_the_recorded_changes_repeat_a_run_with_efforts_bit_by_bit(method, at_on
     assert {change.body for change in changes} == {"hull", "arm", "hand"}
     assert changes[-1].time_ns == 200_200_000 and not any(changes[-1].wrench)
     for change in changes:
-        second.apply_wrench(
-            change.body, change.wrench, change.time_ns * 1e-9, source=change.axes, axes=change.axes
-        )
+        second.apply_wrench(change.body, change.wrench, change.time_ns * 1e-9, source=change.axes, axes=change.axes)
     for _ in range(300 // at_once):
         second.advance(at_once)
     second.advance(300 - second.steps)

@@ -66,11 +66,7 @@ def test_every_force_at_a_joint_has_its_law(sample):
 
 def test_a_joint_transmits_what_its_child_needs(sample):
     """Newton and Euler for each body, from its acceleration and the other forces on it."""
-    for body, joint, com in (
-        ("arm", "hinge", [0.5, 0, 0]),
-        ("cart", "rail", [0, 0, 0]),
-        ("nut", "bolt", [0, 0, 0]),
-    ):
+    for body, joint, com in (("arm", "hinge", [0.5, 0, 0]), ("cart", "rail", [0, 0, 0]), ("nut", "bolt", [0, 0, 0])):
         (entry,) = [each for each in sample.scene.bodies if each.name == body]
         (frame,) = [j.child_frame.pose for j in sample.scene.joints if j.name == joint]
         w, R = sample.twists[body][:3], sample.poses[body][:3, :3]

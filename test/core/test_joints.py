@@ -125,9 +125,7 @@ def test_a_screw_without_a_pitch_is_a_hinge(pitch):
     C[:3, 3] = 0.1, -0.2, 0.3
     error = residual("screw", C, pitch=pitch)
     np.testing.assert_allclose(error, residual("revolute", C), atol=1e-15)
-    np.testing.assert_allclose(
-        LOWER_PAIRS["screw"].forbidden(0.0), LOWER_PAIRS["revolute"].forbidden()
-    )
+    np.testing.assert_allclose(LOWER_PAIRS["screw"].forbidden(0.0), LOWER_PAIRS["revolute"].forbidden())
 
 
 @pytest.mark.parametrize("kind", FREE)
@@ -179,9 +177,7 @@ def test_next_to_closed_the_residual_changes_as_the_rows_say(kind, size):
 def test_rotation_z_to_is_a_rotation_to_round_off():
     rng = np.random.default_rng(3)
     axes = list(rng.normal(size=(50, 3))) + [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, -1, 0)]
-    axes += [
-        (tiny, -tiny, sign) for tiny in (1e-300, 1e-170, 1e-16, 1e-8, 1e-3) for sign in (1, -1)
-    ]
+    axes += [(tiny, -tiny, sign) for tiny in (1e-300, 1e-170, 1e-16, 1e-8, 1e-3) for sign in (1, -1)]
     for axis in axes:
         axis = np.array(axis) / np.linalg.norm(axis)
         R = rotation_z_to(axis)
@@ -231,9 +227,7 @@ def conical_pendulum(angle=0.6, length=0.8):
         position=(radius, 0, -length * math.cos(angle)),
         linear_velocity=(0, 2.0 * math.pi * radius / period, 0),
     )
-    rod = DistanceJoint(
-        name="rod", parent="world", child="ball", parent_frame=Frame(), child_frame=Frame()
-    )
+    rod = DistanceJoint(name="rod", parent="world", child="ball", parent_frame=Frame(), child_frame=Frame())
     return period, Scene(name="cone", gravity=(0, 0, -9.81), bodies=[ball], joints=[rod])
 
 
@@ -270,9 +264,7 @@ def test_the_kernel_has_the_residuals_of_the_joints(name):
         ):
             C = np.linalg.inv(where[joint.parent] @ frames[0]) @ where[joint.child] @ frames[1]
             # the same formula of poses with entries up to 20, by another way of multiplying them
-            np.testing.assert_allclose(
-                values[layout.joint_of_row == i], position_residual(parts, C), atol=2e-13
-            )
+            np.testing.assert_allclose(values[layout.joint_of_row == i], position_residual(parts, C), atol=2e-13)
 
 
 @pytest.mark.parametrize("name", mechanisms.UNWELDED)
@@ -286,9 +278,7 @@ def test_the_bias_is_the_rate_of_the_rows_where_joints_are_open_too(name):
     """
     simulation = Simulation(mechanisms.named(name), method="rkmk4", group="se3")
     rng = np.random.default_rng(8)
-    found = np.array(
-        [C @ motion(0.3 * rng.normal(size=6)) for C in naive.matrices(simulation.state()[0])]
-    )
+    found = np.array([C @ motion(0.3 * rng.normal(size=6)) for C in naive.matrices(simulation.state()[0])])
     twist = rng.normal(size=(len(found), 6))
 
     def at(t):

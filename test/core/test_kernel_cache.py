@@ -92,9 +92,7 @@ def test_what_changes_the_code_changes_its_name(tmp_path, monkeypatch, old, new,
         monkeypatch.syspath_prepend(tmp_path / tag)
         for name, text in (("helper", HELPER), ("outer", OUTER)):
             text = text.format(tag=tag) if name == "outer" else text
-            (tmp_path / tag / f"{name}_{tag}.py").write_text(
-                text.replace(old, new) if edit else text
-            )
+            (tmp_path / tag / f"{name}_{tag}.py").write_text(text.replace(old, new) if edit else text)
         module = importlib.import_module(f"outer_{tag}")
         # The modules differ in their names: only they may.
         for kernel in (module.outer, module.helper.inner, module.helper.apart):
@@ -150,9 +148,7 @@ def test_of_many_processes_one_compiles(tmp_path):
         place.mkdir()
         (place / "slow.py").write_text(SLOW)
         command = [sys.executable, "-B", "-c", ONE.format(folder=str(place))]
-        running.append(
-            subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
-        )
+        running.append(subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment))
     found = [int(each.communicate(timeout=120)[0].split()[-1]) for each in running]
     assert sum(found) == 2, found
     assert not list(tmp_path.glob("cache/*/*.lock"))

@@ -43,14 +43,7 @@ def velocities(simulation, time):
 
 
 @pytest.mark.parametrize(
-    "start",
-    [
-        100000,
-        Fraction("100000.0000003"),
-        Fraction("100049.9999995"),
-        Fraction("99999.9999995"),
-        500123,
-    ],
+    "start", [100000, Fraction("100000.0000003"), Fraction("100049.9999995"), Fraction("99999.9999995"), 500123]
 )
 def test_a_push_of_one_microsecond_has_its_impulse_at_any_time(start):
     """At the start of a step of 100 s, inside one, and over its end; the companions take longer steps.

@@ -189,12 +189,7 @@ def test_plain_python_and_compiled_kernels_are_bit_identical():
     def run(disable):
         environment = {**os.environ, "NUMBA_DISABLE_JIT": disable, "PYTHONPATH": str(ROOT)}
         done = subprocess.run(
-            [sys.executable, "-c", SAMPLE],
-            env=environment,
-            check=True,
-            capture_output=True,
-            text=True,
-            timeout=60,
+            [sys.executable, "-c", SAMPLE], env=environment, check=True, capture_output=True, text=True, timeout=60
         )
         return json.loads(done.stdout)
 

@@ -37,9 +37,7 @@ REMEDY = "where it has no inertia: give it inertia there, or use another joint"
 
 def scene(bodies, *joints, extra=""):
     text = HEAD + extra + "bodies:\n" + bodies
-    return scene_from_text(
-        text + ("joints:\n" + "".join(joints) if joints else ""), source="x.yaml"
-    )
+    return scene_from_text(text + ("joints:\n" + "".join(joints) if joints else ""), source="x.yaml")
 
 
 def joint(kind, child, frames, name="j", parent="world"):
@@ -52,9 +50,7 @@ def pendulum():
     return scene(
         bob,
         joint(
-            "revolute",
-            "bob",
-            "parent_frame: {axis: [0, 1, 0]}, child_frame: {position: [-1, 0, 0], axis: [0, 1, 0]}",
+            "revolute", "bob", "parent_frame: {axis: [0, 1, 0]}, child_frame: {position: [-1, 0, 0], axis: [0, 1, 0]}"
         ),
     )
 
@@ -76,8 +72,7 @@ def points(first, second):
 def double_pendulum(inertia):
     inner, outer = points(*ANGLES)
     bodies = "".join(
-        f"  - {{name: {name}, mass: {mass}, inertia: [{inertia}, {inertia}, {inertia}], "
-        f"position: {numbers(place)}}}\n"
+        f"  - {{name: {name}, mass: {mass}, inertia: [{inertia}, {inertia}, {inertia}], position: {numbers(place)}}}\n"
         for name, mass, place in zip("ab", MASSES, (inner, outer))
     )
     axis = "axis: [0, 1, 0]"
@@ -85,9 +80,7 @@ def double_pendulum(inertia):
         f"parent_frame: {{{axis}}}, child_frame: {{position: {numbers(-inner)}, {axis}}}",
         f"parent_frame: {{{axis}}}, child_frame: {{position: {numbers(inner - outer)}, {axis}}}",
     )
-    return scene(
-        bodies, joint("revolute", "a", frames[0]), joint("revolute", "b", frames[1], "k", "a")
-    )
+    return scene(bodies, joint("revolute", "a", frames[0]), joint("revolute", "b", frames[1], "k", "a"))
 
 
 def slope(_, y):
@@ -96,10 +89,7 @@ def slope(_, y):
     a, b, w, u = y
     d = a - b
     matrix = [[(m1 + m2) * l1, m2 * l2 * np.cos(d)], [l1 * np.cos(d), l2]]
-    right = [
-        -m2 * l2 * u**2 * np.sin(d) - (m1 + m2) * G * np.sin(a),
-        l1 * w**2 * np.sin(d) - G * np.sin(b),
-    ]
+    right = [-m2 * l2 * u**2 * np.sin(d) - (m1 + m2) * G * np.sin(a), l1 * w**2 * np.sin(d) - G * np.sin(b)]
     return [w, u, *np.linalg.solve(matrix, right)]
 
 
@@ -131,11 +121,7 @@ def test_a_double_pendulum_follows_its_textbook_equations():
 def test_small_inertia_converges_to_none():
     """The difference is proportional to the inertia, in relative coordinates and on SE(3)^n."""
     zero = end(double_pendulum(0), 1000).sample().pose
-    for inertia, settings in (
-        (1e-6, {"group": "relative"}),
-        (1e-6, {"group": "se3"}),
-        (1e-9, {"group": "relative"}),
-    ):
+    for inertia, settings in ((1e-6, {"group": "relative"}), (1e-6, {"group": "se3"}), (1e-9, {"group": "relative"})):
         pose = end(double_pendulum(inertia), 1000, **settings).sample().pose
         assert 0.1 * inertia < np.abs(pose - zero).max() < 20.0 * inertia
 
@@ -165,9 +151,7 @@ def test_a_thin_rod_on_a_universal_joint_is_the_limit_of_thick_ones():
     start = Engine(spinning_rod(0)).sample()
     middle, speed = start.positions["rod"], start.twists["rod"][3:]
     speed = start.pose[0, :9].reshape(3, 3) @ speed
-    y = solve_ivp(
-        spherical, (0, 1), [*2 * middle, *2 * speed], method="DOP853", rtol=1e-13, atol=1e-13
-    ).y[:, -1]
+    y = solve_ivp(spherical, (0, 1), [*2 * middle, *2 * speed], method="DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
     np.testing.assert_allclose(thin.sample().positions["rod"], 0.5 * y[:3], rtol=0, atol=1e-11)
 
 
@@ -201,10 +185,7 @@ def test_least_kinetic_energy_of_assembly_is_the_limit():
             "position: [1.6, 0, -0.8], linear_velocity: [0, 0, 1]}\njoints:\n"
         )
         axis = "axis: [0, 1, 0]"
-        for name, parent, child, place in (
-            ("j", "world", "a", [-1, 0, 0]),
-            ("k", "a", "b", [-0.6, 0, 0.8]),
-        ):
+        for name, parent, child, place in (("j", "world", "a", [-1, 0, 0]), ("k", "a", "b", [-0.6, 0, 0.8])):
             frames = f"parent_frame: {{{axis}}}, child_frame: {{position: {place}, {axis}}}"
             text += joint("revolute", child, frames, name, parent)
         return np.array([body.twist for body in make_layout(scene_from_text(text)).scene.bodies])
@@ -221,14 +202,9 @@ def test_least_kinetic_energy_of_assembly_is_the_limit():
         (
             BOB,
             [joint("spherical", "bob", ABOVE)],
-            f'joints[0] "j": it lets "bob" rotate about its axis (0, 0, 1), {REMEDY}, such as a '
-            "universal joint",
+            f'joints[0] "j": it lets "bob" rotate about its axis (0, 0, 1), {REMEDY}, such as a universal joint',
         ),
-        (
-            BOB,
-            [joint("spherical", "bob", CENTRE)],
-            f'joints[0] "j": it lets "bob" rotate about any axis, {REMEDY}',
-        ),
+        (BOB, [joint("spherical", "bob", CENTRE)], f'joints[0] "j": it lets "bob" rotate about any axis, {REMEDY}'),
         (
             BOB,
             [joint("universal", "bob", CENTRE)],
@@ -283,8 +259,7 @@ def test_least_kinetic_energy_of_assembly_is_the_limit():
         (
             "  - {name: rod, mass: 1, inertia: [0, 0.1, 0.1], position: [-0.5, 0, 0]}\n",
             [joint("universal", "rod", "parent_frame: {}, child_frame: {position: [0.5, 0, 0]}")],
-            'joints[0] "j": it lets "rod" rotate about its axis (1, 0, 0) in its initial pose, '
-            + REMEDY,
+            'joints[0] "j": it lets "rod" rotate about its axis (1, 0, 0) in its initial pose, ' + REMEDY,
         ),
     ],
 )
@@ -408,6 +383,4 @@ def test_commands(tmp_path, capsys):
     assert main(["run", str(path), "--duration", "0.5", "--out", str(tmp_path / "run.npz")]) == 0
     refused = ["run", str(path), "--duration", "0.5", "--out", str(tmp_path / "no.npz")]
     assert main([*refused, "--method", "rkmk4", "--group", "se3"]) != 0
-    assert 'bodies[0] "bob" has no inertia about any axis' in " ".join(
-        capsys.readouterr().err.split()
-    )
+    assert 'bodies[0] "bob" has no inertia about any axis' in " ".join(capsys.readouterr().err.split())

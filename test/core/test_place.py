@@ -176,9 +176,7 @@ def test_joints_take_their_values_and_the_others_keep_theirs(group):
     engine.place(joints={"shoulder": (7.5, -1.0)})
     after = engine.sample()
     assert after.joint_coordinates["shoulder"] == pytest.approx((7.5, -1.0), abs=1e-13)
-    assert after.joint_coordinates["rail"] == pytest.approx(
-        before.joint_coordinates["rail"], abs=1e-13
-    )
+    assert after.joint_coordinates["rail"] == pytest.approx(before.joint_coordinates["rail"], abs=1e-13)
     assert np.abs(after.poses["base"] - before.poses["base"]).max() <= 1e-14
     assert np.abs(after.twists["base"] - before.twists["base"]).max() <= 1e-13
     assert np.array_equal(engine.state()[0][4], stone)
@@ -218,9 +216,7 @@ def test_a_loop_closes_about_a_joint_that_is_set():
     assert sample.constraint_residual <= 1e-12
     assert np.abs(rows(engine)[0] @ engine.state()[1].ravel()).max() <= 1e-12
     # All angles and rates, with six digits, are those of this pose.
-    rounded = {
-        name: (round(q, 7), round(v, 7)) for name, (q, v) in sample.joint_coordinates.items()
-    }
+    rounded = {name: (round(q, 7), round(v, 7)) for name, (q, v) in sample.joint_coordinates.items()}
     engine.place(joints=rounded)
     assert engine.sample().constraint_residual <= 1e-12
     before = engine.state()

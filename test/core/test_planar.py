@@ -17,15 +17,7 @@ from liegroup_core.describe import describe
 from liegroup_core.layout import make_layout
 from liegroup_core.lie.groups import SO3
 from liegroup_core.mechanism.arrays import PlaneModel, RelativeModel
-from liegroup_core.scene.description import (
-    Body,
-    Drag,
-    Frame,
-    Joint,
-    ScrewJoint,
-    SpringDamper,
-    TorsionalSpringDamper,
-)
+from liegroup_core.scene.description import Body, Drag, Frame, Joint, ScrewJoint, SpringDamper, TorsionalSpringDamper
 
 NORMALS = ("x", "y", "z", "tilted")
 # (parent, child, kind), the parents first; then what closes loops
@@ -99,11 +91,7 @@ def mechanism(name, normal, seed=0):
         poses[child] = pose
         axis = n if kind in ("revolute", "planar") else plane @ turned(1.3)[:, 0]
         frames[child] = Frame(position=0.4 * rng.normal(size=3), axis=pose[:3, :3].T @ axis)
-        joints.append(
-            Joint(
-                name=f"to_{child}", type=kind, parent=parent, child=child, child_frame=frames[child]
-            )
-        )
+        joints.append(Joint(name=f"to_{child}", type=kind, parent=parent, child=child, child_frame=frames[child]))
     for parent, child, kind in loops:
         joints.append(
             Joint(
@@ -111,9 +99,7 @@ def mechanism(name, normal, seed=0):
                 type=kind,
                 parent=parent,
                 child=child,
-                child_frame=Frame(
-                    position=0.3 * rng.normal(size=3), axis=poses[child][:3, :3].T @ n
-                ),
+                child_frame=Frame(position=0.3 * rng.normal(size=3), axis=poses[child][:3, :3].T @ n),
             )
         )
     del poses["world"]
@@ -121,12 +107,7 @@ def mechanism(name, normal, seed=0):
     for body, pose in poses.items():
         made = mechanisms.random_body(rng, body, np.eye(4))
         bodies.append(
-            made.model_copy(
-                update={
-                    "position": tuple(pose[:3, 3]),
-                    "rotation_vector": tuple(SO3.log(pose[:3, :3])),
-                }
-            )
+            made.model_copy(update={"position": tuple(pose[:3, 3]), "rotation_vector": tuple(SO3.log(pose[:3, :3]))})
         )
     forces = [
         SpringDamper(
@@ -142,15 +123,11 @@ def mechanism(name, normal, seed=0):
         Drag(name="drag", body=bodies[0].name, linear=0.3, quadratic=0.1, angular=0.2),
     ]
     forces += [
-        TorsionalSpringDamper(
-            name=f"coil_{joint.child}", joint=joint.name, stiffness=2.0, damping=0.1
-        )
+        TorsionalSpringDamper(name=f"coil_{joint.child}", joint=joint.name, stiffness=2.0, damping=0.1)
         for joint in joints
         if joint.type == "revolute"
     ]
-    scene = Scene(
-        name="made", gravity=(3.0, -4.0, 5.0), bodies=bodies, joints=joints, forces=forces
-    )
+    scene = Scene(name="made", gravity=(3.0, -4.0, 5.0), bodies=bodies, joints=joints, forces=forces)
     return mechanisms.moving(rng, scene)
 
 
@@ -173,10 +150,7 @@ def both(scene, steps=200, step=1e-3, push=(0.3, -0.2, 0.4, 5.0, -4.0, 3.0), **s
 
 def difference(first, second):
     """Largest difference of poses and twists, relative to magnitudes above 1."""
-    return max(
-        np.abs(a - b).max() / max(1.0, np.abs(b).max())
-        for a, b in zip(first.state(), second.state())
-    )
+    return max(np.abs(a - b).max() / max(1.0, np.abs(b).max()) for a, b in zip(first.state(), second.state()))
 
 
 @pytest.mark.parametrize("normal", NORMALS)
@@ -223,19 +197,14 @@ def test_accelerations_of_unlike_masses_against_50_digits(name):
         factors = 10.0 ** np.random.default_rng([seed, 5]).uniform(-4, 4, len(scene.bodies))
         bodies = [
             body.model_copy(
-                update={
-                    "mass": body.mass * factor,
-                    "inertia": tuple(factor * value for value in body.inertia),
-                }
+                update={"mass": body.mass * factor, "inertia": tuple(factor * value for value in body.inertia)}
             )
             for body, factor in zip(scene.bodies, factors)
         ]
         scene = scene.model_copy(update={"bodies": tuple(bodies)})
         exact = precise.accelerations(scene, [])
         found = engine.engine_accelerations(scene, group="relative")
-        size = np.maximum(
-            np.abs(exact.acceleration.astype(float)).max(axis=1), np.linalg.norm(scene.gravity)
-        )
+        size = np.maximum(np.abs(exact.acceleration.astype(float)).max(axis=1), np.linalg.norm(scene.gravity))
         bound = 1e-12 * size + 16.0 * exact.change.max(axis=1)
         assert (precise.errors(exact, found).max(axis=1) <= bound).all()
 
@@ -322,9 +291,7 @@ def test_slides_alone_have_a_normal_across_them():
             )
             for k, direction in enumerate(directions)
         ]
-        return make_layout(
-            Scene(name="rails", gravity=(0, 0, -9.81), bodies=bodies, joints=joints)
-        ).normal
+        return make_layout(Scene(name="rails", gravity=(0, 0, -9.81), bodies=bodies, joints=joints)).normal
 
     assert (rails((1, 0, 0)) == (0, 0, 1)).all() and (rails((0, 0, 1)) == (0, 1, 0)).all()
     for first, second in (((1, 2, 3), (3, -1, 0.5)), ((1, 2, 3), (1, 2, 3))):
@@ -376,20 +343,14 @@ def test_detection_of_planar_mechanisms():
         joint = scene.joints[0].model_copy(update={"type": name})
         assert plane(scene.model_copy(update={"joints": (joint,)})) is None
     screw = ScrewJoint(
-        name="j",
-        parent="world",
-        child="a",
-        pitch=0.1,
-        child_frame=Frame(position=(-0.5, 0, 0), axis=(0, 1, 0)),
+        name="j", parent="world", child="a", pitch=0.1, child_frame=Frame(position=(-0.5, 0, 0), axis=(0, 1, 0))
     )
     assert plane(hinged((0, 1, 0)).model_copy(update={"joints": (screw,)})) is None
     assert plane(load_scene("heavy_top")) is None and plane(load_scene("free_body")) is None
     assert plane(load_scene("ball_chain")) is None and plane(load_scene("bricard")) is None
 
 
-@pytest.mark.parametrize(
-    "name", ["double_pendulum", "hinge_chain", "four_bar", "n_four_bar", "andrews_squeezer"]
-)
+@pytest.mark.parametrize("name", ["double_pendulum", "hinge_chain", "four_bar", "n_four_bar", "andrews_squeezer"])
 def test_planar_example_scenes_are_detected_and_agree_with_space(name):
     planar, space = both(load_scene(name), steps=100, step=1e-4, push=np.zeros(6))
     assert difference(planar, space) <= 1e-11
@@ -411,13 +372,7 @@ def test_redundant_planar_constraints_are_eliminated():
     def hinge(name, parent, child, at):
         body = next(b for b in bodies if b.name == child)
         point = body.rotation.T @ (np.array([*at, 0.0]) - body.position)
-        return Joint(
-            name=name,
-            type="revolute",
-            parent=parent,
-            child=child,
-            child_frame=Frame(position=point),
-        )
+        return Joint(name=name, type="revolute", parent=parent, child=child, child_frame=Frame(position=point))
 
     bodies = [bar(f"crank{x}", (x, 0), (x + 0.3, 0.8)) for x in range(3)]
     bodies.append(bar("coupler", (0.3, 0.8), (2.3, 0.8)))

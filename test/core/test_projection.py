@@ -88,11 +88,7 @@ def momenta(simulation, pose, twist):
     sample = simulation.layout.sample(pose, twist)
     mass = np.array([body.mass for body in simulation.scene.bodies])
     M = engine.masses(simulation.scene)
-    return (
-        sample.spatial_momentum,
-        0.5 * twist.ravel() @ M @ twist.ravel(),
-        mass @ pose[:, 9:] / mass.sum(),
-    )
+    return (sample.spatial_momentum, 0.5 * twist.ravel() @ M @ twist.ravel(), mass @ pose[:, 9:] / mass.sum())
 
 
 def test_projection_of_inner_joints_conserves_momentum():
@@ -134,8 +130,7 @@ def test_projection_leaves_ground_joints_on_se3_unchanged(kind):
     """SE(3) satisfies them to machine precision: the runs differ by amplified round-off."""
     scene = mechanisms.named(f"{kind} to ground")
     with_it, without = (
-        Simulation(scene, method="rkmk4", step=2e-3, group="se3", stabilisation=s)
-        for s in ("projection", "none")
+        Simulation(scene, method="rkmk4", step=2e-3, group="se3", stabilisation=s) for s in ("projection", "none")
     )
     with_it.advance(500)
     without.advance(500)
@@ -153,9 +148,7 @@ def test_projection_keeps_order_four_and_satisfies_joints(name, group):
     reference.advance(1000)
     errors = {}
     for h in (2e-3, 1e-3, 5e-4):
-        simulation = Simulation(
-            scene, method="rkmk4", step=h, group=group, stabilisation="projection"
-        )
+        simulation = Simulation(scene, method="rkmk4", step=h, group=group, stabilisation="projection")
         simulation.advance(round(0.1 / h))
         errors[h] = np.abs(simulation.state()[0] - reference.state()[0]).max()
         # measured on poses of up to 10 m
@@ -193,12 +186,7 @@ def test_constraint_errors_die_out_as_baumgarte_predicts(name, group):
     """g = g0 (1 + a t) exp(-a t) for a small residual g0 with zero initial rate."""
     time = 0.02
     simulation = Simulation(
-        mechanisms.named(name),
-        method="rkmk4",
-        step=2e-4,
-        group=group,
-        stabilisation="baumgarte",
-        baumgarte_time=time,
+        mechanisms.named(name), method="rkmk4", step=2e-4, group=group, stabilisation="baumgarte", baumgarte_time=time
     )
     model = simulation.layout.model
     pose, twist = disturbed(simulation, np.random.default_rng(6), 1e-7)
@@ -220,11 +208,7 @@ def test_baumgarte_bounds_the_drift_of_a_long_run():
     runs = {}
     for stabilisation in ("none", "baumgarte", "projection"):
         simulation = Simulation(
-            mechanisms.named("chain of balls"),
-            method="rkmk4",
-            step=4e-3,
-            group="se3",
-            stabilisation=stabilisation,
+            mechanisms.named("chain of balls"), method="rkmk4", step=4e-3, group="se3", stabilisation=stabilisation
         )
         simulation.advance(1000)
         runs[stabilisation] = simulation.sample().constraint_residual
@@ -238,15 +222,9 @@ def test_baumgarte_bounds_the_drift_of_a_long_run():
 @pytest.mark.parametrize(
     "setting, text",
     [
-        (
-            {"stabilisation": "gear"},
-            "unknown stabilisation 'gear'; choose one of: none, projection, baum",
-        ),
+        ({"stabilisation": "gear"}, "unknown stabilisation 'gear'; choose one of: none, projection, baum"),
         ({"baumgarte_time": 0.1}, "requires stabilisation 'baumgarte', got 'none'"),
-        (
-            {"stabilisation": "baumgarte", "baumgarte_time": 0.0},
-            r"at least one step \(0.001 s\), got 0",
-        ),
+        ({"stabilisation": "baumgarte", "baumgarte_time": 0.0}, r"at least one step \(0.001 s\), got 0"),
         ({"stabilisation": "baumgarte", "baumgarte_time": float("nan")}, "at least one step"),
         ({"stabilisation": "baumgarte", "baumgarte_time": "1"}, "at least one step"),
     ],

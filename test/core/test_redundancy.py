@@ -32,13 +32,7 @@ def bar(name, start, end, rate=0.0, start_velocity=(0.0, 0.0), mass=1.0):
 
 
 def hinge(name, parent, child, offset, kind="revolute"):
-    return Joint(
-        name=name,
-        type=kind,
-        parent=parent,
-        child=child,
-        child_frame=Frame(position=(offset, 0.0, 0.0)),
-    )
+    return Joint(name=name, type=kind, parent=parent, child=child, child_frame=Frame(position=(offset, 0.0, 0.0)))
 
 
 def parallelogram(angle, rate, kinds=("revolute",) * 4, gravity=(0.0, 0.0, 0.0)):
@@ -139,11 +133,7 @@ def test_coaxial_revolute_joints_are_redundant():
         joints=[
             hinge("low", "world", "door", -0.5),
             Joint(
-                name="high",
-                type="revolute",
-                parent="world",
-                child="door",
-                child_frame=Frame(position=(-0.5, 0, 0.7)),
+                name="high", type="revolute", parent="world", child="door", child_frame=Frame(position=(-0.5, 0, 0.7))
             ),
         ],
     )
@@ -203,9 +193,7 @@ def test_rattle_on_links_passes_flat_poses():
     for angle in (0.5, 0.37, 1.0):
         for rate in (1.0, 3.0):
             for step in (7e-4, 1e-3, 2e-3):
-                simulation = Engine(
-                    parallelogram(angle, rate), "constrained_rattle", step, "relative", quiet=True
-                )
+                simulation = Engine(parallelogram(angle, rate), "constrained_rattle", step, "relative", quiet=True)
                 start = simulation.energy()
                 try:
                     simulation.advance(round(6.0 / rate / step))

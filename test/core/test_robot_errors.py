@@ -151,9 +151,7 @@ OWN = '<inertial pos="0 0 0.5" mass="2" diaginertia="1 1 1"/>'
         (OWN, "", 'inertiafromgeom="true"', None),
     ],
 )
-def test_a_mesh_of_mjcf_may_be_missing_unless_a_mass_follows_from_it(
-    inertial, mass, rule, expected, tmp_path
-):
+def test_a_mesh_of_mjcf_may_be_missing_unless_a_mass_follows_from_it(inertial, mass, rule, expected, tmp_path):
     path = tmp_path / "mesh.xml"
     path.write_text(MESHES.format(inertial=inertial, mass=mass, rule=rule))
     if expected is None:
@@ -216,9 +214,7 @@ def test_arguments_of_xacro(tmp_path):
     beside.write_text("robot: two.urdf.xacro\nxacro: {m: 2.5, length: 1}\n")
     (body,) = load_scene(beside).bodies
     assert (body.mass, body.com) == (2.5, (0.5, 0.0, 0.0))
-    with pytest.raises(
-        SceneError, match="'lenght' is not used by the file; did you mean \"length\"?"
-    ):
+    with pytest.raises(SceneError, match="'lenght' is not used by the file; did you mean \"length\"?"):
         scene_from_robot(path, Options(xacro={"lenght": "3"}))
     beside.write_text("robot: two.urdf.xacro\nxacro: {m: [1]}\n")
     assert refusal(beside).startswith(f"{beside}:2: xacro must have one text, number")
@@ -294,11 +290,7 @@ LARGE = {
     "long name": ("", f'<link name="{"x" * (9 * 10**6)}"/>', ""),
     "many elements": ("", "<a/>" * 400_000, ""),
     "too many elements": ("", "<a/>" * (16 * 10**6), "has more than 500000 elements"),
-    "too many attributes": (
-        "",
-        "<a " + " ".join(f"a{k}=''" for k in range(600_000)) + "/>",
-        "more",
-    ),
+    "too many attributes": ("", "<a " + " ".join(f"a{k}=''" for k in range(600_000)) + "/>", "more"),
     "too large": ("", f"<a>{'x' * (65 * 2**20)}</a>", "is larger than 64 MiB"),
 }
 
@@ -309,9 +301,7 @@ def test_a_large_file_takes_bounded_memory(kind, what, tmp_path):
     head, content, said = LARGE[what]
     path = tmp_path / f"robot.{kind}"
     path.write_text(head + OPENINGS[kind].format(content))
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", MEASURE, str(path)], capture_output=True, text=True, timeout=60
-    )
+    done = subprocess.run([sys.executable, "-P", "-c", MEASURE, str(path)], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr[-500:]
     memory, text = done.stdout.split("\n", 1)
     text = text.strip()
@@ -361,16 +351,13 @@ def test_locks_must_fit_their_coupling(tmp_path):
     path = mimic_urdf(tmp_path)
     with pytest.raises(SceneError, match="lock: near at 0.5 and drive at 0.1 contradict"):
         scene_from_robot(path, Options(lock={"near": 0.5, "drive": 0.1}))
-    assert not scene_from_robot(
-        path, Options(lock={"near": 0.07, "drive": 0.1}, base="floating")
-    ).joints
+    assert not scene_from_robot(path, Options(lock={"near": 0.07, "drive": 0.1}, base="floating")).joints
 
 
 def test_group_states_have_joints_of_the_robot(tmp_path):
     path, srdf = mimic_urdf(tmp_path), tmp_path / "hand.srdf"
     srdf.write_text(
-        '<robot name="hand"><group_state name="open" group="g"><joint name="drve" value="1"/>'
-        "</group_state></robot>"
+        '<robot name="hand"><group_state name="open" group="g"><joint name="drve" value="1"/></group_state></robot>'
     )
     with pytest.raises(SceneError, match='group state "open": the robot has no joint drve'):
         scene_from_robot(path, Options(srdf=srdf))
@@ -423,9 +410,7 @@ def test_any_value_beside_a_robot_loads_or_has_one_line(tmp_path):
     (tmp_path / "five_bar.urdf").write_text(five_bar_urdf())
     path = tmp_path / "beside.yaml"
     # Values of keys: lists of numbers, mappings without further ones, words.
-    places = [
-        found.span(1) for found in re.finditer(r": (\[[^\]]*\]|\{[^{}]*\}|[^\s,{}]+)", BESIDE)
-    ]
+    places = [found.span(1) for found in re.finditer(r": (\[[^\]]*\]|\{[^{}]*\}|[^\s,{}]+)", BESIDE)]
     refused = 0
     for start, end in places:
         for value in VALUES:
@@ -446,9 +431,7 @@ def test_a_spring_between_a_link_and_one_that_stays(tmp_path):
         "parent: ground, parent_point: [1, 2, 3], child: left, child_point: [4, 5, 6]",
         "child: ground, child_point: [1, 2, 3], parent: left, parent_point: [4, 5, 6]",
     ):
-        path.write_text(
-            f"robot: five_bar.urdf\nforces: [{{name: s, type: spring_damper, stiffness: 2, {ends}}}]\n"
-        )
+        path.write_text(f"robot: five_bar.urdf\nforces: [{{name: s, type: spring_damper, stiffness: 2, {ends}}}]\n")
         found.append(load_scene(path).forces[-1])
     assert found[0] == found[1] and found[0].parent == "world"
 
@@ -486,18 +469,8 @@ def test_misspelt_parts_of_urdf_are_noted(tmp_path):
         ('multiplier="-1"', 'multiplyer="-1"', "multiplyer in <mimic>", True),
         ('<axis xyz="0 1 0"/>', '<axis xyz="0 1 0" xzy="1"/>', "xzy in <axis>", True),
         ('<mass value="1"/>', '<mass value="1" vlaue="2"/>', "vlaue in <mass>", True),
-        (
-            '<origin xyz="0.5 0 0"/> <axis',
-            '<origin xyz="0.5 0 0" rpj="1"/> <axis',
-            "rpj in <origin>",
-            True,
-        ),
-        (
-            '<origin xyz="0.5 0 0"/> <geom',
-            '<origin xyz="0.5 0 0" rpj="1"/> <geom',
-            "rpj in <origin>",
-            False,
-        ),
+        ('<origin xyz="0.5 0 0"/> <axis', '<origin xyz="0.5 0 0" rpj="1"/> <axis', "rpj in <origin>", True),
+        ('<origin xyz="0.5 0 0"/> <geom', '<origin xyz="0.5 0 0" rpj="1"/> <geom', "rpj in <origin>", False),
         ('<limit effort="1"/>', '<limit effort="1" current="3"/>', "current in <limit>", False),
     ],
 )
@@ -521,9 +494,7 @@ def test_unknown_parts_that_define_the_motion_change_it(tmp_path, old, new, part
     assert (found in scene.differences) is changes
 
 
-@pytest.mark.parametrize(
-    "kind, noted", [("revolute", True), ("prismatic", True), ("continuous", False)]
-)
+@pytest.mark.parametrize("kind, noted", [("revolute", True), ("prismatic", True), ("continuous", False)])
 def test_a_joint_without_its_limit_is_noted(tmp_path, kind, noted):
     path = tmp_path / "free.urdf"
     path.write_text(
@@ -536,9 +507,7 @@ def test_a_joint_without_its_limit_is_noted(tmp_path, kind, noted):
 
 
 def test_a_mimic_of_a_fixed_joint_holds_nothing(tmp_path):
-    text = five_bar_urdf().replace(
-        '<child link="left_end"/>', '<child link="left_end"/><mimic joint="left_crank"/>'
-    )
+    text = five_bar_urdf().replace('<child link="left_end"/>', '<child link="left_end"/><mimic joint="left_crank"/>')
     path = tmp_path / "five_bar.urdf"
     path.write_text(text)
     scene = load_scene(path)
@@ -556,9 +525,7 @@ def test_a_start_outside_the_limits_is_noted(tmp_path):
     ):
         scene = scene_from_robot(path, Options(start={"shoulder": shoulder, "extend": extend}))
         head = "start outside the joint limits: "
-        assert [
-            note.removeprefix(head) for note in scene.notes if note.startswith(head)
-        ] == expected
+        assert [note.removeprefix(head) for note in scene.notes if note.startswith(head)] == expected
 
 
 def test_damping_of_a_light_link_is_noted_with_its_time(tmp_path):
@@ -578,11 +545,7 @@ def test_damping_of_a_light_link_is_noted_with_its_time(tmp_path):
             for name in expected
         ]
         simulation = Simulation(
-            scene_from_robot(
-                path, Options(start_velocity={"turn": 1.0}, gravity=(0.0, 0.0, -1e-9))
-            ),
-            "rkmk8",
-            1e-6,
+            scene_from_robot(path, Options(start_velocity={"turn": 1.0}, gravity=(0.0, 0.0, -1e-9))), "rkmk8", 1e-6
         )
         simulation.advance(20)
         decayed = simulation.sample().twists["rod"][2]
@@ -600,11 +563,7 @@ def test_a_point_mass_on_axes_that_meet_is_noted(tmp_path):
     joints = "".join(
         f'<joint name="{child}" type="continuous"><parent link="{parent}"/><child link="{child}"/>'
         f'<axis xyz="{axis}"/><dynamics damping="1"/></joint>'
-        for parent, child, axis in (
-            ("base", "yaw", "0 0 1"),
-            ("yaw", "pitch", "0 1 0"),
-            ("pitch", "roll", "1e-3 0 1"),
-        )
+        for parent, child, axis in (("base", "yaw", "0 0 1"), ("yaw", "pitch", "0 1 0"), ("pitch", "roll", "1e-3 0 1"))
     )
     path.write_text(f'<robot name="neck"><link name="base"/>{links}{joints}</robot>')
     noted = []
@@ -662,9 +621,7 @@ def test_names_that_yaml_takes_for_values(tmp_path):
 
 def test_included_models_that_are_missing_have_a_line(tmp_path):
     path = tmp_path / "w.sdf"
-    path.write_text(
-        '<sdf version="1.9"><world name="w">\n<include><uri>model://nope</uri></include></world></sdf>'
-    )
+    path.write_text('<sdf version="1.9"><world name="w">\n<include><uri>model://nope</uri></include></world></sdf>')
     assert refusal(path).startswith(f"{path}:2: ")
 
 
@@ -700,9 +657,7 @@ def test_start_values_that_a_loop_cannot_keep_are_refused_with_the_nearest(tmp_p
     # The values of the line are kept.
     nearest = dict(re.findall(r"(\w+) (-?[\d.]+)[,)]?", text.rpartition("nearest ones: ")[2]))
     assert set(nearest) == set(names)
-    path.write_text(
-        LOOP.format(str({name: float(nearest[name]) for name in names}).replace("'", ""))
-    )
+    path.write_text(LOOP.format(str({name: float(nearest[name]) for name in names}).replace("'", "")))
     load_scene(path)
     with pytest.raises(SceneError, match=r"five_bar.urdf: --start \"left_"):
         scene_from_robot(
@@ -776,9 +731,7 @@ def test_a_loop_that_cannot_close_names_the_closing_joint(tmp_path):
 
 
 def test_a_coordinate_is_of_joints_that_have_one(tmp_path):
-    with pytest.raises(
-        SceneError, match=r'joints\[0\] "j": coordinate cannot be given for a spher'
-    ):
+    with pytest.raises(SceneError, match=r'joints\[0\] "j": coordinate cannot be given for a spher'):
         scene_from_text(
             "name: s\ngravity: [0, 0, 0]\nassemble: true\n"
             "bodies: [{name: a, mass: 1, inertia: [1, 1, 1]}]\n"
@@ -790,18 +743,12 @@ def test_a_coordinate_is_of_joints_that_have_one(tmp_path):
 @pytest.mark.parametrize(
     "options, message",
     [
-        (
-            {"stops": ["tip"]},
-            'stops: joint "tip" cannot have stops; joints with .* limits .*: elbow$',
-        ),
+        ({"stops": ["tip"]}, 'stops: joint "tip" cannot have stops; joints with .* limits .*: elbow$'),
         (
             {"stops": ["elbow"], "driven": {"elbow": None}},
             'stops: joint "elbow" cannot have stops; .* unless driven: there are none$',
         ),
-        (
-            {"friction": ["tip"]},
-            'friction: joint "tip" cannot have friction; .* friction .*: elbow$',
-        ),
+        ({"friction": ["tip"]}, 'friction: joint "tip" cannot have friction; .* friction .*: elbow$'),
         ({"stops": ["elbo"]}, "stops: joint that moves 'elbo' is not in the robot; .*elbow"),
     ],
 )

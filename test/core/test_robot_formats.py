@@ -57,12 +57,7 @@ def test_frames_of_nested_models(tmp_path):
 
 @pytest.mark.parametrize(
     "version, flag, axis",
-    [
-        ("1.4", "", (0, 1, 0)),
-        ("1.6", "", (-1, 0, 0)),
-        ("1.6", "1", (0, 1, 0)),
-        ("1.7", "", (-1, 0, 0)),
-    ],
+    [("1.4", "", (0, 1, 0)), ("1.6", "", (-1, 0, 0)), ("1.6", "1", (0, 1, 0)), ("1.7", "", (-1, 0, 0))],
 )
 def test_axes_of_older_files(version, flag, axis, tmp_path):
     """The joint is turned by 90 degrees about z: its y axis is -x of the model."""
@@ -160,9 +155,7 @@ def test_loops_and_welds_of_mjcf(tmp_path):
     poses = simulation.sample().poses
     weight = np.linalg.inv(poses["crank"]) @ poses["weight"]
     assert weight[:3, 3] == pytest.approx((0, 1.2, 0), abs=1e-9)
-    assert poses["coupler"] @ (1, 0, 0, 1) == pytest.approx(
-        poses["rocker"] @ (0, 1, 0, 1), abs=1e-9
-    )
+    assert poses["coupler"] @ (1, 0, 0, 1) == pytest.approx(poses["rocker"] @ (0, 1, 0, 1), abs=1e-9)
     # A joint equality without a second joint holds the first one.
     path.write_text(FOUR_BAR.format(more='<joint joint1="a" polycoef="0 0 0 0 0"/>'))
     assert "locked: joint a at 0" in load_scene(path).notes
@@ -242,10 +235,7 @@ def test_group_states_of_srdf(tmp_path):
 
 @pytest.mark.parametrize("virtual", [True, False])
 def test_a_group_state_has_the_pose_of_a_floating_root_link(virtual, tmp_path):
-    inertial = (
-        '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
-        "</inertial>"
-    )
+    inertial = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
     (tmp_path / "two.urdf").write_text(
         f'<robot name="two"><link name="leg">{inertial}</link><link name="root">{inertial}</link>'
         '<joint name="hip" type="continuous"><parent link="root"/><child link="leg"/></joint></robot>'
@@ -302,9 +292,7 @@ def test_models_of_a_world_have_poses_relative_to_each_other(tmp_path):
     found = {body.name: body.position for body in scene.bodies}
     assert found == {"m__a": (1.0, 0.0, 2.0), "n__a": (1.0, 3.0, 2.0)}
     with pytest.raises(SceneError, match=r"\.sdf:\d+: frame 'nope' does not exist"):
-        load_scene(
-            sdf(tmp_path, world(text + model("o", '<pose relative_to="nope">0 0 0 0 0 0</pose>')))
-        )
+        load_scene(sdf(tmp_path, world(text + model("o", '<pose relative_to="nope">0 0 0 0 0 0</pose>'))))
     # The links of the only model of a world have no prefix.
     scene = load_scene(sdf(tmp_path, world(model("m", '<pose relative_to="F">1 0 0 0 0 0</pose>'))))
     assert scene.bodies[0].name == "a" and scene.bodies[0].position == (1.0, 0.0, 2.0)
@@ -325,14 +313,8 @@ def test_joints_of_a_world_connect_its_models(tmp_path):
 SHAPES = {
     "<box><size>0.1 0.2 0.4</size></box>": (0.008, (0.2 / 12, 0.17 / 12, 0.05 / 12)),
     "<sphere><radius>0.2</radius></sphere>": (4 / 3 * np.pi * 0.008, (0.016,) * 3),
-    "<cylinder><radius>0.2</radius><length>0.6</length></cylinder>": (
-        np.pi * 0.04 * 0.6,
-        (0.04, 0.04, 0.02),
-    ),
-    "<ellipsoid><radii>0.1 0.2 0.4</radii></ellipsoid>": (
-        4 / 3 * np.pi * 0.008,
-        (0.04, 0.034, 0.01),
-    ),
+    "<cylinder><radius>0.2</radius><length>0.6</length></cylinder>": (np.pi * 0.04 * 0.6, (0.04, 0.04, 0.02)),
+    "<ellipsoid><radii>0.1 0.2 0.4</radii></ellipsoid>": (4 / 3 * np.pi * 0.008, (0.04, 0.034, 0.01)),
 }
 
 
@@ -352,16 +334,12 @@ def test_automatic_inertias_follow_from_the_collision_shapes(shape, tmp_path):
     assert body.inertia[:3] == pytest.approx(500 * volume * np.array(moments), rel=1e-13)
     # Two shapes in the same place, one with a density of its own, scaled to a given mass.
     second = f'<collision name="d"><density>1500</density><geometry>{shape}</geometry></collision>'
-    text = text.replace("</link>", f"{second}</link>").replace(
-        "<density>500", "<mass>8</mass><density>500"
-    )
+    text = text.replace("</link>", f"{second}</link>").replace("<density>500", "<mass>8</mass><density>500")
     body = load_scene(sdf(tmp_path, text, "1.11")).bodies[0]
     assert (body.mass, body.com) == (pytest.approx(8, rel=1e-14), pytest.approx((0.25, 0, 0)))
     assert body.inertia[1] == pytest.approx(8 * moments[1] + 8 * 0.25 * 0.75, rel=1e-13)
     mesh = text.replace(shape, "<mesh><uri>a.stl</uri></mesh>")
-    with pytest.raises(
-        SceneError, match='inertia of link "a" is automatic, and not known for this'
-    ):
+    with pytest.raises(SceneError, match='inertia of link "a" is automatic, and not known for this'):
         load_scene(sdf(tmp_path, mesh, "1.11"))
 
 
@@ -468,9 +446,7 @@ def test_model_config_names_the_file_of_a_model(tmp_path, monkeypatch):
 )
 def test_stops_of_sdf_are_compliant_if_they_are_not_its_defaults(stop, expected, tmp_path):
     """1e8 N m/rad and 1 N m s/rad are the defaults of <limit>."""
-    axis = (
-        f"<axis><xyz>0 1 0</xyz><limit><lower>-0.3</lower><upper>0.6</upper>{stop}</limit></axis>"
-    )
+    axis = f"<axis><xyz>0 1 0</xyz><limit><lower>-0.3</lower><upper>0.6</upper>{stop}</limit></axis>"
     text = (
         f'<model name="m"><link name="l">{INERTIAL}</link><joint name="w" type="revolute">'
         f"<parent>world</parent><child>l</child>{axis}</joint></model>"

@@ -57,12 +57,7 @@ def tool_wrench(sample, body="tool"):
 def test_a_fixed_joint_that_is_kept_has_its_reaction_and_changes_no_motion(tmp_path):
     path = arm(tmp_path)
     kept, merged = (
-        sampled(
-            scene_of(
-                path, Options(start={"shoulder": 0.3}, start_velocity={"shoulder": 2.0}, keep=k)
-            ),
-            200,
-        )
+        sampled(scene_of(path, Options(start={"shoulder": 0.3}, start_velocity={"shoulder": 2.0}, keep=k)), 200)
         for k in (["wrist"], [])
     )
     assert set(kept.reactions) == {"shoulder", "wrist"} and set(merged.reactions) == {"shoulder"}
@@ -73,13 +68,10 @@ def test_a_fixed_joint_that_is_kept_has_its_reaction_and_changes_no_motion(tmp_p
 
 
 def test_a_base_that_is_fixed_to_the_world_shows_what_it_carries(tmp_path):
-    text = ARM.format(more="").replace(
-        '<link name="base"/>', '<link name="floor"/><link name="base"/>'
-    )
+    text = ARM.format(more="").replace('<link name="base"/>', '<link name="floor"/><link name="base"/>')
     text = text.replace(
         '<joint name="shoulder"',
-        '<joint name="foot" type="fixed"><parent link="floor"/><child link="base"/></joint>'
-        '<joint name="shoulder"',
+        '<joint name="foot" type="fixed"><parent link="floor"/><child link="base"/></joint><joint name="shoulder"',
         1,
     )
     path = tmp_path / "stand.urdf"
@@ -88,9 +80,7 @@ def test_a_base_that_is_fixed_to_the_world_shows_what_it_carries(tmp_path):
     pressed = sample.reactions["shoulder"][3:]
     frame = sample.child_frames["shoulder"][:3, :3]
     onto = sample.poses["upper"][:3, :3] @ frame @ pressed
-    assert sample.poses["base"][:3, :3] @ sample.reactions["foot"][3:] == pytest.approx(
-        onto, abs=1e-12
-    )
+    assert sample.poses["base"][:3, :3] @ sample.reactions["foot"][3:] == pytest.approx(onto, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -155,9 +145,7 @@ SDF = """<sdf version="1.9"><model name="arm"><static>false</static>
 
 @pytest.mark.parametrize("frame", ["child", "parent", "sensor"])
 @pytest.mark.parametrize("direction, sign", [("child_to_parent", -1.0), ("parent_to_child", 1.0)])
-def test_a_force_torque_sensor_of_sdf_has_its_axes_its_point_and_its_sign(
-    tmp_path, frame, direction, sign
-):
+def test_a_force_torque_sensor_of_sdf_has_its_axes_its_point_and_its_sign(tmp_path, frame, direction, sign):
     """The torque is about the origin of the joint, in all axes."""
     path = tmp_path / "arm.sdf"
     path.write_text(SDF.format(frame=frame, direction=direction, more=""))
@@ -263,9 +251,7 @@ def test_sensors_beside_a_robot_name_its_links_and_joints(tmp_path, capsys):
     tip = sample.poses["tool"] @ [0, 0, 0.2, 1.0]
     assert sample.sensors["tip"][:3] == pytest.approx(tip[:3], abs=1e-15)
     assert sample.sensors["disc"] == pytest.approx([0.3], abs=1e-15)
-    assert sample.sensors["rope"][0] == pytest.approx(
-        np.linalg.norm(tip[:3] - [1, 0, 0]), abs=1e-14
-    )
+    assert sample.sensors["rope"][0] == pytest.approx(np.linalg.norm(tip[:3] - [1, 0, 0]), abs=1e-14)
     assert scene.sensors[2].seed == 4 and scene.sensors[2].body == "upper"
     # The scene that is written is the same.
     assert main(["import", str(path), "--out", str(tmp_path / "all.yaml")]) == 0

@@ -124,10 +124,7 @@ def test_an_arm_has_the_accelerations_of_the_scene_written_by_hand(kind, tmp_pat
     offset = np.array(hand.bodies[1].com) - np.array(scene.bodies[1].com)
     moved = found[1, 3:] + np.cross(found[1, :3], offset)
     assert np.allclose(moved, expected[1, 3:], rtol=1e-12, atol=1e-12)
-    assert {(force.joint, force.damping) for force in scene.forces} == {
-        ("shoulder", 0.7),
-        ("extend", 4.0),
-    }
+    assert {(force.joint, force.damping) for force in scene.forces} == {("shoulder", 0.7), ("extend", 4.0)}
 
 
 def test_notes_name_what_was_merged_and_left_out(tmp_path):
@@ -140,13 +137,7 @@ def test_notes_name_what_was_merged_and_left_out(tmp_path):
     assert "changes the motion: joint limits are not enforced: shoulder, extend" in text
     assert "changes the motion: joint friction is not simulated: shoulder" in text
     assert "left out: 1 transmission (drive)" in text
-    assert scene.joints[0].data == {
-        "friction": 0.1,
-        "lower": -1.0,
-        "upper": 2.0,
-        "effort": 10.0,
-        "velocity": 3.0,
-    }
+    assert scene.joints[0].data == {"friction": 0.1, "lower": -1.0, "upper": 2.0, "effort": 10.0, "velocity": 3.0}
 
 
 def test_the_text_of_a_robot_reads_back_bit_identical(tmp_path):
@@ -193,9 +184,7 @@ def test_start_values_poses_and_locked_joints(tmp_path):
     expected = {"x": 0.1, "y": 0.2, "turn": 0.7, "wrist": 0.4 - np.radians(20), "twist": 0.5}
     assert {name: home[name] for name in expected} == pytest.approx(expected, abs=1e-14)
     notes = [note for note in load_scene(path).notes if " ref " in note]
-    assert notes == [
-        "coordinate of joint wrist counts from ref 0.349066 of the file: qpos is larger by it"
-    ]
+    assert notes == ["coordinate of joint wrist counts from ref 0.349066 of the file: qpos is larger by it"]
     urdf = arm_in(tmp_path, "urdf")
     start = coordinates(scene_from_robot(urdf, Options(start={"shoulder": 0.3, "extend": -0.1})))
     assert start == pytest.approx({"shoulder": 0.3, "extend": -0.1}, abs=1e-14)
@@ -232,9 +221,7 @@ def test_start_velocities_of_trees(tmp_path):
 def test_a_keyframe_has_mujocos_velocities(tmp_path):
     mujoco = pytest.importorskip("mujoco")
     speeds = "0.5 -0.4 0.9  0 0 0  1.1 -0.7  0 0 0 0 0 0"  # of ball and free joints: none
-    text = MJCF_WITH_ALL_JOINTS.replace(
-        'qpos="0.1 0.2 0.3  1', f'qvel="{speeds}" qpos="0.1 0.2 0.3  1'
-    )
+    text = MJCF_WITH_ALL_JOINTS.replace('qpos="0.1 0.2 0.3  1', f'qvel="{speeds}" qpos="0.1 0.2 0.3  1')
     path = tmp_path / "all.xml"
     path.write_text(text)
     scene = scene_from_robot(path, Options(pose="home"))
@@ -264,14 +251,7 @@ def test_describe_says_what_an_import_saved(options, bodies, coordinates, tmp_pa
     assert (saved["file_coordinates"], saved["coordinates"]) == (3, coordinates)
 
 
-TIP = Joint(
-    name="tip",
-    type="revolute",
-    parent="left_end",
-    child="right_end",
-    parent_frame={},
-    child_frame={},
-)
+TIP = Joint(name="tip", type="revolute", parent="left_end", child="right_end", parent_frame={}, child_frame={})
 
 
 @pytest.mark.parametrize(
@@ -314,17 +294,12 @@ def test_start_velocities_of_a_loop(tmp_path):
     tip = (poses["left_bar"] @ (1.2, 0, 0, 1))[:3]
     elbows = [(poses[name] @ (1, 0, 0, 1))[:3] for name in ("left", "right")]
     feet = (np.zeros(3), np.array([1.0, 0.0, 0.0]))
-    speeds = [
-        np.cross((0, 0, rate), elbow - foot)
-        for rate, elbow, foot in zip(given.values(), elbows, feet)
-    ]
+    speeds = [np.cross((0, 0, rate), elbow - foot) for rate, elbow, foot in zip(given.values(), elbows, feet)]
     arms = np.array([tip - elbow for elbow in elbows])[:, :2]
     velocity = np.linalg.solve(arms, [arm @ speed[:2] for arm, speed in zip(arms, speeds)])
     for name in ("left_bar", "right_bar"):
         w, v = np.split(next(body.twist for body in scene.bodies if body.name == name), 2)
-        assert poses[name][:2, :3] @ (v + np.cross(w, (1.2, 0, 0))) == pytest.approx(
-            velocity, abs=1e-12
-        )
+        assert poses[name][:2, :3] @ (v + np.cross(w, (1.2, 0, 0))) == pytest.approx(velocity, abs=1e-12)
     given |= {"left_elbow": 0.0}
     path.write_text(CLOSED_FIVE_BAR.format(velocities=str(given).replace("'", "")))
     with pytest.raises(SceneError, match="contradict each other"):
@@ -338,9 +313,7 @@ def test_bases_and_chains(tmp_path):
     assert floating.bodies[0].mass == pytest.approx(4.1, rel=1e-15)
     only = scene_from_robot(urdf, Options(only=["upper"]))
     assert [body.name for body in only.bodies] == ["upper"]
-    assert any(
-        note.startswith("changes the motion: cut slide, tool, tip, 1.6 kg") for note in only.notes
-    )
+    assert any(note.startswith("changes the motion: cut slide, tool, tip, 1.6 kg") for note in only.notes)
 
 
 def test_a_yaml_file_closes_a_loop_and_adds_a_spring(tmp_path):
@@ -377,8 +350,7 @@ def test_errors_beside_a_robot_have_the_line_of_their_file(tmp_path):
         (2, "start: {left_cranc: 1}", 'did you mean "left_crank"'),
         (
             3,
-            "joints:\n  - {name: tip, type: revolute, parent: left_ends, child: right_end,"
-            " child_frame: {}}",
+            "joints:\n  - {name: tip, type: revolute, parent: left_ends, child: right_end, child_frame: {}}",
             "'left_ends' is not in the robot; did you mean \"left_end\"",
         ),
         (3, "forces:\n  - {name: a, type: drag, body: left, linear: -1}", "must not be negative"),
@@ -487,10 +459,7 @@ def test_couplings_beside_a_robot(tmp_path):
     assert scene.couplings[0].offset == pytest.approx(0.1 - 0.5 * 0.3, abs=1e-15)
     assert coordinates(scene) == pytest.approx({"shoulder": 0.3, "extend": 0.1}, abs=1e-14)
     for wrong, message in (
-        (
-            "joint: extent, other",
-            r"geared.yaml:4: couplings\[0\]: joint 'extent' is not in the robot",
-        ),
+        ("joint: extent, other", r"geared.yaml:4: couplings\[0\]: joint 'extent' is not in the robot"),
         ("name: 1a, joint: extend, other", "geared.yaml:4: .*name"),
     ):
         beside.write_text(
@@ -514,9 +483,7 @@ def test_joints_of_a_robot_are_driven(tmp_path):
     (tmp_path / "arm.urdf").write_text(ARM_URDF)
     beside = tmp_path / "beside.yaml"
     text = "robot: arm.urdf\nstart: {shoulder: 0.3}\nstart_velocity: {extend: 0.2}\n"
-    beside.write_text(
-        text + "driven:\n  extend:\n  shoulder: {times: [0, 1], positions: [0.3, -0.4]}\n"
-    )
+    beside.write_text(text + "driven:\n  extend:\n  shoulder: {times: [0, 1], positions: [0.3, -0.4]}\n")
     scene = load_scene(beside)
     joints = {joint.name: joint for joint in scene.joints}
     assert joints["extend"].driven and joints["extend"].motion is None
@@ -561,9 +528,7 @@ def test_the_root_link_of_a_floating_robot_stays_whatever_the_order(order, lock,
     path = tmp_path / "chain.urdf"
     path.write_text(f'<robot name="r">{"".join(LINKS[name] for name in order)}{CHAIN}</robot>')
     start = {name: value for name, value in {"j": 0.4, "k": 0.3}.items() if name not in lock}
-    options = Options(
-        base="floating", start=start, start_velocity=dict.fromkeys(start, 2.0), lock=lock
-    )
+    options = Options(base="floating", start=start, start_velocity=dict.fromkeys(start, 2.0), lock=lock)
     poses, twists = placed_links(scene_from_robot(path, options))
     assert np.allclose(poses["a"], np.eye(4), atol=1e-15) and not twists["a"].any()
     up = rotation(0, 0.4, 0) @ [0, 0, 1]
@@ -591,8 +556,6 @@ def test_a_root_link_called_world_does_not_float(tmp_path):
     links = "".join(LINKS.values())
     anchor = '<joint name="h" type="continuous"><parent link="world"/><child link="a"/></joint>'
     path.write_text(f'<robot name="r"><link name="world"/>{links}{anchor}{CHAIN}</robot>')
-    notes = [
-        note for note in scene_from_robot(path, Options(base="floating")).notes if "base" in note
-    ]
+    notes = [note for note in scene_from_robot(path, Options(base="floating")).notes if "base" in note]
     assert len(notes) == 1 and "the root link is called world" in notes[0]
     assert not any("base" in note for note in load_scene(path).notes)

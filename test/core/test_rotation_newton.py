@@ -29,11 +29,7 @@ def left_hand_side(kind, I, h, x, v, a, b):
         F, Jd = SO3.exp(x), np.trace(I) / 2 * np.eye(3) - I
         skew = F @ Jd - Jd @ F.T  # (c)^ , which is what RATTLE solves
         return np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
-    dexp = (
-        v
-        - (1 - np.cos(t)) / t**2 * np.cross(x, v)
-        + (t - np.sin(t)) / t**3 * np.cross(x, np.cross(x, v))
-    )
+    dexp = v - (1 - np.cos(t)) / t**2 * np.cross(x, v) + (t - np.sin(t)) / t**3 * np.cross(x, np.cross(x, v))
     return 2 / h * I @ x - I @ dexp - SO3.exp(x).T @ a - SO3.exp(x / 2).T @ b
 
 
@@ -51,9 +47,7 @@ def test_residuals_and_derivatives_of_the_implicit_equations(kind):
             d[k] = 1e-5
             ends = [left_hand_side(kind, I, h, x + sign * d, v, a, b) for sign in (1, -1)]
             found = np.array(slope).reshape(3, 3)[:, k]
-            assert np.abs((ends[0] - ends[1]) / 2e-5 - found).max() <= 1e-7 * (
-                1 + np.abs(slope).max()
-            )
+            assert np.abs((ends[0] - ends[1]) / 2e-5 - found).max() <= 1e-7 * (1 + np.abs(slope).max())
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -66,11 +60,7 @@ def test_newton_converges_to_round_off(kind):
         h = rng.uniform(0.01, 0.9) / np.linalg.norm(w)
         y = I @ w
         zero = (0.0, 0.0, 0.0)
-        start, a, c = {
-            GYROSCOPIC: (w, zero, y),
-            RATTLE: (h * w, zero, h * y),
-            INCREMENT: (h * w, y, y),
-        }[kind]
+        start, a, c = {GYROSCOPIC: (w, zero, y), RATTLE: (h * w, zero, h * y), INCREMENT: (h * w, y, y)}[kind]
         flat = tuple(I.ravel())
         x, found = newton(kind, flat, h, tuple(start), zero, tuple(a), zero, tuple(c))
         assert found

@@ -35,10 +35,7 @@ from liegroup_core.scene import load as load_module
 from liegroup_core.scene.keys import PARTS, key_tables
 
 GOOD = (Path(__file__).parent / "rig.yaml").read_text(encoding="utf-8")
-PARSERS = sorted(
-    {yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader)},
-    key=lambda parser: parser.__name__,
-)
+PARSERS = sorted({yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader)}, key=lambda parser: parser.__name__)
 
 
 @pytest.fixture(params=PARSERS, ids=lambda parser: parser.__name__)
@@ -119,9 +116,7 @@ def test_lists_without_a_value_are_empty(parser):
 
 
 def test_aliases_stand_for_what_they_name(parser):
-    text = GOOD.replace("inertia: [1.0", "inertia: &i [1.0").replace(
-        "[0.1, 0.5, 0.5, 0.01, 0, 0]", "*i"
-    )
+    text = GOOD.replace("inertia: [1.0", "inertia: &i [1.0").replace("[0.1, 0.5, 0.5, 0.01, 0, 0]", "*i")
     first, second = scene_from_text(text).bodies
     assert first.inertia == second.inertia == (1.0, 1.1, 1.2)
 
@@ -149,17 +144,13 @@ def test_a_quaternion_is_normalised_but_written_back_unchanged():
 
 
 def test_twist_is_angular_first():
-    body = Body(
-        name="b", mass=1, inertia=[1, 1, 1], angular_velocity=[1, 2, 3], linear_velocity=[4, 5, 6]
-    )
+    body = Body(name="b", mass=1, inertia=[1, 1, 1], angular_velocity=[1, 2, 3], linear_velocity=[4, 5, 6])
     np.testing.assert_array_equal(body.twist, [1, 2, 3, 4, 5, 6])
 
 
 def test_inertia_lists_the_diagonal_then_xy_xz_yz():
     body = Body(name="b", mass=1, inertia=[2.0, 3.0, 4.0, 0.1, 0.2, 0.3])
-    np.testing.assert_array_equal(
-        body.inertia_matrix, [[2.0, 0.1, 0.2], [0.1, 3.0, 0.3], [0.2, 0.3, 4.0]]
-    )
+    np.testing.assert_array_equal(body.inertia_matrix, [[2.0, 0.1, 0.2], [0.1, 3.0, 0.3], [0.2, 0.3, 4.0]])
 
 
 @pytest.mark.parametrize(
@@ -280,22 +271,11 @@ def made_in_code(**changes):
         "gravity": np.array([0, 0, -9.81]),
         "bodies": [Body(name="a", mass=np.float32(1.5), inertia=np.ones(3), position=(1, 0, 0))],
         "joints": [
-            Joint(
-                name="j",
-                type="spherical",
-                parent="world",
-                child="a",
-                child_frame=Frame(position=[-1, 0, 0]),
-            )
+            Joint(name="j", type="spherical", parent="world", child="a", child_frame=Frame(position=[-1, 0, 0]))
         ],
         "forces": [
             SpringDamper(
-                name="s",
-                parent="world",
-                parent_point=[0, 0, 1],
-                child="a",
-                child_point=[0, 0, 0],
-                stiffness=100,
+                name="s", parent="world", parent_point=[0, 0, 1], child="a", child_point=[0, 0, 0], stiffness=100
             )
         ],
     }
@@ -323,14 +303,8 @@ def test_every_joint_kind_survives_a_text_round_trip():
 @pytest.mark.parametrize(
     "make, message",
     [
-        (
-            lambda: Body(name="top", mass=-1, inertia=[1, 1, 1]),
-            'Body "top": mass must be greater than 0, got -1',
-        ),
-        (
-            lambda: Body(mass=1, inertia=[1, 1, 1]),
-            "Body: name is missing: give the name: a letter,",
-        ),
+        (lambda: Body(name="top", mass=-1, inertia=[1, 1, 1]), 'Body "top": mass must be greater than 0, got -1'),
+        (lambda: Body(mass=1, inertia=[1, 1, 1]), "Body: name is missing: give the name: a letter,"),
         (lambda: Frame(axis=[0, 0, 0]), "Frame: axis must not be zero"),
         (
             lambda: Joint(name="j", type="hinge", parent="world", child="a", child_frame=Frame()),
@@ -347,12 +321,7 @@ def test_every_joint_kind_survives_a_text_round_trip():
         ),
         (
             lambda: DistanceJoint(
-                name="j",
-                parent="world",
-                child="a",
-                child_frame=Frame(),
-                parent_frame=Frame(),
-                length=0,
+                name="j", parent="world", child="a", child_frame=Frame(), parent_frame=Frame(), length=0
             ),
             'DistanceJoint "j": length must be greater than 0, got 0',
         ),
@@ -369,14 +338,8 @@ def test_every_joint_kind_survives_a_text_round_trip():
             lambda: made_in_code(bodies=[{"name": "a", "mass": 10**5000, "inertia": [1, 1, 1]}]),
             'bodies[0] "a": mass must be finite, got a value of type int',
         ),
-        (
-            lambda: made_in_code(forces=[made_in_code().joints[0]]),
-            'forces[0] "j": must be a mapping',
-        ),
-        (
-            lambda: made_in_code().model_copy(update={"gravity": (0, 0)}),
-            "gravity must have 3 numbers",
-        ),
+        (lambda: made_in_code(forces=[made_in_code().joints[0]]), 'forces[0] "j": must be a mapping'),
+        (lambda: made_in_code().model_copy(update={"gravity": (0, 0)}), "gravity must have 3 numbers"),
     ],
 )
 def test_wrong_values_in_code_raise_scene_error(make, message):
@@ -409,9 +372,7 @@ VECTOR = st.tuples(FINITE, FINITE, FINITE)
     twist=st.tuples(VECTOR, VECTOR),
     description=st.text(max_size=40),
 )
-def test_numbers_and_text_survive_a_round_trip_bit_for_bit(
-    mass, gravity, position, twist, description
-):
+def test_numbers_and_text_survive_a_round_trip_bit_for_bit(mass, gravity, position, twist, description):
     body = Body(
         name="true",
         mass=mass,
@@ -430,9 +391,7 @@ def test_numbers_and_text_survive_a_round_trip_bit_for_bit(
 
 def test_every_field_of_a_scene_is_in_the_tables_of_keys():
     def leaves(model):
-        return {model}.union(*map(leaves, model.__subclasses__())) - (
-            {model} if model.__subclasses__() else set()
-        )
+        return {model}.union(*map(leaves, model.__subclasses__())) - ({model} if model.__subclasses__() else set())
 
     models = [model for models in PARTS.values() for model in models]
     assert leaves(Described) == {*models}
@@ -465,6 +424,4 @@ def test_the_scene_examples_in_the_documentation_load():
     names = {}
     exec(code, names)
     left_out = {"description"}
-    assert scene_from_text(written).model_dump(exclude=left_out) == names["scene"].model_dump(
-        exclude=left_out
-    )
+    assert scene_from_text(written).model_dump(exclude=left_out) == names["scene"].model_dump(exclude=left_out)

@@ -10,12 +10,7 @@ from liegroup_core.scene import check_consistency
 from liegroup_core.scene.library import chain, four_bar_windows
 
 # Steps for which the error of order 4 of each scene is small, s; the rest take 1 ms.
-STEPS = {
-    "four_bar": 1e-4,
-    "lagrangian_top": 2e-4,
-    "andrews_squeezer": 2e-6,
-    "flyball_governor": 5e-5,
-}
+STEPS = {"four_bar": 1e-4, "lagrangian_top": 2e-4, "andrews_squeezer": 2e-6, "flyball_governor": 5e-5}
 
 
 @each_scene
@@ -30,9 +25,7 @@ def test_an_example_scene_satisfies_constraints_and_conserves_energy(path):
     last = simulation.sample()
     assert last.constraint_residual <= 1e-7
     fed = any(joint.driven or joint.friction for joint in scene.joints)
-    fed = fed or any(
-        force.type == "motor" or getattr(force, "damping", 0.0) for force in scene.forces
-    )
+    fed = fed or any(force.type == "motor" or getattr(force, "damping", 0.0) for force in scene.forces)
     if not fed:
         masses = np.array([body.mass for body in scene.bodies])
         # of what the scene has of energy: its motion, or the fall through its own size
@@ -43,21 +36,12 @@ def test_an_example_scene_satisfies_constraints_and_conserves_energy(path):
 
 @pytest.mark.parametrize(
     "name, made",
-    [
-        ("ball_chain", chain(10)),
-        ("hinge_chain", chain(10, "revolute")),
-        ("n_four_bar", four_bar_windows(2)),
-    ],
+    [("ball_chain", chain(10)), ("hinge_chain", chain(10, "revolute")), ("n_four_bar", four_bar_windows(2))],
 )
 def test_example_files_equal_the_library_scenes(name, made):
     scene = load_scene(name)
     for mine, theirs in zip(made.bodies, scene.bodies):
-        assert (mine.name, mine.mass, mine.inertia, mine.com) == (
-            theirs.name,
-            theirs.mass,
-            theirs.inertia,
-            theirs.com,
-        )
+        assert (mine.name, mine.mass, mine.inertia, mine.com) == (theirs.name, theirs.mass, theirs.inertia, theirs.com)
         np.testing.assert_allclose(mine.pose, theirs.pose, atol=1e-15)
         np.testing.assert_allclose(mine.twist, theirs.twist, atol=1e-15)
     assert [(j.name, j.type, j.parent, j.child) for j in made.joints] == [

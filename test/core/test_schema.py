@@ -40,11 +40,7 @@ def test_every_example_scene_validates(path):
 def test_every_key_has_a_description():
     """Every key of every model has a description, which editors show."""
     schema = scene_schema()
-    for model in (
-        "Body",
-        "Frame",
-        *(kind.__name__ for kind in (*JOINTS, *FORCES, *SENSORS, *SHAPES)),
-    ):
+    for model in ("Body", "Frame", *(kind.__name__ for kind in (*JOINTS, *FORCES, *SENSORS, *SHAPES))):
         for key, part in schema["$defs"][model]["properties"].items():
             assert part["description"], (model, key)
 

@@ -64,9 +64,7 @@ def test_an_imu_at_a_point_of_a_pendulum():
     values = read(scene)["s0"]
     turning = -2.0 * G * LENGTH * np.sin(angle) / (0.3 + 2.0 * LENGTH**2)
     # In the axes of the rod, x across and z up: positions (0, 0, -p) turn with rate about y.
-    in_rod = np.array([-turning * p, 0, rate**2 * p]) + G * np.array(
-        [-np.sin(angle), 0, np.cos(angle)]
-    )
+    in_rod = np.array([-turning * p, 0, rate**2 * p]) + G * np.array([-np.sin(angle), 0, np.cos(angle)])
     quarter = Rotation.from_euler("z", np.pi / 2)
     assert values[7:] == pytest.approx(quarter.inv().apply(in_rod), abs=1e-13)
     assert values[4:7] == pytest.approx(quarter.inv().apply([0, rate, 0]), abs=1e-15)
@@ -215,9 +213,7 @@ def test_noise_depends_on_seed_sensor_and_step_only():
     first.advance(7)
     for _ in range(7):
         second.advance(1)
-        assert second.sample().sensors["s0"][9] != first.sample().sensors["s0"][9] or (
-            second.steps == 7
-        )
+        assert second.sample().sensors["s0"][9] != first.sample().sensors["s0"][9] or (second.steps == 7)
     for name, values in first.sample().sensors.items():
         assert np.array_equal(values, second.sample().sensors[name])
     other = pendulum({**NOISY[0], "seed": 1})
@@ -231,19 +227,13 @@ def test_noise_depends_on_seed_sensor_and_step_only():
 @pytest.mark.parametrize(
     "sensor, message",
     [
-        (
-            {"type": "imu", "body": "rot"},
-            "sensors[0] \"s0\": body 'rot' is not a body; choose one of: rod",
-        ),
+        ({"type": "imu", "body": "rot"}, "sensors[0] \"s0\": body 'rot' is not a body; choose one of: rod"),
         ({"type": "imu", "body": "world"}, "is not a body"),
         ({"type": "encoder", "joint": "hing"}, "joint 'hing' is not a joint; did you mean"),
         ({"type": "imu", "body": "rod", "name": "hinge"}, "this name is already used"),
         ({"type": "gps", "body": "rod"}, "force_torque"),
         ({"type": "imu", "body": "rod", "seed": -1}, "0 to 4294967295, got -1"),
-        (
-            {"type": "imu", "body": "rod", "frame": {"axis": [0, 0, 0]}},
-            "zero: give the direction of the axis, got",
-        ),
+        ({"type": "imu", "body": "rod", "frame": {"axis": [0, 0, 0]}}, "zero: give the direction of the axis, got"),
         ({"type": "encoder", "joint": "hinge", "seed": 1}, "unknown key 'seed'"),
         ({"type": "imu", "body": "rod", "acceleration_noise": -1.0}, "not be negative"),
         ({"type": "distance", "parent": "rod", "child": "rod"}, "they must differ"),
@@ -261,9 +251,7 @@ def test_an_encoder_needs_a_joint_with_one_coordinate():
         name="ball",
         gravity=(0, 0, 0),
         bodies=[{"name": "b", "mass": 1.0, "inertia": [1, 1, 1]}],
-        joints=[
-            {"name": "j", "type": "spherical", "parent": "world", "child": "b", "child_frame": {}}
-        ],
+        joints=[{"name": "j", "type": "spherical", "parent": "world", "child": "b", "child_frame": {}}],
     )
     with pytest.raises(SceneError, match="no single angle or displacement: use a pose sensor"):
         Scene(**ball, sensors=[{"name": "e", "type": "encoder", "joint": "j"}])

@@ -63,11 +63,7 @@ def law(mass, stiffness, damping):
     def after(state, position, velocity, t):
         matrix = np.zeros((3, 3))
         matrix[0, 1] = 1.0
-        matrix[1] = (
-            -stiffness / mass,
-            -damping / mass,
-            (stiffness * position + damping * velocity) / mass,
-        )
+        matrix[1] = (-stiffness / mass, -damping / mass, (stiffness * position + damping * velocity) / mass)
         return (expm(matrix * t) @ [*state, 1.0])[:2]
 
     return after
@@ -132,8 +128,7 @@ def test_a_servo_counts_turns():
 def test_a_servo_without_commands_is_a_spring():
     spring = "{name: s, type: torsional_spring_damper, joint: hinge, stiffness: 40, damping: 3, rest_angle: 5}"
     runs = [
-        Simulation(scene(ARM, force), "rkmk4", 1e-3, estimate=False)
-        for force in (spring, f"{SERVO}, position: 5}}")
+        Simulation(scene(ARM, force), "rkmk4", 1e-3, estimate=False) for force in (spring, f"{SERVO}, position: 5}}")
     ]
     for run in runs:
         run.advance(1000)
@@ -166,9 +161,7 @@ def test_servos_follow_the_independent_reference(group):
     assert uncertainty.position.max() < 1e-8
 
 
-@pytest.mark.parametrize(
-    "method", ["rkmk4", "rkmk54", "generalized_alpha", "constrained_rattle", None]
-)
+@pytest.mark.parametrize("method", ["rkmk4", "rkmk54", "generalized_alpha", "constrained_rattle", None])
 @pytest.mark.parametrize("at_once", [1, 13])
 def test_the_recorded_changes_repeat_a_run_with_servos_bit_by_bit(method, at_once):
     made = scene(ARM, *both(", effort_limit: 9"))
@@ -212,9 +205,7 @@ def test_a_servo_holds_the_crank_of_a_loop(group):
     text = load_scene("four_bar").text.replace("rate: 31.41592653589793", "rate: 0.0")
     servo = "{name: drive, type: servo, joint: ground_crank, stiffness: 300, damping: 40}"
     made = scene(text + "\nforces:\n", servo)
-    simulation = Simulation(
-        made, "rkmk54", 1e-2, group, "projection", rtol=1e-7, atol=1e-7, estimate=False
-    )
+    simulation = Simulation(made, "rkmk54", 1e-2, group, "projection", rtol=1e-7, atol=1e-7, estimate=False)
     simulation.command_servo("ground_crank", 6.0 * np.pi)
     simulation.advance(500)
     angle, rate = simulation.sample().joint_coordinates["ground_crank"]

@@ -39,9 +39,7 @@ def volume_points(shape):
         (r, z, turn), weight = grid(interval(0, shape.radius), interval(-1, 1), around())
         across = np.sqrt(1 - z**2)
         return r * np.array([across * np.cos(turn), across * np.sin(turn), z]), weight * r**2
-    (r, z, turn), weight = grid(
-        interval(0, shape.radius), interval(-shape.length / 2, shape.length / 2), around()
-    )
+    (r, z, turn), weight = grid(interval(0, shape.radius), interval(-shape.length / 2, shape.length / 2), around())
     return np.array([r * np.cos(turn), r * np.sin(turn), z]), weight * r
 
 
@@ -115,10 +113,7 @@ def text_with(shape):
 @pytest.mark.parametrize(
     "shape, message",
     [
-        (
-            "{type: ball, radius: 1, mass: 1}",
-            "shape: type 'ball' is not known; choose one of: box,",
-        ),
+        ("{type: ball, radius: 1, mass: 1}", "shape: type 'ball' is not known; choose one of: box,"),
         ("{radius: 1, mass: 1}", "shape: type is missing: give box or cylinder or rod or sphere"),
         ("{type: sphere, radius: 1}", "shape: mass is missing: give mass or density"),
         (
@@ -126,24 +121,15 @@ def text_with(shape):
             "shape: mass and density both define the mass: keep one of them",
         ),
         ("{type: sphere, radius: -1, mass: 1}", "shape.radius must be greater than 0, got -1"),
-        (
-            "{type: box, size: [1, 0, 1], mass: 1}",
-            "shape.size must be three lengths greater than 0",
-        ),
+        ("{type: box, size: [1, 0, 1], mass: 1}", "shape.size must be three lengths greater than 0"),
         ("{type: box, size: [1, 1], mass: 1}", "shape.size must have 3 numbers"),
-        (
-            "{type: cylinder, radius: 1, mass: 1}",
-            "shape: length is missing: give the length along z",
-        ),
+        ("{type: cylinder, radius: 1, mass: 1}", "shape: length is missing: give the length along z"),
         ("{type: rod, length: 1, density: 1}", "shape: radius is missing: give a radius, or mass"),
         (
             "{type: rod, length: 1, mass: 1, axis: [1, 0, 0], quaternion: [0, 0, 0, 1]}",
             "shape: quaternion and axis both define the rotation",
         ),
-        (
-            "{type: sphere, radius: 1e80, density: 1e80}",
-            "or its inertia is out of range: check sizes",
-        ),
+        ("{type: sphere, radius: 1e80, density: 1e80}", "or its inertia is out of range: check sizes"),
         ("{type: sphere, radius: 1e-80, density: 1e-100}", "is out of range: check sizes"),
         ("3", "shape must be a mapping"),
     ],
@@ -155,9 +141,7 @@ def test_a_wrong_shape_is_refused_in_one_line(shape, message):
     assert message in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    "key, value", [("mass", "1.0"), ("inertia", "[1, 1, 1]"), ("com", "[0, 0, 1]")]
-)
+@pytest.mark.parametrize("key, value", [("mass", "1.0"), ("inertia", "[1, 1, 1]"), ("com", "[0, 0, 1]")])
 def test_a_shape_excludes_keys_that_it_defines(key, value):
     text = text_with("{type: sphere, radius: 1, mass: 1}") + f"  {key}: {value}\n"
     with pytest.raises(SceneError, match=f"x.yaml:6: .*{key} and shape both define the {key}"):
@@ -167,9 +151,7 @@ def test_a_shape_excludes_keys_that_it_defines(key, value):
 def test_the_inertia_of_an_offset_solid_is_about_its_centre_of_mass():
     """The inertia contains no parallel-axis (Steiner) term, whatever the offset."""
     here, there = (
-        Body(
-            name="b", shape=Box(size=(1, 2, 3), mass=1, position=p, rotation_vector=(0.1, 0.2, 0.3))
-        )
+        Body(name="b", shape=Box(size=(1, 2, 3), mass=1, position=p, rotation_vector=(0.1, 0.2, 0.3)))
         for p in ((0, 0, 0), (5, -7, 9))
     )
     assert here.inertia == there.inertia

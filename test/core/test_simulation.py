@@ -19,10 +19,7 @@ from liegroup_core.status import NOT_FINITE, ROTATION_TOO_LARGE
 @pytest.mark.parametrize("group", ["se3", "so3xr3"])
 def test_runs_are_bit_identical_however_the_steps_are_split(group):
     scene = mechanisms.named("net")
-    whole, pieces = (
-        Simulation(scene, method="rkmk4", group=group),
-        Simulation(scene, method="rkmk4", group=group),
-    )
+    whole, pieces = (Simulation(scene, method="rkmk4", group=group), Simulation(scene, method="rkmk4", group=group))
     whole.advance(100)
     for count in (1, 2, 0, 47, 50):
         pieces.advance(count)
@@ -125,9 +122,7 @@ def test_a_step_count_that_is_not_an_integer_is_refused(steps):
 @pytest.mark.parametrize("times", [{"start": np.inf}, {"start": np.nan}, {"duration": np.inf}])
 def test_non_finite_wrench_times_are_refused(times):
     with pytest.raises(ValueError, match="must be finite"):
-        Simulation(load_scene("free_body"), method="rkmk4").apply_wrench(
-            "body", (1, 0, 0, 0, 0, 0), **times
-        )
+        Simulation(load_scene("free_body"), method="rkmk4").apply_wrench("body", (1, 0, 0, 0, 0, 0), **times)
 
 
 def test_a_model_error_names_the_line_in_the_scene_file(tmp_path):
@@ -146,19 +141,14 @@ def test_an_invalid_state_is_refused():
     with pytest.raises(ValueError, match="NaN or infinity"):
         simulation.set_state(pose, twist * np.nan)
     for factor in (0.0, 1.5, -1.0):
-        with pytest.raises(
-            ValueError, match="pose of body: the first nine numbers are not a rotation"
-        ):
+        with pytest.raises(ValueError, match="pose of body: the first nine numbers are not a rotation"):
             simulation.set_state(factor * pose, twist)
 
 
 @pytest.mark.parametrize(
     "given, message",
     [
-        (
-            ("heavy_top",),
-            "expected a Scene, got 'heavy_top'; use load_scene to read one from a file",
-        ),
+        (("heavy_top",), "expected a Scene, got 'heavy_top'; use load_scene to read one from a file"),
         ((load_scene("free_body"), ["rkmk4"]), "unknown method"),
     ],
 )

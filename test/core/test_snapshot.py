@@ -38,9 +38,7 @@ def trace(simulation, count=40):
         simulation.advance(1)
         sample = simulation.sample()
         estimate = b"" if sample.errors is None else sample.errors.tobytes()
-        found.append(
-            (sample.pose.tobytes(), sample.twist.tobytes(), sample.angles.tobytes(), estimate)
-        )
+        found.append((sample.pose.tobytes(), sample.twist.tobytes(), sample.angles.tobytes(), estimate))
     return found, simulation.steps, simulation.largest_error, simulation.accurate_until
 
 
@@ -140,8 +138,7 @@ def test_all_method_families_are_covered():
 
 
 SERVO = SPRING.replace(
-    "forces: [",
-    "forces: [{name: drive, type: servo, joint: hinge, stiffness: 20, damping: 1, effort_limit: 4}, ",
+    "forces: [", "forces: [{name: drive, type: servo, joint: hinge, stiffness: 20, damping: 1, effort_limit: 4}, "
 )
 
 
@@ -178,9 +175,7 @@ def test_only_a_snapshot_of_this_simulation_is_restored():
     simulation.advance(30)
     mine, before = simulation.snapshot(), simulation.state()
     for wrong in (None, 3, {}, {"state": mine["state"]}, [mine], simulation.state(), "a"):
-        with pytest.raises(
-            ValueError, match="^expected what `snapshot` of this simulation returned"
-        ):
+        with pytest.raises(ValueError, match="^expected what `snapshot` of this simulation returned"):
             simulation.restore(wrong)
     for other, said in (
         (made("four_bar"), "scene"),

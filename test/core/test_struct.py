@@ -130,8 +130,7 @@ def expected(outer, i):
 
 
 @pytest.mark.parametrize(
-    "flag, count, shift",
-    [(True, -7, -0.25), (False, 2**62, math.inf), (np.True_, np.int64(-1), np.float64(5e-324))],
+    "flag, count, shift", [(True, -7, -0.25), (False, 2**62, math.inf), (np.True_, np.int64(-1), np.float64(5e-324))]
 )
 def test_kernels_read_every_kind_of_field(flag, count, shift):
     outer = made(flag, count, shift)
@@ -192,9 +191,7 @@ def halved_by_steps(array, steps):
     not compiled() or platform.machine() not in ("x86_64", "AMD64"),
     reason="other processors are as fast with such numbers",
 )
-@pytest.mark.parametrize(
-    "numbers, ended", [((1.0, 2.0**-1022, -(2.0**-1021), 2.0**-1030), True), ((), False)]
-)
+@pytest.mark.parametrize("numbers, ended", [((1.0, 2.0**-1022, -(2.0**-1021), 2.0**-1030), True), ((), False)])
 def test_subnormals_are_flushed_to_zero_only_in_steps(numbers, ended):
     """Half of the smallest normal number 2^-1022 is subnormal, and about 100 times slower."""
     array = np.array(numbers)
@@ -236,11 +233,7 @@ def test_cached_kernels_load_despite_a_damaged_cache(tmp_path, harm):
 
     def run(prepare=None, told=0):
         said = subprocess.run(
-            [
-                sys.executable,
-                "-c",
-                f"import sys; sys.path.append({str(tmp_path)!r}); import kernels",
-            ],
+            [sys.executable, "-c", f"import sys; sys.path.append({str(tmp_path)!r}); import kernels"],
             capture_output=True,
             text=True,
             check=True,
@@ -335,9 +328,7 @@ def test_unsupported_arrays_are_refused(array):
         ("lagrangian_top", "stoermer_verlet"),
     ],
 )
-@pytest.mark.parametrize(
-    "again", [copy.copy, copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))]
-)
+@pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
 def test_a_copied_simulation_continues_independently(scene, method, again):
     simulation = Simulation(load_scene(scene), method=method, step=1e-3)
     simulation.advance(20)
@@ -375,7 +366,5 @@ def test_a_pickled_sample_is_complete_in_another_process(tmp_path):
     path = tmp_path / "sample"
     path.write_bytes(pickle.dumps(sample))
     code = "import pickle, sys; print(pickle.load(open(sys.argv[1], 'rb')).energy.hex())"
-    said = subprocess.run(
-        [sys.executable, "-c", code, path], capture_output=True, text=True, check=True
-    )
+    said = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True, check=True)
     assert float.fromhex(said.stdout) == sample.energy

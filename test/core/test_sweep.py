@@ -21,13 +21,7 @@ from liegroup_core.mechanism.redundancy import generic_poses
 from liegroup_core.scene.load import scene_as_written, scene_from_text
 from liegroup_core.study.sweep import sweep as sweeps
 from liegroup_core.study.sweep.file import SweepFile, SweepFileError
-from liegroup_core.study.sweep.parameters import (
-    ParameterError,
-    changed,
-    parameters,
-    path_of,
-    range_of,
-)
+from liegroup_core.study.sweep.parameters import ParameterError, changed, parameters, path_of, range_of
 from liegroup_core.study.sweep.sweep import Sweep, describe, described
 
 SCENES = sorted((Path(__file__).resolve().parents[2] / "config" / "scenes").glob("*.yaml"))
@@ -59,11 +53,7 @@ def oscillator(samples=12, **more):
 def joined(pieces):
     """{column: values} of all runs in order, without their cost."""
     pieces = sorted(pieces, key=lambda piece: piece["run"][0])
-    return {
-        name: [value for piece in pieces for value in piece[name]]
-        for name in pieces[0]
-        if name != "cpu_s"
-    }
+    return {name: [value for piece in pieces for value in piece[name]] for name in pieces[0] if name != "cpu_s"}
 
 
 def same(first, second):
@@ -71,10 +61,7 @@ def same(first, second):
 
     def bits(columns):
         return {
-            name: [
-                np.asarray(value).tobytes() if isinstance(value, (float, np.ndarray)) else value
-                for value in values
-            ]
+            name: [np.asarray(value).tobytes() if isinstance(value, (float, np.ndarray)) else value for value in values]
             for name, values in columns.items()
         }
 
@@ -97,9 +84,7 @@ def test_every_number_of_a_scene_is_a_parameter(path):
         for other in set(before) - {name}:
             if name.endswith("shape.length") and other.endswith("shape.radius"):
                 continue  # of a rod: a part of its length if left out
-            if kind is None or not other.startswith(
-                tuple(name.partition(kind)[0] + key for key in ROTATIONS)
-            ):
+            if kind is None or not other.startswith(tuple(name.partition(kind)[0] + key for key in ROTATIONS)):
                 assert after[other] == before[other], (name, other)
             elif kind == "rotation_vector" and kind in other:
                 # Written as such now: the way there and back of a quaternion or an axis rounds.
@@ -113,9 +98,7 @@ def test_a_parameter_name_is_a_path_or_an_unambiguous_ending():
     assert path_of(scene, "rotation_vector.2") == "bodies.ball.rotation_vector.2"
     with pytest.raises(ParameterError, match=r"no parameter mas; did you mean bodies\.ball\.mass"):
         path_of(scene, "mas")
-    with pytest.raises(
-        ParameterError, match="is ambiguous: gravity.1, bodies.ball.inertia.1, .* and "
-    ):
+    with pytest.raises(ParameterError, match="is ambiguous: gravity.1, bodies.ball.inertia.1, .* and "):
         path_of(scene, "1")
 
 
@@ -185,9 +168,7 @@ def test_all_runs_agree_with_the_closed_form():
 
 
 @pytest.mark.slow
-def test_results_are_bit_identical_for_any_workers_pieces_and_a_killed_worker(
-    monkeypatch, tmp_path
-):
+def test_results_are_bit_identical_for_any_workers_pieces_and_a_killed_worker(monkeypatch, tmp_path):
     """One of two workers is killed once, in run 5."""
     died = tmp_path / "died"
 
@@ -231,18 +212,12 @@ def test_failed_runs_are_rows_with_the_reason():
     vary = ["angular_velocity.2=-1,0.5,1"]
     settings = {"step": 1e-3}
     open_ = joined(Sweep.of(top, vary, 6, 10, settings=settings).run(range(6), workers=1))
-    for value, status, time in zip(
-        open_["bodies.top.angular_velocity.2"], open_["status"], open_["time"]
-    ):
+    for value, status, time in zip(open_["bodies.top.angular_velocity.2"], open_["status"], open_["time"]):
         if value == 0.5:
             assert status == "ok" and time == 0.01
         else:
             assert "the initial velocities violate the joint" in status and math.isnan(time)
-    closed = joined(
-        Sweep.of(top, vary, 6, 10, every=10, assemble=True, settings=settings).run(
-            range(6), workers=1
-        )
-    )
+    closed = joined(Sweep.of(top, vary, 6, 10, every=10, assemble=True, settings=settings).run(range(6), workers=1))
     assert closed["status"] == ["ok"] * 6 and max(closed["joints"]) < 1e-9
     # What was drawn is kept, the velocity of the centre follows: 0.5 m from the pivot.
     for value, turn, speed in zip(
@@ -251,13 +226,9 @@ def test_failed_runs_are_rows_with_the_reason():
         assert turn[0] == pytest.approx(value, abs=1e-15)
         assert speed[0] == pytest.approx(value / 2, abs=1e-15)
     fast = joined(
-        Sweep.of(
-            load_scene("lagrangian_top"),
-            ["mass=1,1.1"],
-            2,
-            10,
-            settings={"method": "rkmk4", "step": 0.1},
-        ).run(range(2), workers=1)
+        Sweep.of(load_scene("lagrangian_top"), ["mass=1,1.1"], 2, 10, settings={"method": "rkmk4", "step": 0.1}).run(
+            range(2), workers=1
+        )
     )
     assert all("stopped at t = " in status for status in fast["status"])
     assert all(0.0 <= time < 1.0 for time in fast["time"])
@@ -273,25 +244,18 @@ def test_assembly_failures_and_changes_are_reported():
     top = load_scene("heavy_top")
     settings = {"step": 1e-3}
     found = joined(
-        Sweep.of(
-            top,
-            ["angular_velocity.2=1:2", "linear_velocity.1=3:4"],
-            3,
-            5,
-            assemble=True,
-            settings=settings,
-        ).run(range(3), workers=1)
+        Sweep.of(top, ["angular_velocity.2=1:2", "linear_velocity.1=3:4"], 3, 5, assemble=True, settings=settings).run(
+            range(3), workers=1
+        )
     )
     assert all("contradict each other" in status for status in found["status"])
     found = joined(
-        Sweep.of(
-            top, ["bodies.top.position.0=0.4,0.5"], 2, 5, every=5, assemble=True, settings=settings
-        ).run(range(2), workers=1)
+        Sweep.of(top, ["bodies.top.position.0=0.4,0.5"], 2, 5, every=5, assemble=True, settings=settings).run(
+            range(2), workers=1
+        )
     )
     assert found["status"] == ["ok"] * 2
-    for value, warning, start in zip(
-        found["bodies.top.position.0"], found["warning"], found["samples.top.x"]
-    ):
+    for value, warning, start in zip(found["bodies.top.position.0"], found["warning"], found["samples.top.x"]):
         assert start[0] == 0.5  # from the pivot
         assert (warning is None) == (value == 0.5)
         assert warning is None or "position.0 to 0.5 from the sampled 0.4" in warning
@@ -302,11 +266,7 @@ def test_a_linkage_is_analysed_once_per_geometry():
     for kept in (generic_poses, redundancy._chosen):
         kept.cache_clear()
     base = scene_as_written((SCENES[0].parent / "four_bar.yaml").read_text())
-    paths = [
-        {},
-        {"bodies.rocker.shape.mass": 2.0},
-        {"joints.crank_coupler.child_frame.position.0": -0.51},
-    ]
+    paths = [{}, {"bodies.rocker.shape.mass": 2.0}, {"joints.crank_coupler.child_frame.position.0": -0.51}]
     layouts, looks = [], []
     for values in paths:
         layouts.append(make_layout(changed(base, values)))
@@ -392,11 +352,7 @@ def test_a_folder_without_a_sweep_is_not_touched(tmp_path):
     with pytest.raises(SweepFileError, match="cannot be written"):
         with SweepFile(tmp_path / "none" / "e.parquet", sweep).writing():
             pass
-    assert sorted(path.name for path in tmp_path.rglob("*")) == [
-        "a.parquet",
-        "b.parquet",
-        "notes.txt",
-    ]
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["a.parquet", "b.parquet", "notes.txt"]
 
 
 def test_the_largest_reactions_of_each_run_are_columns():
@@ -458,15 +414,7 @@ forces:
   - {name: drive, type: motor, joint: hinge, torque: -2}
 """
     settings = {"method": "rkmk4", "step": 1e-3}
-    sweep = Sweep.of(
-        scene_from_text(text),
-        ["bodies.arm.mass=1:3"],
-        3,
-        200,
-        50,
-        settings=settings,
-        reactions=True,
-    )
+    sweep = Sweep.of(scene_from_text(text), ["bodies.arm.mass=1:3"], 3, 200, 50, settings=settings, reactions=True)
     columns = joined(sweep.run(range(3), workers=1))
     assert list(sweep.columns) == [*columns, "cpu_s"] and "wind.effort" not in columns
     simulation, looks = sweep.simulation(2), []

@@ -24,23 +24,12 @@ def body(name="a", position=(0.3, -0.2, 0.4), pivot=None, axis=None):
     turn = np.array(axis if axis is not None else (0.7, -1.1, 1.9))
     speed = np.cross(turn, np.subtract(position, pivot)) if pivot is not None else (0.5, 0.2, -0.3)
     return Body(
-        name=name,
-        mass=2.0,
-        inertia=(0.05, 0.08, 0.11),
-        position=position,
-        angular_velocity=turn,
-        linear_velocity=speed,
+        name=name, mass=2.0, inertia=(0.05, 0.08, 0.11), position=position, angular_velocity=turn, linear_velocity=speed
     )
 
 
 def ball(pivot, child="a", parent="world"):
-    return Joint(
-        name=f"ball_{child}",
-        type="spherical",
-        parent=parent,
-        child=child,
-        parent_frame=Frame(position=pivot),
-    )
+    return Joint(name=f"ball_{child}", type="spherical", parent=parent, child=child, parent_frame=Frame(position=pivot))
 
 
 def hinge(pivot, axis, child="a", parent="world"):
@@ -90,17 +79,11 @@ CASES = {
     "free in space": (scene([body()], gravity=(0, 0, 0)), [(None, np.eye(3), np.eye(3))]),
     "free in gravity": (scene([body()]), [(None, np.eye(3), np.eye(3)[:2])]),
     "free pair with spring and damper": (
-        scene(
-            [body("a"), body("b", (1, 0, 0))],
-            forces=[spring((0.1, 0, 0), (0, 0.1, 0), 0.4, 0.5, "b", "a")],
-        ),
+        scene([body("a"), body("b", (1, 0, 0))], forces=[spring((0.1, 0, 0), (0, 0.1, 0), 0.4, 0.5, "b", "a")]),
         [(None, np.eye(3), np.eye(3)[:2])],
     ),
     "top": (scene([TOP], [ball(PIVOT)]), [(PIVOT, [(0, 0, 1)], [])]),
-    "top without gravity": (
-        scene([TOP], [ball(PIVOT)], gravity=(0, 0, 0)),
-        [(PIVOT, np.eye(3), [])],
-    ),
+    "top without gravity": (scene([TOP], [ball(PIVOT)], gravity=(0, 0, 0)), [(PIVOT, np.eye(3), [])]),
     "top, spring without rest length to its centre": (
         scene([TOP], [ball(PIVOT)], [spring((0.5, 0.9, 0.3))]),
         [(PIVOT, [FIELD], [])],
@@ -113,10 +96,7 @@ CASES = {
         scene([TOP], [ball(PIVOT)], [spring((0.1, 0.2, 0.7), (0.1, 0.2, 0.05))]),
         [(PIVOT, [(0, 0, 1)], [])],
     ),
-    "top, spring with rest length": (
-        scene([TOP], [ball(PIVOT)], [spring((0.5, 0.9, 0.3), rest=0.2)]),
-        [],
-    ),
+    "top, spring with rest length": (scene([TOP], [ball(PIVOT)], [spring((0.5, 0.9, 0.3), rest=0.2)]), []),
     "top, spring with rest length and damper above the pivot": (
         scene([TOP], [ball(PIVOT)], [spring((0.1, 0.2, 0.7), rest=0.2, damping=0.4)]),
         [(PIVOT, [(0, 0, 1)], [])],
@@ -129,15 +109,9 @@ CASES = {
         scene([body(pivot=PIVOT, axis=(0, 0, 1.5))], [hinge(PIVOT, (0, 0, 1))]),
         [(PIVOT, [(0, 0, 1)], [])],
     ),
-    "lying hinge off the centre": (
-        scene([body(pivot=PIVOT, axis=(0, 1.5, 0))], [hinge(PIVOT, (0, 1, 0))]),
-        [],
-    ),
+    "lying hinge off the centre": (scene([body(pivot=PIVOT, axis=(0, 1.5, 0))], [hinge(PIVOT, (0, 1, 0))]), []),
     "lying hinge through the centre": (
-        scene(
-            [body(position=(0.1, 0.5, -0.1), pivot=PIVOT, axis=(0, 1.5, 0))],
-            [hinge(PIVOT, (0, 1, 0))],
-        ),
+        scene([body(position=(0.1, 0.5, -0.1), pivot=PIVOT, axis=(0, 1.5, 0))], [hinge(PIVOT, (0, 1, 0))]),
         [(PIVOT, [(0, 1, 0)], [])],
     ),
     "free body, spring to its centre": (
@@ -153,10 +127,7 @@ CASES = {
         [((0, 0, 0), [(0, 0, 1)], [])],
     ),
     "two separate tops": (
-        scene(
-            [TOP, body("b", (1.0, 0.0, 0.0), (0.8, 0.3, 0.1))],
-            [ball(PIVOT), ball((0.8, 0.3, 0.1), "b")],
-        ),
+        scene([TOP, body("b", (1.0, 0.0, 0.0), (0.8, 0.3, 0.1))], [ball(PIVOT), ball((0.8, 0.3, 0.1), "b")]),
         [(PIVOT, [(0, 0, 1)], []), ((0.8, 0.3, 0.1), [(0, 0, 1)], [])],
     ),
 }
@@ -181,9 +152,7 @@ def test_expected_components_are_named(name):
         assert found.linear == pytest.approx(np.reshape(linear, (-1, 3)), abs=1e-9)
         assert len(found.labels) == len(found.units) == len(angular) + len(found.linear)
         if point is not None and len(angular) == 1:  # any point of the axis would do
-            assert np.cross(found.point - np.array(point), angular[0]) == pytest.approx(
-                np.zeros(3), abs=1e-9
-            )
+            assert np.cross(found.point - np.array(point), angular[0]) == pytest.approx(np.zeros(3), abs=1e-9)
         elif point is not None:
             assert found.point == pytest.approx(np.array(point), abs=1e-9)
 
@@ -199,12 +168,7 @@ def test_named_components_are_conserved(name):
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        name
-        for name, (_, kept) in CASES.items()
-        if len(kept) <= 1 and not (kept and kept[0][0] is None)
-    ],
+    "name", [name for name, (_, kept) in CASES.items() if len(kept) <= 1 and not (kept and kept[0][0] is None)]
 )
 def test_no_other_component_is_conserved(name):
     """Of all combinations xi . L + eta . P only the listed ones are constant: the others span 6 - k.
@@ -219,9 +183,7 @@ def test_no_other_component_is_conserved(name):
     inertia = np.array([b.inertia_matrix for b in case.bodies])
     linear = mass[:, None] * np.einsum("knij,knj->kni", run.rotation, run.twist[..., 3:])
     angular = np.einsum("knij,njl,knl->kni", run.rotation, inertia, run.twist[..., :3])
-    momentum = np.concatenate(
-        [(angular + np.cross(run.position, linear)).sum(axis=1), linear.sum(axis=1)], axis=1
-    )
+    momentum = np.concatenate([(angular + np.cross(run.position, linear)).sum(axis=1), linear.sum(axis=1)], axis=1)
     count = sum(len(np.reshape(angular, (-1, 3))) for _, angular, _ in expected)
     if any(joint.type == "revolute" for joint in case.joints):
         axis = case.joints[0].parent_frame.rotation[:, 2]

@@ -25,11 +25,7 @@ def test_results_can_add_new_items(workers):
     def halve(x):
         return x // 2
 
-    results = dict(
-        tasks.run(
-            halve, [8, 5], workers=workers, follow=lambda k, result: [result] if result else []
-        )
-    )
+    results = dict(tasks.run(halve, [8, 5], workers=workers, follow=lambda k, result: [result] if result else []))
     # 8 leads to items 4, 2, 1 and 5 to items 2, 1: seven calls in any order.
     assert sorted(results) == list(range(7)) and (results[0], results[1]) == (4, 2)
     assert sorted(results.values()) == [0, 0, 1, 1, 2, 2, 4]
@@ -82,15 +78,11 @@ def test_an_interrupt_during_worker_start_ends_the_run_after_the_start(monkeypat
         with pytest.raises(KeyboardInterrupt):
             list(tasks.run(square, [1, 2], workers=2))
         assert len(started) == 1
-        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler and not blocks_sigint(
-            0
-        )
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler and not blocks_sigint(0)
     finally:
         signal.signal(signal.SIGINT, before)
     started[0].join(60)
-    assert not [
-        child for child in psutil.Process().children() if "spawn_main" in " ".join(child.cmdline())
-    ]
+    assert not [child for child in psutil.Process().children() if "spawn_main" in " ".join(child.cmdline())]
 
 
 def test_workers_that_cannot_start_are_an_error(monkeypatch):

@@ -76,8 +76,7 @@ def test_errors_decrease_at_the_order_of_the_method(trade, method):
         cells = [
             cell
             for cell in trade.cells
-            if not cell["stopped"]
-            and (cell["method"], cell["group"], cell["stabilisation"]) == (method, group, "none")
+            if not cell["stopped"] and (cell["method"], cell["group"], cell["stabilisation"]) == (method, group, "none")
         ]
         slopes = [
             np.log(a["error"] / b["error"]) / np.log(a["step"] / b["step"])
@@ -101,8 +100,7 @@ def test_the_pareto_front_and_the_cheapest_configurations(trade):
         assert MARGIN * settled[id(cell)] <= wanted
         assert cell in front
         assert not any(
-            MARGIN * error <= wanted and other["cost_us"] < cell["cost_us"]
-            for other, error in trade.settled()
+            MARGIN * error <= wanted and other["cost_us"] < cell["cost_us"] for other, error in trade.settled()
         )
     assert trade.cheapest(1e-15) is None
 
@@ -111,9 +109,7 @@ def test_a_step_that_is_accurate_by_chance_is_not_chosen(scene, trade):
     """A coarse step with an accidentally zero error counts as accurate as the two finer steps."""
     lucky = made(scene, trade._store.folder.parent.parent)
     cells = [
-        cell
-        for cell in lucky.cells
-        if not cell["stopped"] and (cell["method"], cell["group"]) == ("rkmk2", "se3")
+        cell for cell in lucky.cells if not cell["stopped"] and (cell["method"], cell["group"]) == ("rkmk2", "se3")
     ]
     coarse = cells[0]
     assert coarse["error"] > 1e-3

@@ -118,9 +118,7 @@ def test_a_force_in_world_axes_keeps_its_direction_on_a_spinning_body(group):
     """
     simulation = Simulation(load_scene("free_body"), method="rkmk4", step=1e-3, group=group)
     spin, force = 20.0, 4.0
-    simulation.set_state(
-        np.array([[1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0]]), [[0, 0, spin, 0, 0, 0]]
-    )
+    simulation.set_state(np.array([[1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0]]), [[0, 0, spin, 0, 0, 0]])
     simulation.apply_wrench("body", (0, 0, 0, force, 0, 0), 1e-4, 0.5, axes="world")
     simulation.advance(800)
     change = simulation.sample().spatial_momentum[3:]
@@ -174,9 +172,7 @@ def test_the_recorded_changes_repeat_a_run_bit_by_bit(method, at_once):
         0, 50_123_400, 150_123_400, *[200_000_000] * 4, 230_400_000, *[300_200_000] * 4, 300_300_000, 300_310_000
     ]  # fmt: skip
     for change in changes:
-        second.apply_wrench(
-            change.body, change.wrench, change.time_ns * 1e-9, source=change.axes, axes=change.axes
-        )
+        second.apply_wrench(change.body, change.wrench, change.time_ns * 1e-9, source=change.axes, axes=change.axes)
     for _ in range(400 // at_once):
         second.advance(at_once)
     second.advance(400 - second.steps)

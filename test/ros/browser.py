@@ -11,9 +11,7 @@ import subprocess
 import sys
 import time
 
-CHROMIUM = (
-    shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-)
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 PATIENCE = 60.0  # s, for an answer; a shared machine may be slow
 # No network but what a page asks for: nothing is to be left on the machine, nor fetched.
 OPTIONS = (
@@ -34,8 +32,7 @@ OPTIONS = (
     "--mute-audio",
 )
 START = (
-    "import os, sys; os.dup2(int(sys.argv[1]), 3); os.dup2(int(sys.argv[2]), 4); "
-    "os.execv(sys.argv[3], sys.argv[3:])"
+    "import os, sys; os.dup2(int(sys.argv[1]), 3); os.dup2(int(sys.argv[2]), 4); os.execv(sys.argv[3], sys.argv[3:])"
 )
 
 
@@ -73,9 +70,7 @@ class Browser:
         self._loaded = False
         self.errors, self.requests, self.dialogs = [], [], []
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
-        self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)[
-            "sessionId"
-        ]
+        self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
 
@@ -158,25 +153,17 @@ class Browser:
         """Put a finger on a point of the window, move it so many px down, and lift it."""
         self.call("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y}])
         for k in range(1, 16):
-            self.call(
-                "Input.dispatchTouchEvent",
-                type="touchMove",
-                touchPoints=[{"x": x, "y": y + rise * k / 15}],
-            )
+            self.call("Input.dispatchTouchEvent", type="touchMove", touchPoints=[{"x": x, "y": y + rise * k / 15}])
         self.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
         self.run("new Promise(done => setTimeout(done, 200))")
 
     def run(self, code):
         """Value of a JavaScript expression; of a promise, what it brings."""
-        found = self.call(
-            "Runtime.evaluate", expression=code, returnByValue=True, awaitPromise=True
-        )
+        found = self.call("Runtime.evaluate", expression=code, returnByValue=True, awaitPromise=True)
         if "exceptionDetails" in found:
             raise RuntimeError(json.dumps(found["exceptionDetails"])[:500])
         return found["result"].get("value")
 
     def picture(self, whole=True):
         """PNG of the page, whole or only what the window shows."""
-        return base64.b64decode(
-            self.call("Page.captureScreenshot", captureBeyondViewport=whole)["data"]
-        )
+        return base64.b64decode(self.call("Page.captureScreenshot", captureBeyondViewport=whole)["data"])

@@ -46,9 +46,7 @@ class Commanded:
         assert self.client.call(f"{self.node}/step").success
         end = before + round(count * STEP * 1e9)
         return self.client.until(
-            lambda: next(
-                (s for s in reversed(self.states) if stamp_ns(s.header.stamp) == end), None
-            )
+            lambda: next((s for s in reversed(self.states) if stamp_ns(s.header.stamp) == end), None)
         )
 
 

@@ -54,9 +54,7 @@ def package(request):
         yield {}
         return
     if missing():
-        pytest.skip(
-            f"simulation_interfaces is not installed, and to build it {missing()} is missing"
-        )
+        pytest.skip(f"simulation_interfaces is not installed, and to build it {missing()} is missing")
     folder = types.package(types.JAZZY, request.config.cache.mkdir("interfaces"))
     sys.path.insert(0, str(folder))
     yield path_with(folder)

@@ -13,12 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import Log
 from rclpy.serialization import serialize_message
 
-from liegroup_sim_ros.messages.codecs import (
-    ClockCodec,
-    PoseStampedCodec,
-    TwistStampedCodec,
-    WrenchStampedCodec,
-)
+from liegroup_sim_ros.messages.codecs import ClockCodec, PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
 from liegroup_sim_ros.recording.write import Recorder
 
 BODIES = ("top", "arm_2")
@@ -75,10 +70,7 @@ def record_run(path):
             written.setdefault(topic, []).append((stamp_ns, data))
             recorder.write(channels[topic], stamp_ns, data)
 
-        for topics, codec in (
-            (TOPICS["pose"], PoseStampedCodec),
-            (TOPICS["twist"], TwistStampedCodec),
-        ):
+        for topics, codec in ((TOPICS["pose"], PoseStampedCodec), (TOPICS["twist"], TwistStampedCodec)):
             for topic in topics.values():
                 channels[topic] = recorder.add_channel(topic, codec.TYPE)
         for name, msg_type, qos in (
@@ -96,25 +88,11 @@ def record_run(path):
                 write(
                     TOPICS["pose"][body],
                     stamp_ns,
-                    PoseStampedCodec("world").encode(
-                        stamp_ns, random.normal(size=3), random.normal(size=4)
-                    ),
+                    PoseStampedCodec("world").encode(stamp_ns, random.normal(size=3), random.normal(size=4)),
                 )
-                write(
-                    TOPICS["twist"][body],
-                    stamp_ns,
-                    TwistStampedCodec(body).encode(stamp_ns, random.normal(size=6)),
-                )
-        write(
-            TOPICS["applied_wrench"],
-            END_NS,
-            WrenchStampedCodec("arm_2").encode(END_NS, (1, 2, 3, 4, 5, 6.5)),
-        )
-        write(
-            TOPICS["diagnostics"],
-            END_NS,
-            diagnostics_message(END_NS, {"energy": "1.5", "lost": "0"}),
-        )
+                write(TOPICS["twist"][body], stamp_ns, TwistStampedCodec(body).encode(stamp_ns, random.normal(size=6)))
+        write(TOPICS["applied_wrench"], END_NS, WrenchStampedCodec("arm_2").encode(END_NS, (1, 2, 3, 4, 5, 6.5)))
+        write(TOPICS["diagnostics"], END_NS, diagnostics_message(END_NS, {"energy": "1.5", "lost": "0"}))
         write(TOPICS["events"], END_NS, log_message(END_NS, "stop", "done"))
         recorder.add_attachment("pacing.json", "application/json", json.dumps(PACING).encode())
     assert recorder.failure is None and recorder.lost == 0 and recorder.queued == 0

@@ -27,10 +27,7 @@ DEPENDENCIES = (
     "geometry_msgs",
     "action_msgs",
 )
-KINDS = {
-    "fastrtps": "rosidl_typesupport_fastrtps_c",
-    "introspection": "rosidl_typesupport_introspection_c",
-}
+KINDS = {"fastrtps": "rosidl_typesupport_fastrtps_c", "introspection": "rosidl_typesupport_introspection_c"}
 RUNTIME = ("rosidl_runtime_c", "rosidl_typesupport_c", "fastcdr", "rcutils", "rmw")
 
 
@@ -128,9 +125,7 @@ def _generate(package, definitions, work, idl, python, share):
         idl,
         include_paths=[f"{name}:{share / name}" for name in DEPENDENCIES],
     )
-    folders = {
-        name: work / name / package for name in ("rosidl_generator_c", "dispatch", *KINDS.values())
-    }
+    folders = {name: work / name / package for name in ("rosidl_generator_c", "dispatch", *KINDS.values())}
     run(
         generate_c,
         "rosidl_generator_c",
@@ -156,11 +151,7 @@ def _compile(package, sources, work, python, prefix):
     options = [f"-I{folder}" for folder in folders if folder.is_dir()]
     # The C++ files name nothing twice; together they take a tenth of the time.
     together, nothing = work / "all.cpp", work / "nothing.c"
-    together.write_text(
-        "".join(
-            f'#include "{path}"\n' for folder in sources for path in sorted(folder.rglob("*.cpp"))
-        )
-    )
+    together.write_text("".join(f'#include "{path}"\n' for folder in sources for path in sorted(folder.rglob("*.cpp"))))
     nothing.touch()
     own = [together, *(path for folder in sources[:-1] for path in sorted(folder.rglob("*.c")))]
     files = [*own, nothing, *sorted(python.rglob("*.c"))]

@@ -68,23 +68,17 @@ def record(
     more = {"promise": promise}
     if factors:
         more["parameters"] = {"real_time_factor": factors[0]}
-    with Recorder(
-        path, attachments.at_start(simulation, "/sim_node", "world", per_sample, topics, **more)
-    ) as recorder:
+    with Recorder(path, attachments.at_start(simulation, "/sim_node", "world", per_sample, topics, **more)) as recorder:
         channel = {
             t: recorder.add_channel(t, c.TYPE)
             for kind, c in (("pose", PoseStampedCodec), ("twist", TwistStampedCodec))
             for t in topics[kind].values()
         }
-        channel[topics["applied_wrench"]] = recorder.add_channel(
-            topics["applied_wrench"], WrenchStampedCodec.TYPE
-        )
+        channel[topics["applied_wrench"]] = recorder.add_channel(topics["applied_wrench"], WrenchStampedCodec.TYPE)
         channel["/sim_node/events"] = recorder.add_channel(
             "/sim_node/events", "rcl_interfaces/msg/Log", "transient_local"
         )
-        channel["/diagnostics"] = recorder.add_channel(
-            "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"
-        )
+        channel["/diagnostics"] = recorder.add_channel("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
 
         def write(topic, stamp_ns, data):
             count[topic] = count.get(topic, -1) + 1
@@ -103,11 +97,7 @@ def record(
                         stamp, sample.positions[b].tolist(), sample.quaternions[b].tolist()
                     ),
                 )
-                write(
-                    topics["twist"][b],
-                    stamp,
-                    TwistStampedCodec(b).encode(stamp, sample.twists[b].tolist()),
-                )
+                write(topics["twist"][b], stamp, TwistStampedCodec(b).encode(stamp, sample.twists[b].tolist()))
 
         base = 0
         write("/sim_node/events", 0, log_message(0, "start", "<b>begin</b>"))
@@ -121,9 +111,7 @@ def record(
                 write(
                     topics["applied_wrench"],
                     stamp,
-                    WrenchStampedCodec(wrench_frame(change.body, change.axes, "world")).encode(
-                        stamp, change.wrench
-                    ),
+                    WrenchStampedCodec(wrench_frame(change.body, change.axes, "world")).encode(stamp, change.wrench),
                 )
             if simulation.steps % per_sample == 0:
                 put_out()

@@ -79,16 +79,12 @@ def python(code, *arguments, env=None, under=()):
 
 def path_with(folder):
     """{"PYTHONPATH": value} with which a process finds the package in a folder."""
-    return {
-        "PYTHONPATH": os.pathsep.join(filter(None, (str(folder), os.environ.get("PYTHONPATH"))))
-    }
+    return {"PYTHONPATH": os.pathsep.join(filter(None, (str(folder), os.environ.get("PYTHONPATH"))))}
 
 
 def own_context():
     """rclpy Context of this process in the domain of the tests."""
-    os.environ.update(
-        {key: ENVIRONMENT[key] for key in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")}
-    )
+    os.environ.update({key: ENVIRONMENT[key] for key in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")})
     context = rclpy.Context()
     context.init()
     return context
@@ -193,9 +189,7 @@ class Client:
     def set(self, node, **values):
         """Result of setting one parameter, or more."""
         request = SetParameters.Request(
-            parameters=[
-                Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
-            ]
+            parameters=[Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
         )
         return self.call(f"{node}/set_parameters", SetParameters, request).results[-1]
 

@@ -38,9 +38,7 @@ def random_recording(seed, folder):
 
 def _spoiler(chance, bodies):
     """Function (topic, data) -> data or None, of one of several kinds of damage."""
-    kind = chance.choice(
-        ("none", "estimates", "estimates", "numbers", "one number", "wrenches", "gaps")
-    )
+    kind = chance.choice(("none", "estimates", "estimates", "numbers", "one number", "wrenches", "gaps"))
     value = chance.choice((0.0, 0.0, 0.0, 0.0, *ODD))
 
     def spoil(topic, data):

@@ -17,21 +17,18 @@ JAZZY = {
     "msg/TagsFilter": "string[] tags\nuint8 filter_mode\n",
     "msg/Bounds": "uint8 type\ngeometry_msgs/Vector3[] points\n",
     "msg/EntityCategory": "uint8 category\n",
-    "msg/EntityFilters": "string filter\nEntityCategory[] categories\nTagsFilter tags\n"
-    "Bounds bounds\n",
+    "msg/EntityFilters": "string filter\nEntityCategory[] categories\nTagsFilter tags\nBounds bounds\n",
     "msg/EntityState": "std_msgs/Header header\ngeometry_msgs/Pose pose\n"
     "geometry_msgs/Twist twist\ngeometry_msgs/Accel acceleration\n",
     "msg/Resource": "string uri\nstring resource_string\n",
-    "msg/WorldResource": "string name\nResource world_resource\nstring description\n"
-    "string[] tags\n",
+    "msg/WorldResource": "string name\nResource world_resource\nstring description\nstring[] tags\n",
     "srv/GetSimulatorFeatures": "---\nSimulatorFeatures features\n",
     "srv/ResetSimulation": f"uint8 scope\n{NOTHING}",
     "srv/StepSimulation": f"uint64 steps 1\n{NOTHING}",
     "srv/GetSimulationState": f"---\nSimulationState state\n{RESULT}",
     "srv/SetSimulationState": f"SimulationState state\n{NOTHING}",
     "srv/GetEntities": f"EntityFilters filters\n{NOTHING}string[] entities\n",
-    "srv/GetEntitiesStates": f"EntityFilters filters\n{NOTHING}string[] entities\n"
-    "EntityState[] states\n",
+    "srv/GetEntitiesStates": f"EntityFilters filters\n{NOTHING}string[] entities\nEntityState[] states\n",
     "srv/GetEntityState": f"string entity\n{NOTHING}EntityState state\n",
     "srv/SetEntityState": f"string entity\nEntityState state\n{NOTHING}",
     "srv/LoadWorld": "string uri\nstring resource_string\nbool fail_on_unsupported_element\n"
@@ -39,8 +36,7 @@ JAZZY = {
     "srv/GetCurrentWorld": f"{NOTHING}WorldResource world\n",
     "srv/GetAvailableWorlds": "string[] additional_sources\nTagsFilter filter\n"
     f"bool offline_only\nbool continue_on_error\n{NOTHING}WorldResource[] worlds\n",
-    "action/SimulateSteps": f"uint64 steps\n{NOTHING}---\nuint64 completed_steps\n"
-    "uint64 remaining_steps\n",
+    "action/SimulateSteps": f"uint64 steps\n{NOTHING}---\nuint64 completed_steps\nuint64 remaining_steps\n",
 }
 JAZZY_HASHES = {
     "msg/Result": "cf43a306adff3337a0a47143d8f5689933bc70a30478f13b077dc1fe3bc5ad17",

@@ -144,10 +144,7 @@ def scene_run(ros_node, scene, before=None, **parameters):
     values = SimpleNamespace(**{entry.name: entry.default for entry in TABLE} | parameters, qos=[])
     values.record = str(values.record)
     simulation = Simulation(
-        load_scene(scene),
-        step=fitting_steps(values),
-        accuracy=values.accuracy,
-        horizon=values.accuracy_horizon,
+        load_scene(scene), step=fitting_steps(values), accuracy=values.accuracy, horizon=values.accuracy_horizon
     )
     set_step(values, simulation.step)
     return SceneRun(ros_node, values, simulation, before)
@@ -164,9 +161,7 @@ def wait_for(condition, seconds=30.0):
         time.sleep(0.005)
 
 
-@pytest.mark.parametrize(
-    "scene, body", [("heavy_top", "top"), ("double_pendulum", "lower"), ("hinge_chain", "rod5")]
-)
+@pytest.mark.parametrize("scene, body", [("heavy_top", "top"), ("double_pendulum", "lower"), ("hinge_chain", "rod5")])
 def test_parts_of_a_run_to_an_accuracy_repeat_alone(ros_node, tmp_path, monkeypatch, scene, body):
     """With wrenches that span parts. Each begins where the two runs of the estimate meet."""
     monkeypatch.setattr(real_time, "SHARE", math.inf)
@@ -239,10 +234,7 @@ def test_parts_with_joint_commands_repeat_alone(ros_node, tmp_path, monkeypatch)
         clock_rate=50.0,
         real_time_factor=5.0,
     )
-    points = [
-        Point((0.3, 0.1), (0.5, 0.0), (), (), 400_000_000),
-        Point((-0.2, 0.0), (0.0, 0.0), (), (), 900_000_000),
-    ]
+    points = [Point((0.3, 0.1), (0.5, 0.0), (), (), 400_000_000), Point((-0.2, 0.0), (0.0, 0.0), (), (), 900_000_000)]
     run.start()
     try:
         time.sleep(0.1)
@@ -278,17 +270,9 @@ def whatever_it_helps(monkeypatch):
     monkeypatch.setattr(real_time, "helps", lambda *costs: True)
 
 
-def test_real_time_that_does_not_allow_the_accuracy_raises_it(
-    ros_node, tmp_path, monkeypatch, caplog
-):
+def test_real_time_that_does_not_allow_the_accuracy_raises_it(ros_node, tmp_path, monkeypatch, caplog):
     """By ten, with an event and a warning; a reset returns to the accuracy asked for."""
-    run = scene_run(
-        ros_node,
-        "double_pendulum",
-        accuracy=1e-9,
-        record=tmp_path / "run.mcap",
-        record_split_duration=1.0,
-    )
+    run = scene_run(ros_node, "double_pendulum", accuracy=1e-9, record=tmp_path / "run.mcap", record_split_duration=1.0)
     sent = []
     event = run.outputs.event
     monkeypatch.setattr(run.outputs, "event", lambda *given: sent.append(given) or event(*given))
@@ -482,9 +466,7 @@ def test_a_run_reports_that_its_error_exceeds_the_accuracy(tmp_path):
     assert since - 0.1 <= found["seconds"] <= since + 1e-9
 
 
-@pytest.mark.parametrize(
-    "push, kept, seconds", [(None, False, 0.6), (25, False, 0.6), (0, False, 0.6)]
-)
+@pytest.mark.parametrize("push, kept, seconds", [(None, False, 0.6), (25, False, 0.6), (0, False, 0.6)])
 def test_a_missed_accuracy_is_reported_as_a_problem(tmp_path, push, kept, seconds):
     """With a much too large step of a method; wrenches do not end the accuracy."""
     pushes = [] if push is None else [(push, ("top", (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)))]

@@ -28,12 +28,7 @@ PUSHED = {400: ("top", (0.0, 0.0, 0.0, 0.0, 200.0, 0.0)), 700: ("top", (0.0,) * 
 @pytest.fixture(scope="module")
 def pushed_top(tmp_path_factory):
     """Heavy top, 3 s at h = 2 ms, pushed from 0.8 s to 1.4 s."""
-    return record(
-        tmp_path_factory.mktemp("log") / "pushed.mcap",
-        load_scene("heavy_top"),
-        1500,
-        pushes=PUSHED.items(),
-    )
+    return record(tmp_path_factory.mktemp("log") / "pushed.mcap", load_scene("heavy_top"), 1500, pushes=PUSHED.items())
 
 
 def test_error_of_the_heavy_top_equals_an_independent_implementation(tmp_path):
@@ -58,9 +53,7 @@ def test_error_of_the_heavy_top_equals_an_independent_implementation(tmp_path):
         "first_difference": None,
         "stopped": None,
         "platform": {},
-        "largest_difference": dict.fromkeys(
-            ("position_m", "angle_rad", "angular_rad_s", "linear_m_s"), 0.0
-        ),
+        "largest_difference": dict.fromkeys(("position_m", "angle_rad", "angular_rad_s", "linear_m_s"), 0.0),
     }
     assert figures["problems"] == []
     assert figures["joints"]["pivot"]["largest"] < 1e-12
@@ -71,8 +64,7 @@ def test_error_of_the_heavy_top_equals_an_independent_implementation(tmp_path):
 def test_constraint_drift_on_so3xr3_equals_an_independent_implementation(tmp_path):
     """On SO(3) x R^3 the pivot opens by 1.274e-5 m within 6 s at h = 2 ms; here every 2nd step."""
     figures = figures_of(
-        record(tmp_path / "a.mcap", load_scene("heavy_top"), 3000, per_sample=2, group="so3xr3"),
-        reference=False,
+        record(tmp_path / "a.mcap", load_scene("heavy_top"), 3000, per_sample=2, group="so3xr3"), reference=False
     )
     assert figures["joints"]["pivot"]["largest"] == pytest.approx(1.274e-5, rel=1e-2)
     assert "reference" not in figures
@@ -205,18 +197,13 @@ def test_missing_samples_and_messages_are_reported(tmp_path):
         tmp_path / "a.mcap",
         scene_from_text(PAIR),
         400,
-        spoil=lambda topic, k, data: (
-            None if k == 7 and topic.startswith("/sim_node/left") else data
-        ),
+        spoil=lambda topic, k, data: None if k == 7 and topic.startswith("/sim_node/left") else data,
     )
     recording = dataclasses.replace(read_recording(log), lost={"/clock": 3})
     figures = analyse(recording, reference=False).figures
     assert figures["missing_samples"] == 1 and figures["samples"] == 40
     assert figures["repeat"]["identical"] == 40
-    assert figures["problems"] == [
-        "messages are missing: 3 of /clock",
-        "missing from the recording: 1 sample",
-    ]
+    assert figures["problems"] == ["messages are missing: 3 of /clock", "missing from the recording: 1 sample"]
 
 
 def test_the_recording_of_a_killed_process_is_analysed(tmp_path, pushed_top):

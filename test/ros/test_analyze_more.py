@@ -55,16 +55,7 @@ joints:
 """
 
 
-def run(
-    path,
-    scene,
-    method="rkmk4",
-    step=2e-3,
-    duration=1.0,
-    every=10,
-    spoil=lambda sample: sample,
-    **options,
-):
+def run(path, scene, method="rkmk4", step=2e-3, duration=1.0, every=10, spoil=lambda sample: sample, **options):
     """Record a run of the engine without pacing; `spoil` may change a sample."""
     from liegroup_sim_ros.recording.write_run import LogFile
 
@@ -86,10 +77,7 @@ def test_the_error_against_the_exact_solution_and_the_reference_agree(tmp_path, 
     assert (exact["kind"], exact["seconds"]) == (name, 1.0)
     pushed = read_recording(
         record(
-            tmp_path / "b.mcap",
-            scene_from_text(text),
-            100,
-            pushes=[(50, (recording.bodies[0], (0, 0, 1.0, 0, 0, 0)))],
+            tmp_path / "b.mcap", scene_from_text(text), 100, pushes=[(50, (recording.bodies[0], (0, 0, 1.0, 0, 0, 0)))]
         )
     )
     assert analyse(pushed).figures["reference"]["kind"] == "integration"
@@ -186,15 +174,9 @@ def checked(path):
 def test_the_schema_describes_every_key(tmp_path, logs, capsys):
     jsonschema.Draft202012Validator.check_schema(json.loads(SCHEMA.read_text()))
     log = record(
-        tmp_path / "pair.mcap",
-        scene_from_text(PAIR),
-        100,
-        resets=(50,),
-        pushes=[(20, ("left", (0, 0, 1.0, 0, 0, 0)))],
+        tmp_path / "pair.mcap", scene_from_text(PAIR), 100, resets=(50,), pushes=[(20, ("left", (0, 0, 1.0, 0, 0, 0)))]
     )
-    assert (
-        main(["analyze", str(log), "--json", str(tmp_path / "x.json"), "--compare", str(log)]) == 0
-    )
+    assert main(["analyze", str(log), "--json", str(tmp_path / "x.json"), "--compare", str(log)]) == 0
     document = checked(tmp_path / "x.json")
     assert document["comparison"]["identical"] == document["comparison"]["samples"] == 12
     assert main(["analyze", str(logs / "c.mcap"), "--json", str(tmp_path / "x.json")]) == 0
@@ -212,12 +194,7 @@ def test_many_recordings_give_one_line_each(logs, tmp_path, capsys, monkeypatch,
         from dask.distributed import LocalCluster
 
         cluster = LocalCluster(
-            n_workers=1,
-            threads_per_worker=1,
-            processes=False,
-            dashboard_address=None,
-            protocol="tcp",
-            host="127.0.0.1",
+            n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp", host="127.0.0.1"
         )
         options += ["--scheduler", cluster.scheduler_address]
     try:
@@ -229,9 +206,7 @@ def test_many_recordings_give_one_line_each(logs, tmp_path, capsys, monkeypatch,
     assert [line.split()[0] for line in out.splitlines()[1:4]] == ["a.mcap", "b.mcap", "d.mcap"]
     assert err.splitlines()[-1] == f"liegroup_sim: {logs / 'd.mcap'}: not an MCAP file"
     document = checked(tmp_path / "x.json")
-    assert [entry["log"] for entry in document["logs"]] == [
-        str(logs / name) for name in ("a.mcap", "b.mcap", "d.mcap")
-    ]
+    assert [entry["log"] for entry in document["logs"]] == [str(logs / name) for name in ("a.mcap", "b.mcap", "d.mcap")]
     alone = analyse(read_recording(logs / "a.mcap")).figures
     assert document["logs"][0]["reference"]["angle"] == alone["reference"]["angle"]
     assert [text.split(": ")[0] for text in document["bounds"]["exceeded"]] == 2 * [
@@ -253,10 +228,7 @@ def test_a_violated_or_unjudged_limit_fails_the_command(logs, tmp_path, capsys, 
     assert "it has no drift to check" in capsys.readouterr().err
     assert main(["analyze", log, "--no-reference", "--max-error", "1"]) == 2
     assert main(["analyze", log, log, "--compare", log]) == 2
-    for nothing, said in (
-        (tmp_path / "*.none", "no file matches"),
-        (tmp_path.parent, "a folder without *.mcap in it"),
-    ):
+    for nothing, said in ((tmp_path / "*.none", "no file matches"), (tmp_path.parent, "a folder without *.mcap in it")):
         assert main(["analyze", str(nothing)]) == 2
         assert said in capsys.readouterr().err
     monkeypatch.setattr(tasks, "CONNECTING", 1)  # s instead of 10: nothing listens on that port
@@ -279,9 +251,7 @@ def test_the_steps_of_the_reference_are_limited(tmp_path, capsys):
     short = reference(one, 3, 1)
     out, err = capsys.readouterr()
     assert 0.0 < short["seconds"] < 0.2 and 0.0 < short["position"]["max"] < 1.0
-    said = (
-        f"the error is known up to {short['seconds']:.3g} s only: the reference integration took 3"
-    )
+    said = f"the error is known up to {short['seconds']:.3g} s only: the reference integration took 3"
     assert short["stopped"].startswith(said) and short["stopped"] in err
     assert said in " ".join(out.split())
     enough = next(2**k for k in range(2, 12) if analyse_to(one, 2**k)["stopped"] is None)
@@ -308,27 +278,13 @@ def scaled(factor, last=None):
 
 
 @pytest.mark.parametrize("text", [PAIR, TOP])  # an integration, and an exact solution
-@pytest.mark.parametrize(
-    "factor, covering, close", [(1.0, True, True), (1e-3, False, True), (1e3, True, False)]
-)
+@pytest.mark.parametrize("factor, covering, close", [(1.0, True, True), (1e-3, False, True), (1e3, True, False)])
 def test_recorded_estimates_are_compared_with_the_error(tmp_path, text, factor, covering, close):
     """As they are, and falsified by a factor far above their spread of about ten."""
-    log = run(
-        tmp_path / "a.mcap",
-        scene_from_text(text),
-        step=1e-2,
-        every=4,
-        spoil=scaled(factor),
-        estimate=True,
-    )
+    log = run(tmp_path / "a.mcap", scene_from_text(text), step=1e-2, every=4, spoil=scaled(factor), estimate=True)
     analysis = analyse(read_recording(log))
     figures, largest = analysis.figures, read_recording(log).errors.errors.max(axis=(0, 1))
-    assert figures["problems"] == [] and list(figures["estimate"]) == [
-        "position",
-        "angle",
-        "linear",
-        "angular",
-    ]
+    assert figures["problems"] == [] and list(figures["estimate"]) == ["position", "angle", "linear", "angular"]
     for entry, value in zip(figures["estimate"].values(), largest):
         assert entry["max"] == value
         if entry["samples"]:  # a free body has no error of its position
@@ -350,13 +306,9 @@ def test_only_known_estimates_and_errors_above_the_uncertainty_count():
     error = np.array([[1.0, 0.1]] * 6)
     estimates = np.ones((6, 2, 4)) * np.array([0.4, 0.5, 10.0, 10.1, np.nan, np.inf])[:, None, None]
     uncertainty = np.zeros((6, 2))
-    estimate.compare(
-        estimates, Distance(error, zero, error, zero, error), Distance(*[uncertainty] * 5)
-    )
+    estimate.compare(estimates, Distance(error, zero, error, zero, error), Distance(*[uncertainty] * 5))
     estimate.compare(estimates, Distance(*[error] * 5), Distance(*[error] * 5))
-    block = SimpleNamespace(
-        errors=estimates[:5], steps=np.arange(5), stretch=SimpleNamespace(start=0)
-    )
+    block = SimpleNamespace(errors=estimates[:5], steps=np.arange(5), stretch=SimpleNamespace(start=0))
     estimate.add(block)
     figures = estimate.figures()
     assert figures["position"] == {
@@ -366,13 +318,7 @@ def test_only_known_estimates_and_errors_above_the_uncertainty_count():
         "covering": 0.8,
         "close": 0.6,
     }
-    assert figures["angular"] == {
-        "unit": "rad/s",
-        "max": 10.1,
-        "samples": 0,
-        "covering": None,
-        "close": None,
-    }
+    assert figures["angular"] == {"unit": "rad/s", "max": 10.1, "samples": 0, "covering": None, "close": None}
 
 
 def test_a_recorded_estimate_above_the_limit_fails_the_command(tmp_path, capsys):
@@ -425,9 +371,7 @@ def test_the_coverage_is_the_estimate_divided_by_the_error(tmp_path):
         true, uncertainty, estimate = (error[j + k]["y"] for j in (0, 2, 4))
         for ratio, *parts in zip(trace["y"], true, uncertainty, estimate):
             if ratio is not None:
-                assert (
-                    ratio == pytest.approx(parts[2] / parts[0], rel=1e-5) and parts[0] >= parts[1]
-                )
+                assert ratio == pytest.approx(parts[2] / parts[0], rel=1e-5) and parts[0] >= parts[1]
                 known += 1
     assert known > 20
 
@@ -531,10 +475,7 @@ def test_recordings_are_read_from_urls(logs, monkeypatch):
     assert there.path == "memory://logs/a.mcap" and there.settings == here.settings
     assert np.array_equal(there.pose["top"].quaternion, here.pose["top"].quaternion)
     assert main(["analyze", "memory://logs/*.mcap", "--no-reference"]) == 0
-    for address, said in (
-        ("memory://logs/b.mcap", "cannot be read"),
-        ("nothing://x.mcap", "Protocol not known"),
-    ):
+    for address, said in (("memory://logs/b.mcap", "cannot be read"), ("nothing://x.mcap", "Protocol not known")):
         with pytest.raises(RecordingError, match=said):
             read_recording(address)
     monkeypatch.setitem(sys.modules, "fsspec", None)
@@ -616,12 +557,7 @@ def test_recordings_are_read_over_http(logs, capsys):
 
 def test_the_library_works_without_ros(tmp_path):
     """Arrays and data frames in a Python where no ROS package can be imported."""
-    log = record(
-        tmp_path / "a.mcap",
-        scene_from_text(PAIR),
-        100,
-        pushes=[(20, ("left", (0, 0, 1.0, 0, 0, 2.0)))],
-    )
+    log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 100, pushes=[(20, ("left", (0, 0, 1.0, 0, 0, 2.0)))])
     code = """
 import sys
 for name in ("rclpy", "rosgraph_msgs", "geometry_msgs", "rcl_interfaces", "diagnostic_msgs",
@@ -676,9 +612,7 @@ def test_joint_states_are_read(tmp_path):
     }
     ((_, kind, encode),) = sample_messages.joint_states(simulation.layout, "world")
     wanted = []
-    with Recorder(
-        tmp_path / "a.mcap", attachments.at_start(simulation, "/n", "world", 1, topics)
-    ) as recorder:
+    with Recorder(tmp_path / "a.mcap", attachments.at_start(simulation, "/n", "world", 1, topics)) as recorder:
         channel = recorder.add_channel("/n/joint_states", kind)
         for _ in range(30):
             simulation.advance(10)
@@ -691,8 +625,7 @@ def test_joint_states_are_read(tmp_path):
     assert states.effort.shape == (30, k) and np.isnan(states.effort).all()
     assert k == 2 and states.names == tuple(sample.joint_coordinates)
     assert np.array_equal(
-        np.column_stack([states.stamp_ns, states.position[:, 0], states.velocity[:, 0]]),
-        np.array(wanted)[:, :3],
+        np.column_stack([states.stamp_ns, states.position[:, 0], states.velocity[:, 0]]), np.array(wanted)[:, :3]
     )
     frame = recording.to_pandas("joints")
     assert frame.shape == (30, 6) and frame[states.names[1]].velocity.iloc[-1] == wanted[-1][4]

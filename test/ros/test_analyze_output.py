@@ -30,10 +30,7 @@ from liegroup_sim_ros.report.terminal import print_table
 
 def test_nan_is_never_shown_as_good(tmp_path, capsys):
     log = record(
-        tmp_path / "a.mcap",
-        scene_from_text(PAIR),
-        20,
-        pacing=PACING | {"real_time_factor": 0.5, "reanchored": 3},
+        tmp_path / "a.mcap", scene_from_text(PAIR), 20, pacing=PACING | {"real_time_factor": 0.5, "reanchored": 3}
     )
     analysis = analyse(read_recording(log))
     assert "too slow: real-time factor 0.5, requested 1" in analysis.figures["problems"]
@@ -146,8 +143,7 @@ def test_the_html_report_is_self_contained_and_escaped(tmp_path, capsys):
     assert "start: <b>begin</b>" in "".join(links.texts)
     assert 'name="viewport"' in text and "prefers-color-scheme: dark" in text
     (part,) = json.loads(
-        next(data for given, data in links.scripts if given.get("id") == "data"),
-        parse_constant=pytest.fail,
+        next(data for given, data in links.scripts if given.get("id") == "data"), parse_constant=pytest.fail
     )
     assert len(part["plots"]) == 4  # error, energy, momentum, lateness; no joints
     for plot in part["plots"]:
@@ -180,10 +176,7 @@ def test_the_report_size_is_bounded_for_long_recordings(tmp_path, monkeypatch):
     y[123_456], y[654_321], y[777_777] = 7.0, -5.0, np.nan
     drawn = plots._line("a curve", np.arange(1e6), y, "--blue")
     assert len(drawn["x"]) == len(drawn["y"]) <= 3 * plots.BINS
-    assert (drawn["x"][drawn["y"].index(7.0)], drawn["x"][drawn["y"].index(-5.0)]) == (
-        123_456,
-        654_321,
-    )
+    assert (drawn["x"][drawn["y"].index(7.0)], drawn["x"][drawn["y"].index(-5.0)]) == (123_456, 654_321)
     assert None in drawn["y"]
     log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 2000, per_sample=1, resets=(700,))
     monkeypatch.setattr(view, "MOST_PLACES", 400)
@@ -246,14 +239,7 @@ def test_unwritable_output_and_invalid_scenes_give_one_line(tmp_path, capsys):
                 "/n",
                 "world",
                 10,
-                {
-                    "pose": {},
-                    "twist": {},
-                    "applied_wrench": "/a",
-                    "events": "/e",
-                    "clock": None,
-                    "diagnostics": "/d",
-                },
+                {"pose": {}, "twist": {}, "applied_wrench": "/a", "events": "/e", "clock": None, "diagnostics": "/d"},
             )
             | {"scene.yaml": ("application/yaml", b"name: 3")}
         ),
@@ -283,9 +269,7 @@ def test_works_without_ros(tmp_path):
 def test_command_line(capsys):
     with pytest.raises(SystemExit) as ended:
         main(["--version"])
-    assert ended.value.code == 0 and re.fullmatch(
-        r"liegroup_sim \d+\.\d+\.\d+\n", capsys.readouterr().out
-    )
+    assert ended.value.code == 0 and re.fullmatch(r"liegroup_sim \d+\.\d+\.\d+\n", capsys.readouterr().out)
     with pytest.raises(SystemExit) as ended:
         main(["nonsense"])
     assert ended.value.code == 2

@@ -32,9 +32,7 @@ def check_branch(recording, branches, at, seconds=0.5, end_ns=np.inf):
     simulation, stamp_ns = branches.at(at, inputs=True)
     body = recording.bodies[-1]
     track, twists = recording.pose[body], recording.twist[body]
-    rows = np.flatnonzero(
-        (track.stamp_ns >= stamp_ns) & (track.stamp_ns <= min(stamp_ns + seconds * 1e9, end_ns))
-    )
+    rows = np.flatnonzero((track.stamp_ns >= stamp_ns) & (track.stamp_ns <= min(stamp_ns + seconds * 1e9, end_ns)))
     assert len(rows) > 0
     base_ns = stamp_ns - simulation.time_ns
     for row in rows.tolist():
@@ -73,9 +71,7 @@ def test_an_unedited_branch_is_bit_identical(tmp_path, many_checkpoints, case):
         check_branch(recording, branches, at)
 
 
-def test_another_input_gives_another_motion_and_a_branch_can_be_taken_again(
-    tmp_path, many_checkpoints
-):
+def test_another_input_gives_another_motion_and_a_branch_can_be_taken_again(tmp_path, many_checkpoints):
     recording = run(tmp_path / "run.mcap", *CASES["accuracy"], "--duration", "2")
     branches = Branches(recording)
     simulation, _ = branches.at(1.1)
@@ -182,9 +178,7 @@ def equal_samples(one, other, first_ns, last_ns):
     counts = []
     for body in one.bodies:
         mine, theirs = one.pose[body], other.pose[body]
-        common, rows, others = np.intersect1d(
-            mine.stamp_ns, theirs.stamp_ns, True, return_indices=True
-        )
+        common, rows, others = np.intersect1d(mine.stamp_ns, theirs.stamp_ns, True, return_indices=True)
         inside = (common >= first_ns) & (common <= last_ns)
         rows, others = rows[inside], others[inside]
         assert np.array_equal(mine.position[rows], theirs.position[others])
@@ -220,9 +214,7 @@ def test_a_node_goes_on_from_an_instant(client, recorded, tmp_path, capsys, at):
         "record": path,
     }
     with NodeProcess(parameters, [f"__node:={name[1:]}"]) as process:
-        client.until(
-            lambda: poses and stamp_ns(poses[-1].header.stamp) > original.last_ns, COMPILING
-        )
+        client.until(lambda: poses and stamp_ns(poses[-1].header.stamp) > original.last_ns, COMPILING)
         # A reset goes to the start of the scene, a reload to the instant again.
         assert client.call(f"{name}/pause").success
         answer = client.call(f"{name}/reload")

@@ -36,14 +36,7 @@ def test_table_picture_and_json(tmp_path, capsys):
     shown = capsys.readouterr().out
     assert "step, free body over 16 s, s" in shown and "silent 0" in shown
     found = json.loads(cells.read_text())
-    assert found["counts"] == {
-        "accurate": 4,
-        "flagged": 0,
-        "refused": 2,
-        "stopped": 0,
-        "unjudged": 0,
-        "silent": 0,
-    }
+    assert found["counts"] == {"accurate": 4, "flagged": 0, "refused": 2, "stopped": 0, "unjudged": 0, "silent": 0}
     assert [cell["value"] for cell in found["cells"]] == [8.0, 8.0, 1.0, 1.0, 0.25, 0.25]
     assert picture.read_bytes().startswith(b"\x89PNG")
 
@@ -74,20 +67,7 @@ def test_an_interrupted_map_keeps_its_cells(tmp_path, capsys, monkeypatch):
 
 def test_a_user_scene_is_mapped(capsys):
     assert (
-        main(
-            [
-                "extremes",
-                "free_body",
-                "--horizon",
-                "0.5",
-                "--axes",
-                "step",
-                "--methods",
-                "rkmk4",
-                "--workers",
-                "1",
-            ]
-        )
+        main(["extremes", "free_body", "--horizon", "0.5", "--axes", "step", "--methods", "rkmk4", "--workers", "1"])
         == 0
     )
     assert "accurate 9" in capsys.readouterr().out
@@ -122,20 +102,7 @@ def test_close_values_are_distinguishable_and_not_truncated(tmp_path, capsys):
     """1.000001 differs from 1 on the terminal and in the report; column heads are complete."""
     page, wanted = tmp_path / "map.md", next(a for a in extremes.AXES if a.name == "sleeping")
     assert (
-        main(
-            [
-                "extremes",
-                "--axes",
-                "sleeping",
-                "--methods",
-                "rkmk8",
-                "--workers",
-                "1",
-                "--markdown",
-                str(page),
-            ]
-        )
-        == 0
+        main(["extremes", "--axes", "sleeping", "--methods", "rkmk8", "--workers", "1", "--markdown", str(page)]) == 0
     )
     heads = capsys.readouterr().out.splitlines()[1].split()
     assert tuple(map(float, heads)) == wanted.values

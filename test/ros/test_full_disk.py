@@ -95,9 +95,7 @@ def test_a_report_of_before_is_kept(folder, log, capsys, name):
     refused(capsys, analyze, name)
     assert [each.read_text() for each in folder.iterdir()] == ["precious"]
     assert main(list(map(str, analyze))) == 0
-    assert (folder / name).stat().st_size > LIMIT and (
-        folder / name
-    ).stat().st_mode & 0o777 == 0o640
+    assert (folder / name).stat().st_size > LIMIT and (folder / name).stat().st_mode & 0o777 == 0o640
 
 
 def test_what_is_no_file_is_written_directly(log, capsys):

@@ -101,11 +101,7 @@ def with_chunk(head, packed):
 
 
 def chunk_head(unpacked, packed, crc=0, compression=b"zstd"):
-    return (
-        struct.pack("<QQQII", 0, 1, unpacked, crc, len(compression))
-        + compression
-        + (struct.pack("<Q", packed))
-    )
+    return struct.pack("<QQQII", 0, 1, unpacked, crc, len(compression)) + compression + (struct.pack("<Q", packed))
 
 
 def bomb(claimed):
@@ -179,25 +175,7 @@ def test_bombs_and_huge_lengths_are_refused_quickly(tmp_path, capsys, make):
     assert main(["replay", str(file)]) == main(["replay", str(file), "--resimulate"]) == 2
 
 
-STRANGE = (
-    None,
-    True,
-    -1,
-    0,
-    1e-300,
-    1e300,
-    math.nan,
-    math.inf,
-    2**70,
-    "x",
-    "",
-    [],
-    [1],
-    {},
-    {"a": [{}]},
-    "\n",
-    1.5,
-)
+STRANGE = (None, True, -1, 0, 1e-300, 1e300, math.nan, math.inf, 2**70, "x", "", [], [1], {}, {"a": [{}]}, "\n", 1.5)
 
 
 @pytest.mark.parametrize(
@@ -221,10 +199,7 @@ def test_invalid_settings_in_a_recording(small, key):
     good = read_recording(small)
     for value in STRANGE:
         recording = dataclasses.replace(good, settings=good.settings | {key: value})
-        for judge in (
-            lambda: analyse(recording, reference=False).figures["repeat"],
-            lambda: resimulate(recording),
-        ):
+        for judge in (lambda: analyse(recording, reference=False).figures["repeat"], lambda: resimulate(recording)):
             try:
                 figures = judge()
             except (RecordingError, SceneError, ReplayError) as error:

@@ -28,26 +28,8 @@ joints:
 forces:
   - {name: servo, type: servo, joint: hinge, stiffness: 100, damping: 10}
 """
-NAMES = (
-    "arm",
-    "stone",
-    "hinge",
-    "arm/pose",
-    "arm/twist",
-    "hinge/position",
-    "hinge/velocity",
-    "body",
-)
-NAMES += (
-    "duration",
-    "force",
-    "point",
-    "scene",
-    "record",
-    "snapshot",
-    "step_count",
-    "real_time_factor",
-)
+NAMES = ("arm", "stone", "hinge", "arm/pose", "arm/twist", "hinge/position", "hinge/velocity", "body")
+NAMES += ("duration", "force", "point", "scene", "record", "snapshot", "step_count", "real_time_factor")
 REQUESTS = 30  # to each service
 MESSAGES = 60  # to each topic
 FROZEN = 10.0  # s; far above the 2 ms that an answer takes
@@ -108,9 +90,7 @@ def test_no_request_ends_or_freezes_the_node(client, besieged):
             if name.endswith("get_type_description"):  # rcl logs it all; nobody reads the pipe yet
                 request.type_hash = request.type_hash[:60]
             if name.endswith("send_goal"):
-                request.goal.steps = min(
-                    request.goal.steps, 9
-                )  # others go on until they are cancelled
+                request.goal.steps = min(request.goal.steps, 9)  # others go on until they are cancelled
             began = time.monotonic()
             client.call(name, service, request, again=FROZEN)
             assert time.monotonic() - began < FROZEN, (name, request)
@@ -193,9 +173,7 @@ def test_huge_numbers_are_refused_before_they_count(client, besieged):
     from rclpy.parameter import Parameter
 
     for name, value in (("hinge/velocity", 1e308), ("stone/twist", [1e300] + [0.0] * 5)):
-        request = SetParametersAtomically.Request(
-            parameters=[Parameter(name, value=value).to_parameter_msg()]
-        )
+        request = SetParametersAtomically.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
         result = client.call(f"{NODE}/set_state", SetParametersAtomically, request).result
         assert not result.successful and "finite number" in result.reason, result.reason
 

@@ -29,13 +29,9 @@ def test_the_page_contains_commands_and_python_code():
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_of_the_page_starts_a_node(client, tmp_path, command):
-    command = command.replace("config/", f"{SOURCE / 'config'}/").replace(
-        "run.mcap", str(tmp_path / "run.mcap")
-    )
+    command = command.replace("config/", f"{SOURCE / 'config'}/").replace("run.mcap", str(tmp_path / "run.mcap"))
     if "continue_from" in command:
-        assert (
-            main(["run", "heavy_top", "--duration", "1", "--out", str(tmp_path / "run.mcap")]) == 0
-        )
+        assert main(["run", "heavy_top", "--duration", "1", "--out", str(tmp_path / "run.mcap")]) == 0
     namespace = re.search(r"__ns:=(\S+)", command)
     events = client.listen(
         f"{namespace[1] if namespace else ''}/sim_node/events",
@@ -115,8 +111,7 @@ def test_the_page_on_stops_runs_and_prints_what_it_shows(tmp_path, monkeypatch, 
 def test_the_sensors_of_the_page_on_reactions_run(tmp_path, monkeypatch, capsys, client):
     monkeypatch.chdir(tmp_path)
     scene, code = (
-        re.findall(rf"^```{kind}\n(.*?)^```$", REACTIONS, re.MULTILINE | re.DOTALL)[0]
-        for kind in ("yaml", "python")
+        re.findall(rf"^```{kind}\n(.*?)^```$", REACTIONS, re.MULTILINE | re.DOTALL)[0] for kind in ("yaml", "python")
     )
     Path("rod.yaml").write_text(scene)
     exec(compile(code, "reactions.md", "exec"), {})

@@ -42,9 +42,7 @@ def layout():
 
 
 def message(names=(), position=(), velocity=(), effort=(), stamp_ns=0):
-    state = JointState(
-        name=list(names), position=list(position), velocity=list(velocity), effort=list(effort)
-    )
+    state = JointState(name=list(names), position=list(position), velocity=list(velocity), effort=list(effort))
     state.header.stamp.sec, state.header.stamp.nanosec = divmod(stamp_ns, 10**9)
     return serialize_message(state)
 
@@ -71,24 +69,17 @@ def test_positions_and_velocities_are_wanted_values_of_servos(layout):
     reader = JointCommandInput(layout, 0.02)
     for fields, target in (
         ({"names": ["pin"], "position": [2.0], "velocity": [3.0]}, ("pin", 2.0, 3.0)),
-        (
-            {"names": ["rail", "pin"], "position": [NAN, 2.0], "effort": [1.0, NAN]},
-            ("pin", 2.0, 0.0),
-        ),
+        ({"names": ["rail", "pin"], "position": [NAN, 2.0], "effort": [1.0, NAN]}, ("pin", 2.0, 0.0)),
     ):
         *efforts, found = reader.read(message(**fields, stamp_ns=NOW + 5), NOW, 0, None)
         assert found == (*target, NOW + 5) and isinstance(found, Target)
         assert [effort.joint for effort in efforts] == ["rail"] * len(efforts)
     free = scene_from_text(SCENE.replace("stiffness: 9", "stiffness: 0"))
-    (found,) = JointCommandInput(make_layout(free), 0.02).read(
-        message(["pin"], velocity=[3.0]), NOW, 0, None
-    )
+    (found,) = JointCommandInput(make_layout(free), 0.02).read(message(["pin"], velocity=[3.0]), NOW, 0, None)
     assert found == ("pin", 0.0, 3.0, 0)
 
 
-@pytest.mark.parametrize(
-    "stamp_ns, start_ns", [(0, 0), (NOW - 1, 0), (NOW, 0), (NOW + 1, NOW + 1), (NOW - 10**9, 0)]
-)
+@pytest.mark.parametrize("stamp_ns, start_ns", [(0, 0), (NOW - 1, 0), (NOW, 0), (NOW + 1, NOW + 1), (NOW - 10**9, 0)])
 def test_a_future_stamp_is_awaited(layout, stamp_ns, start_ns):
     payload = message(["pin"], effort=[1.0], stamp_ns=stamp_ns)
     (command,) = JointCommandInput(layout, 0.02).read(payload, NOW, 0, None)
@@ -170,11 +161,7 @@ def test_joints_of_a_robot_have_the_names_of_its_file(tmp_path):
     found = reader.read(message(["extend", "shoulder-1"], effort=[1.0, 2.0]), NOW, 0, None)
     assert [(c.joint, c.effort) for c in found] == [("extend", 1.0), (scene_name, 2.0)]
     assert scene_name != "shoulder-1"
-    for name, reason in (
-        ("tip_joint", "no_coordinate"),
-        ("flange", "unknown_joint"),
-        (scene_name, "unknown_joint"),
-    ):
+    for name, reason in (("tip_joint", "no_coordinate"), ("flange", "unknown_joint"), (scene_name, "unknown_joint")):
         with pytest.raises(Refusal) as caught:
             reader.read(message([name], effort=[1.0]), NOW, 0, None)
         assert caught.value.reason == reason

@@ -38,10 +38,7 @@ joints:
 
 
 # The cushion is entered and left without an event of the simulation.
-KINDS = {
-    "block": ("impact", "stop", "leave", "stick", "slip"),
-    "cushion": ("impact", "stick", "slip"),
-}
+KINDS = {"block": ("impact", "stop", "leave", "stick", "slip"), "cushion": ("impact", "stick", "slip")}
 
 
 def test_modes_survive_the_message():
@@ -73,14 +70,7 @@ def test_another_matrix_is_refused():
 def recording(tmp_path_factory):
     folder = tmp_path_factory.mktemp("stops")
     (folder / "stops.yaml").write_text(SCENE)
-    command = [
-        "run",
-        str(folder / "stops.yaml"),
-        "--duration",
-        "4",
-        "--out",
-        str(folder / "run.mcap"),
-    ]
+    command = ["run", str(folder / "stops.yaml"), "--duration", "4", "--out", str(folder / "run.mcap")]
     assert main([*command, "--reactions"]) == 0
     return read_recording(folder / "run.mcap")
 
@@ -139,12 +129,7 @@ def test_reactions_of_recorded_poses_are_those_of_the_run(recording):
     sample.switching = None
     last = recorded_sample(layout, recording, row)
     last.switching = None
-    assert (
-        abs(last.reactions["block"][2])
-        < 1e-9
-        < 1.0
-        < abs(recording.reactions["block"].wrench[row, 2])
-    )
+    assert abs(last.reactions["block"][2]) < 1e-9 < 1.0 < abs(recording.reactions["block"].wrench[row, 2])
 
 
 def recorded_sample(layout, recording, row):

@@ -91,12 +91,8 @@ def test_pose_is_what_ros_serializes(stamp_ns, frame_id, position, quaternion):
 
 @given(STAMPS, FRAMES, floats(6))
 def test_twist_and_wrench_are_what_ros_serializes(stamp_ns, frame_id, values):
-    assert TwistStampedCodec(frame_id).encode(stamp_ns, values) == twist_message(
-        stamp_ns, frame_id, values
-    )
-    assert WrenchStampedCodec(frame_id).encode(stamp_ns, np.array(values)) == wrench_message(
-        stamp_ns, frame_id, values
-    )
+    assert TwistStampedCodec(frame_id).encode(stamp_ns, values) == twist_message(stamp_ns, frame_id, values)
+    assert WrenchStampedCodec(frame_id).encode(stamp_ns, np.array(values)) == wrench_message(stamp_ns, frame_id, values)
 
 
 @pytest.mark.parametrize("length", range(41))
@@ -118,10 +114,7 @@ def test_clock_is_what_ros_serializes(stamp_ns):
 @given(st.lists(st.tuples(STAMPS, FRAMES, floats(7)), max_size=20))
 def test_decoding_mixed_frames_returns_the_encoded_numbers(rows):
     poses = PoseStampedCodec.decode(
-        [
-            pose_message(stamp_ns, frame_id, values[:3], values[3:])
-            for stamp_ns, frame_id, values in rows
-        ]
+        [pose_message(stamp_ns, frame_id, values[:3], values[3:]) for stamp_ns, frame_id, values in rows]
     )
     twists = TwistStampedCodec.decode(
         [twist_message(stamp_ns, frame_id, values[:6]) for stamp_ns, frame_id, values in rows]

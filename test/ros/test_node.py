@@ -33,9 +33,7 @@ class Shared:
         self.pose = client.listen(f"{NODE}/puck/pose", PoseStamped)
         self.twist = client.listen(f"{NODE}/puck/twist", TwistStamped)
         self.cube_twist = client.listen(f"{NODE}/cube/twist", TwistStamped)
-        self.clock = client.listen(
-            "/clock", Clock, QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
-        )
+        self.clock = client.listen("/clock", Clock, QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT))
         self.applied = client.listen(f"{NODE}/applied_wrench", WrenchStamped)
         self.events = client.listen(
             f"{NODE}/events", Log, QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -44,33 +42,19 @@ class Shared:
         self.logged = client.listen("/rosout", Log)
         self.push = client.pusher(NODE)
         client.until(
-            lambda: (
-                self.pose
-                and self.twist
-                and self.cube_twist
-                and self.clock
-                and self.diagnostics
-                and self.events
-            ),
+            lambda: self.pose and self.twist and self.cube_twist and self.clock and self.diagnostics and self.events,
             COMPILING,
             "one message of each",
         )
 
     def now_ns(self):
         """Stamp up to which all poses and twists have come."""
-        return min(
-            stamp_ns(messages[-1].header.stamp)
-            for messages in (self.pose, self.twist, self.cube_twist)
-        )
+        return min(stamp_ns(messages[-1].header.stamp) for messages in (self.pose, self.twist, self.cube_twist))
 
     def pause(self, client):
         """Pause the node; the stamp at which it stands, once all messages up to it have come."""
         assert client.call(f"{NODE}/pause").success
-        client.until(
-            lambda: (
-                self.events[-1].name == "pause" and self.now_ns() == stamp_ns(self.events[-1].stamp)
-            )
-        )
+        client.until(lambda: self.events[-1].name == "pause" and self.now_ns() == stamp_ns(self.events[-1].stamp))
         return self.now_ns()
 
     def figures(self):
@@ -124,15 +108,11 @@ def test_a_late_subscriber_receives_the_start_event(node):
 
 
 def test_a_wrench_from_another_process_gives_its_impulse(client, node):
-    push = python(
-        PUSH, "push", "puck", "--force", 3, 0, 0, "--torque", 0, 0, 0.8, "--duration", 0.3
-    )
+    push = python(PUSH, "push", "puck", "--force", 3, 0, 0, "--torque", 0, 0, 0.8, "--duration", 0.3)
     client.until(lambda: push.poll() is not None, what="end of the push")
     output, errors = push.communicate()
     assert push.returncode == 0, errors
-    assert re.search(
-        r"applied force .* to puck .* 15 messages, .*\napplied from \S+ s to \S+ s", output
-    )
+    assert re.search(r"applied force .* to puck .* 15 messages, .*\napplied from \S+ s to \S+ s", output)
     assert len(node.applied) == 2
     (body, wrench, start), (_, zero, end) = map(values, node.applied)
     assert (body, wrench, zero) == ("puck", (0.0, 0.0, 0.8, 3.0, 0.0, 0.0), (0.0,) * 6)
@@ -207,9 +187,7 @@ def test_a_future_stamp_is_scheduled_and_a_past_stamp_applies_now(client, node):
         ("stamp_too_far", "puck", (1.0, 0.0, 0.0), 1_800_000_000 * 10**9, "ahead of the simulated"),
     ],
 )
-def test_an_invalid_wrench_is_refused_counted_and_logged_once(
-    client, node, reason, body, force, ahead, message
-):
+def test_an_invalid_wrench_is_refused_counted_and_logged_once(client, node, reason, body, force, ahead, message):
     client.until(lambda: node.figures()["state"] == "running")
     logged = len(node.logged)
     key = f"wrenches_refused_{reason}"
@@ -229,13 +207,9 @@ def test_an_invalid_wrench_is_refused_counted_and_logged_once(
 
 def test_a_wrench_publisher_with_incompatible_qos_is_reported(client, node):
     publisher = client.node.create_publisher(
-        WrenchStamped,
-        f"{NODE}/wrench",
-        QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT),
+        WrenchStamped, f"{NODE}/wrench", QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
     )
-    client.until(
-        lambda: any("incompatible QoS" in m.msg and "RELIABILITY" in m.msg for m in node.logged)
-    )
+    client.until(lambda: any("incompatible QoS" in m.msg and "RELIABILITY" in m.msg for m in node.logged))
     client.node.destroy_publisher(publisher)
 
 

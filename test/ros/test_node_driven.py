@@ -138,10 +138,7 @@ def test_what_a_driven_joint_cannot_do_is_refused(client, node):
         ("not_finite", {"name": ["hinge"], "position": [math.inf]}),
         ("jump_too_large", {"name": ["slide"], "position": [1.0]}),
         ("beyond_limits", {"name": ["slide"], "velocity": [1e12]}),
-        (
-            "beyond_limits",
-            {"name": ["hinge", "slide"], "position": [0.1, 1.3], "velocity": [0.0, 0.0]},
-        ),
+        ("beyond_limits", {"name": ["hinge", "slide"], "position": [0.1, 1.3], "velocity": [0.0, 0.0]}),
     ):
         assert client.set(NODE, command_jump=0.5).successful
         count = f"joint_commands_refused_{reason}"
@@ -162,8 +159,7 @@ def test_a_far_position_is_refused_without_any_parameter(client, node):
     node.command(name=["hinge"], position=[1e12])
     publisher.publish(trajectory(["slide", "hinge"], (0.2, [0.1, 1e12], [])))
     client.until(
-        lambda: node.steps(100) and [node.figure(c) for c in refused] == [k + 1 for k in known],
-        what="the refusals",
+        lambda: node.steps(100) and [node.figure(c) for c in refused] == [k + 1 for k in known], what="the refusals"
     )
     before, after = node.states[-1], node.steps(100)
     assert after.velocity[0] == pytest.approx(1.5, abs=1e-12)
@@ -183,9 +179,7 @@ def test_every_part_of_the_recording_is_repeated_and_analysed(process, node):
             acting += 1
             frame = recording.to_pandas("motions")
             assert frame["hinge"].c0.to_numpy().tobytes() == motions.motion[:, 0, 1].tobytes()
-            assert (
-                motions.names == ("hinge", "slide") and np.isfinite(motions.motion[0, :, 0]).any()
-            )
+            assert motions.names == ("hinge", "slide") and np.isfinite(motions.motion[0, :, 0]).any()
         # A branch without inputs: what was commanded comes to rest.
         branches = Branches(recording)
         simulation, _ = branches.at(0.5e-9 * (branches.first_ns + branches.last_ns))

@@ -24,9 +24,7 @@ def test_estimates_are_served_recorded_and_end_with_an_event(client, tmp_path):
     """A double pendulum at 8 ms leaves its motion within seconds."""
     path = tmp_path / "run.mcap"
     states = client.listen("/doubtful/state", DiagnosticArray)
-    events = client.listen(
-        "/doubtful/events", Log, QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    )
+    events = client.listen("/doubtful/events", Log, QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL))
     parameters = {
         "scene": "double_pendulum",
         "method": "rkmk4",
@@ -48,19 +46,14 @@ def test_estimates_are_served_recorded_and_end_with_an_event(client, tmp_path):
         figures = {pair.key: pair.value for pair in states[-1].status[0].values}
         assert {"position_error_m", "attitude_error_rad", "predictable_until_s"} <= set(figures)
         client.until(
-            lambda: (
-                {pair.key: pair.value for pair in states[-1].status[0].values}["worst_body"]
-                in ("upper", "lower")
-            ),
+            lambda: {pair.key: pair.value for pair in states[-1].status[0].values}["worst_body"] in ("upper", "lower"),
             what="the worst body",
         )
         errors = client.listen("/doubtful/errors", Float64MultiArray)
         poses = client.listen(f"/doubtful/{body}/pose_with_covariance", PoseWithCovarianceStamped)
         odometry = client.listen(f"/doubtful/{body}/odometry", Odometry)
         # In the first steps the error is not known.
-        client.until(
-            lambda: odometry and max(odometry[-1].pose.covariance) < UNKNOWN, what="covariances"
-        )
+        client.until(lambda: odometry and max(odometry[-1].pose.covariance) < UNKNOWN, what="covariances")
         covariance = np.reshape(odometry[-1].pose.covariance, (6, 6))
         assert (np.diag(covariance) > 0.0).all() and np.count_nonzero(covariance) == 6
         both = client.until(lambda: _at_one_stamp(poses, odometry), what="a stamp of both")

@@ -37,9 +37,7 @@ def ended_well(process, expected=0):
 
 
 @pytest.mark.skipif(not has_namespaces(), reason="no mount namespaces for users here")
-def test_a_full_disk_ends_the_recording_with_an_error_but_not_the_simulation(
-    client, scene, tmp_path
-):
+def test_a_full_disk_ends_the_recording_with_an_error_but_not_the_simulation(client, scene, tmp_path):
     script = SMALL_DISK.format(shlex.quote(str(tmp_path)))
     diagnostics = client.listen("/diagnostics", DiagnosticArray)
     poses = client.listen("/filling/puck/pose", PoseStamped)
@@ -48,11 +46,7 @@ def test_a_full_disk_ends_the_recording_with_an_error_but_not_the_simulation(
         remap=["__node:=filling"],
         under=("unshare", "-rm", "sh", "-c", script, "sh"),
     ) as process:
-        client.until(
-            lambda: diagnostics and figures(diagnostics).get("recorder_failure"),
-            COMPILING,
-            "a full disk",
-        )
+        client.until(lambda: diagnostics and figures(diagnostics).get("recorder_failure"), COMPILING, "a full disk")
         status = diagnostics[-1].status[0]
         assert status.level == DiagnosticStatus.ERROR and "No space left" in status.message
         count, lost = len(poses), int(figures(diagnostics)["recorder_lost"])
@@ -65,9 +59,7 @@ def test_a_full_disk_ends_the_recording_with_an_error_but_not_the_simulation(
 
 
 def test_a_removed_recording_is_an_error_an_event_and_an_exit_code(client, scene, tmp_path):
-    events = client.listen(
-        "/emptied/events", Log, QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    )
+    events = client.listen("/emptied/events", Log, QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL))
     log = tmp_path / "run.mcap"
     with NodeProcess(
         {"scene": scene, "record": log, "record_flush_interval": 0.2}, remap=["__node:=emptied"]
@@ -105,14 +97,8 @@ def test_a_suspended_node_continues_without_a_burst(client, scene):
 
 def test_an_overloaded_node_reports_it(client, scene):
     diagnostics = client.listen("/diagnostics", DiagnosticArray)
-    with NodeProcess(
-        {"scene": scene, "real_time_factor": 1e6}, remap=["__node:=hurried"]
-    ) as process:
-        client.until(
-            lambda: diagnostics and int(figures(diagnostics)["reanchored"]) > 1,
-            COMPILING,
-            "diagnostics",
-        )
+    with NodeProcess({"scene": scene, "real_time_factor": 1e6}, remap=["__node:=hurried"]) as process:
+        client.until(lambda: diagnostics and int(figures(diagnostics)["reanchored"]) > 1, COMPILING, "diagnostics")
         client.until(lambda: diagnostics[-1].status[0].level == DiagnosticStatus.WARN)
         assert "too slow: real-time factor" in diagnostics[-1].status[0].message
         assert int(figures(diagnostics)["overruns"]) > 1

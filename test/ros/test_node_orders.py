@@ -30,41 +30,27 @@ VALUES = {
     "scene": ["heavy_top", "double_pendulum", "no_such_scene"],
     "method": ["rkmk2"],
 }
-REFUSED = {
-    ("real_time_factor", -1.0),
-    ("step_count", 0),
-    ("wrench_hold", "for_ever"),
-    ("method", "rkmk2"),
-}
+REFUSED = {("real_time_factor", -1.0), ("step_count", 0), ("wrench_hold", "for_ever"), ("method", "rkmk2")}
 
 
 def test_random_commands_are_answered_and_all_recording_parts_repeat(client, tmp_path):
     rng = random.Random(5)
     clock = client.listen("/clock", Clock)
-    with NodeProcess(
-        {"scene": "heavy_top", "record": tmp_path / "run.mcap"}, remap=[f"__node:={NODE[1:]}"]
-    ) as process:
+    with NodeProcess({"scene": "heavy_top", "record": tmp_path / "run.mcap"}, remap=[f"__node:={NODE[1:]}"]) as process:
         push = client.pusher(NODE, "wrench/persistent")
         services = {name: client.node.create_client(Trigger, f"{NODE}/{name}") for name in COMMANDS}
         parameters = client.node.create_client(SetParameters, f"{NODE}/set_parameters")
-        client.until(
-            lambda: all(each.service_is_ready() for each in (parameters, *services.values())),
-            COMPILING,
-        )
+        client.until(lambda: all(each.service_is_ready() for each in (parameters, *services.values())), COMPILING)
         for _ in range(60):
             asked = []
             for _ in range(3):
                 if rng.random() < 0.3:
                     name = rng.choice(list(VALUES))
                     value = rng.choice(VALUES[name])
-                    request = SetParameters.Request(
-                        parameters=[Parameter(name, value=value).to_parameter_msg()]
-                    )
+                    request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
                     asked.append(((name, value), parameters.call_async(request)))
                 else:
-                    asked.append(
-                        (None, services[rng.choice(COMMANDS)].call_async(Trigger.Request()))
-                    )
+                    asked.append((None, services[rng.choice(COMMANDS)].call_async(Trigger.Request())))
             # The last one is finite, but no motion under it is: a fault.
             push(
                 rng.choice(["top", "upper", "lower"]),
@@ -72,9 +58,7 @@ def test_random_commands_are_answered_and_all_recording_parts_repeat(client, tmp
                 torque=(0.0, rng.choice([0.0, 0.0, 0.0, 1e306]), 0.0),
             )
             # A reload may have to compile.
-            client.until(
-                lambda: all(future.done() for _, future in asked), COMPILING, "all answers"
-            )
+            client.until(lambda: all(future.done() for _, future in asked), COMPILING, "all answers")
             for given, future in asked:
                 if given is None:
                     answer = future.result()

@@ -135,14 +135,10 @@ def test_a_position_beyond_command_jump_is_refused_and_counted(client, node):
     node.command(name=["hinge"], position=[0.19])
     client.until(lambda: node.steps(100) and abs(node.states[-1].position[0]) > 0.15, what="motion")
     node.command(name=["hinge"], position=[0.3])
-    client.until(
-        lambda: node.steps(100) and node.figure("joint_commands_accepted") == taken + 2, what="both"
-    )
+    client.until(lambda: node.steps(100) and node.figure("joint_commands_accepted") == taken + 2, what="both")
     assert client.set(NODE, command_jump=0.0).successful
     node.command(name=["hinge"], position=[-9.0])
-    client.until(
-        lambda: node.steps(100) and node.figure("joint_commands_accepted") == taken + 3, what="all"
-    )
+    client.until(lambda: node.steps(100) and node.figure("joint_commands_accepted") == taken + 3, what="all")
     assert node.figure(count) == known + 1
 
 

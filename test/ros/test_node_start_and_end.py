@@ -24,10 +24,7 @@ def repeat(recording):
     """Simulate a recording again from its own content; {topic: [bytes of poses and twists]}."""
     settings = recording.settings
     simulation = Simulation(
-        scene_from_text(recording.scene_text),
-        settings["method"],
-        settings["step"],
-        settings["group"],
+        scene_from_text(recording.scene_text), settings["method"], settings["step"], settings["group"]
     )
     resets = [event.stamp_ns for event in recording.events if event.name == "reset"]
     stamps = recording.pose[recording.bodies[0]].stamp_ns.tolist()
@@ -40,31 +37,22 @@ def repeat(recording):
         while changes and changes[0].stamp_ns <= stamp:
             change = changes.pop(0)
             if change.stamp_ns >= base_ns:
-                simulation.apply_wrench(
-                    change.body, change.wrench, start=(change.stamp_ns - base_ns) * 1e-9
-                )
+                simulation.apply_wrench(change.body, change.wrench, start=(change.stamp_ns - base_ns) * 1e-9)
         simulation.advance(round((stamp - base_ns) * 1e-9 / settings["step"]) - simulation.steps)
         sample = simulation.sample()
         for body, (poses, twists) in repeated.items():
-            poses.append(
-                PoseStampedCodec("world").encode(
-                    stamp, sample.positions[body], sample.quaternions[body]
-                )
-            )
+            poses.append(PoseStampedCodec("world").encode(stamp, sample.positions[body], sample.quaternions[body]))
             twists.append(TwistStampedCodec(body).encode(stamp, sample.twists[body]))
     return repeated
 
 
 @pytest.mark.parametrize("method", ["rkmk4", "stoermer_verlet"])
-def test_a_recording_with_wrenches_and_controls_repeats_bit_for_bit(
-    client, scene, tmp_path, method
-):
+def test_a_recording_with_wrenches_and_controls_repeats_bit_for_bit(client, scene, tmp_path, method):
     """Also: two SIGINTs, as `ros2 launch` sends, end the node cleanly with a complete file."""
     path = tmp_path / "run.mcap"
     name = f"/recorded_{method}"
     with NodeProcess(
-        {"scene": scene, "record": path, "publish_rate": 200.0, "method": method},
-        remap=[f"__node:={name[1:]}"],
+        {"scene": scene, "record": path, "publish_rate": 200.0, "method": method}, remap=[f"__node:={name[1:]}"]
     ) as process:
         push = client.pusher(name)
         seen = client.listen(f"{name}/cube/pose", PoseStamped)
@@ -90,18 +78,8 @@ def test_a_recording_with_wrenches_and_controls_repeats_bit_for_bit(
     assert code == 0 and "Traceback" not in errors, errors
     recording = read_recording(path)
     assert recording.complete and recording.lost == {}
-    assert [event.name for event in recording.events] == [
-        "start",
-        "pause",
-        "step",
-        "resume",
-        "reset",
-        "stop",
-    ]
-    assert recording.settings["topics"]["pose"] == {
-        "puck": f"{name}/puck/pose",
-        "cube": f"{name}/cube/pose",
-    }
+    assert [event.name for event in recording.events] == ["start", "pause", "step", "resume", "reset", "stop"]
+    assert recording.settings["topics"]["pose"] == {"puck": f"{name}/puck/pose", "cube": f"{name}/cube/pose"}
     assert len(recording.applied_wrench) >= 6
     samples = recording.pose["puck"].stamp_ns
     assert (np.diff(samples) > 0).all()
@@ -110,8 +88,7 @@ def test_a_recording_with_wrenches_and_controls_repeats_bit_for_bit(
     for body in recording.bodies:
         pose, twist = recording.pose[body], recording.twist[body]
         poses, twists = (
-            codec.decode(payloads)
-            for codec, payloads in zip((PoseStampedCodec, TwistStampedCodec), repeated[body])
+            codec.decode(payloads) for codec, payloads in zip((PoseStampedCodec, TwistStampedCodec), repeated[body])
         )
         assert all(
             np.array_equal(*pair)
@@ -138,8 +115,7 @@ def test_a_signal_ends_the_node_and_completes_its_file(client, scene, tmp_path, 
         f"qos_overrides.{name}/puck/pose.publisher.depth": 25,
     }
     with NodeProcess(
-        {"scene": scene, "record": path, "real_time_factor": 0.0, **qos},
-        remap=[f"__node:={name[1:]}"],
+        {"scene": scene, "record": path, "real_time_factor": 0.0, **qos}, remap=[f"__node:={name[1:]}"]
     ) as process:
         seen = client.listen(f"{name}/puck/pose", PoseStamped, 1)
         client.until(lambda: seen, COMPILING)
@@ -166,9 +142,7 @@ def test_a_signal_ends_the_node_and_completes_its_file(client, scene, tmp_path, 
 @pytest.mark.skipif(not compiled(), reason="nothing is compiled")
 def test_a_signal_during_compilation_ends_the_node(scene, tmp_path):
     path = tmp_path / "run.mcap"
-    with NodeProcess(
-        {"scene": scene, "record": path}, env={"LIEGROUP_CACHE_DIR": str(tmp_path)}
-    ) as process:
+    with NodeProcess({"scene": scene, "record": path}, env={"LIEGROUP_CACHE_DIR": str(tmp_path)}) as process:
         for line in process.process.stderr:
             if "compiling" in line:
                 break
@@ -186,10 +160,7 @@ def test_a_signal_during_compilation_ends_the_node(scene, tmp_path):
         ({"scene": ""}, "Couldn't parse parameter override rule: '-p scene:='"),
         ({"scene": "no_such_scene.yaml"}, "no_such_scene"),
         ({"method": "euler"}, "parameter method: must be auto, rkmk1"),
-        (
-            {"scene": "four_bar", "method": "rattle"},
-            "method rattle cannot integrate this scene: it requires",
-        ),
+        ({"scene": "four_bar", "method": "rattle"}, "method rattle cannot integrate this scene: it requires"),
         ({"frame_prefix": "/left/"}, "parameter frame_prefix: must not start with a slash"),
         ({"frame_prefix": "map/", "world_frame": "map/puck"}, "parameter world_frame: must differ"),
         ({"stepp": 0.001}, "parameter stepp: unknown; did you mean step?"),
@@ -206,20 +177,14 @@ def test_a_signal_during_compilation_ends_the_node(scene, tmp_path):
             "parameter accuracy_horizon: cannot be combined with method; remove one of them",
         ),
         ({"estimate": "false"}, "parameter estimate: must be true with an accuracy; or choose"),
-        (
-            {"estimate": "false", "accuracy": 1e-6},
-            "parameter estimate: must be true with an accuracy; or choose",
-        ),
+        ({"estimate": "false", "accuracy": 1e-6}, "parameter estimate: must be true with an accuracy; or choose"),
         (
             {"publish_rate": 100.0, "clock_rate": 33.3},
             "parameter step: no suitable step divides the periods of all rates",
         ),
         ({"step": 0.004}, "100 Hz is one message every 2.5 steps of 0.004 s"),
         ({"step": "fast"}, "parameter step: must be a number, got 'fast'"),
-        (
-            {"method": "rkmk4", "publish_rate": 300.0},
-            "300 Hz is one message every 3.33333 steps of 0.001 s",
-        ),
+        ({"method": "rkmk4", "publish_rate": 300.0}, "300 Hz is one message every 3.33333 steps of 0.001 s"),
         ({"wrench_hold": "forever"}, "must be one_step, timeout or until_replaced"),
         ({"record": "/proc/no/folder.mcap"}, "cannot record to /proc/no/folder.mcap"),
     ],
@@ -241,9 +206,7 @@ def test_a_wrong_parameter_gives_one_line_and_exit_code_2(scene, parameters, mes
         ("/sim_node/puk/pose.publisher.depth", 5, "did you mean qos_overrides./sim_node/puck/pose"),
     ],
 )
-def test_wrong_quality_of_service_is_refused_before_recording(
-    scene, tmp_path, name, value, message
-):
+def test_wrong_quality_of_service_is_refused_before_recording(scene, tmp_path, name, value, message):
     path = tmp_path / "run.mcap"
     with NodeProcess({"scene": scene, "record": path, f"qos_overrides.{name}": value}) as process:
         code, errors = process.wait()
@@ -254,9 +217,7 @@ def test_wrong_quality_of_service_is_refused_before_recording(
 
 def test_two_nodes_in_two_namespaces(client, scene):
     both = [
-        NodeProcess(
-            {"scene": scene, "clock_rate": 0.0, "world_frame": f"map_{ns}"}, remap=[f"__ns:=/{ns}"]
-        )
+        NodeProcess({"scene": scene, "clock_rate": 0.0, "world_frame": f"map_{ns}"}, remap=[f"__ns:=/{ns}"])
         for ns in ("a", "b")
     ]
     with both[0], both[1]:

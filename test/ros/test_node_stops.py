@@ -79,9 +79,7 @@ def process(client, tmp_path_factory):
         modes = client.listen(f"{NODE}/joint_modes", Float64MultiArray, LATCHED)
         impulses = client.listen(f"{NODE}/track/impulse", WrenchStamped)
         node = Commanded(client, NODE)
-        yield SimpleNamespace(
-            process=process, node=node, events=events, modes=modes, impulses=impulses, folder=folder
-        )
+        yield SimpleNamespace(process=process, node=node, events=events, modes=modes, impulses=impulses, folder=folder)
 
 
 @pytest.fixture
@@ -146,9 +144,7 @@ def test_a_state_beyond_a_stop_is_refused_and_nothing_changes(client, process, n
     node.steps(100)
     before = list(node.states[-1].position)
     value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=-0.5)
-    request = SetParametersAtomically.Request(
-        parameters=[Parameter(name="track/position", value=value)]
-    )
+    request = SetParametersAtomically.Request(parameters=[Parameter(name="track/position", value=value)])
     answer = client.call(f"{NODE}/set_state", SetParametersAtomically, request).result
     assert not answer.successful
     assert "joint track would be beyond its stop: its position -0.5 m" in answer.reason

@@ -79,9 +79,7 @@ class Shown:
         self.messages = {
             "publish_rate": client.listen(f"{NODE}/lower/pose", PoseStamped),
             "odometry_rate": client.listen(f"{NODE}/lower/odometry", Odometry),
-            "pose_with_covariance_rate": client.listen(
-                f"{NODE}/lower/pose_with_covariance", PoseWithCovarianceStamped
-            ),
+            "pose_with_covariance_rate": client.listen(f"{NODE}/lower/pose_with_covariance", PoseWithCovarianceStamped),
             "velocity_rate": client.listen(f"{NODE}/lower/velocity", VelocityStamped),
             "pose_array_rate": client.listen(f"{NODE}/poses", PoseArray),
             "joint_state_rate": client.listen(f"{NODE}/joint_states", JointState),
@@ -96,9 +94,7 @@ class Shown:
             f"{NODE}/events", Log, QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         )
         client.until(
-            lambda: all(self.messages.values()) and self.clock and self.events,
-            COMPILING,
-            "one message of each",
+            lambda: all(self.messages.values()) and self.clock and self.events, COMPILING, "one message of each"
         )
 
     def stamps(self, name):
@@ -133,9 +129,7 @@ def node(client, folder):
 
 def test_every_topic_has_its_own_rate(client, node):
     begin = max(node.stamps(name)[-1] for name in node.messages)
-    client.until(
-        lambda: all(node.stamps(name)[-1] > begin + 400 * STEP_NS for name in node.messages)
-    )
+    client.until(lambda: all(node.stamps(name)[-1] > begin + 400 * STEP_NS for name in node.messages))
     for name in node.messages:
         stamps = [stamp for stamp in node.stamps(name) if begin < stamp]
         assert set(np.diff(stamps)) == {PERIODS[name] * STEP_NS}, name
@@ -198,9 +192,7 @@ def test_topics_agree_at_the_same_stamp(client, node):
     turn = [2.0 * np.arctan2(p.orientation.y, p.orientation.w) for p in poses.poses]
     assert joints.name == ["shoulder", "elbow"]
     for angle, expected in zip(joints.position, (turn[0], turn[1] - turn[0])):
-        assert np.remainder(angle - expected + np.pi, 2 * np.pi) - np.pi == pytest.approx(
-            0.0, abs=1e-9
-        )
+        assert np.remainder(angle - expected + np.pi, 2 * np.pi) - np.pi == pytest.approx(0.0, abs=1e-9)
     assert joints.velocity[0] + joints.velocity[1] == pytest.approx(twist.angular.y, abs=1e-9)
     assert markers.markers[1].pose.position == pose.pose.position
 
@@ -223,9 +215,7 @@ def test_reactions_are_those_of_the_same_state(client, node):
     stamps = set(node.stamps("publish_rate")) & {stamp_ns(m.header.stamp) for m in node.twist}
     message = next(m for m in node.messages["reaction_rate"] if stamp_of(m) in stamps)
     assert message.header.frame_id == f"{PREFIX}elbow_reaction"
-    poses = next(
-        m for m in node.messages["pose_array_rate"] if stamp_of(m) == stamp_of(message)
-    ).poses
+    poses = next(m for m in node.messages["pose_array_rate"] if stamp_of(m) == stamp_of(message)).poses
     joints = next(m for m in node.messages["joint_state_rate"] if stamp_of(m) == stamp_of(message))
     layout = make_layout(scene_from_text(ARM))
     rate, pose, twist = 0.0, np.zeros((2, 12)), np.zeros((2, 6))
@@ -306,13 +296,9 @@ def test_use_sim_time_is_refused(client, node):
 def test_a_late_subscriber_gets_time_and_scene_while_paused(client, node):
     assert client.call(f"{NODE}/pause").success
     client.spin(0.2)  # what is under way comes
-    clock = client.listen(
-        "/clock", Clock, QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-    )
+    clock = client.listen("/clock", Clock, QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
     shown = client.listen(
-        f"{NODE}/markers",
-        MarkerArray,
-        QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL),
+        f"{NODE}/markers", MarkerArray, QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     )
     client.until(lambda: len(clock) >= 2 and shown)
     (paused,) = {stamp_ns(message.clock) for message in clock}
@@ -345,9 +331,7 @@ def test_reload_starts_a_new_scene_with_new_topics_and_a_new_file(client, node, 
     clock = np.array([stamp_ns(message.clock) for message in node.clock])
     assert (np.diff(clock) >= 0).all()
     # Else the bodies of the scene before would stay in sight.
-    (deleted,) = (
-        m for m in node.messages["marker_rate"] if m.markers[0].action == Marker.DELETEALL
-    )
+    (deleted,) = (m for m in node.messages["marker_rate"] if m.markers[0].action == Marker.DELETEALL)
     assert len(deleted.markers) == 1 and deleted.markers[0].header.frame_id == "map"
     assert [event.name for event in node.events].count("stop") == 1
     push = client.pusher(NODE, "puck/wrench")
@@ -395,15 +379,11 @@ def test_everything_published_is_recorded(client, node, folder):
         assert set(np.diff(stamps[f"{NODE}/{topic}"])) == {PERIODS[name] * STEP_NS}, topic
 
 
-@pytest.mark.skipif(
-    importlib.util.find_spec("tf2_msgs") is not None, reason="tf2_msgs is installed here"
-)
+@pytest.mark.skipif(importlib.util.find_spec("tf2_msgs") is not None, reason="tf2_msgs is installed here")
 def test_a_topic_with_a_missing_message_type_is_refused_in_one_line(scene):
     with NodeProcess({"scene": scene, "tf_rate": 10.0}) as process:
         code, errors = process.wait()
-    assert code == 2 and errors.splitlines()[-1].startswith(
-        "sim_node: parameter tf_rate: tf2_msgs is not installed"
-    )
+    assert code == 2 and errors.splitlines()[-1].startswith("sim_node: parameter tf_rate: tf2_msgs is not installed")
 
 
 def test_recording_without_pose_topics_is_refused(scene, tmp_path):

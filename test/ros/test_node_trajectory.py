@@ -69,9 +69,7 @@ def trajectory(names, *points, stamp=0):
     for seconds, *numbers in points:
         fields = zip(("positions", "velocities", "accelerations"), numbers)
         point = JointTrajectoryPoint(**dict(fields))
-        point.time_from_start.sec, point.time_from_start.nanosec = divmod(
-            round(seconds * 1e9), 10**9
-        )
+        point.time_from_start.sec, point.time_from_start.nanosec = divmod(round(seconds * 1e9), 10**9)
         found.points.append(point)
     return found
 
@@ -155,9 +153,7 @@ def test_wrong_trajectories_are_counted_and_change_nothing(client, process, node
         process.lead.publish(message)
         client.until(lambda: node.steps(100) and node.figure(count) == known + 1, what=reason)
     process.array.publish(Float64MultiArray(data=[0.3]))
-    client.until(
-        lambda: node.steps(100) and node.figure("joint_commands_refused_wrong_length") == 1
-    )
+    client.until(lambda: node.steps(100) and node.figure("joint_commands_refused_wrong_length") == 1)
     assert not any(node.states[-1].velocity)
 
 

@@ -39,14 +39,11 @@ class Pushed:
         self.pose = client.listen(f"{NODE}/cube/pose", PoseStamped)
         self.twist = client.listen(f"{NODE}/cube/twist", TwistStamped)
         self.to = {
-            topic: client.pusher(NODE, topic)
-            for topic in ("wrench", "wrench/persistent", "puck/wrench", "cube/wrench")
+            topic: client.pusher(NODE, topic) for topic in ("wrench", "wrench/persistent", "puck/wrench", "cube/wrench")
         }
         self.clear = client.node.create_publisher(String, f"{NODE}/wrench/clear", 10)
         client.until(
-            lambda: self.pose and self.twist and self.clear.get_subscription_count(),
-            COMPILING,
-            "poses and twists",
+            lambda: self.pose and self.twist and self.clear.get_subscription_count(), COMPILING, "poses and twists"
         )
 
     def forces(self, body):
@@ -60,9 +57,7 @@ class Pushed:
         return history
 
     def until_forces(self, body, expected):
-        self.client.until(
-            lambda: len(self.forces(body)) >= len(expected), what=f"{expected} on {body}"
-        )
+        self.client.until(lambda: len(self.forces(body)) >= len(expected), what=f"{expected} on {body}")
         assert self.forces(body) == expected
 
     def world_velocity(self):
@@ -105,9 +100,7 @@ def test_a_late_subscriber_learns_what_acts(client, node):
     node.to["wrench/persistent"]("cube/late", force=(7.0, 0.0, 0.0))
     node.until_forces("cube", [7.0])
     late = client.listen(
-        f"{NODE}/applied_wrench",
-        WrenchStamped,
-        QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL),
+        f"{NODE}/applied_wrench", WrenchStamped, QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     )
     client.until(lambda: late and late[-1] == node.applied[-1], what="what acts")
     assert values(late[-1])[:2] == ("cube", (0.0, 0.0, 0.0, 7.0, 0.0, 0.0))

@@ -46,9 +46,7 @@ def test_a_report_from_a_later_step_reports_no_problem(monkeypatch):
     """Earlier time and wrenches of the original simulation are not errors of the copy."""
     found = []
     analyse = notebook.analyse
-    monkeypatch.setattr(
-        notebook, "analyse", lambda *given: found.append(analyse(*given)) or found[0]
-    )
+    monkeypatch.setattr(notebook, "analyse", lambda *given: found.append(analyse(*given)) or found[0])
     simulation = Simulation(load_scene("heavy_top"), "rkmk4", 1e-3)
     simulation.apply_wrench("top", [0, 0, 0, 0, 0, 1.0])
     simulation.advance(7)

@@ -84,16 +84,12 @@ def test_every_file_has_the_estimated_errors_if_they_are_carried(tmp_path, capsy
     assert "errors" not in np.load(tmp_path / "b.npz")
     without = read_recording(tmp_path / "b.mcap")
     assert without.errors is None and "errors" not in without.settings["topics"]
-    assert not any(
-        "_error" in name for name in (tmp_path / "b.csv").read_text().split("\n")[0].split(",")
-    )
+    assert not any("_error" in name for name in (tmp_path / "b.csv").read_text().split("\n")[0].split(","))
     assert analyse(without, reference=False).figures["estimate"] is None
 
 
 @pytest.mark.parametrize("method", [[], ["--method", "rkmk8", "--step", "0.01"]])
-def test_a_run_that_is_too_short_for_an_estimate_says_from_when_on_there_is_one(
-    tmp_path, capsys, method
-):
+def test_a_run_that_is_too_short_for_an_estimate_says_from_when_on_there_is_one(tmp_path, capsys, method):
     def said(duration):
         out = str(tmp_path / f"{duration}.npz")
         assert main(["run", "double_pendulum", *method, "--duration", duration, "--out", out]) == 0
@@ -131,9 +127,7 @@ def test_one_of_a_kind_has_no_plural(tmp_path, capsys):
         assert main(command) == 0
     shown = capsys.readouterr().out
     assert "in 1 step, 2 samples" in shown and "in 2 of 2 samples" in shown
-    assert not re.search(
-        r"\b(?<![.])1 (bodies|(step|sample|topic|message|run|byte|tick)s)\b", shown
-    )
+    assert not re.search(r"\b(?<![.])1 (bodies|(step|sample|topic|message|run|byte|tick)s)\b", shown)
     assert [counted(k, "body") for k in range(3)] == ["0 bodies", "1 body", "2 bodies"]
 
 
@@ -184,10 +178,7 @@ def test_npz_arrays_equal_those_of_the_simulation(tmp_path, capsys):
     "more",
     [
         ["--method", "rkmk54", "--rtol", "1e-9", "--atol", "1e-9"],
-        [
-            *("--method", "rkmk4", "--group", "so3xr3"),
-            *("--stabilisation", "baumgarte", "--baumgarte-time", "0.05"),
-        ],
+        [*("--method", "rkmk4", "--group", "so3xr3"), *("--stabilisation", "baumgarte", "--baumgarte-time", "0.05")],
     ],
 )
 def test_an_offline_recording_is_analysed_like_one_of_the_node(tmp_path, more):
@@ -264,10 +255,7 @@ def test_a_failed_run_leaves_the_samples_before_the_failure(tmp_path, capsys, su
             {"--accuracy": "1e-6", "--method": "rkmk4"},
             "--accuracy cannot be combined with --method: remove one of them",
         ),
-        (
-            {"--horizon": "5", "--method": "rkmk4"},
-            "--horizon cannot be combined with --method: remove one of them",
-        ),
+        ({"--horizon": "5", "--method": "rkmk4"}, "--horizon cannot be combined with --method: remove one of them"),
         ({"scene": "nope"}, "nope"),
         ({"--out": "a.txt"}, ".npz, .csv or .mcap"),
         ({"--out": "none/a.npz"}, "cannot be written"),

@@ -55,12 +55,7 @@ class Own:
         self._client.until(lambda: all(k and stamp_ns(k[-1].header.stamp) == now for k in both))
         p, t = self.pose[-1].pose, self.twist[-1].twist
         return (
-            [
-                p.position.x,
-                p.position.y,
-                p.position.z,
-                *(getattr(p.orientation, c) for c in "xyzw"),
-            ],
+            [p.position.x, p.position.y, p.position.z, *(getattr(p.orientation, c) for c in "xyzw")],
             [*(getattr(part, c) for part in (t.angular, t.linear) for c in "xyz")],
         )
 
@@ -90,11 +85,7 @@ def test_a_state_is_set_and_joints_stay_closed(own):
     pose = [1.0, 2.0, 3.0, 0.0, 0.0, 0.6, 0.8]
     done, text = own.call(
         "set_state",
-        [
-            ("stone/pose", pose),
-            ("stone/twist", [0.0, 0.0, 0.0, 0.0, 0.0, 4.0]),
-            ("arm/pose", [0, 0, 0, 0, 0, 0, 1]),
-        ],
+        [("stone/pose", pose), ("stone/twist", [0.0, 0.0, 0.0, 0.0, 0.0, 4.0]), ("arm/pose", [0, 0, 0, 0, 0, 0, 1])],
     )
     assert done and text.startswith("stone/pose and stone/twist and arm/pose at ")
     found, twist = own.step(1)
@@ -146,9 +137,7 @@ def test_a_force_in_world_axes_at_a_point_turns_the_body_towards_it(own):
     """
     angle, spin = 0.5, 2.0
     pose = [0.0] * 5 + [np.sin(angle / 2), np.cos(angle / 2)]
-    assert own.call(
-        "set_state", [("stone/pose", pose), ("stone/twist", [0.0, 0.0, spin, 0.0, 0.0, 0.0])]
-    )[0]
+    assert own.call("set_state", [("stone/pose", pose), ("stone/twist", [0.0, 0.0, spin, 0.0, 0.0, 0.0])])[0]
     done, _ = own.call(
         "apply_wrench",
         [
@@ -172,22 +161,14 @@ def test_a_force_in_world_axes_at_a_point_turns_the_body_towards_it(own):
     "service, values, text",
     [
         ("set_state", [], "no values are given"),
-        (
-            "set_state",
-            [("leg/pose", [0.0] * 7)],
-            "unknown body 'leg'; choose one of: arm, stone, crank, slide",
-        ),
+        ("set_state", [("leg/pose", [0.0] * 7)], "unknown body 'leg'; choose one of: arm, stone, crank, slide"),
         ("set_state", [("stone/place", [0.0])], "unknown name 'stone/place'"),
         ("set_state", [("stone/pose", [0.0] * 7)], "its quaternion has norm 0, not 1"),
         ("set_state", [("stone/twist", [0.0] * 5)], "stone/twist must be 6 finite numbers"),
         ("set_state", [("stone/twist", [float("nan")] * 6)], "must be 6 finite numbers"),
         ("set_state", [("stone/twist", "fast")], "must be 6 finite numbers, got 'fast'"),
         ("set_state", [("arm/pose", [0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0])], "violation is 0.5 m"),
-        (
-            "set_state",
-            [("arm/twist", [0.0, 0.0, 0.0, 0.0, 3.0, 0.0])],
-            "violates this joint by 3 m/s",
-        ),
+        ("set_state", [("arm/twist", [0.0, 0.0, 0.0, 0.0, 3.0, 0.0])], "violates this joint by 3 m/s"),
         ("set_state", [("stone/twist", [0.0] * 6)] * 2, "a name occurs twice"),
         ("set_state", [("hinge/position", 0.1)], "'hinge' is not a joint with one coordinate"),
         ("set_state", [("axle/position", float("inf"))], "axle/position must be a finite number"),

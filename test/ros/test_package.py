@@ -44,10 +44,7 @@ def ament_path(monkeypatch):
 
 def imported_by(*names):
     printed = subprocess.run(
-        [sys.executable, "-P", "-c", IMPORT_ALL, *names],
-        check=True,
-        stdout=subprocess.PIPE,
-        text=True,
+        [sys.executable, "-P", "-c", IMPORT_ALL, *names], check=True, stdout=subprocess.PIPE, text=True
     ).stdout
     return set(printed.split())
 
@@ -115,9 +112,7 @@ def test_the_displays_of_rviz_show_topics_of_the_preset():
     assert values["marker_rate"] > 0.0
     for topic, display in shown.items():
         assert published[topic] == types[display["Class"]] and display["Enabled"] is True, topic
-    assert shown.keys() == {"~/markers"} | {
-        f"~/{body}/pose_with_covariance" for body in layout.body_names
-    }
+    assert shown.keys() == {"~/markers"} | {f"~/{body}/pose_with_covariance" for body in layout.body_names}
     # A namespace moves them all.
     launch = (SOURCE / "launch" / "sim.launch.py").read_text()
     moved = ast.literal_eval(re.search(r"SHOWN = (\(.*?\n\))", launch, re.DOTALL)[1])
@@ -139,11 +134,7 @@ def test_the_launch_file_compiles_and_its_preset_exists():
     """`launch` has no wheel, so starting the node by it is tested only with a ROS installation."""
     text = (SOURCE / "launch" / "sim.launch.py").read_text()
     tree = ast.parse(text)
-    constants = {
-        node.targets[0].id: ast.literal_eval(node.value)
-        for node in tree.body
-        if isinstance(node, ast.Assign)
-    }
+    constants = {node.targets[0].id: ast.literal_eval(node.value) for node in tree.body if isinstance(node, ast.Assign)}
     arguments, texts, numbers = (constants[name] for name in ("ARGUMENTS", "TEXTS", "NUMBERS"))
     parameters = texts + numbers
     assert (SOURCE / "config" / f"{arguments['preset'][0]}.yaml").exists()

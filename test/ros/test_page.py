@@ -40,12 +40,7 @@ def pages(tmp_path_factory):
     other = record(folder / "other.mcap", scene, 1000, 1e-3)
     (folder / "bad.mcap").write_bytes(b"no log")
     assert main(["analyze", str(one), "--html", str(folder / "one.html")]) == 0
-    assert (
-        main(
-            ["analyze", str(one), "--html", str(folder / "compared.html"), "--compare", str(other)]
-        )
-        == 0
-    )
+    assert main(["analyze", str(one), "--html", str(folder / "compared.html"), "--compare", str(other)]) == 0
     assert (
         main(
             [
@@ -81,8 +76,7 @@ def test_slider_and_plots_control_the_animation(browser, pages, capsys):
     assert count == 101 and times == pytest.approx(recording.pose[second].time, abs=1e-12)
     for k in (0, 25, 100):
         browser.run(
-            f"(s => {{ s.value = {k}; s.dispatchEvent(new Event('input')); }})"
-            "(document.querySelector('input'))"
+            f"(s => {{ s.value = {k}; s.dispatchEvent(new Event('input')); }})(document.querySelector('input'))"
         )
         drawn = browser.run(
             "(() => { const v = views[0], d = v.plot.data, m = d.find(t => t.type === 'mesh3d'),"
@@ -103,10 +97,7 @@ def test_slider_and_plots_control_the_animation(browser, pages, capsys):
     assert np.abs(np.array(drawn["joints"]).T[0] - place[0]).max() < 1e-6  # fixed in the world
     assert np.abs(np.array(drawn["joints"]).T[1] - place[1]).max() > 1e-2
     browser.run("document.querySelector('.plane').emit('plotly_click', {points: [{x: 0.4}]})")
-    assert browser.run("[views[0].frame, document.querySelector('.cursor').style.display]") == [
-        40,
-        "block",
-    ]
+    assert browser.run("[views[0].frame, document.querySelector('.cursor').style.display]") == [40, "block"]
     browser.run("document.querySelector('.controls button').click()")
     went = browser.run(
         "new Promise(done => { const look = () => views[0].frame > 42 ? "
@@ -143,18 +134,12 @@ def test_layout_on_a_phone(browser, pages):
     browser.open(pages / "many.html", width=360, height=740, phone=True)
     browser.run("document.querySelectorAll('.logs a')[1].click()")
     browser.run("new Promise(done => setTimeout(done, 300))")
-    assert browser.run("[...document.querySelectorAll('details.log')].map(d => d.open)") == [
-        False,
-        True,
-        False,
-    ]
+    assert browser.run("[...document.querySelectorAll('details.log')].map(d => d.open)") == [False, True, False]
     assert browser.errors == [] and len(browser.requests) == 1
     assert right() <= 360
     assert "drift" in browser.run("document.querySelector('p.bad').textContent")
     # All that is wrong with any of them is said at the top, and counted.
-    said = browser.run(
-        "[...document.querySelectorAll('main > ul.bad > li')].map(e => e.textContent)"
-    )
+    said = browser.run("[...document.querySelectorAll('main > ul.bad > li')].map(e => e.textContent)")
     assert "✗ " + str(len(said)) in browser.run("document.querySelector('.state').textContent")
     assert said.count("bad.mcap: not an MCAP file") == 1 < len(said)
     x, y = browser.run(
@@ -202,14 +187,9 @@ def test_hostile_names_are_shown_and_never_executed(browser, tmp_path, monkeypat
     folder = tmp_path / "<"
     folder.mkdir()
     pushes = [(50, (HOSTILE, (0, 0, 1.0, 0, 0, 0))), (80, (HOSTILE, (0,) * 6))]
-    log = record(
-        folder / "script><script>alert(3)<b>.mcap", scene_from_text(text), 200, pushes=pushes
-    )
+    log = record(folder / "script><script>alert(3)<b>.mcap", scene_from_text(text), 200, pushes=pushes)
     page = tmp_path / "a.html"
-    assert (
-        main(["analyze", str(log), "--no-reference", "--html", str(page), "--compare", str(log)])
-        == 0
-    )
+    assert main(["analyze", str(log), "--no-reference", "--html", str(page), "--compare", str(log)]) == 0
     opened(browser, page)
     shown = browser.run("document.body.innerText")
     assert browser.run("document.querySelector('h1').textContent") == HOSTILE
@@ -219,9 +199,7 @@ def test_hostile_names_are_shown_and_never_executed(browser, tmp_path, monkeypat
     )
     assert shown.count("alert(1)") >= 4 and "</script>" in shown and str(log) in shown
     # In the legend of a plot, as text.
-    assert HOSTILE in browser.run(
-        "[...document.querySelectorAll('.legendtext')].map(t => t.textContent).join()"
-    )
+    assert HOSTILE in browser.run("[...document.querySelectorAll('.legendtext')].map(t => t.textContent).join()")
     assert browser.run("document.querySelectorAll('main script, main img, main b b').length") == 0
     several = tmp_path / "b.html"
     monkeypatch.setattr("os.cpu_count", lambda: 1)  # other processes know nothing of the patch
@@ -237,6 +215,4 @@ def test_hostile_names_are_shown_and_never_executed(browser, tmp_path, monkeypat
         )
         is None
     )
-    assert (
-        browser.run("fetch('https://example.org').then(() => 'sent', () => 'refused')") == "refused"
-    )
+    assert browser.run("fetch('https://example.org').then(() => 'sent', () => 'refused')") == "refused"

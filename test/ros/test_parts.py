@@ -14,12 +14,7 @@ from rosbags.highlevel import AnyReader
 
 from liegroup_core import Simulation
 from liegroup_core.scene.load import scene_from_text
-from liegroup_sim_ros.messages.codecs import (
-    ClockCodec,
-    PoseStampedCodec,
-    TwistStampedCodec,
-    WrenchStampedCodec,
-)
+from liegroup_sim_ros.messages.codecs import ClockCodec, PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
 from liegroup_sim_ros.messages.schemas import qos_profile
 from liegroup_sim_ros.recording import attachments, bag_metadata
 from liegroup_sim_ros.recording.damaged_survey import survey
@@ -47,16 +42,8 @@ def content(path):
         files = {a.name: a.data for a in reader.iter_attachments()}
         rows = {}
         for _, channel, message in reader.iter_messages(log_time_order=False):
-            rows.setdefault(channel.topic, []).append(
-                (message.sequence, message.log_time, message.data)
-            )
-    return (
-        {
-            name: json.loads(data) if name.endswith(".json") else data.decode()
-            for name, data in files.items()
-        },
-        rows,
-    )
+            rows.setdefault(channel.topic, []).append((message.sequence, message.log_time, message.data))
+    return ({name: json.loads(data) if name.endswith(".json") else data.decode() for name, data in files.items()}, rows)
 
 
 def same_bits(path):
@@ -74,9 +61,7 @@ def same_bits(path):
     )
     assert attachments.restore(simulation, state)
     topics, base = settings["topics"], state["base_ns"]
-    wrenches = WrenchStampedCodec.decode(
-        [data for _, _, data in rows.get(topics["applied_wrench"], [])]
-    )
+    wrenches = WrenchStampedCodec.decode([data for _, _, data in rows.get(topics["applied_wrench"], [])])
     changes = list(zip(wrenches.stamp_ns.tolist(), wrenches.frame_id, wrenches.wrench.tolist()))
     bodies = state["bodies"]
     poses = {b: rows[topics["pose"][b]] for b in bodies}
@@ -103,10 +88,7 @@ def same_bits(path):
                     stamp, sample.positions[b].tolist(), sample.quaternions[b].tolist()
                 ),
             ), (path, k)
-            assert twists[b][k][1:] == (
-                stamp,
-                TwistStampedCodec(b).encode(stamp, sample.twists[b].tolist()),
-            ), (path, k)
+            assert twists[b][k][1:] == (stamp, TwistStampedCodec(b).encode(stamp, sample.twists[b].tolist())), (path, k)
     return len(poses[bodies[0]])
 
 
@@ -129,9 +111,7 @@ def test_every_part_alone_repeats_bit_for_bit(client, tmp_path):
         },
         remap=["__node:=parted"],
     ) as node:
-        events = client.listen(
-            "/parted/events", Log, QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        )
+        events = client.listen("/parted/events", Log, QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL))
         client.until(lambda: events, COMPILING)
         push = client.pusher("/parted", "free/wrench")
         push("world", torque=(0.0, 0.3, 0.0), force=(0.5, 0.0, 1.0))
@@ -192,9 +172,7 @@ def test_every_part_alone_repeats_bit_for_bit(client, tmp_path):
 
 
 def test_parts_are_split_by_size_with_continuous_sequence_numbers(tmp_path):
-    with Recorder(
-        tmp_path / "run.mcap", {"x": ("y", b"1")}, queue_size=500, max_size=100_000, bag=True
-    ) as log:
+    with Recorder(tmp_path / "run.mcap", {"x": ("y", b"1")}, queue_size=500, max_size=100_000, bag=True) as log:
         channel = log.add_channel("/pose", PoseStampedCodec.TYPE)
         codec, random = PoseStampedCodec("world"), np.random.default_rng(1)
         for i in range(10_000):
@@ -242,9 +220,7 @@ def test_the_cost_of_a_part_does_not_grow_with_their_number(tmp_path, monkeypatc
     assert told["message_count"] == sum(each["message_count"] for each in told["files"]) == 2 * 258
     assert told["starting_time"] == {"nanoseconds_since_epoch": 5}
     assert told["duration"] == {"nanoseconds": 5 * 300 + 3 - 5}
-    assert [each["topic_metadata"] for each in told["topics_with_message_count"]] == [
-        info for info, _ in topics
-    ]
+    assert [each["topic_metadata"] for each in told["topics_with_message_count"]] == [info for info, _ in topics]
     record = bag_metadata.record_of_file(names[0], (5, 8), topics)["serialized_metadata"]
     assert yaml.safe_load(record)["files"] == told["files"][:1]
 

@@ -44,9 +44,7 @@ class Run:
         for _ in range(periods):
             accuracy, simulated = self.promise["accuracy"], PERIOD * STEP
             self.substeps = (0, self.substeps[1] + PERIOD * self._substeps(accuracy))
-            given = (
-                part(accuracy) * simulated * more() for part in (self._integration, self._messages)
-            )
+            given = (part(accuracy) * simulated * more() for part in (self._integration, self._messages))
             if text := self.real.add(PERIOD, *given):
                 self.texts.append(text)
         assert [events.number(text) for text in self.texts] == pytest.approx(self.accuracies[1:])
@@ -77,12 +75,7 @@ PATTERNS = {
         [GIVEN, 1e-7, GIVEN],
         "takes 107 % of a core in real time, not less than 80 %",
     ),
-    "gain up to a level": (
-        falling(0.8, 0.6),
-        flat(0.05),
-        [GIVEN, 1e-7, 1e-6, 1e-7],
-        "takes the most, at any accuracy",
-    ),
+    "gain up to a level": (falling(0.8, 0.6), flat(0.05), [GIVEN, 1e-7, 1e-6, 1e-7], "takes the most, at any accuracy"),
     "messages alone": (falling(0.26), flat(0.66), [GIVEN], None),
     "messages, no gain": (flat(0.25), flat(0.9), [GIVEN], None),
     "both, with gain": (falling(0.5), flat(0.45), [GIVEN, 1e-7], "takes 50 %"),
@@ -115,17 +108,13 @@ def test_a_single_substep_cannot_become_longer():
 
 
 @pytest.mark.parametrize("seed", range(20))
-@pytest.mark.parametrize(
-    "integration, last", [(flat(0.8), GIVEN), (falling(0.8), 1e-6)], ids=["no gain", "gain"]
-)
+@pytest.mark.parametrize("integration, last", [(flat(0.8), GIVEN), (falling(0.8), 1e-6)], ids=["no gain", "gain"])
 def test_disturbances_change_no_decision(seed, integration, last):
     """Up to 4 % always, and every twentieth period takes up to four times as long."""
     chance = random.Random(seed)
 
     def more():
-        return chance.uniform(1.0, 1.04) * (
-            chance.uniform(1.0, 4.0) if chance.random() < 0.05 else 1.0
-        )
+        return chance.uniform(1.0, 1.04) * (chance.uniform(1.0, 4.0) if chance.random() < 0.05 else 1.0)
 
     run = Run(integration, flat(0.02))
     run.take(more=more)
@@ -157,11 +146,7 @@ def test_a_pause_or_another_factor_does_not_end_the_judgement():
     "integration, messages, said",
     [
         (falling(9.0), 0.1, "the integration takes the most: raise accuracy or step"),
-        (
-            flat(0.95),
-            0.02,
-            "the integration takes the most, at any accuracy: lower real_time_factor",
-        ),
+        (flat(0.95), 0.02, "the integration takes the most, at any accuracy: lower real_time_factor"),
         (flat(0.25), 0.9, "the messages take the most: lower publish_rate"),
         (flat(0.1), 0.1, "other work keeps the cores from this one"),
     ],

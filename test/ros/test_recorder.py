@@ -132,9 +132,7 @@ def replaced(path):
         (lambda path: os.truncate(path, 50), "the file was truncated to "),
     ],
 )
-def test_a_file_that_is_lost_while_it_is_written_is_reported(
-    tmp_path, caplog, harm, said, at_the_end
-):
+def test_a_file_that_is_lost_while_it_is_written_is_reported(tmp_path, caplog, harm, said, at_the_end):
     """At the next flush, or at the end. A part that is finished may go where it likes."""
     with Recorder(tmp_path / "run.mcap", flush_interval=60.0 if at_the_end else 0.02) as recorder:
         channel = recorder.add_channel("/clock", ClockCodec.TYPE)
@@ -168,10 +166,7 @@ def test_a_fast_producer_blocks_and_no_message_is_lost(tmp_path):
     assert recorder.written == 50_000 and recorder.lost == 0
     assert 900 < longest <= 1000  # the queue did fill, and its bound held
     with open(path, "rb") as stream:
-        sequences = [
-            message.sequence
-            for _, _, message in make_reader(stream).iter_messages(log_time_order=False)
-        ]
+        sequences = [message.sequence for _, _, message in make_reader(stream).iter_messages(log_time_order=False)]
     assert sequences == list(range(1, 50_001))
 
 

@@ -6,18 +6,7 @@ import json
 import numpy as np
 import pytest
 import yaml
-from example_run import (
-    BODIES,
-    END_NS,
-    INITIAL,
-    PACING,
-    SCENE,
-    SETTINGS,
-    START_NS,
-    TOPICS,
-    attachments,
-    record_run,
-)
+from example_run import BODIES, END_NS, INITIAL, PACING, SCENE, SETTINGS, START_NS, TOPICS, attachments, record_run
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
@@ -36,12 +25,12 @@ def run(tmp_path_factory):
 def test_reading_returns_what_was_written(run):
     path, written = run
     recording = read_recording(path)
-    assert (
-        recording.scene_text,
-        recording.settings,
-        recording.initial_state,
-        recording.pacing,
-    ) == (SCENE, SETTINGS, INITIAL, PACING)
+    assert (recording.scene_text, recording.settings, recording.initial_state, recording.pacing) == (
+        SCENE,
+        SETTINGS,
+        INITIAL,
+        PACING,
+    )
     assert recording.complete and recording.problem is None and recording.lost == {}
     assert recording.topics == {topic: len(rows) for topic, rows in written.items()}
     assert recording.bodies == BODIES
@@ -90,9 +79,7 @@ def test_three_readers_decode_every_message_to_the_same_values(run):
             return (message.stamp.sec, message.stamp.nanosec, message.name, message.msg)
         header = (message.header.stamp.sec, message.header.stamp.nanosec, message.header.frame_id)
         if hasattr(message, "status"):
-            return header + tuple(
-                (pair.key, pair.value) for status in message.status for pair in status.values
-            )
+            return header + tuple((pair.key, pair.value) for status in message.status for pair in status.values)
         if hasattr(message, "pose"):
             parts = (message.pose.position, "xyz"), (message.pose.orientation, "xyzw")
         elif hasattr(message, "twist"):
@@ -129,17 +116,13 @@ def test_rosbag2_finds_its_metadata_and_indexes(run):
     with open(path, "rb") as stream:
         reader = make_reader(stream)
         summary = reader.get_summary()
-        bag = yaml.safe_load(
-            {m.name: m.metadata for m in reader.iter_metadata()}["rosbag2"]["serialized_metadata"]
-        )
+        bag = yaml.safe_load({m.name: m.metadata for m in reader.iter_metadata()}["rosbag2"]["serialized_metadata"])
     counts = {topic: len(rows) for topic, rows in written.items()}
     statistics = summary.statistics
     assert statistics.message_count == bag["message_count"] == sum(counts.values())
     assert all(chunk.message_index_length > 0 for chunk in summary.chunk_indexes)
     assert (bag["version"], bag["storage_identifier"]) == (9, "mcap")
-    assert (
-        bag["starting_time"]["nanoseconds_since_epoch"] == statistics.message_start_time == START_NS
-    )
+    assert bag["starting_time"]["nanoseconds_since_epoch"] == statistics.message_start_time == START_NS
     assert bag["duration"]["nanoseconds"] == END_NS - START_NS
     assert statistics.message_end_time == END_NS
     topics = {entry["topic_metadata"]["name"]: entry for entry in bag["topics_with_message_count"]}
@@ -150,9 +133,7 @@ def test_rosbag2_finds_its_metadata_and_indexes(run):
         assert summary.schemas[channel.schema_id].encoding == "ros2msg"
         assert summary.schemas[channel.schema_id].name == said["type"]
         assert channel.metadata["topic_type_hash"] == said["type_description_hash"]
-        assert (
-            yaml.safe_load(channel.metadata["offered_qos_profiles"]) == said["offered_qos_profiles"]
-        )
+        assert yaml.safe_load(channel.metadata["offered_qos_profiles"]) == said["offered_qos_profiles"]
     with AnyReader([path]) as reader:
         qos = {c.topic: c.ext.offered_qos_profiles[0] for c in reader.connections}
     assert qos["/clock"].reliability.name == "BEST_EFFORT"
@@ -164,9 +145,7 @@ def test_rosbag2_finds_its_metadata_and_indexes(run):
 def test_a_truncated_file_gives_its_beginning_or_one_error_line(run, tmp_path):
     path, written = run
     whole, cut = path.read_bytes(), tmp_path / "cut.mcap"
-    everything = PoseStampedCodec.decode(
-        [data for _, data in written[TOPICS["pose"]["top"]]]
-    ).position
+    everything = PoseStampedCodec.decode([data for _, data in written[TOPICS["pose"]["top"]]]).position
     read = 0
     for size in [*range(0, 60, 7), *np.linspace(60, len(whole) - 1, 120).astype(int).tolist()]:
         cut.write_bytes(whole[:size])
@@ -199,12 +178,7 @@ def test_a_damaged_chunk_is_skipped_counted_and_reported(run, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "content, said",
-    [
-        (None, "No such file"),
-        (b"", "not an MCAP file"),
-        (b"#!/bin/sh\nexit 0\n", "not an MCAP file"),
-    ],
+    "content, said", [(None, "No such file"), (b"", "not an MCAP file"), (b"#!/bin/sh\nexit 0\n", "not an MCAP file")]
 )
 def test_a_file_that_is_no_recording_is_refused_in_one_line(tmp_path, content, said):
     if content is not None:

@@ -57,9 +57,7 @@ def written(log):
         for schema, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
             package, _, name = schema.name.split("/")
             kind = getattr(importlib.import_module(f"{package}.msg"), name)
-            found.setdefault(channel.topic, []).append(
-                (message.log_time, deserialize_message(message.data, kind))
-            )
+            found.setdefault(channel.topic, []).append((message.log_time, deserialize_message(message.data, kind)))
     return found
 
 
@@ -91,9 +89,7 @@ def by_small_mcap(path):
             return lambda data: decode(bytes(data))
 
     with open(path, "rb") as stream:
-        for found in small_mcap.read_message_decoded(
-            stream, decoder_factories=[Factory()], validate_crc=True
-        ):
+        for found in small_mcap.read_message_decoded(stream, decoder_factories=[Factory()], validate_crc=True):
             yield found.channel.topic, found.message.log_time, found.decoded_message
 
 
@@ -103,10 +99,7 @@ READERS = [by_mcap_ros2, by_rosbags, by_pybag, by_small_mcap]
 def same(one, other):
     """Whether an rclpy message and that of another reader have equal fields."""
     if hasattr(one, "get_fields_and_field_types"):
-        return all(
-            same(getattr(one, name), getattr(other, name))
-            for name in one.get_fields_and_field_types()
-        )
+        return all(same(getattr(one, name), getattr(other, name)) for name in one.get_fields_and_field_types())
     if isinstance(one, bytes):  # a byte; some readers make a number of it
         return one in (other, bytes([other]) if isinstance(other, int) else None)
     if hasattr(one, "__len__") and not isinstance(one, str):
@@ -120,9 +113,7 @@ def test_every_message_of_every_topic_is_decoded(reader, log, written):
     found = {}
     for topic, stamp, message in reader(log):
         found.setdefault(topic, []).append((stamp, message))
-    assert {topic: len(rows) for topic, rows in found.items()} == {
-        topic: len(rows) for topic, rows in written.items()
-    }
+    assert {topic: len(rows) for topic, rows in found.items()} == {topic: len(rows) for topic, rows in written.items()}
     for topic, rows in written.items():
         for (stamp, message), (their_stamp, theirs) in zip(rows, found[topic]):
             assert stamp == their_stamp and same(message, theirs), topic
@@ -150,13 +141,9 @@ def test_joint_states_of_no_joint_one_and_two_are_decoded(reader, tmp_path):
     with Recorder(path) as recorder:
         for count in range(3):
             names = [f"joint_{k}" for k in range(count)]
-            layout = SimpleNamespace(
-                coordinates=SimpleNamespace(names=names), scene=SimpleNamespace(robot=None)
-            )
+            layout = SimpleNamespace(coordinates=SimpleNamespace(names=names), scene=SimpleNamespace(robot=None))
             ((_, kind, encode),) = samples.joint_states(layout, "world")
-            state = SimpleNamespace(
-                joint_coordinates={name: (1.0, 2.0) for name in names}, all_efforts={}
-            )
+            state = SimpleNamespace(joint_coordinates={name: (1.0, 2.0) for name in names}, all_efforts={})
             channel = recorder.add_channel(f"/joints_{count}", kind)
             recorder.write(channel, count, encode(count, state))
     for count, (_, _, message) in enumerate(reader(path)):
@@ -172,10 +159,7 @@ def overlaps(path):
     with open(path, "rb") as stream:
         chunks = make_reader(stream).get_summary().chunk_indexes
     chunks.sort(key=lambda chunk: chunk.chunk_start_offset)
-    return [
-        after.message_start_time - before.message_end_time
-        for before, after in zip(chunks, chunks[1:])
-    ]
+    return [after.message_start_time - before.message_end_time for before, after in zip(chunks, chunks[1:])]
 
 
 def test_chunks_of_the_node_do_not_overlap_in_time(log):

@@ -82,9 +82,7 @@ def test_a_file_truncated_at_any_byte_gives_exactly_its_beginning(small, tmp_pat
             assert not counts  # only before there was anything in it
             continue
         assert not found.complete and found.lost == {}
-        assert found.stamps == (
-            (written[0][0], written[found.count - 1][0]) if found.count else (0, 0)
-        )
+        assert found.stamps == ((written[0][0], written[found.count - 1][0]) if found.count else (0, 0))
         assert as_json(found)["messages"] == found.count
         if not counts or found.count != counts[-1] or size % 50 == 0:
             assert write_recovered(found, out) == found.count
@@ -114,9 +112,7 @@ def test_a_truncated_large_chunk_gives_its_beginning(small, tmp_path):
             first = make_reader(stream).get_summary().chunk_indexes[0]
         held = first.uncompressed_size / 121  # messages in it
         for part in (0.3, 0.5, 0.9):
-            cut.write_bytes(
-                path.read_bytes()[: int(first.chunk_start_offset + part * first.chunk_length)]
-            )
+            cut.write_bytes(path.read_bytes()[: int(first.chunk_start_offset + part * first.chunk_length)])
             found = survey(cut)
             assert found.unfinished == found.count > part * held - 2**17 / 121 > 1000
             assert write_recovered(found, out) == found.count
@@ -176,9 +172,7 @@ def test_recovered_files_are_readable_and_losses_reported(tmp_path, capsys):
         reader = make_reader(stream)
         rows = {}
         for _, channel, message in reader.iter_messages(log_time_order=False):
-            rows.setdefault(channel.topic, []).append(
-                (message.sequence, message.log_time, message.data)
-            )
+            rows.setdefault(channel.topic, []).append((message.sequence, message.log_time, message.data))
     with AnyReader([out]) as reader:
         counts = {}
         for connection, _, payload in reader.messages():
@@ -251,9 +245,7 @@ def claimed_chunk(frame, size):
 def zeros_that_claim_nothing(size):
     """zstd stream without a content size."""
     compressor = zstandard.ZstdCompressor(level=3).compressobj()
-    return b"".join(
-        [*(compressor.compress(bytes(2**20)) for _ in range(size // 2**20)), compressor.flush()]
-    )
+    return b"".join([*(compressor.compress(bytes(2**20)) for _ in range(size // 2**20)), compressor.flush()])
 
 
 EVIL = "<script>alert(1)</script>\x1b[31m\n[bold red]"
@@ -278,23 +270,12 @@ HOSTILE = {
     + claimed_chunk(b"\x28\xb5\x2f\xfd\xe0" + struct.pack("<Q", 2**60) + bytes(100), 100),
     "cut bomb": MCAP0_MAGIC + claimed_chunk(zeros_that_claim_nothing(2**30), 2**62)[:-9],
     "chunk marks": MCAP0_MAGIC
-    + (
-        b"\x06"
-        + struct.pack("<Q", 200_000)
-        + bytes(28)
-        + b"\x04\0\0\0zstd"
-        + struct.pack("<Q", 199_952)
-    )
-    * 8000,
+    + (b"\x06" + struct.pack("<Q", 200_000) + bytes(28) + b"\x04\0\0\0zstd" + struct.pack("<Q", 199_952)) * 8000,
     "zero records": MCAP0_MAGIC + bytes(2_000_000),
     "many attachments": MCAP0_MAGIC + record(Attachment(0, 0, "a", "b", b"")) * 100_000,
     "many channels": MCAP0_MAGIC
     + b"".join(
-        record(
-            Channel(
-                id=i, topic=f"/{i}" + "x" * 300, message_encoding="cdr", metadata={}, schema_id=0
-            )
-        )
+        record(Channel(id=i, topic=f"/{i}" + "x" * 300, message_encoding="cdr", metadata={}, schema_id=0))
         for i in range(1, 60_000)
     ),
     "names": MCAP0_MAGIC
@@ -306,9 +287,7 @@ HOSTILE = {
     "nested JSON": MCAP0_MAGIC
     + record(Attachment(0, 0, "settings.json", "x", b'{"machine": ' * 400 + b"1" + b"}" * 400)),
     "numbers of no JSON": MCAP0_MAGIC
-    + record(
-        Attachment(0, 0, "settings.json", "x", b'{"format": 1, "step": NaN, "machine": 1e999}')
-    ),
+    + record(Attachment(0, 0, "settings.json", "x", b'{"format": 1, "step": NaN, "machine": 1e999}')),
     "odd JSON": MCAP0_MAGIC
     + record(
         Attachment(

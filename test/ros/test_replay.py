@@ -37,9 +37,7 @@ class Replay:
         self.poses = client.listen("/sim_node/left/pose", PoseStamped, 1000)
         self.clock = client.listen("/clock", Clock, 1000)
         self.events = client.listen(
-            "/sim_node/events",
-            Log,
-            QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL),
+            "/sim_node/events", Log, QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         )
         # SIGINT ignored, as a shell starts a process in the background.
         under = ("sh", "-c", "trap '' INT; exec \"$@\"", "sh")
@@ -62,9 +60,7 @@ class Replay:
     def heard(self):
         """Both ends know of each other."""
         self.client.call("/replay/pause", again=3.0)
-        self.client.until(
-            lambda: self.client.node.count_publishers("/sim_node/left/pose"), what="discovery"
-        )
+        self.client.until(lambda: self.client.node.count_publishers("/sim_node/left/pose"), what="discovery")
         self.client.spin(0.5)
 
 

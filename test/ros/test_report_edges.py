@@ -221,9 +221,7 @@ def test_tables_of_random_sweeps_are_printed(terminal, runs):
     types = {"float": pa.float64(), "int": pa.int64(), "text": pa.string()}
     schema = pa.schema([(name, types[kind]) for name, kind in kinds.items()])
     settings = (("step", 1e-3), ("method", "rkmk4"))
-    sweep = SimpleNamespace(
-        columns=kinds, paths=("p",), name="s", samples=runs, steps=1, settings=settings
-    )
+    sweep = SimpleNamespace(columns=kinds, paths=("p",), name="s", samples=runs, steps=1, settings=settings)
     file = SimpleNamespace(sweep=sweep, table=pa.table(values, schema).select)
     assert print_sweep(file, None, terminal) == set(values["status"])
     assert f"s: {runs} run" in written(terminal)

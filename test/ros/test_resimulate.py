@@ -55,9 +55,7 @@ def values(path):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_resimulation_is_bit_identical_with_every_method(ros_node, tmp_path, method):
-    run = SceneRun(
-        ros_node, values(tmp_path / "run.mcap"), Simulation(scene_from_text(TOP), method, STEP)
-    )
+    run = SceneRun(ros_node, values(tmp_path / "run.mcap"), Simulation(scene_from_text(TOP), method, STEP))
     run.start()
 
     def call(*command):
@@ -86,10 +84,7 @@ def test_resimulation_is_bit_identical_with_every_method(ros_node, tmp_path, met
         time.sleep(0.03)
         call("hold")
         reloaded = SceneRun(
-            ros_node,
-            values(tmp_path / "run.mcap"),
-            Simulation(scene_from_text(FREE), method, STEP),
-            run,
+            ros_node, values(tmp_path / "run.mcap"), Simulation(scene_from_text(FREE), method, STEP), run
         )
         run.close()
         run = reloaded
@@ -111,12 +106,7 @@ def test_resimulation_is_bit_identical_with_every_method(ros_node, tmp_path, met
         assert figures["must_be_equal"] and figures["missing_samples"] == 0
         samples, resets = samples + figures["samples"], resets + figures["resets"]
     assert samples > 80 and resets <= 1
-    pushed = [
-        change.body
-        for recording in files
-        for change in recording.applied_wrench
-        if any(change.wrench)
-    ]
+    pushed = [change.body for recording in files for change in recording.applied_wrench if any(change.wrench)]
     assert pushed.count("top") > 3 and "box" in pushed
 
 

@@ -12,11 +12,7 @@ COUNT = 200
 SECONDS = 20.0  # a file; far above the time of a correct one, also on a loaded machine
 # MiB above what the program has after a correct file, and those of a compiler of its own process.
 MEMORY, COMPILER = 50.0, 400.0
-TEXTS = {
-    "urdf": ARM_URDF,
-    "sdf": ARM_SDF,
-    "xml": ARM_MJCF.format(upper="0.02 0.03 0.025 0.001 -0.002 0.0015"),
-}
+TEXTS = {"urdf": ARM_URDF, "sdf": ARM_SDF, "xml": ARM_MJCF.format(upper="0.02 0.03 0.025 0.001 -0.002 0.0015")}
 # Prints: refused files, seconds of the slowest, MiB of this process before and after, MiB of a child.
 CODE = """
 import contextlib, io, re, resource, sys, time

@@ -68,15 +68,11 @@ def test_links_and_joints_of_the_file_are_named_in_wrenches_and_states(client, t
         states = client.listen("/links/joint_states", JointState)
         applied = client.listen("/links/applied_wrench", WrenchStamped, LATCHED)
         # Paused, it publishes joint states only at steps and states that are set.
-        client.until(
-            lambda: states or client.call("/links/step") is None, COMPILING, "joint states"
-        )
+        client.until(lambda: states or client.call("/links/step") is None, COMPILING, "joint states")
         assert ask("set_state", **{"shoulder/position": 0.4, "extend/velocity": -0.3}).successful
         client.until(lambda: states and states[-1].velocity[1] == pytest.approx(-0.3, abs=1e-12))
         assert states[-1].position[0] == pytest.approx(0.4, abs=1e-12)
-        done = ask(
-            "apply_wrench", body="tool", force=[1.0, 2.0, 3.0], point=[0.0, 0.0, 0.1], duration=1.0
-        )
+        done = ask("apply_wrench", body="tool", force=[1.0, 2.0, 3.0], point=[0.0, 0.0, 0.1], duration=1.0)
         assert done.successful, done.reason
         client.call("/links/step")
         client.until(lambda: applied)
@@ -196,9 +192,7 @@ def test_robot_state_publisher_and_the_roots_are_one_tree(name, text, roots, tmp
         ready = [joint for joint in left if joint.parent in poses]
         assert ready, [joint.child for joint in left]  # everything hangs from the world
         for joint in ready:
-            pose = (
-                poses[joint.parent] @ joint.parent_frame @ joint.motion(values.get(joint.name, 0.0))
-            )
+            pose = poses[joint.parent] @ joint.parent_frame @ joint.motion(values.get(joint.name, 0.0))
             poses[joint.child] = pose @ inverse(joint.child_frame)
         left = [joint for joint in left if joint.child not in poses]
     for frame, pose in everything.items():
@@ -208,8 +202,7 @@ def test_robot_state_publisher_and_the_roots_are_one_tree(name, text, roots, tmp
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["arm.sdf", "stewart.sdf", "apart.xml", "four_bar", "slider_crank", "bricard", "ball_chain"],
+    "name", ["arm.sdf", "stewart.sdf", "apart.xml", "four_bar", "slider_crank", "bricard", "ball_chain"]
 )
 def test_the_generated_urdf_moves_with_the_joint_states(name, tmp_path):
     """Poses of all links from the joints of the URDF and ~/joint_states are those of /tf.
@@ -279,12 +272,7 @@ def test_other_parsers_place_the_links_as_tf_does(name, tmp_path):
     assert len(held) >= 2
 
 
-LOOSE = {
-    "stewart.sdf": 7,
-    "ball_chain": 10,
-    "apart.xml": 1,
-    "slider_crank": 1,
-}  # links that are floating
+LOOSE = {"stewart.sdf": 7, "ball_chain": 10, "apart.xml": 1, "slider_crank": 1}  # links that are floating
 
 
 APART_XML = """<mujoco><worldbody><body name="first" pos="0 0 1"><freejoint/>
@@ -332,9 +320,7 @@ def test_markers_have_the_visuals_and_meshes_of_the_file(tmp_path):
     assert (box.scale.x, box.scale.y, box.scale.z) == (0.2, 0.05, 0.04)
     at = sample.poses["upper"] @ (0.1, 0, 0, 1)
     assert (box.pose.position.x, box.pose.position.z) == pytest.approx((at[0], at[2]), abs=1e-14)
-    assert (
-        tool.mesh_resource == (tmp_path / "tool.stl").as_uri() and tool.mesh_use_embedded_materials
-    )
+    assert tool.mesh_resource == (tmp_path / "tool.stl").as_uri() and tool.mesh_use_embedded_materials
     assert tool.scale.x == 2.0 and box.mesh_resource == ""
     link, place = simulation.scene.robot.frames["tool"]
     at = sample.poses[link] @ place @ (0, 0, 0.2, 1)
@@ -394,9 +380,7 @@ def test_the_node_runs_closed_loops(make, joints, client, tmp_path):
     described.write_text(texts[0].data)
     robot = read_robot(described)
     if name == "platform":
-        assert set(robot.links) == {"world", "plate"} | {
-            f"{p}{k}" for p in ("lower", "upper") for k in range(6)
-        }
+        assert set(robot.links) == {"world", "plate"} | {f"{p}{k}" for p in ("lower", "upper") for k in range(6)}
     else:
         own = {joint.name for joint in robot.joints if joint.type != "fixed"}
         assert own <= set(joints) and set(joints) - own <= {"tip", "pin0", "pin1"}
@@ -424,16 +408,11 @@ def test_a_wrong_file_beside_the_robot_keeps_the_scene_that_runs(client, tmp_pat
             path.write_text(f"{right}{text}\n")
             answer = client.call("/reloaded/reload")
             assert not answer.success and "\n" not in answer.message
-            assert f"{path}:{line}: " in answer.message and expected in answer.message, (
-                text,
-                answer.message,
-            )
+            assert f"{path}:{line}: " in answer.message and expected in answer.message, (text, answer.message)
         (tmp_path / "five_bar.urdf").write_text("<robot><link/>")
         path.write_text(right)
         answer = client.call("/reloaded/reload")
-        assert (
-            not answer.success and f"{tmp_path / 'five_bar.urdf'}:1: is not XML" in answer.message
-        )
+        assert not answer.success and f"{tmp_path / 'five_bar.urdf'}:1: is not XML" in answer.message
         # The previous scene goes on: its time does not start again.
         before, count = states[-1].header.stamp, len(states)
         client.until(lambda: len(states) > count + 10, what="more joint states")
@@ -447,9 +426,7 @@ def test_a_wrong_file_beside_the_robot_keeps_the_scene_that_runs(client, tmp_pat
         assert code == 0 and "Traceback" not in errors
 
 
-@pytest.mark.parametrize(
-    "angles", [(0.3, -1.2, 2.9), (0.7, np.pi / 2, 0.0), (-2.0, -np.pi / 2, 0.0)]
-)
+@pytest.mark.parametrize("angles", [(0.3, -1.2, 2.9), (0.7, np.pi / 2, 0.0), (-2.0, -np.pi / 2, 0.0)])
 def test_roll_pitch_yaw_give_the_rotation_again(angles):
     """Also where they are not unique. Tolerance: the round-off of a level below 1e-9."""
     R = Rotation.from_euler("xyz", angles).as_matrix()
@@ -481,9 +458,7 @@ def test_bodies_without_visuals_are_boxes_in_the_generated_urdf(tmp_path):
     links = read_robot(written).links
     drawn = {
         body.name: sum(
-            len(links[link].visuals)
-            for link, (owner, _) in scene.robot.frames.items()
-            if owner == body.name
+            len(links[link].visuals) for link, (owner, _) in scene.robot.frames.items() if owner == body.name
         )
         for body in scene.bodies
     }

@@ -73,14 +73,7 @@ def test_a_recording_is_repeated_without_the_robots_file(folder):
 
 
 def test_the_node_takes_the_robots_file(folder, client):
-    assert [
-        "sim_node",
-        "--ros-args",
-        "-p",
-        "scene:=arm.urdf",
-        "-p",
-        "joint_state_rate:=50.0",
-    ] in LINES
+    assert ["sim_node", "--ros-args", "-p", "scene:=arm.urdf", "-p", "joint_state_rate:=50.0"] in LINES
     with NodeProcess({"scene": folder / "arm.urdf", "joint_state_rate": 50.0}) as process:
         states = client.listen("/sim_node/joint_states", JointState)
         client.until(lambda: states, COMPILING, "joint states")
@@ -109,15 +102,12 @@ def test_import_writes_what_load_scene_takes(folder, capsys):
     robot = folder / "five_bar.urdf"
     robot.write_text(five_bar_urdf())
     close = ["--close", "left_end", "right_end", "revolute"]
-    assert (
-        main(["import", str(robot), "--start", "left_crank=0.05", *close, "--out", "a.yaml"]) == 0
-    )
+    assert main(["import", str(robot), "--start", "left_crank=0.05", *close, "--out", "a.yaml"]) == 0
     errors = capsys.readouterr().err
     assert "a.yaml: 4 bodies, 5 joints" in errors and "merged into left_bar: left_end" in errors
     scene = load_scene("a.yaml")
     tips = [
-        Simulation(scene, "rkmk4", 1e-3).sample().poses[f"{side}_bar"] @ (1.2, 0, 0, 1)
-        for side in ("left", "right")
+        Simulation(scene, "rkmk4", 1e-3).sample().poses[f"{side}_bar"] @ (1.2, 0, 0, 1) for side in ("left", "right")
     ]
     assert tips[0] == pytest.approx(tips[1], abs=1e-12)
     assert main(["import", "closed.yaml", "--out", "all.yaml"]) == 0
@@ -236,9 +226,7 @@ def test_the_page_draws_meshes_within_its_bound(tmp_path, capsys, monkeypatch):
     trimesh.creation.icosphere(subdivisions=6).export("meshes/ball.stl")
     Path("ball.urdf").write_text(BALL_URDF)
     shapes, remarks = robot_shapes(load_scene("ball.urdf").robot)
-    assert remarks == [
-        "meshes that are not on this machine: 1, the first is package://nowhere/rod.stl"
-    ]
+    assert remarks == ["meshes that are not on this machine: 1, the first is package://nowhere/rod.stl"]
     points, faces = (
         np.frombuffer(base64.b64decode(shapes["ball"][key]), kind).reshape(-1, 3)
         for key, kind in (("points", "<f4"), ("faces", "<i4"))

@@ -23,9 +23,9 @@ PAGE = (DOCS / "ros2_control.md").read_text()
 BLOCK = re.search(r"^```xml\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)[1]
 CONTROLLERS, SERVOS = re.findall(r"^```yaml\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
 CONTROLLERS = yaml.safe_load(CONTROLLERS)
-ARM = re.search(r"^```xml\n(.*?)^```$", (DOCS / "robot.md").read_text(), re.MULTILINE | re.DOTALL)[
-    1
-].replace("</robot>", BLOCK + "</robot>")
+ARM = re.search(r"^```xml\n(.*?)^```$", (DOCS / "robot.md").read_text(), re.MULTILINE | re.DOTALL)[1].replace(
+    "</robot>", BLOCK + "</robot>"
+)
 
 # JointStateTopicSystem: topics, quality of service, names, NaN before a controller is active, stamps of
 # a wall clock. JointTrajectoryController: from the present position to the goal on a cubic spline, as
@@ -153,8 +153,7 @@ def test_the_page_names_the_topics_and_joints_of_the_node(tmp_path):
     assert set(controller["gains"]) == set(joints)
     for joint in block.iter("joint"):
         commands, states = (
-            [each.get("name") for each in joint.iter(f"{kind}_interface")]
-            for kind in ("command", "state")
+            [each.get("name") for each in joint.iter(f"{kind}_interface")] for kind in ("command", "state")
         )
         assert commands == controller["command_interfaces"] == ["effort"]
         assert set(states) >= {*controller["state_interfaces"], "effort"}

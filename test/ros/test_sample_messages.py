@@ -86,9 +86,7 @@ def sample(layout):
     """State that is neither the initial one nor consistent with the joints."""
     random = np.random.default_rng(7)
     rotations = Rotation.random(4, random_state=7).as_matrix().reshape(4, 9)
-    return layout.sample(
-        np.hstack([rotations, random.normal(size=(4, 3))]), random.normal(size=(4, 6))
-    )
+    return layout.sample(np.hstack([rotations, random.normal(size=(4, 3))]), random.normal(size=(4, 6)))
 
 
 def gaps(message, offset=0):
@@ -195,14 +193,8 @@ POINTS = st.builds(
 
 @given(
     st.one_of(
-        st.builds(
-            JointState, name=st.lists(TEXT, max_size=3), position=SOME, velocity=SOME, effort=SOME
-        ),
-        st.builds(
-            JointTrajectory,
-            joint_names=st.lists(TEXT, max_size=2),
-            points=st.lists(POINTS, max_size=3),
-        ),
+        st.builds(JointState, name=st.lists(TEXT, max_size=3), position=SOME, velocity=SOME, effort=SOME),
+        st.builds(JointTrajectory, joint_names=st.lists(TEXT, max_size=2), points=st.lists(POINTS, max_size=3)),
         st.builds(Float64MultiArray, data=SOME),
         st.builds(Int64MultiArray, data=st.lists(st.integers(-9, 9), max_size=2)),
         st.builds(Float32MultiArray, data=SOME),
@@ -236,18 +228,14 @@ def test_pose_and_twist_of_every_body(layout, sample):
     assert len(messages) == 4
     for body, (pose, twist) in zip(layout.body_names, messages):
         pose, twist = (
-            as_ros_serializes(payload, kind)
-            for payload, kind in ((pose, PoseStamped), (twist, TwistStamped))
+            as_ros_serializes(payload, kind) for payload, kind in ((pose, PoseStamped), (twist, TwistStamped))
         )
         assert (pose.header.frame_id, twist.header.frame_id) == ("odom", f"left/{body}")
         for header in (pose.header, twist.header):
             assert (header.stamp.sec, header.stamp.nanosec) == divmod(STAMP, 10**9)
         check_pose(pose.pose, sample.poses[body])
         assert numbers(pose.pose.orientation, "xyzw") == sample.quaternions[body].tolist()
-        assert (
-            numbers(twist.twist.angular, "xyz") + numbers(twist.twist.linear, "xyz")
-            == sample.twists[body].tolist()
-        )
+        assert numbers(twist.twist.angular, "xyz") + numbers(twist.twist.linear, "xyz") == sample.twists[body].tolist()
 
 
 def test_odometry(layout, sample):
@@ -260,10 +248,7 @@ def test_odometry(layout, sample):
         assert (message.header.stamp.sec, message.header.stamp.nanosec) == (12, 345_678_901)
         check_pose(message.pose.pose, sample.poses[body])
         twist = message.twist.twist
-        assert (
-            numbers(twist.angular, "xyz") + numbers(twist.linear, "xyz")
-            == sample.twists[body].tolist()
-        )
+        assert numbers(twist.angular, "xyz") + numbers(twist.linear, "xyz") == sample.twists[body].tolist()
         assert not message.pose.covariance.any() and not message.twist.covariance.any()
 
 
@@ -341,11 +326,7 @@ def test_a_pose_with_covariance_is_that_of_the_odometry(layout, sample):
 
 @pytest.mark.parametrize("little_endian", [True, False])
 def test_estimated_errors_are_decoded_to_the_same_bits(layout, sample, little_endian):
-    bodies, estimated, store = (
-        layout.body_names,
-        copy.copy(sample),
-        get_typestore(Stores.ROS2_JAZZY),
-    )
+    bodies, estimated, store = (layout.body_names, copy.copy(sample), get_typestore(Stores.ROS2_JAZZY))
     encode, payloads, written = estimates.encoder(bodies), [], []
     for k in range(3):
         estimated.errors = np.random.default_rng(k).normal(size=(len(bodies), 4))
@@ -396,9 +377,7 @@ def test_joint_states(layout, sample):
     _, _, encode = only(sample_messages.joint_states(layout, "world"))
     message = as_ros_serializes(encode(STAMP, sample), JointState)
     assert message.name == ["pin", "rail"]
-    assert list(zip(message.position, message.velocity)) == [
-        sample.joint_coordinates[name] for name in ("pin", "rail")
-    ]
+    assert list(zip(message.position, message.velocity)) == [sample.joint_coordinates[name] for name in ("pin", "rail")]
     assert np.isnan(message.effort).tolist() == [True, True]  # nothing is commanded
 
 
@@ -423,9 +402,7 @@ def test_joint_states_of_a_scene_without_such_joints():
 def test_names_of_every_length(layout, sample, length):
     """Frame ids, namespaces and joint names end at every offset relative to the alignment."""
     world, prefix = "w" * length, "p" * length
-    for pose, twist in sample_messages.poses_and_twists(layout.body_names, world, prefix)(
-        STAMP, sample
-    ):
+    for pose, twist in sample_messages.poses_and_twists(layout.body_names, world, prefix)(STAMP, sample):
         as_ros_serializes(pose, PoseStamped)
         as_ros_serializes(twist, TwistStamped)
     for topics, message_class in (
@@ -445,13 +422,9 @@ def test_names_of_every_length(layout, sample, length):
     assert bytes(store.serialize_cdr(store.deserialize_cdr(payload, kind), kind)) == payload
     for count in range(4):
         names = ["j" * length + str(k) for k in range(count)]
-        joints = SimpleNamespace(
-            coordinates=SimpleNamespace(names=names), scene=SimpleNamespace(robot=None)
-        )
+        joints = SimpleNamespace(coordinates=SimpleNamespace(names=names), scene=SimpleNamespace(robot=None))
         _, _, encode = only(sample_messages.joint_states(joints, world))
-        state = SimpleNamespace(
-            joint_coordinates={name: (0.5, 2.0) for name in names}, all_efforts={}
-        )
+        state = SimpleNamespace(joint_coordinates={name: (0.5, 2.0) for name in names}, all_efforts={})
         message = as_ros_serializes(encode(STAMP, state), JointState)
         assert (message.name, message.velocity.tolist()) == (names, [2.0] * count)
 
@@ -506,9 +479,7 @@ def test_markers(layout, sample):
     assert numbers(ball.scale, "xyz") == [0.6] * 3
     assert bar.scale.z == 2.0 and bar.scale.x == bar.scale.y == 0.02  # not thinner: 2 mm
     pin = found["joints", 0]
-    assert numbers(pin.pose.position, "xyz") == pytest.approx(
-        (sample.poses["brick"] @ [0, 0, 0.5, 1.0])[:3].tolist()
-    )
+    assert numbers(pin.pose.position, "xyz") == pytest.approx((sample.poses["brick"] @ [0, 0, 0.5, 1.0])[:3].tolist())
     force, torque = found["forces", 0], found["torques", 0]
     assert numbers(force.points[1], "xyz") == pytest.approx([0.3, 0.0, -0.1])
     assert numbers(torque.points[1], "xyz") == pytest.approx([0.0, 0.0, 0.2])
@@ -531,16 +502,8 @@ def test_markers(layout, sample):
 )
 @settings(max_examples=50)
 def test_diagnostics(number, text, state):
-    figures = {
-        "state": state,
-        "real_time_factor_wanted": 1.0,
-        "real_time_factor": 0.5,
-        "number": number,
-        text: text,
-    }
-    message = as_ros_serializes(
-        diagnostics.encode(STAMP, "/node: simulation", figures), DiagnosticArray
-    )
+    figures = {"state": state, "real_time_factor_wanted": 1.0, "real_time_factor": 0.5, "number": number, text: text}
+    message = as_ros_serializes(diagnostics.encode(STAMP, "/node: simulation", figures), DiagnosticArray)
     (status,) = message.status
     assert status.name == "/node: simulation"
     assert status.level == (b"\x01" if state == "running" else b"\x02")
@@ -595,9 +558,7 @@ def test_joint_states_follow_a_simulation():
     simulation.advance(100)
     sample = simulation.sample()
     message = deserialize_message(encode(simulation.time_ns, sample), JointState)
-    assert dict(zip(message.name, zip(message.position, message.velocity))) == (
-        sample.joint_coordinates
-    )
+    assert dict(zip(message.name, zip(message.position, message.velocity))) == (sample.joint_coordinates)
 
 
 SENSED = """

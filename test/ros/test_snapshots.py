@@ -30,16 +30,12 @@ def numbers(message):
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_a_restored_snapshot_continues_bit_for_bit_and_is_recorded(
-    client, scene, tmp_path, capsys, case
-):
+def test_a_restored_snapshot_continues_bit_for_bit_and_is_recorded(client, scene, tmp_path, capsys, case):
     name = f"{NODE}_{case}"
     poses = client.listen(f"{name}/cube/pose", PoseStamped)
     twists = client.listen(f"{name}/puck/twist", TwistStamped)
     applied = client.listen(f"{name}/applied_wrench", WrenchStamped)
-    events = client.listen(
-        f"{name}/events", Log, QoSProfile(depth=50, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    )
+    events = client.listen(f"{name}/events", Log, QoSProfile(depth=50, durability=DurabilityPolicy.TRANSIENT_LOCAL))
     figures = client.listen("/diagnostics", DiagnosticArray)
     parameters = {"scene": scene, "start_paused": True, "record": tmp_path / "run.mcap"}
     with NodeProcess(parameters | CASES[case], [f"__node:={name[1:]}"]) as process:
@@ -61,9 +57,7 @@ def test_a_restored_snapshot_continues_bit_for_bit_and_is_recorded(
             """[{ns after the start: numbers}] of the poses and twists that steps publish."""
             step(400 if case == "method" else 40)
             end = start + 400_000_000
-            client.until(
-                lambda: all(stamp_ns(kept[-1].header.stamp) >= end for kept in (poses, twists))
-            )
+            client.until(lambda: all(stamp_ns(kept[-1].header.stamp) >= end for kept in (poses, twists)))
             found = [
                 {
                     stamp - start: numbers(message)

@@ -255,9 +255,7 @@ def test_a_state_that_is_set_is_kept_and_recorded(client, node):
     assert vector(found.pose.orientation, "xyzw") == [0.0, 0.0, 0.0, 1.0]
     assert vector(found.twist.linear) == pytest.approx(vector(state.twist.linear), abs=1e-15)
     assert vector(found.twist.angular) == pytest.approx(vector(state.twist.angular), abs=1e-15)
-    assert vector(node.entity("arm").pose.orientation, "xyzw") == vector(
-        arm.pose.orientation, "xyzw"
-    )
+    assert vector(node.entity("arm").pose.orientation, "xyzw") == vector(arm.pose.orientation, "xyzw")
     # A pose that the hinge allows, with the twist of this instant.
     arm.pose.orientation.y, arm.pose.orientation.w = np.sin(0.4), np.cos(0.4)
     assert node("set_entity_state", entity="arm", state=arm)[0] == 1
@@ -280,11 +278,7 @@ def test_a_state_that_the_joints_do_not_allow_is_refused(node):
         assert result == code and text in response.result.error_message, response
         assert "\n" not in response.result.error_message
 
-    refused(
-        101,
-        '"hinge": cannot be assembled, the remaining constraint violation is 0.5 m',
-        pose__position__z=0.5,
-    )
+    refused(101, '"hinge": cannot be assembled, the remaining constraint violation is 0.5 m', pose__position__z=0.5)
     refused(101, "has norm ", pose__orientation__w=0.0)
     refused(101, "has norm nan", pose__orientation__w=float("nan"))
     refused(101, "position is not finite", pose__position__x=float("inf"))
@@ -308,9 +302,7 @@ def test_worlds_are_scenes(client, node, files):
         assert world.description == load_scene(world.world_resource.uri).description.strip()
     result, response = node("get_available_worlds", additional_sources=["/no/such/folder"])
     assert result == 2 and "/no/such/folder" in response.result.error_message
-    result, _ = node(
-        "get_available_worlds", additional_sources=["/no/such/folder"], continue_on_error=True
-    )
+    result, _ = node("get_available_worlds", additional_sources=["/no/such/folder"], continue_on_error=True)
     assert result == 1
     assert node("get_available_worlds", filter__tags=["indoor"])[0] == 0
 
@@ -399,9 +391,7 @@ def test_a_robot_whose_mass_follows_from_a_missing_mesh_lacks_an_asset(node, fil
     beside.write_text("robot: mass.xml\n")
     for file in (path, beside):
         for ignore in (False, True):
-            result, error, world = load(
-                node, str(file), ignore_missing_or_unsupported_assets=ignore
-            )
+            result, error, world = load(node, str(file), ignore_missing_or_unsupported_assets=ignore)
             assert result == 104 and world.name == "", error
             assert "nope.stl' is not there" in error and "\n" not in error
     (files / "broken.xml").write_text('<mujoco><worldbody><body name="a"></worldbody></mujoco>')
@@ -414,18 +404,13 @@ def send_goal(client, steps):
     from simulation_interfaces.action import SimulateSteps
 
     actions = ActionClient(
-        client.node,
-        SimulateSteps,
-        f"{NODE}/simulate_steps",
-        feedback_sub_qos_profile=QoSProfile(depth=1000),
+        client.node, SimulateSteps, f"{NODE}/simulate_steps", feedback_sub_qos_profile=QoSProfile(depth=1000)
     )
     client.until(actions.server_is_ready, COMPILING)
     feedback = []
     sent = actions.send_goal_async(
         SimulateSteps.Goal(steps=steps),
-        lambda message: feedback.append(
-            (message.feedback.completed_steps, message.feedback.remaining_steps)
-        ),
+        lambda message: feedback.append((message.feedback.completed_steps, message.feedback.remaining_steps)),
     )
     client.until(sent.done)
     assert sent.result().accepted

@@ -67,9 +67,7 @@ def test_sweep_gives_closed_form_results_and_resumes(fall, capsys):
     assert main([*fall, "--show", "stone.x"]) == 0
     assert before == {path: path.stat().st_mtime_ns for path in before}
     assert main([*fall, "--seed", "1"]) == 2
-    assert (
-        "a.parquet: contains a different sweep: seed 0 there and 1 here" in capsys.readouterr().err
-    )
+    assert "a.parquet: contains a different sweep: seed 0 there and 1 here" in capsys.readouterr().err
     assert main(["sweep", "fall.yaml", "--list"]) == 0
     assert "bodies.stone.mass 1.0" in capsys.readouterr().out.splitlines()
 
@@ -94,9 +92,7 @@ def test_an_interrupted_sweep_keeps_its_runs(fall, capsys, monkeypatch):
     assert main([*fall, "--workers", "1"]) == 0
     assert "a.parquet has 2 of 20 runs already" in capsys.readouterr().err
     assert main([*fall[:-1], "b.parquet"]) == 0
-    tables = [
-        SweepFile(name).table().drop_columns(["cpu_s"]) for name in ("a.parquet", "b.parquet")
-    ]
+    tables = [SweepFile(name).table().drop_columns(["cpu_s"]) for name in ("a.parquet", "b.parquet")]
     assert tables[0].equals(tables[1])
 
 
@@ -114,16 +110,7 @@ def test_failed_runs_are_listed_by_reason(fall, capsys):
 
 def test_an_inconsistent_start_suggests_assembly(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    arguments = [
-        "sweep",
-        "heavy_top",
-        "--vary",
-        "angular_velocity.2=-1:1",
-        "--samples",
-        "12",
-        "--duration",
-        "0.01",
-    ]
+    arguments = ["sweep", "heavy_top", "--vary", "angular_velocity.2=-1:1", "--samples", "12", "--duration", "0.01"]
     assert main([*arguments, "--out", "a.parquet"]) == 1
     out, err = capsys.readouterr()
     assert "12 failed" in out and "the initial velocities violate the joint" in out
@@ -174,10 +161,7 @@ def test_states_are_kept_at_steps_of_an_accuracy(fall, capsys, keep, step):
         (["--accuracy", "0"], "the accuracy must be a number from 1e-13 to 1, got 0"),
         (["--horizon", "0"], "the horizon must be a positive number"),
         (["--keep", "0"], "--keep must be a positive number of seconds"),
-        (
-            ["--keep", "0.0123456"],
-            "--keep 0.0123456 s: no suitable step divides it and --duration 0.5 s",
-        ),
+        (["--keep", "0.0123456"], "--keep 0.0123456 s: no suitable step divides it and --duration 0.5 s"),
     ],
 )
 def test_wrong_input_of_an_accuracy_is_one_line(fall, tmp_path, capsys, change, said):

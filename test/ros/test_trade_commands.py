@@ -58,10 +58,7 @@ def test_trade_output_from_cached_measurements(measured, tmp_path, capsys):
         "--workers",
         "1",
     ]
-    assert (
-        main([*arguments, "--json", str(files[0]), "--html", str(files[1]), "--png", str(files[2])])
-        == 0
-    )
+    assert main([*arguments, "--json", str(files[0]), "--html", str(files[1]), "--png", str(files[2])]) == 0
     out = capsys.readouterr().out
     assert "Cheapest configuration for each accuracy" in out and "rkmk8" in out and "below" in out
     document = json.loads(files[0].read_text())
@@ -72,15 +69,11 @@ def test_trade_output_from_cached_measurements(measured, tmp_path, capsys):
     costs = [part["cells"][k]["cost_us"] for k in part["front"]]
     assert costs == sorted(costs) and len(costs) > 3
     for entry in part["cheapest"]:
-        assert entry["cell"] is None or (
-            part["margin"] * part["cells"][entry["cell"]]["error"] <= entry["accuracy"]
-        )
+        assert entry["cell"] is None or (part["margin"] * part["cells"][entry["cell"]]["error"] <= entry["accuracy"])
     # A narrower question is answered as if nothing else had been measured.
     narrower = [word for word in arguments if word != "rkmk4"]
     assert main([*narrower, "--json", str(files[0])]) == 0
-    assert {cell["method"] for cell in json.loads(files[0].read_text())["scenes"][0]["cells"]} == {
-        "rkmk8"
-    }
+    assert {cell["method"] for cell in json.loads(files[0].read_text())["scenes"][0]["cells"]} == {"rkmk8"}
     page = files[1].read_text()
     assert "Content-Security-Policy" in page and "accuracy against cost" in page
     assert files[2].read_bytes().startswith(b"\x89PNG") and files[2].stat().st_size > 20_000
@@ -118,8 +111,7 @@ def test_the_html_report_on_a_screen_and_on_a_phone(measured, tmp_path):
 
     def lines(what):
         return browser.run(
-            f"[...document.querySelectorAll('{what}')].map(e => "
-            "e.getClientRects().length ? e.offsetHeight : 0)"
+            f"[...document.querySelectorAll('{what}')].map(e => e.getClientRects().length ? e.offsetHeight : 0)"
         )
 
     try:
@@ -175,10 +167,7 @@ def test_every_method_has_a_distinct_line_style():
         (["--json", "none/a.json"], "cannot be written"),
         (["--png", "a.txt"], "must end in"),
         (["nope"], "nope"),
-        (
-            ["--scheduler", "tcp://127.0.0.1:9", "--horizon", "0.5", "--methods", "rkmk2"],
-            "no dask scheduler",
-        ),
+        (["--scheduler", "tcp://127.0.0.1:9", "--horizon", "0.5", "--methods", "rkmk2"], "no dask scheduler"),
     ],
 )
 def test_wrong_input_is_one_line(measured, tmp_path, monkeypatch, capsys, change, said):

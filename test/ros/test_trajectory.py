@@ -52,9 +52,7 @@ def message(names=("pin", "rail"), points=(), stamp_ns=0):
     for seconds, *numbers in points:
         fields = zip(("positions", "velocities", "accelerations", "effort"), numbers)
         point = JointTrajectoryPoint(**{name: list(map(float, each)) for name, each in fields})
-        point.time_from_start.sec, point.time_from_start.nanosec = divmod(
-            round(seconds * 1e9), 10**9
-        )
+        point.time_from_start.sec, point.time_from_start.nanosec = divmod(round(seconds * 1e9), 10**9)
         found.points.append(point)
     return serialize_message(found)
 

@@ -59,14 +59,11 @@ def test_body_frames_have_a_prefix(kind, body, frame, source, axes):
 
 
 @pytest.mark.parametrize(
-    "target, ended",
-    [("", {"top/", "top/a/", "left/"}), ("top", {"top/", "top/a/"}), ("top/a", {"top/a/"})],
+    "target, ended", [("", {"top/", "top/a/", "left/"}), ("top", {"top/", "top/a/"}), ("top/a", {"top/a/"})]
 )
 def test_clear_ends_the_wrenches_of_a_body_a_source_or_all(target, ended):
     prefix = source_prefix("persistent", target)
-    sources = {
-        source_prefix("persistent", t)[len("persistent/") :] for t in ("top", "top/a", "left")
-    }
+    sources = {source_prefix("persistent", t)[len("persistent/") :] for t in ("top", "top/a", "left")}
     assert {s for s in sources if f"persistent/{s}".startswith(prefix)} == ended
 
 
@@ -121,9 +118,7 @@ def test_a_message_serialized_by_ros_is_decoded(values, stamp_ns, frame):
 
 
 def test_a_body_is_also_named_by_the_link_of_its_robots_file():
-    reader = WrenchInput(
-        ["crank_left"], "world", "a/", {"crank_left": "crank-left", "world": "world"}
-    )
+    reader = WrenchInput(["crank_left"], "world", "a/", {"crank_left": "crank-left", "world": "world"})
     assert reader.body_and_name("a/crank-left/me") == ("crank_left", "me")
     assert reader.body_and_name("a/crank_left") == ("crank_left", "")
     assert reader.body_and_name("a/world") == (None, "")

@@ -86,13 +86,7 @@ WORD = st.from_regex(r"[a-z]{3,8}_[0-9]{3}", fullmatch=True)  # none of them mea
 def places(node, path=()):
     """Paths of all mappings, lists and values in a scene."""
     yield path
-    items = (
-        node.items()
-        if isinstance(node, dict)
-        else enumerate(node)
-        if isinstance(node, list)
-        else ()
-    )
+    items = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
     for key, value in items:
         yield from places(value, (*path, key))
 
@@ -115,9 +109,7 @@ def wrong_scene(draw):
         path = draw(st.sampled_from([p for p in PLACES if isinstance(at(SCENE, p), dict)]))
         at(scene, path)[draw(WORD)] = 1
     elif kind == "wrong value":
-        path = draw(
-            st.sampled_from([p for p in PLACES if p and not isinstance(at(SCENE, p), (dict, list))])
-        )
+        path = draw(st.sampled_from([p for p in PLACES if p and not isinstance(at(SCENE, p), (dict, list))]))
         numeric = isinstance(at(SCENE, path), float)
         at(scene, path[:-1])[path[-1]] = draw(NO_NUMBER if numeric else NO_TEXT)
     elif kind == "key missing":
@@ -193,9 +185,7 @@ def answers(folder, files, arguments):
     return zip(files, *zip(*json.loads(output)), strict=True)
 
 
-BATCHES = settings(
-    max_examples=4, deadline=None, phases=[Phase.generate], suppress_health_check=list(HealthCheck)
-)
+BATCHES = settings(max_examples=4, deadline=None, phases=[Phase.generate], suppress_health_check=list(HealthCheck))
 
 
 @BATCHES
@@ -203,11 +193,7 @@ BATCHES = settings(
 def test_an_invalid_scene_gives_one_line(tmp_path_factory, files):
     folder = tmp_path_factory.mktemp("scenes")
     for text, code, errors in answers(folder, files, ["-p", "scene:={}"]):
-        assert code == 2 and errors.count("\n") == 1 and errors.startswith("sim_node: "), (
-            text,
-            code,
-            errors,
-        )
+        assert code == 2 and errors.count("\n") == 1 and errors.startswith("sim_node: "), (text, code, errors)
         assert ".yaml" in errors and len(errors) < 1000
 
 
@@ -216,9 +202,5 @@ def test_an_invalid_scene_gives_one_line(tmp_path_factory, files):
 def test_an_invalid_parameter_file_gives_one_line(tmp_path_factory, files):
     folder = tmp_path_factory.mktemp("parameters")
     for text, code, errors in answers(folder, files, ["--params-file", "{}"]):
-        assert code == 2 and errors.count("\n") == 1 and errors.startswith("sim_node: "), (
-            text,
-            code,
-            errors,
-        )
+        assert code == 2 and errors.count("\n") == 1 and errors.startswith("sim_node: "), (text, code, errors)
         assert len(errors) < 1000

@@ -26,10 +26,7 @@ def pushed(name, **settings):
     body = simulation.scene.bodies[0].name
     wrench = (0.0, 0.0, 0.0, FORCE[name], 0.0, 0.0)
     simulation.apply_wrench(body, wrench, ON, OFF - ON, axes="world")
-    return simulation, [
-        WrenchChange(ON, body, wrench, "world"),
-        WrenchChange(OFF, body, (0.0,) * 6, "world"),
-    ]
+    return simulation, [WrenchChange(ON, body, wrench, "world"), WrenchChange(OFF, body, (0.0,) * 6, "world")]
 
 
 def true_error(simulation, changes, times):
@@ -260,9 +257,7 @@ def test_another_accuracy_counts_anew_only_while_the_error_allows_it():
     assert simulation.accuracy == 1e-10
 
 
-@pytest.mark.parametrize(
-    "horizon, step", [(60.0, 0.01), (1000.0, 0.01), (0.5, 0.01), (0.3, 5e-3), (1e-9, 2e-7)]
-)
+@pytest.mark.parametrize("horizon, step", [(60.0, 0.01), (1000.0, 0.01), (0.5, 0.01), (0.3, 5e-3), (1e-9, 2e-7)])
 def test_the_default_step_is_at_most_a_fiftieth_of_the_horizon(horizon, step):
     assert Simulation(load_scene("heavy_top"), horizon=horizon).step == step
 

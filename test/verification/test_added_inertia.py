@@ -15,9 +15,7 @@ SHARES = {"constrained_rattle": 12.0, "lie_midpoint": 8.0}
 
 def rod(slender, spin=2.0, method="constrained_rattle", step=0.05, **options):
     """Simulation of a free rod with the moments of inertia 1 / slender, 1, 1."""
-    body = Body(
-        name="rod", mass=1.0, inertia=(1.0 / slender, 1.0, 1.0), angular_velocity=(spin, 1.0, 0.5)
-    )
+    body = Body(name="rod", mass=1.0, inertia=(1.0 / slender, 1.0, 1.0), angular_velocity=(spin, 1.0, 0.5))
     return Simulation(Scene(name="rod", gravity=(0, 0, 0), bodies=[body]), method, step, **options)
 
 
@@ -47,9 +45,7 @@ def test_a_rod_that_does_not_turn_any_more_has_no_finite_estimate(method):
     assert simulation.predictable_until <= 1.0
 
 
-@pytest.mark.parametrize(
-    "slender, spin, step", [(1e6, 0.0, 0.05), (1e6, 2.0, 1e-5), (50.0, 2.0, 0.05)]
-)
+@pytest.mark.parametrize("slender, spin, step", [(1e6, 0.0, 0.05), (1e6, 2.0, 1e-5), (50.0, 2.0, 0.05)])
 def test_other_rods_have_a_finite_estimate(slender, spin, step):
     simulation = rod(slender, spin, step=step)
     simulation.advance(20)

@@ -51,9 +51,7 @@ def test_rattling_gears():
         assert event.energy == pytest.approx(-0.5 * (1.0 - e * e) * reduced * rate**2, abs=1e-13)
         rate, travel, side = e * rate, 0.1, -side
     twist = engine.sample().twist
-    assert WHEEL * twist[0, 2] - 3.0 * PINION * twist[1, 2] == pytest.approx(
-        WHEEL * speed, abs=1e-13
-    )
+    assert WHEEL * twist[0, 2] - 3.0 * PINION * twist[1, 2] == pytest.approx(WHEEL * speed, abs=1e-13)
 
 
 def test_torque_reversal():
@@ -189,10 +187,7 @@ joints:
     engine = Engine(scene_from_text(text), "rkmk4", 1e-2)
     engine.advance(300)
     events = {event.joint: event for event in engine.drain_events()}
-    assert {name: event.kind for name, event in events.items()} == {
-        "rod/translation": "stick",
-        "rod/rotation": "stick",
-    }
+    assert {name: event.kind for name, event in events.items()} == {"rod/translation": "stick", "rod/rotation": "stick"}
     brake = G + 12.0 / 2.0
     assert events["rod/translation"].time == pytest.approx(1.5 / brake, abs=1e-13)
     assert events["rod/rotation"].time == pytest.approx(3.0 * 0.04 / 0.05, abs=1e-12)

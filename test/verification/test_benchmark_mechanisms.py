@@ -25,13 +25,7 @@ G = 9.81
 def solved(rate, start, times, method="DOP853", rtol=1e-12, atol=1e-13):
     """Solution (len(times), n) of the initial value problem y' = rate(y), by SciPy."""
     solution = solve_ivp(
-        lambda t, y: rate(y),
-        (0.0, times[-1]),
-        start,
-        method=method,
-        rtol=rtol,
-        atol=atol,
-        t_eval=times,
+        lambda t, y: rate(y), (0.0, times[-1]), start, method=method, rtol=rtol, atol=atol, t_eval=times
     )
     assert solution.success
     return solution.y.T
@@ -81,11 +75,7 @@ def four_bar_mass(q):
     about_middle = [m * (length**2 + 0.05**2) / 12.0 for m, length in ((0.5, 0.5), (1, 1), (1, 1))]
     middle = 1j * B + 1j * w2 * (C - B) / 2.0
     return (
-        about_middle[0]
-        + 0.5 * 0.25**2
-        + about_middle[1] * w2**2
-        + abs(middle) ** 2
-        + (about_middle[2] + 0.25) * w3**2
+        about_middle[0] + 0.5 * 0.25**2 + about_middle[1] * w2**2 + abs(middle) ** 2 + (about_middle[2] + 0.25) * w3**2
     )
 
 
@@ -134,9 +124,7 @@ def test_four_bar_follows_its_energy_integral():
 
 
 def test_four_bar_eliminates_one_redundant_row():
-    assert Simulation(load_scene("four_bar"), method="rkmk4").layout.dropped_rows == [
-        ("coupler_rocker", "vz")
-    ]
+    assert Simulation(load_scene("four_bar"), method="rkmk4").layout.dropped_rows == [("coupler_rocker", "vz")]
 
 
 # ---------------------------------------------------------------- rows of four-bar windows
@@ -225,9 +213,7 @@ def bricard_rate(y):
     da, db = bricard_tangent(a, b)
     kinetic, power = bricard_energies(a, b)
     h = 1e-3  # fourth order: right to 1e-12
-    ahead, behind, far_ahead, far_behind = (
-        bricard_energies(a + s * h * da, b + s * h * db)[0] for s in (1, -1, 2, -2)
-    )
+    ahead, behind, far_ahead, far_behind = (bricard_energies(a + s * h * da, b + s * h * db)[0] for s in (1, -1, 2, -2))
     slope = (8 * (ahead - behind) - (far_ahead - far_behind)) / (12 * h)
     return [speed * da, speed * db, (power - 0.5 * slope * speed**2) / kinetic]
 
@@ -278,10 +264,7 @@ def test_bennett_linkage_follows_its_closed_form():
     kept = np.sin((twists[1] + twists[0]) / 2) / np.sin((twists[1] - twists[0]) / 2)
     near, far = (
         [Frame()] * 4,
-        [
-            Frame(position=(length, 0, 0), rotation_vector=(twist, 0, 0))
-            for length, twist in zip(lengths, twists)
-        ],
+        [Frame(position=(length, 0, 0), rotation_vector=(twist, 0, 0)) for length, twist in zip(lengths, twists)],
     )
     first = 1.0
     turns = [first, 2.0 * np.arctan(kept / np.tan(first / 2))]
@@ -293,13 +276,7 @@ def test_bennett_linkage_follows_its_closed_form():
                 name=f"link{k}",
                 position=pose[:3, 3],
                 quaternion=SO3.to_quaternion(pose[:3, :3]),
-                shape=Rod(
-                    axis=(1, 0, 0),
-                    length=lengths[k],
-                    radius=0.05,
-                    mass=1.0,
-                    position=(lengths[k] / 2, 0, 0),
-                ),
+                shape=Rod(axis=(1, 0, 0), length=lengths[k], radius=0.05, mass=1.0, position=(lengths[k] / 2, 0, 0)),
             )
         )
         pose = pose @ far[k].pose
@@ -317,18 +294,10 @@ def test_bennett_linkage_follows_its_closed_form():
         for k in range(3)
     ]
     joints.append(
-        Joint(
-            name="hinge3",
-            type="revolute",
-            parent="world",
-            child="link3",
-            parent_frame=near[3],
-            child_frame=far[3],
-        )
+        Joint(name="hinge3", type="revolute", parent="world", child="link3", parent_frame=near[3], child_frame=far[3])
     )
     simulation = Simulation(
-        Scene(name="bennett", gravity=(0, 0, 0), assemble=True, bodies=bodies, joints=joints),
-        method="rkmk4",
+        Scene(name="bennett", gravity=(0, 0, 0), assemble=True, bodies=bodies, joints=joints), method="rkmk4"
     )
     assert len(simulation.layout.dropped_rows) == 3
     energy = simulation.sample().energy
@@ -438,11 +407,7 @@ SQUEEZER_END = (
 def test_andrews_squeezer_against_its_index_one_equations():
     times = [0.01, 0.02, 0.03]
     reference = solved(
-        squeezer_rate,
-        np.concatenate([squeezer_angles(SQUEEZER_START), np.zeros(7)]),
-        times,
-        rtol=1e-11,
-        atol=1e-13,
+        squeezer_rate, np.concatenate([squeezer_angles(SQUEEZER_START), np.zeros(7)]), times, rtol=1e-11, atol=1e-13
     )
     np.testing.assert_allclose(reference[-1][:7], squeezer_angles(SQUEEZER_END), atol=1e-6)
     scene = load_scene("andrews_squeezer")
@@ -479,12 +444,7 @@ def slider_crank_energies(q, universal):
     spin = omega @ along
     middle = (dB + np.array([dx, 0, 0])) / 2
     kinetic = (
-        1e-4
-        + 0.12 * 0.04**2
-        + 2.0 * dx**2
-        + 0.5 * middle @ middle
-        + 4e-3 * (omega @ omega - spin**2)
-        + 4e-4 * spin**2
+        1e-4 + 0.12 * 0.04**2 + 2.0 * dx**2 + 0.5 * middle @ middle + 4e-3 * (omega @ omega - spin**2) + 4e-4 * spin**2
     )
     return kinetic, G * (0.12 * (0.12 + 0.04 * np.cos(q)) + 0.5 * B[2] / 2)
 
@@ -528,18 +488,12 @@ def governor_rate(y):
         return (
             0.3 * 2e-4 / 12
             + 3.0 * 0.02 / 12
-            + 2
-            * (
-                mass * (0.05 + com * np.cos(alpha)) ** 2
-                + along * np.sin(alpha) ** 2
-                + across * np.cos(alpha) ** 2
-            )
+            + 2 * (mass * (0.05 + com * np.cos(alpha)) ** 2 + along * np.sin(alpha) ** 2 + across * np.cos(alpha) ** 2)
         )
 
     spin = about_shaft(np.pi / 6) * 2 * np.pi / about_shaft(alpha)
     slope = 4 * (
-        -mass * (0.05 + com * np.cos(alpha)) * com * np.sin(alpha)
-        + (along - across) * np.sin(alpha) * np.cos(alpha)
+        -mass * (0.05 + com * np.cos(alpha)) * com * np.sin(alpha) + (along - across) * np.sin(alpha) * np.cos(alpha)
     )
     line = np.array([0.5 * np.cos(alpha), 1.0 - 0.5 * np.sin(alpha) - s])
     by_alpha = np.array([-0.5 * np.sin(alpha), -0.5 * np.cos(alpha)])
@@ -549,30 +503,23 @@ def governor_rate(y):
     return [
         dalpha,
         ds,
-        (0.25 * slope * spin**2 + mass * G * com * np.cos(alpha) - pull @ by_alpha)
-        / (across + mass * com**2),
+        (0.25 * slope * spin**2 + mass * G * com * np.cos(alpha) - pull @ by_alpha) / (across + mass * com**2),
         -G + 2 * pull[1] / 3.0,
     ]
 
 
 def test_flyball_governor_against_minimal_coordinates():
     times = [0.5, 1.0, 2.0]
-    reference = solved(
-        governor_rate, [np.pi / 6, 0.5, 0.0, 0.0], times, method="Radau", rtol=1e-10, atol=1e-12
-    )
+    reference = solved(governor_rate, [np.pi / 6, 0.5, 0.0, 0.0], times, method="Radau", rtol=1e-10, atol=1e-12)
     scene = load_scene("flyball_governor")
     for body in scene.bodies:
-        np.testing.assert_allclose(
-            body.rotation @ body.angular_velocity, [0, 0, 2 * np.pi], atol=1e-12
-        )
+        np.testing.assert_allclose(body.rotation @ body.angular_velocity, [0, 0, 2 * np.pi], atol=1e-12)
     for sample, (alpha, s, _, _) in zip(sampled(scene, 5e-5, times), reference):
         height = sample.positions["slider"][2]
         assert height == pytest.approx(s, abs=1e-7)
         for arm in ("arm1", "arm2"):
             assert np.arcsin(-sample.poses[arm][2, 0]) == pytest.approx(alpha, abs=1e-7)
-        assert sample.spatial_momentum[2] == pytest.approx(
-            sampled(scene, 5e-5, [0.0])[0].spatial_momentum[2], rel=1e-9
-        )
+        assert sample.spatial_momentum[2] == pytest.approx(sampled(scene, 5e-5, [0.0])[0].spatial_momentum[2], rel=1e-9)
 
 
 # ------------------------------------------------------- spatial four-bar
@@ -597,10 +544,7 @@ def test_a_rod_between_two_balls_does_not_spin():
         J = length**2 / 12 * (np.eye(3) - axis) + 0.02**2 / 6 * axis
         bodies.append(
             Body(
-                name=name,
-                mass=1.0,
-                position=starts[name] + line / 2,
-                inertia=J[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]],
+                name=name, mass=1.0, position=starts[name] + line / 2, inertia=J[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
             )
         )
     half = {name: line / 2 for name, line in along.items()}
@@ -615,8 +559,7 @@ def test_a_rod_between_two_balls_does_not_spin():
         gravity=(0.0, 0.0, -G),
         bodies=bodies,
         joints=[
-            Joint(name=f"{a}_{b}", type=kind, parent=a, child=b, child_frame=frame)
-            for kind, a, b, frame in joints
+            Joint(name=f"{a}_{b}", type=kind, parent=a, child=b, child_frame=frame) for kind, a, b, frame in joints
         ],
     )
     axis = along["coupler"] / np.linalg.norm(along["coupler"])

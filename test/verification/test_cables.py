@@ -130,9 +130,7 @@ def flights(at, v, e, inside):
             p = [dot(g, g) / 4, dot(g, v), dot(v, v) + dot(g, at), 2 * dot(at, v)]
             roots = np.roots([float(x) for x in p])
             start = min(r.real for r in roots if abs(r.imag) < 1e-9 * abs(r) and r.real > 0.0)
-            flight = mpmath.findroot(
-                lambda t, p=p: ((p[0] * t + p[1]) * t + p[2]) * t + p[3], start
-            )
+            flight = mpmath.findroot(lambda t, p=p: ((p[0] * t + p[1]) * t + p[2]) * t + p[3], start)
             time += flight
             at, v = at + v * flight + g * (flight**2 / 2), v + g * flight
             normal = at / mpmath.norm(at)
@@ -176,9 +174,7 @@ def test_an_elastic_cable_bounces_for_ever():
     fall = speed / G
     times = [fall + k * (contact + 2.0 * fall) + part for k in range(20) for part in (0.0, contact)]
     times = [time for time in times if time < 10.0]
-    assert [event.kind for event in found] == ["stop", "leave"] * (len(times) // 2) + ["stop"] * (
-        len(times) % 2
-    )
+    assert [event.kind for event in found] == ["stop", "leave"] * (len(times) // 2) + ["stop"] * (len(times) % 2)
     # The method follows the swing to 1e-12 in each contact.
     assert [event.time for event in found] == pytest.approx(times, abs=1e-10)
     assert engine.energy() == pytest.approx(scene_energy(drop - LENGTH), abs=1e-9)
@@ -209,9 +205,7 @@ def test_a_damped_cable_does_not_push():
         c, s = math.cos(omega * t), math.sin(omega * t)
         return math.exp(-decay * t) * ((b * omega - decay * a) * c - (a * omega + decay * b) * s)
 
-    off = brentq(
-        lambda t: stiffness * depth(t) + damping * rate(t), 1e-3, 1.3 * math.pi / omega, xtol=1e-15
-    )
+    off = brentq(lambda t: stiffness * depth(t) + damping * rate(t), 1e-3, 1.3 * math.pi / omega, xtol=1e-15)
     assert depth(off) > 1e-2
     assert (taut.kind, slack.kind) == ("stop", "leave")
     assert taut.time == pytest.approx(begin, abs=1e-13)
@@ -224,9 +218,7 @@ def test_a_ball_slides_off_a_sphere():
     engine = Engine(bob([0, 0, LENGTH], [speed, 0, 0], {}, type="strut"), "rkmk8", 2e-3)
     (event,) = events_of(engine, 0.75)
     end = math.acos(2.0 / 3.0 + speed**2 / (3.0 * G * LENGTH))
-    time = mpmath.quad(
-        lambda x: 1 / mpmath.sqrt(speed**2 + 4 * G * LENGTH * mpmath.sin(x / 2) ** 2), [0, end]
-    )
+    time = mpmath.quad(lambda x: 1 / mpmath.sqrt(speed**2 + 4 * G * LENGTH * mpmath.sin(x / 2) ** 2), [0, end])
     assert event.kind == "leave"
     assert event.time == pytest.approx(LENGTH * float(time), abs=1e-11)
     assert engine.modes == {"rope": "free"}
@@ -360,9 +352,7 @@ def test_a_cable_that_is_too_long_to_matter():
     """A cable beyond the reach of the chain changes nothing."""
     engines = []
     for text in (CHAIN.replace("LENGTH", ", length: 3.0"), CHAIN.split("  - {name: rope")[0]):
-        engine = Engine(
-            scene_from_text(text.replace("KIND", "cable")), "rkmk8", 2e-3, group="relative"
-        )
+        engine = Engine(scene_from_text(text.replace("KIND", "cable")), "rkmk8", 2e-3, group="relative")
         engine.advance(1000)
         engines.append(engine)
     assert engines[0].event_count == 0
@@ -374,9 +364,7 @@ def test_a_cable_that_is_too_long_to_matter():
 @pytest.mark.parametrize("count, restitution", [(1, 0.0), (3, 0.4)])
 def test_order_of_event_times(method, order, count, restitution):
     """Times at which the cable of a chain becomes taut converge with the order of the method."""
-    text = CHAIN.replace("KIND", "cable").replace(
-        "LENGTH", f", length: 0.75, restitution: {restitution}"
-    )
+    text = CHAIN.replace("KIND", "cable").replace("LENGTH", f", length: 0.75, restitution: {restitution}")
     steps = {4: (1e-2, 5e-3, 2.5e-3), 8: (4e-2, 2.8e-2, 2e-2)}[order]
 
     def time_of(method, step):
@@ -409,9 +397,7 @@ def test_estimate_covers_a_cable():
 def test_a_slack_cable_through_its_anchor():
     """The distance has no direction at its zero: a slack cable passes there as if it were not."""
     for start in (-0.5, -0.503):
-        engine = Engine(
-            bob([start, 0, 0], [1.0, 0, 0], {"restitution": 1.0}, gravity=0.0), "rkmk4", 0.01
-        )
+        engine = Engine(bob([start, 0, 0], [1.0, 0, 0], {"restitution": 1.0}, gravity=0.0), "rkmk4", 0.01)
         found = events_of(engine, 4.9)
         times = LENGTH - start + 2.0 * LENGTH * np.arange(3)
         assert [event.time for event in found] == pytest.approx(times[times < 4.9], abs=1e-12)

@@ -28,13 +28,7 @@ def top(tilt, rates, cone, height=-ARM, turn=None):
     body["rotation_vector"] = (frame * Rotation.from_rotvec([tilt, 0, 0])).as_rotvec().tolist()
     body["angular_velocity"] = [float(x) for x in rates]
     at = {"rotation_vector": frame.as_rotvec().tolist()}
-    ball = {
-        "name": "ball",
-        "type": "spherical",
-        "parent": "world",
-        "child": "top",
-        "child_frame": {},
-    }
+    ball = {"name": "ball", "type": "spherical", "parent": "world", "child": "top", "child_frame": {}}
     ball |= {"parent_frame": at, "limits": {"cone": CONE} | cone}
     gravity = frame.apply([0.0, 0.0, -G]).tolist()
     scene = {"name": "top", "gravity": gravity, "bodies": [body], "joints": [ball]}
@@ -53,14 +47,9 @@ def test_steady_precession_along_the_cone(turn):
     along = precession * cosine + spin
     # In body axes the vertical is (0, sin a, cos a).
     engine = Engine(
-        top(CONE, [0.0, precession * sine, along], {}, turn=turn),
-        "rkmk8",
-        2e-3,
-        stabilisation="projection",
+        top(CONE, [0.0, precession * sine, along], {}, turn=turn), "rkmk8", 2e-3, stabilisation="projection"
     )
-    load = -MASS * G * ARM * sine - precession * sine * (
-        ALONG * along - ACROSS * precession * cosine
-    )
+    load = -MASS * G * ARM * sine - precession * sine * (ALONG * along - ACROSS * precession * cosine)
     assert load > 0.0
     frame = Rotation.from_rotvec([0.0, 0.0, 0.0] if turn is None else turn)
     for _ in range(10):
@@ -95,9 +84,7 @@ def test_impacts_on_the_cone(e):
 
     Impulse A (1 + e) rate about the line of nodes, energy A (1 - e^2) rate^2 / 2.
     """
-    engine = Engine(
-        top(0.3, [5.0, 3.0, 2.0], {"restitution": e}), "rkmk8", 1e-3, stabilisation="projection"
-    )
+    engine = Engine(top(0.3, [5.0, 3.0, 2.0], {"restitution": e}), "rkmk8", 1e-3, stabilisation="projection")
     inertia = np.diag([ACROSS, ACROSS, ALONG])
 
     def state():
@@ -162,10 +149,7 @@ def test_order_of_impacts_on_a_cone():
         return [event.time for event in engine.drain_events() if event.kind == "impact"][2]
 
     exact = time_of("rkmk8", 5e-4)
-    for method, order, steps in (
-        ("rkmk4", 4, (1e-2, 5e-3, 2.5e-3)),
-        ("rkmk8", 8, (4e-2, 3e-2, 2e-2)),
-    ):
+    for method, order, steps in (("rkmk4", 4, (1e-2, 5e-3, 2.5e-3)), ("rkmk8", 8, (4e-2, 3e-2, 2e-2))):
         errors = [abs(time_of(method, step) - exact) for step in steps]
         slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
         assert slope >= order - 0.6, errors

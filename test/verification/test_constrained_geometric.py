@@ -182,9 +182,7 @@ def test_applied_wrenches_and_set_state():
     mass = simulation.layout.model.bodies["mass"][0]
     moved = simulation.state()[0][0, 9:] - pose[0, 9:]
     # f/m (t1^2/2 + t1 t2), in 100 steps of a rounding
-    assert moved == pytest.approx(
-        pose[0, :9].reshape(3, 3)[:, 0] * 3.0 / mass * 0.375, abs=100 * UNIT
-    )
+    assert moved == pytest.approx(pose[0, :9].reshape(3, 3)[:, 0] * 3.0 / mass * 0.375, abs=100 * UNIT)
 
 
 @pytest.mark.parametrize("method", CONSTRAINED)

@@ -75,9 +75,7 @@ joints:
 
 def driven(scene, joint, **keys):
     """Scene with a driven joint."""
-    return scene.remade(
-        joints=[j.remade(driven=True, **keys) if j.name == joint else j for j in scene.joints]
-    )
+    return scene.remade(joints=[j.remade(driven=True, **keys) if j.name == joint else j for j in scene.joints])
 
 
 def difference(simulation, exact, k):
@@ -150,11 +148,7 @@ def test_crank_at_constant_rate(name, options):
     assert difference(engine, exact, 1) < 1e-10 + unknown
     times, power = [s.time for s in samples], [s.power for s in samples]
     work = make_interp_spline(times, power, k=7).integrate(0.0, 1.0)
-    size = (
-        np.trapezoid(np.abs(power), times)
-        if hasattr(np, "trapezoid")
-        else np.trapz(np.abs(power), times)
-    )
+    size = np.trapezoid(np.abs(power), times) if hasattr(np, "trapezoid") else np.trapz(np.abs(power), times)
     assert size > 0.0
     assert abs(samples[-1].energy - samples[0].energy - work) < 1e-9 * size
 
@@ -244,12 +238,8 @@ def test_commanded_motions_against_the_reference():
     changes = commanded(simulation)
     assert len(changes) >= 5
     for before, after in zip(changes, changes[1:]):
-        assert at(before.motion, after.time) == pytest.approx(
-            at(after.motion, after.time), abs=1e-9
-        )
-    exact, _ = integrate(
-        scene, *start, [0.0, 1.5], [MotionChange(c.time, c.joint, c.motion) for c in changes]
-    )
+        assert at(before.motion, after.time) == pytest.approx(at(after.motion, after.time), abs=1e-9)
+    exact, _ = integrate(scene, *start, [0.0, 1.5], [MotionChange(c.time, c.joint, c.motion) for c in changes])
     assert difference(simulation, exact, 1) < 1e-10
     estimate = simulation.sample().errors.max()
     assert estimate < 1e-8
@@ -314,16 +304,10 @@ def text_with(text, **keys):
         ({"driven": "true", "motion": "{times: [0, 1], positions: [0]}"}, "as many"),
         ({"driven": "true", "motion": "{times: [0, 1], positions: [0, .nan]}"}, "finite"),
         (
-            {
-                "driven": "true",
-                "motion": "{times: [0, 1], positions: [0, 1], accelerations: [0, 0]}",
-            },
+            {"driven": "true", "motion": "{times: [0, 1], positions: [0, 1], accelerations: [0, 0]}"},
             "require velocities",
         ),
-        (
-            {"driven": "true", "motion": "{times: [0, 1], positions: [0, 1], velocities: [1, 0]}"},
-            "1 m/s",
-        ),
+        ({"driven": "true", "motion": "{times: [0, 1], positions: [0, 1], velocities: [1, 0]}"}, "1 m/s"),
     ],
 )
 def test_wrong_motions_are_refused(keys, words):

@@ -77,13 +77,7 @@ def test_lagrangian_top_at_its_golden_end_state():
 
 @pytest.mark.parametrize(
     "omega",
-    [
-        ("0.3", "1.2", "0.1"),
-        ("-0.7", "0.5", "-1.4"),
-        ("2", "-0.4", "0.3"),
-        ("0", "1", "1e-9"),
-        ("1e-25", "1", "0"),
-    ],
+    [("0.3", "1.2", "0.1"), ("-0.7", "0.5", "-1.4"), ("2", "-0.4", "0.3"), ("0", "1", "1e-9"), ("1e-25", "1", "0")],
     ids=["below", "above", "below, fast", "separatrix", "nearer"],
 )
 def test_free_body_in_every_regime_against_taylor_series(omega):
@@ -116,20 +110,12 @@ def test_free_body_with_full_inertia_and_arbitrary_attitude():
 
 
 @pytest.mark.parametrize(
-    "inertia, omega",
-    [
-        ((2, 2, 2), (1, 2, 3)),
-        ((2, 3, 4), (0, 5, 0)),
-        ((2, 3, 4), (0, 0, 0)),
-        ((2, 2, 4), (1, 2, 0)),
-    ],
+    "inertia, omega", [((2, 2, 2), (1, 2, 3)), ((2, 3, 4), (0, 5, 0)), ((2, 3, 4), (0, 0, 0)), ((2, 2, 4), (1, 2, 0))]
 )
 def test_steady_rotation_about_principal_axes(inertia, omega):
     R, w = free_body(inertia, START, omega, 1)
     with mp.workdps(40):
-        hat = mp.matrix(
-            [[0, -omega[2], omega[1]], [omega[2], 0, -omega[0]], [-omega[1], omega[0], 0]]
-        )
+        hat = mp.matrix([[0, -omega[2], omega[1]], [omega[2], 0, -omega[0]], [-omega[1], omega[0], 0]])
         assert far((R, w), (mp.expm(hat), omega)) <= mp.mpf(10) ** -28
 
 
@@ -149,9 +135,7 @@ def test_heavy_top_against_taylor_series():
 
     def torque(R):
         f = mp.mpf("0.7") * (R.T * g)
-        return mp.matrix(
-            [e[1] * f[2] - e[2] * f[1], e[2] * f[0] - e[0] * f[2], e[0] * f[1] - e[1] * f[0]]
-        )
+        return mp.matrix([e[1] * f[2] - e[2] * f[1], e[2] * f[0] - e[0] * f[2], e[0] * f[1] - e[1] * f[0]])
 
     with mp.workdps(40):
         found = heavy_top("1.3", "0.5", "0.7", e, g, START, omega, 1)

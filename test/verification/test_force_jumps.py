@@ -45,11 +45,7 @@ def at_its_limit(rng):
             t, x, v, side = t + (side * v + root) / largest, side * edge, -side * root, 0.0
         else:  # spring, to the other edge
             pieces.append((t, x, v, w, 0.0))
-            amplitude, phase, side = (
-                math.hypot(x, v / w),
-                math.atan2(-v / w, x),
-                math.copysign(1, v),
-            )
+            amplitude, phase, side = (math.hypot(x, v / w), math.atan2(-v / w, x), math.copysign(1, v))
             turned = (-side * math.acos(side * edge / amplitude) - phase) % (2.0 * math.pi)
             v = -amplitude * w * math.sin(phase + turned)
             t, x = t + turned / w, side * edge
@@ -77,14 +73,7 @@ def test_the_accuracy_is_kept_or_its_end_said(make, accuracy):
             gravity=(0, 0, 0),
             bodies=[Body(name="b", mass=1.0, inertia=(1.0, 1.0, 1.0), position=(x0, 0, 0))],
             joints=[
-                Joint(
-                    name="j",
-                    type="prismatic",
-                    parent="world",
-                    child="b",
-                    parent_frame=along,
-                    child_frame=along,
-                )
+                Joint(name="j", type="prismatic", parent="world", child="b", parent_frame=along, child_frame=along)
             ],
             forces=[force],
         )
@@ -92,8 +81,6 @@ def test_the_accuracy_is_kept_or_its_end_said(make, accuracy):
         size, starts = simulation.promise["length"], [piece[0] for piece in pieces]
         while simulation.time < DURATION:
             simulation.advance(1)
-            error = simulation.sample().positions["b"][0] - position(
-                pieces, starts, simulation.time
-            )
+            error = simulation.sample().positions["b"][0] - position(pieces, starts, simulation.time)
             if simulation.time <= simulation.accurate_until:
                 assert abs(error) <= accuracy * size, (seed, simulation.time)

@@ -56,15 +56,7 @@ def hinged(*forces, spin=0.0):
                 linear_velocity=np.cross(spin * AXIS, arm),
             )
         ],
-        joints=[
-            Joint(
-                name="hinge",
-                type="revolute",
-                parent="world",
-                child="arm",
-                parent_frame=Frame(axis=AXIS),
-            )
-        ],
+        joints=[Joint(name="hinge", type="revolute", parent="world", child="arm", parent_frame=Frame(axis=AXIS))],
         forces=forces,
     )
     return scene, AXIS @ np.diag(INERTIA) @ AXIS + 2.0 * 0.2**2
@@ -80,11 +72,7 @@ def pair(*forces, spin=0.0):
         name="pair",
         gravity=(0, 0, 0),
         bodies=bodies,
-        joints=[
-            Joint(
-                name="hinge", type="revolute", parent="first", child="second", child_frame=Frame()
-            )
-        ],
+        joints=[Joint(name="hinge", type="revolute", parent="first", child="second", child_frame=Frame())],
         forces=forces,
     )
     return scene, 1.0 / (1.0 / INERTIA[2] + 1.0 / 0.2)
@@ -106,9 +94,7 @@ def principal(sample, scene):
 def test_torsional_oscillator_over_many_turns(made, group):
     """theta = theta0 + e^{-d t} (A cos wt + B sin wt) from rest, wound up by 6.4 turns."""
     stiffness, damping, rest = 3.0, 0.05, 40.0
-    spring = TorsionalSpringDamper(
-        name="coil", joint="hinge", stiffness=stiffness, damping=damping, rest_angle=rest
-    )
+    spring = TorsionalSpringDamper(name="coil", joint="hinge", stiffness=stiffness, damping=damping, rest_angle=rest)
     scene, inertia = made(spring)
     d = damping / (2 * inertia)
     w = np.sqrt(stiffness / inertia - d * d)
@@ -136,9 +122,7 @@ def test_torsional_oscillator_over_many_turns(made, group):
 
 
 def test_the_energy_of_a_wound_spring_is_conserved():
-    scene, _ = hinged(
-        TorsionalSpringDamper(name="coil", joint="hinge", stiffness=3.0, rest_angle=40.0)
-    )
+    scene, _ = hinged(TorsionalSpringDamper(name="coil", joint="hinge", stiffness=3.0, rest_angle=40.0))
     simulation = Simulation(scene, method="rkmk4", step=1e-3)
     assert simulation.sample().energy == pytest.approx(0.5 * 3.0 * 40.0**2, rel=4 * EPS)
     simulation.advance(4000)
@@ -155,33 +139,22 @@ def test_a_joint_at_half_a_turn_starts_at_plus_pi():
             bodies=[Body(name="a", mass=1, inertia=(1, 1, 1), rotation_vector=(0, 0, turn))],
             joints=[
                 Joint(
-                    name="hinge",
-                    type="revolute",
-                    parent="world",
-                    child="a",
-                    parent_frame=Frame(),
-                    child_frame=Frame(),
+                    name="hinge", type="revolute", parent="world", child="a", parent_frame=Frame(), child_frame=Frame()
                 )
             ],
             forces=[TorsionalSpringDamper(name="coil", joint="hinge", stiffness=1)],
         )
-        assert Simulation(scene, method="rkmk4").sample().angles[0] == pytest.approx(
-            np.pi, abs=2e-12
-        )
+        assert Simulation(scene, method="rkmk4").sample().angles[0] == pytest.approx(np.pi, abs=2e-12)
 
 
 def test_turns_belong_to_the_state():
     """A pose does not tell them: a state without angles is one that is wound by less than pi."""
-    scene, _ = hinged(
-        TorsionalSpringDamper(name="coil", joint="hinge", stiffness=3.0, rest_angle=40.0)
-    )
+    scene, _ = hinged(TorsionalSpringDamper(name="coil", joint="hinge", stiffness=3.0, rest_angle=40.0))
     simulation, other = Simulation(scene, method="rkmk4"), Simulation(scene, method="rkmk4")
     simulation.advance(700)
     middle = simulation.sample()
     assert middle.angles[0] > 2 * np.pi
-    other.set_state(
-        *simulation.state(), steps=700, angles=middle.angles, memory=simulation.memory()
-    )
+    other.set_state(*simulation.state(), steps=700, angles=middle.angles, memory=simulation.memory())
     for run in (simulation, other):
         run.advance(500)
     assert simulation.state()[0].tobytes() == other.state()[0].tobytes()
@@ -206,9 +179,7 @@ def test_turns_belong_to_the_state():
 
 def test_turns_that_cannot_be_counted_stop_the_run():
     """Beyond half a turn a step the nearest angle would be one turn off, and silently so."""
-    scene, inertia = hinged(
-        TorsionalSpringDamper(name="coil", joint="hinge", stiffness=1e-3), spin=70.0
-    )
+    scene, inertia = hinged(TorsionalSpringDamper(name="coil", joint="hinge", stiffness=1e-3), spin=70.0)
     simulation = Simulation(scene, method="rkmk4", step=0.05)
     with pytest.raises(SimulationError, match="joint of coil rotates by pi") as failure:
         simulation.advance(10)
@@ -232,9 +203,7 @@ def test_motor_with_a_rate_limit_spins_up_exponentially(made, group):
         simulation = Simulation(scene, method="rkmk4", step=h, group=group)
         simulation.advance(round(4.8 / h))
         twists = simulation.sample().twists
-        rate = (
-            AXIS @ twists["arm"][:3] if made is hinged else twists["second"][2] - twists["first"][2]
-        )
+        rate = AXIS @ twists["arm"][:3] if made is hinged else twists["second"][2] - twists["first"][2]
         wanted = -limit * (1.0 - np.exp(-4.8 / constant))
         errors[h] = abs(rate - wanted)
         assert rate > -limit
@@ -254,17 +223,11 @@ def test_a_motor_without_a_limit_gives_constant_torque():
     assert sample.energy == pytest.approx(0.5 * (0.8 * 5.0) ** 2 / inertia, rel=10000 * EPS)
 
 
-@pytest.mark.parametrize(
-    "rate, wanted", [(0.0, 2.0), (6.0, 1.0), (12.0, 0.0), (18.0, -1.0), (-12.0, 4.0)]
-)
+@pytest.mark.parametrize("rate, wanted", [(0.0, 2.0), (6.0, 1.0), (12.0, 0.0), (18.0, -1.0), (-12.0, 4.0)])
 def test_the_torque_speed_line_of_a_motor(rate, wanted):
     """Zero at the speed limit, braking beyond, above the stall torque in reverse rotation."""
-    scene, inertia = hinged(
-        Motor(name="drive", joint="hinge", torque=2.0, rate_limit=12.0), spin=rate
-    )
-    assert Simulation(scene, method="rkmk4").sample().power == pytest.approx(
-        wanted * rate, abs=1e-13
-    )
+    scene, inertia = hinged(Motor(name="drive", joint="hinge", torque=2.0, rate_limit=12.0), spin=rate)
+    assert Simulation(scene, method="rkmk4").sample().power == pytest.approx(wanted * rate, abs=1e-13)
 
 
 # ---------------------------------------------------------------- on sliders
@@ -300,9 +263,7 @@ def along_z(force, joint_type):
     if joint_type is None:
         ends = {"slider": (0, 1, ground.pose, ground.pose)}
         forces = kinds.make_forces([force], {"first": 0, "second": 1}, ends)
-        simulation.layout = replace(
-            simulation.layout, model=simulation.layout.model.replace(forces=forces)
-        )
+        simulation.layout = replace(simulation.layout, model=simulation.layout.model.replace(forces=forces))
         model = simulation._integrator.links[0].replace(space=simulation.layout.model)
         simulation._integrator._model = model
     return simulation, 1.0 / (1.0 / 2.0 + 1.0 / 1.0)
@@ -313,8 +274,7 @@ def slides(kind):
 
 
 ON_A_LINE = pytest.mark.parametrize(
-    "joint_type",
-    [None, *(kind for kind in mechanisms.FREE if mechanisms.VZ.tolist() in slides(kind))],
+    "joint_type", [None, *(kind for kind in mechanisms.FREE if mechanisms.VZ.tolist() in slides(kind))]
 )
 
 
@@ -326,9 +286,7 @@ def separation(sample):
 def test_linear_spring_damper_has_the_closed_form(joint_type):
     stiffness, damping, rest = 30.0, 1.0, 0.8
     simulation, mass = along_z(
-        LinearSpringDamper(
-            name="coil", joint="slider", stiffness=stiffness, damping=damping, rest_position=rest
-        ),
+        LinearSpringDamper(name="coil", joint="slider", stiffness=stiffness, damping=damping, rest_position=rest),
         joint_type,
     )
     assert simulation.sample().energy == pytest.approx(0.5 * stiffness * 0.3**2, rel=1e-14)
@@ -349,9 +307,7 @@ def test_linear_spring_damper_has_the_closed_form(joint_type):
 def test_linear_motor_approaches_its_speed_limit_exponentially(joint_type, force):
     """v = limit (1 - e^{-t/T}) with T = m limit / |force|, in the direction of the force."""
     limit = 2.0
-    simulation, mass = along_z(
-        LinearMotor(name="drive", joint="slider", force=force, speed_limit=limit), joint_type
-    )
+    simulation, mass = along_z(LinearMotor(name="drive", joint="slider", force=force, speed_limit=limit), joint_type)
     constant = mass * limit / abs(force)
     simulation.advance(100)
     wanted = 0.5 + np.sign(force) * limit * (2.0 - constant * (1.0 - np.exp(-2.0 / constant)))
@@ -365,20 +321,13 @@ def test_linear_motor_approaches_its_speed_limit_exponentially(joint_type, force
 
 def dragged(v=(0, 0, 0), w=(0, 0, 0), **drag):
     body = Body(name="b", mass=2.0, inertia=INERTIA, linear_velocity=v, angular_velocity=w)
-    return Scene(
-        name="dragged",
-        gravity=(0, 0, 0),
-        bodies=[body],
-        forces=[Drag(name="air", body="b", **drag)],
-    )
+    return Scene(name="dragged", gravity=(0, 0, 0), bodies=[body], forces=[Drag(name="air", body="b", **drag)])
 
 
 @BOTH
 def test_linear_drag_decays_exponentially(group):
     """v = v0 e^{-c t / m}; the spin about a principal axis likewise with its inertia."""
-    simulation = Simulation(
-        dragged(v=(3, -2, 1), linear=4.0), method="rkmk4", step=0.01, group=group
-    )
+    simulation = Simulation(dragged(v=(3, -2, 1), linear=4.0), method="rkmk4", step=0.01, group=group)
     simulation.advance(100)
     bound = (0.01 * 2.0) ** 4 * 2.0 / 120  # (h c/m)^4 (c/m) t / 120 relative
     np.testing.assert_allclose(
@@ -386,9 +335,7 @@ def test_linear_drag_decays_exponentially(group):
     )
     travelled = (1.0 - np.exp(-2.0)) / 2.0 * np.array([3, -2, 1])
     np.testing.assert_allclose(simulation.sample().positions["b"], travelled, rtol=1.1 * bound)
-    simulation = Simulation(
-        dragged(w=(0, 5, 0), angular=0.8), method="rkmk4", step=0.01, group=group
-    )
+    simulation = Simulation(dragged(w=(0, 5, 0), angular=0.8), method="rkmk4", step=0.01, group=group)
     simulation.advance(100)
     assert simulation.sample().twists["b"][1] == pytest.approx(5 * np.exp(-2.0), rel=1.1 * bound)
 
@@ -404,13 +351,9 @@ def test_quadratic_drag_decays_like_a_hyperbola(group):
         simulation.advance(round(2.4 / h))
         sample = simulation.sample()
         errors[h] = abs(np.linalg.norm(sample.twists["b"][3:]) - speed / (1 + 0.5 * speed * 2.4))
-        assert np.linalg.norm(sample.positions["b"]) == pytest.approx(
-            np.log(1 + 0.5 * speed * 2.4) / 0.5, rel=1e-4
-        )
+        assert np.linalg.norm(sample.positions["b"]) == pytest.approx(np.log(1 + 0.5 * speed * 2.4) / 0.5, rel=1e-4)
     assert slope(errors) == pytest.approx(4.0, abs=0.3) and errors[0.02] < 1e-8
-    simulation = Simulation(
-        dragged(w=(0, 0, 4), angular_quadratic=0.25), method="rkmk4", step=0.01, group=group
-    )
+    simulation = Simulation(dragged(w=(0, 0, 4), angular_quadratic=0.25), method="rkmk4", step=0.01, group=group)
     simulation.advance(100)
     assert simulation.sample().twists["b"][2] == pytest.approx(4 / (1 + 0.5 * 4), rel=1e-8)
 
@@ -435,8 +378,7 @@ def pushed(step, start, end, group="se3", spin=(1, 2, -3), **wrench):
 
 @pytest.mark.parametrize("group, spin", [("se3", (0, 0, 0)), ("so3xr3", (1, 2, -3))])
 @pytest.mark.parametrize(
-    "start, end",
-    [(0.1234567, 0.7654321), (0.0, 0.31), (0.50001, 0.50002), (0.1, 0.2), (0.8, None), (2.0, 3.0)],
+    "start, end", [(0.1234567, 0.7654321), (0.0, 0.31), (0.50001, 0.50002), (0.1, 0.2), (0.8, None), (2.0, 3.0)]
 )
 def test_impulse_is_force_times_time(start, end, group, spin):
     """Exact up to round-off, whether or not the times coincide with steps.
@@ -455,13 +397,7 @@ def test_impulse_is_force_times_time(start, end, group, spin):
 
 def test_a_torque_at_rest_gives_its_impulse():
     simulation = pushed(
-        0.01,
-        0.1234567,
-        0.7654321,
-        spin=(0, 0, 0),
-        torque=(0, 0, 2.0),
-        force=(0, 0, 1.0),
-        point=(0, 0, 4.0),
+        0.01, 0.1234567, 0.7654321, spin=(0, 0, 0), torque=(0, 0, 2.0), force=(0, 0, 1.0), point=(0, 0, 4.0)
     )
     simulation.advance(100)
     twist = simulation.sample().twists["b"]
@@ -477,32 +413,20 @@ def test_an_eccentric_force_equals_central_force_plus_torque():
     for simulation in (one, two):
         simulation.advance(100)
     np.testing.assert_allclose(one.state()[0], two.state()[0], atol=1e-12)
-    assert not np.allclose(
-        one.state()[0], pushed(0.01, 0.0, 0.55555, force=force).state()[0], atol=1e-3
-    )
+    assert not np.allclose(one.state()[0], pushed(0.01, 0.0, 0.55555, force=force).state()[0], atol=1e-3)
 
 
 def oscillator(step, **times):
     """Mass of 2 kg on a spring of 18 N/m (3 rad/s), with 5 N along x during `times`."""
     forces = [
         SpringDamper(
-            name="spring",
-            parent="world",
-            child="b",
-            parent_point=(0, 0, 0),
-            child_point=(0, 0, 0),
-            stiffness=18.0,
+            name="spring", parent="world", child="b", parent_point=(0, 0, 0), child_point=(0, 0, 0), stiffness=18.0
         )
     ]
     if times:
         forces.append(ConstantWrench(name="push", body="b", force=(5.0, 0, 0), **times))
     return Simulation(
-        Scene(
-            name="oscillator",
-            gravity=(0, 0, 0),
-            bodies=[Body(name="b", mass=2.0, inertia=INERTIA)],
-            forces=forces,
-        ),
+        Scene(name="oscillator", gravity=(0, 0, 0), bodies=[Body(name="b", mass=2.0, inertia=INERTIA)], forces=forces),
         method="rkmk4",
         step=step,
     )
@@ -514,11 +438,7 @@ ON, OFF = 2.0 / 3.0, 7.0 / 3.0  # always at 2/3 and 1/3 of a step
 
 def pushed_place(t):
     """Position: f/k (1 - cos w (t - on)), minus the same response from `off` on."""
-    return (
-        5.0
-        / 18.0
-        * ((t > ON) * (1 - np.cos(3.0 * (t - ON))) - (t > OFF) * (1 - np.cos(3.0 * (t - OFF))))
-    )
+    return 5.0 / 18.0 * ((t > ON) * (1 - np.cos(3.0 * (t - ON))) - (t > OFF) * (1 - np.cos(3.0 * (t - OFF))))
 
 
 def worst_of_run(simulation, steps):

@@ -32,20 +32,14 @@ def angle_error(run):
 
 @pytest.fixture(scope="module")
 def runs():
-    return {
-        (group, step): joint_errors(four_bar(), step, group, 1.0)
-        for group in GROUPS
-        for step in ANGLE_ERROR
-    }
+    return {(group, step): joint_errors(four_bar(), step, group, 1.0) for group in GROUPS for step in ANGLE_ERROR}
 
 
 @pytest.mark.parametrize("group", GROUPS)
 def test_crank_angle_after_one_second(runs, group):
     for step, elsewhere in ANGLE_ERROR.items():
         assert angle_error(runs[group, step]) <= 1.1 * elsewhere
-    assert crank_angle(runs[group, 1e-4])[-1] == pytest.approx(
-        2.0 * np.pi * (0.25 + TURNS_1), abs=2.0 * np.pi * 1e-6
-    )
+    assert crank_angle(runs[group, 1e-4])[-1] == pytest.approx(2.0 * np.pi * (0.25 + TURNS_1), abs=2.0 * np.pi * 1e-6)
 
 
 def test_ground_joints_stay_at_round_off_on_se3(runs):
@@ -99,8 +93,7 @@ def test_period_of_the_crank():
     wanted = np.pi / 2.0 + 5 * 2.0 * np.pi
     near = np.searchsorted(angle, wanted) + np.arange(-2, 2)
     time = (
-        np.polyval(np.polyfit(angle[near] - wanted, run.times[near] - run.times[near[0]], 3), 0.0)
-        + run.times[near[0]]
+        np.polyval(np.polyfit(angle[near] - wanted, run.times[near] - run.times[near[0]], 3), 0.0) + run.times[near[0]]
     )
     slowest = 19.6  # rad/s
     assert abs(time - 5.0 * PERIOD) <= (1.1 * ANGLE_ERROR[1e-4] + 1e-11) / slowest
@@ -148,10 +141,7 @@ def test_energy_drifts_at_order_four(runs):
 
 def test_an_independent_planar_implementation_agrees_until_drift_dominates():
     """While constraints hold the motion is the same; with drift, the form of the rows matters."""
-    planar, simulation = (
-        PlanarFourBar(four_bar()),
-        Simulation(four_bar(), method="rkmk4", step=1e-4),
-    )
+    planar, simulation = (PlanarFourBar(four_bar()), Simulation(four_bar(), method="rkmk4", step=1e-4))
     assert planar.V[0, 0] == CRANK_RATE
     for _ in range(10):
         planar.step(1e-4)

@@ -219,10 +219,7 @@ def test_estimate_covers_friction():
         simulation.advance(round(0.5 / simulation.step))
         exact.advance(1000)
         ours, theirs = simulation.sample(), exact.sample()
-        true = max(
-            abs(a[0] - b[0])
-            for a, b in zip(ours.joint_coordinates.values(), theirs.joint_coordinates.values())
-        )
+        true = max(abs(a[0] - b[0]) for a, b in zip(ours.joint_coordinates.values(), theirs.joint_coordinates.values()))
         assert true <= 2e-6
     assert simulation.doubt is None
 
@@ -295,9 +292,7 @@ def mechanism(seed, closed, held):
         joint = {
             "name": f"j{i}",
             "type": "fixed" if holds and not held else kind,
-            "parent": "world"
-            if i == 0
-            else f"b{i - 1 if rng.random() < 0.7 else int(rng.integers(i))}",
+            "parent": "world" if i == 0 else f"b{i - 1 if rng.random() < 0.7 else int(rng.integers(i))}",
             "child": f"b{i}",
             "child_frame": {"rotation_vector": rng.normal(scale=0.8, size=3).tolist()},
         }
@@ -343,9 +338,7 @@ def test_reactions_with_stops_and_friction():
     assert abs(reactions["shoulder"][2]) == pytest.approx(2.0 * G, abs=1e-12)
     assert np.linalg.norm(reactions["shoulder"][3:]) == pytest.approx(2.0 * G, abs=1e-12)
     assert abs(reactions["elbow"][2]) == pytest.approx(0.5 * G, abs=1e-12)
-    engine = Engine(
-        scene_from_text(CHAIN.replace("SHOULDER", "4.0").replace("ELBOW", "0.1")), "rkmk4", 1e-3
-    )
+    engine = Engine(scene_from_text(CHAIN.replace("SHOULDER", "4.0").replace("ELBOW", "0.1")), "rkmk4", 1e-3)
     engine.advance(50)
     sample = engine.sample()
     for joint, size in (("shoulder", 4.0), ("elbow", 0.1)):

@@ -95,9 +95,7 @@ def swings(start, mu, turns):
 
     def acceleration(angle, rate, sign):
         def rest(a):
-            across = MASS * math.hypot(
-                ARM * a + G * math.cos(angle), ARM * rate**2 - G * math.sin(angle)
-            )
+            across = MASS * math.hypot(ARM * a + G * math.cos(angle), ARM * rate**2 - G * math.sin(angle))
             torque = -MASS * G * ARM * math.cos(angle) - sign * mu * RADIUS * across
             return INERTIA * a - torque
 
@@ -113,9 +111,7 @@ def swings(start, mu, turns):
             return sign * y[1] if t > 1e-3 else 1.0
 
         at_rest.terminal = True
-        run = solve_ivp(
-            slope, (0.0, 5.0), [angle, 0.0], "DOP853", events=at_rest, rtol=1e-12, atol=1e-13
-        )
+        run = solve_ivp(slope, (0.0, 5.0), [angle, 0.0], "DOP853", events=at_rest, rtol=1e-12, atol=1e-13)
         time, angle, sign = time + run.t_events[0][0], run.y_events[0][0][0], -sign
         found.append((time, angle))
     return found
@@ -271,10 +267,7 @@ def test_the_running_error_covers_the_true_error():
     [
         ({"type": "revolute", "friction": {"mu": 0.1}}, "requires the radius"),
         ({"type": "prismatic", "friction": {"mu": 0.1, "radius": 0.1}}, "a translation has none"),
-        (
-            {"type": "screw", "pitch": 0.1, "friction": {"mu": 0.1, "radius": 0.1}},
-            "the thread of a screw",
-        ),
+        ({"type": "screw", "pitch": 0.1, "friction": {"mu": 0.1, "radius": 0.1}}, "the thread of a screw"),
         (
             {"type": "revolute", "friction": {"mu": 0.2, "mu_static": 0.1, "radius": 0.1}},
             "mu_static must be at least mu",

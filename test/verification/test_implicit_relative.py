@@ -33,17 +33,12 @@ def end(scene, time, step, method=METHOD, **settings):
 def test_order_two_in_loops(name, space):
     scene, (time, counts) = load_scene(name), LOOPS[name]
     reference = end(scene, time, 1e-4, "rkmk8", group="se3", stabilisation="projection")
-    found = [
-        np.abs(end(scene, time, 1 / count, group="relative", space=space) - reference).max()
-        for count in counts
-    ]
+    found = [np.abs(end(scene, time, 1 / count, group="relative", space=space) - reference).max() for count in counts]
     slope = -np.polyfit(np.log(counts), np.log(found), 1)[0]
     assert slope == pytest.approx(2.0, abs=0.2), found
 
 
-@pytest.mark.parametrize(
-    "name, step", [("n_four_bar", 1e-2), ("n_four_bar", 2e-3), ("bricard", 1e-2)]
-)
+@pytest.mark.parametrize("name, step", [("n_four_bar", 1e-2), ("n_four_bar", 2e-3), ("bricard", 1e-2)])
 def test_loops_are_closed_next_to_singular_poses_too(name, step):
     """n_four_bar passes flat poses. Newton's method ends at ten times the round-off of positions."""
     engine = Engine(load_scene(name), METHOD, step, quiet=True)
@@ -67,10 +62,7 @@ def stiffened(scene, factor):
             continue
         keys = {"stiffness": factor * force.stiffness, "damping": np.sqrt(factor) * force.damping}
         if hasattr(force, "rest_length"):
-            ends = [
-                poses[getattr(force, end)] @ [*getattr(force, f"{end}_point"), 1.0]
-                for end in ("parent", "child")
-            ]
+            ends = [poses[getattr(force, end)] @ [*getattr(force, f"{end}_point"), 1.0] for end in ("parent", "child")]
             keys["rest_length"] = 1.001 * float(np.linalg.norm(ends[0] - ends[1]))
         else:
             place = "rest_angle" if hasattr(force, "rest_angle") else "rest_position"
@@ -94,10 +86,7 @@ def test_stiff_mechanisms_are_as_accurate_as_on_se3(name):
     for seed in range(8):
         scene = stiffened(random_mechanisms.random_mechanism(name, seed)[0], 1e5)
         exact = end(scene, time, 1e-2, "rkmk853", group="se3", rtol=1e-9, atol=1e-9)
-        there, here = (
-            np.abs(end(scene, time, step, group=group) - exact).max()
-            for group in ("se3", "relative")
-        )
+        there, here = (np.abs(end(scene, time, step, group=group) - exact).max() for group in ("se3", "relative"))
         if there == 0.0:  # all bodies are welded to the world
             continue
         ratios.append(here / there)

@@ -32,16 +32,12 @@ def opening(kind, group, step, seed, method, steps=1000):
     S = J M^-1 J^T, 12 to 99 here; measured: up to 0.5 of that, for nine seeds.
     returns (residual / distance moved, residual / bound), the largest each
     """
-    scene = mechanisms.mechanism(
-        np.random.default_rng([seed, 7]), [("world", "a", kind)], springs=0
-    )
+    scene = mechanisms.mechanism(np.random.default_rng([seed, 7]), [("world", "a", kind)], springs=0)
     simulation = Simulation(scene, method=method, step=step, group=group)
     rate = 1e-14
     if group == "so3xr3":
         J = engine.rows(simulation)[0]
-        rate = (
-            0.5 * 2.0**-53 * 9.81 * np.linalg.cond(J @ np.linalg.solve(engine.masses(scene), J.T))
-        )
+        rate = 0.5 * 2.0**-53 * 9.81 * np.linalg.cond(J @ np.linalg.solve(engine.masses(scene), J.T))
     simulation.apply_wrench("a", WRENCH, duration=1.0)
     start = simulation.sample().positions["a"]
     moved, of_moved, of_bound = 1.0, 0.0, 0.0
@@ -53,15 +49,11 @@ def opening(kind, group, step, seed, method, steps=1000):
         sample = simulation.sample()
         moved = max(moved, np.linalg.norm(sample.positions["a"] - start))
         of_moved = max(of_moved, sample.constraint_residual / moved)
-        of_bound = max(
-            of_bound, sample.constraint_residual / (moved * rate * (1.0 + sample.time**2))
-        )
+        of_bound = max(of_bound, sample.constraint_residual / (moved * rate * (1.0 + sample.time**2)))
     return of_moved, of_bound
 
 
-@pytest.mark.parametrize(
-    "method", [name for name, method in METHODS.items() if method.family != "rotation"]
-)
+@pytest.mark.parametrize("method", [name for name, method in METHODS.items() if method.family != "rotation"])
 @pytest.mark.parametrize("kind", LOWER_PAIRS)
 def test_every_lower_pair_to_ground_holds_on_se3(kind, method):
     """Also with methods that enforce joints themselves, on their own group.

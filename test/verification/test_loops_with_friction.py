@@ -24,23 +24,13 @@ def slider_crank(angle, rate, friction, upper=None, restitution=0.0):
     tilt = -math.asin(CRANK * math.sin(angle) / ROD)
     end = CRANK * math.cos(angle) + ROD * math.cos(tilt)
     crank = {"name": "crank", "mass": 1.0, "inertia": [0.02] * 3, "com": [ARM, 0, 0]}
-    crank |= {
-        "rotation_vector": [0, 0, angle],
-        "angular_velocity": [0, 0, rate],
-        "initial": "fixed",
-    }
+    crank |= {"rotation_vector": [0, 0, angle], "angular_velocity": [0, 0, rate], "initial": "fixed"}
     rod = {"name": "rod", "mass": 0.5, "inertia": [0.004] * 3, "com": [0.15, 0, 0]}
     rod |= {"position": [CRANK * math.cos(angle), CRANK * math.sin(angle), 0]}
     rod |= {"rotation_vector": [0, 0, tilt]}
     ram = {"name": "ram", "mass": 2.0, "inertia": [0.02] * 3, "position": [end, 0, 0]}
     joints = [
-        {
-            "name": "main",
-            "type": "revolute",
-            "parent": "world",
-            "child": "crank",
-            "child_frame": {},
-        },
+        {"name": "main", "type": "revolute", "parent": "world", "child": "crank", "child_frame": {}},
         {
             "name": "pin",
             "type": "revolute",
@@ -193,9 +183,7 @@ def test_slider_crank_with_friction(joints):
     It runs over its dead points, where the friction of a joint is reversed, and with friction of all
     turns round twice. The reference stops at the dead points, too: it is known to 1e-11.
     """
-    friction = {
-        name: size for name, size in FRICTION.items() if joints == "all" or name in joints.split()
-    }
+    friction = {name: size for name, size in FRICTION.items() if joints == "all" or name in joints.split()}
     times = np.linspace(0.1, 4.0, 40)
     expected, rests, _ = reference(1.0, -6.0, friction, times)
     found, _ = run(slider_crank(1.0, -6.0, friction), 2e-3, times, stabilisation="projection")
@@ -326,9 +314,7 @@ def test_what_friction_of_all_joints_can_hold():
     assert w[0] == pytest.approx(1.0, abs=1e-12)
     lever = abs(w[0]) + abs(w[1] - w[0]) + abs(w[2] - w[1]) + abs(w[2])
     lift = 0.0
-    for mass, com, pose, twist in zip(
-        (1.0, 1.5, 1.2), (0.1, 0.25, 0.2), still.pose_matrices, moving.twist
-    ):
+    for mass, com, pose, twist in zip((1.0, 1.5, 1.2), (0.1, 0.25, 0.2), still.pose_matrices, moving.twist):
         v = pose[:3, :3] @ (twist[3:] + np.cross(twist[:3], [com, 0, 0]))
         lift += mass * G * v[1]
     for torque, mode in (

@@ -143,19 +143,12 @@ def two_links(kind, reverse):
         "child": "arm" if reverse else "tool",
         "parent_frame": on_tool if reverse else on_arm,
         "child_frame": on_arm if reverse else on_tool,
-        "limits": {
-            "lower": -0.5 if reverse else -0.3,
-            "upper": 0.3 if reverse else 0.5,
-            "restitution": 0.5,
-        },
+        "limits": {"lower": -0.5 if reverse else -0.3, "upper": 0.3 if reverse else 0.5, "restitution": 0.5},
     }
     if kind == "screw":
         joint["pitch"] = 0.05
     base = {"name": "base", "type": "revolute", "parent": "world", "child": "arm"}
-    base |= {
-        "child_frame": {"axis": [0.1, 1.0, 0.2]},
-        "limits": {"lower": -1.0, "restitution": 0.3},
-    }
+    base |= {"child_frame": {"axis": [0.1, 1.0, 0.2]}, "limits": {"lower": -1.0, "restitution": 0.3}}
     inertia = [0.02, 0.03, 0.04]
     bodies = [
         {"name": "arm", "mass": 1.0, "inertia": inertia, "com": [0.2, 0.02, 0.0]},

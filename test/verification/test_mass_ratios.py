@@ -36,8 +36,7 @@ def exact(masses, inertias):
         M, right = mpmath.matrix(n, n), mpmath.matrix(n, 1)
         for i in range(n):
             right[i] = beyond[i] * (
-                mpmath.cos(a[i]) * mpmath.mpf(GRAVITY[1])
-                - mpmath.sin(a[i]) * mpmath.mpf(GRAVITY[0])
+                mpmath.cos(a[i]) * mpmath.mpf(GRAVITY[1]) - mpmath.sin(a[i]) * mpmath.mpf(GRAVITY[0])
             )
             for j in range(n):
                 m = beyond[max(i, j)]
@@ -64,10 +63,7 @@ def chain(masses, inertias, swapped=()):
                 linear_velocity=(speed @ along, speed @ across, 0.0),
             )
         )
-        ends = [
-            ("world" if i == 0 else f"b{i - 1}", Frame()),
-            (f"b{i}", Frame(position=(-1, 0, 0))),
-        ]
+        ends = [("world" if i == 0 else f"b{i - 1}", Frame()), (f"b{i}", Frame(position=(-1, 0, 0)))]
         (parent, parent_frame), (child, child_frame) = ends[::-1] if i in swapped else ends
         joints.append(
             Joint(
@@ -92,9 +88,7 @@ def test_accelerations_at_extreme_mass_ratios(name, space, swapped):
     masses, inertias = CHAINS[name]
     if np.isscalar(inertias):
         inertias = [inertias * mass for mass in masses]
-    simulation = Simulation(
-        chain(masses, inertias, swapped), method="rkmk1", step=1e-5, space=space
-    )
+    simulation = Simulation(chain(masses, inertias, swapped), method="rkmk1", step=1e-5, space=space)
     before = simulation.state()[1][:, 2]
     simulation.advance(1)
     found = (simulation.state()[1][:, 2] - before) / simulation.step
@@ -110,20 +104,8 @@ def test_fixed_bodies_of_tiny_inertia_stay_at_rest():
     ]
     joints = [
         Joint(name="ja", type="fixed", parent="world", child="a", child_frame=Frame()),
-        Joint(
-            name="jb",
-            type="fixed",
-            parent="b",
-            child="a",
-            parent_frame=Frame(position=(-0.4, 0.2, 0.0)),
-        ),
-        Joint(
-            name="jc",
-            type="fixed",
-            parent="b",
-            child="c",
-            child_frame=Frame(position=(0.1, 0.3, 0.0)),
-        ),
+        Joint(name="jb", type="fixed", parent="b", child="a", parent_frame=Frame(position=(-0.4, 0.2, 0.0))),
+        Joint(name="jc", type="fixed", parent="b", child="c", child_frame=Frame(position=(0.1, 0.3, 0.0))),
     ]
     scene = Scene(name="welded", gravity=(0, -9.81, 0), bodies=bodies, joints=joints)
     for space in ("auto", "space"):

@@ -22,14 +22,7 @@ from scipy.integrate import solve_ivp
 from liegroup_core import Scene, Simulation, SimulationError, load_scene
 from liegroup_core.methods.families import NOT_ON_SE3
 from liegroup_core.methods.table import METHODS
-from liegroup_core.scene.description import (
-    Body,
-    ConstantWrench,
-    Frame,
-    Joint,
-    SpringDamper,
-    TorsionalSpringDamper,
-)
+from liegroup_core.scene.description import Body, ConstantWrench, Frame, Joint, SpringDamper, TorsionalSpringDamper
 
 GROUPS = ("se3", "so3xr3")
 
@@ -89,13 +82,7 @@ class Pair:
             ),
         ]
 
-    root = Joint(
-        name="root",
-        type="spherical",
-        parent="world",
-        child="first",
-        child_frame=Frame(position=-a1),
-    )
+    root = Joint(name="root", type="spherical", parent="world", child="first", child_frame=Frame(position=-a1))
 
 
 def double_pendulum():
@@ -135,9 +122,7 @@ def double_pendulum():
         mass[3:, 3:] += p.I2
         force = p.m1 * J1.T @ (GRAVITY - g1) + p.m2 * J2.T @ (GRAVITY - g2)
         force -= np.concatenate([np.cross(w1, p.I1 @ w1), np.cross(w2, p.I2 @ w2)])
-        return np.concatenate(
-            [(R1 @ hat(w1)).ravel(), (R2 @ hat(w2)).ravel(), np.linalg.solve(mass, force)]
-        )
+        return np.concatenate([(R1 @ hat(w1)).ravel(), (R2 @ hat(w2)).ravel(), np.linalg.solve(mass, force)])
 
     start = np.concatenate([np.eye(3).ravel(), np.eye(3).ravel(), p.w1, p.w2])
     end = solve_ivp(rate, (0, 1.25), start, method="DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
@@ -177,11 +162,7 @@ def elastic_rod():
         ddot = v2 - R2 @ np.cross(w2, p.a2) - R1 @ np.cross(w1, p.b1)
         now = np.sqrt(d @ d)
         f = -(stiffness * (now - length) + damping * (d @ ddot) / now) * d / now
-        torque1 = (
-            np.cross(p.a1, R1.T @ (p.m1 * GRAVITY))
-            - np.cross(p.b1, R1.T @ f)
-            - np.cross(w1, about_origin @ w1)
-        )
+        torque1 = np.cross(p.a1, R1.T @ (p.m1 * GRAVITY)) - np.cross(p.b1, R1.T @ f) - np.cross(w1, about_origin @ w1)
         torque2 = -np.cross(p.a2, R2.T @ f) - np.cross(w2, p.I2 @ w2)
         return np.concatenate(
             [
@@ -317,16 +298,7 @@ STEPS = {
         "constrained_rattle8": (48, 56, 64),
     },
 }
-LIKE = {
-    1: "rkmk1",
-    2: "rkmk2",
-    3: "rkmk3",
-    4: "rkmk4",
-    5: "rkmk54",
-    6: "rkmk8",
-    7: "rkmk8",
-    8: "rkmk8",
-}
+LIKE = {1: "rkmk1", 2: "rkmk2", 3: "rkmk3", 4: "rkmk4", 5: "rkmk54", 6: "rkmk8", 7: "rkmk8", 8: "rkmk8"}
 
 
 def counts_of(problem, method):
@@ -338,12 +310,7 @@ def counts_of(problem, method):
     return counts if isinstance(counts, dict) else {group: counts for group in groups(method)}
 
 
-CASES = [
-    (problem, method, group)
-    for problem in STEPS
-    for method in METHODS
-    for group in counts_of(problem, method)
-]
+CASES = [(problem, method, group) for problem in STEPS for method in METHODS for group in counts_of(problem, method)]
 
 
 @pytest.fixture(scope="module")
@@ -407,12 +374,9 @@ def test_error_floors_are_reached_by_order_eight(references):
     for problem, (scene, attitudes) in references.items():
         _, time, floor = PROBLEMS[problem]
         for group in GROUPS:
-            step = {
-                "heavy top": 1 / 400,
-                "Lagrangian top": 1 / 2000,
-                "free body": 1 / 8,
-                "double pendulum": 1 / 240,
-            }[problem]
+            step = {"heavy top": 1 / 400, "Lagrangian top": 1 / 2000, "free body": 1 / 8, "double pendulum": 1 / 240}[
+                problem
+            ]
             simulation = Simulation(scene, method="rkmk8", step=step, group=group)
             simulation.advance(round(time / step))
             assert attitude_error(simulation, attitudes) < floor, (problem, group)
@@ -426,16 +390,7 @@ def test_dexpinv_truncated_at_the_order_keeps_the_order(references, method, grou
     counts = counts_of("double pendulum", method)[group]
     time = PROBLEMS["double pendulum"][1]
     exact = errors(scene, attitudes, time, counts, method=method, group=group, **options(method))
-    found = errors(
-        scene,
-        attitudes,
-        time,
-        counts,
-        method=method,
-        group=group,
-        dexpinv="truncated",
-        **options(method),
-    )
+    found = errors(scene, attitudes, time, counts, method=method, group=group, dexpinv="truncated", **options(method))
     assert slope(counts, found) == pytest.approx(METHODS[method].order, abs=0.2)
     assert 0.2 < found[-1] / exact[-1] < 5.0
 
@@ -465,9 +420,7 @@ def test_error_follows_the_tolerance(references, problem, group):
     tolerances = [1e-5, 1e-6, 1e-7, 1e-8, 1e-9]
     found, counts = [], []
     for tolerance in tolerances:
-        simulation = Simulation(
-            scene, method="rkmk54", step=0.25, group=group, rtol=tolerance, atol=tolerance
-        )
+        simulation = Simulation(scene, method="rkmk54", step=0.25, group=group, rtol=tolerance, atol=tolerance)
         simulation.advance(round(time / 0.25))
         found.append(attitude_error(simulation, attitudes))
         good, attempts = simulation.substeps
@@ -501,9 +454,7 @@ def test_generalized_alpha_has_order_two_for_every_damping(references, group, rh
 @pytest.mark.parametrize("group", ALL_GROUPS)
 def test_generalized_alpha_satisfies_all_constraints(name, group):
     """Position level, trees and loops. Tolerance: Newton ends at about ten pose round-offs."""
-    simulation = Simulation(
-        mechanisms.named(name), method="generalized_alpha", step=2e-3, group=group
-    )
+    simulation = Simulation(mechanisms.named(name), method="generalized_alpha", step=2e-3, group=group)
     for _ in range(10):
         simulation.advance(20)
         assert simulation.sample().constraint_residual <= 1e-12
@@ -534,12 +485,8 @@ def test_generalized_alpha_unwraps_angles_and_restarts_at_wrench_changes(group):
     scene = Scene(
         name="wheel",
         gravity=(0, 0, 0),
-        bodies=[
-            Body(name="wheel", mass=1.0, inertia=(0.3, 0.4, I), angular_velocity=(0, 0, speed))
-        ],
-        joints=[
-            Joint(name="axle", type="revolute", parent="world", child="wheel", child_frame=Frame())
-        ],
+        bodies=[Body(name="wheel", mass=1.0, inertia=(0.3, 0.4, I), angular_velocity=(0, 0, speed))],
+        joints=[Joint(name="axle", type="revolute", parent="world", child="wheel", child_frame=Frame())],
         forces=[
             TorsionalSpringDamper(name="spring", joint="axle", stiffness=k),
             ConstantWrench(name="push", body="wheel", torque=(0, 0, torque), start=start, end=end),
@@ -570,8 +517,5 @@ def test_generalized_alpha_has_order_two_with_wrench_changes_at_every_step(refer
         return simulation.state()[0]
 
     counts = (128, 256, 512)
-    found = [
-        np.abs(end("generalized_alpha", count, 1) - end("rkmk4", count, 16)).max()
-        for count in counts
-    ]
+    found = [np.abs(end("generalized_alpha", count, 1) - end("rkmk4", count, 16)).max() for count in counts]
     assert slope(counts, found) == pytest.approx(2.0, abs=0.2), found

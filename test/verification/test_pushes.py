@@ -15,10 +15,7 @@ WRENCH = (0.4, -0.3, 0.7, 3.0, -2.0, 4.0)
 END = 0.36  # s
 START, DURATION = END / 3, END / 3
 # Forces in world axes at points of the body: (torque, force), point. Their sum is zero: a couple.
-COUPLE = (
-    ((0.4, -0.3, 0.7, 3.0, -2.0, 4.0), (0.5, -0.3, 0.2)),
-    ((0.0, 0.0, 0.0, -3.0, 2.0, -4.0), (-0.1, 0.4, -0.2)),
-)
+COUPLE = (((0.4, -0.3, 0.7, 3.0, -2.0, 4.0), (0.5, -0.3, 0.2)), ((0.0, 0.0, 0.0, -3.0, 2.0, -4.0), (-0.1, 0.4, -0.2)))
 COUNTS = {1: (100, 199, 400), 2: (100, 199, 400), 3: (40, 79, 160), 8: (7, 10)}
 
 
@@ -31,21 +28,11 @@ def top(axis=None):
     if axis is not None:
         frame, kind = Frame(axis=axis), "revolute"
         turning = tuple(3.0 * np.array(axis) / np.linalg.norm(axis))
-    joint = Joint(
-        name="tip", type=kind, parent="world", child="a", parent_frame=frame, child_frame=frame
-    )
+    joint = Joint(name="tip", type=kind, parent="world", child="a", parent_frame=frame, child_frame=frame)
     return Scene(
         name="pushed",
         gravity=(0.0, 0.0, -9.81),
-        bodies=[
-            Body(
-                name="a",
-                mass=2.0,
-                inertia=(0.3, 0.5, 0.4),
-                com=(0.1, -0.2, 0.3),
-                angular_velocity=turning,
-            )
-        ],
+        bodies=[Body(name="a", mass=2.0, inertia=(0.3, 0.5, 0.4), com=(0.1, -0.2, 0.3), angular_velocity=turning)],
         joints=[joint],
     )
 
@@ -55,17 +42,12 @@ def error(scene, exact, axes, **options):
     simulation = Simulation(scene, **{"method": "rkmk4"} | options)
     simulation.apply_wrench("a", WRENCH, START, DURATION, axes=axes)
     simulation.advance(round(END / simulation.step))
-    assert [c.time for c in simulation.drain_applied()] == pytest.approx(
-        [START, START + DURATION], abs=1e-9
-    )
+    assert [c.time for c in simulation.drain_applied()] == pytest.approx([START, START + DURATION], abs=1e-9)
     return np.abs(simulation.sample().pose[0, :9].reshape(3, 3) - exact.rotation[-1, 0]).max()
 
 
 def reference(scene, axes):
-    changes = [
-        WrenchChange(START, "a", WRENCH, axes),
-        WrenchChange(START + DURATION, "a", (0.0,) * 6, axes),
-    ]
+    changes = [WrenchChange(START, "a", WRENCH, axes), WrenchChange(START + DURATION, "a", (0.0,) * 6, axes)]
     exact, apart = integrate(scene, *Simulation(scene, method="rkmk4").state(), [0.0, END], changes)
     assert apart.attitude.max() < 1e-11
     return exact
@@ -124,9 +106,7 @@ def test_forces_in_world_axes_at_points_of_a_body_cost_no_order(method, group):
     for h in steps:
         simulation = Simulation(scene, method=method, step=h, group=group)
         for i, (wrench, point) in enumerate(COUPLE):
-            simulation.apply_wrench(
-                "a", wrench, START, DURATION, source=f"{i}", axes="world", point=point
-            )
+            simulation.apply_wrench("a", wrench, START, DURATION, source=f"{i}", axes="world", point=point)
         simulation.advance(round(END / h))
         turned = simulation.sample().pose[0, :9].reshape(3, 3)
         errors.append(np.abs(turned - exact.rotation[-1, 0]).max())
@@ -140,9 +120,7 @@ def test_forces_in_world_axes_at_points_of_a_body_cost_no_order(method, group):
 
 @pytest.mark.parametrize("beside", [1e-9, -1e-9, 1e-6])
 @pytest.mark.parametrize("name, body", [("four_bar", "crank"), ("bricard", "rod2")])
-@pytest.mark.parametrize(
-    "method", ["constrained_rattle", "constrained_rattle4", "constrained_rattle8"]
-)
+@pytest.mark.parametrize("method", ["constrained_rattle", "constrained_rattle4", "constrained_rattle8"])
 def test_a_wrench_right_beside_a_step_is_no_obstacle(method, name, body, beside):
     """Substeps of 1e-10 s say nothing about those of 1 ms that follow, whose initial guess they gave.
 

@@ -123,9 +123,7 @@ def test_random_mechanisms(seed, floating):
         assert all(event.energy <= 1e-12 for event in events) or len(events) > 1
         energy = sample.energy
         if floating:
-            assert sample.spatial_momentum == pytest.approx(
-                momentum, abs=1e-10 + 1e-11 * np.abs(momentum).max()
-            )
+            assert sample.spatial_momentum == pytest.approx(momentum, abs=1e-10 + 1e-11 * np.abs(momentum).max())
             momentum = sample.spatial_momentum
     assert count >= 5 or floating
 

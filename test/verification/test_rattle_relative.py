@@ -43,9 +43,7 @@ def scenes():
     every = mechanisms.with_every_pair(every)
     found = {
         "every joint": mechanisms.mechanism(np.random.default_rng(3), every),
-        "every joint, a loop": mechanisms.mechanism(
-            np.random.default_rng(3), every, loops=[("f", "h", "spherical")]
-        ),
+        "every joint, a loop": mechanisms.mechanism(np.random.default_rng(3), every, loops=[("f", "h", "spherical")]),
     }
     for name in ("loops", "planar loops", "spherical loops"):
         for seed in range(10):
@@ -63,10 +61,7 @@ def end(scene, step=STEP, steps=STEPS, method=METHOD, **settings):
 
 
 def test_the_scenes_have_all_groups_of_joints_and_planes():
-    models = [
-        Engine(scene, METHOD, group="relative", quiet=True).layout.relative
-        for scene in scenes().values()
-    ]
+    models = [Engine(scene, METHOD, group="relative", quiet=True).layout.relative for scene in scenes().values()]
     groups = {group for model in models for group in model.bodies["group"].tolist()}
     assert groups == set(range(len(FREEDOMS))) - {DIRECT}
     assert sum(isinstance(model, PlaneModel) for model in models) >= 10
@@ -166,9 +161,7 @@ def test_strong_dampers_converge():
     simulation = Engine(scene, METHOD, 1e-3, "relative", quiet=True)
     start = simulation.state()[1][0, 3:]
     simulation.advance(1)
-    assert simulation.state()[1][0, 3:] == pytest.approx(
-        start * (1.0 - 5.0) / (1.0 + 5.0), rel=1e-12, abs=1e-13
-    )
+    assert simulation.state()[1][0, 3:] == pytest.approx(start * (1.0 - 5.0) / (1.0 + 5.0), rel=1e-12, abs=1e-13)
 
 
 @pytest.mark.parametrize("space", ["auto", "space"])

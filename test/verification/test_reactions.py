@@ -31,9 +31,7 @@ pytestmark = pytest.mark.slow
 # determines (test_relative_accelerations.py); a reaction of a loop is a difference of forces that
 # are up to a hundred times larger.
 ACCURACY = 1e-10
-SCENES = sorted(
-    path.stem for path in (Path(__file__).parents[2] / "config" / "scenes").glob("*.yaml")
-)
+SCENES = sorted(path.stem for path in (Path(__file__).parents[2] / "config" / "scenes").glob("*.yaml"))
 G = 9.81
 LARGE = 15  # bodies; 50 digits of more take minutes
 
@@ -186,10 +184,7 @@ def test_steady_precession_of_a_top():
     # Body rate: precession about the vertical, and a spin such that the total along the axis is n.
     rate = (-p * np.sin(a), 0.0, spin)
     scene = one_body(
-        {"type": "spherical", "child_frame": {}},
-        com=(0, 0, l),
-        quaternion=about_y(a),
-        angular_velocity=rate,
+        {"type": "spherical", "child_frame": {}}, com=(0, 0, l), quaternion=about_y(a), angular_velocity=rate
     )
     sample = at_start(scene)
     R = sample.pose_matrices[0, :3, :3]

@@ -104,9 +104,7 @@ def test_a_wrench_change_between_steps_is_integrated_exactly():
     times = np.array([0.0, 0.1, 0.25, 0.3, 1.0])
     changes = [WrenchChange(0.1, "a", (0, 0, 0, 4.0, 0, 0)), WrenchChange(0.3, "a", (0,) * 6)]
     trajectory, _ = follow(constant_push(), times, changes)
-    assert trajectory.position[:, 0, 0] == pytest.approx(
-        [0.0, 0.0, 0.15**2, 0.2**2, 0.2**2 + 0.4 * 0.7], abs=1e-14
-    )
+    assert trajectory.position[:, 0, 0] == pytest.approx([0.0, 0.0, 0.15**2, 0.2**2, 0.2**2 + 0.4 * 0.7], abs=1e-14)
     assert trajectory.twist[-1, 0] == pytest.approx([0, 0, 0, 0.4, 0, 0], abs=1e-14)
 
 
@@ -116,24 +114,14 @@ def test_a_wrench_in_body_axes_rotates_with_the_body():
     scene = constant_push(angular_velocity=(0, 0, spin))
     times = np.linspace(0.0, 2.0, 21)
     trajectory, _ = follow(scene, times, [WrenchChange(0.0, "a", (0, 0, 0, 2.0 * a, 0, 0))])
-    exact = (
-        a
-        / spin**2
-        * np.stack([1.0 - np.cos(spin * times), spin * times - np.sin(spin * times)], axis=1)
-    )
+    exact = a / spin**2 * np.stack([1.0 - np.cos(spin * times), spin * times - np.sin(spin * times)], axis=1)
     # Tolerance 1e-13 per step of some ten steps, over values up to 1.
     assert np.abs(trajectory.position[:, 0, :2] - exact).max() <= 5e-12
 
 
 def test_a_body_on_a_revolute_joint_under_constant_torque():
     """(I_z + m l^2) theta'' = torque, constant here: theta = a t^2 / 2."""
-    hinge = Joint(
-        name="hinge",
-        type="revolute",
-        parent="world",
-        child="a",
-        parent_frame=Frame(axis=(1.0, 2.0, 2.0)),
-    )
+    hinge = Joint(name="hinge", type="revolute", parent="world", child="a", parent_frame=Frame(axis=(1.0, 2.0, 2.0)))
     scene = constant_push([hinge], position=(0.3, 0.0, -0.1))
     axis = np.array([1.0, 2.0, 2.0]) / 3.0
     arm = np.cross(axis, scene.bodies[0].position)
@@ -142,9 +130,7 @@ def test_a_body_on_a_revolute_joint_under_constant_torque():
     # The hinge takes up all of a torque but its part along the axis; the force has moment arm * f.
     trajectory, _ = follow(scene, times, [WrenchChange(0.0, "a", (*(0.7 * axis), 0, 0, 0))])
     rate = 0.7 / inertia
-    angles = np.arccos(
-        np.clip((np.trace(trajectory.rotation[:, 0], axis1=1, axis2=2) - 1) / 2, -1.0, 1.0)
-    )
+    angles = np.arccos(np.clip((np.trace(trajectory.rotation[:, 0], axis1=1, axis2=2) - 1) / 2, -1.0, 1.0))
     assert trajectory.twist[:, 0, :3] @ axis == pytest.approx(rate * times, abs=1e-12)
     assert angles == pytest.approx(0.5 * rate * times**2, abs=1e-7)  # arccos: sqrt of round-off
     assert trajectory.rotation[:, 0] @ axis == pytest.approx(np.tile(axis, (7, 1)), abs=1e-13)
@@ -198,11 +184,7 @@ def test_joint_residuals_match_their_time_derivatives(kind):
     scene = scene.model_copy(update={"joints": scene.joints[1:]})
     start, _ = initial_state(scene)
     system, angle = build_system(scene, start)
-    axis, (w, b), (v, a) = (
-        *rng.normal(size=(1, 2, 3)),
-        rng.normal(size=(2, 2)),
-        rng.normal(size=(2, 2, 3)),
-    )
+    axis, (w, b), (v, a) = (*rng.normal(size=(1, 2, 3)), rng.normal(size=(2, 2)), rng.normal(size=(2, 2, 3)))
     axis /= np.linalg.norm(axis, axis=1)[:, None]
     k = len(system.equations.kind)
 
@@ -213,10 +195,7 @@ def test_joint_residuals_match_their_time_derivatives(kind):
             turn = Rotation.from_rotvec((w[i] * t + b[i] * t * t / 2) * axis[i]).as_matrix()
             pose[i, :9] = (start[i, :9].reshape(3, 3) @ turn).ravel()
             pose[i, 9:] += v[i] * t + a[i] * t * t / 2
-            twist[i] = (
-                *((w[i] + b[i] * t) * axis[i]),
-                *(pose[i, :9].reshape(3, 3).T @ (v[i] + a[i] * t)),
-            )
+            twist[i] = (*((w[i] + b[i] * t) * axis[i]), *(pose[i, :9].reshape(3, 3).T @ (v[i] + a[i] * t)))
         rows, gap = np.zeros((k, 12)), np.zeros((3, k))
         state = _to_state(pose, twist).reshape(2, 13)
         joint_equations(system.equations, state, angle_at(state, t), rows, gap)
@@ -273,21 +252,11 @@ def test_a_closed_loop_with_redundant_rows_conserves_energy():
             type="revolute",
             parent=p,
             child=c,
-            child_frame=Frame(
-                position=(-np.linalg.norm(np.subtract(*points[i : i + 2])) / 2, 0, 0)
-            ),
+            child_frame=Frame(position=(-np.linalg.norm(np.subtract(*points[i : i + 2])) / 2, 0, 0)),
         )
         for i, (p, c) in enumerate(ends)
     ]
-    joints.append(
-        Joint(
-            name="j3",
-            type="revolute",
-            parent="world",
-            child="c",
-            parent_frame=Frame(position=points[3]),
-        )
-    )
+    joints.append(Joint(name="j3", type="revolute", parent="world", child="c", parent_frame=Frame(position=points[3])))
     scene = Scene(name="four_bar", gravity=(0.0, -9.81, 0.0), bodies=bodies, joints=joints)
     pose, twist = initial_state(scene)
     times = np.linspace(0.0, 2.0, 41)

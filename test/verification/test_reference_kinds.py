@@ -102,12 +102,7 @@ ON_EVERY_KIND = {
             rest_length=0.7,
         ),
         SpringDamper(
-            name="t",
-            parent="world",
-            child="h",
-            parent_point=(0, 0, 1),
-            child_point=(0.4, 0, 0),
-            stiffness=20,
+            name="t", parent="world", child="h", parent_point=(0, 0, 1), child_point=(0.4, 0, 0), stiffness=20
         ),
     ],
     "torsional_spring_damper": [
@@ -142,22 +137,10 @@ ON_EVERY_KIND = {
     ],
     "applied_wrench": [
         ConstantWrench(
-            name="s",
-            body="a",
-            torque=(1, 2, 3),
-            force=(4, 5, -6),
-            point=(1, 0.2, 3),
-            start=0.0303,
-            end=0.0811,
+            name="s", body="a", torque=(1, 2, 3), force=(4, 5, -6), point=(1, 0.2, 3), start=0.0303, end=0.0811
         ),
         ConstantWrench(
-            name="t",
-            body="g",
-            torque=(1, 2, 3),
-            force=(4, 5, -6),
-            point=(1, 0.2, 3),
-            axes="world",
-            end=0.0507,
+            name="t", body="g", torque=(1, 2, 3), force=(4, 5, -6), point=(1, 0.2, 3), axes="world", end=0.0507
         ),
     ],
 }
@@ -175,12 +158,7 @@ def test_every_kind_of_force(kind):
 
 
 # Steps that the fastest motion of each asks for; the others take 1 ms.
-STEPS = {
-    "andrews_squeezer": 1e-5,
-    "flyball_governor": 5e-5,
-    "lagrangian_top": 2e-4,
-    "four_bar": 2e-4,
-}
+STEPS = {"andrews_squeezer": 1e-5, "flyball_governor": 5e-5, "lagrangian_top": 2e-4, "four_bar": 2e-4}
 
 
 @pytest.mark.parametrize(
@@ -243,27 +221,18 @@ def approach(t, size, force, limit):
 
 CLOSED_FORMS = {
     "coil over many turns": (
-        on_joint(
-            "revolute",
-            TorsionalSpringDamper(name="f", joint="j", stiffness=3, damping=0.05, rest_angle=40),
-        ),
+        on_joint("revolute", TorsionalSpringDamper(name="f", joint="j", stiffness=3, damping=0.05, rest_angle=40)),
         lambda t: oscillation(t, INERTIA, 3, 0.05, 40),
     ),
     "spring on a slider": (
-        on_joint(
-            "prismatic",
-            LinearSpringDamper(name="f", joint="j", stiffness=30, damping=0.8, rest_position=0.3),
-        ),
+        on_joint("prismatic", LinearSpringDamper(name="f", joint="j", stiffness=30, damping=0.8, rest_position=0.3)),
         lambda t: oscillation(t, MASS, 30, 0.8, 0.3),
     ),
     "motor with a limit": (
         on_joint("revolute", Motor(name="f", joint="j", torque=-2, rate_limit=9)),
         lambda t: -approach(t, INERTIA, 2, 9),
     ),
-    "motor": (
-        on_joint("revolute", Motor(name="f", joint="j", torque=2)),
-        lambda t: t * t / INERTIA,
-    ),
+    "motor": (on_joint("revolute", Motor(name="f", joint="j", torque=2)), lambda t: t * t / INERTIA),
     "linear motor with a limit": (
         on_joint("prismatic", LinearMotor(name="f", joint="j", force=3, speed_limit=2)),
         lambda t: approach(t, MASS, 3, 2),
@@ -286,10 +255,7 @@ CLOSED_FORMS = {
     ),
     "push for a time": (
         on_joint(
-            "prismatic",
-            ConstantWrench(
-                name="f", body="a", force=3 * AXIS, start=0.317, end=1.2345, axes="world"
-            ),
+            "prismatic", ConstantWrench(name="f", body="a", force=3 * AXIS, start=0.317, end=1.2345, axes="world")
         ),
         lambda t: 1.5 / MASS * (np.maximum(t - 0.317, 0) ** 2 - np.maximum(t - 1.2345, 0) ** 2),
     ),
@@ -307,11 +273,7 @@ def test_reference_integration_agrees_with_closed_forms(name):
         turns = np.einsum("kab,kac->kbc", found.rotation[:-1, 0], found.rotation[1:, 0])
         sine = (
             np.stack(
-                [
-                    turns[:, 2, 1] - turns[:, 1, 2],
-                    turns[:, 0, 2] - turns[:, 2, 0],
-                    turns[:, 1, 0] - turns[:, 0, 1],
-                ],
+                [turns[:, 2, 1] - turns[:, 1, 2], turns[:, 0, 2] - turns[:, 2, 0], turns[:, 1, 0] - turns[:, 0, 1]],
                 axis=1,
             )
             @ AXIS
@@ -331,11 +293,7 @@ def parallelogram(angle):
     """Moving parallelogram: cranks of 1 m at an angle (rad) to the ground, 2 m apart."""
     arm = np.array([np.cos(angle), np.sin(angle), 0.0])
     rate = np.cross([0, 0, 3.0], arm)
-    turned = {
-        "rotation_vector": (0, 0, angle),
-        "angular_velocity": (0, 0, 3.0),
-        "linear_velocity": (0, 1.5, 0),
-    }
+    turned = {"rotation_vector": (0, 0, angle), "angular_velocity": (0, 0, 3.0), "linear_velocity": (0, 1.5, 0)}
     inertia = (0.01, 0.1, 0.1)
     return Scene(
         name="flat",
@@ -343,18 +301,10 @@ def parallelogram(angle):
         bodies=[
             Body(name="left", mass=1, inertia=inertia, position=arm / 2, **turned),
             Body(name="right", mass=1, inertia=inertia, position=arm / 2 + (2, 0, 0), **turned),
-            Body(
-                name="top", mass=1, inertia=inertia, position=arm + (1, 0, 0), linear_velocity=rate
-            ),
+            Body(name="top", mass=1, inertia=inertia, position=arm + (1, 0, 0), linear_velocity=rate),
         ],
         joints=[
-            Joint(
-                name=f"j{i}",
-                type="revolute",
-                parent=parent,
-                child=child,
-                parent_frame=Frame(position=place),
-            )
+            Joint(name=f"j{i}", type="revolute", parent=parent, child=child, parent_frame=Frame(position=place))
             for i, (parent, child, place) in enumerate(
                 [
                     ("world", "left", (0, 0, 0)),

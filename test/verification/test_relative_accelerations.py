@@ -66,11 +66,7 @@ SHARES = {
 
 
 # Formulations, and what the engine is given for them; "plane" for planar mechanisms only.
-SPACES = {
-    "se3": {"group": "se3"},
-    "relative": {"group": "relative", "space": "space"},
-    "plane": {"group": "relative"},
-}
+SPACES = {"se3": {"group": "se3"}, "relative": {"group": "relative", "space": "space"}, "plane": {"group": "relative"}}
 
 
 def count(name, total):
@@ -199,9 +195,7 @@ def test_every_type_of_joint_and_force_is_among_them():
 
 def main(total=500, *spaces):
     """Print the worst errors of every class and formulation."""
-    print(
-        "Worst error of a body, in brackets its seed: relative to max(|a|, |g|); as a part of the"
-    )
+    print("Worst error of a body, in brackets its seed: relative to max(|a|, |g|); as a part of the")
     print("bound of all formulations, and of that allowed here; mechanisms beyond either bound.")
     for name in random_mechanisms.CLASSES:
         rows = {space: [] for space in spaces or SPACES}

@@ -31,12 +31,7 @@ LINKS = {
             ("g", "h", "revolute"),
         ]
     ),
-    "loop": [
-        ("world", "a", "revolute"),
-        ("a", "b", "universal"),
-        ("b", "c", "spherical"),
-        ("c", "d", "revolute"),
-    ],
+    "loop": [("world", "a", "revolute"), ("a", "b", "universal"), ("b", "c", "spherical"), ("c", "d", "revolute")],
 }
 CLOSING = {"tree": [], "loop": [("world", "d", "spherical")]}
 FAMILIES = ("rkmk", "constrained")
@@ -52,10 +47,7 @@ STEPS = {
     "tree": SMALL | {5: (0, (64, 96, 128, 192)), 8: (0, (20, 24, 28))},
     "loop": SMALL | {5: (2, (32, 40, 48, 64)), 8: (1, (14, 16, 18, 20, 22))},
 }
-RATTLE_STEPS = {
-    "tree": SMALL | {8: (0, (14, 16, 20))},
-    "loop": SMALL | {8: (1, (14, 16, 18, 20, 22))},
-}
+RATTLE_STEPS = {"tree": SMALL | {8: (0, (14, 16, 20))}, "loop": SMALL | {8: (1, (14, 16, 18, 20, 22))}}
 
 
 def mechanism(problem):

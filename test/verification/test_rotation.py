@@ -97,9 +97,7 @@ def test_lagrangian_top_attitude_errors_equal_published_values(method):
             assert error == pytest.approx(expected, rel=5e-4, abs=1e-11), rate
     order, constant = order_and_constant(steps, found, METHODS[method].order)
     assert order == pytest.approx(TOP_CONSTANTS[method][0], abs=0.02)
-    assert constant == pytest.approx(
-        TOP_CONSTANTS[method][1], rel=0.02 if method == "rkmk4" else 5e-4
-    )
+    assert constant == pytest.approx(TOP_CONSTANTS[method][1], rel=0.02 if method == "rkmk4" else 5e-4)
 
 
 # Steps per second for the slope on the free body and on the top, by order.
@@ -149,13 +147,7 @@ def test_the_implicit_form_of_austin_uses_the_mean_momentum():
                 x = (
                     0.5
                     * h
-                    * np.array(
-                        [
-                            [0, -middle[2], middle[1]],
-                            [middle[2], 0, -middle[0]],
-                            [-middle[1], middle[0], 0],
-                        ]
-                    )
+                    * np.array([[0, -middle[2], middle[1]], [middle[2], 0, -middle[0]], [-middle[1], middle[0], 0]])
                 )
                 Q = np.linalg.solve(unit - x, unit + x)
                 end = Q.T @ y + h / 2 * torque(R @ Q)
@@ -184,9 +176,7 @@ def test_free_body_momentum_is_conserved_at_every_step(method):
         assert off <= 2e-15 + 6 * 1.1e-16 * np.sqrt(16 / step), step
 
 
-@pytest.mark.parametrize(
-    "method", ["stoermer_verlet", "coadjoint_rkmk4", "rattle", "austin_krishnaprasad_wang"]
-)
+@pytest.mark.parametrize("method", ["stoermer_verlet", "coadjoint_rkmk4", "rattle", "austin_krishnaprasad_wang"])
 def test_momentum_round_off_grows_like_a_random_walk(method):
     """3e6 steps, bounded as above: 1.1e-12. A body that is brought back to SO(3) in every step was
     seen at 2.6e-12 to 3e-12, as some of the rounding is then the same in every step; with
@@ -232,11 +222,7 @@ def test_invariants_of_the_top_over_ten_seconds(method, step):
 
 def test_energy_of_stoermer_verlet_drifts_and_that_of_lie_newmark_does_not():
     """(E - E0)/E0 of the free body at 100, 300, 1000 s: growth with h^3 t, or bounded."""
-    drift = {
-        0.2: (3.5e-3, 1.0e-2, 3.3e-2),
-        0.1: (4.6e-4, 1.3e-3, 4.2e-3),
-        0.05: (6.1e-5, 1.6e-4, 5.4e-4),
-    }
+    drift = {0.2: (3.5e-3, 1.0e-2, 3.3e-2), 0.1: (4.6e-4, 1.3e-3, 4.2e-3), 0.05: (6.1e-5, 1.6e-4, 5.4e-4)}
     for step, expected in drift.items():
         for time, ratio in zip((100, 300, 1000), expected):
             assert _energy_ratio("stoermer_verlet", step, time) == pytest.approx(ratio, rel=0.04)
@@ -372,16 +358,13 @@ def test_figures_use_exact_end_states_and_report_published_values(monkeypatch, t
     assert np.abs(end_attitude("lagrangian_top", 1) - TOP_R_1).max() <= 2e-13
     short = [
         replace(
-            panel,
-            steps=panel.steps[2:5],
-            elsewhere={method: values[2:5] for method, values in panel.elsewhere.items()},
+            panel, steps=panel.steps[2:5], elsewhere={method: values[2:5] for method, values in panel.elsewhere.items()}
         )
         for panel in PANELS
     ]
     monkeypatch.setattr("liegroup_sim_ros.chapter.rotation_figures.PANELS", short)
     monkeypatch.setattr(
-        "liegroup_sim_ros.chapter.rotation_figures.TOP_INTEGRALS",
-        {("rattle", 1e-3): TOP_INTEGRALS["rattle", 1e-3]},
+        "liegroup_sim_ros.chapter.rotation_figures.TOP_INTEGRALS", {("rattle", 1e-3): TOP_INTEGRALS["rattle", 1e-3]}
     )
     said = []
     paths, tables = make_rotation_figures(tmp_path, said.append)

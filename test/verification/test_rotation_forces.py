@@ -69,9 +69,7 @@ def test_order_with_bodies_coupled_by_springs_and_dampers(coupled, method):
             ]
         )
     for of_one_kind in np.transpose(errors):
-        assert slope(RATES[order], of_one_kind) == pytest.approx(
-            order, abs=1.5 if order == 8 else 0.25
-        ), errors
+        assert slope(RATES[order], of_one_kind) == pytest.approx(order, abs=1.5 if order == 8 else 0.25), errors
 
 
 @pytest.mark.parametrize("held", [False, True])
@@ -85,32 +83,11 @@ def test_order_with_drag(method, held):
     scene = Scene(
         name="dragged",
         gravity=gravity,
-        bodies=[
-            Body(
-                name="a",
-                mass=mass,
-                inertia=SIX,
-                position=d,
-                angular_velocity=w0,
-                linear_velocity=v0,
-            )
-        ],
-        joints=[
-            Joint(
-                name="pivot",
-                type="spherical",
-                parent="world",
-                child="a",
-                child_frame=Frame(position=-d),
-            )
-        ]
+        bodies=[Body(name="a", mass=mass, inertia=SIX, position=d, angular_velocity=w0, linear_velocity=v0)],
+        joints=[Joint(name="pivot", type="spherical", parent="world", child="a", child_frame=Frame(position=-d))]
         if held
         else [],
-        forces=[
-            Drag(
-                name="air", body="a", linear=0.6, quadratic=0.4, angular=0.5, angular_quadratic=0.3
-            )
-        ],
+        forces=[Drag(name="air", body="a", linear=0.6, quadratic=0.4, angular=0.5, angular_quadratic=0.3)],
     )
 
     def rate(_, y):
@@ -185,33 +162,18 @@ def test_wrenches_starting_and_ending_within_steps_keep_the_order(method):
         name="pushed",
         gravity=(0, 0, 0),
         bodies=[Body(name="a", mass=mass, inertia=SIX, angular_velocity=w0)],
-        forces=[
-            ConstantWrench(
-                name="push",
-                body="a",
-                torque=torque,
-                force=force,
-                axes="world",
-                start=0.3,
-                end=0.7137,
-            )
-        ],
+        forces=[ConstantWrench(name="push", body="a", torque=torque, force=force, axes="world", start=0.3, end=0.7137)],
     )
 
     def rate(_, y, on):
         R, w = y[:9].reshape(3, 3), y[9:]
         return np.concatenate(
-            [
-                (R @ hat(w)).ravel(),
-                np.linalg.solve(INERTIA, on * R.T @ torque - np.cross(w, INERTIA @ w)),
-            ]
+            [(R @ hat(w)).ravel(), np.linalg.solve(INERTIA, on * R.T @ torque - np.cross(w, INERTIA @ w))]
         )
 
     y = np.concatenate([np.eye(3).ravel(), w0])
     for first, last, on in ((0, 0.3, 0), (0.3, 0.7137, 1), (0.7137, 1, 0)):
-        y = solve_ivp(
-            rate, (first, last), y, method="DOP853", rtol=1e-13, atol=1e-13, args=(on,)
-        ).y[:, -1]
+        y = solve_ivp(rate, (first, last), y, method="DOP853", rtol=1e-13, atol=1e-13, args=(on,)).y[:, -1]
     order = METHODS[method].order
     rates = {2: (32, 64, 128, 256), 4: (8, 16, 32, 64), 8: (1, 2, 4)}[order]
     poses = [end(scene, method, count)[0][0] for count in rates]
@@ -229,9 +191,7 @@ def test_wrenches_starting_and_ending_within_steps_keep_the_order(method):
 @pytest.mark.parametrize("method", ROTATION)
 def test_applied_torque_gives_the_closed_form_rate(method):
     """Torque about a principal axis for half of the time: w = tau t / I, then constant."""
-    scene = Scene(
-        name="one", gravity=(0, 0, 0), bodies=[Body(name="a", mass=1.0, inertia=(2, 3, 4))]
-    )
+    scene = Scene(name="one", gravity=(0, 0, 0), bodies=[Body(name="a", mass=1.0, inertia=(2, 3, 4))])
     simulation = Simulation(scene, method=method, step=1e-2)
     simulation.apply_wrench("a", (0, 0, 0.8, 1.0, 0, 0), start=0.2, duration=0.5)
     simulation.advance(100)
@@ -292,13 +252,7 @@ def test_drag_beyond_fixed_point_convergence_is_solved(method):
         name="honey",
         gravity=(0, 0, -9.81),
         bodies=[
-            Body(
-                name="a",
-                mass=mass,
-                inertia=SIX,
-                angular_velocity=(0.5, 0.8, 0.1),
-                linear_velocity=(0.4, -0.3, 0.2),
-            )
+            Body(name="a", mass=mass, inertia=SIX, angular_velocity=(0.5, 0.8, 0.1), linear_velocity=(0.4, -0.3, 0.2))
         ],
         forces=[Drag(name="honey", body="a", linear=10 * mass / h, angular=10 * 1.1 / h)],
     )
@@ -332,20 +286,12 @@ def pendulum():
             )
         ],
         joints=[
-            Joint(
-                name="pivot",
-                type="spherical",
-                parent="world",
-                child="a",
-                child_frame=Frame(position=(0, 0, 1)),
-            )
+            Joint(name="pivot", type="spherical", parent="world", child="a", child_frame=Frame(position=(0, 0, 1)))
         ],
     )
 
 
-@pytest.mark.parametrize(
-    "method", ["stoermer_verlet", "lie_newmark", "rattle", "austin_krishnaprasad_wang"]
-)
+@pytest.mark.parametrize("method", ["stoermer_verlet", "lie_newmark", "rattle", "austin_krishnaprasad_wang"])
 def test_a_step_beyond_the_stability_limit_has_a_large_estimate(method):
     """h omega = 2 for all methods explicit in forces; the other step is an eighth of it."""
     omega = np.sqrt(9.81 / 2)
@@ -383,13 +329,7 @@ def test_two_spherical_joints_on_a_body_and_stabilisation_are_refused():
         gravity=(0, 0, -1),
         bodies=[Body(name="a", mass=1.0, inertia=(1, 1, 1))],
         joints=[
-            Joint(
-                name=name,
-                type="spherical",
-                parent="world",
-                child="a",
-                child_frame=Frame(position=(x, 0, 0)),
-            )
+            Joint(name=name, type="spherical", parent="world", child="a", child_frame=Frame(position=(x, 0, 0)))
             for name, x in (("one", 0.0), ("two", 1.0))
         ],
     )

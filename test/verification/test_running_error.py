@@ -38,10 +38,7 @@ def pushed(scene, method, step, stabilisation):
     if scene.name == "four_bar":
         wrench = (0.0, 0.0, 0.0, FORCE[scene.name], 0.0, 0.0)
     simulation.apply_wrench(body, wrench, ON, OFF - ON, axes="world")
-    return simulation, [
-        WrenchChange(ON, body, wrench, "world"),
-        WrenchChange(OFF, body, (0.0,) * 6, "world"),
-    ]
+    return simulation, [WrenchChange(ON, body, wrench, "world"), WrenchChange(OFF, body, (0.0,) * 6, "world")]
 
 
 @pytest.mark.parametrize("name, method, step, stabilisation", CASES)
@@ -93,9 +90,7 @@ def test_estimates_depend_on_the_steps_alone(method, at_once):
 
 def test_the_estimate_does_not_change_the_motion_and_starts_again_at_a_reset():
     with_estimate, _ = pushed(load_scene("four_bar"), "rkmk4", 1e-3, "projection")
-    without = Simulation(
-        load_scene("four_bar"), "rkmk4", stabilisation="projection", estimate=False
-    )
+    without = Simulation(load_scene("four_bar"), "rkmk4", stabilisation="projection", estimate=False)
     assert without.sample().error is None and math.isnan(without.predictable_until)
     with_estimate.reset()
     for simulation in (with_estimate, without):
@@ -112,9 +107,7 @@ def test_a_chaotic_motion_is_unpredictable_from_some_time_on():
     """The error grows exponentially: with half the step the motion is known for longer."""
     ends = []
     for step in (4e-3, 2e-3):
-        simulation = Simulation(
-            load_scene("double_pendulum"), "rkmk4", step, stabilisation="projection"
-        )
+        simulation = Simulation(load_scene("double_pendulum"), "rkmk4", step, stabilisation="projection")
         simulation.advance(round(60.0 / step))
         ends.append(simulation.predictable_until)
     assert 1.0 < ends[0] < ends[1]
@@ -151,9 +144,7 @@ def test_the_largest_error_is_that_of_the_samples(arguments):
         found = []
         for _ in range(steps):
             simulation.advance(1)
-            position, angle = (
-                np.array([list(e) for e in simulation.sample().error.values()])[:, :2]
-            ).max(axis=0)
+            position, angle = (np.array([list(e) for e in simulation.sample().error.values()])[:, :2]).max(axis=0)
             found.append(simulation.largest_error)
             same = max(position / size, angle)
             assert found[-1] == same or (math.isnan(same) and math.isnan(found[-1]))
@@ -239,20 +230,8 @@ def test_an_oscillation_that_is_lost_stays_an_error(method, turn):
         name="box",
         gravity=(0.0, 0.0, 0.0),
         bodies=[body],
-        joints=[
-            Joint(
-                name="track",
-                type="prismatic",
-                parent="world",
-                child="b",
-                parent_frame=Frame(axis=(0, 0, 1)),
-            )
-        ],
-        forces=[
-            LinearSpringDamper(
-                name="spring", joint="track", stiffness=w * w, damping=0.0, rest_position=0.0
-            )
-        ],
+        joints=[Joint(name="track", type="prismatic", parent="world", child="b", parent_frame=Frame(axis=(0, 0, 1)))],
+        forces=[LinearSpringDamper(name="spring", joint="track", stiffness=w * w, damping=0.0, rest_position=0.0)],
     )
     simulation = Simulation(scene, method, turn / w)
     largest = 0.0

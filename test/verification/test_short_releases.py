@@ -106,9 +106,7 @@ def test_a_rubber_goes_slack_at_the_top_of_its_oscillation(damping, share, setti
         return STIFFNESS * depth + damping * rate
 
     def top(push):
-        return minimize_scalar(
-            pressure, args=(push,), bounds=(0.8, 1.5), method="bounded", options={"xatol": 1e-9}
-        )
+        return minimize_scalar(pressure, args=(push,), bounds=(0.8, 1.5), method="bounded", options={"xatol": 1e-9})
 
     push = brentq(lambda p: top(p).fun + share * weight, 0.0, 100.0, xtol=1e-12)
     time = brentq(pressure, 0.8, top(push).x, args=(push,), xtol=1e-14)

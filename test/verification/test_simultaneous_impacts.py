@@ -83,9 +83,7 @@ def test_balls_with_gaps_pass_the_impulse_on(gap, lifted):
         assert len(set(times)) == len(times)
     rates = np.abs(engine.sample().twist[:, 1]) / SPEED
     # Until the end of the step, 1 ms, gravity takes 1e-2 of them at most, by the angle of 4 mrad.
-    assert rates[: count - lifted] == pytest.approx(
-        np.zeros(count - lifted), abs=3.0 * gap / SIZE + 1e-6
-    )
+    assert rates[: count - lifted] == pytest.approx(np.zeros(count - lifted), abs=3.0 * gap / SIZE + 1e-6)
     assert rates[count - lifted :] == pytest.approx(np.ones(lifted), abs=1e-2)
     assert engine.energy() == pytest.approx(energy, abs=1e-11)
 

@@ -118,9 +118,7 @@ def test_steps_of_the_implicit_method_do_not_depend_on_stiffness(seed):
     sliders, step = random_sliders(seed), 0.01
     assert np.abs(sliders.rates).max() * step > 1e3
     for tolerance in (1e-4, 1e-6, 1e-8):
-        simulation = Simulation(
-            sliders.scene, STIFF, step, rtol=tolerance, atol=tolerance, estimate=False
-        )
+        simulation = Simulation(sliders.scene, STIFF, step, rtol=tolerance, atol=tolerance, estimate=False)
         simulation.advance(100)
         # The errors of all substeps add up, and decay with the motion.
         assert off(sliders, simulation) <= 100.0 * tolerance

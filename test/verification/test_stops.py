@@ -161,10 +161,7 @@ def test_order_of_event_times(method, order):
     steps = {2: (8e-3, 4e-3, 2e-3), 4: (2e-2, 1e-2, 5e-3), 8: (0.2, 0.14, 0.1)}[order]
     exact = impacts(Engine(scene_from_text(text), "rkmk8", 5e-3), 5, 2000)[-1].time
     errors = [
-        abs(
-            impacts(Engine(scene_from_text(text), method, step), 5, round(10 / step))[-1].time
-            - exact
-        )
+        abs(impacts(Engine(scene_from_text(text), method, step), 5, round(10 / step))[-1].time - exact)
         for step in steps
     ]
     slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
@@ -262,19 +259,13 @@ def test_a_place_beyond_a_stop_is_refused():
             engine.place(joints={"pivot": (angle, 0.0)})
         assert all(map(np.array_equal, engine.state(), before))
     turned = engine.sample().pose_matrices[0].copy()
-    turned[:3, :3] = [
-        [1, 0, 0],
-        [0, math.cos(0.05), -math.sin(0.05)],
-        [0, math.sin(0.05), math.cos(0.05)],
-    ]
+    turned[:3, :3] = [[1, 0, 0], [0, math.cos(0.05), -math.sin(0.05)], [0, math.sin(0.05), math.cos(0.05)]]
     with pytest.raises(SceneError, match="0.05 rad is not between 0.1 and 2"):
         engine.place({"bob": turned})
     engine.place(joints={"pivot": (0.1, 0.0)})
     engine.advance(1)
     assert engine.modes == {"pivot": "lower"}
-    soft = Engine(
-        scene_from_text(text.replace("restitution: 0.7", "stiffness: 100")), "rkmk4", 1e-2
-    )
+    soft = Engine(scene_from_text(text.replace("restitution: 0.7", "stiffness: 100")), "rkmk4", 1e-2)
     soft.place(joints={"pivot": (0.05, 0.0)})
     assert soft.sample().joint_coordinates["pivot"][0] == pytest.approx(0.05, abs=1e-12)
 
@@ -286,9 +277,7 @@ def test_the_modes_before_the_first_step_are_those_of_the_first_step():
     for _ in range(2):
         assert engine.sample().modes == {"pivot": "lower"}
         # At rest its stop bears the weight: the reaction about the axis is not that of a free joint.
-        assert abs(engine.sample().reactions["pivot"][2]) == pytest.approx(
-            1.3 * 0.8 * G * math.sin(0.4), abs=1e-12
-        )
+        assert abs(engine.sample().reactions["pivot"][2]) == pytest.approx(1.3 * 0.8 * G * math.sin(0.4), abs=1e-12)
         for each in (engine, other):
             each.apply_effort("pivot", 6.0, start=0.1)
             each.advance(100)
@@ -346,9 +335,7 @@ def test_instants_have_the_modes_after_their_events():
     assert np.array_equal(instants[-1].modes, engine.sample().switching)
     assert instants[0].events == [] and instants[0].time == 0.0
     # A rebound of 1 um takes 0.9 ms: more than a thousand in a step of 1 s.
-    text = BALL.replace("RESTITUTION", "1").replace(
-        "position: [0, 0, 1]", "position: [0, 0, 1.0e-6]"
-    )
+    text = BALL.replace("RESTITUTION", "1").replace("position: [0, 0, 1]", "position: [0, 0, 1.0e-6]")
     engine = Engine(scene_from_text(text), "rkmk4", 1.0)
     engine.drain_instants()
     with pytest.raises(SimulationError, match="more than 1000 impacts"):
@@ -518,9 +505,7 @@ def test_a_stop_after_many_turns_is_met_at_more_than_half_a_turn_per_step(kind, 
 def test_a_fixed_step_in_which_the_turn_is_lost_is_refused():
     """The rotor turns by 3.2 rad in a step."""
     engine = Engine(rotor(400.0), "rkmk4", 0.008)
-    with pytest.raises(
-        SimulationError, match="stops 'bearing' rotates by pi or more within one step"
-    ):
+    with pytest.raises(SimulationError, match="stops 'bearing' rotates by pi or more within one step"):
         engine.advance(1)
     assert engine.steps == 0
     Engine(rotor(400.0), "rkmk4", 0.0078).advance(10)  # 3.12 rad

@@ -117,8 +117,7 @@ def error_against(peer, rows, rotation, position):
         return Trajectory(None, turns, places, np.zeros((*places.shape[:2], 6)))
 
     off = distance(
-        motion(rotation, position),
-        motion(np.array(peer["rotation"])[rows], np.array(peer["position"])[rows]),
+        motion(rotation, position), motion(np.array(peer["rotation"])[rows], np.array(peer["position"])[rows])
     )
     return scaled(off.position, off.angle, peer["length"])
 
@@ -141,11 +140,7 @@ def test_the_cheapest_configurations_meet_their_stated_error(peer):
     """By the motion of the other software, at those of its instants that are whole steps; the
     errors that are said are the largest of more instants, and measured against our truth.
     """
-    (part,) = (
-        part
-        for part in json.loads(MEASURED.read_text())["scenes"]
-        if part["scene"] == peer["scene"]
-    )
+    (part,) = (part for part in json.loads(MEASURED.read_text())["scenes"] if part["scene"] == peer["scene"])
     assert part["horizon"] == peer["horizon"]
     for entry in part["cheapest"]:
         cell = part["cells"][entry["cell"]]
@@ -164,8 +159,6 @@ def test_the_cheapest_configurations_meet_their_stated_error(peer):
             simulation.advance(round(as_time(peer["times"][row]) / step) - simulation.steps)
             poses.append(simulation.sample().pose)
         poses = np.array(poses)
-        error = error_against(
-            peer, rows, poses[..., :9].reshape(*poses.shape[:2], 3, 3), poses[..., 9:]
-        )
+        error = error_against(peer, rows, poses[..., :9].reshape(*poses.shape[:2], 3, 3), poses[..., 9:])
         assert len(rows) >= 5 and part["margin"] * cell["error"] <= entry["accuracy"]
         assert error <= cell["error"] + part["reference"]["known"] + peer["known"]

@@ -49,9 +49,7 @@ def moving(rng, scene):
     twists = {"world": np.zeros(6)}
     held = {
         joint.child: (joint, frames, elements)
-        for joint, frames, elements in zip(
-            scene.joints, resolve_frames(scene), resolve_elements(scene)
-        )
+        for joint, frames, elements in zip(scene.joints, resolve_frames(scene), resolve_elements(scene))
     }
     for name in bodies:
         if name not in held:

@@ -62,9 +62,7 @@ def set_old(memory, numbers):
     """Write memory.old, from Vdot and a at the start of a step."""
     inverse = 1.0 / (1.0 - numbers.alpha_m)
     for k in range(len(memory.rate)):
-        memory.old[k] = inverse * (
-            numbers.alpha_f * memory.rate[k] - numbers.alpha_m * memory.mean[k]
-        )
+        memory.old[k] = inverse * (numbers.alpha_f * memory.rate[k] - numbers.alpha_m * memory.mean[k])
 
 
 @kernel
@@ -95,9 +93,6 @@ def set_size(model, memory, pose):
         r = load3(pose, i, 9)
         largest = max(largest, math.sqrt(dot3(r, r)))
     for e in range(len(model.elements)):
-        for r in (
-            vector3(model.elements[e]["parent_point"]),
-            vector3(model.elements[e]["child_point"]),
-        ):
+        for r in (vector3(model.elements[e]["parent_point"]), vector3(model.elements[e]["child_point"])):
             largest = max(largest, math.sqrt(dot3(r, r)))
     memory.size[0] = largest

@@ -138,18 +138,10 @@ class GeneralizedAlpha:
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place; returns (steps done, status)."""
         inputs = np.concatenate(
-            (
-                (h,),
-                external.ravel(),
-                self.work.acting,
-                self.work.wanted.ravel(),
-                self.work.motions.ravel(),
-            )
+            ((h,), external.ravel(), self.work.acting, self.work.wanted.ravel(), self.work.motions.ravel())
         )
         if self._started_for.tobytes() != inputs.tobytes():
-            dependent = self._initialise(
-                self._model, self._work, self._memory, pose, twist, external
-            )
+            dependent = self._initialise(self._model, self._work, self._memory, pose, twist, external)
             if dependent >= 0:
                 return 0, DEPENDENT_ROWS + (dependent << 8)
             self._shift_mean(h, pose, twist, external)
@@ -160,9 +152,7 @@ class GeneralizedAlpha:
         return done, status
 
     def _take(self, h, steps, pose, twist, external):
-        return self._advance(
-            self._model, self._work, self._memory, self._numbers, h, steps, pose, twist, external
-        )
+        return self._advance(self._model, self._work, self._memory, self._numbers, h, steps, pose, twist, external)
 
     def _shift_mean(self, h, pose, twist, external):
         """Shift a by alpha_m - alpha_f steps from Vdot, by a trial step.

@@ -36,9 +36,7 @@ def _differentiate(model, work, memory, numbers, h, pose, external):
     """
     for c in range(len(memory.x)):
         value = memory.x[c]
-        memory.x[c] += (
-            DISPLACEMENT / sigma(numbers, h) if c < len(memory.rate) else 1.0 + abs(value)
-        )
+        memory.x[c] += DISPLACEMENT / sigma(numbers, h) if c < len(memory.rate) else 1.0 + abs(value)
         change = memory.x[c] - value
         status = residual(model, work, memory, numbers, h, pose, external)
         memory.x[c] = value

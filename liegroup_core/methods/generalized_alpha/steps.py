@@ -55,11 +55,7 @@ def set_unknowns(model, work, memory, pose, twist, external):
     n = len(model.parts)
     for b in range(len(model.bodies)):
         if is_direct(model, model.bodies[b]):
-            at, w, v = (
-                model.bodies[b]["freedom"] + 3,
-                load3(twist, n + b, 0),
-                load3(twist, n + b, 3),
-            )
+            at, w, v = (model.bodies[b]["freedom"] + 3, load3(twist, n + b, 0), load3(twist, n + b, 3))
             rate = to_world_rate(pose, n + b, w, v, load_column(work.acceleration, at, 0))
             memory.x[at], memory.x[at + 1], memory.x[at + 2] = rate
     for r in range(len(work.multipliers)):

@@ -18,9 +18,7 @@ class Collocation(Struct):
     real_value: float
     pair_value: np.ndarray  # (2,) real and imaginary part
     estimate: np.ndarray  # (3,) weights of the z_j in the error estimate
-    known: (
-        np.ndarray
-    )  # (1,) 1: the Jacobian is that of this substep or of an earlier one of the step
+    known: np.ndarray  # (1,) 1: the Jacobian is that of this substep or of an earlier one of the step
     z: np.ndarray  # (5, f, 2) y of the stages, of a perturbed start, and of the end
     slopes: np.ndarray  # (5, f, 2) F there
     initial: np.ndarray  # (f, 2) F at the start

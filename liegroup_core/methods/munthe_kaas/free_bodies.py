@@ -61,11 +61,7 @@ def store_slopes_of_bodies(model, work, scheme, stage):
     """Stage derivatives k of all bodies, from the accelerations of a stage."""
     n, slopes = len(model.parts), work.slopes
     for i in range(n):
-        w, v, at = (
-            load3(work.stage_twist, n + i, 0),
-            load3(work.stage_twist, n + i, 3),
-            6 * (stage * n + i),
-        )
+        w, v, at = (load3(work.stage_twist, n + i, 0), load3(work.stage_twist, n + i, 3), 6 * (stage * n + i))
         if stage > 0:
             xi = scale3(-1.0, load_column(slopes, at, 0))
             eta = scale3(-1.0, load_column(slopes, at + 3, 0))

@@ -21,12 +21,7 @@ for stiff forces.
 import math
 
 from liegroup_core.compiling import borrowed, kernel, subroutine
-from liegroup_core.methods.dense_lu import (
-    complex_lu_factorise,
-    complex_lu_solve,
-    lu_factorise,
-    lu_solve,
-)
+from liegroup_core.methods.dense_lu import complex_lu_factorise, complex_lu_solve, lu_factorise, lu_solve
 from liegroup_core.status import DEPENDENT_ROWS, NOT_CONVERGED, OK
 
 from . import steps
@@ -162,9 +157,7 @@ def _correct(newton, h):
             right_b += pair[j, 1] * (two + a * one) + pair[j, 0] * b * one
         newton.x[r], newton.real_x[r], newton.imag_x[r] = right, right_a, right_b
     lu_solve(newton.factors, newton.pivots, newton.x)
-    complex_lu_solve(
-        newton.real_factors, newton.imag_factors, newton.pair_pivots, newton.real_x, newton.imag_x
-    )
+    complex_lu_solve(newton.real_factors, newton.imag_factors, newton.pair_pivots, newton.real_x, newton.imag_x)
     largest = 0.0
     for p in range(f):
         one, one_a, one_b = 0.0, 0.0, 0.0

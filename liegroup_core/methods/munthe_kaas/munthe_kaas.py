@@ -26,17 +26,7 @@ from liegroup_core.status import DEPENDENT_ROWS, EVENT, OK, SUBSTEP_TOO_SMALL, T
 
 from . import explicit, implicit
 from .error_control import ROUNDING, judge
-from .steps import (
-    begin,
-    check_end,
-    close,
-    count_turns,
-    enter,
-    has_event,
-    leave,
-    store_slopes,
-    watches,
-)
+from .steps import begin, check_end, close, count_turns, enter, has_event, leave, store_slopes, watches
 
 MOST_SUBSTEPS = 100_000
 # If no substep meets the tolerance, as next to a singular pose, a step is repeated with these multiples.
@@ -122,13 +112,9 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
             work.report[1] = work.report[4] = 0.0
             begin(model, work, pose, twist)
             if len(scheme.newton.z) > 0:
-                status = implicit.substep(
-                    scheme, model, work, size, start, h - remaining, first, pose, external
-                )
+                status = implicit.substep(scheme, model, work, size, start, h - remaining, first, pose, external)
             else:
-                status = explicit.substep(
-                    scheme, model, work, size, start, h - remaining, first, pose, external
-                )
+                status = explicit.substep(scheme, model, work, size, start, h - remaining, first, pose, external)
             if status == OK:
                 status = check_end(model, work, size)
             if controlled:
@@ -197,9 +183,7 @@ class MuntheKaas:
         self.add(method)
         self.switching = None
         if len(self._model.switches):
-            self.switching = Switching(
-                self._model, self._work, layout.switch_sizes, self._pass, self._control
-            )
+            self.switching = Switching(self._model, self._work, layout.switch_sizes, self._pass, self._control)
         self.restart()
 
     def add(self, method, looser=1.0):
@@ -224,8 +208,7 @@ class MuntheKaas:
         if method.implicit:
             del choices["dexpinv"]  # there is no order at which its iterations could stop
         options = {
-            name: (values[0], " or ".join(map(repr, values)), values.__contains__)
-            for name, values in choices.items()
+            name: (values[0], " or ".join(map(repr, values)), values.__contains__) for name, values in choices.items()
         }
         if method.controlled:
             options["rtol"] = options["atol"] = (1e-6, "a positive number", is_positive)
@@ -331,6 +314,4 @@ class MuntheKaas:
 
     def _take(self, h, steps, pose, twist, external):
         scheme, advance_with, _ = self._methods[self.chosen]
-        return advance_with(
-            self._model, self._work, scheme, h, steps, pose, twist, external, self._control
-        )
+        return advance_with(self._model, self._work, scheme, h, steps, pose, twist, external, self._control)

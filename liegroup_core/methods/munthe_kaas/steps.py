@@ -24,14 +24,7 @@ from liegroup_core.lie.vec3 import dot3, load3, load_column, store3, store_colum
 from liegroup_core.methods.checks import end_status
 from liegroup_core.motion_groups.direct import to_link, to_world, to_world_rate
 from liegroup_core.motion_groups.table import column_twist, is_curved, slope
-from liegroup_core.status import (
-    LARGEST_ROTATION,
-    NO_FRICTION,
-    NOT_FINITE,
-    OK,
-    ROTATION_TOO_LARGE,
-    TURNS_NOT_COUNTED,
-)
+from liegroup_core.status import LARGEST_ROTATION, NO_FRICTION, NOT_FINITE, OK, ROTATION_TOO_LARGE, TURNS_NOT_COUNTED
 
 from .errors import error_square as error_square
 from .free_bodies import move_bodies, store_slopes_of_bodies

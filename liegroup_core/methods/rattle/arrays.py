@@ -12,9 +12,7 @@ TOLERANCE, STUCK = 1e-15, 100.0
 MAX_REPEATS = 100
 # Corrections that Broyden's method stores before it restarts.
 HISTORY = 8
-LONGER = (
-    10.0  # than the last substep: such a substep is too long for the growth known from the last one
-)
+LONGER = 10.0  # than the last substep: such a substep is too long for the growth known from the last one
 
 
 class Memory(Struct):
@@ -26,22 +24,16 @@ class Memory(Struct):
     centre: np.ndarray  # (L, 3) centre of mass in the link, m
     central: np.ndarray  # (L, 6) inertia about it: xx, xy, xz, yy, yz, zz
     weight: np.ndarray = shaped("links", 3)  # acceleration of gravity, link axes
-    load: np.ndarray = shaped(
-        "links", "twist"
-    )  # Q at the start of a substep, then at its end; about the origin
+    load: np.ndarray = shaped("links", "twist")  # Q at the start of a substep, then at its end; about the origin
     last_load: np.ndarray = shaped("links", "twist")  # that of the last iteration
-    impulse: np.ndarray = shaped(
-        "links", "twist"
-    )  # M V + (h/2) Q, then M V'+ + (h/2) Q+, about the origin
+    impulse: np.ndarray = shaped("links", "twist")  # M V + (h/2) Q, then M V'+ + (h/2) Q+, about the origin
     half: np.ndarray = shaped("links", "twist")  # M V' about the centre of mass, axes of the start
     # Displacement of each link in a substep, axes of the start: unit quaternion (real part first), m, bound
     # of the angle. In a plane: angle, cos - 1, sin, m
     moves: np.ndarray = shaped("links", 8)
     world: np.ndarray = shaped("links", 12)  # poses at the end of a substep; of links at cut joints
     psi: np.ndarray = shaped("freedoms", 1)  # displacements of the joints in a substep
-    corrections: np.ndarray = shaped(
-        HISTORY, "freedoms"
-    )  # of psi, then of the rates, in this substep
+    corrections: np.ndarray = shaped(HISTORY, "freedoms")  # of psi, then of the rates, in this substep
     residual: np.ndarray = shaped("freedoms")  # of the rates at the end
     bias: np.ndarray = shaped("freedoms")  # (2/h) (psi/h - qdot) of the last substep
     growth: np.ndarray = shaped("freedoms")  # time derivative of `bias`

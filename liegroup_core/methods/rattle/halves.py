@@ -31,14 +31,7 @@ from liegroup_core.dynamics.trees import move_links, spread_response
 from liegroup_core.forces.kinds import count_turns
 from liegroup_core.methods.broyden import broyden
 from liegroup_core.methods.checks import end_status
-from liegroup_core.status import (
-    DEPENDENT_ROWS,
-    LARGEST_ROTATION,
-    NOT_CONVERGED,
-    NOT_FINITE,
-    OK,
-    ROTATION_TOO_LARGE,
-)
+from liegroup_core.status import DEPENDENT_ROWS, LARGEST_ROTATION, NOT_CONVERGED, NOT_FINITE, OK, ROTATION_TOO_LARGE
 
 from .arrays import HISTORY, MAX_REPEATS, STUCK, TOLERANCE, times_between
 from .free_bodies import first_half_of_bodies, loads_of_bodies, second_half_of_bodies
@@ -229,9 +222,7 @@ def first_half(model, work, memory, h, fresh):
         rate = 1.0 if previous == math.inf else max(0.01, min(1.0, change / previous))
         noise = 2.0**-52 * (size + length)
         done = closed and (
-            change * rate <= 2.0**-53 * size
-            or change <= noise
-            or (0.5 * previous < change <= STUCK * noise)
+            change * rate <= 2.0**-53 * size or change <= noise or (0.5 * previous < change <= STUCK * noise)
         )
         previous = change
     if not done:
@@ -242,9 +233,7 @@ def first_half(model, work, memory, h, fresh):
         first = model.bodies[b]["freedom"]
         for k in range(model.bodies[b]["freedoms"]):
             # 2 V' - V, the initial guess of V+
-            work.stage_twist[n + b, k] = (
-                2.0 / h * memory.psi[first + k, 0] - work.stage_twist[n + b, k]
-            )
+            work.stage_twist[n + b, k] = 2.0 / h * memory.psi[first + k, 0] - work.stage_twist[n + b, k]
         move_coordinates(model, b, memory.psi, work.stage_pose)
         normalise(model, b, work.stage_pose)
     return OK

@@ -9,8 +9,7 @@ from . import plane_links, space_links
 
 _move_coordinates = of_group("move_coordinates")
 displace_links, place_ends, weigh, transport = (
-    by_space(name, space_links, plane_links)
-    for name in ("displace_links", "place_ends", "weigh", "transport")
+    by_space(name, space_links, plane_links) for name in ("displace_links", "place_ends", "weigh", "transport")
 )
 
 

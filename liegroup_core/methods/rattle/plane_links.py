@@ -36,10 +36,7 @@ def displace_links(model, work, memory, h):
             tx = moves[a, 3] + (less * px - s * py)
             ty = moves[a, 4] + (s * px + less * py)
             c0, s0 = pose[row, 0], pose[row, 1]
-            x, y = (
-                (c0 * tx + s0 * ty) + (x + (less * x - s * y)),
-                (c0 * ty - s0 * tx) + (y + (s * x + less * y)),
-            )
+            x, y = ((c0 * tx + s0 * ty) + (x + (less * x - s * y)), (c0 * ty - s0 * tx) + (y + (s * x + less * y)))
             angle += moves[a, 0]
         square = angle * angle
         if not square <= largest:
@@ -68,11 +65,7 @@ def place_ends(model, work, memory):
             if b != WORLD:
                 c, s = place[b, 0], place[b, 1]
                 less, sine, x, y = moves[b, 1], moves[b, 2], moves[b, 3], moves[b, 4]
-                point = (
-                    place[b, 2] + (c * x - s * y),
-                    place[b, 3] + (s * x + c * y),
-                    model.link_heights[b],
-                )
+                point = (place[b, 2] + (c * x - s * y), place[b, 3] + (s * x + c * y), model.link_heights[b])
                 c, s = c + (less * c - sine * s), s + (less * s + sine * c)
                 store9(turned(axes, c, s), memory.world, b, 0)
                 store3(matvec3(axes, point), memory.world, b, 9)

@@ -106,9 +106,7 @@ def make_spinners(model):
     for element in model.elements:
         spinner = spinners[element["child"]]
         d = -element["child_point"]
-        inertia = spinner["inertia"].reshape(3, 3) + spinner["mass"] * (
-            d @ d * np.eye(3) - np.outer(d, d)
-        )
+        inertia = spinner["inertia"].reshape(3, 3) + spinner["mass"] * (d @ d * np.eye(3) - np.outer(d, d))
         spinner["held"], spinner["arm"], spinner["pivot"] = 1, d, element["parent_point"]
         spinner["inertia"] = inertia.ravel()
         spinner["inverse_inertia"] = np.linalg.inv(inertia).ravel()

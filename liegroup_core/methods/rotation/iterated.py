@@ -7,18 +7,7 @@ maps.py has the equations of one body, rotation.py the loop over the steps.
 import math
 
 from liegroup_core.compiling import kernel
-from liegroup_core.lie.vec3 import (
-    add3,
-    axpy3,
-    dot3,
-    load3,
-    load9,
-    matmul3,
-    matrix3,
-    scale3,
-    store3,
-    store9,
-)
+from liegroup_core.lie.vec3 import add3, axpy3, dot3, load3, load9, matmul3, matrix3, scale3, store3, store9
 from liegroup_core.methods.broyden import broyden
 from liegroup_core.status import NOT_CONVERGED, OK
 
@@ -83,16 +72,8 @@ def iterated(rule, spinners, work, memory, loads, h, evaluation, pose, twist):
         spinner = spinners[i]
         inertia, inverse = matrix3(spinner["inertia"]), matrix3(spinner["inverse_inertia"])
         by_torque, by_force = _scales(spinner)
-        torque = (
-            loads[6 * i] / by_torque,
-            loads[6 * i + 1] / by_torque,
-            loads[6 * i + 2] / by_torque,
-        )
-        force = (
-            loads[6 * i + 3] / by_force,
-            loads[6 * i + 4] / by_force,
-            loads[6 * i + 5] / by_force,
-        )
+        torque = (loads[6 * i] / by_torque, loads[6 * i + 1] / by_torque, loads[6 * i + 2] / by_torque)
+        force = (loads[6 * i + 3] / by_force, loads[6 * i + 4] / by_force, loads[6 * i + 5] / by_force)
         w = load3(twist, i, 0)
         guess = load3(memory, i, TURN)
         if evaluation == 0:
@@ -127,9 +108,7 @@ def iterated(rule, spinners, work, memory, loads, h, evaluation, pose, twist):
             length = max(length, abs(r_load[c]))
         change = max(
             _largest_difference(u, guess),
-            _largest_difference(r_load, load3(work.stage_pose, i, 9)) / length
-            if spinner["held"] == 0
-            else 0.0,
+            _largest_difference(r_load, load3(work.stage_pose, i, 9)) / length if spinner["held"] == 0 else 0.0,
         )
         if evaluation == 0:
             change = math.inf

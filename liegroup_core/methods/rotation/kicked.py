@@ -7,17 +7,7 @@ maps.py has the equations of one body, rotation.py the loop over the steps.
 import math
 
 from liegroup_core.compiling import kernel
-from liegroup_core.lie.vec3 import (
-    axpy3,
-    dot3,
-    load3,
-    load9,
-    matmul3,
-    matrix3,
-    matvec3,
-    scale3,
-    store3,
-)
+from liegroup_core.lie.vec3 import axpy3, dot3, load3, load9, matmul3, matrix3, matvec3, scale3, store3
 from liegroup_core.status import NO_RATTLE_STEP, NOT_CONVERGED, NOT_FINITE, OK
 
 from .bodies import LINEAR, MOMENTUM, VELOCITY, linear_momentum, load, place
@@ -54,25 +44,10 @@ def kicked(rule, spinners, work, memory, h, evaluation, pose, twist):
             store3(linear, memory, i, LINEAR)
             rot = renormalised(matmul3(load9(pose, i, 0), rotation))
             r = axpy3(h / spinner["mass"], linear, load3(pose, i, 9))
-            place(
-                spinner,
-                i,
-                rot,
-                guess,
-                r,
-                axpy3(0.5 * h, force, linear),
-                work.stage_pose,
-                work.stage_twist,
-            )
+            place(spinner, i, rot, guess, r, axpy3(0.5 * h, force, linear), work.stage_pose, work.stage_twist)
         else:
             w, converged = kicked_end(
-                rule,
-                inertia,
-                inverse,
-                h,
-                load3(memory, i, VELOCITY),
-                load3(memory, i, MOMENTUM),
-                torque,
+                rule, inertia, inverse, h, load3(memory, i, VELOCITY), load3(memory, i, MOMENTUM), torque
             )
             if not converged:
                 return NOT_CONVERGED, True

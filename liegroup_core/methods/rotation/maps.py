@@ -23,18 +23,7 @@ ITERATED, with a torque that depends on the result of the step:
 
 from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.lie.so3 import so3_exp
-from liegroup_core.lie.vec3 import (
-    ZERO3,
-    add3,
-    axpy3,
-    cross3,
-    dot3,
-    matmul3,
-    matvec3,
-    scale3,
-    sub3,
-    tmatvec3,
-)
+from liegroup_core.lie.vec3 import ZERO3, add3, axpy3, cross3, dot3, matmul3, matvec3, scale3, sub3, tmatvec3
 
 from .newton import GYROSCOPIC, follow, newton
 from .newton import RATTLE as RATTLE_EQUATION
@@ -133,14 +122,7 @@ def kicked_rotation(rule, inertia, inverse, h, w, torque):
         x = axpy3(h, w, scale3(0.5 * h * h, a))
     elif rule == RATTLE:
         x, converged = newton(
-            RATTLE_EQUATION,
-            inertia,
-            h,
-            scale3(h, matvec3(inverse, p)),
-            ZERO3,
-            ZERO3,
-            ZERO3,
-            scale3(h, p),
+            RATTLE_EQUATION, inertia, h, scale3(h, matvec3(inverse, p)), ZERO3, ZERO3, ZERO3, scale3(h, p)
         )
     else:
         x, converged = newton(GYROSCOPIC, inertia, h, matvec3(inverse, p), ZERO3, ZERO3, ZERO3, p)

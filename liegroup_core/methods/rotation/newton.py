@@ -14,18 +14,7 @@ import math
 from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.lie.coefficients import dexp_slopes, dexpinv_coefficients, exp_coefficients
 from liegroup_core.lie.so3 import so3_dexp, so3_exp
-from liegroup_core.lie.vec3 import (
-    IDENTITY3,
-    axpy3,
-    cross3,
-    dot3,
-    matmul3,
-    matvec3,
-    scale3,
-    solve3,
-    sub3,
-    tmatvec3,
-)
+from liegroup_core.lie.vec3 import IDENTITY3, axpy3, cross3, dot3, matmul3, matvec3, scale3, solve3, sub3, tmatvec3
 
 GYROSCOPIC, RATTLE, INCREMENT, EXPONENTIAL = 0, 1, 2, 3
 
@@ -119,10 +108,7 @@ def _equation(kind, inertia, h, x, v, a, b, c):
     gyration = cross3(x, Ix)
     gyration_slope = _combine(1.0, matmul3(_hat(x), inertia), -1.0, _hat(Ix))
     if kind == GYROSCOPIC:
-        return (
-            sub3(axpy3(0.5 * h, gyration, Ix), c),
-            _combine(1.0, inertia, 0.5 * h, gyration_slope),
-        )
+        return (sub3(axpy3(0.5 * h, gyration, Ix), c), _combine(1.0, inertia, 0.5 * h, gyration_slope))
     squared = dot3(x, x)
     if kind == EXPONENTIAL:
         b, u = dexpinv_coefficients(squared)
@@ -138,10 +124,7 @@ def _equation(kind, inertia, h, x, v, a, b, c):
         return (
             sub3(axpy3(b, twice, axpy3(0.5, gyration, Ix)), c),
             _combine(
-                1.0,
-                _combine(1.0, inertia, 0.5, gyration_slope),
-                1.0,
-                _combine(b, twice_slope, u, _outer(twice, x)),
+                1.0, _combine(1.0, inertia, 0.5, gyration_slope), 1.0, _combine(b, twice_slope, u, _outer(twice, x))
             ),
         )
     sinc, versinc, cubic = exp_coefficients(squared)

@@ -62,11 +62,7 @@ RULES = {
     "lie_midpoint": LIE_MIDPOINT,
     "simo_wong": SIMO_WONG,
     "bottasso_borri_candidate": BOTTASSO_BORRI,
-} | {
-    name: RUNGE_KUTTA
-    for name, method in METHODS.items()
-    if method.family == "rotation" and method.coefficients
-}
+} | {name: RUNGE_KUTTA for name, method in METHODS.items() if method.family == "rotation" and method.coefficients}
 
 # An ITERATED step is repeated until no displacement changes by more than TOLERANCE, in rad and
 # relative to the largest coordinate or 1 m. If round-off is larger: until the change is below STUCK
@@ -76,21 +72,7 @@ MAX_REPEATS = 100
 
 
 @stepper
-def advance(
-    model,
-    work,
-    spinners,
-    memory,
-    loads,
-    corrections,
-    rule,
-    weights,
-    h,
-    steps,
-    pose,
-    twist,
-    external,
-):
+def advance(model, work, spinners, memory, loads, corrections, rule, weights, h, steps, pose, twist, external):
     """Take `steps` steps of size h in place of pose (n, 12) and twist (n, 6).
 
     spinners            : (n,) records of bodies.SPINNER
@@ -117,29 +99,17 @@ def advance(
             set_external_wrenches(external, work.stage_pose, work.wrench)
             add_gravity(model, work.stage_pose, work.wrench)
             add_wrenches(
-                model.forces,
-                work.angle,
-                work.acting,
-                work.wanted,
-                work.stage_pose,
-                work.stage_twist,
-                work.wrench,
+                model.forces, work.angle, work.acting, work.wanted, work.stage_pose, work.stage_twist, work.wrench
             )
             if rule == RUNGE_KUTTA:
-                status, finished = staged(
-                    spinners, work, memory, weights, h, evaluation, pose, twist
-                )
+                status, finished = staged(spinners, work, memory, weights, h, evaluation, pose, twist)
             elif rule < FIRST_ITERATED:
                 status, finished = kicked(rule, spinners, work, memory, h, evaluation, pose, twist)
             else:
                 update_loads(spinners, work, loads, corrections, evaluation)
-                status, change = iterated(
-                    rule, spinners, work, memory, loads, h, evaluation, pose, twist
-                )
+                status, change = iterated(rule, spinners, work, memory, loads, h, evaluation, pose, twist)
                 finished = (
-                    status != OK
-                    or change <= TOLERANCE
-                    or (0.5 * max(previous, earlier) < change <= STUCK * TOLERANCE)
+                    status != OK or change <= TOLERANCE or (0.5 * max(previous, earlier) < change <= STUCK * TOLERANCE)
                 )
                 previous, earlier = change, previous
                 if finished and status == OK:

@@ -70,9 +70,7 @@ class Problem:
 
     def samples(self):
         """Step counts (k,) at which the motion is compared."""
-        return np.unique(
-            np.linspace(0, self.steps, min(self.steps, MOST_SAMPLES) + 1).round().astype(int)
-        )
+        return np.unique(np.linspace(0, self.steps, min(self.steps, MOST_SAMPLES) + 1).round().astype(int))
 
 
 def run_cell(problem, truth, method, make=Simulation):
@@ -96,12 +94,7 @@ def run_cell(problem, truth, method, make=Simulation):
     began = time.process_time()
     with _listening() as said:
         try:
-            simulation = make(
-                problem.scene,
-                None if method == DEFAULT else method,
-                problem.step,
-                **problem.settings,
-            )
+            simulation = make(problem.scene, None if method == DEFAULT else method, problem.step, **problem.settings)
         except (SceneError, ValueError) as error:
             return cell | {"verdict": REFUSED, "says": [str(error)]}
         stopped = _run(simulation, problem, truth, cell, said)
@@ -125,9 +118,7 @@ def _run(simulation, problem, truth, cell, said):
         pose = sample.pose[rows]
         position, attitude = sample.errors[rows, :2].max(axis=0).tolist()
         estimate = max(attitude / angle_size, position / length_size)
-        angle, way = apart(
-            pose[:, :9].reshape(-1, 3, 3), pose[:, 9:], truth.rotation[k], truth.position[k]
-        )
+        angle, way = apart(pose[:, :9].reshape(-1, 3, 3), pose[:, 9:], truth.rotation[k], truth.position[k])
         error = max(angle / angle_size, way / length_size)
         cell["error"] = float(max(cell["error"] or 0.0, error))
         if steps and not math.isnan(estimate):  # NaN: before the first meeting of the two runs
@@ -159,9 +150,7 @@ def judged(cell, bound):
 def judge_alike(cells, natural):
     """Compare the errors of scaled problems with those at the natural scale."""
     errors = {
-        cell["method"]: cell["error"]
-        for cell in cells
-        if cell["value"] == natural and cell["verdict"] == ACCURATE
+        cell["method"]: cell["error"] for cell in cells if cell["value"] == natural and cell["verdict"] == ACCURATE
     }
     for cell in cells:
         if cell["verdict"] == ACCURATE and cell["method"] in errors:
@@ -182,11 +171,7 @@ def apart(rotation, position, rotation_2, position_2):
     """
     turn = rotation @ np.swapaxes(rotation_2, -1, -2)
     sine = 0.5 * np.stack(
-        [
-            turn[..., 2, 1] - turn[..., 1, 2],
-            turn[..., 0, 2] - turn[..., 2, 0],
-            turn[..., 1, 0] - turn[..., 0, 1],
-        ],
+        [turn[..., 2, 1] - turn[..., 1, 2], turn[..., 0, 2] - turn[..., 2, 0], turn[..., 1, 0] - turn[..., 0, 1]],
         axis=-1,
     )
     cosine = 0.5 * (np.trace(turn, axis1=-2, axis2=-1) - 1.0)

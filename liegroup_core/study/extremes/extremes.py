@@ -154,10 +154,7 @@ def column(item):
     try:
         layout = make_layout(problem.scene)
     except SceneError as error:
-        refused = [
-            where | {"method": method, "verdict": REFUSED, "says": [str(error)]}
-            for method in methods
-        ]
+        refused = [where | {"method": method, "verdict": REFUSED, "says": [str(error)]} for method in methods]
         if axis.alike is None:
             return refused
         layout = make_layout(axis.problem(axis.alike).scene)  # the same joints
@@ -167,10 +164,7 @@ def column(item):
     try:
         truth = problem.motion(problem.samples() * problem.step)
     except (SimulationError, ValueError) as error:
-        return [
-            where | {"method": method, "verdict": UNJUDGED, "says": [str(error)]}
-            for method in methods
-        ]
+        return [where | {"method": method, "verdict": UNJUDGED, "says": [str(error)]} for method in methods]
     return [where | run_cell(problem, truth, method) for method in methods]
 
 

@@ -35,10 +35,7 @@ def free_body(inertia, omega):
     from liegroup_core.reference import elliptic
 
     def motion(times):
-        R = [
-            elliptic.to_floats(elliptic.free_body(inertia, np.eye(3), omega, t, DIGITS)[0])
-            for t in times.tolist()
-        ]
+        R = [elliptic.to_floats(elliptic.free_body(inertia, np.eye(3), omega, t, DIGITS)[0]) for t in times.tolist()]
         # Round-off of the times and the initial state; the elliptic functions are exact.
         turned = np.linalg.norm(omega) * times[-1]
         return Truth(np.array(R)[:, None], np.zeros((len(times), 1, 3)), 1e-15 * (1.0 + turned))
@@ -169,13 +166,7 @@ def four_bar(crank, rate, bars, length):
             np.sqrt(
                 2.0
                 * energy
-                / (
-                    I1
-                    + 0.25 * m1 * crank**2
-                    + m2 * middle @ middle
-                    + I2 * turn**2
-                    + (I3 + 0.25 * m3) * swing**2
-                )
+                / (I1 + 0.25 * m1 * crank**2 + m2 * middle @ middle + I2 * turn**2 + (I3 + 0.25 * m3) * swing**2)
             ),
         )
 
@@ -200,13 +191,7 @@ def _solved(rate, times, start):
     if not times[-1] > 0.0:
         return np.repeat(start[:, None], len(times), axis=1)
     return solve_ivp(
-        rate,
-        (0.0, times[-1]),
-        start,
-        "DOP853",
-        times,
-        rtol=TIGHT,
-        atol=TIGHT * (np.abs(start).max() or 1.0),
+        rate, (0.0, times[-1]), start, "DOP853", times, rtol=TIGHT, atol=TIGHT * (np.abs(start).max() or 1.0)
     ).y
 
 

@@ -68,12 +68,7 @@ def racket(offset, step=0.05):
     a, b, c = INERTIA
     rate = math.sqrt((b - a) * (c - b) / (a * c))
     # The first flip is where offset e^(rate t) is about 1; round-off grows by the same factor.
-    return _free(
-        INERTIA,
-        (offset, 1.0, offset),
-        step,
-        math.ceil((1.3 * math.log(2.0 / offset) / rate + 5.0) / step),
-    )
+    return _free(INERTIA, (offset, 1.0, offset), step, math.ceil((1.3 * math.log(2.0 / offset) / rate + 5.0) / step))
 
 
 def inertia_rod(ratio, step=0.05):
@@ -117,11 +112,7 @@ def _top(inertia, length, rotation, omega, gravity=DOWN, field=None, forces=(), 
 def _vector(rotation):
     """Rotation vector about a coordinate axis, accurate for tiny angles."""
     sine = 0.5 * np.array(
-        [
-            rotation[2, 1] - rotation[1, 2],
-            rotation[0, 2] - rotation[2, 0],
-            rotation[1, 0] - rotation[0, 1],
-        ]
+        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
     )
     axis = np.flatnonzero(sine)
     if len(axis) == 0:
@@ -196,13 +187,7 @@ def angle(amplitude, part=0.1):
         name="pendulum",
         gravity=DOWN,
         bodies=[
-            Body(
-                name="bob",
-                mass=1.0,
-                inertia=TOP_INERTIA,
-                position=hanging,
-                rotation_vector=(0.0, amplitude, 0.0),
-            )
+            Body(name="bob", mass=1.0, inertia=TOP_INERTIA, position=hanging, rotation_vector=(0.0, amplitude, 0.0))
         ],
         joints=[
             Joint(
@@ -230,36 +215,18 @@ def angle(amplitude, part=0.1):
 
 def mass_chain(ratio):
     """Two jointed rods of 1 m whose masses are in such a ratio, falling for 0.8 s, 1 ms."""
-    rods = [
-        Rod(axis=(1, 0, 0), length=1.0, radius=0.05, mass=m, position=(0.5, 0, 0))
-        for m in (1.0, ratio)
-    ]
+    rods = [Rod(axis=(1, 0, 0), length=1.0, radius=0.05, mass=m, position=(0.5, 0, 0)) for m in (1.0, ratio)]
     far, hinge = Frame(position=(1.0, 0, 0), axis=(0, 1, 0)), Frame(axis=(0, 1, 0))
-    bodies = [
-        Body(name="upper", shape=rods[0]),
-        Body(name="lower", shape=rods[1], position=(1.0, 0, 0)),
-    ]
+    bodies = [Body(name="upper", shape=rods[0]), Body(name="lower", shape=rods[1], position=(1.0, 0, 0))]
     scene = Scene(
         name="rods",
         gravity=DOWN,
         bodies=bodies,
         joints=[
             Joint(
-                name="shoulder",
-                type="revolute",
-                parent="world",
-                child="upper",
-                child_frame=hinge,
-                parent_frame=hinge,
+                name="shoulder", type="revolute", parent="world", child="upper", child_frame=hinge, parent_frame=hinge
             ),
-            Joint(
-                name="elbow",
-                type="spherical",
-                parent="upper",
-                child="lower",
-                child_frame=hinge,
-                parent_frame=far,
-            ),
+            Joint(name="elbow", type="spherical", parent="upper", child="lower", child_frame=hinge, parent_frame=far),
         ],
     )
     motion = motions.two_rods([(body.mass, body.inertia_matrix[1, 1]) for body in bodies], GRAVITY)
@@ -270,17 +237,8 @@ def mass_spring(ratio):
     """Two free bodies whose masses are in such a ratio, on a spring off their centres, 2 s."""
     light = min(1.0, ratio)
     bodies = [
-        Body(
-            name=name,
-            mass=m,
-            inertia=(0.3 * m, 0.4 * m, 0.5 * m),
-            position=(x, 0, 0),
-            angular_velocity=w,
-        )
-        for name, m, x, w in (
-            ("one", 1.0, 0.0, (0.1, 0.5, 0.2)),
-            ("other", ratio, 1.5, (0.3, -0.4, 0.2)),
-        )
+        Body(name=name, mass=m, inertia=(0.3 * m, 0.4 * m, 0.5 * m), position=(x, 0, 0), angular_velocity=w)
+        for name, m, x, w in (("one", 1.0, 0.0, (0.1, 0.5, 0.2)), ("other", ratio, 1.5, (0.3, -0.4, 0.2)))
     ]
     spring = SpringDamper(
         name="spring",
@@ -345,9 +303,7 @@ def _four_bar(length, step, steps):
             pin("ground_rocker", "revolute", "world", "rocker", 1.0, -0.5),
         ],
     )
-    motion = motions.four_bar(
-        0.5, rate, [(body.mass, body.inertia_matrix[2, 2] / length**2) for body in bars], length
-    )
+    motion = motions.four_bar(0.5, rate, [(body.mass, body.inertia_matrix[2, 2] / length**2) for body in bars], length)
     return Problem(scene, step, steps, motion, length)
 
 
@@ -365,16 +321,11 @@ def redundant(hinges):
     """Door that falls about so many collinear hinges, 1 s at 1 ms: all but one are redundant."""
 
     def door(count):
-        frames = [
-            Frame(position=(0.0, y, 0.0), axis=(0, 1, 0))
-            for y in np.linspace(-1.0, 1.0, count).tolist()
-        ]
+        frames = [Frame(position=(0.0, y, 0.0), axis=(0, 1, 0)) for y in np.linspace(-1.0, 1.0, count).tolist()]
         return Scene(
             name="door",
             gravity=DOWN,
-            bodies=[
-                Body(name="door", shape=Box(size=(1.0, 2.0, 0.05), mass=20.0, position=(0.5, 0, 0)))
-            ],
+            bodies=[Body(name="door", shape=Box(size=(1.0, 2.0, 0.05), mass=20.0, position=(0.5, 0, 0)))],
             joints=[
                 Joint(
                     name=f"hinge{k}",
@@ -404,9 +355,7 @@ def flat(rate, stabilisation="none"):
         )
 
     ends = Frame(), Frame(position=(0.0, 1.0, 0.0)), Frame(position=(1.0, 0.0, 0.0))
-    cranks = [
-        rod(f"crank{k}", (0, 1, 0), float(k), 0.0, angular_velocity=(0, 0, -rate)) for k in (0, 1)
-    ]
+    cranks = [rod(f"crank{k}", (0, 1, 0), float(k), 0.0, angular_velocity=(0, 0, -rate)) for k in (0, 1)]
     coupler = rod("coupler", (1, 0, 0), 0.0, 1.0, linear_velocity=(rate, 0.0, 0.0))
     scene = Scene(
         name="parallelogram",
@@ -414,13 +363,7 @@ def flat(rate, stabilisation="none"):
         bodies=[*cranks, coupler],
         joints=[
             *(
-                Joint(
-                    name=f"ground{k}",
-                    type="revolute",
-                    parent="world",
-                    child=f"crank{k}",
-                    child_frame=ends[0],
-                )
+                Joint(name=f"ground{k}", type="revolute", parent="world", child=f"crank{k}", child_frame=ends[0])
                 for k in (0, 1)
             ),
             Joint(
@@ -449,10 +392,7 @@ def flat(rate, stabilisation="none"):
         R = motions.about(2, -angles)
         still = np.broadcast_to(np.eye(3), R.shape)
         zero, tops = np.zeros((len(angles), 3)), R @ (0.0, 1.0, 0.0)
-        return (
-            np.stack([R, R, still], axis=1),
-            np.stack([zero, zero + (1.0, 0.0, 0.0), tops], axis=1),
-        )
+        return (np.stack([R, R, still], axis=1), np.stack([zero, zero + (1.0, 0.0, 0.0), tops], axis=1))
 
     steps = min(4000, math.ceil(30.0 / rate / 1e-3))
     return Problem(
@@ -467,9 +407,9 @@ def flat(rate, stabilisation="none"):
 
 def moves(scene):
     """Whether a body or joint of a Scene has an initial velocity."""
-    return any(
-        any(body.angular_velocity) or any(body.linear_velocity) for body in scene.bodies
-    ) or any(joint.rate for joint in scene.joints)
+    return any(any(body.angular_velocity) or any(body.linear_velocity) for body in scene.bodies) or any(
+        joint.rate for joint in scene.joints
+    )
 
 
 def of_scene_step(name, horizon, step):
@@ -484,8 +424,7 @@ def of_scene_speed(name, horizon, factor, step=1e-3):
     bodies = [
         body.model_copy(
             update={
-                key: tuple(factor * x for x in getattr(body, key))
-                for key in ("angular_velocity", "linear_velocity")
+                key: tuple(factor * x for x in getattr(body, key)) for key in ("angular_velocity", "linear_velocity")
             }
         )
         for body in scene.bodies
@@ -495,9 +434,7 @@ def of_scene_speed(name, horizon, factor, step=1e-3):
         for joint in scene.joints
     ]
     return _of_scene(
-        scene.model_copy(update={"bodies": tuple(bodies), "joints": tuple(joints)}),
-        step,
-        max(1, round(horizon / step)),
+        scene.model_copy(update={"bodies": tuple(bodies), "joints": tuple(joints)}), step, max(1, round(horizon / step))
     )
 
 

@@ -32,9 +32,7 @@ def _problem(bodies, joints, place, steps, gravity=0.0, forces=()):
 
     place : function of times -> their heights in m, (times,) of one or (times, bodies)
     """
-    scene = Scene(
-        name="sliders", gravity=(0, 0, -gravity), bodies=bodies, joints=joints, forces=forces
-    )
+    scene = Scene(name="sliders", gravity=(0, 0, -gravity), bodies=bodies, joints=joints, forces=forces)
 
     def motion(times):
         found = place(times).reshape(len(times), len(bodies))
@@ -141,11 +139,7 @@ def stop_stiffness(stiffness):
             end = begin + contact
             yield (
                 end,
-                lambda t, b=begin: (
-                    sag * math.cos(omega * (t - b))
-                    - speed / omega * math.sin(omega * (t - b))
-                    - sag
-                ),
+                lambda t, b=begin: sag * math.cos(omega * (t - b)) - speed / omega * math.sin(omega * (t - b)) - sag,
             )
             begin, end = end, end + flight
             yield end, lambda t, b=begin: (t - b) * (speed - 0.5 * GRAVITY * (t - b))

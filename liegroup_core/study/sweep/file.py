@@ -43,23 +43,17 @@ class SweepFile:
 
     def __init__(self, path, description=None):
         if find_spec("pyarrow") is None:
-            raise SweepFileError(
-                "Parquet files need the package pyarrow: pip install 'liegroup_sim_ros[many]'"
-            )
+            raise SweepFileError("Parquet files need the package pyarrow: pip install 'liegroup_sim_ros[many]'")
         self.path = Path(path)
         if self.path.suffix != ".parquet":
             raise SweepFileError(f"{path}: the name must end in .parquet")
         if self.path.exists() and not self.path.is_dir():
-            raise SweepFileError(
-                f"{path}: is a file, but a sweep is written to a folder; choose another name"
-            )
+            raise SweepFileError(f"{path}: is a file, but a sweep is written to a folder; choose another name")
         self._parts = self._found()
         if not self._parts and description is None:
             raise SweepFileError(f"{path}: no sweep found")
         self.description = (
-            self._description(self._parts[0][2])
-            if description is None
-            else json.loads(json.dumps(description))
+            self._description(self._parts[0][2]) if description is None else json.loads(json.dumps(description))
         )
         for _, _, part in self._parts:
             self._check(part)
@@ -70,9 +64,7 @@ class SweepFile:
         try:
             return sweeps.described(self.description)
         except (KeyError, TypeError, ValueError) as error:
-            raise SweepFileError(
-                f"{self.path}: cannot be read, it was written by another version: {error}"
-            ) from None
+            raise SweepFileError(f"{self.path}: cannot be read, it was written by another version: {error}") from None
 
     @property
     def missing(self):
@@ -85,9 +77,7 @@ class SweepFile:
     def table(self, columns=None):
         """pyarrow.Table of all finished runs, in their order."""
         dataset = import_module("pyarrow.dataset")
-        return dataset.dataset([part for *_, part in self._parts], format="parquet").to_table(
-            columns=columns
-        )
+        return dataset.dataset([part for *_, part in self._parts], format="parquet").to_table(columns=columns)
 
     @contextmanager
     def writing(self):
@@ -116,12 +106,7 @@ class SweepFile:
     def add(self, columns):
         """Write the runs that sweep.Sweep.run yielded. Raises SweepFileError."""
         pa, parquet = import_module("pyarrow"), import_module("pyarrow.parquet")
-        kinds = {
-            "int": pa.int64(),
-            "float": pa.float64(),
-            "text": pa.string(),
-            "list": pa.list_(pa.float64()),
-        }
+        kinds = {"int": pa.int64(), "float": pa.float64(), "text": pa.string(), "list": pa.list_(pa.float64())}
         schema = pa.schema(
             [(name, kinds[kind]) for name, kind in self.sweep.columns.items()],
             {KEY: json.dumps(self.description, allow_nan=False).encode()},
@@ -148,9 +133,7 @@ class SweepFile:
             if match:
                 parts.append((int(match[1]), int(match[2]), file))
             elif not file.name.startswith("."):
-                raise SweepFileError(
-                    f"{self.path}: is not the folder of a sweep: it contains {file.name}"
-                )
+                raise SweepFileError(f"{self.path}: is not the folder of a sweep: it contains {file.name}")
         return parts
 
     def _description(self, part):
@@ -161,14 +144,12 @@ class SweepFile:
             found = json.loads((metadata.metadata or {})[KEY])
         except (pa.ArrowException, OSError, KeyError, ValueError):
             raise SweepFileError(
-                f"{part}: is damaged or does not belong to a sweep; remove it, and the same "
-                "command repeats its runs"
+                f"{part}: is damaged or does not belong to a sweep; remove it, and the same command repeats its runs"
             ) from None
         first, last = map(int, PART.fullmatch(part.name).groups())
         if metadata.num_rows != last - first + 1:
             raise SweepFileError(
-                f"{part}: its runs do not match its name; remove it, and the same command "
-                "repeats them"
+                f"{part}: its runs do not match its name; remove it, and the same command repeats them"
             )
         return found
 
@@ -176,18 +157,11 @@ class SweepFile:
         found = self._description(part)
         if found == self.description:
             return
-        other = [
-            key
-            for key in {**self.description, **found}
-            if self.description.get(key) != found.get(key)
-        ]
+        other = [key for key in {**self.description, **found} if self.description.get(key) != found.get(key)]
         shown = ", ".join(
-            f"{key} {_short(found.get(key))} there and {_short(self.description.get(key))} here"
-            for key in other[:3]
+            f"{key} {_short(found.get(key))} there and {_short(self.description.get(key))} here" for key in other[:3]
         )
-        raise SweepFileError(
-            f"{self.path}: contains a different sweep: {shown}; choose another name, or remove it"
-        )
+        raise SweepFileError(f"{self.path}: contains a different sweep: {shown}; choose another name, or remove it")
 
 
 def _short(value):

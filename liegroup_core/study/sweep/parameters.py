@@ -79,16 +79,12 @@ def path_of(scene, name):
     if len(found) == 1:
         return found[0]
     if found:
-        raise ParameterError(
-            f"the parameter {name} is ambiguous: {_listed(found)}; give the full path"
-        )
+        raise ParameterError(f"the parameter {name} is ambiguous: {_listed(found)}; give the full path")
     ends = {".".join(path.split(".")[-k:]): path for path in known for k in (1, 2, 3)}
     close = [ends[end] for end in difflib.get_close_matches(name, list(ends), n=3, cutoff=0.7)]
     close += difflib.get_close_matches(name, list(known), n=3, cutoff=0.6)
     meant = f"did you mean {_listed(list(dict.fromkeys(close)), 3, 'or')}? " if close else ""
-    raise ParameterError(
-        f"the scene has no parameter {name[:60]}; {meant}choose from {_listed(list(known))}"
-    )
+    raise ParameterError(f"the scene has no parameter {name[:60]}; {meant}choose from {_listed(list(known))}")
 
 
 def _listed(names, most=SHOWN, word="and"):
@@ -114,10 +110,7 @@ def _changed(value, tree):
         return tree
     if isinstance(value, tuple):
         labels = [getattr(entry, "name", str(i)) for i, entry in enumerate(value)]
-        return [
-            _changed(entry, tree[label]) if label in tree else entry
-            for label, entry in zip(labels, value)
-        ]
+        return [_changed(entry, tree[label]) if label in tree else entry for label, entry in zip(labels, value)]
     update = {key: _changed(_entry(value, key), branch) for key, branch in tree.items()}
     other = [key for key in ROTATIONS if key != "rotation_vector"]
     return value.remade(other if "rotation_vector" in tree else (), **update)
@@ -143,16 +136,12 @@ class Range:
         if self.kind == "normal":
             tiny = np.finfo(float).eps
             return first + second * ndtri(np.clip(u, tiny, 1.0 - tiny))
-        values = (
-            first * (second / first) ** u if self.kind == "log" else first + u * (second - first)
-        )
+        values = first * (second / first) ** u if self.kind == "log" else first + u * (second - first)
         return np.clip(values, first, second)
 
     def __str__(self):
         mark = {"choice": ",", "normal": "~"}.get(self.kind, ":")
-        return f"{self.path}={mark.join(map(repr, self.numbers))}" + (
-            ":log" if self.kind == "log" else ""
-        )
+        return f"{self.path}={mark.join(map(repr, self.numbers))}" + (":log" if self.kind == "log" else "")
 
 
 def range_of(scene, text):
@@ -162,9 +151,7 @@ def range_of(scene, text):
     """
     name, equals, rest = text.partition("=")
     if not equals or not name.strip() or not rest.strip():
-        raise _refused(
-            text, "must be NAME=LOW:HIGH, NAME=LOW:HIGH:log, NAME=A,B,C or NAME=MEAN~DEVIATION"
-        )
+        raise _refused(text, "must be NAME=LOW:HIGH, NAME=LOW:HIGH:log, NAME=A,B,C or NAME=MEAN~DEVIATION")
     path = path_of(scene, name.strip())
     log = rest.endswith(":log")
     rest = rest.removesuffix(":log")
@@ -207,9 +194,7 @@ def _rule(scene, path):
             model = _entry(model, key)
         elif isinstance(model, Described):
             field = type(model).model_fields[key]
-            return TypeAdapter(
-                Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation
-            )
+            return TypeAdapter(Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation)
     return TypeAdapter(Number)
 
 

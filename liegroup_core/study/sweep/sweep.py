@@ -80,18 +80,7 @@ class Sweep:
     sources: str
 
     @classmethod
-    def of(
-        cls,
-        scene,
-        vary,
-        samples,
-        steps,
-        seed=0,
-        every=None,
-        assemble=False,
-        settings=None,
-        reactions=False,
-    ):
+    def of(cls, scene, vary, samples, steps, seed=0, every=None, assemble=False, settings=None, reactions=False):
         """Sweep of a Scene with ranges as texts, see parameters.range_of; the rest as above.
 
         every : None: a tenth of the run, without states
@@ -249,9 +238,7 @@ def _velocities_in(paths):
     """(body, component) of all velocities among these: assembly keeps their sampled values."""
     steps = [path.split(".") for path in paths]
     return tuple(
-        (step[1], VELOCITIES[step[2]] + int(step[3]))
-        for step in steps
-        if step[0] == "bodies" and step[2] in VELOCITIES
+        (step[1], VELOCITIES[step[2]] + int(step[3])) for step in steps if step[0] == "bodies" and step[2] in VELOCITIES
     )
 
 
@@ -284,10 +271,7 @@ def simulate(work, limit=math.inf):
     """
     sweep, first, values = work
     if sweep.sources != source_digest():
-        raise TasksError(
-            "a worker has another version of liegroup_core: install the same version on "
-            "all machines"
-        )
+        raise TasksError("a worker has another version of liegroup_core: install the same version on all machines")
     rows, spent = [], 0.0
     for k, row in enumerate(values):
         rows.append({"run": first + k, **dict(zip(sweep.paths, row)), **_run(sweep, row)})
@@ -347,10 +331,7 @@ def _run(sweep, values):
                 names = (f"{j.name}.impulse_{part}" for j in scene.joints for part in WRENCH)
                 found |= dict(zip(names, impulses[0].ravel()))
         states = np.array([_state(sample) for sample in (looks if sweep.keep else looks[-1:])])
-        names = [
-            "time",
-            *(f"{body}.{part}" for body in looks[0].body_names for part in POSE + TWIST),
-        ]
+        names = ["time", *(f"{body}.{part}" for body in looks[0].body_names for part in POSE + TWIST)]
         found |= dict(zip(names, states[-1]))
         if sweep.keep:
             found |= {f"samples.{name}": column for name, column in zip(names, states.T.copy())}
@@ -369,10 +350,7 @@ def _look(simulation, reactions):
 def _state(sample):
     """Time, and position, quaternion and twist of each body, in a row."""
     return np.concatenate(
-        [
-            [sample.time],
-            np.concatenate([sample.pose[:, 9:], sample.orientation, sample.twist], axis=1).ravel(),
-        ]
+        [[sample.time], np.concatenate([sample.pose[:, 9:], sample.orientation, sample.twist], axis=1).ravel()]
     )
 
 

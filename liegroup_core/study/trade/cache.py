@@ -94,11 +94,7 @@ class Folder:
         try:
             write()
         except OSError as error:
-            log.warning(
-                "measurements cannot be cached: %s: %s",
-                error.filename or self.folder,
-                error.strerror,
-            )
+            log.warning("measurements cannot be cached: %s: %s", error.filename or self.folder, error.strerror)
             self.folder = None
 
 
@@ -138,9 +134,7 @@ class Store(Folder):
     def cells(self, horizon):
         """Cells measured on this processor, in order of measurement."""
         return [
-            cell
-            for cell in self.lines(f"{_name(horizon)}/cells.jsonl")
-            if is_whole(cell) and cell["cpu"] == cpu_name()
+            cell for cell in self.lines(f"{_name(horizon)}/cells.jsonl") if is_whole(cell) and cell["cpu"] == cpu_name()
         ]
 
     def keep_cell(self, horizon, cell):

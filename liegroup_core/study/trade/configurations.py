@@ -126,9 +126,7 @@ def sample_spacing(step, horizon):
     """Time between samples, s: the least common multiple of the step and horizon / SAMPLES."""
     grid = horizon / SAMPLES
     # That of p/q and r/s in lowest terms is lcm(p, r) / gcd(q, s).
-    return Fraction(
-        math.lcm(step.numerator, grid.numerator), math.gcd(step.denominator, grid.denominator)
-    )
+    return Fraction(math.lcm(step.numerator, grid.numerator), math.gcd(step.denominator, grid.denominator))
 
 
 def sample_times(horizon):
@@ -145,9 +143,7 @@ def rungs(ladder, horizon):
         step = next(step for step in steps(horizon) if step <= min(OUTER_STEP, horizon / SAMPLES))
         for power in range(LOOSEST, TIGHTEST - 1, -1):
             tolerance = float(f"1e{power}")
-            yield Setting(
-                *ladder[:1], float(step), *ladder[1:], (("rtol", tolerance), ("atol", tolerance))
-            )
+            yield Setting(*ladder[:1], float(step), *ladder[1:], (("rtol", tolerance), ("atol", tolerance)))
     else:
         for step in steps(horizon):
             yield Setting(*ladder[:1], float(step), *ladder[1:])

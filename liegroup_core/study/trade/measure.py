@@ -61,10 +61,7 @@ def measure(work):
     """
     study, setting = work
     if study.sources != source_digest():
-        raise TasksError(
-            "a worker has another version of liegroup_core: install the same version on "
-            "all machines"
-        )
+        raise TasksError("a worker has another version of liegroup_core: install the same version on all machines")
     cell = {
         "method": setting.method,
         "step": setting.step,
@@ -78,9 +75,7 @@ def measure(work):
         with listening() as said:
             found = _judge(simulation, study, as_time(setting.step))
             del found["estimate"]
-            found["cost_us"], found["timings"] = _cost(
-                simulation, float(study.truth.horizon), found.pop("cpu")
-            )
+            found["cost_us"], found["timings"] = _cost(simulation, float(study.truth.horizon), found.pop("cpu"))
     except (SimulationError, ValueError) as error:
         return cell | {"stopped": str(error)}
     if not all(math.isfinite(value) for value in found.values() if isinstance(value, float)):
@@ -99,9 +94,7 @@ def to_accuracy(scene, truth, accuracy):
     cost_us     CPU time of a simulated second, us, with the estimate
     """
     step = truth.horizon / SAMPLES
-    simulation = Simulation(
-        scene, step=float(step), accuracy=accuracy, horizon=float(truth.horizon)
-    )
+    simulation = Simulation(scene, step=float(step), accuracy=accuracy, horizon=float(truth.horizon))
     with listening():
         found = _judge(simulation, Study(scene.text, truth, ""), step)
         until = simulation.accurate_until
@@ -127,9 +120,7 @@ ALWAYS = {
     "stopped": (str, type(None)),
 }
 FINISHED = {
-    **dict.fromkeys(
-        ("error", "position", "attitude", "angular", "linear", "energy", "joints", "cost_us"), float
-    ),
+    **dict.fromkeys(("error", "position", "attitude", "angular", "linear", "energy", "joints", "cost_us"), float),
     "momentum": (float, type(None)),
     "flagged": (str, type(None)),
     "samples": int,
@@ -172,10 +163,7 @@ def _judge(simulation, study, step):
     poses = np.array([sample.pose for sample in samples])
     k, n = poses.shape[:2]
     motion = Trajectory(
-        true.times,
-        poses[..., :9].reshape(k, n, 3, 3),
-        poses[..., 9:],
-        np.array([sample.twist for sample in samples]),
+        true.times, poses[..., :9].reshape(k, n, 3, 3), poses[..., 9:], np.array([sample.twist for sample in samples])
     )
     off = distance(motion, true)
     energy = np.array([sample.energy for sample in samples])

@@ -26,9 +26,7 @@ from .configurations import sample_times
 # Default horizon: the longest of these, in s, with an uncertainty below KNOWN (relative to the
 # characteristic length, and in rad) and at most STEPS steps of the reference. That is about a hundred
 # periods of fast scenes; in chaotic scenes, the time over which 1e-9 can be guaranteed.
-HORIZONS = tuple(digit * Fraction(10) ** power for power in range(-5, 1) for digit in (1, 2, 5)) + (
-    Fraction(10),
-)
+HORIZONS = tuple(digit * Fraction(10) ** power for power in range(-5, 1) for digit in (1, 2, 5)) + (Fraction(10),)
 KNOWN, STEPS = 1e-10, 10_000
 
 
@@ -86,9 +84,7 @@ def find_truth(layout, horizon=None, tell=lambda text: None):
         kind,
         length,
         motion,
-        tuple(
-            float(part.max()) for part in (apart.position, apart.angle, apart.angular, apart.linear)
-        ),
+        tuple(float(part.max()) for part in (apart.position, apart.angle, apart.angular, apart.linear)),
         energy,
         float(kinetic.max()),
         agrees,
@@ -110,27 +106,16 @@ def _as_far_as_known(layout, pose, twist, length, tell):
         except SimulationError as error:
             failure = error
             break
-        kept |= {
-            at: (*(part[i] for part in motion[1:]), *(part[i] for part in apart))
-            for i, at in enumerate(times)
-        }
+        kept |= {at: (*(part[i] for part in motion[1:]), *(part[i] for part in apart)) for i, at in enumerate(times)}
         last = [part[-1] for part in apart]
-        if best is not None and (
-            scaled(last[0], last[2], length) > KNOWN or reference.steps > STEPS
-        ):
+        if best is not None and (scaled(last[0], last[2], length) > KNOWN or reference.steps > STEPS):
             break
         best = horizon
     if best is None:
-        raise SimulationError(
-            f"{failure}; no horizon can be derived because the scene moves too fast: give one"
-        )
+        raise SimulationError(f"{failure}; no horizon can be derived because the scene moves too fast: give one")
     times = sample_times(best)
     columns = [np.array(column) for column in zip(*(kept[at] for at in times))]
-    return (
-        best,
-        Trajectory(np.array([float(at) for at in times]), *columns[:3]),
-        Distance(*columns[3:]),
-    )
+    return (best, Trajectory(np.array([float(at) for at in times]), *columns[:3]), Distance(*columns[3:]))
 
 
 def as_bytes(truth):
@@ -145,9 +130,7 @@ def as_bytes(truth):
         "agrees": truth.agrees,
         "seconds": truth.seconds,
     }
-    np.savez(
-        stream, facts=np.array(json.dumps(facts)), energy=truth.energy, **truth.motion._asdict()
-    )
+    np.savez(stream, facts=np.array(json.dumps(facts)), energy=truth.energy, **truth.motion._asdict())
     return stream.getvalue()
 
 
@@ -176,10 +159,7 @@ def momentum_drift(scene, kept, truth, motion):
     arm = np.linalg.norm(true.position, axis=2)
     spin = np.linalg.norm(np.einsum("nij,knj->kni", inertia, true.twist[..., :3]), axis=2)
     # Scale, also of a component that is zero: the sum over the bodies.
-    size = {
-        "N m s": float((arm * linear + spin).sum(axis=1).max()),
-        "N s": float(linear.sum(axis=1).max()),
-    }
+    size = {"N m s": float((arm * linear + spin).sum(axis=1).max()), "N s": float(linear.sum(axis=1).max())}
     worst = None
     for group in kept:
         values = momentum_values(scene, group, motion.rotation, motion.position, motion.twist)

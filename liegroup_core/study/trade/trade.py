@@ -119,9 +119,7 @@ class Trade:
             owners.append(climb)
             return [(study, setting)]
 
-        for _, cell in run(
-            measure, [(study, climb.setting) for climb in owners], scheduler, workers, follow
-        ):
+        for _, cell in run(measure, [(study, climb.setting) for climb in owners], scheduler, workers, follow):
             yield cell, (done[0], len(climbs))
 
     def to_accuracies(self, accuracies=WANTED):
@@ -175,9 +173,7 @@ class Trade:
 
     def cheapest(self, accuracy, usable=lambda cell: True):
         """Cheapest cell that meets an accuracy with its margin, or None."""
-        kept = [
-            cell for cell, error in self.settled() if MARGIN * error <= accuracy and usable(cell)
-        ]
+        kept = [cell for cell, error in self.settled() if MARGIN * error <= accuracy and usable(cell)]
         return min(kept, key=lambda cell: cell["cost_us"], default=None)
 
     def best(self, usable=lambda cell: True):
@@ -268,26 +264,17 @@ def _key(cell):
 
 
 def _key_of(setting):
-    return (
-        setting.method,
-        setting.group,
-        setting.stabilisation,
-        setting.step,
-        tuple(sorted(setting.options)),
-    )
+    return (setting.method, setting.group, setting.stabilisation, setting.step, tuple(sorted(setting.options)))
 
 
 def _checked(horizon):
     """Horizon as Fraction. Raises ValueError."""
     if not (isinstance(horizon, (int, float)) and 1e-9 <= horizon <= 1e6):
-        raise ValueError(
-            f"the horizon must be a number of seconds from 1e-9 to 1e6, got {horizon!r}"
-        )
+        raise ValueError(f"the horizon must be a number of seconds from 1e-9 to 1e6, got {horizon!r}")
     found = as_time(horizon)
     # Samples and steps must be decimal numbers with few digits.
     if as_time(float(f"{horizon:.3g}")) != found:
         raise ValueError(
-            f"the horizon must have at most three digits, got {horizon!r}; use "
-            f"{float(f'{horizon:.3g}'):g}"
+            f"the horizon must have at most three digits, got {horizon!r}; use {float(f'{horizon:.3g}'):g}"
         )
     return found
