@@ -18,6 +18,7 @@ from liegroup_core.forces.timetable import Timetable
 from liegroup_core.inputs import Inputs
 from liegroup_core.joint_events import JointEvents
 from liegroup_core.layout import Layout, make_layout
+from liegroup_core.mechanism.bodies import COUNT, NOW, OFFSET, SINGULAR_SOLVES
 from liegroup_core.mechanism.body_model import initial_state
 from liegroup_core.methods.families import check_group, check_options, choose_group, make_integrator
 from liegroup_core.methods.table import METHODS, is_positive
@@ -288,7 +289,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         is regularised and refined; accelerations that the joints leave undetermined follow from the
         masses.
         """
-        return int(self._work.report[2])
+        return int(self._work.report[SINGULAR_SOLVES])
 
     @property
     def substeps(self) -> tuple[int, int]:
@@ -440,7 +441,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
             # The middle is away from all changes: round-off has no influence.
             work.motions[:] = self.layout.motions_at(time + 0.5 * h, self._commanded)
         clock, whole = work.clock, h == self.step and not start.offset
-        clock[0], clock[1], clock[2] = (self.steps, 0.0, time) if whole else (0.0, time, time)
+        clock[COUNT], clock[OFFSET], clock[NOW] = (self.steps, 0.0, time) if whole else (0.0, time, time)
 
     def sample(self) -> Sample:
         """Create a Sample of the present state."""

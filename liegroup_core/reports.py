@@ -5,6 +5,7 @@ import logging
 import math
 
 from liegroup_core.joints.motion import at
+from liegroup_core.mechanism.bodies import LARGEST_TURN, SINGULAR_SOLVES, STEP_TURN
 from liegroup_core.methods.smaller_step import step_that_works
 from liegroup_core.methods.table import METHODS
 from liegroup_core.observables.reach import beyond_reach
@@ -35,7 +36,7 @@ class Reports:
     """Texts of an Engine, its base class. Each warning is given once."""
 
     def _give_warnings(self):
-        if self._work.report[2] and not self._warned_singular:
+        if self._work.report[SINGULAR_SOLVES] and not self._warned_singular:
             self._warned_singular = True
             log.warning(
                 "Singular configuration before t = %g s: some constraint equations are "
@@ -48,9 +49,9 @@ class Reports:
             )
         if self._switching is not None:
             self._warn_of_events()
-        if not self._warned and self._work.report[0] > LARGE_ROTATION**2:
+        if not self._warned and self._work.report[LARGEST_TURN] > LARGE_ROTATION**2:
             self._warned = True
-            turned = math.sqrt(self._work.report[0])
+            turned = math.sqrt(self._work.report[LARGEST_TURN])
             log.warning(
                 "%s, step %g s: a body rotated by more than pi within one step (%.3g rad "
                 "before t = %g s), so the result is inaccurate. Use a step below %.2g s",
@@ -94,7 +95,7 @@ class Reports:
     def _explain(self, status):
         joint = force = body = hint = ""
         # RATTLE reports the rotation of its step equation, which includes the effect of the torque.
-        angle = math.sqrt(self._work.report[1])
+        angle = math.sqrt(self._work.report[STEP_TURN])
         if status & 0xFF == NO_RATTLE_STEP:
             body = self.layout.body_names[status >> 8]
         # If a wrench of the scene changes within the step, no smaller step can be suggested; nor is it the

@@ -4,6 +4,7 @@
 from liegroup_core.compiling import kernel, shared, subroutine
 from liegroup_core.forces.external import set_external_wrenches
 from liegroup_core.forces.kinds import add_wrenches
+from liegroup_core.mechanism.bodies import PIVOT, SINGULAR_SOLVES
 from liegroup_core.status import OK
 
 from .coordinates import place_bodies, place_links
@@ -66,7 +67,7 @@ def solve_equations(model, work):
     """
     gather(model, work)
     refinements = model.refinements
-    work.report[3] = 1.0
+    work.report[PIVOT] = 1.0
     if len(model.joints) > 0:
         found = set_loops(model, work)
         if found >= 0:
@@ -112,7 +113,7 @@ def balance(model, work):
 def _accelerations_of_stage(model, work, external):
     """Accelerations of the stage as it is; returns as `accelerations`."""
     if model.only_free_bodies:
-        work.report[3] = 1.0
+        work.report[PIVOT] = 1.0
         accelerations_of_free_bodies(model, work, external)
         return -1
     move_links(model, work)
@@ -130,7 +131,7 @@ def _accelerations_aside(model, work, external):
 
     Where they are not determined beside the pose either, they stay those of the stage, by the masses.
     """
-    regular, pivot = work.report[2], work.report[3]
+    regular, pivot = work.report[SINGULAR_SOLVES], work.report[PIVOT]
     d, sides, first = begin_aside(model, work), len(SIDES) - 1, pivot
     if d == 0.0:
         return -1
@@ -140,12 +141,16 @@ def _accelerations_aside(model, work, external):
         go_aside(model, work, SIDES[side] * d)
         # Beside a singular pose pivots grow as the square of the distance.
         least = max(AT, 2.0 * SIDES[side] * SIDES[side] * first)
-        if project(model, work) != OK or _accelerations_of_stage(model, work, external) >= 0 or work.report[3] < least:
+        if (
+            project(model, work) != OK
+            or _accelerations_of_stage(model, work, external) >= 0
+            or work.report[PIVOT] < least
+        ):
             end_aside(work, 0)
             return -1
         add_aside(work, WEIGHTS[side] if sides > 1 else 1.0)
     end_aside(work, 1)
-    work.report[2] = regular
+    work.report[SINGULAR_SOLVES] = regular
     return -1
 
 
@@ -157,6 +162,6 @@ def accelerations(model, work, external):
     returns -1, or the joint with dependent rows if the regularised solve fails too
     """
     found = _accelerations_of_stage(model, work, external)
-    if work.report[3] < NEAR and found < 0 and len(model.switches) == 0:
+    if work.report[PIVOT] < NEAR and found < 0 and len(model.switches) == 0:
         return _accelerations_aside(model, work, external)
     return found

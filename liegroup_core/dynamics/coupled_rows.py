@@ -4,13 +4,14 @@
 Either is one of the cut joints, with an element and rows of zeros; what is not zero is added here.
 couplings.py has forces and accelerations. The row of a driven joint is that of a coupling without a
 second joint, and rheonomic: its coordinate, rate and acceleration are those of its motion at the
-time of the stage, work.clock[2].
+time of the stage, work.clock[NOW].
 """
 
 from liegroup_core.compiling import kernel
 from liegroup_core.forces.turn import unwrapped
 from liegroup_core.joints.motion import acceleration, position, rate
 from liegroup_core.mechanism.arrays import COORDINATE
+from liegroup_core.mechanism.bodies import NOW
 
 from .constraints import ROUND_OFF, position_residuals
 from .couplings import link_coordinate
@@ -30,10 +31,10 @@ def set_all_rows(model, work):
             slip += coupling["factors"][k] * work.stage_twist[n + coupling["links"][k], 0]
         bias = 0.0
         if coupling["motion"] >= 0:
-            bias = rate(work.motions, coupling["motion"], work.clock[2])
+            bias = rate(work.motions, coupling["motion"], work.clock[NOW])
             slip -= bias
             if coupling["order"] == 2:
-                bias = acceleration(work.motions, coupling["motion"], work.clock[2])
+                bias = acceleration(work.motions, coupling["motion"], work.clock[NOW])
         work.slip[coupling["row"]] = slip
         work.bias[coupling["row"]] = bias
 
@@ -57,7 +58,7 @@ def set_coupled_gaps(model, work, moves, moved):
             second += moves[model.bodies[links[1]]["freedom"], 0]
         first, second = factors[0] * first, factors[1] * second
         if coupling["motion"] >= 0:
-            second = -position(work.motions, coupling["motion"], work.clock[2])
+            second = -position(work.motions, coupling["motion"], work.clock[NOW])
         gap = first + second - coupling["offset"]
         size = 1.0 + abs(first) + abs(second) + abs(coupling["offset"])
         if coupling["turned"] == 1:

@@ -24,7 +24,7 @@ from .residuals import add_multipliers, add_own_forces, gather_forces
 
 # Columns of Work.loads.
 LOAD, FOUND, OLD_LOAD, OLD_FOUND = 0, 1, 2, 3
-GIVEN, UNSETTLED = 0, 1  # of Work.iteration
+GIVEN, UNSETTLED, REST = range(3)  # of Work.iteration
 MOST_ITERATIONS = 60
 SETTLED = 1e-14  # of the loads
 CLOSE = 1e-11  # an iteration that does not get nearer from here on has the digits that there are
@@ -120,8 +120,8 @@ def settle_loads(model, work, iteration):
         change = r - (loads[k, OLD_FOUND] - loads[k, OLD_LOAD])
         largest, rest = max(largest, loads[k, FOUND]), max(rest, abs(r))
         along, square = along + r * change, square + change * change
-    before = work.iteration[2]
-    work.iteration[2] = rest
+    before = work.iteration[REST]
+    work.iteration[REST] = rest
     if rest <= SETTLED * largest or (iteration > 1 and CLOSE * largest >= rest >= before):
         return True
     if iteration + 1 == MOST_ITERATIONS or not rest < math.inf:

@@ -16,6 +16,7 @@ Newton's method, and velocities likewise: the tree stays exactly closed.
 from liegroup_core.compiling import kernel, shared, subroutine
 from liegroup_core.lie.so3 import so3_exp
 from liegroup_core.lie.vec3 import load3, load_column, store3, tmatvec3
+from liegroup_core.mechanism.bodies import PIVOT, SINGULAR_SOLVES
 from liegroup_core.status import DEPENDENT_ROWS, NOT_PROJECTED, OK
 
 from .constraints import MAX_ITERATIONS, is_satisfied
@@ -95,7 +96,7 @@ def set_loops(model, work):
     if factor(model, work, 0.0) < 0:
         return POOR if has_small_pivot(work) else -1
     # Singular pose: accelerations that the joints leave undetermined follow from the masses.
-    work.report[2] += 1.0
+    work.report[SINGULAR_SOLVES] += 1.0
     dependent = factor_alone(model, work, REGULARISATION)
     return dependent if dependent >= 0 else SINGULAR
 
@@ -125,7 +126,7 @@ def project(model, work):
     At a singular pose only what is determined there is corrected. The gap that stays is of second order
     in the displacement, and is closed at the next pose.
 
-    returns a status: OK, NOT_PROJECTED or DEPENDENT_ROWS + (element of `space` << 8). work.report[3] is the
+    returns a status: OK, NOT_PROJECTED or DEPENDENT_ROWS + (element of `space` << 8). work.report[PIVOT] is the
     smallest pivot of W there, 0 if a row depends on others
     """
     n, links = len(model.parts), len(model.bodies)
@@ -138,11 +139,11 @@ def project(model, work):
         set_gap(model, work)
         satisfied = is_satisfied(model, work, work.world)
         dependent = factor_alone(model, work, 0.0)
-        pivot = 0.0 if dependent >= 0 else work.report[3]
+        pivot = 0.0 if dependent >= 0 else work.report[PIVOT]
         if pivot < AT:
             satisfied = satisfied or iteration >= ITERATIONS_WHEN_SINGULAR
             dependent = factor_alone(model, work, AT * model.usual_pivot)
-            work.report[3] = pivot
+            work.report[PIVOT] = pivot
             if dependent >= 0:
                 return DEPENDENT_ROWS + (model.owners[dependent] << 8)
         for r in range(len(work.right)):

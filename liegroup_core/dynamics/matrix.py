@@ -2,6 +2,7 @@
 """W of the cut joints from their responses, its factor and solve; see loops.py."""
 
 from liegroup_core.compiling import kernel
+from liegroup_core.mechanism.bodies import PIVOT
 
 # Pivots of W below this part of its diagonal are zero: see mechanism/body_model.py.
 SMALLEST_PIVOT = 1e-10
@@ -151,7 +152,7 @@ def factor(model, work, shift):
             work.diagonal[r] = 1.0 / pivot
             if in_loop and pivot < smallest * mobility:
                 smallest = pivot / mobility
-    work.report[3] = smallest / model.usual_pivot
+    work.report[PIVOT] = smallest / model.usual_pivot
     return -1
 
 

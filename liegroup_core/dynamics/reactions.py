@@ -32,6 +32,7 @@ from liegroup_core.lie.vec3 import (
     vector3,
 )
 from liegroup_core.mechanism.arrays import COORDINATE, EFFORT, KNOWN, RESTS, SIDE, SLIP
+from liegroup_core.mechanism.bodies import SINGULAR_SOLVES
 from liegroup_core.mechanism.spanning_tree import WORLD_NAME, spanning_tree
 from liegroup_core.scene.consistency import resolve_frames
 
@@ -235,14 +236,14 @@ def joint_wrenches(model, work, table, pose_in, twist_in, external_in, out_in):
     """
     pose, twist = borrowed(pose_in), borrowed(twist_in)
     external, out = borrowed(external_in), borrowed(out_in)
-    regular = work.report[2]
+    regular = work.report[SINGULAR_SOLVES]
     _begin(model, work, pose, twist)
     apply_forces(model, work, external)
     found = balance(model, work)
     if found >= 0:
         return found
     _sweep(model, work, table, 1.0, out)
-    return -1 if work.report[2] == regular else -2
+    return -1 if work.report[SINGULAR_SOLVES] == regular else -2
 
 
 @stepper

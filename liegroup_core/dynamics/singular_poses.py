@@ -13,7 +13,7 @@ friction are left to the regularisation of loops.py.
 """
 
 from liegroup_core.compiling import kernel
-from liegroup_core.mechanism.bodies import copy_state
+from liegroup_core.mechanism.bodies import ROUND_OFF, copy_state
 
 from .algebra import link_of, rate_twist, spatial
 from .coordinates import displace_by_twist
@@ -40,7 +40,7 @@ def begin_aside(model, work):
     for f in range(len(work.freedoms)):
         work.middle[f, 0] = work.acceleration[f, 0]
         work.middle[f, 1] = 0.0
-    work.report[4] = max(work.report[4], NOISE * fastest * fastest)
+    work.report[ROUND_OFF] = max(work.report[ROUND_OFF], NOISE * fastest * fastest)
     return ASIDE / fastest if fastest > 0.0 else 0.0
 
 

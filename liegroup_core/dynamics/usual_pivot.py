@@ -12,7 +12,7 @@ import numpy as np
 from liegroup_core.compiling import SameTypes, kernel
 from liegroup_core.forces.external import COLUMNS
 from liegroup_core.mechanism.arrays import make_relative_work
-from liegroup_core.mechanism.bodies import make_work
+from liegroup_core.mechanism.bodies import PIVOT, make_work
 from liegroup_core.status import OK
 
 from .loops import project
@@ -37,7 +37,7 @@ def _pivot_aside(model, work, pose, twist, external, rates, turn):
         for f in range(len(work.freedoms)):
             work.acceleration[f, 0] = 0.0
         go_aside(model, work, turn / ASIDE * begin_aside(model, work))
-    return work.report[3] if project(model, work) == OK else 0.0
+    return work.report[PIVOT] if project(model, work) == OK else 0.0
 
 
 def with_usual_pivot(model, pose, twist, angles):

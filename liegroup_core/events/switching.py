@@ -14,7 +14,8 @@ import numpy as np
 
 from liegroup_core.dynamics.switches import LOWER, RESTING, SLIDING, UPPER, modes_of
 from liegroup_core.joints.stops import WITHIN_A_TURN
-from liegroup_core.mechanism.arrays import COORDINATE, KNOWN, SIDE, SLIP
+from liegroup_core.mechanism.arrays import BEGIN, COORDINATE, KNOWN, SIDE, SLIP, SPAN, WATCHED
+from liegroup_core.mechanism.bodies import COUNT, OFFSET
 from liegroup_core.status import BEYOND_STOP, EVENT, EVENTS_WITHOUT_END, MOST_EVENTS, OK
 
 from .crossings import lowest
@@ -61,7 +62,7 @@ class Switching(EventTimes):
         self.instants, self.count = None, 0
         self.endless = self.crowded = self._inputs = None
         self._crowd = 0, 0.0  # events and time from which on they are counted
-        work.watch[0] = 1.0
+        work.watch[WATCHED] = 1.0
 
     def touch(self, pose, twist, external):
         """Call every kernel once; the state stays."""
@@ -94,10 +95,10 @@ class Switching(EventTimes):
         if steps == 0:
             return self._take(h, 0, *state)
         del self.events[:-MOST_KEPT]
-        done, first, base = 0, work.clock[0], work.clock[1]
+        done, first, base = 0, work.clock[COUNT], work.clock[OFFSET]
         status = self._meet_inputs(first * h + base, state)
         while status == OK and done < steps:
-            work.clock[0], work.clock[1] = first + done, base
+            work.clock[COUNT], work.clock[OFFSET] = first + done, base
             more, status = self._take(h, steps - done, *state)
             done += more
             if status == EVENT:
@@ -116,7 +117,7 @@ class Switching(EventTimes):
                     self.impacts = self.impacts and self.impacts[:impacts]
                     if self.instants:
                         del self.instants[instants:]
-        work.clock[0], work.clock[1] = first, base
+        work.clock[COUNT], work.clock[OFFSET] = first, base
         return done, status
 
     def _meet_inputs(self, time, state):
@@ -172,8 +173,8 @@ class Switching(EventTimes):
         work = self._work
         elapsed, times = 0.0, []
         for _ in range(MOST_EVENTS):
-            begin_of_substep, size = elapsed + work.watch[1], work.watch[2]
-            work.clock[0], work.clock[1] = 0.0, start + begin_of_substep
+            begin_of_substep, size = elapsed + work.watch[BEGIN], work.watch[SPAN]
+            work.clock[COUNT], work.clock[OFFSET] = 0.0, start + begin_of_substep
             tau, crossed, status = self._locate(size, state)
             if status != OK:
                 return status
@@ -191,7 +192,7 @@ class Switching(EventTimes):
                 self._watch_crowd(start + elapsed, crossed)
             if not elapsed < h * (1.0 - 1e-13):
                 return OK
-            work.clock[0], work.clock[1] = 0.0, start + elapsed
+            work.clock[COUNT], work.clock[OFFSET] = 0.0, start + elapsed
             _, status = self._take(h - elapsed, 1, *state)
             if status != EVENT:
                 return status

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import brentq, minimize_scalar
 
 from liegroup_core.dynamics.switches import AT_STOP, LOWER, RESTING, SLIDING, UPPER
-from liegroup_core.mechanism.arrays import COORDINATE, SIDE
+from liegroup_core.mechanism.arrays import COORDINATE, SIDE, WATCHED
 from liegroup_core.status import OK
 
 from .crossings import lowest
@@ -197,9 +197,9 @@ class EventTimes(ModeChanges):
         kept, size = control.copy(), tau / self.parts
         control[0], control[4:11] = size, LOOSE
         control[11] = 0.0  # a rounded state would make guards rough
-        work.watch[0] = 0.0
+        work.watch[WATCHED] = 0.0
         _, status = self._take(size, self.parts, *state)
-        work.watch[0] = 1.0
+        work.watch[WATCHED] = 1.0
         control[:] = kept
         return status
 

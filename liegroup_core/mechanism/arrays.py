@@ -28,6 +28,8 @@ LARGEST_ROWS = 6  # of a joint
 
 # Columns of Work.modes.
 SLIP, SIDE, COORDINATE, KNOWN, RESTS, EFFORT = range(6)
+# Numbers of Work.watch: 1 if events are looked for; start of the substep with one, its size.
+WATCHED, BEGIN, SPAN = range(3)
 NODES = 6  # stages of a step whose guards are kept, at most
 
 # How the coordinates of a link are found from poses of bodies.
@@ -243,7 +245,7 @@ class RelativeWork(Struct):
     guards: np.ndarray = shaped("switches", 5)  # how far each switch is from its next events
     course: np.ndarray = shaped(NODES, "switches", 2)  # the last two at some stages: see events/crossings.py
     crossed: np.ndarray = shaped("switches", 5)  # part of the step at which each is at the latest, or -1
-    watch: np.ndarray = shaped(3)  # 1 if events are looked for; start of the substep with one, its size
+    watch: np.ndarray = shaped(3)  # WATCHED, BEGIN, SPAN
     wrench: np.ndarray = shaped("bodies", 6)  # wrenches on the bodies
     relative: np.ndarray = shaped("links", 12)  # pose of each link in its parent link
     world: np.ndarray = shaped("links", 12)  # pose in the world; where it is needed

@@ -19,6 +19,13 @@ BODY = np.dtype([
     ("inertia", "f8", (9,)), ("inverse_inertia", "f8", (9,)),     # kg m^2 about the COM, body axes
 ], align=True)
 
+# Numbers of Work.report: largest squared rotation of a stage, rad^2, so far and in this step; number of
+# solves at a singular pose; smallest pivot of W; round-off in accelerations of this step.
+LARGEST_TURN, STEP_TURN, SINGULAR_SOLVES, PIVOT, ROUND_OFF = range(5)
+# Of Work.clock, input of a call: a step starts at COUNT h + OFFSET s, the next at (COUNT + 1) h + OFFSET;
+# and the time of the stage.
+COUNT, OFFSET, NOW = range(3)
+
 class Model(Struct):
     """Constant arrays of the bodies of a scene, its forces and the elements of its joints."""
 
@@ -42,14 +49,11 @@ class Work(Struct):
     acting: np.ndarray             # bool, of each applied wrench of the scene: input of a call
     wanted: np.ndarray             # (k, 2) position and velocity of each servo: input of a call
     motions: np.ndarray            # (d, 7) motion of each driven joint: input of a call
-    clock: np.ndarray              # (3,) input of a call: a step starts at clock[0] h + clock[1] s,
-                                   # the next at (clock[0] + 1) h + clock[1]; then time of the stage
+    clock: np.ndarray              # (3,) COUNT, OFFSET, NOW
     stage_pose: np.ndarray         # (n, 12)
     stage_twist: np.ndarray        # (n, 6)
     slopes: np.ndarray             # ((s + 1) n, 12) k of stages and end: algebra, then velocity part
-    report: np.ndarray             # (5,) largest squared rotation of a stage, rad^2: so far, this step;
-                                   # number of solves at a singular pose; smallest pivot of W,
-                                   # round-off in accelerations of this step
+    report: np.ndarray             # (5,) LARGEST_TURN, STEP_TURN, SINGULAR_SOLVES, PIVOT, ROUND_OFF
 
 
 def make_work(model, stages):

@@ -3,7 +3,7 @@
 
 `family(method, layout, group, step, options)` creates an integrator. It has
     options(method)  static; {name: (default, description of valid values, check)} of its options
-    work             scratch memory; work.report[0] is the largest squared rotation of a stage
+    work             scratch memory; work.report[LARGEST_TURN] is the largest squared rotation of a stage
     restart()        clear the memory between calls, because a state was set
     memory           arrays of the memory between calls; writing to them restores it
     advance(h, steps, pose, twist, external) -> (steps done, status), in place; external: see

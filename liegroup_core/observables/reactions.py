@@ -24,7 +24,7 @@ from liegroup_core.forces.kinds import limits
 from liegroup_core.joints.kinds import TYPES, forbidden_rows
 from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage
 from liegroup_core.mechanism.arrays import make_relative_work
-from liegroup_core.mechanism.bodies import make_work
+from liegroup_core.mechanism.bodies import NOW, make_work
 from liegroup_core.mechanism.body_model import initial_state
 from liegroup_core.mechanism.redundancy import dependent_groups, generic_poses
 from liegroup_core.mechanism.spanning_tree import WORLD_NAME
@@ -198,7 +198,7 @@ class Reactions:
         if len(wanted):
             work.wanted[:] = wanted
         if len(motions):
-            work.motions[:], work.clock[2] = motions, time
+            work.motions[:], work.clock[NOW] = motions, time
         if modes is not None and len(modes):
             set_modes(self._model, work, modes)
 

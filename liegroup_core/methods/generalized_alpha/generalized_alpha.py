@@ -33,7 +33,7 @@ from liegroup_core.compiling import SameTypes, borrowed, kernel, stepper
 from liegroup_core.dynamics.state import model_and_work
 from liegroup_core.forces.external import COLUMNS as EXTERNAL_COLUMNS
 from liegroup_core.mechanism.arrays import links_of
-from liegroup_core.mechanism.bodies import copy_state
+from liegroup_core.mechanism.bodies import COUNT, LARGEST_TURN, NOW, OFFSET, STEP_TURN, copy_state
 from liegroup_core.methods.table import refuse_stabilisation
 from liegroup_core.status import DEPENDENT_ROWS, OK
 
@@ -56,9 +56,9 @@ def advance(model, work, memory, numbers, h, steps, pose_in, twist_in, external_
     while done < steps and status == OK:
         begin(model, work, memory, pose, twist)
         set_old(memory, numbers)
-        work.clock[2] = (work.clock[0] + (done + 1)) * h + work.clock[1]
+        work.clock[NOW] = (work.clock[COUNT] + (done + 1)) * h + work.clock[OFFSET]
         status = newton(model, work, memory, numbers, h, pose, external)
-        work.report[1] = 0.0
+        work.report[STEP_TURN] = 0.0
         if status == OK:
             status = move(model, work, memory, numbers, h, pose)
         if status == OK:
@@ -66,7 +66,7 @@ def advance(model, work, memory, numbers, h, steps, pose_in, twist_in, external_
         if status == OK:
             keep_end(memory, numbers)
             copy_state(work.stage_pose, work.stage_twist, pose, twist)
-            work.report[0] = max(work.report[0], work.report[1])
+            work.report[LARGEST_TURN] = max(work.report[LARGEST_TURN], work.report[STEP_TURN])
             done += 1
     if done > 0:
         leave(model, work, pose, twist, pose_in, twist_in)

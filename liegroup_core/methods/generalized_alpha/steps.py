@@ -21,6 +21,7 @@ from liegroup_core.dynamics.state import leave as leave
 from liegroup_core.dynamics.trees import move_links
 from liegroup_core.forces import kinds as forces
 from liegroup_core.lie.vec3 import load3, load_column, store3
+from liegroup_core.mechanism.bodies import STEP_TURN
 from liegroup_core.methods.checks import end_status, rotation_status
 from liegroup_core.motion_groups.direct import to_link, to_link_rate, to_world, to_world_rate
 from liegroup_core.status import OK
@@ -85,7 +86,7 @@ def move(model, work, memory, numbers, h, pose):
             rate = to_link_rate(work.stage_pose, n + b, w, v, rate)
             memory.body_rate[first + 3, 0], memory.body_rate[first + 4, 0] = rate[0], rate[1]
             memory.body_rate[first + 5, 0] = rate[2]
-    work.report[1] = max(work.report[1], largest)
+    work.report[STEP_TURN] = max(work.report[STEP_TURN], largest)
     return rotation_status(largest)
 
 

@@ -24,10 +24,18 @@ ends with SUBSTEP_TOO_SMALL.
 import math
 
 from liegroup_core.compiling import kernel
+from liegroup_core.mechanism.bodies import ROUND_OFF
 from liegroup_core.status import OK, SUBSTEP_TOO_SMALL
 
 from . import steps
 
+# Numbers of `control`: next substep in s, numbers of accepted and of attempted substeps so far, next substep at
+# the start of the step, rtol of velocities, atol in rad, m, rad/s, m/s, longest substep in s, most attempts in a
+# step, length in m times which atol is that of positions, round-off of a pose, part that the most attempts are of
+# those of the whole step if its rest takes equal substeps, factor of `_coarsen` or 0, and e_3 atol / h^4 of the
+# last substep or 0. Those from RTOL on are for schemes with error control.
+SIZE, ACCEPTED, ATTEMPTED, KEPT_SIZE, RTOL, ATOL, LONGEST, MOST, LENGTH, ROUNDED, PART, COARSE, GROWTH = range(13)
+SUBSTEPS, TOLERANCES = slice(SIZE, RTOL), slice(RTOL, LONGEST)
 # Bounds of the ratio of two successive substeps, and safety factor of the next one.
 LARGEST_GROWTH, LARGEST_CUT, SAFETY = 5.0, 0.2, 0.9
 # Rounding of a pose, m or rad, as it shows in an error estimate: stiff forces make accelerations of it. At h
@@ -58,8 +66,8 @@ def _change(error, estimates):
 @kernel
 def _error(model, work, scheme, h, twist, control):
     """Norm of the error estimate of a step from `twist`, accepted up to 1, and e_3 if there are two."""
-    largest, largest_3, rtol, length = 0.0, 0.0, control[4], control[8]
-    atol = control[5] + h * work.report[4] + control[9] / h
+    largest, largest_3, rtol, length = 0.0, 0.0, control[RTOL], control[LENGTH]
+    atol = control[ATOL] + h * work.report[ROUND_OFF] + control[ROUNDED] / h
     for i in range(len(model.bodies)):
         error = steps.error_square(model, work, scheme, 0, h, twist, i, rtol, atol, length)
         if len(scheme.error) == 2:
@@ -85,19 +93,19 @@ def judge(model, work, scheme, h, size, status, twist, control):
     error, growth = math.inf, 0.0
     if status == OK:
         error, error_3 = _error(model, work, scheme, size, twist, control)
-        if work.report[4] == 0.0:  # next to a singular pose it is rounding that jumps
-            growth = error_3 * control[5] / (size * size * size * size)
-        if growth > JUMP * control[12] > 0.0:
+        if work.report[ROUND_OFF] == 0.0:  # next to a singular pose it is rounding that jumps
+            growth = error_3 * control[ATOL] / (size * size * size * size)
+        if growth > JUMP * control[GROWTH] > 0.0:
             error = max(error, error_3)
     change = _change(error, len(scheme.error))
     # A substep that ends early, at a change of inputs, says little about the longer one before it.
-    kept = control[0] if change == LARGEST_GROWTH else 0.0
-    control[0] = min(control[6], max(kept, size * change))
-    control[2] += 1.0
+    kept = control[SIZE] if change == LARGEST_GROWTH else 0.0
+    control[SIZE] = min(control[LONGEST], max(kept, size * change))
+    control[ATTEMPTED] += 1.0
     if error <= 1.0:
-        control[1] += 1.0
-        control[12] = growth
+        control[ACCEPTED] += 1.0
+        control[GROWTH] = growth
         return OK, True
-    if control[0] < SMALLEST_SUBSTEP * h:
+    if control[SIZE] < SMALLEST_SUBSTEP * h:
         return (status if status != OK else SUBSTEP_TOO_SMALL), False
     return OK, False

@@ -5,6 +5,7 @@ import numpy as np
 
 from liegroup_core.compiling import Struct, kernel
 from liegroup_core.events.crossings import rows_and_weights
+from liegroup_core.mechanism.bodies import NOW
 from liegroup_core.methods.table import EXACT
 from liegroup_core.status import DEPENDENT_ROWS, OK
 
@@ -68,7 +69,7 @@ def substep(scheme, model, work, size, start, elapsed, first, pose, external):
             status = steps.move(model, work, scheme, size, stage, stage == stages, pose)
             if status != OK:
                 return status
-        work.clock[2] = start + elapsed + scheme.nodes[stage] * size
+        work.clock[NOW] = start + elapsed + scheme.nodes[stage] * size
         if stage < stages or ending:
             dependent = steps.accelerate(model, work, external)
             if dependent >= 0:

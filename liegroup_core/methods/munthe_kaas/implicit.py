@@ -21,6 +21,7 @@ for stiff forces.
 import math
 
 from liegroup_core.compiling import borrowed, kernel, subroutine
+from liegroup_core.mechanism.bodies import NOW
 from liegroup_core.methods.dense_lu import complex_lu_factorise, complex_lu_solve, lu_factorise, lu_solve
 from liegroup_core.status import DEPENDENT_ROWS, NOT_CONVERGED, OK
 
@@ -73,7 +74,7 @@ def _evaluate(scheme, model, work, j, time, pose, external):
     status = steps.move(model, work, scheme, 1.0, 1, j == END, pose)
     if status != OK:
         return status
-    work.clock[2] = time
+    work.clock[NOW] = time
     dependent = steps.accelerate(model, work, external)
     if dependent >= 0:
         return DEPENDENT_ROWS + (dependent << 8)
@@ -240,7 +241,7 @@ def substep(scheme, model, work, size, start, elapsed, first, pose_in, external_
     newton = scheme.newton
     begin = start + elapsed
     if first == 0:
-        work.clock[2] = begin
+        work.clock[NOW] = begin
         dependent = steps.accelerate(model, work, external)
         if dependent >= 0:
             return DEPENDENT_ROWS + (dependent << 8)

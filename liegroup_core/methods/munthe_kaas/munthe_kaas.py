@@ -20,12 +20,29 @@ from liegroup_core.compiling import SameTypes, borrowed, kernel, stepper
 from liegroup_core.dynamics.state import model_and_work
 from liegroup_core.events.switching import Switching
 from liegroup_core.mechanism.arrays import links_of
-from liegroup_core.mechanism.bodies import copy_state
+from liegroup_core.mechanism.bodies import COUNT, LARGEST_TURN, OFFSET, ROUND_OFF, STEP_TURN, copy_state
 from liegroup_core.methods.table import EXACT, is_positive
 from liegroup_core.status import DEPENDENT_ROWS, EVENT, OK, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS
 
 from . import explicit, implicit
-from .error_control import ROUNDING, judge
+from .error_control import (
+    ACCEPTED,
+    ATTEMPTED,
+    COARSE,
+    GROWTH,
+    KEPT_SIZE,
+    LENGTH,
+    LONGEST,
+    MOST,
+    PART,
+    ROUNDED,
+    ROUNDING,
+    RTOL,
+    SIZE,
+    SUBSTEPS,
+    TOLERANCES,
+    judge,
+)
 from .steps import begin, check_end, close, count_turns, enter, has_event, leave, store_slopes, watches
 
 MOST_SUBSTEPS = 100_000
@@ -41,7 +58,7 @@ def _save(work, pose, twist, control):
     copy_state(pose, twist, work.start_pose, work.start_twist)
     for i in range(len(work.angle)):
         work.start_angle[i] = work.angle[i]
-    control[3] = control[0]
+    control[KEPT_SIZE] = control[SIZE]
 
 
 @kernel
@@ -62,7 +79,7 @@ def _restore(work, pose, twist, control):
     copy_state(work.start_pose, work.start_twist, pose, twist)
     for i in range(len(work.angle)):
         work.angle[i] = work.start_angle[i]
-    control[0] = control[3]
+    control[SIZE] = control[KEPT_SIZE]
 
 
 @stepper
@@ -71,12 +88,7 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
 
     model, work     : RelativeModel or PlaneModel, and RelativeWork
     external        : external wrenches of these steps, see forces/external.py
-    control (13,)   : next substep in s, numbers of accepted and of attempted substeps so far, next
-                      substep at the start of the step, rtol of velocities, atol in rad, m, rad/s,
-                      m/s, longest substep in s, most attempts in a step, length in m times which atol
-                      is that of positions, rounding of a pose, part that the most attempts are of those of
-                      the whole step, if its rest takes equal substeps; only for schemes with error control.
-                      Factor of `_coarsen`, or 0. e_3 atol / h^4 of the last substep, or 0
+    control (13,)   : see error_control.py
     returns (steps done, status): fewer steps if status is not OK. Pose, twist and work.angle are
     those of the last valid step, after EVENT of the last valid substep. The low byte of status is
     the code. The other bytes are the element
@@ -98,7 +110,7 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
         if controlled:
             _save(work, pose, twist, control)
         remaining = h
-        start = (work.clock[0] + done) * h + work.clock[1]
+        start = (work.clock[COUNT] + done) * h + work.clock[OFFSET]
         if len(work.motions) > 0:
             first = 0  # the end of the last step is another time, by round-off
         attempts = 0
@@ -106,10 +118,10 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
             count = 1
             if controlled:
                 # Equal substeps up to the end of the step, so that the last one is not tiny.
-                count = max(1, math.ceil(remaining / control[0] - 1e-6))
+                count = max(1, math.ceil(remaining / control[SIZE] - 1e-6))
             size = remaining / count
             attempts += 1
-            work.report[1] = work.report[4] = 0.0
+            work.report[STEP_TURN] = work.report[ROUND_OFF] = 0.0
             begin(model, work, pose, twist)
             if len(scheme.newton.z) > 0:
                 status = implicit.substep(scheme, model, work, size, start, h - remaining, first, pose, external)
@@ -121,7 +133,7 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
                 if status == OK:
                     first = 1
                 status, accepted = judge(model, work, scheme, h, size, status, twist, control)
-                if status == OK and attempts >= control[7] and not (accepted and count == 1):
+                if status == OK and attempts >= control[MOST] and not (accepted and count == 1):
                     status = TOO_MANY_SUBSTEPS
                 if status == OK and not accepted:
                     continue
@@ -139,17 +151,17 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
                 first = 0 if model.projects else 1
             count_turns(model, work)
             copy_state(work.stage_pose, work.stage_twist, pose, twist)
-            if control[11] > 0.0:
-                _coarsen(control[11], pose, twist)
+            if control[COARSE] > 0.0:
+                _coarsen(control[COARSE], pose, twist)
                 first = 0
-            work.report[0] = max(work.report[0], work.report[1])
+            work.report[LARGEST_TURN] = max(work.report[LARGEST_TURN], work.report[STEP_TURN])
             remaining = remaining - size if count > 1 else 0.0
         if status == OK:
             done += 1
         elif controlled and status != EVENT:
-            control[10] = 0.0
+            control[PART] = 0.0
             if status == TOO_MANY_SUBSTEPS:
-                control[10] = attempts / (attempts + remaining / control[0])
+                control[PART] = attempts / (attempts + remaining / control[SIZE])
             _restore(work, pose, twist, control)
     if done > 0 or status == EVENT:
         leave(model, work, pose, twist, pose_in, twist_in)
@@ -177,7 +189,7 @@ class MuntheKaas:
         self._model, self._work, self.work = model_and_work(layout, group, options, stages)
         self._blocks = stages + 1
         self._control = np.zeros(13)
-        self._control[7], self._control[8] = MOST_SUBSTEPS, 1.0
+        self._control[MOST], self._control[LENGTH] = MOST_SUBSTEPS, 1.0
         self._tolerances = options.get("rtol", 0.0), options.get("atol", 1.0)
         self._methods, self._chosen, self._part = [], np.zeros(1), 1.0
         self.add(method)
@@ -216,8 +228,8 @@ class MuntheKaas:
 
     def restart(self):
         """Clear the memory between calls: the state was set."""
-        self._control[:4] = self._longest, 0.0, 0.0, self._longest
-        self._control[6], self._control[12] = self._longest, 0.0
+        self._control[SUBSTEPS] = self._longest, 0.0, 0.0, self._longest
+        self._control[LONGEST], self._control[GROWTH] = self._longest, 0.0
         self._chosen[0] = 0.0
         self._work.known[0] = 0.0
         if self.switching is not None:
@@ -228,7 +240,7 @@ class MuntheKaas:
         self._part = part
         looser = self._methods[self.chosen][2]
         for k, tolerance in enumerate(self._tolerances):
-            self._control[4 + k] = part * looser * tolerance
+            self._control[RTOL + k] = part * looser * tolerance
 
     def follow_accuracy(self, length, bits):
         """Take all steps, none with tolerances below rounding; those of positions are times a length in m.
@@ -236,13 +248,14 @@ class MuntheKaas:
         bits : by which the state is rounded more after every substep; no tolerance is below that, either
         """
         self.passes = True
-        self._control[11] = 2.0**bits + 1.0 if bits else 0.0
-        self._control[8:10] = length, ROUNDING * max(1.0, self._control[11])
+        self._control[COARSE] = 2.0**bits + 1.0 if bits else 0.0
+        self._control[LENGTH] = length
+        self._control[ROUNDED] = ROUNDING * max(1.0, self._control[COARSE])
 
     def choose(self, number):
         """Continue with another of the methods, by its number in the order of `add`."""
         if number != self.chosen:
-            self._control[0] = self._longest
+            self._control[SIZE] = self._longest
         self._chosen[0] = number
         self.tighten(self._part)
 
@@ -260,12 +273,12 @@ class MuntheKaas:
 
     def limit_attempts(self, most=MOST_SUBSTEPS):
         """Set the largest number of attempted substeps in a step."""
-        self._control[7], self._control[10] = most, 0.0
+        self._control[MOST], self._control[PART] = most, 0.0
 
     @property
     def part(self):
         """Part of the attempts of the last step that it made, if it failed as they were too many; otherwise 0."""
-        return float(self._control[10])
+        return float(self._control[PART])
 
     def limit(self, longest):
         """Set the longest substep in s, and restart."""
@@ -280,13 +293,13 @@ class MuntheKaas:
     @property
     def memory(self):
         """Arrays of the memory between calls: substeps of error control, relative coordinates."""
-        control = (self._control[:4], self._control[12:], self._chosen) if self.controlled else ()
+        control = (self._control[SUBSTEPS], self._control[GROWTH:], self._chosen) if self.controlled else ()
         return (*control, *links_of(self._work))
 
     @property
     def substeps(self):
         """Numbers of accepted and attempted substeps since the restart; 0 without error control."""
-        return int(self._control[1]), int(self._control[2])
+        return int(self._control[ACCEPTED]), int(self._control[ATTEMPTED])
 
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place; returns (steps done, status)."""
@@ -297,13 +310,13 @@ class MuntheKaas:
         """Take steps, with larger tolerances where that is allowed and needed."""
         done, status = self._take(h, steps, pose, twist, external)
         while self.passes and status & 0xFF in TOO_TIGHT:
-            tolerances = self._control[4:6].copy()
+            tolerances = self._control[TOLERANCES].copy()
             for factor in LOOSER:
-                self._control[4:6] = factor * tolerances
+                self._control[TOLERANCES] = factor * tolerances
                 one, status = self._take(h, 1, pose, twist, external)
                 if one or status & 0xFF not in TOO_TIGHT:
                     break
-            self._control[4:6] = tolerances
+            self._control[TOLERANCES] = tolerances
             if not one:
                 break
             done += 1

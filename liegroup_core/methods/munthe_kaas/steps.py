@@ -21,6 +21,8 @@ from liegroup_core.dynamics.switches import count_coordinates, set_rates, too_fa
 from liegroup_core.events.crossings import begin_at_end, crossed, note_guards
 from liegroup_core.forces import kinds
 from liegroup_core.lie.vec3 import dot3, load3, load_column, store3, store_column
+from liegroup_core.mechanism.arrays import BEGIN, SPAN, WATCHED
+from liegroup_core.mechanism.bodies import STEP_TURN
 from liegroup_core.methods.checks import end_status
 from liegroup_core.motion_groups.direct import to_link, to_world, to_world_rate
 from liegroup_core.motion_groups.table import column_twist, is_curved, slope
@@ -68,7 +70,7 @@ def move(model, work, scheme, h, stage, end, pose):
             store3(v, work.stage_twist, n + b, 3)
     if not largest < LARGEST_ROTATION * LARGEST_ROTATION:
         return ROTATION_TOO_LARGE if largest < math.inf else NOT_FINITE
-    work.report[1] = max(work.report[1], largest)
+    work.report[STEP_TURN] = max(work.report[STEP_TURN], largest)
     if end and (len(scheme.error) > 0 or len(work.angle) > 0):
         place(model, work, work.stage_pose, work.stage_twist)
     return OK
@@ -149,7 +151,7 @@ def count_turns(model, work):
 @kernel
 def watches(model, work):
     """Whether events are looked for."""
-    return work.watch[0] > 0.0
+    return work.watch[WATCHED] > 0.0
 
 
 @kernel
@@ -164,5 +166,5 @@ def has_event(model, work, scheme, start, h):
     if not crossed(model, work, h, scheme.weights):
         begin_at_end(work)
         return False
-    work.watch[1], work.watch[2] = start, h
+    work.watch[BEGIN], work.watch[SPAN] = start, h
     return True

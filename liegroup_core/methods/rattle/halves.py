@@ -29,6 +29,7 @@ from liegroup_core.dynamics.state import leave as leave
 from liegroup_core.dynamics.state import place
 from liegroup_core.dynamics.trees import move_links, spread_response
 from liegroup_core.forces.kinds import count_turns
+from liegroup_core.mechanism.bodies import STEP_TURN
 from liegroup_core.methods.broyden import broyden
 from liegroup_core.methods.checks import end_status
 from liegroup_core.status import DEPENDENT_ROWS, LARGEST_ROTATION, NOT_CONVERGED, NOT_FINITE, OK, ROTATION_TOO_LARGE
@@ -325,7 +326,7 @@ def second_half(model, work, memory, h, external):
 @kernel
 def keep(model, work, memory):
     """Continue from the end of a substep: the stage."""
-    work.report[1] = max(work.report[1], memory.turned[0])
+    work.report[STEP_TURN] = max(work.report[STEP_TURN], memory.turned[0])
 
 
 @kernel

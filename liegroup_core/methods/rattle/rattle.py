@@ -36,7 +36,7 @@ import numpy as np
 from liegroup_core.compiling import SameTypes, borrowed, stepper
 from liegroup_core.dynamics.state import model_and_work
 from liegroup_core.mechanism.arrays import PlaneModel, links_of
-from liegroup_core.mechanism.bodies import copy_state
+from liegroup_core.mechanism.bodies import COUNT, LARGEST_TURN, NOW, OFFSET, STEP_TURN, copy_state
 from liegroup_core.methods.table import refuse_stabilisation
 from liegroup_core.status import OK
 
@@ -86,12 +86,12 @@ def advance(model, work, memory, parts, h, steps, pose_in, twist_in, external_in
     done = 0
     while done < steps and status == OK:
         begin(model, work, memory, pose, twist, external, done == 0)
-        work.report[1] = 0.0
-        start, passed = (work.clock[0] + done) * h + work.clock[1], 0.0
+        work.report[STEP_TURN] = 0.0
+        start, passed = (work.clock[COUNT] + done) * h + work.clock[OFFSET], 0.0
         for part in range(len(parts)):
             size = parts[part] * h
             passed = passed + parts[part] if part + 1 < len(parts) else 1.0
-            work.clock[2] = start + passed * h
+            work.clock[NOW] = start + passed * h
             status = first_half(model, work, memory, size, done + part == 0)
             if status == OK:
                 status = second_half(model, work, memory, size, external)
@@ -102,7 +102,7 @@ def advance(model, work, memory, parts, h, steps, pose_in, twist_in, external_in
             status = finish(model, work, h)
         if status == OK:
             copy_state(work.stage_pose, work.stage_twist, pose, twist)
-            work.report[0] = max(work.report[0], work.report[1])
+            work.report[LARGEST_TURN] = max(work.report[LARGEST_TURN], work.report[STEP_TURN])
             done += 1
     if done > 0:
         leave(model, work, pose, twist, pose_in, twist_in)

@@ -8,6 +8,7 @@ import math
 
 from liegroup_core.compiling import kernel
 from liegroup_core.lie.vec3 import add3, axpy3, dot3, load3, load9, matmul3, matrix3, scale3, store3, store9
+from liegroup_core.mechanism.bodies import STEP_TURN
 from liegroup_core.methods.broyden import broyden
 from liegroup_core.status import NOT_CONVERGED, OK
 
@@ -90,7 +91,7 @@ def iterated(rule, spinners, work, memory, loads, h, evaluation, pose, twist):
         store9(turn(whole), memory, i, Q)
         # For large steps there are several solutions. One that rotates less than the body does is
         # no better: the larger of both rotations is reported.
-        work.report[1] = max(work.report[1], dot3(whole, whole), h * h * dot3(w, w))
+        work.report[STEP_TURN] = max(work.report[STEP_TURN], dot3(whole, whole), h * h * dot3(w, w))
 
         r, linear = load3(pose, i, 9), linear_momentum(spinner, pose, twist, i)
         if rule == BOTTASSO_BORRI:

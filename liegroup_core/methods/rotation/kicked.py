@@ -8,6 +8,7 @@ import math
 
 from liegroup_core.compiling import kernel
 from liegroup_core.lie.vec3 import axpy3, dot3, load3, load9, matmul3, matrix3, matvec3, scale3, store3
+from liegroup_core.mechanism.bodies import STEP_TURN
 from liegroup_core.status import NO_RATTLE_STEP, NOT_CONVERGED, NOT_FINITE, OK
 
 from .bodies import LINEAR, MOMENTUM, VELOCITY, linear_momentum, load, place
@@ -30,11 +31,11 @@ def kicked(rule, spinners, work, memory, h, evaluation, pose, twist):
             squared = dot3(x, x)
             if not squared < math.inf:
                 return NOT_FINITE, True
-            work.report[1] = max(work.report[1], squared)
+            work.report[STEP_TURN] = max(work.report[STEP_TURN], squared)
             if not converged:
                 if rule == RATTLE:
                     x = scale3(h, matvec3(inverse, axpy3(0.5 * h, torque, matvec3(inertia, w))))
-                    work.report[1] = dot3(x, x)
+                    work.report[STEP_TURN] = dot3(x, x)
                     return NO_RATTLE_STEP + (i << 8), True
                 return NOT_CONVERGED, True
             linear = axpy3(0.5 * h, force, linear_momentum(spinner, pose, twist, i))

@@ -33,7 +33,7 @@ from liegroup_core.compiling import SameTypes, borrowed, stepper
 from liegroup_core.forces.external import set_external_wrenches
 from liegroup_core.forces.gravity import add_wrench as add_gravity
 from liegroup_core.forces.kinds import add_wrenches
-from liegroup_core.mechanism.bodies import copy_state, make_work
+from liegroup_core.mechanism.bodies import LARGEST_TURN, STEP_TURN, copy_state, make_work
 from liegroup_core.methods.checks import is_finite
 from liegroup_core.methods.table import METHODS, refuse_stabilisation
 from liegroup_core.status import DIVERGED, HOPELESS_ROTATION, NOT_CONVERGED, NOT_FINITE, OK
@@ -92,7 +92,7 @@ def advance(model, work, spinners, memory, loads, corrections, rule, weights, h,
     pose, twist, external = borrowed(pose), borrowed(twist), borrowed(external)
     for done in range(steps):
         copy_state(pose, twist, work.stage_pose, work.stage_twist)
-        work.report[1] = 0.0
+        work.report[STEP_TURN] = 0.0
         status, finished = OK, False
         evaluation, previous, earlier = 0, math.inf, math.inf
         while not finished:
@@ -119,12 +119,12 @@ def advance(model, work, spinners, memory, loads, corrections, rule, weights, h,
             evaluation += 1
         if status == OK and not is_finite(work.stage_pose, work.stage_twist):
             status = NOT_FINITE
-        if status == OK and work.report[1] > HOPELESS_ROTATION * HOPELESS_ROTATION:
+        if status == OK and work.report[STEP_TURN] > HOPELESS_ROTATION * HOPELESS_ROTATION:
             status = DIVERGED
         if status != OK:
             return done, status
         copy_state(work.stage_pose, work.stage_twist, pose, twist)
-        work.report[0] = max(work.report[0], work.report[1])
+        work.report[LARGEST_TURN] = max(work.report[LARGEST_TURN], work.report[STEP_TURN])
     return steps, OK
 
 

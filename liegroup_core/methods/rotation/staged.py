@@ -22,6 +22,7 @@ from liegroup_core.lie.vec3 import (
     store3,
     tmatvec3,
 )
+from liegroup_core.mechanism.bodies import STEP_TURN
 from liegroup_core.status import NOT_FINITE, OK
 
 from .bodies import TURN, linear_momentum, load, place
@@ -70,7 +71,7 @@ def staged(spinners, work, memory, weights, h, stage, pose, twist):
         squared = dot3(psi, psi)
         if not squared < math.inf:
             return NOT_FINITE, True
-        work.report[1] = max(work.report[1], squared)
+        work.report[STEP_TURN] = max(work.report[STEP_TURN], squared)
         store3(psi, memory, i, TURN)
         start = load9(pose, i, 0)
         inertia = matrix3(spinner["inertia"])
