@@ -17,18 +17,21 @@ endif
 # If either of the two changes, .venv is rebuilt.
 MADE = .venv/$(VERSION)-$(ROS)
 
-help: ## list the targets; ARGS="..." is passed to demo, test, plain, quick and bench
+help: ## list the targets; ARGS="..." is passed to demo, test, verify, plain, quick and bench
 	@sed -n 's/^\([a-z]*\):.*## /make \1 \t/p' Makefile
 
 demo: .venv/installed ## simulate, record, analyse
 	@.venv/bin/liegroup_sim demo $(ARGS)
 
 # PYTHONSAFEPATH: pytest and the processes of the tests import the installed package, not this folder.
-# Two workers: more of them disturb the tests that measure time.
-PYTEST = PYTHONSAFEPATH=1 .venv/bin/python -m pytest -n 2 --dist loadfile
+# Three workers on two cores, as many tests wait for nodes.
+PYTEST = PYTHONSAFEPATH=1 .venv/bin/python -m pytest -n 3 --dist loadfile
 
 test: .venv/installed ## run all tests against the installed package (20 to 30 min on two cores)
 	@$(PYTEST) -m "not compiler" $(ARGS)
+
+verify: .venv/installed ## run everything: all cases, and every compiler (about 30 min)
+	@VERIFY=1 $(PYTEST) $(ARGS)
 
 plain: .venv/installed ## run the tests of the plain compilation of every method family (5 to 10 min)
 	@$(PYTEST) -m compiler --dist load test/core/test_plain_numba.py $(ARGS)
@@ -118,4 +121,4 @@ constraints: | check
 	    | grep -v ^liegroup | cat build/header - > config/constraints.txt
 	@rm -rf build *.egg-info
 
-.PHONY: help demo test plain quick lint texts docs bench clean check constraints
+.PHONY: help demo test verify plain quick lint texts docs bench clean check constraints

@@ -49,6 +49,7 @@ def mass_matrix(model, work):
 
 @pytest.mark.parametrize("name, seed", CASES)
 @pytest.mark.parametrize("space", SPACES)
+@pytest.mark.volume(16)
 def test_forces_vanish_at_the_accelerations_of_the_equations_of_motion(name, seed, space):
     scene, wrenches = random_mechanisms.random_mechanism(name, seed)
     _, model, work = solved(scene, wrenches, space)

@@ -95,6 +95,7 @@ CHANGES = [
 
 
 @pytest.mark.parametrize("change", CHANGES)
+@pytest.mark.volume(1)
 def test_a_changed_numba_internal_selects_plain_numba(tmp_path, change):
     done = run(SABOTAGE, change, LIEGROUP_CACHE_DIR=str(tmp_path))
     lines = done.stdout.splitlines()

@@ -2,9 +2,6 @@
 """Simulation for users: stepping, options, and errors that end an integration."""
 
 import functools
-import os
-import subprocess
-import sys
 import threading
 
 import mechanisms
@@ -155,35 +152,6 @@ def test_an_invalid_state_is_refused():
 def test_arguments_that_are_no_scene_or_method_are_refused(given, message):
     with pytest.raises(ValueError, match=message):
         Simulation(*given)
-
-
-@pytest.mark.slow
-def test_plain_python_gives_the_same_numbers():
-    """Plain Python has the round-off of machine code (no fast-math); the last bit of libm may differ."""
-    code = (
-        "import sys; sys.path.insert(0, sys.argv[1]); import mechanisms; "
-        "from liegroup_core import Simulation; "
-        "[(s := Simulation(mechanisms.named(name), group='so3xr3', stabilisation=kind), "
-        "s.advance(20), print(s.state()[0].tobytes().hex(), s.sample().energy.hex())) "
-        "for name in ('net', 'every kind') for kind in ('none', 'baumgarte', 'projection')]"
-    )
-    here = os.path.dirname(os.path.dirname(__file__))
-
-    def run(disable):
-        return subprocess.run(
-            [sys.executable, "-c", code, here],
-            capture_output=True,
-            text=True,
-            check=True,
-            env={**os.environ, "NUMBA_DISABLE_JIT": disable},
-        ).stdout.split()
-
-    plain, fast = run("1"), run("0")
-    assert len(plain) == len(fast) == 12
-    for i in range(0, 12, 2):
-        plain_pose, fast_pose = (np.frombuffer(bytes.fromhex(r[i])) for r in (plain, fast))
-        assert np.abs(plain_pose - fast_pose).max() <= 1e-13
-        assert float.fromhex(plain[i + 1]) == pytest.approx(float.fromhex(fast[i + 1]), rel=1e-12)
 
 
 def test_messages_print_numpy_scalars_as_plain_numbers():

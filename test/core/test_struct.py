@@ -204,6 +204,7 @@ def test_subnormals_are_flushed_to_zero_only_in_steps(numbers, ended):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("harm", ["nothing", "empty", "code", "full"])
+@pytest.mark.volume(2)
 def test_cached_kernels_load_despite_a_damaged_cache(tmp_path, harm):
     """Also where a file of it is damaged, or no file can be written, as on a full disk; the caller
     of a shared function is loaded before that.

@@ -202,6 +202,7 @@ def test_every_instant_of_a_run_with_wrenches_is_reached(recorded):
 
 
 @pytest.mark.parametrize("at", [0.05, 0.61, 1.3])
+@pytest.mark.volume(1)
 def test_a_node_goes_on_from_an_instant(client, recorded, tmp_path, capsys, at):
     path, name = tmp_path / "branch.mcap", f"/branch_{round(100 * at)}"
     poses = client.listen(f"{name}/puck/pose", PoseStamped)
@@ -269,6 +270,7 @@ def test_replay_from_an_instant_starts_a_node(client, recorded, tmp_path):
         ({"continue_from": "no.mcap"}, "parameter continue_from: no.mcap: "),
     ],
 )
+@pytest.mark.volume(2)
 def test_a_continuation_that_is_not_possible_is_refused(recorded, parameters, text):
     with NodeProcess({"continue_from": recorded, **parameters}) as process:
         code, errors = process.wait()

@@ -28,6 +28,7 @@ def test_the_page_contains_commands_and_python_code():
 
 
 @pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.volume(2)
 def test_a_command_of_the_page_starts_a_node(client, tmp_path, command):
     command = command.replace("config/", f"{SOURCE / 'config'}/").replace("run.mcap", str(tmp_path / "run.mcap"))
     if "continue_from" in command:

@@ -47,6 +47,7 @@ def repeat(recording):
 
 
 @pytest.mark.parametrize("method", ["rkmk4", "stoermer_verlet"])
+@pytest.mark.volume(1)
 def test_a_recording_with_wrenches_and_controls_repeats_bit_for_bit(client, scene, tmp_path, method):
     """Also: two SIGINTs, as `ros2 launch` sends, end the node cleanly with a complete file."""
     path = tmp_path / "run.mcap"
@@ -189,6 +190,7 @@ def test_a_signal_during_compilation_ends_the_node(scene, tmp_path):
         ({"record": "/proc/no/folder.mcap"}, "cannot record to /proc/no/folder.mcap"),
     ],
 )
+@pytest.mark.volume(6)
 def test_a_wrong_parameter_gives_one_line_and_exit_code_2(scene, parameters, message):
     with NodeProcess({"scene": scene, **parameters}) as process:
         code, errors = process.wait()

@@ -187,6 +187,7 @@ def test_the_recording_is_repeated_bit_by_bit(process):
         ({"trajectory_period": 0.0}, "trajectory_period: must be at least 1e-05"),
     ],
 )
+@pytest.mark.volume(2)
 def test_wrong_parameters_are_refused_in_one_line(tmp_path, parameters, text):
     (tmp_path / "arm.yaml").write_text(SCENE)
     with NodeProcess({"scene": tmp_path / "arm.yaml", **parameters}) as process:

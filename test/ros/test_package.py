@@ -115,7 +115,7 @@ def test_the_displays_of_rviz_show_topics_of_the_preset():
     assert shown.keys() == {"~/markers"} | {f"~/{body}/pose_with_covariance" for body in layout.body_names}
     # A namespace moves them all.
     launch = (SOURCE / "launch" / "sim.launch.py").read_text()
-    moved = ast.literal_eval(re.search(r"SHOWN = (\(.*?\n\))", launch, re.DOTALL)[1])
+    moved = ast.literal_eval(re.search(r"SHOWN = (\(.*?\))\n", launch, re.DOTALL)[1])
     assert {f"~/{topic}" for topic in moved} == shown.keys()
 
 

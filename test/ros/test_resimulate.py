@@ -54,6 +54,7 @@ def values(path):
 
 
 @pytest.mark.parametrize("method", METHODS)
+@pytest.mark.volume(5)
 def test_resimulation_is_bit_identical_with_every_method(ros_node, tmp_path, method):
     run = SceneRun(ros_node, values(tmp_path / "run.mcap"), Simulation(scene_from_text(TOP), method, STEP))
     run.start()

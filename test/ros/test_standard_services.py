@@ -121,6 +121,7 @@ def vector(message, names="xyz"):
     [(types.JAZZY, types.JAZZY_HASHES), (types.LATEST, types.LATEST_HASHES)],
     ids=["jazzy", "latest"],
 )
+@pytest.mark.volume(1)
 def test_the_types_are_those_of_the_package(request, fields, expected):
     if missing():
         pytest.skip(f"{missing()} is missing")

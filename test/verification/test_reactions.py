@@ -65,6 +65,7 @@ def compared(name, seed):
 
 
 @pytest.mark.parametrize("name", [c for c in random_mechanisms.CLASSES if c != "large"])
+@pytest.mark.volume(4)
 def test_reactions_of_random_mechanisms_against_50_digits(name):
     """Determined components to ACCURACY, and the undetermined ones are those of the rank test."""
     total = max(3, int(os.environ.get("MECHANISMS", 40)) // 7)

@@ -212,6 +212,7 @@ def in_space():
 
 
 @pytest.mark.parametrize("group", ["relative", "se3", "so3xr3"])
+@pytest.mark.volume(1)
 def test_chains_in_space_against_the_reference(in_space, group):
     scene, times, exact = in_space
     simulation = Simulation(scene, accuracy=1e-5, horizon=1.0, group=group, stabilisation="none")
