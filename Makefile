@@ -27,7 +27,7 @@ demo: .venv/installed ## simulate, record, analyse
 # Three workers on two cores, as many tests wait for nodes.
 PYTEST = PYTHONSAFEPATH=1 .venv/bin/python -m pytest -n 3 --dist loadfile
 
-test: .venv/installed ## run all tests against the installed package (20 to 30 min on two cores)
+test: .venv/installed ## run the tests against the installed package (10 min on two cores)
 	@$(PYTEST) -m "not compiler" $(ARGS)
 
 verify: .venv/installed ## run everything: all cases, and every compiler (about 30 min)
