@@ -16,7 +16,7 @@ and Operations Research 21 (1994), 587-596.
 """
 
 import numpy as np
-from scipy.optimize import lsq_linear
+import scipy
 
 # Of its terms: w below is zero, and x within what causes this w of a bound is at it.
 TOLERANCE = 1e-11
@@ -99,5 +99,5 @@ def _least_squares(A, b, lo, hi):
     kept = sizes > 1e-14 * sizes.max(initial=0.0)
     root = np.sqrt(sizes[kept])
     C = root[:, None] * directions[:, kept].T
-    found = lsq_linear(C, -(directions[:, kept].T @ b) / root, (lo, hi), method="bvls", tol=1e-15)
+    found = scipy.optimize.lsq_linear(C, -(directions[:, kept].T @ b) / root, (lo, hi), method="bvls", tol=1e-15)
     return found.x, A @ found.x + b

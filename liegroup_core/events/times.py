@@ -9,7 +9,7 @@ import functools
 import math
 
 import numpy as np
-from scipy.optimize import brentq, minimize_scalar
+import scipy
 
 from liegroup_core.dynamics.switches import AT_STOP, LOWER, RESTING, SLIDING, UPPER
 from liegroup_core.mechanism.arrays import COORDINATE, SIDE, WATCHED
@@ -149,7 +149,9 @@ class EventTimes(ModeChanges):
     def _give_way(self, guard, place, size, k, c):
         """Time at which the guard of what is held is negative, near a part of a substep, or None."""
         near = max(place - NEAR, 0.0) * size, min(place + NEAR, 1.0) * size
-        found = minimize_scalar(guard, args=(k, c), bounds=near, method="bounded", options={"xatol": PRECISE * size})
+        options = {"xatol": PRECISE * size}
+        find = scipy.optimize.minimize_scalar
+        found = find(guard, args=(k, c), bounds=near, method="bounded", options=options)
         return float(found.x) if found.fun < 0.0 else None
 
     def _zero(self, guard, gap, end, precise, k, c):
@@ -174,7 +176,7 @@ class EventTimes(ModeChanges):
                     break
             else:
                 return 0.0
-        return brentq(guard, begin, end, (k, c), precise, 1e-15)
+        return scipy.optimize.brentq(guard, begin, end, (k, c), precise, 1e-15)
 
     def _closed(self, guard, gap, near, end, precise, k, c):
         """Time at which a gap closes, by Newton's method from `near`, or None."""

@@ -14,8 +14,8 @@ import math
 from typing import Annotated
 
 import numpy as np
+import scipy
 from pydantic import BeforeValidator, Field, model_validator
-from scipy.interpolate import CubicSpline
 
 from liegroup_core.compiling import kernel
 from liegroup_core.errors import SceneError
@@ -168,12 +168,12 @@ def through(start, times, positions, velocities=None, accelerations=None):
     times = np.asarray(times, dtype=float)
     if positions is None:
         v = np.array([start[1], *velocities])
-        spline = CubicSpline(times, v, bc_type=((1, start[2]), (1, 0.0)))
+        spline = scipy.interpolate.CubicSpline(times, v, bc_type=((1, start[2]), (1, 0.0)))
         positions = [start[0] + spline.integrate(times[0], time) for time in times[1:]]
         accelerations = [*spline(times[1:-1], 1), 0.0]
     q = np.array([start[0], *positions])
     if velocities is None:
-        velocities = CubicSpline(times, q, bc_type=((1, start[1]), (1, 0.0)))(times[1:], 1)
+        velocities = scipy.interpolate.CubicSpline(times, q, bc_type=((1, start[1]), (1, 0.0)))(times[1:], 1)
     v = np.array([start[1], *velocities])
     if accelerations is None:
         T, dq = np.diff(times), np.diff(q)

@@ -2,8 +2,7 @@
 """Cut joints of a spanning tree: the rows that are independent, and where each touches the tree."""
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import reverse_cuthill_mckee
+import scipy
 
 from liegroup_core.errors import SceneError
 from liegroup_core.joints.elements import ELEMENT, PAIR, WORLD, Element
@@ -346,4 +345,4 @@ def _narrow(paths):
     if not paths:
         return []
     touch = np.array([[bool(a & b) for b in paths] for a in paths])
-    return reverse_cuthill_mckee(csr_matrix(touch), symmetric_mode=True).tolist()
+    return scipy.sparse.csgraph.reverse_cuthill_mckee(scipy.sparse.csr_matrix(touch), symmetric_mode=True).tolist()

@@ -27,6 +27,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy
 
 from liegroup_core.fields.arguments import is_finite
 from liegroup_core.motion_groups.table import FLOATING
@@ -123,13 +124,13 @@ def _dormand_prince_5():
 
 
 def _dormand_prince_8():
-    """Coefficients from SciPy, imported on use: that takes as long as importing this package."""
-    from scipy.integrate import DOP853
+    """Coefficients from SciPy, whose modules are loaded at their first use."""
+    DOP853 = scipy.integrate.DOP853
     return DOP853.A, DOP853.B
 
 
 def _dormand_prince_853():
-    from scipy.integrate import DOP853
+    DOP853 = scipy.integrate.DOP853
     return DOP853.A, DOP853.B, DOP853.E5, DOP853.E3
 
 

@@ -2,7 +2,7 @@
 """Comparison of two recordings: distance between the motions, and different settings."""
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from liegroup_core.reference import Trajectory, distance
 from liegroup_sim_ros.recording.read import RecordingError
@@ -138,7 +138,7 @@ def _trajectory(values):
     position, quaternion, twist = values
     norm = np.linalg.norm(quaternion, axis=2, keepdims=True)
     usable = np.where(np.isfinite(norm) & (norm > 0.0), quaternion, (0.0, 0.0, 0.0, 1.0))
-    rotation = Rotation.from_quat(usable.reshape(-1, 4)).as_matrix()
+    rotation = scipy.spatial.transform.Rotation.from_quat(usable.reshape(-1, 4)).as_matrix()
     rotation = rotation.reshape(*position.shape[:2], 3, 3)
     rotation[~(np.isfinite(norm) & (norm > 0.0))[..., 0]] = np.nan
     return Trajectory(None, rotation, position, twist)

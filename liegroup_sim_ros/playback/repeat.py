@@ -2,7 +2,7 @@
 """Repetition of a recorded run from its initial state and wrenches, compared bit for bit."""
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from liegroup_core import SimulationError
 from liegroup_core.observables.along import quaternions
@@ -55,7 +55,7 @@ class Repeat:
         if self._first is None:
             row = int(np.argmin(identical))
             self._first = {"at_s": float(block.log_times[row]), "body": block.stretch.bodies[int(np.argmin(same[row]))]}
-        rotation = Rotation.from_quat(quaternion.reshape(-1, 4)).as_matrix()
+        rotation = scipy.spatial.transform.Rotation.from_quat(quaternion.reshape(-1, 4)).as_matrix()
         apart = distance(
             Trajectory(None, rotation.reshape(k, -1, 3, 3), pose[..., 9:], twist),
             Trajectory(None, block.rotation[:k], block.position[:k], block.twist[:k]),

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from liegroup_core.forces.external import AXES
 from liegroup_core.joints.motion import COLUMNS
@@ -375,7 +375,7 @@ class Motion:
             stretch.first_step = int(steps[0])
         stretch.samples += len(steps)
         stretch.last_step = int(steps[-1])
-        turn = Rotation.from_quat(quaternion.reshape(-1, 4)).as_matrix()
+        turn = scipy.spatial.transform.Rotation.from_quat(quaternion.reshape(-1, 4)).as_matrix()
         rotation = turn.reshape(*position.shape[:2], 3, 3)
         return Block(stretch, steps, rotation, position, quaternion, twist, errors)
 

@@ -5,7 +5,7 @@ import base64
 import math
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from liegroup_core.layout import make_layout
 from liegroup_sim_ros.messages.markers import CUBE, CYLINDER, THINNEST, solid
@@ -64,7 +64,7 @@ def make_view(analysis, shapes=None):
     times = np.concatenate([stretch.log_times for stretch in stretches])[pick]
     position = np.concatenate([stretch.position for stretch in stretches])[pick]
     turn = np.concatenate([stretch.rotation for stretch in stretches])[pick]
-    quaternion = Rotation.from_matrix(turn.reshape(-1, 3, 3)).as_quat()
+    quaternion = scipy.spatial.transform.Rotation.from_matrix(turn.reshape(-1, 3, 3)).as_quat()
     places = np.concatenate([position, quaternion.reshape(*position.shape[:2], 4)], axis=2)
     pushes = [
         [
