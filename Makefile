@@ -28,6 +28,7 @@ demo: .venv/installed ## simulate, record, analyse
 PYTEST = PYTHONSAFEPATH=1 .venv/bin/python -m pytest -n 3 --dist loadfile
 
 test: .venv/installed ## run the tests against the installed package (10 min on two cores)
+	@.venv/bin/python -P test/compile_kernels.py
 	@$(PYTEST) -m "not compiler" $(ARGS)
 
 verify: .venv/installed ## run everything: all cases, and every compiler (about 30 min)
