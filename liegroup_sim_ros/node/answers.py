@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a node answers: every request has a response, whatever its callback raises, and none blocks the others.
+"""Base class of a node whose services always respond, also after an exception, and do not block each other.
 
-A callback of a service gets (request, response) and returns the response, or one line of text for a
-response that says success. It may be a coroutine, and wait for what other threads do: until then the
-executor runs other callbacks. What it raises becomes a response, too.
+A callback of a service gets (request, response). It returns the response, or one line of text for a
+response that reports success. It may be a coroutine that waits for other threads: meanwhile the
+executor runs other callbacks. An exception that it raises becomes a response, too.
 """
 
 import concurrent.futures
@@ -16,19 +16,19 @@ from liegroup_core.errors import LieGroupSimError
 
 from .standard_codes import FAILED, OK, Refused
 
-FIRST, NEXT = 0.02, 0.002  # s for which the executor waits at first, and between other callbacks
+FIRST, NEXT = 0.02, 0.002  # s, waiting times of the executor: the first, and those between other callbacks
 SHOWN = 300  # characters of an unexpected error
 ENDING = "the node is shutting down"
 
 
 class AnsweringNode(Node):
-    """Node all of whose services and subscriptions outlive what their callbacks raise.
+    """Node whose services and subscriptions survive exceptions of their callbacks.
 
-    signals : Signals, as an attribute `signals` before services are called
+    signals : Signals; attribute to set before services are called
     """
 
     def create_service(self, srv_type, srv_name, callback, **options):
-        """As Node.create_service; see above for what the callback may return."""
+        """Same as Node.create_service; the module docstring says what the callback may return."""
 
         def serve(request, _):
             work = self._answer(srv_type, srv_name, callback, request)
@@ -36,7 +36,7 @@ class AnsweringNode(Node):
                 work.send(None)
             except StopIteration as done:
                 return done.value
-            return work  # it waits; `send` goes on with it
+            return work  # a coroutine that waits; `send` resumes it
 
         service = super().create_service(srv_type, srv_name, serve, **options)
         send_now = service.send_response
@@ -61,7 +61,7 @@ class AnsweringNode(Node):
         return service
 
     def create_subscription(self, msg_type, topic, callback, qos_profile, **options):
-        """As Node.create_subscription."""
+        """Same as Node.create_subscription."""
 
         def receive(message):
             try:
@@ -91,7 +91,7 @@ class AnsweringNode(Node):
         return text
 
     async def wait(self, future, alive=lambda: True):
-        """Result of a concurrent Future. Raises its exception, Refused if the node ends or not `alive`."""
+        """Result of a concurrent Future. Raises its exception, or Refused if the node ends or `alive()` is false."""
         longest = FIRST
         while not concurrent.futures.wait([future], longest).done:
             if self.signals.received or not alive():
@@ -117,7 +117,7 @@ class Turn:
 
 
 def begin(work, *arguments):
-    """Future of a function that runs in a thread of its own, which does not keep the process alive."""
+    """Run a function in a daemon thread of its own; returns its Future."""
     future = concurrent.futures.Future()
 
     def run():
@@ -131,7 +131,7 @@ def begin(work, *arguments):
 
 
 def filled(response, code, text):
-    """The response of a service with its result, in the fields that its type has."""
+    """Write the result code and text to the fields that the response's type has; returns the response."""
     result = getattr(response, "result", None)
     if hasattr(response, "success"):
         response.success, response.message = code == OK, text

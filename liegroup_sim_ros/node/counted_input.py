@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Counts of accepted and refused messages, and what all inputs of the node refuse. Imports no ROS."""
+"""Counts of accepted and refused messages, and checks that all inputs of the node share. Imports no ROS."""
 
 from liegroup_core.fields.values import LARGEST_NUMBER
 
@@ -7,22 +7,22 @@ from liegroup_core.fields.values import LARGEST_NUMBER
 FARTHEST = 3600 * 10**9  # ns
 # Largest number of commands that act now or start later. Bounds the memory of the node.
 MOST = 10_000
-LONGEST_NAME = 64  # characters that are shown of a name
+LONGEST_NAME = 64  # characters of a name that are shown
 
 
 _is_below = LARGEST_NUMBER.__ge__
 
 
 def bounded(numbers):
-    """True if all are finite and no larger than numbers of a scene may be."""
+    """True if all numbers are finite and within the limit for numbers of a scene."""
     return all(map(_is_below, map(abs, numbers)))
 
 
 class Refusal(Exception):
-    """Refused message.
+    """A message is refused.
 
-    reason : for counting
-    first  : True for the first one with this reason
+    reason : key of its counter
+    first  : True for the first refusal with this reason
     """
 
     def __init__(self, what, reason, text, first):
@@ -34,10 +34,10 @@ class Refusal(Exception):
 class CountedInput:
     """Counter of the messages of one kind of input; a subclass decodes them.
 
-    what    : a message, in texts
-    counted : first part of the names of its figures
-    reasons : for which messages are refused
-    accepted, refused : number; {reason: number}
+    what    : noun for a message in log texts
+    counted : prefix of the names of its figures
+    reasons : possible reasons of refusals
+    accepted, refused : number of messages; {reason: number of messages}
     """
 
     def __init__(self, what, counted, reasons):
@@ -46,7 +46,7 @@ class CountedInput:
         self.refused = dict.fromkeys(reasons, 0)
 
     def refuse(self, reason, text):
-        """Count and raise a Refusal; text : function, called only for the first one of a reason."""
+        """Count and raise a Refusal; text : function that returns its text, called once per reason."""
         self.refused[reason] += 1
         first = self.refused[reason] == 1
         raise Refusal(self._what, reason, text() if first else reason, first)

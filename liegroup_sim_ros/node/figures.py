@@ -5,7 +5,7 @@ import math
 
 
 def pacing_figures(pacer, factor, real_time):
-    """Of a Pacer and a RealTime; factor: achieved real-time factor."""
+    """Figures of a Pacer and a RealTime; factor: achieved real-time factor."""
     pacing = pacer.report()
     return {
         "real_time_factor_wanted": pacer.factor,
@@ -22,14 +22,14 @@ def pacing_figures(pacer, factor, real_time):
 
 
 def error_figures(simulation, sample):
-    """Largest estimated errors of all bodies, and the accuracy; nothing without an estimate."""
+    """Largest estimated errors of all bodies, and the accuracy; {} without an estimate."""
     if sample.errors is None:
         return {}
     position, attitude = sample.errors[:, :2].max(axis=0).tolist()
     return {
         "position_error_m": position,
         "attitude_error_rad": attitude,
-        # By position, then by attitude; none while all are unknown.
+        # Largest error of position, then of attitude; no body while all errors are unknown.
         "worst_body": max(zip(sample.errors.tolist(), sample.body_names))[1] if math.isfinite(position) else "",
         "predictable_until_s": simulation.predictable_until,
         **_accuracy_figures(simulation),
@@ -53,7 +53,7 @@ class Saturation:
 
     def __init__(self, simulation):
         self._exists = bool(simulation.layout.servos)
-        self._saturated, self._count = set(), 0  # at the last sample; how often reached
+        self._saturated, self._count = set(), 0  # joints at the last sample; how often a limit was reached
 
     def reached(self, sample):
         """Joints, sorted, whose servo has reached its limit since the last sample."""
@@ -65,7 +65,7 @@ class Saturation:
         return found
 
     def figures(self, sample):
-        """Figures; nothing without servos."""
+        """Figures for the diagnostics; {} without servos."""
         if not self._exists:
             return {}
         return {"servos_saturated": ", ".join(sample.saturated), "servo_saturations": self._count}

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What other threads want of the simulation: wrenches, commands of joints, and trajectories.
+"""Queue of inputs from other threads to the simulation: wrenches, joint commands, and trajectories.
 
-They wait here until the simulation thread takes them before its next block of steps. Imports no ROS.
+The simulation thread takes them before its next block of steps. Imports no ROS.
 """
 
 import logging
@@ -17,12 +17,12 @@ class Inbox:
     """Inputs that wait for the simulation thread.
 
     simulation    : liegroup_core.Simulation
-    follow_period : s, for which wanted values of a trajectory are constant
+    follow_period : s, during which wanted values of a trajectory are constant
     motion_time   : s, in which a driven joint comes to rest
     wake          : function that wakes the simulation thread
 
-    replaced : number of accepted inputs that never acted: a later one of the same source and start
-               replaced them, or a state was set, before the simulation thread took them
+    replaced : number of accepted inputs that never acted: before the simulation thread took them, a
+               later one with the same source and start replaced them, or a state was set
     """
 
     def __init__(self, simulation, follow_period, motion_time, wake):
@@ -40,7 +40,7 @@ class Inbox:
 
         pushes   : [Push, JointEffort, Target or Motion], which all start with the same step
         duration : s of simulated time, None: until the next one of this source
-        refuse   : function of one line of text, called if one cannot be applied when it starts
+        refuse   : function, called with one line of text if an input cannot be applied when it starts
         """
         # While the simulation is paused, a later command with the same start replaces the earlier
         # one, so that the queue is bounded.
@@ -50,13 +50,13 @@ class Inbox:
                 if self._pushes.pop(push.key, None) is not None:
                     self.replaced += 1
                 self._pushes[push.key] = push, duration, refuse
-        if first:  # once for each delivery: a storm does not wake the thread for every message
+        if first:  # once per delivery, so that a burst does not wake the thread for every message
             self._wake()
 
     def follow(self, trajectory, refuse=log.warning):
-        """Follow a Trajectory; it replaces one that waits, and the present one when it starts.
+        """Follow a Trajectory. It replaces a waiting one now, and the current one when it starts.
 
-        refuse : function of one line of text, called if it cannot be followed when it starts
+        refuse : function, called with one line of text if it cannot be followed when it starts
         """
         with self._lock:
             self.replaced += self._trajectory is not None
@@ -64,7 +64,7 @@ class Inbox:
         self._wake()
 
     def clear(self, prefix):
-        """Forget the wrenches of all sources whose names start with `prefix`."""
+        """Discard waiting wrenches of all sources whose names start with `prefix`."""
         with self._lock:
             for key in [key for key in self._pushes if key[1].startswith(prefix)]:
                 del self._pushes[key]
@@ -75,7 +75,7 @@ class Inbox:
     # In the simulation thread:
 
     def acts_before(self, stamp_ns):
-        """Whether an input waits that starts before a stamp."""
+        """Whether a waiting input starts before a stamp."""
         if not self._pushes and self._trajectory is None:
             return False
         with self._lock:
@@ -85,9 +85,10 @@ class Inbox:
         return any(not start or start < stamp_ns for start in starts)
 
     def deliver(self, base_ns, until):
-        """Give everything to the simulation, and the wanted values of a trajectory up to a time in s.
+        """Pass all waiting inputs to the simulation, and the wanted values of the followed trajectory.
 
         base_ns : stamp of step 0
+        until   : s, time up to which wanted values are passed
         """
         if self._pushes:
             self._apply(base_ns)
@@ -106,14 +107,14 @@ class Inbox:
             start = (push.start_ns - base_ns) * 1e-9 if push.start_ns else None
             try:
                 push.apply(self._simulation, start, duration)
-            except ValueError as error:  # the state is not that of its arrival
+            except ValueError as error:  # the state has changed since it arrived
                 refuse(str(error))
                 continue
             if isinstance(push, (Target, Motion)):
                 self._follower.release(push.joint, start or self._simulation.time)
 
     def discard(self):
-        """Forget everything: a state was set."""
+        """Discard all inputs, because a state was set."""
         with self._lock:
             self.replaced += len(self._pushes) + (self._trajectory is not None)
             self._pushes.clear()
@@ -121,9 +122,9 @@ class Inbox:
         self._follower.clear()
 
     def snapshot(self):
-        """Copy of the trajectories that are followed or wait, for `restore`."""
+        """Copy of the followed and the waiting trajectory, for `restore`."""
         return self._follower.snapshot()
 
     def restore(self, snapshot):
-        """Follow what a snapshot had."""
+        """Continue the trajectories of a snapshot."""
         self._follower.restore(snapshot)

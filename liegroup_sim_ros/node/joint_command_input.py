@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Commands for joints: decoding and validation of JointState and Float64MultiArray.
 
-Names are those of ~/joint_states. A message may name any of the joints; NaN, or an empty field, is no
-command of this kind. A command replaces the previous one of the same joint and kind. An effort acts on
-the joint itself; position and velocity are wanted values of its servo, or what a driven joint reaches.
+Names are those of ~/joint_states. A message may have some of the joints. NaN or an empty field gives no
+command of its kind. A command replaces the previous one of the same joint and kind. An effort acts on
+the joint itself. Position and velocity are wanted values of its servo, or the state that a driven joint reaches.
 
-A zero stamp, or one that is not older than the command lasts, means the next step; a future stamp
-means that simulated time. A message is accepted or refused as a whole; refusals are counted by reason.
+A command starts at its stamp if that is in the future, else with the next step; a stamp older than the
+command's duration is refused. A message is accepted or refused as a whole; refusals are counted by reason.
 Imports no ROS.
 """
 
@@ -21,7 +21,7 @@ from liegroup_sim_ros.numbers import counted
 from .counted_input import LONGEST_NAME
 from .joint_input import JointInput
 
-OLDEST = 1.0  # s; age of the stamp of a command that acts until the next one
+OLDEST = 1.0  # s; largest age of the stamp of a command without a duration
 SOURCE = "joint_commands"
 INTERFACES = ("position", "velocity", "effort")  # in the order of a JointState
 REASONS = (
@@ -51,11 +51,11 @@ class JointEffort(NamedTuple):
 
     @property
     def key(self):
-        """Start, source and joint: of two equal ones the later counts."""
+        """Start, source and joint; a later command replaces one with the same key."""
         return self.start_ns, self.source, self.joint
 
     def check(self, present):
-        """Its limits do not depend on the present state."""
+        """Do nothing: limits of efforts do not depend on the present state."""
 
     def apply(self, simulation, start, duration):
         """Apply it to a Simulation from a time in s on (None: the next step), for a duration in s."""
@@ -72,7 +72,7 @@ class Target(NamedTuple):
 
     @property
     def key(self):
-        """Start, kind and joint: of two equal ones the later counts."""
+        """Start, kind and joint; a later command replaces one with the same key."""
         return self.start_ns, "target", self.joint
 
     def check(self, present):
@@ -85,17 +85,17 @@ class Target(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Accepted position and velocity that a driven joint reaches in a time."""
+    """Accepted position and velocity that a driven joint reaches after `seconds`."""
 
     joint: str  # as in the scene
-    position: float  # rad or m; NaN: that to which the velocity leads
+    position: float  # rad or m; NaN: any, only the velocity is commanded
     velocity: float  # rad/s or m/s
-    seconds: float  # until it is there
+    seconds: float  # duration of the motion
     start_ns: int  # stamp at which it starts; 0: at the next step
 
     @property
     def key(self):
-        """Start, kind and joint: of two equal ones the later counts."""
+        """Start, kind and joint; a later command replaces one with the same key."""
         return self.start_ns, "target", self.joint
 
     @property
@@ -110,7 +110,7 @@ class Motion(NamedTuple):
     def apply(self, simulation, start, duration):
         """Command it to a Simulation from a time in s on (None: the next step).
 
-        duration : s, after which the joint comes to rest; None: it goes on at the velocity
+        duration : s, after which the joint comes to rest; None: it continues at the velocity
         """
         simulation.command_motion(self.joint, *self._points, start=start)
         if duration is not None:
@@ -121,7 +121,7 @@ class Motion(NamedTuple):
 class JointCommandInput(JointInput):
     """Decoder and counter of commands for the joints of a scene.
 
-    seconds : in which a driven joint reaches a commanded position or velocity
+    seconds : time in which a driven joint reaches a commanded position or velocity
     layout, present : as in JointInput
     """
 
@@ -132,8 +132,9 @@ class JointCommandInput(JointInput):
         self._checked = ()  # names of the last accepted message
 
     def read_array(self, payload, names, interface, held, jumps=None):
-        """As `read`, of a serialized Float64MultiArray: numbers of one interface for these joints.
+        """Same as `read`, for a serialized Float64MultiArray with one number per joint.
 
+        names     : joints in the order of the numbers
         interface : "position", "velocity" or "effort"
         """
         try:
@@ -225,7 +226,7 @@ class JointCommandInput(JointInput):
         joint = self.joints[name]
         if joint not in self._with_effort:
             self.refuse(
-                "no_coordinate", lambda: f"it has an effort for {name}, a screw: command a position or velocity"
+                "no_coordinate", lambda: f"{name} is a screw joint and takes no effort: command a position or velocity"
             )
         self.refuse_beyond_limits(self.limits[joint].check_effort, effort)
 
@@ -237,7 +238,7 @@ class JointCommandInput(JointInput):
                 self.refuse(
                     "no_servo",
                     lambda: (
-                        f"it has a {kind} for {name}, which has no servo and is not driven: change the "
+                        f"{name} has no servo and is not driven, so it takes no {kind}: change the "
                         f"scene, or command an effort and leave {kind} empty or NaN"
                     ),
                 )
@@ -245,8 +246,8 @@ class JointCommandInput(JointInput):
                 self.refuse(
                     "no_position",
                     lambda: (
-                        f"it has a velocity but no position for {name}, whose servo has a "
-                        "stiffness: give a position too, or a servo with stiffness 0"
+                        f"{name} has a velocity but no position, and its servo has a stiffness: "
+                        "give a position too, or a servo with stiffness 0"
                     ),
                 )
             limits = self.limits[self.joints[name]]

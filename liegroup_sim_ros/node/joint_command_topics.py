@@ -12,7 +12,7 @@ from .joint_input import Jumps
 from .parameters import ParameterError
 from .trajectory_input import TrajectoryInput
 
-# Depth of the queues of commands: 0.1 s at 1 kHz. A message may have any length, and DDS keeps them all.
+# Depth of the queues of commands: 0.1 s at 1 kHz. It bounds the memory: messages may have any length.
 COMMANDS = 100
 
 
@@ -41,7 +41,7 @@ class JointCommandTopics:
         if self._names:
             self._subscribe("~/commands", Float64MultiArray, self._read_array)
         if self.input.follows:
-            # Each replaces the one before: a queue of large messages has no use.
+            # A trajectory replaces the previous one, so a long queue of large messages is useless.
             self._subscribe("~/joint_trajectory", JointTrajectory, self._read_trajectory, depth=10)
 
     def _check_names(self):
@@ -49,18 +49,18 @@ class JointCommandTopics:
             if name not in self.input.joints:
                 raise ParameterError(
                     f"parameter command_joints: {name!r} is not a joint with one coordinate; choose "
-                    f"some of: {', '.join(self.input.joints) or 'the scene has none'}"
+                    f"from: {', '.join(self.input.joints) or 'the scene has none'}"
                 )
             kind = self._values.command_interface
             if kind == "effort" or name in self.input.driven:
                 continue
             if self.input.servos.get(name) is not (kind == "position"):
                 raise ParameterError(
-                    f"parameter command_interface: {name!r} is not driven and has no servo "
-                    f"{'with' if kind == 'position' else 'without'} stiffness, which {kind} needs"
+                    f"parameter command_interface: joint {name!r} takes no {kind} commands: it needs to be "
+                    f"driven, or a servo {'with' if kind == 'position' else 'without'} stiffness"
                 )
         if len(set(self._names)) < len(self._names):
-            raise ParameterError("parameter command_joints: names a joint twice")
+            raise ParameterError("parameter command_joints: a joint occurs twice")
 
     def _subscribe(self, topic, message_class, read, depth=COMMANDS):
         def receive(payload):
@@ -85,7 +85,7 @@ class JointCommandTopics:
                 self._node.get_logger().warning(str(refusal))
 
     def _refuse_command(self, text):
-        """Called by the simulation's thread, as the next one."""
+        """Count and log a late refusal; called by the simulation thread, like the next method."""
         self._log_refusal(self.input.refuse_late, text)
 
     def _refuse_trajectory(self, text):

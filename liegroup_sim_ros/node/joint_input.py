@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all inputs that name joints share: the joints of a scene, and refused names. Imports no ROS."""
+"""Base class of inputs with joint names: joints of a scene, checks of names and limits. Imports no ROS."""
 
 from typing import NamedTuple
 
@@ -11,11 +11,11 @@ from .counted_input import LONGEST_NAME, CountedInput
 
 
 class Jumps(NamedTuple):
-    """What a commanded position may differ from that of its joint.
+    """Limit on the distance between a commanded position and the present position of its joint.
 
-    most      : rad or m
+    most      : largest distance, rad or m
     positions : {joint of the scene: present position}
-    period    : s, in which a trajectory may move a joint by so much
+    period    : s, during which a trajectory may move a joint by `most`
     """
 
     most: float
@@ -24,18 +24,18 @@ class Jumps(NamedTuple):
 
 
 class JointInput(CountedInput):
-    """Counter of messages that name joints of a scene.
+    """Counter of messages with names of joints of a scene.
 
     layout  : Layout
-    present : SimulationServer, or an object with its `check_motion` and `check_jump`; None: the
-              motions of driven joints, and jumps of servos, are not compared with limits
-    The others as CountedInput.
+    present : SimulationServer, or an object with its `check_motion` and `check_jump`; None: limits
+              are not checked for motions of driven joints and jumps of servos
+    Other arguments are those of CountedInput.
 
     joints     : {name in messages: joint of the scene} of the joints with one coordinate: revolute and
                  prismatic joints, and driven screws
     servos     : {name in messages: whether its servo needs a wanted position}
     driven     : names in messages of the driven joints
-    most_names : number of names that a message can have
+    most_names : largest number of names in a message
     limits     : {joint of the scene: Limits}
     """
 
@@ -58,11 +58,11 @@ class JointInput(CountedInput):
 
     @property
     def follows(self):
-        """Whether a joint can follow a trajectory: one with a stiff servo, or a driven one."""
+        """Whether any joint can follow a trajectory: it is driven, or has a servo with stiffness."""
         return any(self.servos.values()) or bool(self.driven)
 
     def check_names(self, names):
-        """Refuse names that are not those of joints, or repeat. Raises Refusal."""
+        """Refuse unknown and repeated names, and joints without one coordinate. Raises Refusal."""
         for name in names:
             if name in self.joints:
                 continue
@@ -71,16 +71,16 @@ class JointInput(CountedInput):
                 self.refuse(
                     "no_coordinate",
                     lambda: (
-                        f"joint {name!r:.{LONGEST_NAME}} does not move, or not in one coordinate; "
-                        f"name some of: {listed:.200}"
+                        f"joint {name!r:.{LONGEST_NAME}} is fixed, or has more than one coordinate; "
+                        f"choose from: {listed:.200}"
                     ),
                 )
-            self.refuse("unknown_joint", lambda: f"unknown joint {name!r:.{LONGEST_NAME}}; name some of: {listed:.200}")
+            self.refuse("unknown_joint", lambda: f"unknown joint {name!r:.{LONGEST_NAME}}; choose from: {listed:.200}")
         if len(set(names)) < len(names):
-            self.refuse("repeated_joint", lambda: "it names a joint twice; name each one once")
+            self.refuse("repeated_joint", lambda: "a joint occurs twice; give each joint once")
 
     def refuse_beyond_limits(self, check, *arguments):
-        """Refuse what `check` of these arguments finds beyond the limits of a joint. Raises Refusal."""
+        """Refuse the message if `check(*arguments)` raises BeyondLimits. Raises Refusal."""
         try:
             check(*arguments)
         except BeyondLimits as error:

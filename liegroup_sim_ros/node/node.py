@@ -29,7 +29,7 @@ from .scene_run import ATTENTION, Interrupted, SceneRun, begin_simulation, make_
 from .standard_codes import FAILED, Refused
 
 try:
-    # With it a callback takes a fifth of the CPU time that it takes in rclpy's default executor.
+    # A callback takes a fifth of the CPU time that it takes with rclpy's default executor.
     from rclpy.experimental import EventsExecutor as Executor
 except ImportError:
     Executor = SingleThreadedExecutor
@@ -82,7 +82,7 @@ class SimNode(AnsweringNode):
             raise ParameterError(f"parameter {empty[0]}: has no value" if empty else str(error)) from None
         for name in ("liegroup_core", "liegroup_sim_ros"):
             logging.getLogger(name).addHandler(LogHandler(self.get_logger()))
-        self.is_recorded = True  # what was to be recorded so far
+        self.is_recorded = True  # False once a recording is incomplete
         self._values = values = read_parameters(self)
         self._loading = False
         simulation, start_ns = make_simulation(values, signals)
@@ -105,7 +105,7 @@ class SimNode(AnsweringNode):
         self.scene_run.start()
 
     def _command(self, name, parameter):
-        """Callback of a service that executes a command, with the value of a parameter if it has one."""
+        """Callback of a service that executes a command; its argument: value of `parameter`, if not ""."""
         command = name.removesuffix("_snapshot")
 
         def serve(*_):
@@ -117,13 +117,13 @@ class SimNode(AnsweringNode):
         return (await self.load(lambda: None))[1]
 
     async def load(self, make_scene, paused=None):
-        """Replace the running scene; returns (Scene, state of its run). Raises Refused: the previous one goes on.
+        """Replace the running scene; returns (Scene, state of its run). If Refused, the previous one continues.
 
-        make_scene : function that returns the Scene, None: that of the parameter; in a thread of its own
-        paused     : whether it starts paused; None: as the previous one is
+        make_scene : function that returns the Scene, or None for that of the parameter; called in a thread
+        paused     : whether it starts paused; None: as the previous one
         """
         if self._loading:
-            raise Refused(FAILED, "another scene is being loaded: try again when it is")
+            raise Refused(FAILED, "another scene is being loaded: try again later")
         self._loading = True
         try:
             return await self._replace(make_scene, paused)
@@ -172,7 +172,7 @@ def _refused_by_rcl():
         yield
     except RuntimeError as error:  # a subclass that is private to rclpy
         text = str(error).partition(", at /")[0]
-        if type(error).__name__ == "UnknownROSArgsError":  # its text is only a list
+        if type(error).__name__ == "UnknownROSArgsError":  # its text only lists the arguments
             text = f"unknown ROS arguments: {text}"
         raise ParameterError(text) from None
 

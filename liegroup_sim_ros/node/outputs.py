@@ -25,8 +25,8 @@ from liegroup_sim_ros.messages.topics import wrench_frame
 
 from .parameters import ParameterError
 
-# Longest time for which the last messages of all topics together may be on their way, s. A topic with
-# fewer messages than its depth is acknowledged only by the next heartbeat of DDS, seconds later.
+# Longest time to wait at the end for acknowledgements of the last messages of all topics, s. Subscribers
+# acknowledge a topic with fewer messages than its depth only at the next heartbeat of DDS, seconds later.
 LAST_WORDS = 0.5
 
 
@@ -84,8 +84,8 @@ class Stream:
             self._write(self._channel, stamp_ns, data)
 
     def wait(self, seconds):
-        """Wait until all reliable subscribers have all messages, at most so many seconds."""
-        with contextlib.suppress(RuntimeError):  # some middlewares cannot tell
+        """Wait until all reliable subscribers have all messages, at most for `seconds`."""
+        with contextlib.suppress(RuntimeError):  # not supported by some middlewares
             self._publisher.wait_for_all_acked(Duration(seconds=seconds))
 
     def close(self):
@@ -105,7 +105,7 @@ class Outputs:
     Raises ParameterError for a topic whose message type is not installed.
 
     timed                    : [(steps between messages, send(stamp_ns, sample))]
-    attending                : functions of the stamp, called with each diagnostics: once a second
+    attending                : functions of the stamp, called with the diagnostics, once a second
     clock_steps, state_steps : steps between messages of /clock and ~/state, 0: none
     acting                   : {(body, axes): total wrench in these axes}, without zero wrenches
     targets                  : {joint: (position, velocity)} of the servos that were commanded
@@ -154,7 +154,7 @@ class Outputs:
                 for topic, message_type, encode in sample_messages.impulses(layout, values.frame_prefix)
             ]
         self._events = self._stream(*topics.EVENTS)
-        # For viewers only: the recording has the scene.
+        # For viewers only; the recording contains the scene.
         self._description = Stream(node, overrides, *topics.DESCRIPTION)
         self._description.publish(description.encoded(description.robot_description(layout.scene)))
         self._diagnostics = self._stream(*topics.DIAGNOSTICS)
@@ -243,7 +243,7 @@ class Outputs:
         }
 
     def set_arrow_scale(self, value):
-        """Length of the arrows in ~/markers, m per N and per N m."""
+        """Set the length of the arrows in ~/markers, m per N and per N m."""
         self._markers.arrow_scale = value
 
     def record_to(self, recorder):
@@ -256,7 +256,7 @@ class Outputs:
         if stamp_ns is not None:
             if self._marker_stream is not None:
                 self._marker_stream.publish(self._markers.encode_end(stamp_ns))
-            # A subscriber drops what arrives after it has learned that the publisher is gone.
+            # A subscriber drops messages that arrive after it knows that the publisher is gone.
             end = time.monotonic() + LAST_WORDS
             for stream in self._streams:
                 stream.wait(max(0.0, end - time.monotonic()))
@@ -268,7 +268,7 @@ class Outputs:
         self._clock.send(stamp_ns, ClockCodec.encode(stamp_ns))
 
     def applied_wrench(self, stamp_ns, body, wrench, axes):
-        """Publish the total wrench (torque, force) in some axes on a body from this stamp on."""
+        """Publish the total wrench (torque, force) on a body, in these axes, from this stamp on."""
         key = body, axes
         self.acting.pop(key, None)
         self._sent += 1
@@ -294,7 +294,7 @@ class Outputs:
     def servo_targets(self, stamp_ns, changed):
         """Publish the wanted values of all servos from this stamp on.
 
-        changed : {joint: (position, velocity)}; empty: those of the scene again
+        changed : {joint: (position, velocity)}; empty: all return to those of the scene
         """
         self.targets = self.targets | changed if changed else {}
         self._targets.send(stamp_ns, self._targets_now(stamp_ns))
@@ -303,7 +303,7 @@ class Outputs:
         """Publish the motions of all driven joints from this stamp on.
 
         changed : {joint: (7,)} commanded motions, see liegroup_core/joints/motion.py
-        anew    : the others are those of the scene
+        anew    : True: all other joints return to the motions of the scene
         """
         self.motions = {**({} if anew else self.motions), **changed}
         self._motion_stream.send(stamp_ns, self._motions_now())
@@ -325,7 +325,7 @@ class Outputs:
             stream.send(stamp_ns, encode(stamp_ns, impulse))
 
     def record_acting(self, stamp_ns, sample):
-        """Record all that acts again, without publishing, at the start of a new file."""
+        """Record all acting inputs at the start of a new file, without publishing them."""
         for key, wrench in self.acting.items():
             self._applied.record(stamp_ns, self._encode_wrench[key](stamp_ns, wrench))
         if self.targets:

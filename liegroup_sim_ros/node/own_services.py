@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Services of this package that no standard type fits: set states, apply a wrench at a point.
+"""Services without a standard type: set a state, apply a wrench at a point.
 
-A request is a list of named values, the answer whether all were accepted, with the reason if not:
-rcl_interfaces/srv/SetParametersAtomically. The names are not parameters of the node.
+Their type is rcl_interfaces/srv/SetParametersAtomically: a request is a list of named values, and the
+response says whether all were accepted, or why not. The names are not parameters of the node.
 """
 
 import numpy as np
@@ -89,7 +89,7 @@ def apply_wrench(node, values):
         raise Wrong(f"name must be a text, got {_shown(name)}")
     server = node.scene_run.server
     if server.inputs_held >= MOST:
-        raise Wrong(f"{MOST} wrenches act or wait already")
+        raise Wrong(f"{MOST} wrenches already act or are scheduled")
     wrench = (*torque.tolist(), *force.tolist())
     push = Push(f"{SOURCE}/{body}/{name}", body, wrench, axes, 0, tuple(point.tolist()))
     server.push([push], float(duration))
@@ -106,7 +106,7 @@ def _values(request):
 
 
 def _body(node, name):
-    """Name of a body in the scene; of a robot also that of its link."""
+    """Name of a body in the scene, from this name or from that of its link in a robot."""
     scene = node.scene_run.simulation.scene
     names = [body.name for body in scene.bodies]
     links = {} if scene.robot is None else {link: body for body, link in scene.robot.links.items()}
@@ -118,13 +118,13 @@ def _body(node, name):
 
 
 def _body_or_link(node, name):
-    """(body, (4, 4) pose in its frame) of a body, or of a link that is merged into one."""
+    """(body, (4, 4) pose in the body frame) of a body, or of a link that is merged into it."""
     merged = merged_links(node.scene_run.simulation.scene)
     return merged[name] if isinstance(name, str) and name in merged else (_body(node, name), np.eye(4))
 
 
 def _joint(node, name):
-    """Name in the scene of a joint with one coordinate, from that in messages."""
+    """Name in the scene of a joint with one coordinate, from its name in messages."""
     scene = node.scene_run.simulation.scene
     joints = [joint.name for joint in scene.joints if joint.type in COUPLED]
     known = dict(zip(joint_labels(joints, scene.robot), joints))

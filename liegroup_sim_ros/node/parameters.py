@@ -27,10 +27,10 @@ RELIABILITIES = ("reliable", "best_effort")
 DEEPEST = 1_000_000  # largest QoS depth, messages
 LONGEST_SHOWN = 60  # characters of a wrong value in an error text
 HOLDS = ("one_step", "timeout", "until_replaced")
-ACCURACY = ("accuracy", "accuracy_horizon")  # a method replaces these
-# What the recording of continue_from has.
+ACCURACY = ("accuracy", "accuracy_horizon")  # not used with a method
+# Parameters whose values are in the recording continue_from.
 CONTINUED = ("scene", "method", *ACCURACY, "stabilisation", "group", "step")
-MOST_PARTS = 10  # steps in the shortest period that are needed to divide the other ones
+MOST_PARTS = 10  # largest number of steps in the shortest period, if whole steps must divide the others too
 AUTO = "auto"  # a method or stabilisation that an accuracy chooses
 
 
@@ -74,15 +74,15 @@ TABLE = (
     Entry(
         "world_folders",
         "",
-        "folders, separated by colons, below which requests may have scenes and robots read, besides that "
-        "of scene, the example scenes and the search paths of ROS and Gazebo; /: any file",
+        "folders, separated by colons, from which (with subfolders) requests may load scenes and robots, in "
+        "addition to that of scene, the example scenes and the search paths of ROS and Gazebo; /: any file",
     ),
     Entry(
         "accuracy",
         DEFAULT,
-        "largest error in the first accuracy_horizon seconds: positions as parts of the mechanism's "
-        "size, attitudes in rad; later it may grow by as much in each further horizon. If real time "
-        "does not allow it, it is raised, with an event",
+        "largest error in the first accuracy_horizon seconds: of positions relative to the mechanism's "
+        "size, of attitudes in rad. It may grow by as much in each further horizon. If real time "
+        "requires it, the node makes the accuracy coarser and sends an event",
         low=SMALLEST,
         high=1.0,
     ),
@@ -95,12 +95,15 @@ TABLE = (
         above=True,
     ),
     Entry(
-        "method", AUTO, "integration method; auto: steps of a size that keeps the accuracy", choices=(AUTO, *METHODS)
+        "method",
+        AUTO,
+        "integration method; auto: method and step sizes that keep the accuracy",
+        choices=(AUTO, *METHODS),
     ),
     Entry(
         "stabilisation",
         AUTO,
-        "how constraint drift is corrected; auto: projection with an accuracy, for joints that would drift, else none",
+        "correction of constraint drift; auto: projection if an accuracy is set and joints would drift, else none",
         choices=(AUTO, *STABILISATIONS),
     ),
     Entry(
@@ -113,15 +116,15 @@ TABLE = (
     Entry(
         "step",
         0.0,
-        f"step size of the method, s; 0: {STEP:g}. With an accuracy: times at which states can be had; "
-        "0: at most 0.01 and a fiftieth of accuracy_horizon, so that all rates fit",
+        f"step size of the method, s; 0: {STEP:g}. With an accuracy: output interval; "
+        "0: a divisor of the periods of all rates, at most 0.01 and a fiftieth of accuracy_horizon",
         low=0.0,
         high=10.0,
     ),
     Entry(
         "estimate",
         True,
-        "carry an estimate of the global error, at about 1.8 times the cost: in ~/state, "
+        "estimate the global error, at about 1.8 times the cost. The estimate is in ~/state, "
         "/diagnostics, ~/errors and the covariances of ~/BODY/odometry and "
         "~/BODY/pose_with_covariance",
     ),
@@ -138,15 +141,13 @@ TABLE = (
     Entry(
         "continue_from",
         "",
-        "recording (*.mcap) whose run goes on, with its scene, method and step, in place of scene; empty: none",
+        "recording (*.mcap) to continue with its scene, method and step, instead of scene; empty: none",
     ),
-    Entry(
-        "continue_at", 0.0, "time stamp in the recording continue_from at which the run goes on, s", low=0.0, high=1e9
-    ),
+    Entry("continue_at", 0.0, "time stamp in the recording continue_from at which to continue, s", low=0.0, high=1e9),
     Entry(
         "continue_inputs",
         False,
-        "apply the wrenches that the recording continue_from has after continue_at; false: all end, "
+        "apply the wrenches and commands recorded after continue_at; false: all wrenches end there, "
         "and driven joints that were commanded come to rest",
     ),
     Entry(
@@ -155,7 +156,9 @@ TABLE = (
         "name of the snapshot that ~/save_snapshot saves and ~/restore_snapshot restores",
         read_only=False,
     ),
-    Entry("record", "", "recording file (*.mcap), whose folders are made, or existing folder; empty: no recording"),
+    Entry(
+        "record", "", "recording file (*.mcap; missing folders are created), or existing folder; empty: no recording"
+    ),
     Entry(
         "record_flush_interval",
         1.0,
@@ -188,7 +191,7 @@ TABLE = (
     Entry(
         "tf_links",
         TF_LINKS[0],
-        "links that /tf has; roots: only what no joint holds to another link, beside a "
+        "links in /tf; roots: only links without a parent joint, for use with a "
         "robot_state_publisher that publishes the others",
         choices=TF_LINKS,
     ),
@@ -237,9 +240,9 @@ TABLE = (
     Entry(
         "command_jump",
         0.0,
-        "largest distance of a commanded position of a servo or driven joint from the present one of its "
-        "joint, rad or m; of a trajectory: largest change within trajectory_period. Larger ones are "
-        "refused; 0: only those beyond the limits of the joint",
+        "largest distance of a commanded position from the present position of the servo or driven joint, "
+        "rad or m; of a trajectory: largest change within trajectory_period. Larger ones are "
+        "refused; 0: only positions beyond the limits of the joint are refused",
         read_only=False,
         low=0.0,
         high=1e6,
@@ -249,11 +252,11 @@ TABLE = (
         "",
         "joints of ~/commands, separated by commas, in the order of its numbers; empty: no such topic",
     ),
-    Entry("command_interface", "position", "what the numbers of ~/commands are", choices=INTERFACES),
+    Entry("command_interface", "position", "quantity that ~/commands contains", choices=INTERFACES),
     Entry(
         "trajectory_period",
         0.002,
-        "time for which a trajectory gives constant wanted values to the servos, s of simulated time",
+        "time during which the wanted values of a trajectory for the servos are constant, s of simulated time",
         low=1e-5,
         high=1.0,
     ),
@@ -268,8 +271,8 @@ TABLE = (
 )
 _ENTRIES = {entry.name: entry for entry in TABLE}
 _TYPE_NAMES = {str: "a text", bool: "true or false", int: "a whole number", float: "a number"}
-# Declared by rclpy itself. This node publishes simulated time, so it cannot use it: a value from a
-# launch file is ignored at start, and a later change is refused.
+# Declared by rclpy itself. This node publishes simulated time, so it cannot subscribe to it: use_sim_time
+# from a launch file is ignored at start, and a later change is refused.
 _BUILT_IN = ("use_sim_time", "start_type_description_service")
 
 
@@ -322,7 +325,7 @@ def read_parameters(node):
                     "its own; remove one of them"
                 )
     if values.method != AUTO:
-        for name in ACCURACY:  # a dump of all parameters has them with their defaults
+        for name in ACCURACY:  # defaults are accepted: a dump of all parameters contains them
             if getattr(values, name) != _ENTRIES[name].default:
                 raise ParameterError(f"parameter {name}: cannot be combined with method; remove one of them")
         values.step = values.step or STEP
@@ -350,7 +353,7 @@ def set_step(values, step):
 
 
 def fitting_steps(values):
-    """Steps for an accuracy, long to short, that divide the periods of all rates."""
+    """Step sizes for an accuracy, long to short, that divide the periods of all rates."""
     periods = [
         1.0 / getattr(values, name) for name, entry in _ENTRIES.items() if entry.is_topic_rate and getattr(values, name)
     ]

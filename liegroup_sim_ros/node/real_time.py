@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a run keeps real time: shares of a core that it takes, and a coarser accuracy if that helps."""
+"""Real-time check: shares of a core that a run takes, and a coarser accuracy if real time needs it."""
 
 from collections import deque
 
@@ -7,27 +7,26 @@ from liegroup_core.methods.table import METHODS
 from liegroup_core.pacing import SLOW
 from liegroup_sim_ros.messages import events
 
-# Of a core, what the integration may take in real time, and what it may take with the messages;
-# checked over so much wall time, in s. If they take more, the accuracy is made coarser by a factor, up to
-# the largest one.
+# Largest share of a core for the integration in real time, and for integration and messages together; wall
+# time between two checks, s. Above a share, the accuracy becomes coarser by the factor COARSER, up to COARSEST.
 SHARE, SHARE_OF_ALL, SHARE_PERIOD = 0.5, 0.9, 0.2
 COARSER, COARSEST = 10.0, 0.1
-# No accuracy takes less than one substep per step, and substeps become longer by the power 1 / order of
-# the accuracy. It is raised only above so many per step, and only if the coarsest one, with the
-# messages, would take less than so much of a core.
+# Substeps grow with the power 1 / order of the accuracy, but each step has at least one. So the accuracy
+# becomes coarser only above WORTH substeps per step, and only if the coarsest accuracy, with the messages,
+# would take less than REACHABLE of a core.
 WORTH, REACHABLE = 1.2, 1.0
-# It is raised only if the integration takes at least this part of the time of both.
+# It becomes coarser only if the integration takes at least this share of the time of both.
 MAIN = 0.5
-# The least cost of so many periods counts, before and after: disturbances add to a cost. The accuracy
-# before returns unless at least this part of the expected gain is measured. That is 12 % of the cost at
-# order 8, where a cost that does not depend on the accuracy varies by a few percent.
+# A cost, before or after, is the least of JUDGED periods, because disturbances add to it. The previous
+# accuracy returns unless at least the share GAIN of the expected gain is measured: 12 % of the cost at
+# order 8. A cost that does not depend on the accuracy varies by a few percent.
 JUDGED, GAIN = 3, 0.5
 
 
 def helps(before, after, expected):
-    """Whether a coarser accuracy helps: costs in s of CPU time for s of simulated time.
+    """Whether a coarser accuracy helps: costs in s of CPU time per s of simulated time.
 
-    expected : ratio of the costs that was expected
+    expected : expected ratio of the costs
     """
     return after <= before * (1.0 - GAIN * (1.0 - expected))
 
@@ -38,8 +37,8 @@ class RealTime:
     simulation : liegroup_core.Simulation
     pacer      : Pacer
 
-    share, share_of_messages : of the integration, and of messages and recording, in real time, in the
-                               last SHARE_PERIOD; 0 before the first
+    share, share_of_messages : of a core that the integration, and messages and recording, take in real
+                               time: means of the last SHARE_PERIOD; 0 before the first
     factor : real-time factor between the last two calls of `slow`
     """
 
@@ -50,13 +49,13 @@ class RealTime:
         self.restart()
 
     def restart(self):
-        """Begin to measure: a state was set, and the accuracy is the one that was asked for."""
-        # s of CPU time for s of simulated time, of the last periods at this accuracy
+        """Restart the measurements after a state was set; the accuracy is the requested one again."""
+        # s of CPU time per s of simulated time, of the last periods at this accuracy
         self._costs = deque(maxlen=JUDGED)
         self._costs_of_messages = deque(maxlen=JUDGED)
-        # While a coarser accuracy is judged: the one before, its cost, and the expected ratio.
+        # While a coarser accuracy is judged: the previous one, its cost, and the expected ratio.
         self._trial = None
-        self._helpless = False  # a coarser accuracy does not help
+        self._helpless = False  # True: a coarser accuracy does not help
         self._begin()
 
     def _begin(self):
@@ -64,12 +63,12 @@ class RealTime:
         self._slow = False  # at the last call of `slow`
 
     def forget(self):
-        """Begin to measure, without shares: the requested factor was changed."""
+        """Restart the measurements, with shares of 0, after a change of the requested factor."""
         self._begin()
         self.share = self.share_of_messages = 0.0
 
     def _measure(self):
-        # s of CPU time for s of simulated time
+        # s of CPU time, and of simulated time
         self._cpu = self._cpu_of_messages = self._advanced = 0.0
         self._substeps_before = self._simulation.substeps[1]
 
@@ -82,13 +81,13 @@ class RealTime:
         self._cpu_of_messages += messages
         self._advanced += steps * self._simulation.step
         factor = self._pacer.factor
-        # A run that is much too slow is not waited for.
+        # The second condition ends the period of a run that is much too slow.
         if factor > 0.0 and (self._advanced >= SHARE_PERIOD * factor or self._cpu >= SHARE_PERIOD):
             return self._keep_to_real_time()
         return None
 
     def _keep_to_real_time(self):
-        """Raise the accuracy if real time requires it, and if it helps."""
+        """Make the accuracy coarser if real time requires it, and if that helps."""
         in_real_time = self._pacer.factor / self._advanced
         self.share = self._cpu * in_real_time
         self.share_of_messages = self._cpu_of_messages * in_real_time
@@ -124,7 +123,7 @@ class RealTime:
         return 1.0 / min(substeps, longer)
 
     def _judge(self):
-        """Return to the accuracy before if the coarser one does not help."""
+        """Return to the previous accuracy if the coarser one does not help."""
         if len(self._costs) < JUDGED:
             return None
         accuracy, before, expected = self._trial

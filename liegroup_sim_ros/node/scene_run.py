@@ -28,8 +28,8 @@ from .wrench_topics import WrenchTopics
 
 log = logging.getLogger("liegroup_core")
 
-# Steps between two possible starts of a part, with an accuracy: then the two runs of its estimate
-# (liegroup_core.running_error) are at the same time, and wrenches that act can be repeated for both.
+# With an accuracy, a new file starts only at multiples of these steps: there the two runs of the estimate
+# (liegroup_core.running_error) are at the same time, so acting wrenches can be recorded again for both.
 PART_STEPS = 12
 # Longest delay until the main thread checks for signals, s.
 ATTENTION = 0.1
@@ -104,7 +104,7 @@ class SceneRun:
             raise
         if before is None:  # a reloaded scene may lack the bodies of these parameters
             qos.check()
-        # Last step that can fail: earlier ones leave no files.
+        # Last, so that a failure of an earlier step leaves no file.
         if path:
             try:
                 self.recorder = Recorder(
@@ -124,7 +124,7 @@ class SceneRun:
 
     def start(self):
         """Start the simulation thread and log the configuration."""
-        # What exists now is not searched for garbage again: a search would delay a step by 0.1 s, and by
+        # Exclude existing objects from later garbage collections: one would delay a step by 0.1 s, and by
         # 1 s after kernels were compiled.
         gc.unfreeze()
         gc.collect()
@@ -196,7 +196,7 @@ class SceneRun:
         }
 
     def close(self):
-        """Close the simulation, then the recording, then the topics; returns whether nothing is lost."""
+        """Close the simulation, the recording and the topics; returns whether the recording is complete."""
         self.server.stop()
         if self.recorder is not None:
             self._attach_pacing()
@@ -239,9 +239,10 @@ def make_simulation(values, signals):
 
 
 def begin_simulation(values, folders, make_scene):
-    """Future of the simulation of a Scene that `make_scene` returns; None: that of the parameter.
+    """Create a simulation in a thread; returns its Future.
 
-    folders : below which files are read
+    folders    : from which files may be read, with subfolders
+    make_scene : function that returns the Scene, or None for that of the parameter
     """
 
     def work():
@@ -252,7 +253,7 @@ def begin_simulation(values, folders, make_scene):
 
 
 def served_folders(values, scene):
-    """Folders below which requests may have files read.
+    """Folders from which requests may load files, with their subfolders.
 
     Those of the parameter world_folders, the tree of the scene that the node was started with, and the
     example scenes.
@@ -273,16 +274,16 @@ def _make(values, scene):
     else:
         simulation = _from_scene(values, scene)
     if standard_services.is_installed():
-        # Compiled here, not at the first request: that would delay steps.
+        # Compile now: at the first request it would delay steps.
         simulation.layout.reactions.warm_up()
     return simulation, start_ns
 
 
 def _continued(values):
-    """(simulation, stamp) of the recording that goes on."""
+    """(simulation, stamp) of the recording to continue."""
     try:
         recording = read_recording(values.continue_from)
-        # An accuracy always has its estimate; a method here as everywhere else.
+        # An accuracy always has an estimate; with a method the parameter decides.
         other = {} if recording.settings.get("promise") else {"estimate": values.estimate}
         branches = Branches(recording, quiet=False, **other)
         simulation, stamp_ns = branches.at(values.continue_at, values.continue_inputs)

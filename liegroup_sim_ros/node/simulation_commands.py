@@ -48,7 +48,7 @@ class Moment(NamedTuple):
 
 
 class SimulationCommands:
-    """Commands of a SimulationServer, its base class. Each returns one line of text, or as `call` says."""
+    """Base class of SimulationServer: its commands. They return one line of text; `call` lists exceptions."""
 
     def _refuse_if_faulted(self):
         if self.state == "faulted":
@@ -144,7 +144,7 @@ class SimulationCommands:
         return text
 
     def _advance_paused(self, count, seconds=math.inf):
-        """Take steps while paused, for so long in wall time; (steps taken, whether no error ended them)."""
+        """Take steps while paused, for at most `seconds` of wall time; returns (steps taken, no error)."""
         self._refuse_if_faulted()
         if self.state != "paused":
             raise CommandError("the simulation is running: call ~/pause first")
@@ -185,7 +185,7 @@ class SimulationCommands:
         return Moment(self.stamp_ns, self._simulation.sample(), self.state)
 
     def _hold(self):
-        if self.state == "faulted":  # a reset would let it run again
+        if self.state == "faulted":  # keep a later reset from starting it again
             running, self._state_before_fault = self._state_before_fault == "running", "paused"
             return running
         running = self.state == "running"

@@ -45,7 +45,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
                  prescribed, event, diagnostics; joint_modes if joints have stops or friction; impact
                  if impulses is not empty
     factor     : real-time factor, 0: as fast as possible
-    follow_period : s, for which wanted values of a trajectory are constant
+    follow_period : s, during which wanted values of a trajectory are constant
     motion_time   : s, in which a driven joint comes to rest
     paused     : start paused
     base_ns    : stamp of step 0
@@ -53,7 +53,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
     watching   : keep `positions`, {joint: rad or m} after the last block of steps
 
     The state is "running", "paused" or "faulted". After a SimulationError the last valid state is
-    kept, and only a reset continues. `failure` is the exception that ended the thread, or None.
+    kept until a reset. `failure` is the exception that ended the thread, or None.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
         self._lock = threading.Lock()
         self._commands = []  # (Future, bound method, arguments)
         self._inbox = Inbox(simulation, follow_period, motion_time, self._wake.set)
-        # Steps between two samples; s, the stamp of the state from which inputs act that no sample shows.
+        # Steps between two samples; stamp in s from which inputs act that no sample shows yet.
         self._sample_steps = min([steps for steps, _ in output.timed], default=1)
         self._unseen = None
         self._stopping = False
@@ -157,17 +157,17 @@ class SimulationServer(SimulationCommands, threading.Thread):
         return self._simulation.input_count + len(self._inbox)
 
     def stop(self):
-        """End the thread and join it; a step that takes long is given up."""
+        """End the thread and join it; a long step is aborted."""
         self._stopping = True
         self._wake.set()
         while self.is_alive():
-            self._simulation.halt()  # again, as the thread may go on where it was in between
+            self._simulation.halt()  # repeatedly: the thread may have started to advance since
             self.join(HALTING)
 
     # In the simulation thread:
 
     def run(self):
-        """Run until `stop`; another exception is stored in `failure`."""
+        """Run until `stop`; an unexpected exception ends the thread and is stored in `failure`."""
         try:
             self._begin()
             while not self._stopping:
@@ -193,7 +193,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
         self._send_changes(self.stamp_ns, self._simulation.acting())
         self._send_reports("begin")
         if self._output.impulses:
-            self._simulation.drain_impacts()  # they are kept from here on
+            self._simulation.drain_impacts()  # the simulation collects impacts from here on
         self._send_outputs(everything=steps > 0)
         self._reference_energy = self._simulation.sample().energy
         self._next_diagnostics = time.monotonic() + DIAGNOSTICS_PERIOD
@@ -207,7 +207,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
             tick = self._next_tick()
             if self._unseen is None and self._inbox.acts_before(self._stamp(tick)):
                 self._unseen = self._seconds()
-            # An input is answered at once, by the next sample: at most one period early.
+            # The next sample after an input is sent at once, at most one period early.
             if self.pacer.wait(self._stamp(tick) * 1e-9, idle, self._unseen):
                 if tick % self._sample_steps == 0:
                     self._unseen = None
@@ -254,7 +254,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
         return not self._stopping
 
     def _advance_to(self, tick, enough=lambda: False):
-        """Advance to the next step with outputs and send them, unless `enough()` before; False after a fault."""
+        """Advance to step `tick` and send its outputs, unless `enough()` before; returns False after a fault."""
         self._inbox.deliver(self._base_ns, tick * self._simulation.step)
         began, first = time.thread_time(), self._simulation.steps
         try:
@@ -327,11 +327,11 @@ class SimulationServer(SimulationCommands, threading.Thread):
 
     def _keep_positions(self, sample):
         coordinates = sample.joint_coordinates
-        states = sample.prescribed | coordinates  # screws have no other coordinates
+        states = sample.prescribed | coordinates  # driven screws are only in `prescribed`
         self.positions = {joint: position for joint, (position, *_) in states.items()}
 
     def _warn_once(self, name, text, about=""):
-        """Log a warning and send an event, once for a name and what it is about."""
+        """Log a warning and send an event, once per `name` and `about`."""
         if (name, about) not in self._said:
             self._said.add((name, about))
             log.warning(text)

@@ -55,7 +55,7 @@ class Entities:
         frame = state.header.frame_id
         if frame not in ("", self._world_frame):
             raise Refused(
-                NOT_SUPPORTED, f"frame {frame!r}: give pose and twist in {self._world_frame!r}, or leave it empty"
+                NOT_SUPPORTED, f"frame_id {frame!r} is not supported: use {self._world_frame!r}, or leave it empty"
             )
         pose = _pose(state.pose) if sets["pose"] else moment.sample.poses[body]
         twists = {body: _twist(state.twist, pose[:3, :3])} if sets["twist"] else {}
@@ -63,7 +63,7 @@ class Entities:
         try:
             return await self._ask("place", poses, twists, {}, f"{_listed(sets)} of {body}")
         except CommandError as error:
-            # A twist that the joints do not allow is reported as one, and has no code of its own.
+            # There is no code for a twist that the joints do not permit: FAILED, and the text says so.
             at_pose = sets["pose"] and "velocities" not in str(error)
             raise Refused(INVALID_POSE if at_pose else FAILED, str(error)) from None
 
@@ -108,7 +108,7 @@ def _selected(moment, filters):
 
 
 def _matcher(expression):
-    """Function that says whether a whole text matches a regular expression, in linear time."""
+    """Function that tests in linear time whether a whole text matches a regular expression."""
     try:
         import re2
     except ImportError:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Services and the action of the package simulation_interfaces, if it is installed.
 
-They have Gazebo's names: that of their type in lower case. Older versions of the package lack some
-types; their services are then not offered. Paused at step 0 is "stopped".
+As in Gazebo, the name of a service is its type in lower case with underscores. Older versions of the
+package lack some types; services of these types are not offered. "Stopped" means paused at step 0.
 """
 
 import importlib.util
@@ -33,9 +33,9 @@ SERVICES = {
     "get_available_worlds": ("GetAvailableWorlds", (codes.AVAILABLE_WORLDS,)),
 }
 ACTION = "simulate_steps"
-MOST_STEPS = 1_000_000  # a call, as step_count
-PART = 0.01  # s of wall time that steps may take between two other commands
-FEEDBACK = 1000  # messages that wait for a slow subscriber; there is one for each step
+MOST_STEPS = 1_000_000  # per call, as for step_count
+PART = 0.01  # s of wall time for steps before other commands are executed
+FEEDBACK = 1000  # messages queued for a slow subscriber; each step sends one
 
 
 def is_installed():
@@ -165,7 +165,7 @@ class Control:
 
 
 async def take_steps(ask, count):
-    """Take steps while paused, in parts between which the node executes other commands; returns a line.
+    """Take steps while paused; other commands are executed in between. Returns one line of text.
 
     Raises CommandError if they end early.
     """
@@ -173,7 +173,7 @@ async def take_steps(ask, count):
     while done < count and reached:
         try:
             taken, reached = await ask("advance", count - done, PART)
-        except CommandError as error:  # as after ~/resume
+        except CommandError as error:  # such as after ~/resume
             if not done:
                 raise
             reached, reason = False, f": {error}"
@@ -187,9 +187,9 @@ async def take_steps(ask, count):
 
 
 class SimulateSteps:
-    """The action: steps while paused, with feedback after each one.
+    """Action that takes steps while paused, with feedback after each one.
 
-    ask  : as of Control
+    ask  : as in Control
     kind : class of the action
     """
 

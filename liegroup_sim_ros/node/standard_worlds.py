@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Worlds of simulation_interfaces: scene files and robots, below the folders that the node serves."""
+"""Worlds of simulation_interfaces: scene files and robots in the folders that the node serves."""
 
 import os
 import re
@@ -29,10 +29,10 @@ from .standard_codes import (
 )
 
 SCHEMES = ("", "file", "package", "model")
-MOST_BODIES = 200  # of a scene that a request loads; topics of a body take some ms
+MOST_BODIES = 200  # of a scene that a request loads; creating the topics of a body takes some ms
 MOST_WORLDS, MOST_SOURCES = 1000, 100  # of a request, or of a folder
-HEAD = 64 * 2**10  # bytes of a scene file in which its description is looked for
-DESCRIPTION = re.compile(r"^description:.*(?:\n(?:[ \t].*)?$)*", re.MULTILINE)  # with what is indented
+HEAD = 64 * 2**10  # bytes at the start of a scene file in which its description is searched
+DESCRIPTION = re.compile(r"^description:.*(?:\n(?:[ \t].*)?$)*", re.MULTILINE)  # with its indented lines
 
 
 class Worlds:
@@ -61,7 +61,7 @@ class Worlds:
                 raise Refused(
                     FAILED,
                     f"{scene.source} has {len(scene.bodies)} bodies; a request loads at most "
-                    f"{MOST_BODIES}, as making the topics of more holds up the node: start one with it",
+                    f"{MOST_BODIES}, because creating the topics blocks the node: start a node with this scene",
                 )
             _refuse_assets(scene, request)
             return scene
@@ -73,12 +73,12 @@ class Worlds:
         return filled(response, OK, answer)
 
     def get_current_world(self, _, response):
-        """The scene that is simulated."""
+        """Return the simulated scene."""
         response.world = self._described(self._node.scene_run.simulation.scene)
         return filled(response, OK, "")
 
     async def get_available_worlds(self, request, response):
-        """Example scenes, and the scene files and robots of further files and folders."""
+        """Return the example scenes, and scenes and robots in additional files and folders."""
         if len(request.filter.tags):
             raise Refused(NOT_SUPPORTED, "worlds have no tags: leave the filter empty")
         sources = list(dict.fromkeys(request.additional_sources))
@@ -113,12 +113,12 @@ class Worlds:
 
 
 def _refuse_assets(scene, request):
-    """Raise Refused for what a scene lacks, if the request of LoadWorld says so."""
+    """Raise Refused for missing meshes and unsupported elements, if the LoadWorld request says so."""
     missing = scene.robot.missing if scene.robot else ()
     if missing and not request.ignore_missing_or_unsupported_assets:
         raise Refused(
             MISSING_ASSETS,
-            f"{scene.source}: mesh files that are not there: {', '.join(missing)}; add them, or set "
+            f"{scene.source}: missing mesh files: {', '.join(missing)}; add them, or set "
             "ignore_missing_or_unsupported_assets",
         )
     if request.fail_on_unsupported_element and scene.differences:
@@ -126,9 +126,9 @@ def _refuse_assets(scene, request):
 
 
 def _available(sources, folders, skips):
-    """[(path, description)] of the example scenes and of what the sources name.
+    """[(path, description)] of the example scenes and of the worlds in the sources.
 
-    folders : below which sources are read; skips : go on after a source that cannot be read
+    folders : from which sources may be read, with subfolders; skips : skip unreadable sources
     """
     found = list(example_scenes().values())
     with served_from(folders):
@@ -139,7 +139,7 @@ def _available(sources, folders, skips):
                 if not skips:
                     raise
             if len(found) > MOST_WORLDS:
-                raise Refused(FAILED, f"more than {MOST_WORLDS} worlds: name fewer folders")
+                raise Refused(FAILED, f"more than {MOST_WORLDS} worlds: give fewer folders")
     return [(path, _description(path)) for path in found]
 
 
@@ -157,7 +157,7 @@ def _description(path):
 
 
 def _path(uri):
-    """Path or name in a uri; package:// and model:// stay for the reader of scenes."""
+    """Path or name in a URI; package:// and model:// remain, the scene reader resolves them."""
     scheme, separator, rest = uri.partition("://")
     if not separator:
         return uri
@@ -171,12 +171,10 @@ def _path(uri):
 
 
 def _scene(path, text):
-    """Scene of a path, or without one of a text."""
+    """Scene from a file, or from a text if `path` is empty."""
     if not path:
         if text.lstrip().startswith("<"):
-            raise Refused(
-                UNSUPPORTED_FORMAT, "resource_string is XML: give a scene (YAML), or a robot's file by its uri"
-            )
+            raise Refused(UNSUPPORTED_FORMAT, "resource_string is XML: give a scene (YAML), or the uri of a robot file")
         try:
             return scene_from_text(text, "resource_string")
         except SceneError as error:
@@ -186,7 +184,7 @@ def _scene(path, text):
     except SceneError as error:
         raise Refused(NOT_FOUND, str(error)) from None
     if not _is_scene(file):
-        raise Refused(UNSUPPORTED_FORMAT, f"{path}: is no scene file (.yaml) and no robot (URDF, SDF, MJCF)")
+        raise Refused(UNSUPPORTED_FORMAT, f"{path}: is neither a scene file (.yaml) nor a robot (URDF, SDF, MJCF)")
     try:
         return load_scene(path)
     except MissingFileError as error:
@@ -200,7 +198,7 @@ def _is_scene(path):
 
 
 def _worlds_of(source):
-    """Files of a path or file:// address that can be loaded; of a folder those directly in it."""
+    """Loadable files at a path or file:// address; for a folder, those directly in it."""
     try:
         path = permit(Path(resolve(_path(source))))
     except SceneError as error:

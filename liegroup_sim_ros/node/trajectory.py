@@ -8,8 +8,8 @@ Between two points the interpolation is that of ros2_control's joint_trajectory_
     and velocities and accelerations      quintic
 
 The first segment begins with positions and velocities of the joints when the trajectory starts. After
-the last point its positions are held. Driven joints move as liegroup_core/joints/motion.py says: twice
-continuously differentiable.
+the last point its positions are held. Motions of driven joints are twice continuously differentiable,
+see liegroup_core/joints/motion.py.
 """
 
 import copy
@@ -20,7 +20,7 @@ from liegroup_core.joints.motion import COLUMNS, uniform
 
 log = logging.getLogger("liegroup_core")
 
-# Attributes of a Follower that say what it follows, from when on, and how far.
+# Attributes that form the state of a Follower: trajectories, start time and progress.
 STATE = ("_active", "_waiting", "_start", "_sent", "_ends")
 
 
@@ -101,7 +101,7 @@ class Trajectory:
 
 
 def coefficients(first, last, length):
-    """Coefficients of the position between two points, `length` s apart, from the constant one on.
+    """Coefficients, lowest first, of the polynomial between the positions of two points `length` s apart.
 
     first, last : (position, velocity or None, acceleration or None)
     """
@@ -134,10 +134,10 @@ class Follower:
     """Commands servos and driven joints along the latest trajectory; for the simulation thread only.
 
     simulation : liegroup_core.Simulation
-    period     : s of simulated time; wanted values are constant for so long, those of its middle
+    period     : s of simulated time, during which wanted values are constant: those at its middle
     stopping   : s of simulated time, in which a driven joint comes to rest
-    refuse     : function of one line of text, called for a trajectory that cannot be followed when
-                 it starts
+    refuse     : function, called with one line of text if a trajectory cannot be followed when it
+                 starts
     """
 
     refuse = staticmethod(log.warning)
@@ -148,15 +148,15 @@ class Follower:
         self.clear()
 
     def clear(self):
-        """Forget all trajectories."""
+        """Discard all trajectories."""
         self._active = self._waiting = None
 
     def snapshot(self):
-        """Copy of what is followed and waits, for `restore`."""
+        """Copy of the followed and the waiting trajectory, for `restore`."""
         return copy.deepcopy(self._state)
 
     def restore(self, snapshot):
-        """Follow what a snapshot had; times are those of its state."""
+        """Continue the trajectories of a snapshot; their times refer to its state."""
         self._state = copy.deepcopy(snapshot)
 
     @property
@@ -172,7 +172,7 @@ class Follower:
         self._waiting = trajectory, start
 
     def release(self, joint, time):
-        """Let a joint go from a time in s on: something else commands it."""
+        """Stop commanding a joint at a time in s, from which another command applies to it."""
         if self._active is not None and joint in self._active.joints:
             self._ends[joint] = min(time, self._ends.get(joint, math.inf))
 
@@ -186,7 +186,7 @@ class Follower:
         if self._waiting is not None and self._waiting[1] < until:
             trajectory, start = self._waiting
             coordinates = self._simulation.sample().joint_coordinates
-            # Driven joints follow their own motions.
+            # States of driven joints are not used.
             states = [coordinates.get(joint, (0.0, 0.0)) for joint in trajectory.joints]
             if not self._can_begin(trajectory, start, states):
                 self._waiting = None
@@ -216,7 +216,7 @@ class Follower:
         return True
 
     def _stop(self, time, others):
-        """End the trajectory at a time; its joints that are none of the others stay where they are."""
+        """End the trajectory at a time in s; its joints that are not in `others` stop there."""
         if self._active is None:
             return
         for joint, (position, _) in zip(self._active.joints, self._active.at(max(0.0, time - self._start))):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Trajectories of joints: decoding and validation of JointTrajectory, as a whole, before they start.
 
-Names are those of ~/joint_states; every joint needs a servo with a stiffness, or is driven. A zero stamp means
-the present, a future stamp that simulated time. Imports no ROS.
+Names are those of ~/joint_states; every joint must be driven, or have a servo with a stiffness. A trajectory
+starts at its stamp if that is in the future, with a zero stamp now. Imports no ROS.
 """
 
 from liegroup_sim_ros.messages.codecs import MessageError
@@ -69,7 +69,7 @@ class TrajectoryInput(JointInput):
         if any(points[-1].velocity):
             self.refuse("moving_at_end", lambda: "the velocities of its last point must be zero")
         if times[0] == 0 and not self.driven.isdisjoint(names):
-            self.refuse("wrong_times", lambda: "a driven joint cannot be at its first point at once: time 0")
+            self.refuse("wrong_times", lambda: "the first point of a driven joint must be later than time_from_start 0")
         if jumps is not None:
             self._check_jumps(names, points, jumps)
         if not stamped:
@@ -94,7 +94,7 @@ class TrajectoryInput(JointInput):
         joint = trajectory.joints[k]
         times, positions, *rates = trajectory.points_of(joint)
         if name not in self.driven:
-            # The simulation thread checks the first segment when it starts, from the state then.
+            # The simulation thread checks the first segment when it starts, from the state at that time.
             trajectory.check_servo(joint, self.limits[joint])
         if self._present is None:
             return

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Wrench messages: decoding and validation of WrenchStamped on the wrench topics.
 
-On ~/wrench and ~/wrench/persistent, frame_id names the body, and components are in its axes. A link
-that an import has merged into a body names its own frame: its axes, and its origin for the torque. On
-~/BODY/wrench, frame_id names the axes: those of the body or of the world. The frame of a body is
+On ~/wrench and ~/wrench/persistent, frame_id is the body, and components are in its axes. It may also
+be a link that the import has merged into a body: then axes and origin are those of the link. On
+~/BODY/wrench, frame_id gives the axes: those of the body or of the world. The frame id of a body is
 the node's prefix and its name. Torques are about the origin of the body frame. A name after a
 slash, as in `top/left`, distinguishes publishers of one topic. Wrenches of different topics and
 names add up; a wrench replaces the previous one of the same topic and name.
 
-A zero or past stamp means the next step; a future stamp means that simulated time. A message is
+A wrench starts at its stamp if that is in the future, else with the next step. A message is
 accepted or refused as a whole; refusals are counted by reason. Imports no ROS.
 """
 
@@ -31,11 +31,11 @@ class Push(NamedTuple):
     wrench: tuple  # (6,) torque N m, force N
     axes: str  # of the components: "body" or "world"
     start_ns: int  # stamp at which it starts to act; 0: at the next step
-    point: tuple | None = None  # (3,) m, of the body frame, at which the force acts; None: its origin
+    point: tuple | None = None  # (3,) m, where the force acts, in the body frame; None: its origin
 
     @property
     def key(self):
-        """Start and source, and "" for no joint: of two equal ones the later counts."""
+        """Start, source, and "" (no joint); a later wrench replaces one with the same key."""
         return self.start_ns, self.source, ""
 
     def apply(self, simulation, start, duration):
@@ -54,8 +54,8 @@ class WrenchInput(CountedInput):
     bodies       : names of the bodies
     world_frame  : frame id of the world
     frame_prefix : prefix of the frame ids of the bodies
-    links        : {body: other name of its frame}, those of a robot's file
-    merged       : {link: (its body, (4, 4) pose in the frame of the body)} of other links
+    links        : {body: second name of its frame: its link in a robot file}
+    merged       : {link: (its body, (4, 4) pose in the body frame)} of other links
     """
 
     def __init__(self, bodies, world_frame, frame_prefix="", links=None, merged=None):
@@ -70,7 +70,7 @@ class WrenchInput(CountedInput):
         """Push of a serialized WrenchStamped. Raises Refusal.
 
         kind   : of the topic: "wrench", "persistent" or "body"
-        body   : body of the topic, None if frame_id names it
+        body   : body of the topic, None if frame_id gives it
         now_ns : current stamp
         held   : number of wrenches that act now or start later
         """
@@ -113,7 +113,7 @@ class WrenchInput(CountedInput):
         )
 
     def refuse_clear(self, text):
-        """Count a ~/wrench/clear that names no body. Raises Refusal."""
+        """Count a ~/wrench/clear with an unknown body. Raises Refusal."""
         self.refuse(
             "unknown_frame",
             lambda: (
@@ -123,9 +123,9 @@ class WrenchInput(CountedInput):
         )
 
     def body_and_name(self, frame_id):
-        """(body, name of the publisher) in a frame id; (None, "") if it names no body.
+        """(body, name of the publisher) in a frame id; (None, "") if it contains no body.
 
-        Wrenches on a merged link are those of a publisher of its own.
+        A merged link counts as a publisher of its own.
         """
         if frame_id.startswith(self._prefix):
             body, _, name = frame_id[len(self._prefix) :].partition("/")

@@ -178,10 +178,10 @@ def test_the_recording_is_repeated_bit_by_bit(process):
     "parameters, text",
     [
         ({"command_joints": "wrist"}, "command_joints: 'wrist' is not a joint"),
-        ({"command_joints": "elbow,elbow"}, "command_joints: names a joint twice"),
+        ({"command_joints": "elbow,elbow"}, "command_joints: a joint occurs twice"),
         (
             {"command_joints": "elbow", "command_interface": "velocity"},
-            "command_interface: 'elbow' is not driven and has no servo without stiffness",
+            "command_interface: joint 'elbow' takes no velocity commands: it needs to be driven, or a servo without",
         ),
         ({"command_interface": "force"}, "command_interface: must be position"),
         ({"trajectory_period": 0.0}, "trajectory_period: must be at least 1e-05"),

@@ -343,7 +343,7 @@ def test_a_world_that_cannot_be_loaded_is_refused_and_the_previous_one_continues
     for code, text, arguments in (
         (102, "both empty", {}),
         (101, "https://host/a.yaml: cannot be read", {"uri": "https://host/a.yaml"}),
-        (101, "is no scene file", {"uri": str(files / "world.usd")}),
+        (101, "is neither a scene file", {"uri": str(files / "world.usd")}),
         (101, "resource_string is XML", {"text": "<robot/>"}),
         (2, "neither a file nor a known scene", {"uri": "heavy_tap"}),
         (103, "mass must be greater than 0, got -2", {"uri": str(files / "wrong.yaml")}),
