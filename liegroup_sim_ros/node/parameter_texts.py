@@ -42,7 +42,7 @@ def preset_text():
     text = PRESET_HEAD
     for entry in TABLE:
         value = entry.default if entry.name != "scene" else "heavy_top"
-        meaning = entry.text + (f": {', '.join(entry.choices)}" if entry.choices else "")
+        meaning = entry.text + (f"; one of {', '.join(entry.choices)}" if entry.choices else "")
         text += textwrap.indent(textwrap.fill(meaning, 90), "    # ") + "\n"
         text += f"    {yaml.safe_dump({entry.name: value}, width=1000)}"
     return text

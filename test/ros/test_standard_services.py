@@ -285,7 +285,7 @@ def test_a_state_that_the_joints_do_not_allow_is_refused(node):
     refused(101, "position is not finite", pose__position__x=float("inf"))
     refused(4, "violates this joint by 2 m/s", twist__linear__x=2.0)
     refused(4, "twist is not finite", twist__angular__x=float("nan"))
-    refused(0, "frame 'stone'", header__frame_id="stone")
+    refused(0, "frame_id 'stone'", header__frame_id="stone")
     refused(2, "unknown entity 'leg'", entity="leg")
     assert node.entity("arm") == before
 
