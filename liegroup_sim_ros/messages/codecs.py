@@ -69,7 +69,7 @@ class Fields:
 
     @property
     def at(self):
-        """Offset in the payload of what follows."""
+        """Offset of the next field in the payload."""
         return self._at
 
     def skip_to(self, at):
@@ -91,10 +91,10 @@ class Fields:
         return values
 
     def count(self, most, what):
-        """Number of entries that follow. Raises MessageError if it is more than what can be right."""
+        """Number of entries that follow. Raises MessageError if it exceeds `most`."""
         count = self.number("I")
         if count > most:
-            raise MessageError(f"{self._name}: {count} {what}, at most {most} can be right")
+            raise MessageError(f"{self._name}: {count} {what}, more than the limit of {most}")
         return count
 
     def text(self):
@@ -271,8 +271,8 @@ def decode_rows(codec, rows):
 
     codec : PoseStampedCodec, TwistStampedCodec or WrenchStampedCodec
     rows  : (n, size) uint8
-    returns stamps (n,) ns, frame ids that occur (list), which of them (n,), and values: (n, 7)
-    position and quaternion, or (n, 6) angular first. Raises MessageError
+    returns stamps (n,) ns, distinct frame ids (list), their index for each message (n,), and values:
+    (n, 7) position and quaternion, or (n, 6) angular first. Raises MessageError
     """
     nvalues = 7 if codec is PoseStampedCodec else 6
     heads = rows[:, [0, 1, *range(12, _FRAME_ID)]] if rows.shape[1] >= _FRAME_ID else rows[:, :0]
@@ -286,7 +286,7 @@ def decode_rows(codec, rows):
 
 
 def _decode_same(type_name, rows, nvalues):
-    """Stamps (n,), frame ids that occur, which of them (n,), values, of payloads of one layout."""
+    """Stamps (n,), distinct frame ids, their index for each message (n,), values, of payloads of one layout."""
     size = rows.shape[1]
     encapsulation = rows[0, :2].tobytes()
     order = _BYTE_ORDER.get(encapsulation)

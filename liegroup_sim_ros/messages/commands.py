@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands for joints: decoding of the messages, encoding of what acts. Imports no ROS."""
+"""Commands for joints: decoding of the messages, encoding of the values that act. Imports no ROS."""
 
 import math
 from typing import NamedTuple
@@ -26,7 +26,7 @@ class JointValues(NamedTuple):
     effort: tuple  # N m or N
 
     def complete(self):
-        """Itself. Raises MessageError unless every name has a position and a velocity."""
+        """Return self. Raises MessageError unless every name has a position and a velocity."""
         if any(len(part) != len(self.names) for part in (self.position, self.velocity)):
             raise MessageError(f"{JOINT_STATE}: the number of values differs from the number of joints")
         return self
@@ -43,7 +43,7 @@ class JointStateDecoder:
         self._known = b"", (), 0  # bytes of frame id and names, the names, where the values begin
 
     def decode(self, payload):
-        """JointValues of one payload. Raises MessageError; lengths are not compared."""
+        """JointValues of one payload. Raises MessageError; does not compare the lengths of the fields."""
         fields = Fields(JOINT_STATE, payload)
         stamp_ns = fields.stamp_ns()
         known, names, end = self._known
@@ -86,7 +86,7 @@ def decode_trajectory(payload, most):
 def decode_array(payload, most=100_000):
     """The numbers of a Float64MultiArray; its layout is ignored. Raises MessageError.
 
-    most : largest number of numbers
+    most : largest length
     """
     fields = Fields(ARRAY, payload)
     for _ in range(fields.count(MOST_DIMENSIONS, "dimensions")):
@@ -97,9 +97,9 @@ def decode_array(payload, most=100_000):
 
 
 def joint_labels(joints, robot):
-    """[name in messages] of joints of a scene: of a robot the name in its file.
+    """[name in messages] of joints of a scene; for a robot, the names in its file.
 
-    robot : RobotNames, or None
+    robot : RobotNames, or None for other scenes
     """
     return list(joints) if robot is None else [robot.joints.get(joint, joint) for joint in joints]
 
@@ -111,7 +111,7 @@ MOTION_COLUMNS = ("origin", *(f"c{k}" for k in range(6)))
 def motions(layout):
     """Function (numbers of all motions (d, 7)) -> serialized Float64MultiArray; see matrices.py.
 
-    Driven joints are in the order of `layout.motions`; an infinite origin: the motion of the scene.
+    Driven joints are in the order of `layout.motions`; an infinite origin means the motion of the scene.
     """
     return matrices.encoder(joint_labels(layout.motions, layout.scene.robot), MOTION_COLUMNS)
 

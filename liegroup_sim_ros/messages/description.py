@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""robot_description: the URDF text that RViz's RobotModel and robot_state_publisher take.
+"""robot_description: the URDF text for RViz's RobotModel and robot_state_publisher.
 
 A robot from a URDF file keeps its text. Other scenes get a URDF of their links and joints. URDF has
-no loops and no joints of two or three freedoms: there, the links are floating, and RViz takes their
-poses from /tf. Imports no ROS.
+no loops and no joints with two or three degrees of freedom. Links at such joints are floating, and RViz
+takes their poses from /tf. Imports no ROS.
 """
 
 import re
@@ -24,7 +24,7 @@ TYPE = "std_msgs/msg/String"
 KINDS = {CUBE: "box", CYLINDER: "cylinder", SPHERE: "sphere"}
 COLOR = "0.35 0.55 0.8 1"
 _FILENAME = re.compile(r"""(\bfilename\s*=\s*["'])([^"'<>]*)(["'])""")
-FAR = 1e6  # m, m/s and N: a limit that is none
+FAR = 1e6  # m, m/s and N: stands for "no limit"
 
 
 def robot_description(scene):
@@ -46,9 +46,9 @@ def robot_description(scene):
 
 
 def unheld_links(scene):
-    """Links of `robot_description` that no joint holds, or only a floating one.
+    """Links of `robot_description` without a parent joint, or with a floating one.
 
-    robot_state_publisher publishes the transforms to all others.
+    robot_state_publisher publishes the transforms of all other links.
     """
     root = read_xml("robot_description", robot_description(scene))
     joints = [joint for joint in root.iterfind("joint") if joint.get("type") != "floating"]
@@ -64,7 +64,7 @@ def encoded(text):
 
 
 def _with_addresses(text, file):
-    """URDF text with file:// addresses for meshes relative to its file, which viewers do not find."""
+    """URDF text with file:// addresses of meshes: viewers do not find paths relative to the file."""
 
     def address(found):
         name = found[2]
@@ -82,7 +82,7 @@ def _solid(body):
 
 
 def _joint(joint):
-    """<joint> element. URDF asks for limits of a prismatic joint."""
+    """<joint> element. URDF requires limits for a prismatic joint."""
     lines = [
         f'  <joint name={quoteattr(joint.name)} type="{joint.type}">'
         f"<parent link={quoteattr(joint.parent)}/><child link={quoteattr(joint.child)}/>",
@@ -102,7 +102,7 @@ def _origin(pose):
 
 
 def _visual(visual, file):
-    """<visual> element; a mesh that is no file of this machine keeps its address."""
+    """<visual> element; a mesh without a file on this machine keeps its address."""
     if visual.kind == "box":
         shape = f'<box size="{_row(np.maximum(visual.size, 1e-6))}"/>'
     elif visual.kind == "cylinder":

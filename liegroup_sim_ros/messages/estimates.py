@@ -13,8 +13,8 @@ from .codecs import MessageError
 
 TYPE = matrices.TYPE
 UNITS = "m", "rad", "m/s", "rad/s"  # of the columns
-# Largest variance, and that of an unknown error. Filters ignore what is that uncertain, but NaN and
-# infinity make their states NaN.
+# Largest variance, also for unknown errors. Filters ignore values that are so uncertain, whereas NaN or
+# infinity makes their states NaN.
 UNKNOWN = 1e10
 
 
@@ -27,8 +27,8 @@ def encoder(body_names):
 def variances(sample, body):
     """Variances of position m2, attitude rad2, velocity and angular velocity of a body.
 
-    Squares of the estimated errors; zero if none are carried. Before the first estimate those of the
-    pose are the squares of what the accuracy allows.
+    Squares of the estimated errors; zero without an estimate. Before the first estimate, variances of the
+    pose are the squares of the errors that the accuracy permits.
     """
     if sample.errors is None:
         return [0.0] * len(UNITS)
@@ -40,12 +40,12 @@ def variances(sample, body):
 
 
 def decode_rows(rows, body_names):
-    """(m, 4 n) numbers of messages of one size, as the rows of an array (m, size) uint8.
+    """(m, 4 n) numbers of messages of one size, given as rows (m, size) uint8.
 
-    Raises MessageError, also if the messages are not about these bodies.
+    Raises MessageError, also for messages about other bodies.
     """
     count = len(UNITS) * len(body_names)
-    at = rows.shape[1] - 8 * count  # the numbers end a message of ROS
+    at = rows.shape[1] - 8 * count  # in messages of ROS the numbers come last
     if at >= 0 and (rows[:, :at] == rows[:1, :at]).all():
         order = ">" if rows[0, 1] == 0 else "<"
         values = np.ascontiguousarray(rows[:, at:]).view(f"{order}f8").astype(float)

@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Texts of events that readers of a recording need.
+"""Texts of events that readers of a recording parse.
 
-Those about accuracy, real time and servos begin with a number. That of a state that was set has the
-state.
+Texts about accuracy, real time and servos begin with a number. The text of a state that was set contains
+the state.
 """
 
 import json
 
-# Of a core: a run that takes less has time left in real time.
+# Share of a core; a run that takes less can keep real time.
 BUSY = 0.7
 
 
 def accuracy(value, time, before, share, share_of_messages):
-    """From now on another accuracy is kept, as the one before takes too much of a core."""
+    """The accuracy becomes coarser, because the previous one takes too much of a core."""
     return (
         f"{value:g} is the accuracy from t = {time:.6g} s on: {before:g} takes "
         f"{_percent(share)} of a core in real time, messages {_percent(share_of_messages)}"
@@ -20,13 +20,13 @@ def accuracy(value, time, before, share, share_of_messages):
 
 
 def accuracy_returns(value, time, coarser, before, after, share_of_messages):
-    """The accuracy is the one before again, as a coarser one does not help.
+    """The previous accuracy returns, because a coarser one does not help.
 
-    before, after : of a core, that the integration takes in real time at both
+    before, after : shares of a core that the integration takes in real time, previously and at the coarser one
     """
     return (
         f"{value:g} is the accuracy from t = {time:.6g} s on: {coarser:g} takes {_percent(after)} of a "
-        f"core in real time, not less than {_percent(before)} by enough, messages "
+        f"core in real time instead of {_percent(before)}, messages "
         f"{_percent(share_of_messages)}; {_advice(after, share_of_messages, helpless=True)}"
     )
 
@@ -45,13 +45,13 @@ def slow(had, wanted, time, share, share_of_messages, accuracy, helpless=False):
 
     had, wanted : real-time factors
     time        : s
-    share       : of a core, that the integration takes in real time where it takes most
-    accuracy    : that holds; None with a method
+    share       : largest share of a core that the integration takes in real time
+    accuracy    : current accuracy; None with a method
     helpless    : a coarser accuracy does not help
     """
     advice = _advice(share, share_of_messages, helpless)
     if share + share_of_messages < BUSY:
-        advice = "other work keeps the cores from this one: end it, or lower real_time_factor"
+        advice = "other processes occupy the cores: end them, or lower real_time_factor"
     return (
         f"{had:.3g} is the real-time factor at t = {time:.6g} s, of {wanted:g}: in real time the "
         f"integration takes up to {_percent(share)} of a core"
@@ -67,7 +67,7 @@ def _percent(share):
 def inaccurate(since, reason):
     """The estimated error exceeds the accuracy.
 
-    since  : s, the last time at which it did not
+    since  : s, the last time within the accuracy
     reason : Simulation.inaccurate_because
     """
     text = f"{since:.9g} s is the last time with an estimated error within the accuracy"
@@ -85,7 +85,7 @@ def saturated(effort, joint, time):
 
 
 def reports(simulation):
-    """[(name, text)] of what the estimate of a Simulation says up to its present time."""
+    """[(name, text)] of the events about the error estimate of a Simulation up to its present time."""
     found, time = [], simulation.time
     if (since := simulation.accurate_until) <= time:
         found.append(("inaccurate", inaccurate(since, simulation.inaccurate_because)))
@@ -100,7 +100,7 @@ def number(text):
 
 
 def state(reason, entries):
-    """The run continues from a state that was set; its second line is the exact state.
+    """The run continues from a state that was set; the second line of the text is the exact state.
 
     entries : JSON types, see recording.attachments.state
     """

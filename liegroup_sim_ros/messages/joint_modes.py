@@ -2,10 +2,10 @@
 """Events at joints with stops or dry friction: messages with their modes, and lines of text.
 
 ~/joint_modes has a message for every instant at which a mode changes or a stop is hit: a matrix with a
-row for each such joint, in the order of the scene. Column `mode` is one of the constants below, `slip` the
-sign of the velocity that sliding friction opposes, `effort` what it bears if it rests only because others
-are held, else NaN. `impulse` and `energy` are those of an impact at
-this instant. Imports no ROS.
+row for each joint with stops or friction, in the order of the scene. Column `mode` is one of the constants
+below. `slip` is the sign of the velocity that sliding friction opposes. `effort` is the effort of a joint that
+rests only because others are held, else NaN. `impulse` and `energy` are those of an impact at this instant.
+Imports no ROS.
 """
 
 import math
@@ -22,13 +22,13 @@ from .codecs import MessageError
 from .commands import joint_labels
 
 TYPE = matrices.TYPE
-# rad or m, N m s or N s, J.
+# Units: coordinate rad or m, impulse N m s or N s, energy J, effort N m or N.
 COLUMNS = ("mode", "slip", "coordinate", "impulse", "energy", "effort")
 MODE, SLIP, COORDINATE, IMPULSE, ENERGY, EFFORT = range(6)
 # Free; at rest at a stop, or by friction alone; moving beyond a compliant stop.
 FREE, LOWER, UPPER, STICK, BEYOND_LOWER, BEYOND_UPPER = range(6)
 IMPACT = "impact"
-LINES = 20  # instants a second of simulated time that have a line of their own
+LINES = 20  # most instants per second of simulated time that have a line each
 
 
 def encoder(layout):
@@ -74,7 +74,7 @@ def switching(values):
 
 
 class Report(NamedTuple):
-    """What is sent about the joints at one time.
+    """Messages about the joints at one instant.
 
     time_ns : since step 0
     modes   : message of ~/joint_modes, or None
@@ -87,10 +87,10 @@ class Report(NamedTuple):
 
 
 class JointReports:
-    """Reports on the joints of a simulation with stops or friction, as it goes on.
+    """Reports on joints with stops or friction during a simulation.
 
     At most LINES instants in a second of simulated time have a line. The others are counted; the
-    first report after that second sums them up. `begin` starts a run or follows a state that was set.
+    first report after that second sums them up. Call `begin` at the start and after a state was set.
     """
 
     def __init__(self, simulation):
@@ -125,12 +125,12 @@ class JointReports:
         return reports
 
     def finish(self):
-        """[Report] that sums up what was counted only."""
+        """[Report] that sums up the instants without a line."""
         return self._sum_up(self._time)
 
     def _of_instant(self, instant):
         time = instant.time
-        if not instant.events:  # a state that was set, or friction that turns round with the motion
+        if not instant.events:  # a state that was set, or friction that reverses with the motion
             same = np.array_equal(instant.modes, self._last)
             self._last = instant.modes
             return [] if same else [Report(round(time * 1e9), self._encode(instant.modes), None)]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Links of a scene, and the URDF joints between them: what /tf and ~/robot_description have in common.
+"""Links of a scene, and the URDF joints between them, for /tf and ~/robot_description.
 
-A robot has the links of its file; another scene has its bodies. A URDF joint moves the frame of its
-child about an axis through the origin, so a hinge whose axis passes beside it needs a link more.
+A robot has the links of its file; in other scenes bodies are links. In URDF the axis of a joint passes
+through the origin of the child's frame, so a hinge with another axis needs an additional link.
 Imports no ROS.
 """
 
@@ -15,7 +15,7 @@ from liegroup_core.scene.consistency import resolve_frames
 
 WORLD = "world"
 URDF_TYPES = {"revolute": "continuous", "prismatic": "prismatic", "fixed": "fixed"}
-# Distance of an axis from an origin, in units of the largest coordinate: round-off of the scene's poses.
+# Distance of an axis from an origin that counts as zero, relative to the largest coordinate: round-off.
 BESIDE = 1e-14
 
 
@@ -38,7 +38,7 @@ def link_of_body(scene):
 
 
 def merged_links(scene):
-    """{link: (its body, (4, 4) pose in the frame of the body)} of moving links that are no body's frame."""
+    """{link: (its body, (4, 4) pose in the body frame)} of moving links with a frame other than the body's."""
     if scene.robot is None:
         return {}
     own = {*link_of_body(scene).values(), *(body.name for body in scene.bodies)}
@@ -50,8 +50,8 @@ def merged_links(scene):
 def links_and_joints(scene):
     """({link: (body or world, (4, 4) pose in the frame of the body)}, [UrdfJoint]) of a scene.
 
-    The joints are a tree from the world. Joints of one angle or displacement, with the names of
-    ~/joint_states, and fixed ones; what they do not reach is floating.
+    The joints form a tree from the world: joints with one angle or displacement, named as in
+    ~/joint_states, and fixed joints. Links that these do not reach are floating.
     """
     robot = scene.robot
     links = {body.name: (body.name, np.eye(4)) for body in scene.bodies}

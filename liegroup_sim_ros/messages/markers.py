@@ -3,7 +3,7 @@
 
 A body is drawn as its shape. A body without a shape is drawn as the homogeneous box of the same
 mass and inertia, with edges x^2 = 6 (I_y + I_z - I_x) / m about the principal axes. A robot is drawn
-with the visuals of its file; meshes need a file that this machine has. A joint is a
+with the visuals of its file; meshes must exist on this machine. A joint is a
 small sphere at the child's joint frame. An applied wrench is drawn as two arrows at the body's
 origin, one for the force and one for the torque; `arrow_scale` sets their length.
 """
@@ -148,7 +148,7 @@ def markers(encoder):
 def drawn(scene):
     """[(name of the body or world, kind, sizes (3,) in m, pose (4, 4) in the body's frame, mesh)].
 
-    Of a robot all visuals, else one shape a body; mesh: address of a mesh, "" of other shapes.
+    All visuals of a robot, else one shape per body; mesh: address of a mesh, "" for other shapes.
     """
     robot, found, shown = scene.robot, [], set()
     if robot is not None:
@@ -167,7 +167,7 @@ def drawn(scene):
 
 
 def _of_visual(visual, file):
-    """(kind, sizes (3,), address of the mesh) of a visual, or None for a mesh that is not there."""
+    """(kind, sizes (3,), address of the mesh) of a visual, or None if the mesh does not exist."""
     if visual.kind == "mesh":
         path = find_resource(visual.mesh, file)
         return None if path is None else (MESH, visual.size, path.as_uri())

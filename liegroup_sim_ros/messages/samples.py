@@ -114,12 +114,12 @@ def pose_array(layout, world_frame, frame_prefix=""):
 def joint_states(layout, world_frame, frame_prefix=""):
     """sensor_msgs/JointState of the joints with one angle or displacement.
 
-    Joints of a robot have the names of its file; joints that do not move have their coordinate.
-    Efforts are those of servos, and the commanded ones that act.
+    Joints of a robot have the names in its file; joints that do not move are included, with velocity 0.
+    Efforts are those of servos and of acting commands.
 
-    NaN marks that there is none, as in ros2_control's joint_state_broadcaster. An empty sequence at
-    the end of the message would not do, because readers differ in the padding that they accept
-    there: rosbags takes at most 3 bytes more than ROS sends, pybag-sdk needs up to 4.
+    NaN means no effort, as in ros2_control's joint_state_broadcaster. An empty sequence at the end of
+    the message does not work, because readers accept different padding there: rosbags accepts at most
+    3 bytes more than ROS sends, pybag-sdk needs up to 4.
     """
     names, robot = layout.coordinates.names, layout.scene.robot
     still = {} if robot is None else robot.still
@@ -184,7 +184,7 @@ def reactions(layout, world_frame, frame_prefix=""):
 def impulses(layout, frame_prefix=""):
     """[(topic, message type, function (stamp in ns, impulse (6,)) -> message)] of all joints.
 
-    geometry_msgs/WrenchStamped in N m s and N s: what a joint exerts on its child at an impact. Names
+    geometry_msgs/WrenchStamped in N m s and N s: impulse of a joint on its child at an impact. Names
     and frames are those of `reactions`.
     """
     joints = [joint.name for joint in layout.scene.joints]
@@ -207,7 +207,7 @@ def _labels(layout, names):
 def fixed_frames(layout, frame_prefix=""):
     """Serialized tf2_msgs/TFMessage of the frames that are fixed in links: of joints and sensors.
 
-    JOINT_reaction is the joint frame of the child; a force_torque sensor without a frame has it too.
+    JOINT_reaction is the joint frame of the child, also used for a force_torque sensor without a frame.
     """
     scene = layout.scene
     of_child = {joint.name: (joint.child, frame) for joint, (_, frame) in zip(scene.joints, resolve_frames(scene))}
@@ -232,8 +232,8 @@ def fixed_frames(layout, frame_prefix=""):
 def transforms(layout, world_frame, frame_prefix="", which="all"):
     """tf2_msgs/TFMessage: transforms from the world frame to the frames of links and bodies.
 
-    which : of TF_LINKS: all links, or those that robot_state_publisher does not hold to others; a
-            body whose link has another name has a frame of its own name in both
+    which : one of TF_LINKS: all links, or those that robot_state_publisher does not publish. In both
+            cases, a body whose link has another name also has a frame with its own name
     """
     scene = layout.scene
     links, _ = links_and_joints(scene)

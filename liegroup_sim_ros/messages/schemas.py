@@ -86,8 +86,8 @@ def qos_profile(kind="reliable", depth=10):
 
 def _split(msg_type):
     package, *_, name = msg_type.split("/")
-    if not (package.isidentifier() and name.isidentifier()):  # a search imports what a dot follows
-        raise SchemaError(f"{msg_type!r:.60} is no type of a message")
+    if not (package.isidentifier() and name.isidentifier()):  # find_spec would import a package before a dot
+        raise SchemaError(f"{msg_type!r:.60} is not a message type")
     return package, name
 
 

@@ -51,7 +51,7 @@ APPLIED_WRENCH = Topic("~/applied_wrench", WrenchStampedCodec.TYPE, "transient_l
 SERVO_TARGETS = Topic("~/servo_targets", JOINT_STATE, "transient_local", 10)
 MOTIONS = Topic("~/motions", ARRAY, "transient_local", 10)  # each message has all driven joints
 # Each message has all joints with stops or friction.
-# Impacts come in bursts: each has a message, the first ones of a second a line.
+# Deep, because impacts come in bursts and each has a message.
 JOINT_MODES = Topic("~/joint_modes", joint_modes.TYPE, "transient_local", 100)
 IMPULSES_KEPT = 100  # messages of ~/JOINT/impulse: impacts come in bursts
 EVENTS = Topic("~/events", LogCodec.TYPE, "transient_local", 50)

@@ -73,7 +73,7 @@ PATTERNS = {
         lambda accuracy: 0.8 / expected(accuracy),
         flat(0.05),
         [GIVEN, 1e-7, GIVEN],
-        "takes 107 % of a core in real time, not less than 80 %",
+        "takes 107 % of a core in real time instead of 80 %",
     ),
     "gain up to a level": (falling(0.8, 0.6), flat(0.05), [GIVEN, 1e-7, 1e-6, 1e-7], "takes the most, at any accuracy"),
     "messages alone": (falling(0.26), flat(0.66), [GIVEN], None),
@@ -148,7 +148,7 @@ def test_a_pause_or_another_factor_does_not_end_the_judgement():
         (falling(9.0), 0.1, "the integration takes the most: raise accuracy or step"),
         (flat(0.95), 0.02, "the integration takes the most, at any accuracy: lower real_time_factor"),
         (flat(0.25), 0.9, "the messages take the most: lower publish_rate"),
-        (flat(0.1), 0.1, "other work keeps the cores from this one"),
+        (flat(0.1), 0.1, "other processes occupy the cores"),
     ],
 )
 def test_a_slow_run_says_what_takes_the_time_and_what_to_do(integration, messages, said):
