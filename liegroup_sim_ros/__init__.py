@@ -20,7 +20,7 @@ __all__ = ["__version__", "show"]
 
 
 def __getattr__(name):
-    if name != "show":  # imported on first use: a start of the command line needs none of it
+    if name != "show":  # imported on first use, because the command line does not need it
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from .notebook import show
 

@@ -71,16 +71,16 @@ def show(
     reference : False: skip the comparison with a reference integration
     height    : px, of the frame in a notebook cell
     raises LieGroupSimError for a recording that cannot be read or written, ValueError for wrong
-    arguments. A simulation that stops is shown up to there; the report lists the reason
+    arguments. A simulation that stops early is shown up to that time; the report gives the reason
     """
     if isinstance(what, Engine):
         if seconds is None or not 0.0 < seconds < math.inf:
-            raise ValueError(f"show a simulation over how many seconds? got {seconds!r}")
+            raise ValueError(f"seconds must be a positive number for a Simulation, got {seconds!r}")
         with tempfile.TemporaryDirectory(prefix="liegroup_sim_") as folder:
             path = _record(what, seconds, Path(folder) / "run.mcap")
             return _report(read_recording(str(path)), reference, height)
     if seconds is not None:
-        raise ValueError("seconds requires a Simulation; a recording is shown whole")
+        raise ValueError("seconds requires a Simulation; a recording is always shown completely")
     recording = what if isinstance(what, Recording) else read_recording(str(what))
     return _report(recording, reference, height)
 
@@ -93,7 +93,7 @@ def _report(recording, reference, height):
 def _record(simulation, seconds, path):
     """Record a copy of a simulation from its current state; returns the path.
 
-    A recording does not hold the wrenches that were applied before it. The copy has none, so its
+    A recording lacks wrenches that were applied before it. The copy has no wrenches, so its
     re-simulation is bit-identical.
     """
     step = simulation.step
@@ -103,7 +103,7 @@ def _record(simulation, seconds, path):
         simulation.scene, attachments.settings(simulation, every), estimate=simulation.sample().errors is not None
     )
     copy.set_state(*simulation.state(), simulation.steps, simulation.sample().angles)
-    copy.take_modes(simulation)  # with the whole turns of joints with stops
+    copy.take_modes(simulation)  # includes whole turns of joints with stops
     started, stopped = time.monotonic(), None
     with LogFile(path, copy, every, count + 1) as file:
         file.sample(copy.sample())

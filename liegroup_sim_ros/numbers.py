@@ -26,7 +26,7 @@ def counted(number, noun):
 
 
 def error_text(entry):
-    """Error as text, with its uncertainty if that is large; else the larger uncertainty alone."""
+    """Error as text, with its uncertainty if that is large; the uncertainty alone if it exceeds the error."""
     size, uncertainty = entry["max"], entry["uncertainty"]
     if 0.0 < uncertainty >= size:
         return f"{shown(uncertainty, entry['unit'])} (the reference uncertainty)"

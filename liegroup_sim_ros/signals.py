@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signals that end a program in order: a flag that it looks at, so that nothing is lost midway."""
+"""Signals that end a program: they set a flag that it checks, so that it ends in order and loses nothing."""
 
 import signal
 import threading
@@ -8,10 +8,10 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
 
 class Signals:
-    """Handlers of SIGNALS that only set `received`; a `with` block restores the ones before.
+    """Handlers of SIGNALS that only set `received`; a `with` block restores the previous handlers.
 
-    An exception from a handler may get lost in a callback, or end what must not be divided. A second
-    signal, as `ros2 launch` sends it, changes nothing.
+    An exception from a handler may get lost in a callback, or interrupt an operation that must complete.
+    A second signal, such as `ros2 launch` sends, has no effect.
     """
 
     def __init__(self):
@@ -41,9 +41,9 @@ def end_as_by_ctrl_c():
 
 
 def handled():
-    """SIGNALS, in the thread that Python lets handle them; SIGHUP not below nohup, which ignores it.
+    """SIGNALS that this thread can handle: none outside the main thread; no SIGHUP under nohup, which ignores it.
 
-    A shell starts background processes with SIGINT and SIGQUIT ignored: they are handled.
+    SIGINT and SIGQUIT are handled even if they are ignored: shells start background processes like that.
     """
     if threading.current_thread() is not threading.main_thread():
         return []

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Branches of a recorded run: a simulation goes on from any instant of it, with other inputs.
+"""Branches of a recorded run: simulations that continue from any instant of it, with other inputs.
 
-The state of the last checkpoint before the instant is set, and the run repeated from there with its
-wrenches. An unedited branch is bit-identical with the recording, on the same kind of machine with
+A branch sets the state of the last checkpoint before the instant and repeats the run from there with the
+recorded inputs. An unedited branch is bit-identical with the recording, on the same kind of machine with
 the same versions.
 """
 
@@ -18,11 +18,11 @@ from liegroup_sim_ros.recording.motion import Motion
 from .rerun import ReplayError, Rerun, make_simulation
 
 ROUNDING = 1e-6  # of a step, when a time is matched to steps
-REST = 0.02  # s, in which a driven joint comes to rest where its commands end
+REST = 0.02  # s, in which a driven joint comes to rest when its commands end
 
 
 class Branches:
-    """Instants of a Recording from which a simulation can go on.
+    """Simulations that continue a Recording from any instant.
 
     other : settings that replace recorded ones, see rerun.make_simulation
     simulation : the one that all branches use; each sets its state
@@ -46,8 +46,8 @@ class Branches:
     def at(self, time, inputs=False):
         """Simulation at an instant of the recording, and the stamp of its state in ns.
 
-        time   : s, as the time stamps of the recording; the last step up to it is taken
-        inputs : True: the wrenches recorded later act, too. False: all wrenches end here, and driven
+        time   : s, as the time stamps of the recording; rounded down to a step
+        inputs : True: inputs recorded later act, too. False: all wrenches end here, and driven
                  joints that were commanded come to rest within REST
         Raises ReplayError for a time outside the recording or a run that cannot be repeated.
         """

@@ -97,7 +97,7 @@ class Player:
     def _add_publisher(self, topic):
         package, *_, name = topic.type.split("/")
         try:
-            # Only a module of an interface package is imported, whatever the recording names.
+            # Raises SchemaError unless the type of the recording belongs to an interface package.
             definition(topic.type)
             message = getattr(importlib.import_module(f"{package}.msg"), name)
         except (ImportError, AttributeError, SchemaError):

@@ -65,7 +65,7 @@ class PlayFile:
         """Generator of (stamp ns, [(Topic, payload)]) from a start stamp, in the order of stamps.
 
         Messages with the same stamp are yielded together. Recordings of other software may not be
-        sorted: a message with an earlier stamp than the last one gets the stamp of that one.
+        sorted: a message that is earlier than the previous one gets the stamp of the previous one.
         Raises RecordingError.
         """
         chunks = {offset for offset, _, last in self._chunks if last >= since_ns}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulation that repeats parts of a recording: from a state of it, with its wrenches."""
+"""Simulation that repeats parts of a recording, from a recorded state and with the recorded inputs."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from liegroup_sim_ros.recording.read import RecordingError
 
 # Limit on the number of steps, for damaged files; a step takes at least about 1 us.
 MOST_STEPS = 10**9
-AT_ONCE = 8  # steps between two looks at the work; one may take 1e5 substeps
+AT_ONCE = 8  # steps between two checks of the limit; a step may take 1e5 substeps
 
 
 class ReplayError(LieGroupSimError):
@@ -21,7 +21,7 @@ class ReplayError(LieGroupSimError):
 
 
 class Work:
-    """Limit of the work of repeated simulations: numbers of damaged files may ask for any amount.
+    """Limit of the work of repeated simulations, because damaged files may require any amount.
 
     most : steps, or attempted substeps of steps with error control
     """
@@ -30,7 +30,7 @@ class Work:
         self._most = self._left = most
 
     def advance(self, simulation, steps):
-        """Advance a simulation, as its `advance`. Raises SimulationError, also beyond the limit."""
+        """Call the `advance` of a simulation. Raises SimulationError, also beyond the limit."""
         if steps > self._left:
             self._end()
         while steps > 0:
@@ -50,7 +50,7 @@ class Work:
 def make_simulation(scene, settings, quiet=True, **other):
     """Simulation with the settings of a recording; other : settings that replace recorded ones.
 
-    With a method it carries no estimate of the error, unless `other` says so.
+    With a method it has no error estimate, unless `other` requests one.
     quiet : True: log no warnings
     Raises ValueError, one line, for settings that this version cannot simulate.
     """
@@ -77,7 +77,7 @@ class Rerun:
     """Repetition of the stretches of a recording, see motion.Stretch.
 
     simulation : Simulation with the recorded settings, or with other settings to measure their effect
-    ratio      : its steps in a recorded one
+    ratio      : number of its steps per recorded step
     work       : limit of its steps, see Work
     """
 
@@ -98,9 +98,9 @@ class Rerun:
         """
         simulation = self.simulation
         if stretch.targets.size and stretch.targets.shape[1] != len(simulation.layout.servos):
-            raise ReplayError("its servo targets are not those of the servos of its scene")
+            raise ReplayError("its servo targets do not match the servos of its scene")
         if stretch.motions.size and stretch.motions.shape[1] != len(simulation.layout.motions):
-            raise ReplayError("its motions are not those of the driven joints of its scene")
+            raise ReplayError("its motions do not match the driven joints of its scene")
         recorded = checkpoint or (self._recorded if stretch.is_first else stretch.state)
         try:
             start = (recorded["steps"] if checkpoint else stretch.start) * self.ratio
@@ -114,7 +114,7 @@ class Rerun:
         except (ValueError, KeyError, TypeError, OverflowError) as error:
             raise ReplayError(f"invalid initial state in the recording: {error}") from None
         self._stretch, self._next, self._next_target, self._next_motion = stretch, 0, 0, 0
-        # At the stamp of a checkpoint the accuracy changes after it.
+        # A change of the accuracy at the stamp of a checkpoint comes after it.
         self._accuracies = [
             (step, accuracy)
             for recorded_step, accuracy in stretch.accuracies
@@ -132,7 +132,7 @@ class Rerun:
 
     def _go(self, step):
         self.apply_changes(step * self.simulation.step)
-        # Never by zero steps: that restarts a method whose memory depends on the wrenches.
+        # For zero steps Work makes no call: it would restart a method whose memory depends on wrenches.
         self._work.advance(self.simulation, step - self.simulation.steps)
 
     def apply_changes(self, until):
@@ -167,7 +167,7 @@ class Rerun:
 
 
 class Starts:
-    """Initial states of stretches: that of the file or of an event, or after a reset of the scene.
+    """Initial states of stretches: from the file, from an event, or from the scene after a reset.
 
     `of(stretch)` is pose (n, 12), twist (n, 6) of the frames at the centres of mass, and angles
     (t,) of the torsional springs or None. Raises RecordingError.

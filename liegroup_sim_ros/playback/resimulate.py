@@ -71,7 +71,7 @@ def platform_changes(settings):
 
 
 def difference_cause(platform):
-    """Why a repeated run with the recorded settings differs; platform : of platform_changes."""
+    """Text why a repeated run with the recorded settings differs; platform : result of platform_changes."""
     if not platform:
         return (
             "versions and machine are those of the recording: the file or the source code was "
