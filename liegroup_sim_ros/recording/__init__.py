@@ -8,7 +8,7 @@ Write    write.py        Recorder: queue, flushing, parts, failures of the disk
          write_mcap.py   chunks, message index, summary
          write_files.py  names of files and parts
          write_run.py    the files of `liegroup_sim run`
-         checkpoints.py  states on the way
+         checkpoints.py  states during the run
 Read     read.py         Recording, read_recording: settings, tracks, events
          read_file.py    attachments, and one pass over the messages of the file
          read_mcap.py    the messages of a chunk as arrays

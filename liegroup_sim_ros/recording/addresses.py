@@ -32,7 +32,7 @@ def expand(addresses):
         elif Path(address).is_dir():
             matches = sorted(map(str, Path(address).glob("*.mcap")))
             if not matches:
-                raise AddressError(f"{address}: a folder without *.mcap in it")
+                raise AddressError(f"{address}: the folder has no *.mcap file")
             paths += matches
         elif glob.has_magic(address) and not Path(address).exists():
             matches = sorted(glob.glob(address, recursive=True))

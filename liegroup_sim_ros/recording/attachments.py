@@ -100,7 +100,7 @@ def settings(simulation, sample_steps):
 
 
 def _promise(simulation):
-    """The accuracy that was asked for, also after real time has raised it: a reset returns to it."""
+    """The requested accuracy, even if real time has made it coarser: a reset returns to it."""
     promise = simulation.promise
     return promise and promise | {"accuracy": simulation.options["rtol"]}
 

@@ -11,8 +11,8 @@ from textwrap import dedent, indent
 import yaml
 
 FILE_NAME = "metadata.yaml"
-# Most files whose entries are written anew with every further one. Of more, every so many of them are: the cost
-# of a file does not grow with their number, and only the last thousandth may be missing after a crash.
+# Largest number of files for which each new file rewrites metadata.yaml. With more, it is rewritten less often:
+# the cost per file does not grow with their number, and after a crash at most the last thousandth is missing.
 AT_ONCE = 1000
 
 
@@ -20,7 +20,7 @@ class Bag:
     """The files of a bag, added one by one."""
 
     def __init__(self):
-        self._names, self._files = [], []  # their entries, YAML
+        self._names, self._files = [], []  # entries of the files, YAML
         self._topics = {}  # name -> entry of topics_with_message_count
         self._count = 0  # messages
         self._spans = {}  # smallest and largest stamp of the files with messages (True) and of the others

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checkpoints: exact states along a recording, so that any instant of it is reached in a short time.
+"""Checkpoints: exact states along a recording, from which any instant of it is reached in a short time.
 
 A checkpoint is an attachment with the entries of initial_state.json, named after its stamp in ns.
-There is one when the run has used CPU since the last one, which is about what the way from it to the
-next one takes again; but not more than one a SPACING, nor more than MOST in a file.
+One is added when the run has used CPU since the last one: repeating the run between them takes about as
+long. There is at most one per SPACING, and at most MOST in a file.
 """
 
 import json
@@ -12,7 +12,7 @@ import time
 from . import attachments
 
 PREFIX, SUFFIX = "checkpoint_", ".json"
-CPU = 0.08  # s of the thread that simulates
+CPU = 0.08  # s of CPU time of the thread that simulates
 SPACING = 10**9  # ns of simulated time
 MOST = 4096
 
@@ -41,7 +41,7 @@ class Checkpoints:
 
 
 def stamp_of(name):
-    """Stamp in ns of the attachment of a checkpoint, or None for another one."""
+    """Stamp in ns from the name of a checkpoint's attachment, or None for other attachments."""
     number = name.removeprefix(PREFIX).removesuffix(SUFFIX)
     is_one = name == f"{PREFIX}{number}{SUFFIX}" and number.isdecimal() and len(number) < 20
     return int(number) if is_one else None

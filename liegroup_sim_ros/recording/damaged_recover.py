@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A readable file from the intact records of a truncated or damaged one, for `recover`."""
+"""Write a readable file from the intact records of a truncated or damaged one, for `recover`."""
 
 import json
 import os

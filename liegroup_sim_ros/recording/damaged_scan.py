@@ -181,7 +181,7 @@ def summary_of(stream, size):
 
 
 def _end(stream, at, size, check_data=True):
-    """End of a file whose data end at an offset. Raises Damaged if anything after it is."""
+    """End of a file whose data end at an offset. Raises Damaged if anything after the offset is damaged."""
     stream.seek(at + RECORD.size)
     tail_start = size - len(MCAP0_MAGIC) - _FOOTER
     summary_start = at + RECORD.size + 4

@@ -21,4 +21,4 @@ class AddressError(LieGroupSimError):
 
 
 class FileLostError(LieGroupSimError):
-    """What was written to a file is not at its path any more."""
+    """A file was removed, replaced or truncated while it was written."""

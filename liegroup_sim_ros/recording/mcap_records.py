@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Single records of an MCAP file that may be damaged or hostile, for all readers of this room.
+"""Single records of an MCAP file that may be damaged or hostile, for all readers of this folder.
 
 Records with a wrong checksum are refused. Claimed sizes are not trusted, so memory is bounded by
 LARGEST. damaged_scan.py uses these functions to find intact records, read_mcap.py to read the
@@ -24,7 +24,7 @@ from mcap.records import Channel, Header, Metadata, Schema
 LARGEST = 64 * 2**20
 # Each message has a stamp and a sequence number, so only a zip bomb exceeds this expansion.
 MOST_EXPANSION = 1000
-# Decompressed bytes over file size, beyond LARGEST; recordings of bodies at rest reach 6.
+# Largest ratio of decompressed bytes above LARGEST to file size; recordings of bodies at rest reach 6.
 LARGEST_RATIO = 100
 GROWS = f"it claims to contain more than {LARGEST_RATIO} times its size; the rest is omitted"
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Motion in a recording: blocks of samples between two resets or states that were set.
 
-The memory is bounded.
+Memory is bounded.
 """
 
 from dataclasses import dataclass, field
@@ -23,7 +23,7 @@ LATEST = 2**62  # ns; larger stamps are invalid
 
 @dataclass(eq=False)
 class Stretch:
-    """The run from its start, or from a reset or a state that was set, to the next one; n bodies.
+    """Section of a run that begins with its start, a reset or a state that was set; n bodies.
 
     steps, rotation, position, twist, errors and angles are those of k kept samples, evenly
     distributed.
@@ -36,7 +36,7 @@ class Stretch:
     bodies: tuple  # names
     is_first: bool  # begins with the file
     start: int  # number of its first step
-    state: dict | None  # that was set, see attachments.state; None: that of the file or the scene
+    state: dict | None  # state that was set, see attachments.state; None: that of the file or the scene
     change_times: np.ndarray  # (m,) s since step 0, at which a total wrench on a body changes
     change_bodies: np.ndarray  # (m,) index of the body
     change_wrenches: np.ndarray  # (m, 6) the total in its axes
@@ -46,7 +46,7 @@ class Stretch:
     motion_times: np.ndarray  # (q,) s since step 0, at which motions of driven joints change
     motions: np.ndarray  # (q, d, 7) commanded motions, in the order of the layout
     accuracies: list  # [(step, accuracy)] from which on another accuracy holds
-    inaccurate_from: float  # s since step 0: the run said that its error exceeds the accuracy; or inf
+    inaccurate_from: float  # s since step 0, up to which the requested accuracy was kept; inf: always
     samples: int = 0  # number of all samples
     first_step: int = 0  # of a sample
     last_step: int = 0
@@ -293,7 +293,7 @@ class Motion:
                 number = events.number(event.text)
             except ValueError:
                 raise RecordingError(
-                    f"{self._recording.path}: an event {event.name} names no number: {event.text!r}"
+                    f"{self._recording.path}: an event {event.name} does not begin with a number: {event.text!r}"
                 ) from None
             if event.name == "accuracy":
                 changes.append((round(since / step), number))

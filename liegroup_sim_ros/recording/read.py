@@ -63,7 +63,7 @@ __all__ = [
 FORMAT = 1  # of settings.json and the other attachments
 REACTION = "/wrench"  # ending of the topics of reactions; inputs are not recorded
 IMPULSE = "/impulse"  # ending of the topics of impulses at impacts
-OF_BODY = "_reaction"  # before it, if the joint has the name of a body
+OF_BODY = "_reaction"  # before these endings, if the joint has the name of a body
 # Numbers in a piece of `samples`, and the largest offset between two topics of a file in samples.
 PIECE, MOST_APART = 200_000, 100_000
 
@@ -166,7 +166,7 @@ class Recording:
 
     @cached_property
     def reactions(self) -> dict[str, ReactionTrack]:
-        """{joint: ReactionTrack} of ~/JOINT/wrench; by their names also forces and force-torque sensors."""
+        """{joint: ReactionTrack} of ~/JOINT/wrench; also of forces and force-torque sensors, by their names."""
         rows = self._of_joints(REACTION)
         return {
             joint: ReactionTrack(np.array([stamp for stamp, _, _ in of_joint]), np.array([row for *_, row in of_joint]))
@@ -222,7 +222,7 @@ class Recording:
     def _merged(self, wanted, waiting, counts, ended=False):
         """Yield the complete samples and remove their messages from `waiting`.
 
-        ended : no messages follow, so that a missing estimate is missing for good
+        ended : True: no messages follow, so missing estimates stay NaN
         """
         tracks = {
             topic: (np.concatenate(stamps), np.concatenate(values))
@@ -322,7 +322,7 @@ class Recording:
                "joints"  columns (joint, "position", "velocity" or "effort")
                "motions" columns (driven joint, "origin" or "c0" to "c5"): the commanded motion from
                          this time on, see liegroup_core/joints/motion.py; infinite origin: none
-               "servo_targets" columns (joint, "position" or "velocity"): the wanted ones from then on
+               "servo_targets" columns (joint, "position" or "velocity"): wanted values from this time on
                "joint_modes" columns (joint, "mode", "slip", "coordinate", "impulse", "energy" or
                          "effort"): of joints with stops or friction, see messages/joint_modes.py
                "impulses"  columns (joint, tx to fz): N m s and N s at impacts, NaN: undetermined
@@ -353,7 +353,7 @@ def read_recording(path: str | Path) -> Recording:
             raise RecordingError("its settings lack the topics of a body")
         errors = topics.get("errors")
         if errors is not None and (not isinstance(errors, str) or errors in of_bodies):
-            raise RecordingError("its settings name no topic of its own for the estimated errors")
+            raise RecordingError("its settings have no separate topic for the estimated errors")
         scene_text = names["scene.yaml"].decode()
         scan = Scan(source, settings, bodies)
         problem = scan.problem(source, attachments)
@@ -389,7 +389,7 @@ def _joint_track(messages):
         return None
     stamps, names, position, velocity, *efforts = zip(*messages)
     if len(set(names)) > 1:
-        raise RecordingError("its joint states name different joints in different messages")
+        raise RecordingError("its joint states have different joints in different messages")
     shape = len(stamps), len(names[0])
     return JointTrack(
         np.array(stamps),
@@ -420,6 +420,6 @@ def _matrices(messages, columns, what):
         return None
     stamps, names, numbers = zip(*sorted(messages, key=lambda message: message[0]))
     if len(set(names)) > 1:
-        raise RecordingError(f"its {what} name different joints in different messages")
+        raise RecordingError(f"its {what} have different joints in different messages")
     shape = len(stamps), len(names[0]), columns
     return np.array(stamps), names[0], np.array(numbers).reshape(shape)

@@ -250,7 +250,7 @@ class _Tally:
 
     @property
     def lost(self):
-        """Missing messages; sequence numbers begin with 1, or continue a part, or are all 0."""
+        """Missing messages; sequence numbers begin with 1, continue those of the previous part, or are all 0."""
         return max(self._largest - self._different, self.written - self.count, 0)
 
 

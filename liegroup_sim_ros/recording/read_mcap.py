@@ -35,7 +35,7 @@ from .mcap_records import (
     parsed,
 )
 
-# Messages outside of chunks are collected to pieces of this size.
+# Messages outside of chunks are collected into pieces of this size.
 PIECE = 2**20  # bytes
 
 _CHUNK_HEAD = 56  # bytes, at most
@@ -122,8 +122,8 @@ class McapStream:
 
     During and after the pass: `channels` {id: Channel}; `finished` whether the end of the file is
     intact; `damaged` number of skipped parts and `remarks` on them; `statistics` {channel id:
-    message count} of the summary or None; `attachments_indexed` their number in the summary or
-    None; `offset` of the record of the last item.
+    message count} of the summary or None; `attachments_indexed` number of attachments in the summary
+    or None; `offset` of the record of the last item.
     """
 
     def __init__(self, file, size, wanted=None):

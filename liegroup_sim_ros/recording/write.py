@@ -3,7 +3,7 @@
 
 The caller's thread packs messages into chunks. The recorder's own thread compresses and writes
 whole chunks; no other thread touches the file. The two threads therefore seldom wait for each
-other. Passing on single messages would interrupt the simulation a thousand times a second, which
+other. Passing single messages would interrupt the simulation a thousand times a second, which
 costs more than the recording itself.
 
 A chunk ends when it reaches CHUNK_SIZE, and `flush_interval` seconds of wall time after the last
@@ -13,8 +13,8 @@ end between two instants, so they do not overlap in time.
 
 log_time = publish_time = the stamp of the message, simulated time in ns. Sequence numbers count
 from 1 in each channel and continue over the parts of a recording. A full disk ends the recording,
-not the simulation: `failure` holds the error, `lost` counts the messages. So does a file that is removed,
-replaced or truncated while it is written: it is looked for at every flush and at its end.
+not the simulation: `failure` holds the error, `lost` counts the messages. So does the removal, replacement or
+truncation of the file while it is written: every flush and the end check for that.
 
 Source: mcap.dev specification, profile "ros2"; rosbag2 bag metadata version 9.
 """
@@ -56,12 +56,12 @@ class Recorder:
     part           : number of the first part; part 2 of run.mcap is run_part2.mcap
     bag            : Bag that the files are added to and whose metadata.yaml is written beside
                      them; True: a new bag; None: no metadata.yaml
-    continues      : the simulation continues after a failure, which is then logged; False: the caller ends it
+    continues      : True: the simulation continues after a failure, which is logged; False: the caller ends it
 
     Counters: `written` messages in closed chunks of the files, `queued` messages, `lost` messages
     (0 unless there was a failure), `bytes` in the current file. `failure`: None or one line of
-    text; `is_lost`: it is that the file was removed, replaced or truncated. A `with` block closes the
-    recorder. Raises RecorderError.
+    text; `is_lost`: the reason is that the file was removed, replaced or truncated. A `with` block closes
+    the recorder. Raises RecorderError.
     """
 
     def __init__(

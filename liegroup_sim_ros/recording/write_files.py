@@ -33,7 +33,7 @@ def part_path(path, number, part):
 
 def refuse_old_parts(path, number):
     """Raise RecorderError if files exist that would be parts of the same recording."""
-    if number > 1:  # they are its own
+    if number > 1:  # earlier parts belong to this recording
         return
     pattern = re.compile(re.escape(path.stem) + r"_part[0-9]+\.mcap")
     old = sorted(each.name for each in path.parent.iterdir() if pattern.fullmatch(each.name))

@@ -3,8 +3,8 @@
 
 The library `mcap` encodes all rare records. Its Writer creates an object for each message and
 writes it field by field, which costs more than simulating a small scene. Here a message is one
-struct and the index of a chunk is one array. test_recording.py reads the files with the readers of
-other authors.
+struct and the index of a chunk is one array. test_recording.py reads the files with third-party
+readers.
 
 Source: mcap.dev specification, version 0.
 """
@@ -47,7 +47,7 @@ LARGEST_CHUNK = 2**20  # bytes; beyond them a chunk ends within an instant
 
 
 class Chunk:
-    """Messages packed as they stand in a file. Only one thread at a time may add to it.
+    """Messages packed as in a file. Only one thread at a time may add messages.
 
     A chunk ends between two instants, so chunks do not overlap in time if the stamps increase
     monotonically. Only an instant with more than LARGEST_CHUNK bytes is divided.
@@ -99,7 +99,7 @@ class UnbufferedFile:
     """A new file without a buffer: data from a completed `write` survives the process."""
 
     def __init__(self, path):
-        # Appending, a file that is truncated by others stays shorter than what was written to it.
+        # In append mode, a file that others truncate stays shorter than the bytes written: `check` sees it.
         self._raw = open(path, "xb", buffering=0, opener=_appending)
         self._path, self._size = os.path.abspath(path), 0
         self.close = self._raw.close
@@ -117,12 +117,12 @@ class UnbufferedFile:
         return self._size
 
     def check(self):
-        """Raise FileLostError if the file at the path is not this one with all that was written."""
+        """Raise FileLostError unless the file at the path is this one and has all written bytes."""
         try:
             there = os.stat(self._path)
         except (FileNotFoundError, NotADirectoryError):
             raise FileLostError("the file was removed or renamed") from None
-        except OSError:  # such as a folder that may not be searched any more: nothing is known
+        except OSError:  # such as a folder without permission any more: no conclusion
             return
         mine = os.fstat(self._raw.fileno())
         if (there.st_dev, there.st_ino) != (mine.st_dev, mine.st_ino):

@@ -26,7 +26,7 @@ from .errors import FileLostError, OutputError, RecorderError
 from .write import Recorder
 from .write_tables import close_new, has_estimate, joint_names, new_file
 
-NODE = "/sim_node"  # the topics have the names that they have in a run of the node
+NODE = "/sim_node"  # topics have the same names as in a run of the node
 WORLD_FRAME = "world"
 
 
@@ -49,7 +49,7 @@ class ArrayFile:
         self._names, self._simulation = {}, simulation
         self._impacts = [] if reactions and has_impacts(simulation.scene) else None
         if self._impacts is not None:
-            simulation.drain_impacts()  # they are kept from here on
+            simulation.drain_impacts()  # the simulation collects impacts from here on
         if reactions:
             forces = simulation.layout.joint_forces.names
             self._names = {"joints": np.array(joint_names(simulation)), "forces": np.array(forces)}
@@ -151,7 +151,7 @@ class LogFile:
         impulses = []
         if reactions and has_impacts(layout.scene):
             impulses = sample_messages.impulses(layout)
-            simulation.drain_impacts()  # they are kept from here on
+            simulation.drain_impacts()  # the simulation collects impacts from here on
         if layout.motions or layout.scene.sensors:
             layout.reactions.warm_up()  # for the efforts of driven joints, and force-torque sensors
         bodies = layout.body_names

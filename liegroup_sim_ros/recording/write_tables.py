@@ -2,7 +2,7 @@
 """Tables *.csv of an offline run: states of bodies and joints, or efforts of driven joints.
 
 A header row with units in brackets, then a row per sample; numbers are exact when read back. The
-classes are used as those of write_run.py. Existing files are never overwritten.
+classes have the interface of those in write_run.py. Existing files are never overwritten.
 """
 
 import csv
@@ -27,7 +27,7 @@ def new_file(path, mode, **options):
 
 
 def close_new(stream, path, remove):
-    """Close a file of `new_file`; it is removed if it cannot be written or `remove`. Raises OutputError."""
+    """Close a file of `new_file`; remove it if it cannot be written, or on request. Raises OutputError."""
     try:
         stream.close()
     except OSError as error:
@@ -95,7 +95,7 @@ class TableFile(_Table):
         self._reactions, self._simulation = reactions, simulation
         self._has_impacts = reactions and has_impacts(simulation.scene)
         if self._has_impacts:
-            simulation.drain_impacts()  # they are kept from here on
+            simulation.drain_impacts()  # the simulation collects impacts from here on
         layout = simulation.layout
         self._joints = layout.coordinates.names
         units = layout.coordinates.units

@@ -228,7 +228,7 @@ def test_a_violated_or_unjudged_limit_fails_the_command(logs, tmp_path, capsys, 
     assert "it has no drift to check" in capsys.readouterr().err
     assert main(["analyze", log, "--no-reference", "--max-error", "1"]) == 2
     assert main(["analyze", log, log, "--compare", log]) == 2
-    for nothing, said in ((tmp_path / "*.none", "no file matches"), (tmp_path.parent, "a folder without *.mcap in it")):
+    for nothing, said in ((tmp_path / "*.none", "no file matches"), (tmp_path.parent, "the folder has no *.mcap file")):
         assert main(["analyze", str(nothing)]) == 2
         assert said in capsys.readouterr().err
     monkeypatch.setattr(tasks, "CONNECTING", 1)  # s instead of 10: nothing listens on that port

@@ -215,7 +215,7 @@ def test_plots_of_every_file_type(tmp_path, capsys):
     [
         (lambda path: None, "No such file"),
         (lambda path: path.write_bytes(b"not a log"), "not an MCAP file"),
-        (lambda path: path.mkdir(), "a folder without"),
+        (lambda path: path.mkdir(), "the folder has no"),
     ],
 )
 def test_unreadable_files_give_one_line(tmp_path, capsys, make, said):
