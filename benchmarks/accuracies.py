@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Promised against true errors, and CPU time, through random pushes.
+"""Requested accuracies compared with true errors, and CPU time, with random applied wrenches.
 
     python -P benchmarks/accuracies.py [--only SCENE ...] [--accuracies A ...] [--horizons S ...]
                                        [--budget S] [--seed N] [--json FILE]
@@ -8,21 +8,20 @@ Every scene is simulated to every accuracy over every horizon, with six pushes i
 axes at random times, of random durations. Errors are the larger of position error / size of the
 mechanism and attitude error in rad, at 50 times.
 
-The true motion is that of two fine runs, `rkmk853` and `rkmk54` at a tolerance of 1e-13. Their distance
-is its uncertainty; only samples count that are known to a tenth of the accuracy.
-In the shortest horizon the first one is also compared with the integration that shares no code with
+Two fine runs, `rkmk853` and `rkmk54` at a tolerance of 1e-13, give the true motion. Their distance is its
+uncertainty. Only samples with an uncertainty below a tenth of the accuracy count.
+For the shortest horizon the first run is also compared with the integration that shares no code with
 the engine (liegroup_core.reference).
 
 Steps of the simulations to an accuracy are at most a fiftieth of the horizon.
 
-`compared`: until the end, until the last time at which the run says that its error is within the
-accuracy (said), until the true motion is not known any more (unknown), or until the budget. `true`:
-largest true error until then; `estimate`: the run's own. Cheapest: of `rkmk4` and `rkmk8` in steps from
-a fiftieth of the horizon down, and of `rkmk54` and `rkmk853` at tolerances from 1e-2 down, without an
-estimate, the cheapest one that the rule of `trade` gives: no error of it and of the next two finer ones exceeds
-a third of the accuracy until then. Least: the cheapest one of which no error exceeds the accuracy. It cannot be
-known before, as all of these errors. CPU times are for a simulated second, the fastest of three runs if they are
-short.
+`compared`: end of the comparison: the end of the run, the last time at which the run reports an error within
+the accuracy (said), the last time of a known true motion (unknown), or the time limit (budget). `true`:
+largest true error until then; `estimate`: that of the run. Fixed configurations, without an estimate, are
+`rkmk4` and `rkmk8` with steps from a fiftieth of the horizon down, and `rkmk54` and `rkmk853` with tolerances
+from 1e-2 down. Cheapest: the one that `trade` chooses: its errors and those of the next two finer ones stay
+below a third of the accuracy. Least: the cheapest one whose errors stay below the accuracy; finding it requires
+the true motion. CPU times are per simulated second, the fastest of three runs if they are short.
 """
 
 import argparse
@@ -43,16 +42,16 @@ from liegroup_core.study.trade.trade import MARGIN, SETTLING
 
 ROOT = Path(__file__).resolve().parents[1]
 ACCURACIES, HORIZONS = (1e-3, 1e-6, 1e-9), (1.0, 10.0, 100.0)
-SHORT = {"andrews_squeezer": 0.01}  # of the horizons: milliseconds of a fast mechanism
+SHORT = {"andrews_squeezer": 0.01}  # factor on the horizons: a fast mechanism needs milliseconds
 SAMPLES, PUSHES = 50, 6
 TIGHT = 1e-13  # tolerance of the two fine runs
-KNOWN = 0.1  # of an accuracy, largest uncertainty of a sample that counts
+KNOWN = 0.1  # largest uncertainty of a sample that counts, relative to the accuracy
 LOST = 1e-2  # distance at which the two fine runs end
 PARTS = (1, 2, 4, 10, 20, 40, 100, 200, 400, 1000, 2000, 4000)  # steps in a fiftieth of the horizon
 TOLERANCES = tuple(10.0**-k for k in range(2, 14))
 FIXED = {"rkmk4": "step", "rkmk8": "step", "rkmk54": "tolerance", "rkmk853": "tolerance"}
-CHECKPOINT = 8  # steps after which a simulation to an accuracy has estimated its error again
-FINER = 8.0  # more than the cost of the next two finer configurations
+CHECKPOINT = 8  # steps between two error estimates of a simulation to an accuracy
+FINER = 8.0  # upper bound of the relative cost of the next two finer configurations
 REPEATED = 0.2  # s: shorter runs are measured three times
 
 
@@ -98,7 +97,7 @@ def steps_of(horizon):
 
 
 def apart(one, other, size):
-    """Distance of two states as one number: part of the size, or rad."""
+    """Distance of two states as one number, relative to the size or in rad."""
     found = distance(one, other)
     return float(max(found.position.max() / size, found.angle.max()))
 
@@ -125,7 +124,7 @@ def true_motion(scene, pushes, times, size, stabilisation, step, budget):
 def independent(scene, pushes, times, states, size):
     """Largest distance of the states from the integration that shares no code; None: not available.
 
-    Of the pushes on a body in the same axes the total acts.
+    Pushes on a body in the same axes add up.
     """
     acting, totals = {}, []
     events = sorted(
@@ -153,7 +152,7 @@ def independent(scene, pushes, times, states, size):
 
 
 def keep(scene, pushes, times, truth, size, accuracy, horizon, budget):
-    """Results of a simulation to an accuracy, with the number of samples that were compared."""
+    """Results of a simulation to an accuracy, with the number of compared samples."""
     states, unknown = truth
     run = Run(scene, pushes, step=steps_of(horizon), accuracy=accuracy, horizon=horizon)
     errors, estimates, cpu, last = [], [], [], "end"
@@ -170,7 +169,7 @@ def keep(scene, pushes, times, truth, size, accuracy, horizon, budget):
         if run.cpu > budget:
             last = "budget"
             break
-    # The next checkpoint may show that the accuracy was exceeded since the one before.
+    # The next checkpoint may show that the accuracy was exceeded since the previous one.
     online = max(errors, default=0.0)
     run.simulation.advance(CHECKPOINT)
     until = run.simulation.accurate_until
@@ -188,10 +187,10 @@ def keep(scene, pushes, times, truth, size, accuracy, horizon, budget):
 
 
 def cheapest(scene, pushes, times, states, size, accuracy, settings):
-    """CPU times in s and texts of fixed configurations that keep to the accuracy at all times.
+    """CPU times in s and texts of fixed configurations that keep the accuracy at all times.
 
-    "fixed" : cheapest one as `trade` chooses: with its margin, and so do the next finer ones
-    "least" : cheapest one of all, which only those know who have the true motion
+    "fixed" : cheapest one as `trade` chooses: it and the next finer ones keep the accuracy with a margin
+    "least" : cheapest one of all; finding it requires the true motion
     """
     fixed = least = (math.inf, None)
     for method, kind in FIXED.items():

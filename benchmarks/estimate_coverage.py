@@ -1,18 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Coverage of the running error: estimates against true errors, with the cost of carrying them.
+"""Coverage of the running error estimate: estimates compared with true errors, and their cost.
 
     python benchmarks/estimate_coverage.py [--random N] [--seed S] [--json FILE]
 
 The example scenes and N random mechanisms (one to six bodies, all types of joints, loops, springs,
 dampers, drag) are simulated for 2 s with two pushes at random times, in body and in world axes. The
-true error is the distance from the independent reference integration, where that is known ten times
-better. `under`: share of the samples with an estimate below half of the true error; `over`: above ten
-times; `wrong`: runs whose largest error so far is above 5 % of the motion at a time when the largest
-estimate so far is below half of it; `silent`: those that had not said before that the motion is not
-predictable, or not within the accuracy. `kept`: of the runs to an accuracy, those whose true error is below
-it until they say otherwise, and the largest true error as a part of it. `false alarms`: of the runs that
-said so, those at a true error below 1e-6 of the mechanism's size and rad; to an accuracy, the median of
-the true error then as a part of it.
+true error is the distance from the independent reference integration, where the uncertainty of that is ten
+times smaller. `under`: share of samples with an estimate below half of the true error; `over`: above ten
+times. `wrong`: runs whose largest error so far is above 5 % of the motion while the largest estimate so far
+is below half of it. `silent`: wrong runs without an earlier warning that the motion is not predictable, or not
+within the accuracy. `kept`: runs to an accuracy whose true error is below the accuracy until their warning,
+and the largest ratio of true error and accuracy. `false alarms`: warnings at a true error below 1e-6 of the
+mechanism's size and rad; for runs to an accuracy, the median ratio of true error and accuracy at the warning.
 """
 
 import argparse
@@ -50,9 +49,9 @@ ACCURACIES = (1e-3, 1e-5, 1e-7)  # with the horizon DURATION
 ACCURATE = "to an accuracy"
 GRID = 0.02  # s, step of a simulation to an accuracy
 DURATION, SAMPLES = 2.0, 50  # s; all samples lie on steps
-SHORT = {"andrews_squeezer": 0.01}  # of DURATION and of the steps: milliseconds of a fast mechanism
+SHORT = {"andrews_squeezer": 0.01}  # factor on DURATION and steps: a fast mechanism needs milliseconds
 PARTS = ("position", "angle", "linear", "angular")  # columns of the estimate
-NO_ALARM = 1e-6  # true error of a pose below which nothing should be said
+NO_ALARM = 1e-6  # true error of a pose below which a warning is a false alarm
 SMALLEST = 1e-11  # m, rad, m/s, rad/s: errors below are round-off
 
 
@@ -90,7 +89,7 @@ def pushes(scene, scale, rng):
 
 
 def compare(job):
-    """[(method, step, stabilisation, ratios, wrong, silent, part of the accuracy)] of one scene."""
+    """[(method, step, stabilisation, ratios, wrong, silent, error relative to the accuracy)] of one scene."""
     logging.disable(logging.CRITICAL)
     name, seed, methods = job
     scene = load_scene(name) if seed is None else random_scene(seed)
@@ -140,8 +139,8 @@ def motion_of(exact):
 
 
 def follow(simulation, times, exact, uncertainty, size):
-    """(ratios of estimate and true error, first wrong sample or None, whether silent, part kept,
-    true error of a pose at the first sample after a warning, or infinity).
+    """(ratios of estimate and true error, first wrong sample or None, whether silent, largest error relative
+    to the accuracy, true error of a pose at the first sample after a warning, or infinity).
     """
     ratios, wrong, silent, promise, part = [], None, False, simulation.promise, 0.0
     at_warning, length = np.inf, simulation.layout.size

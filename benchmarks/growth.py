@@ -4,9 +4,9 @@
     python benchmarks/growth.py [--quick] [--group auto se3] [--json FILE]
 
 CPU us per step, in native loops, of chains that fall from rest: RK4 of every code, and Exudyn's
-implicit method. `ball` and `hinge` fall in a plane; in space, hinges are at random angles (S2's
-kind) and balls are pulled aside. Peers that are not installed are left out, and said so. Of this
-package also the growth with the bodies, t ~ n^p, and rows of closed loops: planar windows, and
+implicit method. `ball` and `hinge` fall in a plane. In space, hinges are at random angles (as in S2)
+and balls are pulled aside. Peers that are not installed are reported and omitted. For this package it
+also prints the growth with the bodies, t ~ n^p, and rows of closed loops: planar windows and
 spatial four-bars.
 """
 
@@ -16,7 +16,7 @@ import os
 import sys
 import tracemalloc
 
-# Before Numba comes in: counting what its code allocates is off by default.
+# Before Numba is imported: it counts allocations of compiled code only on request.
 os.environ["NUMBA_NRT_STATS"] = "1"
 
 import numpy as np  # noqa: E402
@@ -36,18 +36,18 @@ CHAINS = {
     "hinge in space": (HINGE, lambda links: spatial.chain_in_space(links)),
 }
 ROWS = {"windows": problems.windows, "spatial four-bars": spatial.ladder}
-# Links from which the growth is fitted: a few bodies cost what a step costs anyhow.
+# Smallest number of links for the fit: with fewer, the constant cost of a step dominates.
 GROWING = 10
-# s. Exudyn's implicit method is made for larger steps, and solves more often in them.
+# s. Exudyn's implicit method is made for larger steps, with more iterations each.
 STEP, IMPLICIT_STEP = 1e-4, 1e-3
-# Largest chains of others. Beyond, the memory is gone (pinocchio: 200 balls take 8 GB, 300 take 27)
-# or the time (mujoco: 1000 balls take 5 s per step). Exudyn's stepper knows balls only.
+# Largest chains of other codes. Longer ones need too much memory (pinocchio: 200 balls take 8 GB, 300 take
+# 27) or time (mujoco: 1000 balls take 5 s per step). Exudyn's stepper supports balls only.
 LARGEST_OTHER = 1000
 LARGEST = {("pinocchio", "ball"): 100, ("pinocchio", "hinge"): 100, ("mujoco", "ball"): 100, ("exudyn", "hinge"): 0}
 
 
 def microseconds(code, problem, shortest, rounds, **options):
-    """CPU time of one step, us; None if ours has no formulation of that kind for the problem."""
+    """CPU time of one step, us; None if this package has no such formulation for the problem."""
     step = IMPLICIT_STEP if code.CODE == "exudyn" else STEP
     try:
         take_steps = code.stepper(problem, step, **options)
@@ -115,7 +115,7 @@ def chains(console, groups, peers, timing):
 
 
 def rows_of_loops(console, groups, timing):
-    """Measure and print rows of closed loops with ours: {formulation and row: {loops: us per step}}."""
+    """Measure and print rows of closed loops in this package: {formulation and row: {loops: us per step}}."""
     table = Table(title="Rows of closed loops: CPU us per step")
     table.add_column("formulation")
     table.add_column("loops")
@@ -151,7 +151,7 @@ def main():
         default=["auto"],
         help="values of the option `group` of our method; several are compared",
     )
-    parser.add_argument("--json", metavar="FILE", help="write all that was measured")
+    parser.add_argument("--json", metavar="FILE", help="write all measurements")
     options = parser.parse_args()
     shortest, rounds = (0.05, 1) if options.quick else (0.3, 5)
     console = Console(width=None if sys.stdout.isatty() else 130, highlight=False)

@@ -5,13 +5,13 @@
 
 Prints, for the end of the run,
     share       CPU time of the thread per simulated second, %
-    estimate    of the largest error of a pose, in parts of the mechanism's size or rad
-    wanted      what the accuracy allows by then
-    accurate, predictable : until when the run says so, s
+    estimate    largest estimated error of a pose, relative to the mechanism's size or in rad
+    wanted      error that the accuracy permits at this time
+    accurate, predictable : last times at which the run reports so, s
     energy      at the start, and its change, J. It is conserved where nothing drives or damps the scene
     joints      largest residual of a joint at 360 samples, m or rad
     methods     share of the samples with `radau5`, %
-andrews_squeezer is left out: its motor accelerates it without end.
+andrews_squeezer is omitted: its motor accelerates it without limit.
 """
 
 import argparse

@@ -3,14 +3,14 @@
 
     python benchmarks/long_runs.py [--steps 1000000] [--scene NAME ...]
 
-`constrained_rattle` takes the steps; what they cost is what every other method may spend on the
-same simulated time: its step follows from its cost of a step. Prints
-    us of CPU time a step, of the fastest of many runs: what else the machine does only adds
-    scatter  rms of the energy about its straight line over time
-    drift    change of that line over the run, with the standard error of means of tenths of it
-             both as parts of the mean kinetic energy
+`constrained_rattle` takes the given steps. Every other method gets the same CPU time for the same
+simulated time: its step follows from its cost per step. Prints
+    us of CPU time per step, of the fastest of many runs, because other processes only add time
+    scatter  rms of the energy about its fitted line over time
+    drift    change of that line over the run, with the standard error from means of tenths of the run;
+             both relative to the mean kinetic energy
     gap      largest position residual of a joint at the samples, m or rad
-A drift within twice its error is none that can be seen.
+A drift below twice its standard error is not significant.
 """
 
 import argparse

@@ -2,7 +2,7 @@
 """The simulation node over DDS, compared with bare rclpy loops in the same run.
 
     python benchmarks/node.py            a few seconds for each part
-    python benchmarks/node.py --long     the lengths that figures are quoted from: 60 and 30 s
+    python benchmarks/node.py --long     60 and 30 s, as for the published figures
 
 On a machine with other load, only ratios of the real-time figures are meaningful.
 """
@@ -123,9 +123,9 @@ class Listener:
 
 
 def paced(listener, folder, seconds, name, parameters, push=False):
-    """Real-time run with pose, twist, /clock and recording: one line of figures, and what it says.
+    """Real-time run with pose, twist, /clock and recording; prints one line of figures and its events.
 
-    push : True: of 50 N on the first body, once a second
+    push : True: a force of 50 N on the first body, once a second
     """
     path = folder / f"{name.replace(' ', '_')}.mcap"
     with simulation(**parameters, record=path) as node:
@@ -182,10 +182,10 @@ def real_time(listener, folder, seconds):
 def holds(listener, folder, seconds, kind, links):
     """Whether a chain runs in real time with poses and twists of every body published at 100 Hz."""
     scene, path = folder / f"{kind}{links}.yaml", folder / f"{kind}{links}.mcap"
-    # Long links fall slowly: a free end that whips about is no motion for steps of 1 ms.
+    # Long links fall slowly: the free end of short ones is too fast for steps of 1 ms.
     scene.write_text(chain(links, kind, length=10.0).text)
     with simulation(scene=scene, record=path, body_wrenches=False) as node:
-        listener.figures()  # of this node: the one before has ended
+        listener.figures()  # of this node, the previous one has ended
         cpu = node.cpu()
         listener.spin(seconds)
         cpu = node.cpu() - cpu
@@ -193,7 +193,7 @@ def holds(listener, folder, seconds, kind, links):
     recording = read_recording(path)
     path.unlink()
     if not recording.complete or recording.lost or "fault" in (e.name for e in recording.events):
-        raise SystemExit(f"node.py: {links} links: the run was not good to its end")
+        raise SystemExit(f"node.py: {links} links: the run failed before its end")
     pacing = recording.pacing
     factor = pacing["real_time_factor"]
     print(
@@ -226,13 +226,13 @@ def largest(listener, folder, seconds):
     )
     for kind in ("spherical", "revolute"):
 
-        def good_enough(links, kind=kind):  # twice: something else may have disturbed it
+        def good_enough(links, kind=kind):  # two attempts: another process may disturb one
             return any(holds(listener, folder, seconds, kind, links) for _ in range(2))
 
         good, links = 0, 50
         while good_enough(links):
             good, links = links, 2 * links
-        while links - good > 0.1 * links:  # between one that holds and one that does not
+        while links - good > 0.1 * links:  # bisection between a length that holds and one that does not
             middle = (good + links) // 2
             if good_enough(middle):
                 good = middle
@@ -244,7 +244,7 @@ def largest(listener, folder, seconds):
 def trips(listener, out, back, count, pause=2e-3):
     """Latency in us from publishing a command to receiving the state that shows its effect.
 
-    pause : s between two commands, at least; at most twice as much
+    pause : s, least time between two commands; the largest is twice as much
     out  : topic, function: number -> message
     back : topic, message class, function: message -> number
     """
@@ -269,7 +269,7 @@ def trips(listener, out, back, count, pause=2e-3):
 
 
 def pushed(force, body="puck"):
-    """To and fro: the node's speed goes 0, v, 0, v; the echo says the force itself."""
+    """Push to and fro: the speed in the node is 0, v, 0, v; the echo returns the force itself."""
     message = WrenchStamped()
     message.header.frame_id, message.wrench.force.x = body, force
     return message
@@ -299,7 +299,7 @@ def round_trip(listener, folder, count):
     def effort(message):
         return message.effort[0]
 
-    # The state that shows a command does not wait for its tick. The echo shares the machine with the
+    # The node sends the first state after a command before its tick. The echo runs on the same machine as the
     # node, at the same time and with the same pauses.
     for rate in (50.0, 100.0, 500.0, 1e3, 5e3):
         name, step, pause = f"{rate:g} Hz", min(1e-3, 1.0 / rate), max(2e-3, 2.0 / rate)
@@ -336,7 +336,7 @@ def cost_of(listener, path, seconds, scene, bodies):
         listener.spin(seconds)
         last = listener.figures()
         cpu = node.cpu() - cpu
-    # At every step the pose and the twist of every body, and a clock.
+    # Each step publishes the pose and the twist of every body, and a clock.
     return 1e6 * cpu / ((2 * bodies + 1) * (int(last["steps"]) - int(first["steps"])))
 
 
@@ -390,9 +390,9 @@ def main():
     """Run all parts, or the named ones."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
-        "parts", nargs="*", metavar="PART", help="real_time, kept, largest, round_trip, cost or storm; all if left out"
+        "parts", nargs="*", metavar="PART", help="real_time, kept, largest, round_trip, cost or storm (default: all)"
     )
-    parser.add_argument("--long", action="store_true", help="60 and 30 s in place of 5 and 5 s")
+    parser.add_argument("--long", action="store_true", help="60 and 30 s instead of 5 and 5 s")
     args = parser.parse_args()
     lengths = {
         real_time: (60.0, 5.0),

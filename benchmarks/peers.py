@@ -4,7 +4,7 @@
     python benchmarks/peers.py [--quick] [--only P1 S3 ...] [--group auto se3] [--json FILE]
 
 P1..P4 are planar or have one body (side_by_side/problems.py), S1..S5 are mechanisms in space
-(spatial.py), S6..S8 robots (robots.py). Their exact ends come from references.py and, in space,
+(spatial.py), S6..S8 robots (robots.py). Their exact end states come from references.py and, in space,
 mechanism_reference.py. Every code runs in a native loop, on one core, in one process. Pinocchio's
 loop is compiled here if there is a C++ compiler. Packages that are not installed are reported and
 omitted: pip install '.[bench]'.
@@ -24,7 +24,7 @@ from side_by_side import load_peers, ours, problems, robots, spatial
 from side_by_side.measure import TARGETS, climb, cost_at, time_ladders
 from side_by_side.report import as_data, costs_table, shortfalls
 
-# Of entries that are measured with the estimate of their error: cost by that of the cheapest.
+# Entries up to this cost, relative to the cheapest one, are also measured with the estimate of their error.
 CLOSE = 1.2
 
 
@@ -82,7 +82,7 @@ def measure(variants, codes, groups, ratio, budget, rounds):
 
 
 def promising(entries, ladders):
-    """Entries that may turn out the cheapest for a target, by the cost of their first runs."""
+    """Entries that may be the cheapest for a target, judged by the cost of their first runs."""
     chosen = {}
     for target in TARGETS:
         costs = {entry: met.cost for entry, rungs in zip(entries, ladders) if (met := cost_at(rungs, target))}
@@ -102,7 +102,7 @@ def main():
         default=["auto"],
         help="values of the option `group` of our methods; several are compared",
     )
-    parser.add_argument("--json", metavar="FILE", help="write all that was measured")
+    parser.add_argument("--json", metavar="FILE", help="write all measurements")
     options = parser.parse_args()
     ratio, budget, rounds = (2.0, 1.0, 3) if options.quick else (1.5, 10.0, 7)
 

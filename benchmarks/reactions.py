@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cost of the reactions of all joints at every step, beside a step at the default accuracy.
+"""Cost of the reactions of all joints at every step, compared with a step at the default accuracy.
 
     python benchmarks/reactions.py [SCENE ...] [--repeat 15]
 
 Loops over the same steps with and without reactions alternate, and the table has medians of their
-differences: an absolute figure depends on the machine and its load.
+differences. Absolute figures depend on the machine and its load.
 """
 
 import argparse

@@ -144,7 +144,7 @@ def killed(folder, count):
         "of them out of unfinished chunks; every file opens"
     )
     # The recorder's thread checks every 5 ms; other processes delay it.
-    check(max(lags) < FLUSH + 0.25, "something older than the flush interval is lost")
+    check(max(lags) < FLUSH + 0.25, "a message older than the flush interval is lost")
 
 
 def cut(folder, _):
@@ -195,7 +195,7 @@ def disk(folder, _):
         write_recovered(found, folder / "out.mcap")
         with open(folder / "out.mcap", "rb") as stream:
             rows = sum(1 for _ in make_reader(stream, validate_crcs=True).iter_messages())
-        check(rows >= written and not found.lost, "what counts as written is not there")
+        check(rows >= written and not found.lost, "messages counted as written are missing")
         print(
             f"\ndisk of 1 MB: failed at step {steps_at_failure}, the simulation went on to step "
             f"{steps};\n{written} written, {lost} lost and counted, {rows} recovered, no gap\n"

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Published robots beside Pinocchio and MuJoCo: cost of a step, and of a given true accuracy.
+"""Published robots compared with Pinocchio and MuJoCo: cost of a step, and of a given true accuracy.
 
     python benchmarks/robot_cost.py [--quick] [--only UR5 Talos ...] [--steps-only] [--json FILE]
 
-First a step of RKMK4 in relative coordinates beside the RK4 of the others, each in a native loop, all
+First a step of RKMK4 in relative coordinates and of RK4 in the other codes, each in a native loop, all
 in turn, round by round. Then the cheapest configuration of each code for errors of 1e-3, 1e-6 and
 1e-9 after a fall, as in peers.py. No code estimates its error. The robots are those of
-side_by_side/published.py; what is not installed is reported and omitted.
+side_by_side/published.py; packages that are not installed are reported and omitted.
 """
 
 import argparse
@@ -24,7 +24,7 @@ from side_by_side.report import as_data, costs_table, shortfalls
 STEP = 1e-4  # s; the cost of a step does not depend on it
 SECONDS = 0.1  # CPU time of a timing
 ROUNDS = 9
-# Seconds of the fall. The end of Talos is known to 1e-11 after half a second only: its fall is chaotic.
+# Seconds of the fall. The fall of Talos is chaotic: its end state is known to 1e-11 only up to half a second.
 # Without springs Cassie's legs come near a singular pose at 0.36 s.
 DURATIONS = {"Talos": 0.5, "Cassie, free": 0.3}
 
@@ -67,9 +67,9 @@ def main():
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="coarser ladders, fewer rounds")
-    parser.add_argument("--only", nargs="+", metavar="ROBOT", help="begins of robots' names")
+    parser.add_argument("--only", nargs="+", metavar="ROBOT", help="first letters of robots' names")
     parser.add_argument("--steps-only", action="store_true", help="no cost of an accuracy")
-    parser.add_argument("--json", metavar="FILE", help="write all that was measured")
+    parser.add_argument("--json", metavar="FILE", help="write all measurements")
     options = parser.parse_args()
     ratio, budget, rounds = (2.0, 1.0, 3) if options.quick else (1.5, 5.0, 7)
     console = Console(width=None if sys.stdout.isatty() else 130, highlight=False)

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robots of public packages: which load, and their accelerations against Pinocchio and MuJoCo.
+"""Robots of public packages: which ones load, and their accelerations compared with Pinocchio and MuJoCo.
 
     python benchmarks/robots.py [--states 100] [--motion] [--json FILE] [--page FILE] [WORD ...]
 
 Loads every URDF and SDF of example-robot-data and every MJCF of mujoco and dm_control, or those whose
 path contains one of the words. Prints a row for each: bodies, degrees of freedom, joints that close
-loops, merged links, kinds of things left out, time to load, and the largest relative difference of the
+loops, merged links, kinds of omitted elements, time to load, and the largest relative difference of the
 accelerations of all bodies at random states. Trees from URDF and loops from SDF are compared with
-Pinocchio, MJCF with MuJoCo (without contact, limits, friction and armature, which are left out on
-import). Couplings are added to their accelerations as exact rows. Where two codes differ by more than
+Pinocchio, MJCF with MuJoCo (without contact, limits, friction and armature, which the import omits).
+Couplings are added to their accelerations as exact rows. If two codes differ by more than
 DOUBTFUL, the accelerations are computed with 50 digits.
 """
 
@@ -26,7 +26,7 @@ from liegroup_core import SceneError, SimulationError, load_scene
 from liegroup_core.describe import describe
 from liegroup_core.layout import make_layout
 
-# Files of the packages that describe no robot of their own: parts that others include, schemas.
+# Files of the packages that are not robots: parts for inclusion in others, schemas.
 PARTS = ("/schema.xml", "attribute_test_schema", "/common/", "/testdata/msh.xml")
 DOUBTFUL = 1e-11  # difference of accelerations
 LOOPS = "Pinocchio with loops as exact rows"
@@ -99,7 +99,7 @@ def _compared(path, scene, states, peer, motion):
 
 
 def _moved(compare, path, scene):
-    """Difference of the motion, as parts of a row, or why there is none."""
+    """Difference of the motion, as parts of a row, or the reason why it was not compared."""
     try:
         return compare(path, scene)
     except SimulationError as error:
@@ -107,7 +107,7 @@ def _moved(compare, path, scene):
 
 
 def _doubted(found, state):
-    """Difference, and the errors of both codes if it is a large one; state: scene and its state."""
+    """Difference, and the errors of both codes if it is large; state: scene and its state."""
     row = {"difference": float(found)}
     if found > DOUBTFUL:
         from robots_side.digits import NearlySingular, against_digits
@@ -118,7 +118,7 @@ def _doubted(found, state):
 
 
 def _left_out(scene):
-    """[(what, number, changes the motion)] of what a file has and its scene has not."""
+    """[(element, number, changes the motion)] of the elements of a file that its scene lacks."""
     found = []
     for note in scene.notes:
         text = note.removeprefix("changes the motion: ")

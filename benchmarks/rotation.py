@@ -4,10 +4,10 @@
     python benchmarks/rotation.py [--steps 10000000] [--method NAME ...]
 
 Prints for the free body and the Lagrangian top of the chapter
-    ns of CPU time a step, of the fastest of several runs: what else the machine does only adds
-    energy at 1/100, 1/10 and the end of a long run, against its start: bounded or drifting
-    momentum (of the top: about the vertical) there, and the exponent with which its error grows
-    with the steps: 1/2 is a random walk of roundings, 1 the same rounding again and again
+    ns of CPU time per step, of the fastest of several runs, because other processes only add time
+    energy errors at 1/100, 1/10 and the end of a long run: they show whether the energy drifts
+    momentum errors there (of the top: about the vertical), and the exponent of their growth with the
+    steps: 1/2 for random round-off, 1 for systematic round-off
 """
 
 import argparse

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stops and friction beside MuJoCo and Drake: true error and CPU time, against closed forms.
+"""Stops and friction compared with MuJoCo and Drake: CPU time, and true error against closed forms.
 
     python benchmarks/stops.py [--json FILE]
 
@@ -9,10 +9,10 @@
 
     robot    a chain of 20 hinges, each with two stops and dry friction, falls: events, and the longest step
 
-MuJoCo's stops and dry friction are soft constraints. Its stop has a stiffness and damping that give the
-restitution, the stiffest that its step allows, or its default without rebound. Drake's limits are
-constraints of its SAP solver; it has no restitution and no dry friction of joints. What is not
-installed is reported and omitted.
+MuJoCo's stops and dry friction are soft constraints. Its stop has the stiffness and damping that give the
+restitution, as stiff as the step permits; without rebound it has the default. Drake's limits are
+constraints of its SAP solver; it has no restitution and no dry friction of joints. Packages that are not
+installed are reported and omitted.
 """
 
 import argparse
@@ -107,12 +107,12 @@ def ours(problem, step):
 
 
 def mujoco_run(problem, step):
-    """The same in MuJoCo, with its integrator RK4."""
+    """Same as `ours` in MuJoCo, with its integrator RK4."""
     import mujoco
 
     solref = "0.02 1"
     if problem == "bounce":
-        # e = exp(-pi zeta / sqrt(1 - zeta^2)); a contact of 15 steps is the stiffest that keeps to it.
+        # e = exp(-pi zeta / sqrt(1 - zeta^2)); stiffer contacts than one of 15 steps miss this value.
         log = -math.log(REBOUND)
         zeta = log / math.hypot(math.pi, log)
         frequency = math.pi / (15.0 * step)
@@ -143,7 +143,7 @@ def mujoco_run(problem, step):
 
 
 def drake_run(problem, step):
-    """The same in Drake, for what it has: a stop without rebound."""
+    """Same as `ours` in Drake, which supports only the stop without rebound."""
     if problem != "rest":
         return None
     from pydrake.all import (

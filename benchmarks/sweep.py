@@ -3,8 +3,8 @@
 
     python benchmarks/sweep.py [--runs N]
 
-Rates are in wall time and need an idle machine. CPU times, summed over all processes, are valid on
-a busy one too. docs/how-to/sweep.md uses these numbers.
+Rates are in wall time and need an idle machine. CPU times, summed over all processes, are also valid on
+a busy one. docs/how-to/sweep.md uses these numbers.
 """
 
 import argparse
@@ -86,7 +86,7 @@ def main():
     runs = parser.parse_args().runs
     if runs < 1000:
         parser.error("--runs must be at least 1000: rates are measured from the third piece on")
-    print(f"CPU time of a run of {STEPS} steps, rkmk4, with 10 looks at energy and joints")
+    print(f"CPU time of a run of {STEPS} steps, rkmk4, with 10 checks of energy and joints")
     for name in SCENES:
         least, all_ = costs(name)
         print(f"  {name:16s} {all_ * 1e3:7.2f} ms, of which {least * 1e3:6.2f} ms without the steps")

@@ -33,7 +33,7 @@ def seconds_of_step(simulation, steps, repeat):
 def speed_kept(rounds=3):
     """Relative speed of a process while an independent process runs at the same time.
 
-    Cores share a clock and a memory, virtual ones more: two workers cannot have more than this.
+    Cores share clock and memory, and virtual cores more: this bounds the speed of two workers.
     """
 
     def seconds(count):

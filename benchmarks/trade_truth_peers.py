@@ -9,7 +9,7 @@ written independently in this file, for the trees and the loop that these codes 
 
     truth   distance of the trade's reference solution from the peer's, and both uncertainties
     front   every configuration on the Pareto fronts in docs/which_method.json is run again. Its
-            error against the peer's motion and its error in the file may differ by that much
+            error against the peer's motion and its error in the file may differ by this distance
 
 --write stores every tenth sample of three scenes with its origin in test/verification/peers.json,
 so that the tests need neither package. Needs pip install '.[bench]'.
@@ -40,7 +40,7 @@ from liegroup_core.study.trade.reference_solution import find_truth, scaled
 ROOT = Path(__file__).resolve().parent.parent
 DATA, KEPT = ROOT / "docs" / "which_method.json", ROOT / "test" / "verification" / "peers.json"
 TIGHT, LOOSE = 1e-13, 1e-12
-EVERY = 10  # of so many instants one is kept for the tests, the last one too
+EVERY = 10  # every so many instants, and the last one, are kept for the tests
 TESTED = ("heavy_top", "double_pendulum", "four_bar")  # the chain takes the tests too long
 DOWN, Y = np.array([0.0, 0.0, -9.81]), np.array([0.0, 1.0, 0.0])
 
@@ -168,7 +168,7 @@ class Mujoco:
     """mj_forward without contacts, limits and friction. State: qpos, qvel."""
 
     NAME = f"MuJoCo {mujoco.__version__}"
-    LOOPS = False  # its loops are springs
+    LOOPS = False  # it closes loops by springs
 
     def __init__(self, problem, force):
         self._force, self._problem = force, problem
@@ -263,7 +263,7 @@ def check(name, code, part, truth):
     times = truth.motion.times
 
     def found(tolerance):
-        """In the frames of our bodies: theirs are since the start, and of the centres of mass."""
+        """Motion in the frames of our bodies: the peer's is since the start, at the centres of mass."""
         turns, places = motion(code, times, tolerance)
         turns = turns @ truth.motion.rotation[0]
         return turns, places - np.einsum("knij,nj->kni", turns, [body.com for body in scene.bodies])

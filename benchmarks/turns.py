@@ -3,16 +3,16 @@
 
     python benchmarks/turns.py [--steps 50000]
 
-In `constrained_rattle` the turn x of a body in a step determines its velocity w' at the start,
-y = h I w'. What else is symmetric and of order 2 is put in its place:
-    variational      y = dexpinv_{-x} I x                               what the method does
+In `constrained_rattle` the rotation x of a body in a step determines its velocity w' at the start,
+y = h I w'. This update is replaced by others that are symmetric and of order 2:
+    variational      y = dexpinv_{-x} I x                               the method itself
     Lie midpoint     y = exp(x/2) I x                                   not variational
     Moser-Veselov    y = (sin t/t) I x + ((1-cos t)/t^2) x x I x        variational, t = |x|
 Prints for a chain of three ball joints that swings chaotically
     error    of the poses after 1 s, rad or m, against the independent integration
     scatter  rms of the energy about its mean over a long run, and largest deviation from the
-             start, both as parts of the energy that is at play, the largest kinetic one
-Each is compiled anew, in a cache of its own: some minutes.
+             start, both relative to the largest kinetic energy
+Each update is compiled in a cache of its own, which takes some minutes.
 """
 
 import argparse

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bare rclpy processes: what the same messages cost without a simulation. Run as
+"""Bare rclpy processes that measure the cost of the same messages without a simulation. Run as
 
     python bare.py paced SECONDS             ready bytes of pose, twist and clock at 1 kHz
-    python bare.py objects|bytes SECONDS     the three as fast as it goes, built or ready
+    python bare.py objects|bytes SECONDS     the same as fast as possible: message objects or ready bytes
     python bare.py echo                      a WrenchStamped in, a TwistStamped out; JointState both ways
     python bare.py storm RATE SECONDS        wrenches, every second one wrong, at a rate
 
@@ -102,7 +102,7 @@ def storm(node, rate, seconds):
             messages.append(serialize_message(message))
     while not stream.get_subscription_count():
         time.sleep(0.05)
-    stream.publish(messages[0])  # not counted; it is answered once both sides know
+    stream.publish(messages[0])  # not counted; acknowledged once publisher and subscriber are connected
     if not stream.wait_for_all_acked(Duration(seconds=30.0)):
         sys.exit("bare.py: the simulation node does not listen")
     sent, start = 0, time.monotonic()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Decode every message of a recording by an independent reader; prints JSON counts by topic.
+"""Decode every message of a recording with an independent reader; prints JSON counts by topic.
 
 decode.py mcap_ros2|rosbags|pybag|small_mcap FILE
 """
@@ -32,7 +32,7 @@ elif sys.argv[1] == "small_mcap":
     from mcap_ros2.decoder import DecoderFactory
 
     class Factory:
-        """Decoders of mcap_ros2, which take bytes and no views."""
+        """Decoders of mcap_ros2, which accept bytes but no memory views."""
 
         def decoder_for(self, encoding, schema):
             decode = DecoderFactory().decoder_for(encoding, schema)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Accelerations of the bodies of a scene, and how two codes' are compared."""
+"""Accelerations of the bodies of a scene, and their comparison between two codes."""
 
 import numpy as np
 
@@ -28,7 +28,7 @@ class Accelerations:
         assert status == 0
         relative.begin(model, work, pose, twist)
         assert relative.accelerate(model, work, external) == -1
-        # Beside a singular pose the links are left as they were displaced.
+        # Near a singular pose the links remain displaced.
         rates = work.acceleration[:, :1].copy()
         move_links(model, work)
         inverse_dynamics(model, work, rates, np.zeros(len(rates)))
@@ -46,8 +46,8 @@ class Accelerations:
 def difference(ours, theirs, bodies):
     """Largest difference of accelerations (n, 6), relative to the largest ones of the mechanism.
 
-    Linear ones are compared with those of all points within the radii of gyration. Speeds are of the
-    order of 1: accelerations below 1 are compared with 1.
+    Linear ones are relative to those of all points within the radii of gyration. Speeds are of the
+    order of 1, so accelerations below 1 count as 1.
     """
     radii = np.array([np.sqrt(np.trace(body.inertia_matrix) / body.mass) for body in bodies])
     turns = np.linalg.norm(theirs[:, :3], axis=1)
@@ -57,7 +57,7 @@ def difference(ours, theirs, bodies):
 
 
 def coupled(free, rows, mobility):
-    """Accelerations (nv,) with the rows (k, nv) of couplings, from those without them.
+    """Accelerations (nv,) with couplings of rows (k, nv), from the accelerations without couplings.
 
     mobility : (nv, k), M^-1 rows^T
     """

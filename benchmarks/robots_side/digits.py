@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Accelerations of a robot with 50 digits: which of two codes is the wrong one.
+"""Accelerations of a robot with 50 digits, to decide which of two codes is wrong.
 
-The dense equations of test/precise.py. Some links of robots are point masses, so M is singular: J^T J is
-added to it, which does not change the solution.
+Uses the dense equations of test/precise.py. Some links of robots are point masses, so M is singular. Adding
+J^T J makes it regular without changing the solution.
 """
 
 import sys
@@ -20,7 +20,7 @@ from precise import NearlySingular  # noqa: E402, F401
 
 
 def against_digits(scene, pose, twist, *found):
-    """Largest errors, relative to the largest acceleration, of accelerations (n, 6) that were found.
+    """Largest errors of accelerations `found` (n, 6), relative to the largest acceleration.
 
     pose (n, 12), twist (n, 6) : of the body frames
     Raises NearlySingular.

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Page with one line for each robot, and the table by format of docs/reference/robots.md."""
 
-PAGE = """# Robots that were tried
+PAGE = """# Tested robots
 
 Written by `python benchmarks/robots.py --motion --page FILE` from all files of the packages example-robot-data,
 mujoco and dm_control.
@@ -11,9 +11,9 @@ mujoco and dm_control.
 {summary}
 
 * *time to load*: on a shared machine of two cores, without building the model.
-* *merged*: links that are no body of their own: held by fixed joints to another link or to the world, or
-  without mass at the end of a chain.
-* *left out*: what the file has and the scene has not. **Bold**: it changes the motion.
+* *merged*: links without a body of their own: fixed to another link or to the world, or massless at the
+  end of a chain.
+* *left out*: elements of the file that the scene lacks. **Bold**: they change the motion.
 * *accelerations*: largest difference of the accelerations of all bodies at {states} random states, relative
   to the largest acceleration. URDF: Pinocchio reads the same file. SDF: Pinocchio with the model of the
   scene, loops as exact rows. MJCF: MuJoCo reads the same file, without armature, friction, limits, contact
@@ -21,8 +21,8 @@ mujoco and dm_control.
 * *motion*: largest difference of the positions of all bodies, in m, after 1 s of motion under gravity from
   random speeds, without stops and friction. Here an accuracy of 1e-10. MJCF: MuJoCo's RK4 with steps of
   0.05 ms. URDF: RK4 of Pinocchio's accelerations on its configuration space with steps of 0.1 ms. If the
-  ends differ by more than 1e-8 m, their steps are divided by four or five, up to twice. Then SciPy's Radau
-  takes their accelerations.
+  ends differ by more than 1e-8 m, their steps are divided by four or five, up to twice. After that, SciPy's
+  Radau integrates their accelerations.
 """
 FORMATS = {
     "urdf": "URDF of example-robot-data",
@@ -30,7 +30,7 @@ FORMATS = {
     "xml": "MJCF of mujoco and dm_control",
 }
 TREES, MUJOCO = "Pinocchio", "MuJoCo"
-CHAOTIC = 1e-6  # m; a larger effect of a disturbance of 1e-12
+CHAOTIC = 1e-6  # m; a motion is chaotic if a disturbance of 1e-12 has a larger effect
 HEAD = (
     "file",
     "bodies",
@@ -91,7 +91,7 @@ def by_format(rows):
 
 
 def _is_no_robot(refused):
-    """True for a file without a part that moves, or one that MuJoCo's compiler refuses."""
+    """True for a file without moving parts, or one that MuJoCo's compiler refuses."""
     return "no link that moves" in refused or ": mjcf: " in refused
 
 
@@ -103,7 +103,7 @@ def _is_compared(row):
 
 
 def summary_of(rows):
-    """Lines: how many robots load, were compared with what, and the largest differences."""
+    """Lines with the numbers of robots that load and were compared, and the largest differences."""
     loaded = [row for row in rows if "refused" not in row]
     still = sum("no link that moves" in row.get("refused", "") for row in rows)
     theirs = sum(": mjcf: " in row.get("refused", "") for row in rows)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Models from MJCF beside MuJoCo, which reads the file itself."""
+"""Models from MJCF compared with MuJoCo, which reads the file itself."""
 
 import mujoco
 import numpy as np
@@ -56,7 +56,7 @@ def _state(model, data, scene, real):
         pose[:3, :3], pose[:3, 3] = data.xmat[i].reshape(3, 3), data.xpos[i]
         mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, i, V, 1)
         mujoco.mj_objectAcceleration(model, data, mujoco.mjtObj.mjOBJ_XBODY, i, A, 1)
-        # Theirs is the acceleration of a point without gravity, ours the rate of the twist.
+        # MuJoCo gives the acceleration of a point without gravity; ours is the rate of the twist.
         A[3:] += pose[:3, :3].T @ scene.gravity - np.cross(V[:3], V[3:])
         A[3:] += np.cross(A[:3], body.com)
         poses[name], twists[name], theirs[name] = pose, V, A
@@ -108,7 +108,7 @@ def _slope(model, data, position, velocity):
     data.qpos[:], data.qvel[:] = position, velocity
     mujoco.mj_forward(model, data)
     rate = np.empty(model.nq)
-    kinds = map(mujoco.mjtJoint, model.jnt_type.tolist())  # NumPy's numbers are not `in` them
+    kinds = map(mujoco.mjtJoint, model.jnt_type.tolist())  # `in` fails with NumPy's integers
     for kind, at, dof in zip(kinds, model.jnt_qposadr, model.jnt_dofadr):
         if kind == mujoco.mjtJoint.mjJNT_FREE:
             rate[at : at + 3] = velocity[dof : dof + 3]

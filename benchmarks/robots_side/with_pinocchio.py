@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trees from URDF beside Pinocchio, which reads the file itself."""
+"""Trees from URDF compared with Pinocchio, which reads the file itself."""
 
 import numpy as np
 import pinocchio as pin
@@ -45,7 +45,7 @@ class _Tree:
 
     def __init__(self, path, scene):
         self.scene, names = scene, scene.robot
-        # Pinocchio's reader wants a root link, not a world, for a floating base.
+        # For a floating base Pinocchio's reader requires a root link, not a world.
         self.floats = all(joint.parent != "world" for joint in scene.joints)
         model = (
             pin.buildModelFromUrdf(str(path), pin.JointModelFreeFlyer())

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robots with closed loops beside Pinocchio.
+"""Robots with closed loops compared with Pinocchio.
 
-Pinocchio reads no SDF here. Its model is made from the bodies and joints of the scene: what is compared
-are the equations of motion, not the reading of the file. Loops are cut at ball joints. Their points get
-the same acceleration by exact rows, from Pinocchio's mass matrix, bias forces and Jacobians. Its
-constraintDynamics gives the same for independent rows. In a planar loop whose axes are parallel to 1e-10
-only, as in cassie_v2.sdf, it keeps the row that is almost redundant, and differs by 2e-3.
+Pinocchio reads no SDF here. Its model is made from the bodies and joints of the scene, so the comparison
+covers the equations of motion, not the reading of the file. Loops are cut at ball joints. Exact rows, from
+Pinocchio's mass matrix, bias forces and Jacobians, give the two points of a cut the same acceleration. Its
+constraintDynamics gives the same for independent rows. In a planar loop whose axes are parallel only to
+1e-10, as in cassie_v2.sdf, it keeps the almost redundant row, and differs by 2e-3.
 """
 
 import numpy as np
@@ -21,18 +21,18 @@ from liegroup_core.scene.consistency import resolve_couplings, resolve_elements,
 from .accelerations import Accelerations, difference
 
 MODELS = {"revolute": pin.JointModelRZ, "prismatic": pin.JointModelPZ, "spherical": pin.JointModelSpherical}
-FARTHEST = 0.1  # rad and m: how far the twists that make a random state move the bodies
+FARTHEST = 0.1  # rad and m: largest displacement of bodies to a random state
 REDUNDANT = 1e-7  # singular values of the rows of loops, relative to the largest one
 
 
 def against_pinocchio_loops(scene, states):
     """(largest relative difference of accelerations at random states, that scene and state).
 
-    The states satisfy all joints. The scene has its frames at the centres of mass; the state is as
-    that of with_pinocchio.py.
+    The states satisfy all joints. The scene has its frames at the centres of mass; the state has the
+    form of that in with_pinocchio.py.
 
-    Random poses that cannot be closed, or where the joints do not determine the velocities to 1e-10,
-    are replaced by others.
+    Random poses are replaced by others if their loops cannot be closed, or if the joints do not determine
+    the velocities to 1e-10.
     """
     _, scene = ready(scene)
     frames, parts = resolve_frames(scene), resolve_elements(scene)
@@ -69,7 +69,7 @@ def _twists(scene, linkage, poses, rng):
 
 
 class _Robot:
-    """Model of Pinocchio of a scene with frames at the centres of mass."""
+    """Pinocchio model of a scene with frames at the centres of mass."""
 
     def __init__(self, scene, frames):
         self.scene, self.model = scene, pin.Model()
@@ -83,13 +83,13 @@ class _Robot:
     def _grow(self, scene, frames):
         """Add a spanning tree, ball joints last; returns the joints that are cut.
 
-        Pinocchio wants the joints in the order of a walk along the branches.
+        Pinocchio requires the joints in depth-first order.
         """
         left = sorted(zip(scene.joints, frames), key=lambda each: each[0].type == "spherical")
         held, cut, free = {"world": []}, [], [body.name for body in scene.bodies]
         while free:
             entry = next((e for e in left if (e[0].parent in held) != (e[0].child in held)), None)
-            if entry is None:  # a part that floats
+            if entry is None:  # a floating part
                 found = ("world", free[0], None, np.eye(4), np.eye(4))
             else:
                 left.remove(entry)

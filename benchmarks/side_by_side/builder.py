@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Builder of mechanisms in space: bodies on joints with given speeds, and shapes of bodies.
+"""Builder of mechanisms in space: bodies on joints with given velocities, and shapes of bodies.
 
 All frames are aligned with the world at the start, as in problems.py.
 """
@@ -26,7 +26,7 @@ def slender(mass, length, direction, along, across):
 
 
 def square_rod(mass, length, width, direction):
-    """Inertia (3, 3) of a rod of square section; across, its thickness is left out."""
+    """Inertia (3, 3) of a rod of square section; about its transverse axes without its thickness."""
     return slender(mass, length, direction, mass * width**2 / 6, 0.0)
 
 
@@ -61,8 +61,8 @@ class Builder:
         """Index of a new body on a joint.
 
         point  : (3,) m, of the joint
-        axis   : (3,) or None, direction of its axis; `second`: the other one of a universal joint
-        rates  : its speeds at the start as `Problem.rates` gives them, rad/s and m/s
+        axis   : (3,) or None, direction of its axis; `second`: second axis of a universal joint
+        rates  : its velocities at the start as in `Problem.rates`, rad/s and m/s
         centre : (3,) m, of the body; inertia (3, 3) about it
         """
         point, centre = np.array(point, dtype=float), np.array(centre, dtype=float)
@@ -106,7 +106,7 @@ class Builder:
         self.loops.append(Joint(BALL, one, other, np.array(point, dtype=float)))
 
     def problem(self, name, title, duration, coarsest, wanted, changes=True, gravity=DOWN):
-        """Problem whose exact end mechanism_reference.py knows; see problems.Problem."""
+        """Problem with the exact end state of mechanism_reference.py; see problems.Problem."""
         from .mechanism_reference import end_attitudes
 
         made = Problem(

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Exudyn (fast module) with the solver that suits each problem.
 
-one body  Lie group node and explicit Runge-Kutta methods. They ignore joints, so a body about
-          a fixed point is a body there, with its inertia about it and its weight off it.
+one body  Lie group node and explicit Runge-Kutta methods. They ignore joints, so a body with a fixed
+          point has its node and inertia there, and its weight acts off it.
 tree      ObjectKinematicTree, minimal coordinates of hinges and slides, explicit: fixed steps, and
-          DOPRI5 with error control. Joints of more freedoms are several, with massless links between
-          them; balls would need three angles, which become singular, and are left out
+          DOPRI5 with error control. Joints with more degrees of freedom are chains with massless links;
+          balls are omitted, because their three angles become singular
 loop      planar bodies with joints at velocity level (index 2), implicit trapezoidal rule
 """
 
@@ -27,10 +27,10 @@ with contextlib.redirect_stdout(io.StringIO()):
 CODE = "exudyn"
 EXPLICIT = ("RK44", "RK67")
 CONTROLLED = "DOPRI5"
-LOOSEST, TIGHTEST = 1e-2, 1e-13  # of its tolerances
-FIRST_STEPS = 500  # of its first size for the duration; it finds its own soon
+LOOSEST, TIGHTEST = 1e-2, 1e-13  # tolerances of DOPRI5
+FIRST_STEPS = 500  # per duration: sets its first step, which it soon adapts
 X, Y, Z = np.eye(3)
-# Links of a joint: (turning, axis), None for an axis of the joint.
+# Links of a joint: (turning, axis); a number means this axis of the joint.
 LINKS = {
     HINGE: [(True, 0)],
     SLIDE: [(False, 0)],
@@ -74,7 +74,7 @@ def _axis_frame(axis):
 
 
 def _links(problem):
-    """(rows, last) of the links of one freedom, z their axis, and the last link of each body.
+    """(rows, last): links with one degree of freedom about or along z, and the last link of each body.
 
     rows : (turning, parent, frame (3, 3), offset (3,) in world axes at the start, speed, body or None)
     """
@@ -247,7 +247,7 @@ class _Run:
             settings.linearSolver.solverType = exu.LinearSolverType.EigenSparse
 
     def reset(self):
-        """Nothing to do: SolveDynamic begins at the start."""
+        """Do nothing: SolveDynamic begins at the initial state."""
 
     def take(self, steps):
         """Take a number of steps from the initial state."""
@@ -262,7 +262,7 @@ class _Run:
         if not self.controlled:
             self.take(times * self.steps)
             return
-        # Beyond the duration, its steps would be those of another motion.
+        # Repeated from the start: beyond the duration its steps would differ.
         for _ in range(times):
             self.take(self.steps)
 
@@ -277,7 +277,7 @@ class _Run:
 
 
 def entries(problem, ratio):
-    """Explicit methods for problems without constraints, else the implicit solver, in a plane."""
+    """Explicit methods for problems without constraints; the implicit solver for planar loops."""
     if problem.loops:
         if any(joint.kind != HINGE or joint.axis[2] != 1.0 for joint in problem.tree):
             return

@@ -2,8 +2,8 @@
 """Cost and error of each configuration of each code, measured in the same way.
 
 A ladder of ever finer settings is run once to its end for the errors. Then only the rungs around
-a target are timed, all codes in turn, round by round, so that a slow moment of the machine meets
-them alike. Time is the CPU time of this process over native loops; several threads all count.
+a target are timed, all codes in turn, round by round, so that slow moments of the machine affect
+all of them. Time is the CPU time of this process, all threads, over native loops.
 """
 
 import math
@@ -16,9 +16,9 @@ from typing import Protocol
 import numpy as np
 
 TARGETS = (1e-3, 1e-6, 1e-9)
-# A timing is of this much CPU time, s: a call from Python, some 1e-5 s, then does not count.
+# Least CPU time of a timing, s: a call from Python takes some 1e-5 s, which is then negligible.
 SHORTEST = 0.03
-# A run of this much CPU time, s, is timed once.
+# Runs above this CPU time, s, are timed once.
 LONG = 0.5
 
 
@@ -44,8 +44,8 @@ class Entry:
 
     levels  : settings from coarse to fine: steps per duration, or tolerances
     start   : level -> Run
-    counted : False for what only puts the others into perspective
-    kind    : kinds of a code's settings that are compared with each other
+    counted : False for entries outside of the ranking, shown for comparison only
+    kind    : group of a code's settings that are compared with each other
     """
 
     code: str
@@ -161,7 +161,7 @@ def time_run(run, duration, estimate):
             run.advance(times)
             return (time.process_time() - start) / (times * duration)
         except ArithmeticError:
-            # A coarse step may not carry the motion that far.
+            # With coarse steps the run may fail after several durations.
             if times == 1:
                 raise
             times = (times + 1) // 2
@@ -179,7 +179,7 @@ def time_ladders(ladders, duration, rounds):
                 rung.run = None
     for _ in range(rounds):
         for rung in chosen:
-            # The first figure was of a cold start; from the second on it is known.
+            # The estimate is from a cold start; later rounds use the first measured time.
             known = rung.times[0] if rung.times else rung.estimate
             rung.times.append(time_run(rung.run, duration, known))
     for rung in chosen:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Exact attitudes at the end of any problem in space: articulated bodies, SciPy's DOP853.
 
-It shares no code with the tested ones: joint coordinates with the quaternions of bodies on balls
-and of free bodies, everything else in world axes. Loops are rows of accelerations of their points.
-A long chain needs articulated bodies: the mass matrix of 100 hinges loses half of all digits.
+It shares no code with the tested codes. Coordinates are those of joints, with quaternions for balls and
+free bodies; everything else is in world axes. Loops are constraints on the accelerations of their points.
+A long chain needs articulated bodies: with the mass matrix, 100 hinges lose half of all digits.
 """
 
 import numpy as np
@@ -14,9 +14,9 @@ from .problems import BALL, CYLINDRICAL, FREE, GROUND, HINGE, SLIDE, UNIVERSAL
 
 TURN, SHIFT, ROUND, LOOSE = range(4)  # links: about an axis, along one, about a point, free
 TOLERANCES = (1e-12, 1e-13)  # of DOP853, by fineness
-# Coordinates and speeds of each.
+# Numbers of coordinates and speeds of each.
 COORDINATES, SPEEDS = np.array([1, 1, 4, 7]), np.array([1, 1, 3, 6])
-# Joints of two freedoms are two links, the first of them without mass: (kind, index of its axis).
+# Joints with two degrees of freedom are two links, the first one massless: (kind, index of its axis).
 LINKS = {
     HINGE: [(TURN, 0)],
     SLIDE: [(SHIFT, 0)],
@@ -96,7 +96,7 @@ def _cross(a, b):
 
 @njit(cache=True)
 def _shift(r):
-    """Matrix (6, 6) that moves a wrench (moment, force) to a point that is at -r (3,)."""
+    """Matrix (6, 6) that moves a wrench (moment, force) to a point at -r (3,)."""
     out = np.eye(6)
     out[0, 4], out[0, 5], out[1, 5] = -r[2], r[1], -r[0]
     out[1, 3], out[2, 3], out[2, 4] = r[2], -r[1], r[0]
@@ -163,12 +163,12 @@ def _directions(kind, axis):
 def slope(kind, parent, at_q, at_v, origin, axis, mass, centre, inertia, loops, anchors, gravity, q, v):
     """Rates of the coordinates q and of the speeds v.
 
-    All right sides are swept at once: column 0 has the true wrenches, the others a unit force in
-    one row of a loop each.
+    One sweep solves all right-hand sides: column 0 has the true wrenches, each other column a unit force in
+    one row of a loop.
     """
     n, sides = len(kind), 1 + 3 * len(loops)
     rot, at = _place(kind, parent, at_q, origin, axis, q)
-    # Angular velocities, and what accelerations gain without v'. Row -1 is the ground.
+    # Angular velocities, and parts of the accelerations without v'. Row -1 is the ground.
     omega, gain, along = np.zeros((n + 1, 3)), np.zeros((n, 6)), np.zeros((n, 3))
     moves, reach = np.zeros((n, 6, 6)), np.zeros((n, 6, 6))
     wrench = np.zeros((n, 6, sides))
@@ -213,7 +213,7 @@ def slope(kind, parent, at_q, at_v, origin, axis, mass, centre, inertia, loops, 
             if i >= 0:
                 pushes = _shift(rot[i] @ anchors[l, end])[:, 3:]
                 wrench[i, :, 1 + 3 * l : 4 + 3 * l] += (1.0 - 2.0 * end) * pushes
-    # Inwards: what a link and all it carries oppose to a motion of its origin.
+    # Inwards: articulated inertia and bias wrenches of each link about its origin.
     for i in range(n - 1, -1, -1):
         p, first, s = parent[i], at_v[i], _directions(kind[i], along[i])
         pushed = reach[i] @ s
@@ -227,7 +227,7 @@ def slope(kind, parent, at_q, at_v, origin, axis, mass, centre, inertia, loops, 
         if p >= 0:
             rest = reach[i] - pushed @ np.linalg.solve(weight, pushed.T.copy())
             reach[p] += moves[i] @ rest @ moves[i].T
-    # Outwards.
+    # Outwards: accelerations.
     motion = np.zeros((n + 1, 6, sides))
     for i in range(n):
         p, first, s = parent[i], at_v[i], _directions(kind[i], along[i])
@@ -249,7 +249,7 @@ def slope(kind, parent, at_q, at_v, origin, axis, mass, centre, inertia, loops, 
                 rows[row : row + 3] += (2.0 * end - 1.0) * part
     if sides == 1:
         return dq, dv[:, 0].copy()
-    # Least squares: rows of planar loops depend on others.
+    # Least squares, because planar loops have redundant rows.
     forces = np.linalg.lstsq(rows[:, 1:].copy(), -rows[:, 0].copy(), 1e-10)[0]
     return dq, dv[:, 0] + dv[:, 1:].copy() @ forces
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """MuJoCo: RK4, all steps of a run in one call of mj_step.
 
-Contacts, limits and friction are switched off. Its loops are springs: a `connect` has to be as
-stiff as the step allows, or it converges to another motion than that of the mechanism.
+Contacts, limits and friction are switched off. It closes loops by springs: a `connect` must be as stiff
+as the step permits, or it converges to a motion other than that of the mechanism.
 """
 
 import mujoco

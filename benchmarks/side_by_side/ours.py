@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """This package on the problems: each method of order 4 or more, on each group.
 
-Its errors are not estimated while it runs, as the other codes' are not; `estimating` is what that
-estimate costs.
+It runs without an error estimate, as the other codes do; `estimating` adds the estimate to measure its cost.
 """
 
 import logging
@@ -72,7 +71,7 @@ def scene_of(problem):
 
 
 def _frame(joint, position):
-    """Frame of a joint on its child; a cross has x along its first axis and y along its second."""
+    """Frame of a joint on its child; that of a universal joint has x and y along its two axes."""
     if joint.kind == UNIVERSAL:
         turned = np.column_stack([joint.axis, joint.second, np.cross(joint.axis, joint.second)])
         return Frame(position=position, rotation_vector=SO3.log(turned))
@@ -91,11 +90,11 @@ class _Run:
         self.steps = 1 if self.controlled else level
         if self.controlled:
             options = options | {"rtol": level, "atol": level}
-        # Without the step check, which the other codes do not have either.
+        # Without the step check, because the other codes have none.
         self.simulation = make(scene, method=method, step=problem.duration / self.steps, **options)
         self.start = self.simulation.state()
-        # Substeps follow the motion: where it changes, they are paid for as it is at first. And with
-        # loops, coarse steps end up with open joints, which cost more than the problem does.
+        # Restart for each duration: later substeps would belong to another kind of motion. With loops,
+        # the constraint violations of coarse steps grow, and correcting them would cost extra.
         self.anew = bool(problem.loops) or self.controlled and problem.changes
 
     def reset(self):
@@ -134,7 +133,7 @@ def entries(problem, ratio, groups=GROUPS[:1]):
     for stabilisation in STABILISATIONS if problem.loops else ("none",):
         for group in groups:
             for method in METHODS:
-                # The others keep momentum over long runs, or serve single bodies or stiff scenes.
+                # Others conserve momentum over long runs, or are for single bodies or stiff scenes.
                 if METHODS[method].order >= LOWEST_ORDER and METHODS[method].family == "rkmk":
                     options = {"group": group, "stabilisation": stabilisation}
                     yield _entry(problem, scene, method, ratio, options)
@@ -152,7 +151,7 @@ def _entry(problem, scene, method, ratio, options):
 
 
 def estimating(entry):
-    """Entry with the settings of another one of ours, with the running estimate of its error."""
+    """Copy of one of our entries, with the running estimate of the error."""
     return Entry(
         CODE,
         f"{entry.setting} + estimate",
@@ -163,7 +162,7 @@ def estimating(entry):
 
 
 def stepper(problem, step, group=GROUPS[0]):
-    """Function take_steps(n) of RKMK4 steps from the initial state, anew after each duration."""
+    """Function take_steps(n) of RKMK4 steps from the initial state, restarted after each duration."""
     simulation = Engine(scene_of(problem), method="rkmk4", step=step, group=group)
     most = round(problem.duration / step)
 

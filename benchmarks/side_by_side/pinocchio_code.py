@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pinocchio in a native loop: pinocchio_loop.cpp, compiled here against the headers of its wheel.
 
-Pinocchio gives the accelerations; the steps are ours. Everything is instantiated from the headers
-for this machine's processor, as a user who cares for speed would do. Loops are closed by
-constraintDynamics without gains and with gains tuned by hand, or by lcaba.
+Pinocchio gives the accelerations; the integration steps are ours. Everything is compiled from the headers
+for this machine's processor, as a user who needs speed would do. Loops are closed by constraintDynamics
+without gains and with gains tuned by hand, or by lcaba.
 """
 
 import ctypes
@@ -39,15 +39,15 @@ FLAGS = [
     f"-I{PREFIX / 'include' / 'eigen3'}",
 ]
 KINDS = {FREE: 0, BALL: 1, HINGE: 2, SLIDE: 3, UNIVERSAL: 4, CYLINDRICAL: 5}
-# How loops are closed: regularisation, whether by lcaba, iterations. That of a redundant row is the
-# value which the documentation recommends; balls have no such row. lcaba always needs one. In 4.1.0
-# it moves S4 and S7, whose trees have balls, wrongly.
+# How loops are closed: regularisation, whether by lcaba, iterations. For redundant rows the regularisation
+# is that of the documentation; balls have no such rows. lcaba always needs one. In 4.1.0 it gives wrong
+# motions for S4 and S7, whose trees have balls.
 REDUNDANT, REGULAR, EMBEDDED = (1e-12, 0, 10), (0.0, 0, 1), (1e-6, 1, 3)
-# Rates at which gaps of a loop die out, 1/s. 100 is the best of 0, 10, 30, 60, 100, 200 and 300 for
-# P3; 0 is better for S5 and S7, and for S4 to 1e-3.
+# Decay rates of the gaps of a loop, 1/s. 100 is the best of 0, 10, 30, 60, 100, 200 and 300 for
+# P3; 0 is better for S5 and S7, and for S4 at the target 1e-3.
 RATES = (0.0, 100.0)
 
-# The classical method, its weights below it.
+# The classical Runge-Kutta method; its weights are the last row.
 RK4 = [[0, 0, 0, 0], [1 / 2, 0, 0, 0], [0, 1 / 2, 0, 0], [0, 0, 1, 0], [1 / 6, 1 / 3, 1 / 3, 1 / 6]]
 
 
@@ -60,7 +60,7 @@ def _library():
     """Compiled loop, cached by source, compiler and version."""
     compiler = shutil.which(os.environ.get("CXX", "g++"))
     if compiler is None:
-        raise ImportError("there is no C++ compiler for its loop (g++, or what CXX names)")
+        raise ImportError("there is no C++ compiler for its loop (g++, or that in CXX)")
     if not (PREFIX / "include" / "eigen3").is_dir():
         raise ImportError("the headers of Eigen are missing (pip install cmeel-eigen)")
     key = hashlib.sha256(repr((SOURCE.read_text(), FLAGS, version(), compiler)).encode())
@@ -92,7 +92,7 @@ def _integers(values):
 
 
 def _turn(joint):
-    """Orientation (3, 3) of a joint's frame: z along an axis that is no axis of the world.
+    """Orientation (3, 3) of a joint's frame: z along the joint's axis, unless that is an axis of the world.
 
     Pinocchio has faster code for hinges and slides along the axes of their frames.
     """
@@ -167,7 +167,7 @@ class _Run:
 
 
 def entries(problem, ratio):
-    """Order 4; and, excluded from the ranking, order 8 with its accelerations."""
+    """Methods of order 4 and, outside of the ranking, of order 8."""
     levels = geometric(problem.coarsest, ratio)
     eight = np.vstack([DOP853.A, DOP853.B])
     for words, closing, rate in _closings(problem):
@@ -182,7 +182,7 @@ def entries(problem, ratio):
 
 
 def _closings(problem):
-    """[(words, how, rate)] of ways to close the loops."""
+    """[(description, how, rate)] of the options to close loops."""
     if not problem.loops:
         return [("", REDUNDANT, 0.0)]
     regular = all(loop.kind == BALL for loop in problem.loops) and not problem.redundant
@@ -193,7 +193,7 @@ def _closings(problem):
 
 def stepper(problem, step):
     """Function take_steps(n) of RK4 steps, to measure the cost of a step."""
-    # With redundant rows of balls constraintDynamics gives NaN, whatever the regularisation.
+    # For redundant rows of balls constraintDynamics gives NaN with any regularisation.
     closing = EMBEDDED if problem.redundant else REDUNDANT
     run = _Run(problem, RK4, 2, round(problem.duration / step), closing)
     return run.take

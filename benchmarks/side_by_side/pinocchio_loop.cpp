@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Munthe-Kaas steps around Pinocchio's forward dynamics: the loop its user would write.
+// Munthe-Kaas steps around Pinocchio's forward dynamics, in the loop that its user would write.
 //
-// Joint frames stand at the joints, aligned with the world at the start or turned so that z is the
+// Joint frames are at the joints, aligned with the world at the start or turned so that z is the
 // axis of a hinge or slide. The state is Pinocchio's
 // (q, v); an increment psi in the tangent space moves it by pinocchio::integrate, and
 //     psi' = dexp^-1_{-psi} v,   v' = aba(q, v),   with loops constraintDynamics(q, v) or lcaba(q, v).
-// Nothing is allocated in a step but what Pinocchio allocates.
+// Only Pinocchio allocates memory within a step.
 #include <cmath>
 #include <memory>
 #include <vector>
@@ -33,7 +33,7 @@ Vector3d snapped(Vector3d axis)
   return axis;
 }
 
-// A hinge or a slide; those about and along the axes have code of their own.
+// A hinge or a slide; Pinocchio has special code for those about and along coordinate axes.
 template<class X, class Y, class Z, class Unaligned>
 pin::JointModel with_axis(const Vector3d & axis)
 {
@@ -177,7 +177,7 @@ extern "C"
       size_t id = parents[i] < 0 ? 0 : loop->ids[parents[i]];
       if (kinds[i] == CYLINDRICAL)
       {
-        // Two joints with nothing between them take less time than a composite one.
+        // Two joints with a massless link between them take less time than a composite joint.
         id = model.addJoint(id, joint_of(HINGE, axis, second), place, name + "turn");
         place.setIdentity();
       }
@@ -204,7 +204,7 @@ extern "C"
       };
       loop->constraints.emplace_back(
         pin::CONTACT_3D, model, id(0), at(0), id(1), at(1));
-      // Gaps die out like those of a critically damped spring of this rate, 1/s.
+      // Gaps decay like the deflection of a critically damped spring of this rate, 1/s.
       loop->constraints.back().m_baumgarte_parameters = {rate * rate, 2. * rate};
     }
     loop->data = std::make_unique<pin::Data>(model);

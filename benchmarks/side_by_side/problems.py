@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Code-independent descriptions of problems: P1..P4, and planar mechanisms of any length.
 
-Mechanisms in space are made in spatial.py and robots.py.
+Mechanisms in space are in spatial.py and robots.py.
 
-All body frames are aligned with the world at the start, R_i(0) = I, and sit at the centre of
-mass; inertias (3, 3) are about it. So a joint is a point and an axis in the world at the start,
-and no code gets a head start from its own choice of frames. SI units, rad/s.
+All body frames are aligned with the world at the start, R_i(0) = I, with origins at the centres of
+mass; inertias (3, 3) are about them. So a joint is a point and an axis in the world at the start,
+and no code has an advantage from its choice of frames. SI units, rad/s.
 """
 
 from collections.abc import Callable
@@ -24,7 +24,7 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True)
 class Body:
-    """Rigid body in its initial state; vectors (3,) in world axes, which are its axes then."""
+    """Rigid body in its initial state; vectors (3,) in world axes, equal to its axes at the start."""
 
     mass: float
     inertia: np.ndarray
@@ -37,8 +37,8 @@ class Body:
 class Joint:
     """Joint of a kind at a world point (3,), m; axes are unit vectors (3,) in the world.
 
-    axis   : of all but BALL and FREE; of a UNIVERSAL the one that is fixed in the parent
-    second : of a UNIVERSAL, fixed in the child, perpendicular to `axis`
+    axis   : for all but BALL and FREE; for a UNIVERSAL the axis fixed in the parent
+    second : for a UNIVERSAL, the axis fixed in the child, perpendicular to `axis`
     """
 
     kind: str
@@ -53,15 +53,15 @@ class Joint:
 class Problem:
     """Mechanism with its duration and requested results.
 
-    tree     : joint i holds body i to an earlier body or to the ground; empty for a free body.
-               A FREE joint stands at its body's centre, on the ground
-    loops    : further joints, which close loops
-    duration : s, at its end the attitudes are compared
-    coarsest : steps for the duration with which to begin
-    changes  : True when the motion is of another kind after the duration
-    exact    : function of a fineness 0 or 1 that returns the exact attitudes then, (n, 3, 3)
-    wanted   : by how much we want to be faster than the best other code, at each of TARGETS
-    redundant: True if rows of ball joints that close loops depend on others
+    tree     : joint i connects body i to an earlier body or to the ground; empty for a free body.
+               A FREE joint connects the ground and its body at the body's centre
+    loops    : additional joints that close loops
+    duration : s; attitudes are compared at its end
+    coarsest : steps per duration of the coarsest run
+    changes  : True if the motion is of another kind after the duration
+    exact    : function of a fineness 0 or 1 that returns the exact attitudes at the end, (n, 3, 3)
+    wanted   : requested speed relative to the best other code, at each of TARGETS
+    redundant: True if ball joints that close loops have redundant rows
     """
 
     name: str
@@ -79,12 +79,12 @@ class Problem:
 
     @property
     def joints(self):
-        """Kind of its joints in words, if they are all hinges or all balls."""
+        """Kind of its joints as text, if all are hinges or all are balls."""
         kinds = {joint.kind for joint in self.tree}
         return {BALL: "balls", HINGE: "hinges"}.get(kinds.pop(), "") if len(kinds) == 1 else ""
 
     def rates(self, i):
-        """Speeds of tree joint i at the start, rad/s and m/s, a list of one number per freedom.
+        """Speeds of tree joint i at the start, rad/s and m/s, a list with a number per degree of freedom.
 
         FREE: velocity and omega; BALL: omega relative to the parent, world axes; UNIVERSAL: about
         `axis`, about `second`; CYLINDRICAL: about and along its axis
@@ -183,11 +183,11 @@ def four_bar(density=1000.0):
     density : kg/m^3 of the bars; the exact ends are those of 1000
     """
     crank, rod, base, rate = 0.5, 1.0, 1.0, 10.0 * pi
-    # The elbow is where circles around the crank's tip and the rocker's pivot meet, above.
+    # The elbow is the upper intersection of circles about the crank's tip and the rocker's pivot.
     half = hypot(base, crank) / 2
     line, turn = atan2(-crank, base), acos(half / rod)
     coupler_angle, rocker_angle = line + turn, line + pi - turn
-    # Coupler and rocker move the elbow alike: along the rocker, and along the coupler.
+    # The elbow has the same velocity on coupler and rocker, compared along each of them.
     coupler_rate = -rate * crank * sin(rocker_angle - pi / 2) / (rod * sin(rocker_angle - coupler_angle))
     rocker_rate = rate * crank * sin(coupler_angle - pi / 2) / (rod * sin(coupler_angle - rocker_angle))
     rods, still = _Planar(0.05, density), np.zeros(3)
@@ -210,7 +210,7 @@ def four_bar(density=1000.0):
 
 
 def windows(count):
-    """n upright square windows of 1 m side by side, their top moving at 1 m/s."""
+    """n upright square windows of 1 m, side by side; their top moves at 1 m/s."""
     rods, still = _Planar(sqrt(1e-3), 1000.0), np.zeros(3)
     loops = []
     last, tip, velocity = rods.add(np.zeros(3), 1.0, pi / 2, -1.0, GROUND, still)

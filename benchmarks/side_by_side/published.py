@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Published robots as problems: URDF and SDF files of the package example-robot-data.
 
-All codes get the bodies that this project's import makes of a file: links over fixed joints are one
-body. Springs, dampers, limits, motors and mimic couplings are left out. The robots fall from a bent pose with all
+All codes get the bodies of this project's import: links connected by fixed joints are one body. Springs,
+dampers, limits, motors and mimic couplings are omitted. The robots fall from a bent pose with all
 joints turning. Loops are cut at ball joints, which every code can close.
 """
 
@@ -21,15 +21,15 @@ from liegroup_core.scene.load import scene_from_text
 from .mechanism_reference import end_attitudes
 from .problems import BALL, FREE, GROUND, HINGE, SLIDE, Body, Joint, Problem
 
-# Links of iCub have no inertia: MuJoCo refuses them, and they whirl. They get that of a radius of
-# gyration, m, as do all links that are thinner than the smallest one.
+# Some links of iCub have no inertia: MuJoCo refuses them, and they whirl. Links with radii of gyration below
+# the smallest one get the inertia of the added one, m.
 SMALLEST_RADIUS, ADDED_RADIUS = 1e-3, 0.01
 KINDS = {"revolute": HINGE, "prismatic": SLIDE, "spherical": BALL}
 ARMS, LOOPS = (3.0, 6.0, 12.0), (4.0, 6.0, 15.0)
-# Bounds of the start, rad and rad/s; of slides a fifth of it, m and m/s. A free tree only floats: its
-# joints turn faster.
+# Bounds of the initial state, rad and rad/s; for slides a fifth of these, m and m/s. Joints of a free tree
+# turn faster, because it only floats.
 BENT, TURNING, FREE_TURNING = 0.5, 1.0, 4.0
-# Cassie's loops have two degrees of freedom less than they have ball joints: driven hinges.
+# Cassie's driven hinges: its loops have two degrees of freedom less than ball joints.
 CASSIE = ("roll-op", "yaw-op", "pitch-op", "knee-op", "foot-op", "tarsus-spring-joint")
 FILES = {
     "UR5": ("ur_description/urdf/ur5_robot.urdf", "fixed"),
@@ -69,7 +69,7 @@ def problem_of(name, duration=1.0):
         speeds[joint.name] = size * rng.uniform(-turning, turning)
     robot = read_robot(path)
     robot.couplings.clear()
-    robot.sensors.clear()  # force-torque sensors keep fixed joints, which other codes do not have
+    robot.sensors.clear()  # with force-torque sensors the import keeps fixed joints, which other codes lack
     parts = scene_parts(robot, Options(base=base, start=start, start_velocity=speeds))
     scene = scene_from_text(scene_text(parts), str(path))
     tree, loops, order = _spanning(scene)
@@ -94,7 +94,7 @@ def problem_of(name, duration=1.0):
 def _spanning(scene):
     """([(joint or None, parent, child)] of a spanning tree, [cut joints], [bodies in its order]).
 
-    Balls are cut wherever the other joints already hold a body.
+    A ball is cut if other joints already connect its body.
     """
     leader = {name: name for name in ("world", *(body.name for body in scene.bodies))}
 

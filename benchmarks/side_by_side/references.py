@@ -4,7 +4,7 @@
 One rigid body: Taylor series of the quaternion equations in extended precision. Four-bar: one
 degree of freedom, so the time to an angle is an integral of the energy equation. Chain: Lagrange's
 equations in the rods' absolute angles, DOP853. Each takes a fineness, 0 or 1: the difference of
-the two says how well the end is known.
+the two results is the uncertainty of the end state.
 """
 
 from math import ceil, pi
@@ -18,12 +18,12 @@ def spinning_body(moments, omega, mass_arm, gravity, duration, fineness):
     """(1, 3, 3) attitude of a body about a fixed point, or of a free one, principal axes.
 
         I w' = I w x w + (m r) x gamma,   gamma' = gamma x w,   q' = q (0, w) / 2
-    with gamma = R^T g. All products, so that every coefficient of the series follows from the
-    ones before. Extended precision where the machine has it.
+    with gamma = R^T g. The right-hand sides are products, so each coefficient of the series follows from
+    the previous ones. Uses extended precision if the machine has it.
     """
     order = 24
     moments, mass_arm = np.array(moments, np.longdouble), np.array(mass_arm, np.longdouble)
-    # w h below 0.4: the first term left out is below 0.4^25 / 25! of the whole.
+    # w h below 0.4: the first omitted term is below 0.4^25 / 25! of the sum.
     steps = ceil(duration * float(np.linalg.norm(omega)) / 0.4) * (1 + fineness)
     h = np.longdouble(duration) / steps
     w = np.zeros((order + 1, 3), np.longdouble)
@@ -71,14 +71,14 @@ def four_bar(fineness):
     about_middle = m_rod * (rod**2 + width**2) / 12
 
     def angles(p):
-        """Angles of coupler and rocker, the elbow above the line from the crank's tip."""
+        """Angles of coupler and rocker, with the elbow above the line from the crank's tip."""
         x, y = base - crank * np.cos(p), -crank * np.sin(p)
         line, turn = np.arctan2(y, x), np.arccos(np.hypot(x, y) / (2 * rod))
         return line + turn, line + pi - turn
 
     def inertia_and_height(p):
         coupler, rocker = angles(p)
-        # d(angle)/dp: the elbow moves across the rocker as much as the coupler lets it.
+        # d(angle)/dp, from equal velocities of the elbow on coupler and rocker.
         d_coupler = -crank * np.sin(rocker - p) / (rod * np.sin(rocker - coupler))
         d_rocker = crank * np.sin(coupler - p) / (rod * np.sin(coupler - rocker))
         middle = crank**2 + (rod / 2 * d_coupler) ** 2 + crank * rod * d_coupler * np.cos(p - coupler)
@@ -116,7 +116,7 @@ def four_bar(fineness):
 def planar_chain(links, mass, length, g, duration, fineness):
     """(n, 3, 3) attitudes of thin rods that start level and at rest.
 
-    a_i is how far rod i points down, e(a) = (cos a, -sin a) in the plane of x and z.
+    a_i is the angle of rod i below the horizontal, e(a) = (cos a, -sin a) in the plane of x and z.
     The centre of rod k is at sum_i c_ki e(a_i), c_ki = length before k, half of it at k. With
     A = m c^T c and J = m length^2 / 12, for every rod i
         sum_j (A_ij cos(a_i - a_j) + J d_ij) a_j'' + A_ij sin(a_i - a_j) a_j'^2

@@ -14,7 +14,7 @@ WORDS = tuple(f"{target:.0e}".replace("e-0", "e-") for target in TARGETS)
 def best(results, target, ours, counted=True):
     """(entry, Cost) of the cheapest result of ours or of the others; None if none meets it.
 
-    counted : of the ranked ones, else of those that only put them into perspective
+    counted : True: among ranked entries; False: among the entries outside of the ranking
     """
     met = [
         (entry, costs[target])
@@ -50,7 +50,7 @@ def _step(cost):
 
 
 def costs_table(name, problem, results):
-    """Table of one problem: all configurations of the others, our best ones, these estimating."""
+    """Table of one problem: all configurations of the others, our best ones, these with an estimate."""
     table = Table(
         title=f"{name}, {problem.title}, {problem.duration:g} s: CPU ms per simulated s until "
         "||R - R_exact|| and gaps stay below",
@@ -123,8 +123,8 @@ def shortfalls(name, problem, results):
         affordable = theirs[1].cost / wanted / my.steps
         yield (
             f"{head}: {my_entry.setting} takes {my.steps:.0f} steps per s of {_step(my)} us, "
-            f"the other {their.steps:.0f} of {_step(their)}; at so many, ours may take "
-            f"{_number(1e6 * affordable)} us"
+            f"the other {their.steps:.0f} of {_step(their)}; with this number of steps the target needs "
+            f"{_number(1e6 * affordable)} us per step"
         )
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Problems S6..S8: kinds of robots that no code's examples were tuned for.
+"""Problems S6..S8: robots for which no code was tuned.
 
 A humanoid in free fall, a Delta robot, and a crane with every kind of joint.
 """
@@ -34,7 +34,7 @@ def humanoid():
         at = np.array(at)
         for axis, length, mass, radius, rate in links:
             end = at + length * Z
-            # Joints of one place have a small housing between them.
+            # Between joints at one point there is a small housing.
             size = max(abs(length), 0.06)
             parent = made.hinge(
                 parent,
@@ -80,7 +80,7 @@ def humanoid():
 def delta():
     """S7: Delta robot: three driven arms, each with a pair of rods on balls to the platform.
 
-    Thrown upwards, so that it stays away from stretched arms; the rods turn about themselves.
+    Thrown upwards, so that its arms never stretch out; the rods turn about themselves.
     """
     made = Builder()
     velocity, centre = np.array([1.0, -0.6, 1.8]), np.array([0.0, 0.0, -sqrt(0.7**2 - 0.42**2)])
@@ -88,7 +88,7 @@ def delta():
     for angle in (0.0, 2 * pi / 3, 4 * pi / 3):
         out, tangent = (np.array([cos(angle), sin(angle), 0.0]), np.array([-sin(angle), cos(angle), 0.0]))
         elbow, along = 0.5 * out, centre - 0.42 * out
-        # The elbow moves so that the rods keep their length.
+        # Velocity of the elbow that keeps the length of the rods.
         swing = np.cross(tangent, 0.3 * out)
         arm = made.hinge(
             GROUND,

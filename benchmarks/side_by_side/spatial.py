@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Problems S1..S5: mechanisms in space, where no code finds anything planar.
+"""Problems S1..S5: mechanisms in space, without planar parts that a code may exploit.
 
 An arm and chains of hinges, a four-bar of hinges and balls, a Stewart platform; and rows of
 spatial four-bars of any length.
@@ -12,7 +12,7 @@ import numpy as np
 from .builder import Builder, X, Y, Z, round_link, square_rod, unit
 from .problems import BALL, FREE, GROUND, HINGE, SLIDE, UNIVERSAL
 
-SPACE_GRAVITY = (0.0, -3.0, -9.81)  # m/s^2: not in the plane of a chain's first hinges
+SPACE_GRAVITY = (0.0, -3.0, -9.81)  # m/s^2, not in the plane of the first links of a chain
 SEEDS = {10: 7, 100: 11}  # of the axes of S2 and S3
 
 
@@ -62,13 +62,13 @@ def chain_in_space(links, kind=HINGE):
 def _four_bar(made, crank, foot, axis):
     """Add coupler and rocker of a spatial four-bar to a turning crank; returns the rocker.
 
-    crank : (body, its tip (3,), m); foot, axis: of the rocker's hinge, the rocker is upright
+    crank : (body, its tip (3,), m); foot, axis: point and axis of the rocker's hinge; the rocker is upright
     """
     body, tip = crank
     foot, axis, height = np.array(foot), unit(axis), 0.5
     top = foot + height * Z
     along, speed = top - tip, made.velocity(body, tip)
-    # The rocker turns so that the coupler keeps its length.
+    # Velocity of the rocker that keeps the length of the coupler.
     swing = np.cross(axis, height * Z)
     rate = (speed @ along) / (swing @ along)
     coupler = made.rod(body, tip, top, 2.0, 0.02, rate * swing)
@@ -89,10 +89,10 @@ def four_bar_in_space():
 def stewart():
     """S5: Stewart platform thrown upwards, turning, its centre of mass off its middle.
 
-    Six legs of two parts, on universal joints at the base, with a slide, and balls at the platform.
-    In the tree, the platform is free and all six balls close loops: held by a leg in the tree, it
-    moves wrongly in Pinocchio's constraintDynamics (gaps closed, converged, 90 degrees off), and
-    takes longer in MuJoCo.
+    Six legs of two parts, with a universal joint at the base, a slide, and a ball at the platform.
+    The platform is free in the tree, and all six balls close loops. If a leg connects it in the tree,
+    Pinocchio's constraintDynamics gives a wrong motion (gaps closed, converged, 90 degrees off), and
+    MuJoCo takes longer.
     """
     made = Builder()
     base = [0.5 * _on_circle(a) for a in (-20, 20, 100, 140, 220, 260)]
@@ -128,10 +128,10 @@ def _on_circle(degrees):
 
 
 def ladder(loops):
-    """Row of spatial four-bars along x: a rocker drives the next coupler. Two freedoms and spins.
+    """Row of spatial four-bars along x: a rocker drives the next coupler.
 
-    Every rocker is upright on a level hinge, its axis turned a little from one to the next; a
-    coupler is a rod on two balls.
+    Every rocker is upright on a level hinge, whose axis is turned a little from one to the next. A
+    coupler is a rod on two balls. There are two degrees of freedom, and the spins of couplers.
     """
     made = Builder()
     tip = 0.5 * Z

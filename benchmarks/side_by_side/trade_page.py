@@ -82,7 +82,7 @@ def _others(part, accuracy, cell):
 
 
 def words(parts):
-    """Summary in sentences; every number in it is computed here."""
+    """Summary in sentences with numbers computed here."""
     lines = ["## In short", ""]
     for accuracy in (1e-3, 1e-6, 1e-9):
         won = {}
@@ -121,7 +121,7 @@ def words(parts):
             most = max(worst)
             missed = sum(1 for part in parts for entry in part["cheapest"] if entry["cell"] is not None) - len(worst)
             lines.append(
-                f"* taken everywhere, {method} costs {middle:.2g} times the cheapest in "
+                f"* used for all scenes, {method} costs {middle:.2g} times the cheapest in "
                 f"the median, at most {most[0]:.2g} times ({most[1]} at "
                 f"{most[2]:g})"
                 + (f", and in {missed} of them misses the accuracy within the time limit of a run" if missed else "")
