@@ -276,7 +276,7 @@ def pushed(force, body="puck"):
 
 
 def round_trip(listener, folder, count):
-    print("\ncommand out, state back      us p50       p99   of the echo beside it")
+    print("\ncommand out, state back      us p50       p99   relative to the echo")
     scene = folder / "puck.yaml"
     scene.write_text(PUCK)
     ratios = []

@@ -123,14 +123,14 @@ def killed(folder, count):
             check(at - started < FLUSH * 1e9, f"nothing can be read: {error}")
             path.unlink()
             continue
-        check(not found.complete and not found.lost, "it looks complete, or has gaps")
+        check(not found.complete and not found.lost, "a killed recording looks complete, or has gaps")
         write_recovered(found, out)
         with open(out, "rb") as stream:
             reader = make_reader(stream, validate_crcs=True)
             rows = [message.log_time for _, _, message in reader.iter_messages()]
         check(
             len(rows) == found.count == reader.get_summary().statistics.message_count and rows == sorted(rows),
-            "the recovered file is not what was surveyed",
+            "the recovered file differs from the survey",
         )
         lags.append((at - rows[-1]) * 1e-9 if rows else (at - started) * 1e-9)
         salvaged += found.unfinished
@@ -185,7 +185,7 @@ def disk(folder, _):
     place = folder / "small_disk"
     place.mkdir()
     if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "none", place], capture_output=True).returncode:
-        print("\ndisk full: left out, a disk of 1 MB cannot be mounted here")
+        print("\ndisk full: omitted, a disk of 1 MB cannot be mounted here")
         return
     try:
         answer = subprocess.run([sys.executable, SIDE / "full.py", place / "run.mcap"], capture_output=True, text=True)
@@ -223,7 +223,7 @@ def readers(folder, _):
         check(answer == counts, f"{name} found {answer}")
         print(f"{name:<12} decoded every message")
     if not shutil.which("npm"):
-        print("@mcap/core   left out, there is no npm here")
+        print("@mcap/core   omitted, npm is not installed")
         return
     place = folder / "npm"
     place.mkdir()
@@ -233,7 +233,7 @@ def readers(folder, _):
         ["npm", "install", "--no-audit", "--no-fund", "--loglevel=error"], cwd=place, capture_output=True, text=True
     )
     if made.returncode:
-        print(f"@mcap/core   left out, npm cannot install it here: {made.stderr[:200].strip()}")
+        print(f"@mcap/core   omitted, npm cannot install it here: {made.stderr[:200].strip()}")
         return
     done = subprocess.run(["node", "decode.mjs", path], cwd=place, capture_output=True, text=True)
     check(done.returncode == 0, f"@mcap/core: {done.stderr[-1000:]}")

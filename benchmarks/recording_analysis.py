@@ -99,7 +99,7 @@ def make(path, seconds):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=3600.0, help="simulated time")
-    parser.add_argument("--keep", metavar="FILE", help="record there, or analyse what is there")
+    parser.add_argument("--keep", metavar="FILE", help="recording to write, or to analyse if it exists")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(args.keep or Path(folder) / "long.mcap")

@@ -78,7 +78,7 @@ def main():
     names = [name for name in published.FILES if not options.only or name.startswith(tuple(options.only))]
     missing = [name for name in names if published.path_of(name) is None]
     if missing:
-        console.print(f"Left out, example-robot-data is not installed: {', '.join(missing)}")
+        console.print(f"Omitted, example-robot-data is not installed: {', '.join(missing)}")
     ours.prepare()
     problems = {name: published.problem_of(name, DURATIONS.get(name, 1.0)) for name in names if name not in missing}
     steps = {name: step_costs(problem, [ours, *peers]) for name, problem in problems.items()}

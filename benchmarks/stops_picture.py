@@ -21,7 +21,7 @@ def angle_of(joint):
 
 
 def rate_of(joint):
-    """Rate of a joint of a sample."""
+    """Velocity of a joint of a sample."""
     return lambda sample: sample.joint_coordinates[joint][1]
 
 

@@ -8,7 +8,7 @@ Cached measurements of the same scene, version and processor are reused, so an i
 resumes. To measure again, remove the folder `trades` in the cache folder (~/.cache/liegroup_core,
 or LIEGROUP_CACHE_DIR). For each scene and accuracy, a simulation to that accuracy is compared with a
 reference integration at times other than those of the trade. Scenes that the reference does not support,
-with stops, friction or cables, are left out.
+with stops, friction or cables, are omitted.
 """
 
 import argparse
@@ -120,7 +120,7 @@ def main():
         try:
             trade, part = measure(scene, args.methods, args.workers, args.budget)
         except SimulationError as error:
-            print(f"  left out: {error}", flush=True)
+            print(f"  omitted: {error}", flush=True)
             continue
         known[name] = condensed(part) | {"promises": promises(scene, trade)}
         parts = [known[key] for key in sorted(known)]

@@ -146,7 +146,7 @@ def _number(model, label):
 
 
 def _as_imported(model):
-    """Switch off in a MuJoCo model what an import leaves out."""
+    """Switch off those features of a MuJoCo model that an import omits."""
     model.dof_armature[:] = 0.0
     model.body_gravcomp[:] = 0.0
     model.opt.density = model.opt.viscosity = 0.0

@@ -13,5 +13,5 @@ def load_peers(console):
         try:
             found.append(importlib.import_module(f"{__name__}.{name}_code"))
         except ImportError as error:
-            console.print(f"[yellow]Left out: {name}: {error}[/yellow]")
+            console.print(f"[yellow]Omitted: {name}: {error}[/yellow]")
     return found

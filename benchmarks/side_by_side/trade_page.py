@@ -150,7 +150,7 @@ def promised(parts):
         for entry in part["promises"]:
             begin = f"| {part['scene']} | {shown(part['horizon'], 's')} | {entry['accuracy']:g} |"
             kept = max(entry["measured"], entry["known"]) <= entry["accuracy"]
-            says = "" if entry["until"] is None else f", it says until {entry['until']:.3g} s"
+            says = "" if entry["until"] is None else f", reported until {entry['until']:.3g} s"
             lines.append(
                 f"{begin} {error_text(entry['measured'], entry['known'])} | "
                 f"{shown(entry['estimate'])} | {'yes' if kept else 'NO'}{says} |"
