@@ -53,7 +53,7 @@ def slow(had, wanted, time, share, share_of_messages, accuracy, helpless=False):
     if share + share_of_messages < BUSY:
         advice = "other processes occupy the cores: end them, or lower real_time_factor"
     return (
-        f"{had:.3g} is the real-time factor at t = {time:.6g} s, of {wanted:g}: in real time the "
+        f"{had:.3g} is the real-time factor at t = {time:.6g} s instead of {wanted:g}: in real time the "
         f"integration takes up to {_percent(share)} of a core"
         + (f" at the accuracy of {accuracy:g}" if accuracy else "")
         + f", messages {_percent(share_of_messages)}; {advice}"

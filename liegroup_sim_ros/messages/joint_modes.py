@@ -115,7 +115,7 @@ class JointReports:
         return [Report(simulation.time_ns, self._encode(self._last), None)]
 
     def drain(self):
-        """[Report] of what happened since the last call, in the order of time."""
+        """[Report] of the instants since the last call, in the order of time."""
         reports = []
         for instant in self._simulation.drain_instants():
             reports += self._of_instant(instant)

@@ -59,5 +59,5 @@ STATIC_TRANSFORMS = Topic("/tf_static", "tf2_msgs/msg/TFMessage", "transient_loc
 DESCRIPTION = Topic("~/robot_description", description.TYPE, "transient_local", 1)
 CLOCK = Topic("/clock", ClockCodec.TYPE, depth=1)
 STATE = Topic("~/state", diagnostics.TYPE)
-ERRORS = Topic("~/errors", estimates.TYPE)  # with the samples, if an estimate is carried
+ERRORS = Topic("~/errors", estimates.TYPE)  # with the samples, if there is an estimate
 DIAGNOSTICS = Topic("/diagnostics", diagnostics.TYPE)

@@ -92,7 +92,7 @@ class JointInput(CountedInput):
         self.refuse("beyond_limits", lambda: text)
 
     def refuse_jump(self, name, before, after, most):
-        """Refuse a commanded position that is too far from the one before it. Raises Refusal."""
+        """Refuse a commanded position that is too far from the previous position. Raises Refusal."""
         if abs(after - before) > most:
             unit = self.limits[self.joints[name]].unit
             self.refuse(

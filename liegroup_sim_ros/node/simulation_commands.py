@@ -40,7 +40,7 @@ class CommandError(LieGroupSimError):
 
 
 class Moment(NamedTuple):
-    """What the command "sample" returns."""
+    """Result of the command "sample"."""
 
     stamp_ns: int
     sample: Sample

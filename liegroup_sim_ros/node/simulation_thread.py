@@ -313,7 +313,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
                 self._warn_once("saturated", events.saturated(effort, joint, now), joint)
 
     def _send_report(self, report):
-        """Send what happened at joints with stops or friction."""
+        """Send a Report on joints with stops or friction."""
         stamp_ns = self._base_ns + report.time_ns
         if report.modes is not None:
             self._output.joint_modes(stamp_ns, report.modes)

@@ -85,7 +85,7 @@ class Worlds:
         if len(sources) > MOST_SOURCES:
             raise Refused(FAILED, f"{len(sources)} sources: give at most {MOST_SOURCES}")
         if self._is_looking:
-            raise Refused(FAILED, "another request looks for worlds: try again when it is answered")
+            raise Refused(FAILED, "another request is searching for worlds: try again later")
         self._is_looking = True
         try:
             found = await self._look(sources, request.continue_on_error)

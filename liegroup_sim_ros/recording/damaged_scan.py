@@ -156,7 +156,7 @@ def _chunk_data(body):
 def _fits_itself(stream, opcode, start, length):
     """Whether the sizes in a damaged record agree with its length.
 
-    The next record then follows where the length says.
+    If they agree, the next record begins at the end of this length.
     """
     stream.seek(start)
     if opcode != Opcode.CHUNK:

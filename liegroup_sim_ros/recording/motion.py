@@ -145,7 +145,7 @@ class Block(NamedTuple):
     position: np.ndarray  # (k, n, 3) m, world
     quaternion: np.ndarray  # (k, n, 4) as recorded
     twist: np.ndarray  # (k, n, 6) rad/s, m/s; body axes
-    errors: np.ndarray | None  # (k, n, 4) estimated; NaN: not known, None: not carried
+    errors: np.ndarray | None  # (k, n, 4) estimated; NaN: unknown, None: no estimate
 
     @property
     def times(self):

@@ -117,7 +117,7 @@ class Recording:
 
     @property
     def errors(self) -> ErrorTrack | None:
-        """ErrorTrack, loaded on first access; None if the run carried no estimate."""
+        """ErrorTrack, loaded on first access; None if the run had no estimate."""
         track = self._tracks["errors"].get(None)
         if track is None:
             return None

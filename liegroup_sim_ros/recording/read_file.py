@@ -216,7 +216,7 @@ class Scan:
         return {tally.topic: tally.lost for tally in self._tallies.values()}
 
     def problem(self, source, attachments):
-        """What is wrong with the file, or None."""
+        """Problems of the file as one line of text, or None."""
         stream, problems = source.stream, []
         if stream.damaged:
             problems.append(f"{stream.damaged} damaged part(s) skipped: {', '.join(stream.remarks)}")

@@ -202,7 +202,7 @@ class McapStream:
             self.remarks.append(remark)
 
     def _chunk(self, length, at):
-        """Messages of the chunk at an offset, or None if it is not wanted."""
+        """Messages of the chunk at an offset, or None if `wanted` rejects it."""
         body = self._file.read(min(length, _CHUNK_HEAD))
         head = chunk_head(body)
         if head.data_start + head.length != length:

@@ -54,8 +54,8 @@ class Recorder:
     max_size       : file size in bytes from which on a new part is due, 0: no limit
     max_duration   : duration in ns of stamps from which on a new part is due, 0: no limit
     part           : number of the first part; part 2 of run.mcap is run_part2.mcap
-    bag            : Bag that the files are added to and whose metadata.yaml is written beside
-                     them; True: a new bag; None: no metadata.yaml
+    bag            : Bag that the files are added to and whose metadata.yaml is written to
+                     their folder; True: a new bag; None: no metadata.yaml
     continues      : True: the simulation continues after a failure, which is logged; False: the caller ends it
 
     Counters: `written` messages in closed chunks of the files, `queued` messages, `lost` messages

@@ -36,7 +36,7 @@ class ArrayFile:
     time (k,) s, steps (k,), bodies (n,) names, poses (k, n, 4, 4) body -> world, m,
     twists (k, n, 6) (omega, v) rad/s and m/s in body axes, energy (k,) J,
     residual (k,) largest joint residual, m or rad; errors (k, n, 4) estimated errors, m, rad, m/s
-    and rad/s, if the simulation carries an estimate; on request joints (j,) names and reactions
+    and rad/s, if the simulation has an estimate; on request joints (j,) names and reactions
     (k, j, 6), see Sample.reactions, forces (f,) names and efforts (k, f), see Sample.force_efforts,
     driven (d,) names and drive_efforts (k, d), with rigid stops impact_time (i,) s and impulses (i, j, 6)
     of all joints, see Engine.drain_impacts; sensors/NAME (k, m) of each sensor of the scene, see
@@ -228,7 +228,7 @@ class LogFile:
         self._recorder.write(self._events, stamp_ns, LogCodec.encode(stamp_ns, level, name, text))
 
     def _report(self, which):
-        """Record what happened at joints with stops or friction."""
+        """Record the modes, events and impulses of joints with stops or friction."""
         if self._reports is None:
             return
         due = [(r.time_ns, partial(self._write, r)) for r in getattr(self._reports, which)()]

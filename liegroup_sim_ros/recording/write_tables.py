@@ -71,7 +71,7 @@ class TableFile(_Table):
     quaternion qx qy qz qw (body to world), angular velocity wx wy wz (rad/s) and velocity vx vy vz
     (m/s) in body axes; position and velocity of each joint with one degree of freedom (rad and
     rad/s, or m and m/s); energy (J); largest constraint residual (m or rad); estimated errors of
-    each body, if the simulation carries an estimate; on request the reaction of each joint, torque
+    each body, if the simulation has an estimate; on request the reaction of each joint, torque
     tx ty tz (N m) and force fx fy fz (N), see Sample.reactions, and the effort (N m or N) of each
     spring, motor and servo at a joint, see Sample.force_efforts, and of each driven joint; with rigid
     stops the sum of the impulses of each joint at the impacts since the last row (N m s, N s), see
@@ -193,5 +193,5 @@ def joint_names(simulation):
 
 
 def has_estimate(simulation):
-    """Whether a simulation carries an estimate of its error."""
+    """Whether a simulation estimates its error."""
     return simulation.sample().errors is not None
