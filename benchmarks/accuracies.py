@@ -19,7 +19,7 @@ Steps of the simulations to an accuracy are at most a fiftieth of the horizon.
 the accuracy (said), the last time of a known true motion (unknown), or the time limit (budget). `true`:
 largest true error until then; `estimate`: that of the run. Fixed configurations, without an estimate, are
 `rkmk4` and `rkmk8` with steps from a fiftieth of the horizon down, and `rkmk54` and `rkmk853` with tolerances
-from 1e-2 down. Cheapest: the one that `trade` chooses: its errors and those of the next two finer ones stay
+from 1e-2 down. Cheapest: the choice of `trade`, where its errors and those of the next two finer ones stay
 below a third of the accuracy. Least: the cheapest one whose errors stay below the accuracy; finding it requires
 the true motion. CPU times are per simulated second, the fastest of three runs if they are short.
 """

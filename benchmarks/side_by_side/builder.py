@@ -92,7 +92,7 @@ class Builder:
     def rod(self, parent, start, end, mass, width, velocity, spin=0.0):
         """Index of a new rod on a ball at `start`, whose `end` has a velocity (3,), m/s.
 
-        spin : rad/s, about itself. The velocity must suit the length; width is that of a square, m
+        spin : rad/s, about itself. The velocity must keep the length; width: side of the square section, m
         """
         start, end = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
         along = end - start

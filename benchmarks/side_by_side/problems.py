@@ -180,7 +180,7 @@ class _Planar:
 def four_bar(density=1000.0):
     """P3: planar four-bar, its crank at 90 degrees turning at 10 pi rad/s, gravity along -y.
 
-    density : kg/m^3 of the bars; the exact ends are those of 1000
+    density : kg/m^3 of the bars; the exact end states are for 1000
     """
     crank, rod, base, rate = 0.5, 1.0, 1.0, 10.0 * pi
     # The elbow is the upper intersection of circles about the crank's tip and the rocker's pivot.
