@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signals that end a program: they set a flag that it checks, so that it ends in order and loses nothing."""
+"""Signals that end a program: handlers set a flag, and the program ends in order when it sees the flag."""
 
 import signal
 import threading

@@ -105,7 +105,7 @@ class SimNode(AnsweringNode):
         self.scene_run.start()
 
     def _command(self, name, parameter):
-        """Callback of a service that executes a command; its argument: value of `parameter`, if not ""."""
+        """Callback of a service that executes a command, with the value of `parameter` unless that is ""."""
         command = name.removesuffix("_snapshot")
 
         def serve(*_):
@@ -119,7 +119,7 @@ class SimNode(AnsweringNode):
     async def load(self, make_scene, paused=None):
         """Replace the running scene; returns (Scene, state of its run). If Refused, the previous one continues.
 
-        make_scene : function that returns the Scene, or None for that of the parameter; called in a thread
+        make_scene : function that returns a Scene, or None for the parameter's one; called in another thread
         paused     : whether it starts paused; None: as the previous one
         """
         if self._loading:

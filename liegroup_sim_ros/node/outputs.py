@@ -294,7 +294,7 @@ class Outputs:
     def servo_targets(self, stamp_ns, changed):
         """Publish the wanted values of all servos from this stamp on.
 
-        changed : {joint: (position, velocity)}; empty: all return to those of the scene
+        changed : {joint: (position, velocity)}; empty: all servos return to the values of the scene
         """
         self.targets = self.targets | changed if changed else {}
         self._targets.send(stamp_ns, self._targets_now(stamp_ns))

@@ -106,7 +106,7 @@ def _values(request):
 
 
 def _body(node, name):
-    """Name of a body in the scene, from this name or from that of its link in a robot."""
+    """Name of a body in the scene, from its own name or the name of its link in a robot."""
     scene = node.scene_run.simulation.scene
     names = [body.name for body in scene.bodies]
     links = {} if scene.robot is None else {link: body for body, link in scene.robot.links.items()}

@@ -75,7 +75,7 @@ TABLE = (
         "world_folders",
         "",
         "folders, separated by colons, from which (with subfolders) requests may load scenes and robots, in "
-        "addition to that of scene, the example scenes and the search paths of ROS and Gazebo; /: any file",
+        "addition to the tree of scene, the example scenes and the search paths of ROS and Gazebo; /: any file",
     ),
     Entry(
         "accuracy",

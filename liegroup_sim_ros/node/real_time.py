@@ -37,8 +37,8 @@ class RealTime:
     simulation : liegroup_core.Simulation
     pacer      : Pacer
 
-    share, share_of_messages : of a core that the integration, and messages and recording, take in real
-                               time: means of the last SHARE_PERIOD; 0 before the first
+    share, share_of_messages : shares of a core that the integration, and messages with recording, take in
+                               real time, in the last SHARE_PERIOD; 0 before the first
     factor : real-time factor between the last two calls of `slow`
     """
 

@@ -242,7 +242,7 @@ def begin_simulation(values, folders, make_scene):
     """Create a simulation in a thread; returns its Future.
 
     folders    : from which files may be read, with subfolders
-    make_scene : function that returns the Scene, or None for that of the parameter
+    make_scene : function that returns a Scene, or None for the scene of the parameter
     """
 
     def work():

@@ -48,7 +48,7 @@ class Moment(NamedTuple):
 
 
 class SimulationCommands:
-    """Base class of SimulationServer: its commands. They return one line of text; `call` lists exceptions."""
+    """Commands of a SimulationServer, its subclass. Each returns one line of text; `call` lists exceptions."""
 
     def _refuse_if_faulted(self):
         if self.state == "faulted":

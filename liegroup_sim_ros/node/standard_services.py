@@ -133,7 +133,7 @@ class Control:
         if requested == current:
             raise Refused(codes.ALREADY_THERE, "")
         if (current, requested) == (codes.STOPPED, codes.PAUSED):
-            raise Refused(codes.INCORRECT_TRANSITION, "the simulation is stopped: it is paused at step 0")
+            raise Refused(codes.INCORRECT_TRANSITION, "the simulation is already paused at step 0 (stopped)")
         if requested == codes.QUITTING:
             self._signals.received = True
             return "the node is shutting down"

@@ -54,7 +54,7 @@ class WrenchInput(CountedInput):
     bodies       : names of the bodies
     world_frame  : frame id of the world
     frame_prefix : prefix of the frame ids of the bodies
-    links        : {body: second name of its frame: its link in a robot file}
+    links        : {body: its link in a robot file}, second names of the frames
     merged       : {link: (its body, (4, 4) pose in the body frame)} of other links
     """
 

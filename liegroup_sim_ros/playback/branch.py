@@ -25,7 +25,7 @@ class Branches:
     """Simulations that continue a Recording from any instant.
 
     other : settings that replace recorded ones, see rerun.make_simulation
-    simulation : the one that all branches use; each sets its state
+    simulation : Simulation that all branches share; each sets its state
     Raises RecordingError, SceneError, ReplayError
     """
 

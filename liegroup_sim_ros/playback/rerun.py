@@ -92,7 +92,7 @@ class Rerun:
         self.ratio = recording.settings["step"] / simulation.step
 
     def begin(self, stretch, checkpoint=None):
-        """Set the state of the first step of a Stretch, or that of a checkpoint in it.
+        """Set the state at the first step of a Stretch, or at a checkpoint in it.
 
         checkpoint : entries of the checkpoint. Raises ReplayError
         """
@@ -206,6 +206,6 @@ def _arrays(recording, state):
             raise ValueError
     except (KeyError, TypeError, ValueError, OverflowError):
         raise RecordingError(
-            f"{recording.path}: its initial state is not 12 and 6 numbers for each of {n} bodies"
+            f"{recording.path}: its initial state must have 12 and 6 numbers for each of {n} bodies"
         ) from None
     return pose, twist, angles

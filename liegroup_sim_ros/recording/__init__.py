@@ -48,7 +48,7 @@ __all__ = ["RecordingError", "read_recording"]
 
 
 def __getattr__(name):
-    """Import the reader on first use: it loads compiled code, the errors do not."""
+    """Import the reader on first use: it loads compiled code, which RecordingError does not need."""
     if name == "read_recording":
         from .read import read_recording
 

@@ -29,7 +29,7 @@ class Stretch:
     distributed.
     """
 
-    begin_ns: int  # stamp of the event that begins it; of the first one base_ns
+    begin_ns: int  # stamp of the event that begins it; for the first stretch base_ns
     base_ns: int  # stamp of step 0
     end_ns: float  # stamp of the event that ends it, or infinity
     step: float  # s

@@ -3,7 +3,7 @@
 
 The file is not trusted: every length is checked before anything of that size is read, decompressed
 or allocated, and all checksums of the format are compared. Damaged chunks are skipped and reported.
-Memory is that of one chunk, time is linear in the size of the file. An unfinished file is read up
+Memory is bounded by one chunk, time is linear in the size of the file. An unfinished file is read up
 to its last closed chunk.
 
 The library `mcap` creates an object per message, about 5 us. Here a compiled loop finds the

@@ -76,7 +76,7 @@ class MotionTrack(NamedTuple):
 
     stamp_ns: np.ndarray  # (k,) from each stamp on
     names: tuple  # of the joints
-    motion: np.ndarray  # (k, d, 7); an infinite origin: that of the scene
+    motion: np.ndarray  # (k, d, 7); an infinite origin means the motion of the scene
 
 
 class _ModeTrack(NamedTuple):

@@ -45,7 +45,7 @@ def refuse_old_parts(path, number):
 
 
 def reason(error):
-    """Text of an error, one line; of an OSError that of the operating system."""
+    """Text of an error, one line; for an OSError the text of the operating system."""
     if isinstance(error, FileLostError):
         return str(error)
     return getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"

@@ -154,7 +154,7 @@ class TableFile(_Table):
 
 
 class TorqueFile(_Table):
-    """Table of driven joints: time; of each its position, velocity, and the effort that it requires.
+    """Table of driven joints: time; position, velocity and required effort of each joint.
 
     rad, rad/s and N m, or m, m/s and N; nan where redundant constraints leave an effort undetermined.
     A screw has the angle, and the torque about its axis.
