@@ -17,7 +17,7 @@ from .singular_poses import SIDES, WEIGHTS, add_aside, begin_aside, end_aside, g
 from .switches import apply_switches, set_row_efforts
 from .trees import apply_wrenches, gather, move_links, spread, spread_response
 
-# Each refinement multiplies the error in regular directions by the shift of W divided by its pivot.
+# Each refinement multiplies the error in regular directions by (shift of W) / pivot.
 REFINEMENTS_WHEN_SINGULAR = 4
 
 
@@ -38,7 +38,7 @@ def apply_forces(model, work, external):
 
 @subroutine
 def _refine(model, work):
-    """Add the accelerations for what the present ones leave of the equations of motion."""
+    """Solve for the residual of the equations of motion and add the correction to the accelerations."""
     for f in range(len(work.total)):
         work.total[f, 0] = work.acceleration[f, 0]
     for b in range(len(model.bodies)):
@@ -61,9 +61,9 @@ def _refine(model, work):
 
 @subroutine
 def solve_equations(model, work):
-    """Accelerations of all freedoms for the kinematics and applied wrenches that `work` has.
+    """Accelerations of all degrees of freedom for the kinematics and applied wrenches in `work`.
 
-    returns as `accelerations`
+    returns the same as `accelerations`
     """
     gather(model, work)
     refinements = model.refinements
@@ -91,9 +91,9 @@ def solve_equations(model, work):
 
 @kernel
 def balance(model, work):
-    """Apply stops and friction and find the accelerations; friction by load with them: see loads.py.
+    """Apply stops and friction, and solve for the accelerations; iterates friction by load, see loads.py.
 
-    returns as `accelerations`
+    returns the same as `accelerations`
     """
     if len(model.switches) == 0:
         return solve_equations(model, work)
@@ -111,7 +111,7 @@ def balance(model, work):
 
 @shared
 def _accelerations_of_stage(model, work, external):
-    """Accelerations of the stage as it is; returns as `accelerations`."""
+    """Accelerations at the stage, not displaced; returns the same as `accelerations`."""
     if model.only_free_bodies:
         work.report[PIVOT] = 1.0
         accelerations_of_free_bodies(model, work, external)
@@ -129,7 +129,7 @@ def _accelerations_of_stage(model, work, external):
 def _accelerations_aside(model, work, external):
     """Accelerations near a singular pose, from displaced stages; returns -1: see singular_poses.py.
 
-    Where they are not determined beside the pose either, they stay those of the stage, by the masses.
+    If a displaced stage is singular, too, or cannot be projected, those of the regularised solve remain.
     """
     regular, pivot = work.report[SINGULAR_SOLVES], work.report[PIVOT]
     d, sides, first = begin_aside(model, work), len(SIDES) - 1, pivot
@@ -139,7 +139,7 @@ def _accelerations_aside(model, work, external):
         d, sides, first = 0.0, 1, 0.0
     for side in range(1, sides + 1):
         go_aside(model, work, SIDES[side] * d)
-        # Beside a singular pose pivots grow as the square of the distance.
+        # Pivots grow with the square of the distance from a singular pose.
         least = max(AT, 2.0 * SIDES[side] * SIDES[side] * first)
         if (
             project(model, work) != OK
@@ -156,7 +156,7 @@ def _accelerations_aside(model, work, external):
 
 @kernel
 def accelerations(model, work, external):
-    """Accelerations of all freedoms at the stage, to work.acceleration.
+    """Write the accelerations of all degrees of freedom at the stage to work.acceleration.
 
     external : (n, COLUMNS), see forces/external.py
     returns -1, or the joint with dependent rows if the regularised solve fails too

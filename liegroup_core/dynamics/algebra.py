@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The algebra of the sweeps, selected by the type of the model: se(3), or se(2) in a plane.
 
-A sweep is written once. It asks these functions, those of links.py, and the motion group of a link. In
-space twists and wrenches are pairs of an angular and a linear part, in a plane (omega, v_x, v_y).
+Each sweep is written once. It calls these functions, those of links.py, and those of a link's motion group.
+Twists and wrenches are pairs of an angular and a linear part in space, and (omega, v_x, v_y) in a plane.
 """
 
 from liegroup_core.compiling import Choice
@@ -16,12 +16,12 @@ from liegroup_core.motion_groups.table import by_model, in_world_axes, relative_
 
 
 def choice(name, space, plane):
-    """Choice of two functions."""
+    """Choice between two functions: for models in space, and in a plane."""
     return Choice(name, {RelativeModel: space, PlaneModel: plane})
 
 
 def by_space(name, space, plane):
-    """Choice of the function of this name of two modules."""
+    """Choice between the functions of this name in two modules."""
     return choice(name, getattr(space, name), getattr(plane, name))
 
 
@@ -41,7 +41,7 @@ _CALLED = (add3, add_to3, axpy3, dot3, load3, load9, store3, sub3)
 _CALLED += (in_world_axes, relative_pose, se2_compose, se3_compose)
 _CALLED += (se2_Ad_inverse, se2_wrench, se3_Ad_inverse, se3_wrench, place, slides)
 
-# Numbers of a twist, and the first column of those in a row (6) of a Jacobian.
+# Number of components of a twist, and their first column in a row (6) of a Jacobian.
 size, offset = _of("size", "", "return 6", "return 3"), _of("offset", "", "return 0", "return 2")
 # Record of link b.
 link_of = _of("link_of", "b", "return model.bodies[b]", "return model.links[b]")
@@ -66,8 +66,8 @@ add_row = _of(
     "return e[0], axpy3(slip, load3(rows, r, 3), e[1])",
     "return axpy3(slip, (0.0, rows[r, 3], rows[r, 4]), e)",
 )
-# Component of a wrench that is the force of a hinge, screw, slide or cylinder (component 1 for its
-# displacement, else 0), and the wrench with this component alone.
+# Index of the wrench component along the freedom of a hinge, screw, slide or cylinder (component 1: displacement
+# of a cylinder, else 0), and the wrench with this component alone.
 column = _of(
     "column", "link component", "return 5 if component == 1 or slides(link) else 2", "return 1 if slides(link) else 0"
 )
@@ -77,7 +77,7 @@ unit = _of(
     "return (ZERO3, (0.0, 0.0, value)) if column == 5 else ((0.0, 0.0, value), ZERO3)",
     "return (0.0, value, 0.0) if column == 1 else (value, 0.0, 0.0)",
 )
-# Pose of link b in its parent; a twist of the parent in the axes of b, a wrench on b in those of the parent.
+# Pose of link b in its parent; a parent's twist in the axes of b, a wrench on b in the parent's axes.
 relative = _of(
     "relative",
     "work b",
@@ -91,7 +91,7 @@ compose = _of("compose", "X Y", "return se3_compose(X[0], X[1], Y[0], Y[1])", "r
 placed = _of(
     "placed", "work b", "return load9(work.world, b, 0), load3(work.world, b, 9)", "return place(work.placed, b)"
 )
-# Coordinates as a pose in the parent; a pose and a twist as in space, z normal to the plane; and back.
+# Pose in the parent from coordinates; pose and twist lifted to space, z normal to the plane; twist in the plane.
 in_parent = _of(
     "in_parent",
     "link coordinates row",

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Coordinates of links: from poses and twists of the bodies, and back.
 
-A state that is set has poses and twists of the bodies: the coordinates follow from them once. Poses
-that violate a joint of the tree are moved onto it, the parents first. From then on the coordinates
-are the state, and the bodies follow from them. To find them again in every step would add the
-round-off of poses to them, always to the same side: 1e-15 in a step of a mechanism of 10 m.
+A new state is given as poses and twists of the bodies. The coordinates are computed from them once; a pose
+that violates a joint of the tree is moved onto it, parents first. From then on the coordinates are the
+state, and the bodies follow from them. Computing the coordinates from poses in every step would add the
+round-off of poses, always with the same sign: 1e-15 per step in a mechanism of 10 m.
 """
 
 from liegroup_core.compiling import kernel, shared
@@ -55,7 +55,7 @@ _displace, _displace_by_twist, _normalise = map(algebra.of_group, ("displace", "
 
 @kernel
 def displace_by_twist(model, b, coordinates, screws, at, out):
-    """`displace` where Psi is in link axes for all groups."""
+    """`displace` with Psi in link axes for all groups."""
     row = len(model.parts) + b
     return _displace_by_twist(model, link_of(model, b), coordinates, row, screws, at, out)
 
@@ -73,7 +73,7 @@ def displace(model, b, coordinates, screws, at, out):
 
 @kernel
 def normalise(model, b, coordinates):
-    """Remove the round-off by which the coordinates of link b leave the group."""
+    """Project the coordinates of link b back onto the group, which removes round-off."""
     _normalise(model, link_of(model, b), coordinates, len(model.parts) + b)
 
 
@@ -123,7 +123,7 @@ def coordinates(model, work, pose, twist):
                 rot = matmul3(load9(world, a, 0), rot)
             store9(rot, world, b, 0)
             store3(r_a, world, b, 9)
-            # The second axis does not rotate about the first: its rate is the component along it.
+            # The axes are perpendicular: the rate about the first is the component of w_rel along it.
             w_rel = sub3(
                 matvec3(load9(world, b + 1, 0), spatial(model, load(model, velocities, b + 1))[0]),
                 matvec3(load9(world, a, 0), w_a) if a != WORLD else ZERO3,

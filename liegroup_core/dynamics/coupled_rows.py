@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rows of couplings and driven joints beside those of cut joints: residuals and velocities.
+"""Rows of couplings and driven joints: residuals and velocities.
 
-Either is one of the cut joints, with an element and rows of zeros; what is not zero is added here.
-couplings.py has forces and accelerations. The row of a driven joint is that of a coupling without a
-second joint, and rheonomic: its coordinate, rate and acceleration are those of its motion at the
-time of the stage, work.clock[NOW].
+The model has each of them as a cut joint with an element and rows of zeros; this module adds the nonzero
+terms, couplings.py forces and accelerations. The row of a driven joint is that of a coupling without a
+second joint, and rheonomic: its coordinate, rate and acceleration are those of the prescribed motion at
+the time of the stage, work.clock[NOW].
 """
 
 from liegroup_core.compiling import kernel
@@ -21,7 +21,7 @@ from .rows import set_rows
 
 @kernel
 def set_all_rows(model, work):
-    """Rows of all cut joints and couplings: see rows.set_rows."""
+    """Set the rows of all cut joints and couplings; see rows.set_rows."""
     set_rows(model, work)
     n = len(model.parts)
     for c in range(len(model.couplings)):
@@ -41,9 +41,9 @@ def set_all_rows(model, work):
 
 @kernel
 def set_coupled_gaps(model, work, moves, moved):
-    """Position residuals of the couplings at the stage, to work.gap.
+    """Write the position residuals of the couplings at the stage to work.gap.
 
-    moves, moved : (f, 1) rad or m; 1: they are added to the coordinates, 0: they are not
+    moves : (f, 1) changes of the coordinates, rad or m;  moved : 1 to add them, else 0
     A residual below the round-off of its terms is 0.
     """
     for c in range(len(model.couplings)):
@@ -68,9 +68,9 @@ def set_coupled_gaps(model, work, moves, moved):
 
 @kernel
 def set_gap(model, work):
-    """Position residuals of all cut joints and couplings at the stage, to work.gap.
+    """Write the position residuals of all cut joints and couplings at the stage to work.gap.
 
-    Of a switch the coordinate is kept in work.reach; its residual is what is left to where it is held.
+    The coordinate of a switch goes to work.reach. Its residual is the distance from the held coordinate, or 0.
     """
     position_residuals(model, work.world, work.gap)
     set_coupled_gaps(model, work, work.acceleration, 0)

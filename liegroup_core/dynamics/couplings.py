@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Couplings of two links of the spanning tree: coordinates, and the forces that a multiplier causes.
 
-The row of a coupling is constant in the rates of the tree: sign_0 in that of the first link, -ratio
-sign_1 in that of the second. The coordinate of a joint is its sign times that of its link. As J^T
-lambda, a torque or force acts on each link, and its reaction on the parent link. Rows that are
-linear in coordinates of SO(2) and R are kept by every Runge-Kutta method: they do not drift, but for
-those of driven joints, whose motion depends on time.
+The row of a coupling has constant coefficients: sign_0 for the rate of the first link, -ratio sign_1 for
+that of the second. The coordinate of a joint is its sign times that of its link. J^T lambda is a torque or
+force on each link, and its reaction on the parent link. Every Runge-Kutta method satisfies rows that are
+linear in coordinates of SO(2) and R without drift, except those of driven joints, whose motion depends on
+time.
 
-coupled_rows.py has the rest.
+Residuals and velocities are in coupled_rows.py.
 """
 
 from liegroup_core.compiling import kernel
@@ -24,7 +24,7 @@ def link_coordinate(model, b, pose):
 
 @kernel
 def link_shift(model, b, pose):
-    """Displacement of link b along its axis: cylinder. No link of a plane is one."""
+    """Displacement of link b along its axis, for a cylinder; planar models have none."""
     return pose[len(model.parts) + b, 4]
 
 
@@ -33,7 +33,7 @@ def add_pair(model, work, b, component, value, out, stride):
     """Add a generalised force on link b, and its reaction on the parent, to wrenches.
 
     component : 1 for the displacement of a cylinder, else 0
-    out : row stride * (number of a link) has its wrench
+    out : its row stride * b has the wrench of link b
     """
     link = link_of(model, b)
     axis = column(model, link, component)
@@ -60,7 +60,7 @@ def _add_effort_in_space(model, work, b, component, value):
 
 @kernel
 def _add_effort_in_plane(model, work, b, component, value):
-    # The links have bias forces already.
+    # The bias forces in work.force are already set, so they change, too.
     add_pair(model, work, b, component, value, work.applied, 1)
     add_pair(model, work, b, component, -value, work.force, 1)
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A short path for scenes of free bodies: Newton and Euler, body by body.
+"""Fast path for scenes of free bodies: Newton-Euler equations, body by body.
 
-Where all links float, each with one body, and no joint connects them, the frame of a link is that of its
-body: coordinates and rates are pose and twist. The mass matrix is constant, and its inverse is in the
-model, so that no inertia is gathered and no freedom is eliminated.
+If all links float, each with one body, and no joint connects them, the frame of a link is that of its body:
+coordinates and rates are pose and twist. The mass matrix is constant and the model has its inverse, so no
+inertia is gathered and no degree of freedom is eliminated.
 """
 
 from liegroup_core.compiling import kernel
@@ -37,7 +37,7 @@ def copy_links(model, pose, twist):
 
 @kernel
 def accelerations_of_free_bodies(model, work, external):
-    """Accelerations of all freedoms at the stage, to work.acceleration: M^-1 Q in body axes.
+    """Write the accelerations of all degrees of freedom at the stage, M^-1 Q in body axes, to work.acceleration.
 
     external : (n, COLUMNS) external wrenches, see forces/external.py
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Changes of the rates of all freedoms by impulses on links, with closed loops."""
+"""Velocity changes caused by impulses on links, with closed loops."""
 
 from liegroup_core.compiling import kernel
 
@@ -13,7 +13,7 @@ from .trees import spread_response
 
 @kernel
 def factor_rows(model, work):
-    """Articulated inertias and the factor of W at the pose of the stage, whose links are placed.
+    """Articulated inertias and the factor of W at the pose of the stage; call place_links first.
 
     returns -1, or the joint with dependent rows if the regularised solve fails, too
     """
@@ -25,7 +25,7 @@ def factor_rows(model, work):
     found = -1
     if factor_alone(model, work, 0.0) >= 0:
         found = factor_alone(model, work, REGULARISATION)
-    # An impulse does not change what the rows ask of the velocities before it.
+    # An impulse must not change J V, so the rows have no bias.
     for r in range(len(work.bias)):
         work.bias[r] = 0.0
     return found
@@ -33,7 +33,7 @@ def factor_rows(model, work):
 
 @kernel
 def clear_impulses(model, work):
-    """Begin a sum of impulses, in work.force with the opposite sign and in work.multipliers."""
+    """Clear the sum of impulses: work.force, which has the opposite sign, and work.multipliers."""
     for b in range(len(model.bodies)):
         for c in range(work.force.shape[1]):
             work.force[b, c] = 0.0
@@ -53,9 +53,9 @@ def add_impulse(model, work, k, value):
 
 @kernel
 def respond_to_impulses(model, work):
-    """Changes of all rates to work.acceleration, of the links to work.moved, by work.force.
+    """Write the changes of all rates due to work.force to work.acceleration, those of link twists to work.moved.
 
-    returns twice the energy that the impulses add to the tree at rest, without closed loops
+    returns twice the energy that the impulses would give the tree at rest, without closed loops
     """
     gather_forces(model, work)
     if len(model.joints) > 0:

@@ -6,8 +6,8 @@ world,
     Vdot_b = X Vdot_a + [V_b, S qdot] + S qddot
 from the world to the leaves, and from the leaves to the world
     F_b = I Vdot_b - ad_V^T I V_b - W_b + sum of X^T F of its children ,   f_b = S^T F_b
-W_b are the applied wrenches less J^T lambda of the cut joints. Own inertias of the links enter, no
-sums of them, so that the result has the digits that articulated inertias may lose.
+W_b are the applied wrenches minus J^T lambda of the cut joints. The links' own inertias enter, not sums of
+them, so the result keeps digits that articulated inertias may lose.
 
 Source: Featherstone, Rigid Body Dynamics Algorithms, section 5.3 (recursive Newton-Euler).
 """
@@ -33,7 +33,7 @@ def _accelerate(model, work, rates):
 
 @subroutine
 def inverse_dynamics(model, work, rates, force_out):
-    """Forces that the freedoms lack for given accelerations: M qddot + bias + J^T lambda - S^T W.
+    """Generalised forces still needed for given accelerations: M qddot + bias + J^T lambda - S^T W.
 
     rates     : (f, 1) qddot, rad/s^2 or m/s^2
     force_out : (f,) N m or N; zero if the equations of motion hold

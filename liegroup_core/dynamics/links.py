@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the sweeps ask of a link or of a cut joint, selected by the type of the model."""
+"""Operations of the sweeps on a link or a cut joint, in space or in a plane by the type of the model."""
 
 from . import plane, space
 from .algebra import by_space as _by_space

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Friction by load: the force in a joint across its axis, which depends on the friction itself.
+"""Friction by load: by the joint force normal to the axis, which itself depends on the friction.
 
-    friction = (coulomb + mu r N) ,  N = |force of the joint across its axis|
+    friction = (coulomb + mu r N) ,  N = |joint force normal to the axis|
 
 with the radius r of the bearing; r = 1 where the joint translates. N follows from the accelerations,
-which depend on the friction: N = f(N) is solved by iteration, from N = 0 at every stage. Each one
-takes the change of the last two into account (Aitken's, for vectors), so that few are enough. Where
-the first iterations do not get nearer, sliding friction has no solution or several (Painleve's
-paradox): that is reported.
+which depend on the friction: N = f(N) is solved by iteration, from N = 0 at every stage. Aitken's
+acceleration, for vectors, keeps the iterations few. If the first ones do not converge, sliding friction has
+no solution or several (Painleve's paradox), which is reported.
 
 Source: Irons and Tuck, Int. J. Numer. Meth. Eng. 1 (1969) 275; Pfeiffer and Glocker, Multibody
 Dynamics with Unilateral Contacts, chapter 8. Accuracy: test/verification/test_friction_by_load.py.
@@ -26,16 +25,16 @@ from .residuals import add_multipliers, add_own_forces, gather_forces
 LOAD, FOUND, OLD_LOAD, OLD_FOUND = 0, 1, 2, 3
 GIVEN, UNSETTLED, REST = range(3)  # of Work.iteration
 MOST_ITERATIONS = 60
-SETTLED = 1e-14  # of the loads
-CLOSE = 1e-11  # an iteration that does not get nearer from here on has the digits that there are
-NEARER = 0.95  # the second iteration must be nearer than the first, by this factor
+SETTLED = 1e-14  # residual, relative to the largest load
+CLOSE = 1e-11  # below it, a residual that no longer decreases is at round-off level
+NEARER = 0.95  # the second iteration must reduce the residual at least by this factor
 
 
 @kernel
 def gather_lacking(model, work):
-    """Wrenches that the links lack from their parents to work.force; along held freedoms to -u.
+    """Write the wrenches that links need from their parents to work.force, efforts of held freedoms to -u.
 
-    returns the sum of the magnitudes of all wrenches on single links
+    returns the sum of the magnitudes of the wrenches that single links need
     """
     for b in range(len(model.bodies)):
         for c in range(work.moved.shape[1]):
@@ -52,7 +51,7 @@ def gather_lacking(model, work):
 
 @kernel
 def _bearing_load(model, work, j):
-    """Force of cut joint j across its axis, N."""
+    """Force of cut joint j normal to its axis, N."""
     joint = model.joints[j]
     force = ZERO3
     for r in range(joint["first"], joint["first"] + joint["rows"]):
@@ -65,7 +64,7 @@ def _bearing_load(model, work, j):
 
 @kernel
 def find_loads(model, work):
-    """Loads at the present accelerations, to work.loads; after gather_lacking."""
+    """Write the loads at the present accelerations to work.loads; call gather_lacking first."""
     for k in range(len(model.switches)):
         switch = model.switches[k]
         b = switch["link"]
@@ -87,13 +86,13 @@ def begin_loads(model, work):
 
 @kernel
 def _is_free(model, work, k):
-    """Whether switch k neither is held nor rests because of others."""
+    """Whether switch k is neither held nor at rest because of others."""
     return work.held[model.switches[k]["freedom"]] == 0.0 and work.modes[k, RESTS] == 0.0
 
 
 @kernel
 def _apply(model, work, k, load):
-    """Let switch k slide with another load."""
+    """Set the load of switch k, and apply the change of its sliding friction."""
     switch = model.switches[k]
     b = switch["link"]
     if b >= 0 and _is_free(model, work, k):
@@ -104,7 +103,7 @@ def _apply(model, work, k, load):
 
 @kernel
 def settle_loads(model, work, iteration):
-    """Change the loads after a solve. Returns whether they have settled, or cannot."""
+    """Update the loads after a solve; returns True once they have converged or cannot converge."""
     slides = False
     for k in range(len(model.switches)):
         by_load = model.switches[k]["sliding_by_load"] * work.modes[k, SLIP]

@@ -27,20 +27,20 @@ from .rows import respond
 from .trees import gather, move_links, spread_response
 
 SINGULAR, POOR = -2, -3
-# Each iteration multiplies the residual of the rows that are determined by AT divided by their pivot.
+# Each iteration multiplies the residual of the independent rows by AT / pivot.
 ITERATIONS_WHEN_SINGULAR = 4
 
 
 @shared
 def gather_alone(model, work):
-    """`gather`, compiled once for all but the accelerations, which inline it."""
+    """`gather`, compiled once for all callers except the accelerations, which inline it."""
     gather(model, work)
     return 0
 
 
 @shared
 def factor_alone(model, work, shift):
-    """`factor`, compiled once for all but the accelerations."""
+    """`factor`, compiled once for all callers except the accelerations."""
     return factor(model, work, shift)
 
 
@@ -72,7 +72,7 @@ def _subtract_responses(model, work):
 
 @shared
 def set_system(model, work):
-    """Rows of all cut joints, their responses, and W, for the articulated bodies that `work` has."""
+    """Rows of all cut joints, their responses, and W, for the articulated bodies in `work`."""
     set_all_rows(model, work)
     for j in range(len(model.joints)):
         respond(model, work, j)
@@ -103,7 +103,7 @@ def set_loops(model, work):
 
 @kernel
 def apply_multipliers(model, work):
-    """Change u of the freedoms by the multipliers that are known: those of switches, not held."""
+    """Subtract the response to the known multipliers, of switches that are not held, from u."""
     for r in range(len(work.right)):
         work.right[r] = work.multipliers[r]
     _subtract_responses(model, work)
@@ -123,8 +123,8 @@ def close_loops(model, work):
 def project(model, work):
     """Project the links at the stage onto the cut joints, in place.
 
-    At a singular pose only what is determined there is corrected. The gap that stays is of second order
-    in the displacement, and is closed at the next pose.
+    At a singular pose only independent rows are corrected. The remaining gap is of second order in the
+    displacement, and is closed at the next pose.
 
     returns a status: OK, NOT_PROJECTED or DEPENDENT_ROWS + (element of `space` << 8). work.report[PIVOT] is the
     smallest pivot of W there, 0 if a row depends on others
@@ -161,7 +161,7 @@ def project(model, work):
             else:
                 displace_by_twist(model, b, work.stage_pose, work.acceleration, f, work.stage_pose)
                 if model.is_empty_tree:
-                    # Its velocity stays as it is in world axes: so linear momentum is conserved.
+                    # Keep the velocity in world axes: this conserves linear momentum.
                     turn = so3_exp(load_column(work.acceleration, f, 0))
                     v = tmatvec3(turn, load3(work.stage_twist, n + b, 3))
                     store3(v, work.stage_twist, n + b, 3)

@@ -4,15 +4,15 @@
 from liegroup_core.compiling import kernel
 from liegroup_core.mechanism.bodies import PIVOT
 
-# Pivots of W below this part of its diagonal are zero: see mechanism/body_model.py.
+# A pivot of W counts as zero below this fraction of its diagonal entry: see mechanism/body_model.py.
 SMALLEST_PIVOT = 1e-10
-# So are those below this part of the diagonal of another row of the joint: in a flat pose a joint
-# may have no mobility at all in one direction.
+# It also does below this fraction of the diagonal entry of another row of the joint: in a flat pose a joint may
+# have no mobility at all in one direction.
 SMALLEST_MOBILITY = 1e-12
-# A solve loses the digits of the largest ratio of a diagonal entry and its pivot, and the refinement
-# that follows gains them back: from here on.
+# If a pivot is below this fraction of its diagonal entry, a refinement follows the solve. It recovers the digits
+# that the small pivot costs.
 SMALL_PIVOT = 1e-2
-# Smallest pivots as parts of the usual one: of a pose near a singular one, and of one that counts as it.
+# Smallest pivot relative to the usual one: below NEAR a pose is near a singular one, below AT it counts as singular.
 NEAR, AT = 2.2e-3, 2e-5
 # Shift of W at a singular pose.
 REGULARISATION = 1e-8
@@ -20,7 +20,7 @@ REGULARISATION = 1e-8
 
 @kernel
 def set_block(model, work, j):
-    """The block of W of joint j, from its responses."""
+    """Set the diagonal block of W of joint j from its responses."""
     first, rows = model.joints[j]["first"], model.joints[j]["rows"]
     W, y = work.matrix, work.response
     at = model.path_places[j]
@@ -51,7 +51,7 @@ def set_block(model, work, j):
 
 @kernel
 def _add_three(model, work, start, end, s, r):
-    """Add the block of two joints with three rows, s and r the first ones, to W."""
+    """Set the block of W of two joints with three rows each, from rows s and r on."""
     y = work.response
     xx, xy, xz, yx, yy, yz, zx, zy, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for e in range(start, end):
@@ -70,7 +70,7 @@ def _add_three(model, work, start, end, s, r):
 
 @kernel
 def set_shared(model, work):
-    """The other blocks of W, within its envelope: those of joints that share freedoms."""
+    """Set the other blocks of W within its envelope, those of joints that share degrees of freedom."""
     W, y = work.matrix, work.response
     for j in range(len(model.joints)):
         first = model.joints[j]["first"]
@@ -98,7 +98,7 @@ def set_shared(model, work):
 
 @kernel
 def _mobility(model, W, r, first, rows):
-    """Largest diagonal entry of W among the rows of a joint that forbid what row r does."""
+    """Largest diagonal entry of W among the rows of a joint that forbid, as row r, a rotation or a translation."""
     largest = W[r, r]
     for s in range(first, first + rows):
         if W[s, s] > largest and model.row_turns[s] == model.row_turns[r]:
@@ -108,7 +108,7 @@ def _mobility(model, W, r, first, rows):
 
 @kernel
 def is_off(model, work, r):
-    """Whether row r is that of a switch which is not held: it does not act."""
+    """Whether row r is inactive: it belongs to a switch that is not held."""
     return model.switched[r] == 1 and work.held[len(work.freedoms) + r] == 0.0
 
 
@@ -116,7 +116,7 @@ def is_off(model, work, r):
 def factor(model, work, shift):
     """Factorise W + shift w = L D L^T, w the diagonal matrix of `_mobility`.
 
-    The multipliers of rows that do not act stay as they are.
+    Inactive rows keep their multipliers.
     returns -1, or the joint of a dependent row
     """
     W, held, smallest = work.matrix, False, 1.0
@@ -132,7 +132,7 @@ def factor(model, work, shift):
             begin = model.first_column[r]
             mobility = _mobility(model, W, r, first, rows)
             pivot = W[r, r] + shift * mobility
-            # W_rr is needed again: L has a unit diagonal, and D is in work.diagonal.
+            # Keep W_rr for later: L has a unit diagonal, and 1 / D goes to work.diagonal.
             for s in range(begin, r):
                 value = W[s, r]
                 for t in range(max(begin, model.first_column[s]), s):
@@ -146,7 +146,7 @@ def factor(model, work, shift):
             if not pivot > least:
                 if not held:
                     return j
-                # Held freedoms satisfy the row with those before it.
+                # The held degrees of freedom and the rows before this one imply it.
                 work.diagonal[r] = 0.0
                 continue
             work.diagonal[r] = 1.0 / pivot

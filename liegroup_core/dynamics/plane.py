@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the sweeps ask of a link or of a cut joint in a plane: space.py with three numbers for a twist.
+"""Operations on a link or a cut joint in a plane: those of space.py, with twists of three components.
 
-Let A be the acceleration of a link, less that of gravity, if no freedom accelerates:
+Let A be the acceleration of a link, minus gravity, if no freedom accelerates:
     A_b = X A_a + [V_b, S qdot] ,   A_world = -g
-In the plane it has no angular part. The bias forces include I A, and the sweeps find the rest:
+In the plane A has no angular part. The bias forces include I A, and the sweeps solve for the rest E:
     Vdot_b = A_b + E_b ,   E_b = X E_a + S qddot ,   E_world = 0
-Nothing depends on gravity or velocities on the way back but the bias forces. Work.drift has A and
-Work.moved has E.
+So only the bias forces depend on gravity and velocities. Work.drift has A and Work.moved has E.
 """
 
 from liegroup_core.compiling import kernel
@@ -44,21 +43,21 @@ def bias_force(model, work, link, b):
 
 @kernel
 def body_wrench(model, work, i):
-    """Of the wrench in space only this acts."""
+    """Components of the wrench in the plane; the others have no effect."""
     torque, force = space.body_wrench(model, work, i)
     return torque[2], force[0], force[1]
 
 
 @kernel
 def apply(model, work, b, F):
-    """The link has a bias force already."""
+    """Apply a wrench to link b; its bias force is already set, so that it changes, too."""
     add_to(model, F, work.applied, b)
     store3(sub3(load(model, work.force, b), F), work.force, b, 0)
 
 
 @kernel
 def move_link(model, work, link, b, S):
-    """V, and A instead of [V, S qdot]; inertia and bias force of the articulated body are set, too."""
+    """Return V, store A instead of [V, S qdot], and set inertia and bias force of the articulated body."""
     X, a, V, bx, by = relative(model, work, b), link["parent"], S, 0.0, 0.0
     ax, ay = -model.plane_gravity[0, 0], -model.plane_gravity[0, 1]
     if a != WORLD:
@@ -76,7 +75,7 @@ def move_link(model, work, link, b, S):
 
 @kernel
 def start(model, work, link, b):
-    """`move_link` has done it: one loop over the links less."""
+    """Do nothing: `move_link` has set them, which saves a loop over the links."""
 
 
 @kernel
@@ -104,7 +103,7 @@ def accelerated(model, work, link, b, g, drift):
 
 @kernel
 def acceleration_of(model, work, b, a):
-    """E: the bias has A."""
+    """E; the bias of the rows includes A."""
     return load(model, work.moved, b)
 
 
@@ -130,7 +129,7 @@ def seen_from(model, work, joint, a, b):
 
 @kernel
 def set_variable_row(model, work, joint, X, error):
-    """The cut joints of planar mechanisms are pairs."""
+    """Return 0: all cut joints of planar mechanisms are pairs."""
     return 0.0
 
 
@@ -144,7 +143,7 @@ def store_parent_row(model, work, X, r):
 
 @kernel
 def row_bracket(model, work, joint, a, b, X, V, W, e):
-    """A of the child, less that of the parent, [V, W] and omega x e: the rows act on E."""
+    """A of the child minus that of the parent, plus [V, W] and omega x e; the rows act on E."""
     ax, ay, w, wa = -model.plane_gravity[0, 0], -model.plane_gravity[0, 1], V[0], W[0]
     if a != WORLD:
         ax, ay = work.drift[a, 0], work.drift[a, 1]
@@ -161,11 +160,11 @@ def set_place(model, work, X, b):
 
 @kernel
 def lift_links(model, work):
-    """From those in the plane."""
+    """Write the poses of all links in the world, from those in the plane."""
     axes = load9(model.axes, 0, 0)
     for b in range(len(model.links)):
         c, s, x, y = place(work.placed, b)
-        # Nearest to a rotation: one Newton iteration.
+        # Normalise the rotation by one Newton iteration.
         scale = 1.5 - 0.5 * (c * c + s * s)
         store9(turned(axes, c * scale, s * scale), work.world, b, 0)
         store3(matvec3(axes, (x, y, model.link_heights[b])), work.world, b, 9)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Wrenches that the joints of the scene transmit, in O(n): one acceleration, then one sweep.
+"""Wrenches that the joints of the scene transmit, in O(n): one solve for accelerations, one sweep.
 
-For the accelerations of a state every body lacks a wrench: M Vdot - ad_V^T M V less the applied
-wrenches. The joints give it. Those of the cut joints follow from their multipliers; without them,
-what a tree joint transmits is the sum over all bodies behind it. The sweep is over the joints of the
-scene: it also finds what a weld transmits, and in a planar mechanism what is normal to its plane.
+The joints of a body must supply M Vdot - ad_V^T M V minus the applied wrenches. The wrenches of cut joints
+follow from their multipliers. With these subtracted, a tree joint transmits the sum over all bodies behind
+it. The sweep runs over the joints of the scene, so it includes welds and, in a planar mechanism, the
+components normal to its plane.
 
 Source: Featherstone, Rigid Body Dynamics Algorithms, section 5.3 (recursive Newton-Euler).
 """
@@ -51,7 +51,7 @@ class ReactionTable(Struct):
     owners: np.ndarray  # (c,) joint of each cut element that is solved for; -1: a coupling, or a
     # stop of a joint of the tree
     hidden: np.ndarray  # (J, 6) bool: components that are NaN in the results
-    lacking: np.ndarray  # (n, 6) scratch: wrench that a body lacks, world axes, about its COM
+    lacking: np.ndarray  # (n, 6) scratch: wrench that a body needs from its joints, world axes, about its COM
 
 
 def reaction_table(layout):
@@ -95,7 +95,7 @@ def reaction_table(layout):
 
 @kernel
 def _set_lacking(model, work, table, weight, out):
-    """Wrench that each body lacks without its joints, to table.lacking; its motion, to out[J:].
+    """Write the wrench that each body needs from its joints to table.lacking, its motion to out[J:].
 
     weight : 1, or 0 without gravity
     """
@@ -122,7 +122,7 @@ def _set_lacking(model, work, table, weight, out):
 
 @kernel
 def _add_at(work, body, torque, force, point, sign, out):
-    """Add or subtract a wrench about a point, world axes, to that of a body about its COM."""
+    """Add sign times a wrench about a point, world axes, to that of a body about its COM."""
     torque = add3(torque, cross3(sub3(point, load3(work.space.stage_pose, body, 9)), force))
     for c in range(3):
         out[body, c] += sign * torque[c]
@@ -131,7 +131,7 @@ def _add_at(work, body, torque, force, point, sign, out):
 
 @kernel
 def _take_cut_joints(model, work, table, out):
-    """Wrenches of the cut joints, world axes about the COM of the child; the bodies lack them less."""
+    """Write the wrenches of cut joints, world axes about the child's COM; subtract them from table.lacking."""
     for k in range(len(model.joints)):
         joint, owner = model.joints[k], table.owners[k]
         if owner < 0:
@@ -206,7 +206,7 @@ def _sweep(model, work, table, weight, out):
 
 @kernel
 def copy_modes(from_model, from_work, model, work_out):
-    """Write the modes of the switches of another model of the same scene; True if they are known."""
+    """Copy the modes of the switches from another model of the same scene; returns whether they are known."""
     for f in range(len(work_out.held)):
         work_out.held[f] = 0.0
     known = True
@@ -227,12 +227,12 @@ def joint_wrenches(model, work, table, pose_in, twist_in, external_in, out_in):
     """Wrench of every joint on its child: torque, force in the axes of the child's joint frame.
 
     pose (n, 12), twist (n, 6) : of the bodies;  external : (n, COLUMNS), see forces/external.py
-    out : (J + n, 6) the wrenches, NaN where table.hidden; then of each body angular acceleration and
-          specific force (acceleration less gravity) at the centre of mass, in its axes
-    The torque is about the origin of that frame. Redundant rows, which are eliminated, transmit
-    nothing. A coupling acts in the freedoms of its joints. Springs, motors and other forces are no
-    part of it; stops and friction are, in the modes of work.held and work.modes. Returns -1, -2 at a
-    singular pose, or the joint with dependent rows if the solve fails.
+    out : (J + n, 6) the wrenches, NaN where table.hidden; then angular acceleration and specific force
+          (acceleration minus gravity) of each body at its centre of mass, in its axes
+    The torque is about the origin of the joint frame. Redundant rows are eliminated and transmit nothing. A
+    coupling acts along the degrees of freedom of its joints. Springs, motors and other forces are excluded;
+    stops and friction are included, in the modes of work.held and work.modes. Returns -1, -2 at a singular
+    pose, or the joint with dependent rows if the solve fails.
     """
     pose, twist = borrowed(pose_in), borrowed(twist_in)
     external, out = borrowed(external_in), borrowed(out_in)

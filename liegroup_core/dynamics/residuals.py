@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What accelerations leave of the equations of motion and of the rows of cut joints."""
+"""Residuals of the equations of motion and of the rows of cut joints, for given accelerations."""
 
 from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.joints.elements import WORLD
@@ -12,10 +12,10 @@ from .trees import spread, spread_response
 
 @kernel
 def add_own_forces(model, work):
-    """Add the wrench that every single link lacks for its acceleration in work.moved to work.force.
+    """Add the wrench that every single link needs for its acceleration in work.moved to work.force.
 
-    Own inertias and accelerations of links are small numbers where articulated inertias are sums of
-    very different ones: the residual has the digits that a solve with those loses.
+    It uses the links' own inertias, where articulated inertias are sums of very different numbers. So the
+    residual keeps digits that a solve with articulated inertias loses.
     """
     for b in range(len(model.bodies)):
         link = link_of(model, b)
@@ -34,7 +34,7 @@ def gather_forces(model, work):
 
 @kernel
 def gather_residual(model, work):
-    """u of all freedoms for what the accelerations in work.moved leave of the equations of motion.
+    """u of all degrees of freedom for the residual of the equations of motion at work.moved.
 
     work.force : J^T lambda of the cut joints (L, s); overwritten
     """
@@ -61,7 +61,7 @@ def add_multipliers(model, work):
 
 @kernel
 def _set_right(model, work):
-    """J Vdot - bias of the rows at the accelerations in work.moved, to work.right."""
+    """Write J Vdot - bias of the rows at the accelerations in work.moved to work.right."""
     for j in range(len(model.joints)):
         joint = model.joints[j]
         a, b = joint["parent"], joint["child"]
@@ -76,7 +76,7 @@ def _set_right(model, work):
 
 @subroutine
 def set_present_residual(model, work):
-    """Residual of the rows at the accelerations in work.moved and work.acceleration, to work.right."""
+    """Write the residual of the rows at work.moved and work.acceleration to work.right."""
     _set_right(model, work)
     for c in range(len(model.couplings)):
         row = model.couplings[c]["row"]
@@ -86,7 +86,7 @@ def set_present_residual(model, work):
 
 @kernel
 def set_response_residual(model, work):
-    """Residual of the rows in the response to u of all freedoms, J Vdot - bias, to work.right."""
+    """Write the residual of the rows in the response to u, J Vdot - bias, to work.right."""
     for j in range(len(model.joints)):
         first, rows = model.joints[j]["first"], model.joints[j]["rows"]
         at = model.path_places[j]
@@ -102,7 +102,7 @@ def set_response_residual(model, work):
 
 @kernel
 def _set_moved_residual(model, work):
-    """Residual of the rows without cut joints, to work.right."""
+    """Write the residual of the rows at the accelerations without cut joints to work.right."""
     spread(model, work)
     set_present_residual(model, work)
 
@@ -119,7 +119,7 @@ set_free_residual = choice("set_free_residual", _set_moved_residual, _set_carrie
 
 @subroutine
 def set_residual(model, work):
-    """Residual of the rows at work.total_moved and the response to u, to work.right."""
+    """Write the residual of the rows at work.total_moved plus the response to u to work.right."""
     spread_response(model, work)
     for b in range(len(model.bodies)):
         for c in range(size(model)):

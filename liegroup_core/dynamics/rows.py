@@ -11,11 +11,11 @@ keeps it constant in world axes, as g'' = 0, (6.29), does. For a joint to ground
 remains: SE(3) satisfies such joints exactly. Elements other than pairs (joints/elements.py) have a J_b
 that depends on the pose, and the bias has the additional term -Jdot_b (V_b - W).
 
-Stages of a step leave small gaps. The force of a ball joint acts on each of its links at that
-link's own point, whatever the gap: at the point of the other link it would have a moment about a rod
-between two balls, which has next to no inertia there and would spin. So rows and bias of a ball
-joint are those of the accelerations of the two points, in world axes. With an empty tree they are
-those of all joints, as in the chapter.
+At the stages of a step joints have small gaps. Whatever the gap, the force of a ball joint acts on each link
+at the link's own joint point. At the other link's point it would have a moment about the axis of a rod
+between two balls, which has almost no inertia about this axis and would spin. So rows and bias of a ball
+joint are those of the accelerations of the two points, in world axes. With an empty tree this holds for all
+joints, as in the chapter.
 """
 
 from liegroup_core.compiling import kernel
@@ -33,7 +33,7 @@ from .matrix import set_block
 
 @kernel
 def set_rows(model, work):
-    """Rows of all cut joints, J V to work.slip, and the bias of J Vdot to work.bias."""
+    """Set the rows of all cut joints; write J V to work.slip, and the bias of J Vdot to work.bias."""
     for j in range(len(model.joints)):
         joint = model.joints[j]
         a, b, first, rows = joint["parent"], joint["child"], joint["first"], joint["rows"]
@@ -74,9 +74,9 @@ def _respond_in_space(model, work, j):
     for p in range(model.paths[j, 0], model.paths[j, 1]):
         i = model.path_links[p]
         link = model.bodies[i]
-        # The rows do not depend on each other: a processor works on several at once.
+        # The rows are independent: a processor works on several at once.
         for r in range(rows):
-            # It stays in registers: that is a fifth faster.
+            # (w, v) stay in registers: a fifth faster.
             w, v = load(model, carried, LARGEST_ROWS * i + r)
             F = leave(link, work, link["freedom"], at + r, rows, w, v)
             if link["parent"] != WORLD:
@@ -90,7 +90,7 @@ def _respond_in_space(model, work, j):
 def _respond_in_plane(model, work, j):
     """The same in a plane, two rows at a time: few joints have more.
 
-    Writes J E of the links without cut joints, the sums of y u / D, to work.right.
+    Writes J E without cut joints, the sums of y u / D, to work.right.
     """
     joint = model.joints[j]
     a, b, first, rows = joint["parent"], joint["child"], joint["first"], joint["rows"]

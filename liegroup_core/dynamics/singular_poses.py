@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Accelerations of loops near a singular pose, where two branches of their motion cross.
 
-At a distance t from such a pose a row of the cut joints, or a sum of rows, is J_s = t B. At a stage that is
-off the constraints by e the accelerations are wrong by about e / t^2: they are those of another mechanism,
-whose branches do not cross. On the constraints they are smooth in t. So the stage is projected before they
-are computed. That fails nearer to the pose, where round-off is e. There they are interpolated from both
-sides, from the poses displaced by +- d V, +- 2 d V and +- 3 d V and projected, up to O(d^6).
-What is left is round-off in the accelerations: error control does not resolve it.
+At a distance t from such a pose a row of the cut joints, or a sum of rows, is J_s = t B. If a stage violates the
+constraints by e, its accelerations are wrong by about e / t^2: they are those of another mechanism, whose branches
+do not cross. On the constraints accelerations are smooth in t, so the stage is projected first. Very near the pose
+that does not help, because e is at least round-off. There the accelerations are interpolated up to O(d^6) between
+both sides: from the poses displaced by +- d V, +- 2 d V and +- 3 d V and projected.
+Error control adds the round-off that remains in the accelerations to its tolerance.
 
 Steps keep their normal size at these poses: test/verification/test_accuracy.py. Scenes with stops or
-friction are left to the regularisation of loops.py.
+friction use only the regularisation of loops.py.
 """
 
 from liegroup_core.compiling import kernel
@@ -20,8 +20,8 @@ from .coordinates import displace_by_twist
 
 # Displacement d V of the joint that turns fastest, rad: three times the distance at which a pose is singular.
 ASIDE = 2e-2
-# Round-off in accelerations as a part of the square of the fastest rate of rotation: a tenth of that of a pose,
-# 3e-16, divided by the cube of the distance at which it counts as singular.
+# Round-off in accelerations, relative to the square of the fastest rate of rotation: a tenth of the round-off of a
+# pose, 3e-16, divided by the cube of the distance at which a pose counts as singular.
 NOISE = 4e-10
 # Displacements in d, and weights of the interpolation.
 SIDES = (0.0, 1.0, -1.0, 2.0, -2.0, 3.0, -3.0)
@@ -30,7 +30,7 @@ WEIGHTS = (0.0, 0.75, 0.75, -0.3, -0.3, 0.05, 0.05)
 
 @kernel
 def begin_aside(model, work):
-    """Keep the stage and its accelerations; returns d in s, or 0 if no joint turns."""
+    """Save the stage and its accelerations; returns d in s, or 0 if no joint turns."""
     n, fastest = len(model.parts), 0.0
     copy_state(work.stage_pose, work.stage_twist, work.middle_pose, work.middle_twist)
     for b in range(len(model.bodies)):
@@ -46,7 +46,7 @@ def begin_aside(model, work):
 
 @kernel
 def go_aside(model, work, d):
-    """Displace the stage by the time d along its velocities and kept accelerations."""
+    """Displace the stage by the time d along the saved velocities and accelerations."""
     n = len(model.parts)
     for b in range(len(model.bodies)):
         f = model.bodies[b]["freedom"]
@@ -66,7 +66,7 @@ def add_aside(work, weight):
 
 @kernel
 def end_aside(work, column):
-    """Return to the kept stage; its accelerations are the sum, column 1, or as they were, 0."""
+    """Restore the saved stage, with the summed accelerations (column 1) or the saved ones (column 0)."""
     copy_state(work.middle_pose, work.middle_twist, work.stage_pose, work.stage_twist)
     for f in range(len(work.freedoms)):
         work.acceleration[f, 0] = work.middle[f, column]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the sweeps ask of a link or of a cut joint in space: see links.py. plane.py has the same."""
+"""Operations on a link or a cut joint in space: see links.py. Those in a plane are in plane.py."""
 
 from liegroup_core.compiling import kernel
 from liegroup_core.joints.elements import PAIR, WORLD
@@ -94,7 +94,7 @@ def start(model, work, link, b):
 
 @kernel
 def pass_inertia(model, work, link, b):
-    """Freedoms leave the articulated body of link b; the rest is added to that of its parent."""
+    """Eliminate the degrees of freedom of link b from its articulated body; add the rest to the parent's."""
     m, (torque, force) = load_inertia(work.inertia, b), load(model, work.force, b)
     m, torque, force = table.eliminate(link, work, link["freedom"], m, torque, force)
     if link["parent"] == WORLD:
@@ -111,9 +111,9 @@ def pass_inertia(model, work, link, b):
 
 @kernel
 def without_freedoms(model, work, b, a, g, drift):
-    """Acceleration, less g, of link b with parent a if its freedoms do not accelerate.
+    """Acceleration minus g of link b with parent a if its degrees of freedom do not accelerate.
 
-    drift : 1 with [V, S qdot], 0 without
+    drift : 1 with [V, S qdot], 0 without it
     """
     X = relative(model, work, b)
     if a == WORLD:
@@ -125,14 +125,14 @@ def without_freedoms(model, work, b, a, g, drift):
 
 @kernel
 def accelerated(model, work, link, b, g, drift):
-    """Acceleration, less g, of link b with its freedoms."""
+    """Acceleration minus g of link b, with that of its degrees of freedom."""
     w, v = without_freedoms(model, work, b, link["parent"], g, drift)
     return table.accelerate(link, work, link["freedom"], w, v)
 
 
 @kernel
 def acceleration_of(model, work, b, a):
-    """Acceleration of the child b of a cut joint that its rows constrain; a: its parent."""
+    """Acceleration of child b that the rows of a cut joint constrain; a: parent of the joint."""
     w, v = load(model, work.moved, b)
     if a == WORLD:
         # The world accelerates by -g, see trees.py.
@@ -159,7 +159,7 @@ def seen_from(model, work, joint, a, b):
     rot = tmatmul3(rot_b, load9(work.world, a, 0))
     p = tmatvec3(rot_b, sub3(load3(work.world, a, 9), r_b))
     if joint["own_points"] == 1:
-        # The parent, moved by the gap: its point is that of the child.
+        # Shift the parent by the gap, so that its joint point coincides with that of the child.
         element = model.elements[joint["element"]]
         point = matvec3(rot, vector3(element["parent_point"]))
         p = sub3(vector3(element["child_point"]), point)
@@ -169,7 +169,7 @@ def seen_from(model, work, joint, a, b):
 
 @kernel
 def set_variable_row(model, work, joint, X, error):
-    """Write the row of an element that is no pair; returns its rate."""
+    """Write the row of an element that is not a pair; returns the bias term Jdot_b (V_b - W)."""
     if joint["kind"] == PAIR:
         return 0.0
     element = model.elements[joint["element"]]
@@ -190,7 +190,7 @@ def store_parent_row(model, work, X, r):
 
 @kernel
 def row_bracket(model, work, joint, a, b, X, V, W, e):
-    """[V, W] and omega x e, which -J makes the bias; V, W: twists of child b and parent a."""
+    """[V, W] + omega x e; -J times it is the bias. V, W: twists of child b and parent a."""
     turn = V[0]
     if a != WORLD and joint["own_points"] == 1:
         turn = add3(V[0], W[0])
@@ -201,11 +201,11 @@ def row_bracket(model, work, joint, a, b, X, V, W, e):
 @kernel
 def set_place(model, work, X, b):
     """Write the pose of link b in the world."""
-    # Without it a chain of many links would lose orthogonality along its length.
+    # Without this, rotations lose orthogonality along a chain of many links.
     store9(so3_nearest(X[0]), work.world, b, 0)
     store3(X[1], work.world, b, 9)
 
 
 @kernel
 def lift_links(model, work):
-    """Poses in the world of all links, to work.world: it has them already."""
+    """Do nothing: work.world already has the poses of all links in the world."""

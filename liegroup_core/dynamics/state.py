@@ -33,7 +33,7 @@ def model_and_work(layout, group, options, stages):
 
 @kernel
 def enter(model, work, pose, twist, external):
-    """Continue from the coordinates of the last call, or find them from a state that was set."""
+    """Continue from the coordinates of the last call, or compute them from a state that was set."""
     copy_state(pose, twist, work.pose, work.twist)
     if work.known[0] == 0.0:
         if model.only_free_bodies:
@@ -41,7 +41,7 @@ def enter(model, work, pose, twist, external):
         else:
             coordinates(model, work, work.pose, work.twist)
         work.known[0] = 1.0
-        # Bodies that are welded to the world are never placed.
+        # Bodies that are welded to the world get their poses only here.
         copy_state(work.pose, work.twist, work.stage_pose, work.stage_twist)
         copy_state(pose, twist, work.space.stage_pose, work.space.stage_twist)
     total = 0.0

@@ -1,20 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Coordinates with stops or dry friction: their forces, and how far the next event is.
+"""Coordinates with stops or dry friction: their forces, and the distance to the next event.
 
-A switch is such a coordinate. It is free or held. Most are freedoms of the tree. A held freedom does
-not accelerate: the sweeps of trees.py leave it in the inertia of its link, so that its rate stays
-exactly zero. What holds it, the contact at a rigid stop or the friction of a joint at rest, follows
-from what the equations of motion of its link lack. The others, the length of a cable, the slack of a
-coupling, the angle of a cone, the coordinate of a cut joint, are rows beside those of the cut joints:
-held, a row is solved for like them, and its multiplier is what holds it; else it does not act. Where
-more switches are at rest than the mechanism has freedoms, some are held, and the others rest with
-them, each with the effort that it had last. A free switch has sliding friction, and the force of a
-compliant stop beyond it:
+A switch is such a coordinate; it is free or held. Most switches are degrees of freedom of the tree. The
+sweeps of trees.py do not eliminate a held one, so that its rate stays exactly zero. The effort that holds
+it, from a rigid stop or from friction at rest, follows from the residual of the equations of motion of its
+link. The other switches are rows beside those of the cut joints: the length of a cable, the slack of a
+coupling, the angle of a cone, the coordinate of a cut joint. If such a row is held, it is solved with those
+of the cut joints, and its multiplier is the effort that holds it; else it is inactive. If more switches rest
+than there are degrees of freedom, only some are held, and the others rest because of them, each with its
+last effort. A free switch has sliding friction and the force of a compliant stop:
 
     -slip coulomb - viscous qdot   and, beyond a compliant stop,  stiffness depth + damping d depth/dt
 
-Between two events all this is smooth. Work.modes says which branch holds, Work.guards how far the
-event is that ends it; events/switching.py changes the branch.
+Between two events all this is smooth. Work.modes has the present branch, Work.guards the distance to the
+event that ends it; events/switching.py changes the branch.
 """
 
 import math
@@ -33,18 +32,18 @@ from .matrix import is_off
 from .residuals import set_present_residual
 from .trees import move_links
 
-# Columns of Work.guards; LOWER and UPPER are the stops, the last two the bounds of what holds.
+# Columns of Work.guards; LOWER and UPPER are the stops, the last two the bounds of the effort that holds.
 LOWER, UPPER, SLIDING, LEAST, MOST = 0, 1, 2, 3, 4
-# Of the wrenches on all links: what holds a freedom is known to this part.
+# Round-off of an effort that holds, relative to the sum of the wrenches on all links.
 ROUND_OFF = 1e-13
-MOVES = 1e-9  # rad/s or m/s: what rests because of others moves from here on
-# Less than this beyond a stop, rad or m, and of a larger one, is round-off; and so is a rate of RESTING.
+MOVES = 1e-9  # rad/s or m/s: from this rate on, a switch that rests because of others moves
+# Round-off: depth beyond a stop below AT_STOP (1 + |stop|), rad or m, and rates up to RESTING.
 AT_STOP, RESTING = 1e-13, 1e-11
 
 
 def modes_of(model, work):
-    """(k, 5) of each switch, in the coordinate of its joint: 1 if it is held, 2 if it rests because of
-    others; direction of slip; stop that it touches (-1 lower, 1 upper); coordinate; effort if it rests.
+    """Modes (k, 5) of all switches, in the coordinates of their joints. Columns: 1 if held, 2 if at rest because
+    of others, else 0; direction of slip; stop in contact (-1 lower, 1 upper); coordinate; effort at rest.
     """
     table, modes = model.switches, work.modes
     signs = table["sign"][:, None]
@@ -55,7 +54,7 @@ def modes_of(model, work):
 
 
 def set_modes(model, work, modes):
-    """Write `modes_of` another model of the same scene."""
+    """Set the modes to those that `modes_of` returned for another model of the same scene."""
     table = model.switches
     work.held[:] = 0.0
     work.held[table["freedom"]] = modes[:, 0] == 1.0
@@ -65,7 +64,7 @@ def set_modes(model, work, modes):
 
 @kernel
 def coordinate(model, work, k, pose):
-    """Coordinate of switch k, rad in the turn of the last one, or m; of a row: see `set_gap`."""
+    """Coordinate of switch k, rad (unwrapped from the last one) or m; for a row see `set_gap`."""
     switch = model.switches[k]
     b = switch["link"]
     if b < 0:
@@ -80,7 +79,7 @@ def coordinate(model, work, k, pose):
 
 @kernel
 def _find_rows(model, work):
-    """Coordinates of the switches that are rows, at the links of the stage."""
+    """Compute the coordinates of the switches that are rows, from the links at the stage."""
     if model.has_switched_rows:
         lift_links(model, work)
         set_gap(model, work)
@@ -88,7 +87,7 @@ def _find_rows(model, work):
 
 @kernel
 def count_coordinates(model, work):
-    """Keep the coordinates of all switches at the end of a step; held rows stay where they are held."""
+    """Save the coordinates of all switches at the end of a step; held rows keep theirs."""
     if model.has_switched_rows:
         move_links(model, work)
         place_links(model, work)
@@ -100,7 +99,7 @@ def count_coordinates(model, work):
 
 @kernel
 def set_rates(model, work, out):
-    """Rates and accelerations of all switches at the stage, to out (k, 2)."""
+    """Write the rates and accelerations of all switches at the stage to out (k, 2)."""
     if model.has_switched_rows:
         set_present_residual(model, work)
     for k in range(len(model.switches)):
@@ -117,7 +116,7 @@ def set_rates(model, work, out):
 def too_fast(model, work, h):
     """First switch with stops whose angle changes by half a turn or more in a step h to the stage, or -1.
 
-    Poses do not tell in which turn it is then.
+    Poses then do not determine the number of turns.
     """
     counts = False
     for k in range(len(model.switches)):
@@ -145,7 +144,7 @@ def _depth(switch, q, rate, side):
 
 @kernel
 def _pressure(switch, q, rate, side):
-    """Force of a compliant stop if it acts, N m or N; it does not pull."""
+    """Force of a compliant stop, N m or N; if negative, the stop does not act, because it cannot pull."""
     depth, speed = _depth(switch, q, rate, side)
     return switch["stiffness"] * depth + switch["damping"] * speed
 
@@ -178,7 +177,7 @@ def apply_switches(model, work):
 
 @kernel
 def set_row_efforts(model, work):
-    """Multipliers of the rows that are not held, by friction and compliant stops; whether there are any."""
+    """Multipliers of the rows that are not held, by friction and compliant stops; returns whether any differs from 0."""
     compliant, found = False, False
     for k in range(len(model.switches)):
         if model.switches[k]["row"] >= 0 and work.modes[k, SIDE] != 0.0:
@@ -195,7 +194,7 @@ def set_row_efforts(model, work):
 
 @kernel
 def bounds(most, side):
-    """(least, largest) effort that can hold a switch which touches the rigid stop of a side, or none.
+    """(least, largest) effort that can hold a switch in contact with the rigid stop of a side; side 0: with none.
 
     most : friction at rest
     """
@@ -204,7 +203,7 @@ def bounds(most, side):
 
 @kernel
 def set_guards(model, work):
-    """How far every switch is from its next event, to work.guards: negative if it is beyond."""
+    """Write the distance of every switch to its next event to work.guards; negative beyond the event."""
     held = False
     for k in range(len(model.switches)):
         for c in range(5):

@@ -11,9 +11,9 @@ and from the world to the leaves, in the reverse order,
     qddot = (u - U . Vdot) / D ,   Vdot <- Vdot + s qddot
 The world accelerates by -g instead of a weight on every link: Work.moved is Vdot - g.
 
-A freedom leaves its row of I exactly zero. So a massive link gives a light parent no inertia about
-the axis of their hinge, not even that of round-off; a ball joint gives its parent a mass matrix
-only. A freedom that is held (switches.py) leaves nothing: it does not accelerate.
+Eliminating a freedom makes its row of I exactly zero. So a massive link adds no inertia about the axis of a
+hinge to a light parent, not even by round-off, and through a ball joint it adds a mass matrix only. A held
+freedom (switches.py) is not eliminated: it does not accelerate.
 
 Source: Featherstone, Rigid Body Dynamics Algorithms, section 7.3.
 """

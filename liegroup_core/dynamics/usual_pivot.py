@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Smallest pivot of W of a mechanism's loops where its pose is not singular.
+"""The usual pivot of a mechanism: smallest pivot of W of its loops at poses that are not singular.
 
-At a distance t from a singular pose it is t^2 times what it is elsewhere, and that depends on the masses: it is
-between 1 and 1e-4 of the mobility. So a pose is near a singular one where the pivot is a small part of the
-largest one that is found at some poses: at the first one, and at those to which joints turn by TURNS in random
-directions in which the loops can move.
+At a distance t from a singular pose the smallest pivot is t^2 times the usual one. The usual one depends on the
+masses: it is between 1 and 1e-4 of the mobility. So a pose is near a singular one if its pivot is a small fraction
+of the usual one, which is the largest found at a few poses: the initial pose, and those to which joints turn by
+TURNS in random directions in which the loops can move.
 """
 
 import numpy as np
@@ -25,7 +25,7 @@ LEAST = 1e-8  # smaller ones are round-off
 
 @kernel
 def _pivot_aside(model, work, pose, twist, external, rates, turn):
-    """Pivot where the joints have turned along rates (L, 6); 0: the loops cannot get there."""
+    """Pivot after the joints have turned along rates (L, 6); 0 if the loops cannot get there."""
     enter(model, work, pose, twist, external)
     begin(model, work, work.pose, work.twist)
     if turn != 0.0:
@@ -41,7 +41,7 @@ def _pivot_aside(model, work, pose, twist, external, rates, turn):
 
 
 def with_usual_pivot(model, pose, twist, angles):
-    """RelativeModel with its `usual_pivot`, from that of 1.
+    """RelativeModel with its `usual_pivot`; that of `model` must be 1.
 
     pose, twist, angles : of the bodies and of unwrapped angles at the start
     """
