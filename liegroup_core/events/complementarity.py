@@ -3,13 +3,13 @@
 
     w = A x + b ,   lo <= x <= hi ,   w >= 0 where x = lo,  w <= 0 where x = hi,  w = 0 between
 
-x are impulses or efforts, w the velocities or accelerations that they leave. A = D M^-1 D^T is
+x are impulses or efforts, w the resulting velocities or accelerations. A = D M^-1 D^T is
 symmetric and positive semidefinite: a solution is a minimum of x A x / 2 + b x within the bounds. It
-exists, and w is unique, also where x is not, as with redundant contacts.
+exists, and w is unique even if x is not, as with redundant contacts.
 
-Active sets change by block principal pivoting, which takes all wrong entries at once, and where this
-does not get nearer, by Murty's rule, which takes the first one and ends for positive definite A. If
-neither ends, scipy's bounded least squares finds the minimum.
+Block principal pivoting changes all wrong entries of the active set at once. If their number does not
+decrease, Murty's rule changes only the first one, and terminates for positive definite A. If neither
+terminates, scipy's bounded least squares finds the minimum.
 
 Source: Cottle, Pang and Stone, The Linear Complementarity Problem, 4.2; Judice and Pires, Computers
 and Operations Research 21 (1994), 587-596.
@@ -18,9 +18,9 @@ and Operations Research 21 (1994), 587-596.
 import numpy as np
 import scipy
 
-# Of its terms: w below is zero, and x within what causes this w of a bound is at it.
+# Relative to the terms of w: a smaller w is zero, and x is at a bound if moving it there changes w by less.
 TOLERANCE = 1e-11
-DEPENDENT = 1e-10  # of its own mobility: what is left of it when others are held
+DEPENDENT = 1e-10  # an entry depends on others if holding these leaves it less than this fraction of its mobility
 PATIENCE = 5  # rounds of block pivoting without fewer wrong entries
 FREE, LOW, HIGH = 0, -1, 1
 
@@ -29,12 +29,12 @@ def solve(A, b, lo, hi, fixed=0):
     """(x, w, at): solution, residual, and FREE, LOW or HIGH of each entry.
 
     A : (k, k) symmetric, positive semidefinite;  b : (k,);  lo <= 0 <= hi : (k,), may be infinite
-    fixed : (k,) LOW or HIGH of entries that stay there, whatever their w is; FREE: the others
+    fixed : (k,) LOW or HIGH for entries that stay at this bound whatever their w, FREE for the others
     """
     k = len(b)
     fixed = np.broadcast_to(fixed, k)
     at = fixed.copy()
-    # What nothing moves goes its way, at the bound that this asks for.
+    # Entries with zero mobility go to the bound selected by the sign of b.
     still = (np.diagonal(A) <= 0.0) & (fixed == FREE)
     at[still & (b > 0.0) & np.isfinite(lo)] = LOW
     at[still & (b < 0.0) & np.isfinite(hi)] = HIGH
@@ -68,7 +68,7 @@ def solve(A, b, lo, hi, fixed=0):
 def independent(A, free):
     """(mask of free entries that are independent, mask of the others that depend on these).
 
-    The entries with the largest rest are taken first: Cholesky's factorisation with pivots.
+    Takes the entries with the largest remaining mobility first: Cholesky factorisation with pivoting.
     """
     rest, left = A.astype(float), free.copy()
     held = np.zeros(len(A), dtype=bool)
@@ -81,7 +81,7 @@ def independent(A, free):
 
 
 def _with(A, b, lo, hi, at):
-    """(x, w) for an active set; of redundant free entries the smallest ones."""
+    """(x, w) for an active set; x has the smallest norm if free entries are redundant."""
     x = np.where(at == LOW, lo, np.where(at == HIGH, hi, 0.0))
     free = np.flatnonzero(at == FREE)
     right = -(b + A @ x)[free]

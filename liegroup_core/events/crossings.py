@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where in a substep a guard of a switch is crossed: one that is negative at the end, or in between.
+"""Guards of switches that are crossed in a substep: negative at its end, or in between.
 
-Between its ends a gap follows from its rates and accelerations there. The effort that holds a switch
-has no known derivative: a contact may give way for a part of a substep. Its guards are computed at some
-of the stages, which the method has anyway, and are taken to be the polynomial through these. How near
-to it they are shows the polynomial that leaves out the node in the middle.
+Within a substep a gap is interpolated from its values, rates and accelerations at both ends. The effort that
+holds a switch has no known derivative, and may exceed its bounds for only a part of a substep. Its guards
+are computed at some stages of the method, and interpolated by the polynomial through these. The distance to
+the polynomial without the middle node estimates the error.
 
-What seems to be crossed is looked at closely by event_times.py.
+times.py confirms and locates the suspected crossings.
 """
 
 import math
@@ -19,15 +19,15 @@ from liegroup_core.mechanism.arrays import COORDINATE, NODES, RESTS, SIDE, SLIP
 
 NONE = -1.0  # in Work.crossed: the guard is not crossed
 START, END = 0, 1  # rows of Work.course of the first stage and of the end
-APART = 0.125  # parts of a step; stages that are closer to a later one are left out
-PARTS, DOUBT = 16, 4.0  # of a step at whose ends guards are tested; see `lowest`
+APART = 0.125  # fraction of a step; a stage that is closer to a chosen one is omitted
+PARTS, DOUBT = 16, 4.0  # parts of a step, at whose ends guards are tested; safety factor, see `lowest`
 
 
 def rows_and_weights(times):
     """(s + 1,) row of Work.course of every stage, or -1, and (2, PARTS - 1, NODES) weights of these rows.
 
-    times : (s + 1,) of the stages and of the end, parts of a step
-    The weights give the polynomials through all nodes, and through all but one.
+    times : (s + 1,) of the stages and of the end, as fractions of the step
+    The weights give the polynomials through all nodes, and through all but the middle one.
     """
     stages = len(times) - 1
     chosen = [0, stages]
@@ -50,7 +50,7 @@ def rows_and_weights(times):
 
 @kernel
 def note_guards(model, work, row):
-    """Set the guards of a stage, and keep those of what is held in a row of Work.course."""
+    """Set the guards of a stage, and save those of held switches in a row of Work.course."""
     held = row == END
     for k in range(len(model.switches)):
         held = held or work.held[model.switches[k]["freedom"]] != 0.0
@@ -64,7 +64,7 @@ def note_guards(model, work, row):
 
 @kernel
 def begin_at_end(work):
-    """The next substep begins where this one ends."""
+    """Copy the guards at the end of a substep to the start of the next one."""
     for k in range(len(work.guards)):
         for c in range(2):
             work.course[START, k, c] = work.course[END, k, c]
@@ -72,7 +72,7 @@ def begin_at_end(work):
 
 @kernel
 def _gives_way(weights, course, k, c):
-    """Part of a step at which a guard c, LEAST or MOST, of switch k may be below zero, or NONE."""
+    """Fraction of the step at which guard c, LEAST or MOST, of switch k may be negative, or NONE."""
     if not course[END, k, c - LEAST] < math.inf:
         return NONE
     place, least = NONE, 0.0
@@ -89,7 +89,7 @@ def _gives_way(weights, course, k, c):
 
 @kernel
 def _dip(g0, d0, g1, d1, h):
-    """Part of a step at which a cubic with these ends and slopes dips below zero, or NONE."""
+    """Fraction of the step at which a cubic with these end values and slopes is below zero, or NONE."""
     if not (d0 < 0.0 < d1):
         return NONE
     a, b, c = (3.0 * (2.0 * (g0 - g1) + (d0 + d1) * h), 2.0 * (3.0 * (g1 - g0) - (2.0 * d0 + d1) * h), d0 * h)
@@ -102,14 +102,14 @@ def _dip(g0, d0, g1, d1, h):
 
 @kernel
 def lowest(g0, v0, a0, g1, v1, a1, h, depth, lag):
-    """Part of a step at which a gap may be deepest below zero, or NONE: it stays above.
+    """Fraction of the step at which a gap may be deepest below zero, or NONE if it stays above.
 
     g, v, a : gap, rate and acceleration at the start and at the end of a step of size h. A gap that
-              starts below zero has to become less than it was
-    lag     : s; what may be below zero is the gap and `lag` times its rate
-    Between its ends the gap is near the polynomial of degree five with these values. How near, shows
-    the distance to that of degree three: DOUBT times it is taken off. Where the gap is not smooth,
-    as that of a point that passes another one, this is about as much as it could have closed.
+              starts below zero counts only if it decreases
+    lag     : s; the quantity tested is the gap plus `lag` times its rate
+    The gap is approximated by the polynomial of degree five with these values. Its distance to that of
+    degree three, times DOUBT, is subtracted as an error bound. If the gap is not smooth, as for a point that
+    passes another one, this is about as much as it could have closed.
     """
     p0, p1, r0, r1, lag = v0 * h, v1 * h, 0.5 * a0 * h * h, 0.5 * a1 * h * h, lag / h
     if lag == 0.0 and min(g0, g1) > abs(p0) + abs(p1) + abs(r0) + abs(r1):
@@ -149,7 +149,7 @@ def lowest(g0, v0, a0, g1, v1, a1, h, depth, lag):
 
 @kernel
 def crossed(model, work, h, weights):
-    """Whether a guard is crossed in a step of size h to the stage; where, to work.crossed."""
+    """Whether a guard is crossed in the step of size h that ends at the stage; writes where to work.crossed."""
     found = False
     for k in range(len(model.switches)):
         switch, guards, places = model.switches[k], work.guards, work.crossed
@@ -167,8 +167,8 @@ def crossed(model, work, h, weights):
             for c in range(2):
                 sign = 1.0 if c == LOWER else -1.0
                 stop = switch["lower"] if c == LOWER else switch["upper"]
-                # Rows that were held drift by round-off and the error of the method: one that leaves
-                # its stop may start beyond it, and leaves with the third power of time.
+                # Held rows drift by round-off and the error of the method, so one that leaves its stop may
+                # start beyond it. It leaves with the third power of time.
                 before, depth, lag = sign * (q0 - stop), AT_STOP * (1.0 + abs(stop)), 0.0
                 if guards[k, c] < 0.0:
                     further = guards[k, c] < min(before, 0.0) - depth
@@ -179,7 +179,7 @@ def crossed(model, work, h, weights):
                     if soft:
                         after = sign * (coordinate(model, work, k, work.stage_pose) - stop)
                     if soft and work.modes[k, SIDE] == -sign:
-                        # It ends where its pressure does.
+                        # Contact ends where the pressure vanishes.
                         sign, before, after = -sign, -before, -after
                         lag = switch["damping"] / switch["stiffness"]
                     v, w, a, b = sign * v0, sign * v1, sign * a0, sign * a1

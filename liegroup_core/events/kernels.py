@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an event needs of the mechanism: see switching.py."""
+"""Kernels by which events act on the mechanism: see switching.py."""
 
 from liegroup_core.compiling import borrowed, stepper
 from liegroup_core.dynamics.accelerations import accelerations
@@ -27,7 +27,7 @@ def look(model, work, pose_in, twist_in, external_in):
     dependent = accelerations(model, work, external)
     if dependent >= 0:
         return DEPENDENT_ROWS + (model.owners[dependent] << 8)
-    # The guards need the applied forces of the stage, which the coordinates do not leave.
+    # Guards first: they need the applied forces of the stage, which count_coordinates clears.
     set_guards(model, work)
     count_coordinates(model, work)
     if work.iteration[UNSETTLED] != 0.0:
@@ -38,10 +38,10 @@ def look(model, work, pose_in, twist_in, external_in):
 
 @stepper
 def respond(model, work, out, mobility, open_mobility):
-    """Changes by unit impulses at the switches: of all rates, (k, f), and of those of the switches, (k, k).
+    """Rate changes by unit impulses at the switches: of all rates, (k, f), and of the switches, (k, k).
 
-    The stage is that of `look`. open_mobility (k,) : change of its own rate without closed loops, whose
-    round-off is that of `mobility`
+    Uses the stage of `look`. open_mobility (k,) : change of each switch's own rate without closed loops. It
+    sets the size of the round-off in `mobility`.
     returns a status
     """
     move_links(model, work)
@@ -61,7 +61,7 @@ def respond(model, work, out, mobility, open_mobility):
 
 @stepper
 def change_rates(model, work, changes, pose_out, twist_out):
-    """Add to the rates of all freedoms, (f,); those of held ones become zero."""
+    """Add `changes` (f,) to the rates of all degrees of freedom; those of held ones become zero."""
     n = len(model.parts)
     for b in range(len(model.bodies)):
         f = model.bodies[b]["freedom"]

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What changes at an event of stops and dry friction: impulses, and the modes from then on.
+"""Changes at an event of stops and dry friction: impulses, and the modes that follow.
 
-    impact     impulses p at all rigid stops that are touched, with the velocities v- and v+ of their
+    impact     impulses p at all rigid stops in contact, with the velocities v- and v+ of their
                coordinates, v+ - v- = A p and A = D M^-1 D^T with loops: p >= 0, v+ + e v- >= 0, one of
                them zero (Newton's law; Moreau). Friction at rest gives no impulse.
-    modes      efforts x of the freedoms at rest, within what stop and friction can give, and their
+    modes      efforts x of the freedoms at rest, within the bounds of stop and friction, and their
                accelerations: x inside its bounds and the freedom held, or x at a bound and the
                freedom moves away from it
 
-Both are one complementarity problem for all switches (complementarity.py). With equal restitution e
-kinetic energy never grows; where different ones would let it grow, all have the smallest. A rebound
-that is lower than SMALLEST_REBOUND is none: bouncing that never ends becomes contact. After many events in
-a step LOW_REBOUND is enough.
+Each is one complementarity problem for all switches (complementarity.py). With equal restitution e kinetic
+energy never grows; if different ones would let it grow, the smallest holds for all. A rebound lower than
+SMALLEST_REBOUND, or LOW_REBOUND after many events in a step, becomes zero. So endless bouncing becomes
+contact.
 
 Source: Brogliato, Nonsmooth Mechanics, 5.1; Acary and Brogliato, Numerical Methods for Nonsmooth
 Dynamical Systems, 8. Accuracy: test/verification/test_stops.py, test_friction.py.
@@ -30,14 +30,14 @@ from liegroup_core.status import NO_FRICTION, OK
 from .complementarity import FREE, HIGH, LOW, independent, solve
 from .kernels import change_rates, look, respond
 
-# rad, or of the mechanism's size: a lower rebound is none, of many events in a step one below the second height.
+# rad, or relative to the characteristic length: lower rebounds become zero; the second after many events in a step.
 SMALLEST_REBOUND, LOW_REBOUND = 1e-10, 1e-8
-LAST_DIGITS = 1e-14  # of the largest distance from the origin: round-off of a position
-RETURNING = 1e-10  # of its terms: an acceleration below is zero
+LAST_DIGITS = 1e-14  # round-off of a position, relative to the largest distance from the origin
+RETURNING = 1e-10  # relative to its terms: a smaller acceleration is zero
 SAME_LOADS = 1e-12
-ACCELERATION = 1e-13  # of all accelerations of the mechanism: round-off of one
-SPENT = 1e-9  # of its bound: the effort of what can give no more
-IMMOBILE = 1e-13  # of its mobility without closed loops: a coordinate that loops hold at this pose
+ACCELERATION = 1e-13  # round-off of an acceleration, relative to the largest one of the mechanism
+SPENT = 1e-9  # relative to its bound: an effort nearer to it is at the bound
+IMMOBILE = 1e-13  # relative to the mobility without closed loops: below it, loops hold the coordinate at this pose
 IMPACT = "impact"
 
 
@@ -48,7 +48,7 @@ class JointEvent(NamedTuple):
     joint   : number of the switch
     kind    : "impact", "stop" (it stays at a stop), "leave" (a stop), "stick" or "slip"
     impulse : of an impact, on the joint's coordinate, N m s or N s
-    energy  : change of the kinetic energy by this impulse, J; not positive in sum
+    energy  : change of the kinetic energy by this impulse, J; the sum over an impact is not positive
     """
 
     time: float
@@ -59,14 +59,14 @@ class JointEvent(NamedTuple):
 
 
 class ModeChanges:
-    """Impulses and modes at an event of the switches of a model, at the state that `work` has.
+    """Impulses and modes at an event of the switches of a model, at the state in `work`.
 
-    sizes   : (k,) of the mechanism in the units of the switches: 1 rad, or m
-    events  : [JointEvent] since they were taken
+    sizes   : (k,) characteristic length in the units of the switches: 1 rad, or m
+    events  : [JointEvent] since they were last taken
     impacts : [(time in s, pose (n, 12), impulses (k,) on the coordinates of the joints)] since they
-              were taken; None: not wanted
-    lost    : longest way of a rebound that was made plastic, in a step or until it returns to its stop,
-              rad or parts of the mechanism's size
+              were last taken; None: not recorded
+    lost    : largest displacement of a rebound that became plastic, in a step or until it returns to its
+              stop, rad or relative to the characteristic length
     """
 
     def __init__(self, model, work, sizes):
@@ -82,16 +82,16 @@ class ModeChanges:
         self._look, self._respond = SameTypes(look), SameTypes(respond)
         self._change_rates = SameTypes(change_rates)
         self.events, self.impacts = [], None
-        self.is_dense = False  # impacts follow each other without end: they are plastic
+        self.is_dense = False  # the impacts are endless, so they become plastic
         self.has_many = False  # events in this step
         self.step, self.lost = 1.0, 0.0
 
     def _height(self, pose, part):
-        """(k,) part of 1 rad or of the mechanism's size, above round-off, rad or m."""
+        """(k,) `part` of 1 rad or of the characteristic length, at least round-off, rad or m."""
         return np.maximum(part * self._sizes, LAST_DIGITS * np.abs(pose[:, 9:]).max())
 
     def _reach(self, pose, stop):
-        """(k,) what is not further from a stop is at it, rad or m."""
+        """(k,) distance up to which a coordinate counts as being at a stop, rad or m."""
         round_off = AT_STOP * (1.0 + np.abs(stop))
         if not self.is_dense:
             return round_off
@@ -100,22 +100,22 @@ class ModeChanges:
     def _respond_at_stage(self):
         mobility, of_open = self._mobility, self._open_mobility
         status = self._respond(self._model, self._work, self._responses, mobility, of_open)
-        # At a dead point of a loop nothing moves the coordinate: round-off is no mobility.
+        # At a dead point of a loop the coordinate cannot move: mobility at round-off level counts as zero.
         mobility[:] = 0.5 * (mobility + mobility.T)
         dead = np.diagonal(mobility) <= IMMOBILE * of_open
         mobility[dead], mobility[:, dead] = 0.0, 0.0
         return status
 
     def _rates(self):
-        """(k,) rates where `look` was."""
+        """(k,) rates at the state of the last `look`."""
         return self._work.now[:, 0].copy()
 
     def _at_rest(self):
-        """(k,) 1 for what is held, or rests because of others that are."""
+        """(k,) 1 for a switch that is held, or rests because of others."""
         return np.maximum(self._work.held[self._freedoms], self._work.modes[:, RESTS])
 
     def _stop(self, switches):
-        """Rates of freedoms become exactly zero."""
+        """Set the rates of these switches, except rows, to exactly zero."""
         links, n = self._model.switches["link"], len(self._model.parts)
         for k in switches:
             if not self._is_row[k]:
@@ -123,7 +123,7 @@ class ModeChanges:
                 self._work.twist[row, component] = self._work.now[k, 0] = 0.0
 
     def _impact(self, time, state, side, touching, rates, stays):
-        """Impulses at the stops that are touched; `stays`: mask of those that stop in either direction.
+        """Apply impulses at the stops in contact; `stays`: mask of those that stop motion in both directions.
 
         returns a status
         """
@@ -170,18 +170,18 @@ class ModeChanges:
         return self._look(model, work, *state)
 
     def _note_lost(self, hit, rebound, towards):
-        """Keep what rebounds that are made plastic would do; towards: accelerations to their stops."""
+        """Update `lost` for rebounds that become plastic; towards: accelerations towards their stops."""
         with np.errstate(divide="ignore", invalid="ignore"):
             height = np.where(towards > 0.0, rebound**2 / (2.0 * towards), np.inf)
         way = np.minimum(rebound * self.step, height) / self._sizes[hit]
         self.lost = max(self.lost, float(way.max(initial=0.0)))
 
     def _choose(self, state, side, resting, rates, crossed, pressed):
-        """Modes of all switches from here on. Returns a status.
+        """Choose the modes of all switches from here on. Returns a status.
 
-        crossed : mask of the guards that are zero: what held by the bound of one is released there,
+        crossed : mask of the guards that are zero: a switch whose effort reached a bound is released,
                   unless it would move back
-        pressed : which ones were held, or came back to their stop: they are held where both are possible
+        pressed : mask of switches that were held or returned to a stop: if in doubt, they are held
         """
         model, work = self._model, self._work
         modes = work.modes
@@ -199,7 +199,7 @@ class ModeChanges:
             status = self._distribute(state, side, chosen, released, pressed, shares)
             if status != OK or not model.has_loads:
                 break
-            # The loads for which the modes were chosen are those that they cause, or it is repeated.
+            # Repeat until the modes cause the loads for which they were chosen.
             status = self._look_with_loads(state)
             loads = work.loads
             if status != OK or np.abs(loads[:, FOUND] - loads[:, LOAD]).max() <= SAME_LOADS * (loads[:, FOUND].max()):
@@ -211,7 +211,7 @@ class ModeChanges:
         return status
 
     def _look_with_loads(self, state):
-        """`look` for friction of given loads: those that were found last. Returns a status."""
+        """`look` with friction by given loads, those that were found last. Returns a status."""
         work = self._work
         work.iteration[GIVEN] = 1.0
         status = self._look(self._model, work, *state)
@@ -219,9 +219,9 @@ class ModeChanges:
         return status
 
     def _distribute(self, state, side, chosen, released, pressed, shares):
-        """What the switches at rest bear, and which of them move: new modes. Returns a status.
+        """Choose efforts of the switches at rest and which of them move: new modes. Returns a status.
 
-        shares : (k,) efforts of those that rested beside others until now
+        shares : (k,) efforts of those that rested because of others until now
         """
         model, work = self._model, self._work
         modes, table = work.modes, model.switches
@@ -230,7 +230,7 @@ class ModeChanges:
         loads = work.loads[:, LOAD].copy()
         status = self._look_with_loads(state)
         b = work.now[chosen, 1].copy()
-        # Where a cable goes slack, for one, terms of the size of gravity leave nothing.
+        # Terms of the size of gravity may cancel, for example where a cable goes slack.
         turning = np.abs(work.twist).max(initial=0.0) ** 2
         round_off = ACCELERATION * (np.abs(work.acceleration).max(initial=0.0) + turning)
         if status == OK:
@@ -243,7 +243,7 @@ class ModeChanges:
         lo, hi = np.array(ends).T.copy()
         sliding = (table["coulomb"] + table["sliding_by_load"] * loads)[chosen]
         if released.any():
-            # What rests beside others with all that it can give does not take over from them.
+            # A switch that rests because of others with its effort at a bound cannot replace them.
             share = shares[chosen]
             released[(share != 0.0) & (share <= lo * (1.0 - SPENT))] = LOW
             released[(share != 0.0) & (share >= hi * (1.0 - SPENT))] = HIGH
@@ -253,7 +253,7 @@ class ModeChanges:
             if back.any():
                 released[back] = FREE
                 continue
-            # What breaks away has the friction of sliding from then on, and others bear the rest.
+            # A switch that breaks away has sliding friction from then on; others bear the rest.
             held, rests = independent(A, at == FREE)
             away = (at != FREE) & ~rests & (np.where(at == LOW, lo, hi) != 0.0)
             away &= np.abs(x) > sliding * (1.0 + 1e-15)

@@ -3,9 +3,9 @@
 
 An event ends the smooth motion between two steps: a joint reaches a stop or leaves it, comes to rest
 or breaks away. munthe_kaas.py returns at the start of the substep in which a guard is crossed
-(crossings.py). When it is: event_times.py. What changes there: mode_changes.py.
+(crossings.py). times.py finds the event's time, mode_changes.py what changes.
 
-More than MOST_EVENTS in a step are a fault.
+More than MOST_EVENTS in a step are an error.
 """
 
 from typing import NamedTuple
@@ -22,13 +22,13 @@ from .crossings import lowest
 from .mode_changes import IMPACT, JointEvent
 from .times import SAME_PART, SAME_TIME, EventTimes
 
-BEYOND = 1e-9  # rad or m: a state that is set is not this far beyond a stop
-# Impacts of several contacts that follow each other without end become plastic: after half of
-# MOST_EVENTS in a step, where so many are in this part of it.
+BEYOND = 1e-9  # rad or m: a state that is set further beyond a stop is refused
+# Endless impacts of several contacts become plastic: after half of MOST_EVENTS in a step, if the last DENSE
+# are within this fraction of it.
 DENSE, SHORT = 50, 0.005
-# Events, and the time in s in which so many take far more time than that.
+# A warning follows if this many events are within this time in s: to compute them takes far longer.
 CROWD, CROWDED = 1000, 0.1
-MOST_KEPT = 100_000  # events that nobody has taken
+MOST_KEPT = 100_000  # events kept until they are taken
 
 STOP, LEAVE, STICK, SLIDE = "stop", "leave", "stick", "slip"
 
@@ -51,10 +51,10 @@ class Switching(EventTimes):
 
     sizes, take, control : see EventTimes
 
-    instants : [JointInstant] since they were taken; None: not wanted
-    count   : of all events since the state was set
+    instants : [JointInstant] since they were last taken; None: not recorded
+    count   : number of events since the state was set
     endless : (time in s, switches) of the first impacts without end that became plastic, or None
-    crowded : (time in s, switches, s between two) of the first CROWD events in the time CROWDED, or None
+    crowded : (time in s, switches, mean interval in s) of the first CROWD events in the time CROWDED, or None
     """
 
     def __init__(self, model, work, sizes, take, control):
@@ -65,23 +65,23 @@ class Switching(EventTimes):
         work.watch[WATCHED] = 1.0
 
     def touch(self, pose, twist, external):
-        """Call every kernel once; the state stays."""
+        """Call every kernel once; the state does not change."""
         self._look(self._model, self._work, pose, twist, external)
         lowest(*np.ones(9).tolist())
         self._respond_at_stage()
         self._change_rates(self._model, self._work, self._no_changes, pose, twist)
 
     def adopt(self, other):
-        """Continue with the modes of another one, at the same state."""
+        """Continue with the modes of another Switching at the same state."""
         self._work.held[:] = other._work.held
         self._work.modes[:] = other._work.modes
 
     def expect(self, coordinates):
-        """Take the angles of a state that was set in the turns next to these coordinates (k,), rad or m."""
+        """Unwrap the angles of a state that was set to those nearest to these coordinates (k,), rad or m."""
         self._work.modes[:, COORDINATE] = coordinates * self._model.switches["sign"]
 
     def restart(self):
-        """Forget the modes: the state was set. Angles are next to 0, see `_meet_inputs`."""
+        """Reset the modes after the state was set. Angles are unwrapped near 0, see `_meet_inputs`."""
         self._work.held[:] = 0.0
         self._work.modes[:] = 0.0
         self.events, self.count, self._crowd, self.lost = [], 0, (0, 0.0), 0.0
@@ -121,7 +121,7 @@ class Switching(EventTimes):
         return done, status
 
     def _meet_inputs(self, time, state):
-        """Find the modes of a state that was set, and of new inputs."""
+        """Find the modes after a state was set or the inputs changed."""
         work, known = self._work, self._work.modes[:, KNOWN].all()
         inputs = (state[2].copy(), work.acting.copy(), work.wanted.copy(), work.motions.copy())
         same = self._inputs is not None and all(map(np.array_equal, inputs, self._inputs))
@@ -157,13 +157,13 @@ class Switching(EventTimes):
         return self._switch(time, state, np.zeros(work.guards.shape, dtype=bool))
 
     def _in_turns_of_stops(self, near):
-        """Coordinates next to which those of a state that was set are: near (k,), as far as stops allow."""
+        """Coordinates near which a state that was set is unwrapped: near (k,), limited to the range of the stops."""
         table = self._model.switches
         first, last = table["lower"] + WITHIN_A_TURN, table["upper"] - WITHIN_A_TURN
         return np.where(first > last, table["expected"], np.clip(near, first, last))
 
     def _finish(self, h, start, state):
-        """Take the step in which the next event is, from the substep with it on. Returns a status."""
+        """Complete the step with the next event, from the substep of the event on. Returns a status."""
         self.step, self.same_time = h, min(SAME_TIME, SAME_PART * h)
         status = self._take_events(h, start, state)
         self.is_dense = self.has_many = False
@@ -181,7 +181,7 @@ class Switching(EventTimes):
             elapsed = begin_of_substep + tau
             if crossed is not None:
                 times.append(elapsed)
-                # Those that converge do so by then; so many in so short a time are far too many.
+                # Impacts that converge do so by then; so many in so short a time do not.
                 self.has_many = len(times) > MOST_EVENTS // 2
                 self.is_dense = self.has_many and elapsed - times[-DENSE] < SHORT * h
                 if self.is_dense and self.endless is None:
@@ -207,7 +207,7 @@ class Switching(EventTimes):
             self._crowd = self.count, time
 
     def _switch(self, time, state, crossed):
-        """Impulses and new modes at an event; crossed: mask of the guards that are zero.
+        """Apply impulses and choose new modes at an event; crossed: mask of the guards that are zero.
 
         returns a status
         """
@@ -228,13 +228,13 @@ class Switching(EventTimes):
                 near = sign * (q - stop) >= -self._reach(state[0], stop)
             side[self._rigid & np.isfinite(stop) & (near | crossed[:, end])] = sign
         touching = self._rigid & (side != 0.0)
-        # A held row is at rest: its rate is the error of the method. So is what slid and has come to rest:
-        # its rate is what the event's time leaves of it, however large its acceleration.
+        # A held row is at rest: its rate is the error of the method. A switch that has stopped sliding is at
+        # rest, too: its rate is the error of the event's time, however large its acceleration.
         at_rest = self._is_row & (work.held[self._freedoms] != 0.0)
         at_rest |= crossed[:, SLIDING] & (modes[:, SLIP] != 0.0)
         drift = np.where(at_rest, self._rates(), 0.0)
         rates = self._rates() - drift
-        # It left the stop, and returns before it was away from it: it never left.
+        # A switch that returns before it was clear of its stop never left it.
         stays = touching & crossed[:, : UPPER + 1].any(axis=1) & (side * rates <= 0.0)
         if (touching & (side * rates > RESTING)).any() or stays.any():
             status = self._impact(time, state, side, touching, rates, stays)
@@ -262,13 +262,13 @@ class Switching(EventTimes):
         return modes_of(self._model, self._work)
 
     def modes(self, time, state):
-        """(k, 5) of all switches, see switches.modes_of; of a state that was set, the modes it will have."""
+        """(k, 5) of all switches, see switches.modes_of; for a state that was set, the modes it will have."""
         if self._work.modes[:, KNOWN].all():
             return self._modes()
         self._look(self._model, self._work, *state)  # the links have this state from here on
         noted = self.events, self.impacts, self.instants, self.count, self._inputs
         kept, self.events, self.impacts, self.instants = self._keep(*state[:2]), [], None, None
-        # Where the state is beyond a stop, the next step reports that.
+        # If the state is beyond a stop, the next step reports that.
         self._meet_inputs(time, state)
         modes = self._modes()
         self._return(kept, *state[:2])
@@ -276,7 +276,7 @@ class Switching(EventTimes):
         return modes
 
     def _note(self, time, before):
-        """Write what has changed to `events`."""
+        """Append the changes to `events`."""
         held, modes = before
         now = self._at_rest()
         for k in range(len(modes)):

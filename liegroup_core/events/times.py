@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When an event of stops and dry friction is: the zero of a guard inside a substep.
+"""Times of the events of stops and dry friction: zeros of guards within a substep.
 
 Steps of the method from the start of the substep to a variable time give the guard at that time. So an
 event is as accurate as the method.
@@ -18,15 +18,15 @@ from liegroup_core.status import OK
 from .crossings import lowest
 from .mode_changes import ModeChanges
 
-TIME_PART = 1e-13  # of a substep; an event is found to this, and to round-off
-DIGIT = 2.0**-52  # of the mechanism's size and of the stop's place: no gap is known better
-SAME_TIME, SAME_PART = 1e-14, 1e-9  # s, and of a step; events that are closer are one
+TIME_PART = 1e-13  # tolerance of an event's time, relative to the substep
+DIGIT = 2.0**-52  # round-off of a gap, relative to the characteristic length plus |stop|
+SAME_TIME, SAME_PART = 1e-14, 1e-9  # s, and relative to a step; events that are closer count as one
 HALVINGS, MOST_LOOKS = 40, 400
-# Parts of a substep: where the smallest effort is sought, and how precisely.
+# Relative to the substep: range in which the smallest effort is sought, and its tolerance.
 NEAR, PRECISE = 0.2, 1e-3
-BEFORE, AFTER = 0.8, 1.25  # times the expected time of a zero: it is sought there at first
-NEWTON = 6  # steps, which converge or start too far away
-LOOSE = 1e100  # tolerance of error control that no step fails
+BEFORE, AFTER = 0.8, 1.25  # relative to the expected time of a zero: the interval that is tried first
+NEWTON = 6  # steps; if they do not converge, the start is too far away
+LOOSE = 1e100  # tolerance of error control that every step meets
 
 
 class EventTimes(ModeChanges):
@@ -36,8 +36,8 @@ class EventTimes(ModeChanges):
     take    : function (h, steps, pose, twist, external) -> (steps done, status)
     control : of error control, see munthe_kaas.advance
 
-    parts   : steps that lead to an event. Where an event is sets the size of this step: another number
-              of parts shows its error, see RunningError
+    parts   : number of steps up to an event. The event's time sets their size; another number of parts
+              shows their error, see RunningError
     """
 
     def __init__(self, model, work, sizes, take, control):
@@ -45,21 +45,21 @@ class EventTimes(ModeChanges):
         self._take, self._control, self.parts = take, control, 1
         self.same_time = SAME_TIME
         table = model.switches
-        # A guard that starts below this starts at its zero.
+        # A guard whose initial value is below this starts at its zero.
         self._at_zero, self._digit = np.zeros((2, len(table), 5))
         for end, stop in ((LOWER, table["lower"]), (UPPER, table["upper"])):
             far = np.where(np.isfinite(stop), np.abs(stop), 0.0)
             self._at_zero[:, end] = AT_STOP * (1.0 + far)
             self._digit[:, end] = DIGIT * (sizes + far)
         self._at_zero[:, SLIDING] = RESTING
-        # Of compliant stops, s: how long before its depth the pressure of one that returns is zero.
+        # s: time by which the pressure of a compliant stop that is left vanishes before its depth.
         self._lag = table["damping"] / np.where(self._rigid, np.inf, table["stiffness"])
 
     def _locate(self, size, state):
         """Go to the first zero of a guard in a substep.
 
-        returns (time after its start, mask of the guards that are zero there, status); no mask: there
-        is no event, and the substep is taken
+        returns (time after its start, mask of the guards that are zero there, status); without an
+        event the mask is None, and the whole substep is taken
         """
         work = self._work
         places = work.crossed.copy()
@@ -78,7 +78,7 @@ class EventTimes(ModeChanges):
             return work.guards.copy(), work.modes[:, COORDINATE].copy(), work.now.copy()
 
         def guard(tau, k, c):
-            """Guard of a stop: beyond the place where it starts, if that is beyond the stop."""
+            """A guard; for a rigid stop relative to its initial value, if that is beyond the stop."""
             start = min(seen(0.0)[0][k, c], 0.0) if c <= UPPER and self._rigid[k] else 0.0
             return seen(tau)[0][k, c] - start
 
@@ -147,7 +147,7 @@ class EventTimes(ModeChanges):
         return None
 
     def _give_way(self, guard, place, size, k, c):
-        """Time at which the guard of what is held is negative, near a part of a substep, or None."""
+        """Time at which the guard of a held switch is negative, near a fraction of a substep, or None."""
         near = max(place - NEAR, 0.0) * size, min(place + NEAR, 1.0) * size
         options = {"xatol": PRECISE * size}
         find = scipy.optimize.minimize_scalar
@@ -157,7 +157,7 @@ class EventTimes(ModeChanges):
     def _zero(self, guard, gap, end, precise, k, c):
         """Time of the zero of a guard before `end`, where it is negative; to `precise` s."""
         begin, starts = 0.0, guard(0.0, k, c) > self._at_zero[k, c]
-        # Near its zero for a constant acceleration: a small part of the substep, after an impact.
+        # Its zero for a constant acceleration; after an impact it is a small fraction of the substep.
         near = _first_zero(*gap(0.0, k, c)) if c <= UPPER else end
         if c <= UPPER and self._rigid[k]:
             time = self._closed(guard, gap, near, end, precise, k, c)
@@ -168,7 +168,7 @@ class EventTimes(ModeChanges):
             if guard(BEFORE * near, k, c) > 0.0:
                 begin, starts = BEFORE * near, True
         if not starts:
-            # It starts at zero, after an event, and grows at first; else it is there already.
+            # After an event the guard starts at zero and grows; if it does not grow, the start is its zero.
             begin = end
             for _ in range(HALVINGS):
                 begin *= 0.5
