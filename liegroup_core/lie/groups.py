@@ -98,7 +98,7 @@ def _matrix4(R, r):
 
 
 def within_a_turn(angle, near=0.0):
-    """The angle that differs by whole turns and is nearest to `near`, rad."""
+    """Angle nearest to `near` that differs from `angle` by whole turns, rad."""
     return angle - 2.0 * math.pi * math.floor((angle - near) / (2.0 * math.pi) + 0.5)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motions of a plane, SE(2), on tuples: what sweeps ask of se3.py, with three numbers for a twist.
+"""Motions of a plane, SE(2), on tuples: se3.py with three numbers for a twist, as far as sweeps need it.
 
 Pose (c, s, x, y): cosine and sine of its angle, and its position in m. Twist (omega, x, y), wrench
 (torque, x, y).

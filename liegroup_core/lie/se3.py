@@ -62,7 +62,7 @@ def se3_Ad_inverse(R, r, w, v):
 
 @kernel
 def se3_wrench(R, r, torque, force):
-    """Ad_C^-T of a wrench: that on a frame at C = (R, r) in another one, in the axes of that one."""
+    """Ad_C^-T of a wrench: from the frame at C = (R, r) to the reference frame of C, in its axes."""
     f = matvec3(R, force)
     return add3(matvec3(R, torque), cross3(r, f)), f
 

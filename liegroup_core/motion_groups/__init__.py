@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motion groups: how a joint of the tree lets a link move relative to its parent. A file is a group.
+"""Motion groups: relative motions of a link and its parent that a tree joint permits. One file per group.
 
-In: the record of a link, its coordinates, rates and articulated inertia. Out: what a sweep asks, see
-table.py. A motion group knows no tree, no cut joint and no integrator.
+In: the record of a link, its coordinates, rates and articulated inertia. Out: the quantities that
+table.py lists. A motion group does not depend on the tree, cut joints or the integrator.
 """

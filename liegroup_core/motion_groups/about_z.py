@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Coordinates (cos, sin, x, y, z) of the groups that turn about z alone, and translate."""
+"""Coordinates (cos, sin, x, y, z) of the groups that rotate about z only, and translate."""
 
 import math
 
@@ -28,8 +28,8 @@ def turned(m, c, s):
 def nearest_turn(c, s):
     """Cosine and sine of an angle, from multiples of them.
 
-    R00 + R11 and R10 - R01 are those of the rotation about z nearest to R. Upside down no angle is
-    nearest: the joint does not allow such a pose.
+    R00 + R11 and R10 - R01 are multiples for the rotation about z nearest to R. If R turns z upside down, no
+    angle is nearest; the joint does not allow such a pose.
     """
     length = math.sqrt(c * c + s * s)
     return (c / length, s / length) if length > 0.0 else (1.0, 0.0)
@@ -43,7 +43,7 @@ def turn_of(rot):
 
 @kernel
 def turned_by(angle, c, s):
-    """Cosine and sine of an angle after a rotation by another one."""
+    """Cosine and sine of the sum of `angle` and the angle with cosine c and sine s."""
     sinc, versinc = turn_coefficients(angle * angle)
     less, sine = -angle * angle * versinc, angle * sinc
     return c + (less * c - sine * s), s + (less * s + sine * c)
@@ -64,7 +64,7 @@ def relative_point(link, coordinates, row):
 
 @kernel
 def turn(link, coordinates, row, screws, at, out):
-    """Rotation of X exp(Psi), its first number."""
+    """Write the rotation of X exp(Psi), by the first number of Psi; returns its squared angle, rad^2."""
     psi = screws[at, 0]
     sinc, versinc = turn_coefficients(psi * psi)
     c, s = 1.0 - psi * psi * versinc, psi * sinc

@@ -95,7 +95,7 @@ def add_hinge_inertia(m, rot, p, out, row):
 def _turned_block(xx, xy, yy, c, s):
     """Block (xx, xy, yy) of a symmetric matrix, turned in its plane.
 
-    A small moment beside a large one keeps its digits: they mix by no more than the angle makes them.
+    A small moment next to a large one keeps its digits: both mix only as far as the angle requires.
     """
     g = s * (xx - yy) + 2.0 * c * xy
     return xx - s * g, c * g - xy, yy + s * g

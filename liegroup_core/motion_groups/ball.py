@@ -41,7 +41,7 @@ def normalise(link, coordinates, row):
 
 @kernel
 def slope(link, first, b, u, rates, row, slopes, at):
-    """dexp^-1_{-Psi} qdot in place of Psi."""
+    """Replace Psi by dexp^-1_{-Psi} qdot."""
     psi = (-slopes[at, 0], -slopes[at + 1, 0], -slopes[at + 2, 0])
     w = so3_dexpinv_of(first, b, psi, load3(rates, row, 0))
     for c in range(3):
@@ -50,7 +50,7 @@ def slope(link, first, b, u, rates, row, slopes, at):
 
 @kernel
 def hand_on(link, work, b, m, torque, force):
-    """Only a mass matrix is left."""
+    """Add the rest, only a mass matrix, to the parent."""
     force = add3(force, mass_times(m, load3(work.drift, b, 3)))
     rot, p = load9(work.relative, b, 0), load3(work.relative, b, 9)
     add_mass(m, rot, p, work.inertia, link["parent"])

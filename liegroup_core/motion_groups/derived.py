@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What follows from the data of a motion group: the text of its functions, for all groups alike.
+"""Source text of the functions of a motion group, generated from its data in the same way for all groups.
 
-A group says which components of a twist its freedoms are (COMPONENTS), in which order they are
-eliminated (ORDER) and whether stops and friction may hold them (MAY_BE_HELD). As a text each function
-is part of its choice in table.py. A kernel for every group would double the time to compile.
+The data are the components of a twist that are freedoms (COMPONENTS), the order of their elimination (ORDER)
+and whether stops and friction may hold them (MAY_BE_HELD). table.py combines the texts of all groups into
+one function. A kernel for every group would double the time to compile.
 """
 
 import math
@@ -22,7 +22,7 @@ from .elimination import (
     without_helix,
 )
 
-# What the texts call.
+# Names that the texts use.
 CALLED = {
     "accelerate_direction": accelerate_direction,
     "add3": add3,
@@ -43,12 +43,12 @@ AT_JOINT = 'return vector3(link["point"])'  # position of T X without a translat
 
 
 def twist_of(components, number, pitch=False):
-    """S q as angular and linear part; number: text of number {k} of q."""
+    """Text of S q, angular and linear part; number: text of component {k} of q."""
     numbers = [number.format(k=k) for k in range(len(components))]
     parts = [numbers[components.index(c)] if c in components else "0.0" for c in range(6)]
     if 0 in components:
         return f"w = ({', '.join(parts[:3])})\nreturn w, ({', '.join(parts[3:])})"
-    # All groups about z begin with the same line, which is then outside of their choice.
+    # All groups about z begin with the same line, which table.py moves before the choice.
     parts = ["first" if part == numbers[0] else part for part in parts]
     if pitch:
         parts[Z] = " + ".join(['link["pitch"] * first', *(p for p in parts[Z:] if p != "0.0")])
@@ -94,7 +94,7 @@ def _accelerate(components, order, pitch):
 
 
 def _wrench_without(components, order, held, pitch, one):
-    """A wrench without the freedoms; one: text that takes freedom {k}, the {position}th, with component {y}."""
+    """Text that removes all freedoms from a wrench; one: that for freedom {k}, the {position}th, component {y}."""
     lines = []
     for position, k in enumerate(order):
         vector, c = _part(components[k], "w", "v")
@@ -115,7 +115,7 @@ def _part(c, angular, linear):
 def _on_coordinates_about_z(components, pitch):
     """Functions on coordinates (cos, sin, x, y, z).
 
-    Not `displace` of a group that turns and translates along x or y: its exponential couples them.
+    Without `displace` if the group rotates and translates along x or y, because its exponential couples them.
     """
     turns, shifts = 2 in components, [c for c in components if c > 2]
     kept = ", ".join(f"p[{c - 3}]" if c in components else "0.0" for c in (3, 4, 5))

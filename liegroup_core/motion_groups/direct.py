@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""SO(3) x R^3: a floating link as for SE(3), but rotation and position are products of their own.
+"""SO(3) x R^3: a floating link as for SE(3), but rotation and position are multiplied separately.
 
 Its velocity on the group is (omega in link axes, rdot in WORLD axes): (6.26) and the note to it. The
-rates of the link stay its twist; what integrates on the group converts them.
+rates of the link remain its twist; integrators on the group convert them.
 """
 
 from liegroup_core.compiling import kernel
@@ -28,7 +28,7 @@ IN_WORLD_AXES = True
 
 @kernel
 def displace(link, coordinates, row, screws, at, out):
-    """X exp(Psi): rotation and position on their own."""
+    """X exp(Psi), separately for rotation and position."""
     xi = (screws[at, 0], screws[at + 1, 0], screws[at + 2, 0])
     eta = (screws[at + 3, 0], screws[at + 4, 0], screws[at + 5, 0])
     store3(add3(load3(coordinates, row, 9), eta), out, row, 9)

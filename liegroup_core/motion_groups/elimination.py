@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One freedom leaves an articulated body, a wrench, an acceleration; see dynamics/trees.py.
+"""Elimination of one freedom from an articulated body, a wrench or an acceleration; see dynamics/trees.py.
 
-A freedom f is a direction s of a twist. For most it is a component k, 0 to 5: three rotations, three
-translations.
+A freedom f is a direction s of a twist. For most it is a component k: rotations are 0 to 2, translations 3
+to 5.
 """
 
 from textwrap import dedent
@@ -19,18 +19,18 @@ ENTRIES = (
 
 
 def column(k):
-    """Text of I s for the inertia m and component k: U."""
+    """Text of U = I s for the inertia m and component k."""
     places = [ENTRIES.index((min(k, c), max(k, c))) for c in range(6)]
     return "(" + ", ".join(f"m[{place}]" for place in places) + ")"
 
 
 def replaced(vector, k, value):
-    """Text of a tuple of three with another value of number k; all as it is if k is none of them."""
+    """Text of a 3-tuple whose entry k is replaced by `value`; unchanged if k is not an index of it."""
     return "(" + ", ".join(value if c == k else f"{vector}[{c}]" for c in range(3)) + ")"
 
 
 def made(name, text, called):
-    """Kernel of a text. The name of this file makes the text one of the sources."""
+    """Kernel from a text. Under the name of this file the text counts as one of the sources."""
     names = {"__name__": __name__} | called
     exec(compile(text, __file__, "exec"), names)
     return kernel(names[name])
@@ -47,7 +47,7 @@ def store_freedom(work, f, U, inverse, u):
 
 @kernel
 def is_held(work, f):
-    """Whether freedom f is held: then it has no U and no 1 / D, and stays in the inertia."""
+    """Whether freedom f is held: then its U and 1 / D become zero, and it remains in the inertia."""
     if work.held[f] == 0.0:
         return False
     store_freedom(work, f, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0, 0.0)
@@ -65,7 +65,7 @@ def accelerate_direction(work, f, w, v):
 
 @kernel
 def leave_direction(work, f, y, place, torque, force):
-    """Wrench less U y / D of freedom f, whose component y goes to a place of work.response."""
+    """Wrench minus U y / D of freedom f; writes its component y to work.response[place]."""
     work.response[place] = y
     share = -y * work.freedoms[f, 6]
     return (axpy3(share, load3(work.freedoms, f, 0), torque), axpy3(share, load3(work.freedoms, f, 3), force))
@@ -73,7 +73,7 @@ def leave_direction(work, f, y, place, torque, force):
 
 @kernel
 def load_direction(work, f, y, torque, force):
-    """Wrench -W less U y / D of freedom f, whose u is -y: W has its component."""
+    """(torque, force) = -W minus U y / D of freedom f; sets its u to -y, the component of W."""
     work.freedoms[f, 7] = -y
     share = -y * work.freedoms[f, 6]
     return (axpy3(share, load3(work.freedoms, f, 0), torque), axpy3(share, load3(work.freedoms, f, 3), force))
@@ -81,7 +81,7 @@ def load_direction(work, f, y, torque, force):
 
 @kernel
 def inverse_of(D):
-    """1 / D; a freedom without inertia does not accelerate."""
+    """1 / D, or 0 where D = 0: a degree of freedom without inertia gets no acceleration."""
     return 1.0 / D if D > 0.0 else 0.0
 
 

@@ -45,7 +45,7 @@ def displace(link, coordinates, row, screws, at, out):
 
 @kernel
 def move_coordinates(link, coordinates, row, psi, at, out):
-    """X displaced by a column: rotation and shift are independent of each other."""
+    """Displace X by a column: rotation and translation, independently of each other."""
     rot = load9(coordinates, row, 0)
     shift = matvec3(rot, (psi[at + 3, 0], psi[at + 4, 0], psi[at + 5, 0]))
     store3(add3(load3(coordinates, row, 9), shift), out, row, 9)
@@ -55,7 +55,7 @@ def move_coordinates(link, coordinates, row, psi, at, out):
 
 @kernel
 def slope(link, first, b, u, rates, row, slopes, at):
-    """dexp^-1_{-Psi} qdot in place of Psi."""
+    """Replace Psi by dexp^-1_{-Psi} qdot."""
     xi = (-slopes[at, 0], -slopes[at + 1, 0], -slopes[at + 2, 0])
     eta = (-slopes[at + 3, 0], -slopes[at + 4, 0], -slopes[at + 5, 0])
     w, v = load3(rates, row, 0), load3(rates, row, 3)
@@ -67,7 +67,7 @@ def slope(link, first, b, u, rates, row, slopes, at):
 
 @kernel
 def eliminate(link, work, f, m, torque, force):
-    """All freedoms leave an articulated body. Nothing is left for a parent."""
+    """Eliminate all freedoms from an articulated body. Nothing remains for a parent."""
     m, torque, force = _without_z(work, f + 2, m, torque, force)
     m, torque, force = _without_x(work, f, m, torque, force)
     m, torque, force = _without_y(work, f + 1, m, torque, force)
@@ -85,7 +85,7 @@ def eliminate(link, work, f, m, torque, force):
 
 @kernel
 def leave(link, work, f, place, rows, torque, force):
-    """The responses of all freedoms. Nothing is left for a parent."""
+    """Write the responses of all freedoms. Nothing remains for a parent."""
     w, v = leave_direction(work, f + 2, torque[2], place, torque, force)
     w, v = leave_direction(work, f, w[0], place + rows, (w[0], w[1], 0.0), v)
     w, v = leave_direction(work, f + 1, w[1], place + 2 * rows, (0.0, w[1], 0.0), v)

@@ -19,7 +19,7 @@ MAY_BE_HELD = True
 
 @kernel
 def add_rates(link, sw, sv, w, v):
-    """V and [V, S qdot]: neither of them has a part of the rate but about z."""
+    """V and [V, S qdot] for a rate about z."""
     rate = sw[2]
     w = (w[0], w[1], w[2] + rate)
     return (w, v), ((rate * w[1], -rate * w[0], 0.0), (rate * v[1], -rate * v[0], 0.0))
@@ -27,7 +27,7 @@ def add_rates(link, sw, sv, w, v):
 
 @kernel
 def hand_on(link, work, b, m, torque, force):
-    """Neither rotation about z nor drift along it, unless the hinge is held."""
+    """Add the rest to the parent. Unless the hinge is held, it has no inertia about z and no drift along z."""
     if work.held[link["freedom"]] != 0.0:
         return False, torque, force
     w, v = load3(work.drift, b, 0), load3(work.drift, b, 3)
@@ -67,7 +67,7 @@ def plane_add_rates(link, S, V):
 
 @kernel
 def plane_hand_on(link, work, row, m, F):
-    """Without rotation only a mass matrix is left, and no torque: M - U U^T / D at the link's place."""
+    """Add the rest to the parent: without the rotation, a mass matrix M - U U^T / D and a force at the link."""
     f, a = link["freedom"], link["parent"]
     inertia, inverse, u = work.inertia, work.freedoms[f, 6], work.freedoms[f, 7]
     if work.held[f] != 0.0:
@@ -82,7 +82,7 @@ def plane_hand_on(link, work, row, m, F):
     hx, hy = m[3] * gx + m[4] * gy, m[4] * gx + m[5] * gy
     fx, fy = turn2(c, s, F[1], F[2])
     xx, xy, yy = se2_turned_mass(c, s, m[3], m[4], m[5])
-    # The division is last: the next link waits for it.
+    # Terms with `inverse` come last, because the division takes longest.
     inertia[a, 0] += (gx * hx + gy * hy) - inverse * (arm * arm)
     inertia[a, 1] += (c * hx - s * hy) - inverse * (arm * Ux)
     inertia[a, 2] += (s * hx + c * hy) - inverse * (arm * Uy)

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Groups of a planar mechanism: what hinges and slides share, and what follows from their data.
+"""Groups of a planar mechanism: functions that hinges and slides share, and texts generated from their data.
 
-The coordinates of a link are its pose in its parent link, (cos, sin, x, y) in m: the placement of
-the joint and its motion in one. Links are displaced by products from the right, so that no stage
-needs the placement. Twists are (omega, v_x, v_y), an inertia is (6): I, -m c_y, m c_x, and that of a
-translation (xx, xy, yy).
+The coordinates of a link are its pose in its parent link, (cos, sin, x, y) in m: the product of the joint's
+placement and its motion. Links are displaced by products from the right, so stages do not need the
+placement. Twists are (omega, v_x, v_y). An inertia is (6): I, -m c_y, m c_x, and the mass matrix (xx, xy, yy).
 
-Hinges and slides store U in the axes of their parents, U X: qddot = (u - U X . E_a) / D follows from
-the parent at once. A link with all freedoms of the plane adds nothing to its parent.
+Hinges and slides store U in the axes of their parents, U X, so that qddot = (u - U X . E_a) / D follows
+directly from the parent. A link with all freedoms of the plane adds nothing to its parent.
 """
 
 from liegroup_core.compiling import kernel, subroutine
@@ -43,7 +42,7 @@ def store_freedom(work, f, U, inverse, u):
 
 @kernel
 def begin_freedom(work, f, D, part):
-    """Store 1 / D and u of a freedom; one that is held does not accelerate. U follows if it has a parent."""
+    """Store 1 / D and u of a freedom, zeros if it is held. `hand_on` stores U if the link has a parent."""
     inverse, u = (inverse_of(D), -part) if work.held[f] == 0.0 else (0.0, 0.0)
     work.freedoms[f, 6], work.freedoms[f, 7] = inverse, u
 
@@ -74,24 +73,24 @@ def accelerate_at(work, f, E):
 
 @kernel
 def leave_at(work, f, row, F, y):
-    """Wrench without freedom f, whose component is y, in the axes of the parent; that component."""
+    """Wrench without freedom f in the axes of the parent, and its component y of f."""
     U, share = work.freedoms, y * work.freedoms[f, 6]
     torque, fx, fy = se2_wrench(place(work.stage_pose, row), F)
     return (torque - share * U[f, 0], fx - share * U[f, 1], fy - share * U[f, 2]), y, 0.0, 0.0
 
 
-# What the texts call.
+# Names that the texts use.
 CALLED = {each.__name__: each for each in (accelerate_at, begin_freedom, leave_at, place_at, turn_of)}
 
 
 def twist_of(components, number):
-    """S q; number: text of number {k} of q."""
+    """Text of S q; number: text of component {k} of q."""
     parts = [number.format(k=components.index(c)) if c in components else "0.0" for c in (2, 3, 4)]
     return f"return {', '.join(parts)}"
 
 
 def functions_of(components):
-    """{name: text of a function} of a group, see table.IN_PLANE; accelerate to leave of one freedom."""
+    """{name: text of a function} of a group, see table.IN_PLANE; the last three for groups with one freedom."""
     x, y = (f"p[{c - 3}]" if c in components else "0.0" for c in (3, 4))
     turn = "turn_of(rot)" if 2 in components else "1.0, 0.0"
     k = components[0] - 2

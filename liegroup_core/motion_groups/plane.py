@@ -34,7 +34,7 @@ def displace(link, coordinates, row, screws, at, out):
 
 @kernel
 def move_coordinates(link, coordinates, row, psi, at, out):
-    """X displaced by a column: rotation and shift are independent of each other."""
+    """Displace X by a column: rotation and translation, independently of each other."""
     c, s, x, y = coordinates[row, 0], coordinates[row, 1], psi[at + 1, 0], psi[at + 2, 0]
     out[row, 2] = coordinates[row, 2] + (c * x - s * y)
     out[row, 3] = coordinates[row, 3] + (s * x + c * y)
@@ -43,7 +43,7 @@ def move_coordinates(link, coordinates, row, psi, at, out):
 
 @kernel
 def slope(link, first, b, u, rates, row, slopes, at):
-    """dexp^-1_{-Psi} qdot in place of Psi."""
+    """Replace Psi by dexp^-1_{-Psi} qdot."""
     xi, ex, ey = slopes[at, 0], slopes[at + 1, 0], slopes[at + 2, 0]
     w, vx, vy = rates[row, 0], rates[row, 1], rates[row, 2]
     gx, gy = ey * w - xi * vy, xi * vx - ex * w
@@ -66,7 +66,7 @@ def plane_add_rates(link, S, V):
 
 @kernel
 def plane_eliminate(link, work, f, m, F):
-    """All freedoms of the plane leave an articulated body; U in its own axes."""
+    """Eliminate all freedoms of the plane from an articulated body; stores U in its own axes."""
     ww, wx, wy, xx, xy, yy = m
     _, fx, fy = F
     inverse, u = inverse_of(ww), -F[0]
@@ -85,7 +85,7 @@ def plane_eliminate(link, work, f, m, F):
 
 @kernel
 def plane_accelerate(link, work, f, E, V):
-    """E of a link with all freedoms; V: without them."""
+    """E of a link with all freedoms of the plane; V: E without them."""
     U, qddot = work.freedoms, work.acceleration
     y = U[f + 2, 6] * U[f + 2, 7]
     x = U[f + 1, 6] * (U[f + 1, 7] - U[f + 1, 2] * y)
@@ -96,7 +96,7 @@ def plane_accelerate(link, work, f, E, V):
 
 @kernel
 def plane_leave(link, work, f, row, F):
-    """What is left of a wrench, nothing; the components of the freedoms."""
+    """Remaining wrench, which is zero, and the components of the freedoms."""
     U = work.freedoms
     share = F[0] * U[f, 6]
     x, y = F[1] - share * U[f, 1], F[2] - share * U[f, 2]

@@ -19,7 +19,7 @@ MAY_BE_HELD = HAS_PITCH = True
 
 @kernel
 def _along(c, s, z, pitch):
-    """Displacement of a screw: that of its angle, in the turn nearest to a displacement z."""
+    """Displacement of a screw from its angle, with the number of turns nearest to a displacement z."""
     lead = 2.0 * math.pi * pitch
     angle = math.atan2(s, c)
     ahead = z - pitch * angle

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""R: a link moves along z of its frame; along x of it in a plane."""
+"""R: a link moves along z of its frame; in a plane, along x."""
 
 from liegroup_core.compiling import kernel
 from liegroup_core.lie.se2 import se2_wrench, turn_back2
@@ -43,7 +43,7 @@ def plane_add_rates(link, S, V):
 
 @kernel
 def plane_hand_on(link, work, row, m, F):
-    """Inertia and bias force without the translation along x, added to those of the parent."""
+    """Add inertia and bias force without the translation along x to those of the parent."""
     f, (ww, wx, wy, xx, xy, yy) = link["freedom"], m
     inverse, u, U = work.freedoms[f, 6], work.freedoms[f, 7], ZERO3
     if work.held[f] == 0.0:

@@ -1,21 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The motion groups, and what a sweep asks of the group of a link.
+"""The motion groups, and the functions that sweeps call for the group of a link.
 
-A new lower pair is a file of this folder and its place in _LIST. A file has the data of its group and
-the functions of SPACE that it does not share with others:
+A new lower pair needs a file in this folder and an entry in _LIST. The file has the data of the group and
+the functions of SPACE that it does not share with other groups:
 
-    NAME             as users know it
-    JOINTS           types of joints that it is made for: {type: motion that it allows, as text}
-    COMPONENTS       of a twist: which one each freedom is, S has unit columns
-    ORDER            in which the freedoms are eliminated; without it: as they come
-    HAS_PITCH        True if a translation of link["pitch"] m/rad goes with its first freedom
+    NAME             that users see
+    JOINTS           joint types with this group: {type: motion that it allows, as text}
+    COMPONENTS       of a twist that are freedoms; S has unit columns
+    ORDER            of elimination of the freedoms; default: as in COMPONENTS
+    HAS_PITCH        True if its first freedom includes a translation of link["pitch"] m/rad
     MAY_BE_HELD      True if stops and friction may hold its freedoms
     IN_WORLD_AXES    True if velocities on the group are in world axes: see direct.py
-    PLANE_COMPONENTS those of a planar mechanism; without it: none has such a joint. The functions of
-                     IN_PLANE that it does not share with others begin with plane_
+    PLANE_COMPONENTS components in a planar mechanism; without them, none has such a joint. Functions of
+                     IN_PLANE that the group does not share with others begin with plane_
 
-Every function takes the record of the link first (mechanism/arrays.LINK). The functions
-of this module call that of its group. They are inlined, so that sweeps pay for a branch, no call.
+Every function takes the record of the link first (mechanism/arrays.LINK). The functions of this module call
+that of the link's group. They are inlined, so that sweeps pay for a branch but not for a call.
 """
 
 from collections import Counter
@@ -28,7 +28,7 @@ from .elimination import made
 
 # All groups, in the order of texts for users.
 _LIST = (ball, hinge, slide, cylinder, plane, screw, free, direct)
-# The code of a group is its place here: those that turn about z at most come first.
+# The code of a group is its index here; groups that do not rotate, or only about z, come first.
 GROUPS = tuple(sorted(_LIST, key=lambda group: 0 in group.COMPONENTS))
 HINGE, SLIDE, PLANE, FREE, DIRECT = map(GROUPS.index, (hinge, slide, plane, free, direct))
 JOINTS = {name: group for group in _LIST for name in group.JOINTS}
@@ -57,13 +57,13 @@ SPACE = {
     "add_rates": "sw, sv, w, v",  # V and [V, S qdot]
     "displace": "coordinates, row, screws, at, out",  # X exp(Psi); its squared angle
     "displace_by_twist": "coordinates, row, screws, at, out",  # the same for Psi in link axes
-    "lift": "coordinates, row, screws, at, out",  # its translation along z beside a rotation
+    "lift": "coordinates, row, screws, at, out",  # its translation along z, for groups that also rotate
     "normalise": "coordinates, row",  # X without round-off
-    "slope": "first, b, u, rates, row, slopes, at",  # dexp^-1 of the rates, where that is curved
+    "slope": "first, b, u, rates, row, slopes, at",  # dexp^-1 of the rates, where dexp is not the identity
     "column_twist": "psi, at",  # S psi for a column psi; a displacement as rotation vector and shift
     "move_coordinates": "coordinates, row, psi, at, out",  # X displaced by that
     "eliminate": "work, f, m, torque, force",  # inertia and bias force without the freedoms
-    "hand_on": "work, b, m, torque, force",  # what is left, added to the parent in a short form
+    "hand_on": "work, b, m, torque, force",  # the rest, added to the parent in a short form
     "accelerate": "work, f, w, v",  # acceleration with that of the freedoms
     "leave": "work, f, place, rows, w, v",  # a wrench without them, and its responses
     "load_freedoms": "work, f, w, v",  # the same with u of the freedoms for the wrench -(w, v)
@@ -74,15 +74,15 @@ IN_PLANE = {
     **{name: SPACE[name] for name in ("rates_of", "own_forces")},
     **{name: SPACE[name] for name in ("normalise", "column_twist", "move_coordinates")},
     "add_rates": "S, V",  # V and the translation of [V, S qdot]
-    "eliminate": "work, f, m, F",  # freedoms leave an articulated body, or do so in hand_on
-    "hand_on": "work, row, m, F",  # what is left, added to the parent
+    "eliminate": "work, f, m, F",  # inertia and bias force without the freedoms; or hand_on does it
+    "hand_on": "work, row, m, F",  # the rest, added to the parent
     "accelerate": "work, f, E, V",  # acceleration with that of the freedoms; E of the parent
     "leave": "work, f, row, F",  # a wrench without them, in the axes of the parent; its responses
 }
 
 
 def functions_of(group):
-    """{name: function of a group, or its text}; without those that sweeps do not ask."""
+    """{name: function of a group, or its text}; only the functions that sweeps call for it."""
     order = getattr(group, "ORDER", range(len(group.COMPONENTS)))
     held, pitch = getattr(group, "MAY_BE_HELD", False), getattr(group, "HAS_PITCH", False)
     found = derived.functions_of(group.COMPONENTS, order, held, pitch)
@@ -92,7 +92,7 @@ def functions_of(group):
 def choice(name, arguments, functions):
     """Kernel that calls the function for the group of a link; functions: {code: function or text}.
 
-    Rotations about all axes are asked for first, where one of both sides then shares something.
+    Groups that rotate about all axes are branched off first, if then one of both sides shares text.
     """
     called, bodies = derived.CALLED | in_plane.CALLED, {}
     for code, function in functions.items():
@@ -117,10 +117,10 @@ def _is_shared(bodies):
 
 
 def _chain(bodies):
-    """Text that chooses one of some texts; bodies: {code: text}.
+    """Text that selects one of several texts by the group; bodies: {code: text}.
 
-    What most groups share comes last, once: the machine code of all is in every caller. A first line
-    that all have comes before the choice.
+    The text that most groups share comes last, once, because the machine code of all is in every caller. A
+    first line that all share comes before the choice.
     """
     count = Counter(bodies.values())
     first = {body.partition("\n")[0] for body in count}
@@ -137,7 +137,7 @@ def _chain(bodies):
 
 
 def _is_any(codes):
-    """Text: whether the link has one of these groups."""
+    """Text of the condition that the link has one of these groups."""
     return " or ".join(f'link["group"] == {code}' for code in codes)
 
 
@@ -192,7 +192,7 @@ slides = _kernel("slides", "link", f"return {_is_any(_SLIDING)}", {})
 
 
 def plane_functions_of(code):
-    """{name: function of a group in a plane, or its text}; without those that sweeps do not ask."""
+    """{name: function of a group in a plane, or its text}; only the functions that sweeps call for it."""
     own = {name: getattr(GROUPS[code], f"plane_{name}", None) for name in IN_PLANE}
     found = in_plane.functions_of(PLANE_COMPONENTS[code])
     return found | {name: function for name, function in own.items() if function is not None}
