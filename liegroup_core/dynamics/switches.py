@@ -177,7 +177,7 @@ def apply_switches(model, work):
 
 @kernel
 def set_row_efforts(model, work):
-    """Multipliers of the rows that are not held, by friction and compliant stops; returns whether any differs from 0."""
+    """Set the multipliers of rows that are not held, by friction and compliant stops; returns whether any is not 0."""
     compliant, found = False, False
     for k in range(len(model.switches)):
         if model.switches[k]["row"] >= 0 and work.modes[k, SIDE] != 0.0:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arrays of the relative formulation, as Model and Work for bodies on SE(3)^n.
+"""Arrays of the relative formulation: counterparts of Model and Work, which are for bodies on SE(3)^n.
 
 A link is a body of the spanning tree with everything that is welded to it. Its frame is the child
 frame of the joint to its parent link; that of a floating link is at its centre of mass. The joint
@@ -28,9 +28,9 @@ LARGEST_ROWS = 6  # of a joint
 
 # Columns of Work.modes.
 SLIP, SIDE, COORDINATE, KNOWN, RESTS, EFFORT = range(6)
-# Numbers of Work.watch: 1 if events are looked for; start of the substep with one, its size.
+# Entries of Work.watch: 1 if a step stops at events; start and size of the substep with an event.
 WATCHED, BEGIN, SPAN = range(3)
-NODES = 6  # stages of a step whose guards are kept, at most
+NODES = 6  # largest number of stages of a step whose guards are kept
 
 # How the coordinates of a link are found from poses of bodies.
 OWN, CROSS, AFTER_CROSS = 0, 1, 2
@@ -74,7 +74,7 @@ JOINT = np.dtype(
         ("element", "i8"),  # kind of element, and its index in `elements`
         ("rows", "i8"),
         ("first", "i8"),  # rows, and the first of them in `row_residual`
-        ("in_loop", "i8"),  # 0: at no pose do its rows depend on those of others
+        ("in_loop", "i8"),  # 0: its rows never depend on those of other joints
         ("own_points", "i8"),  # 1: its force acts on each link at its own point, see rows.py
     ],
     align=True,
@@ -84,15 +84,15 @@ JOINT = np.dtype(
 COUPLED = np.dtype(
     [  # coupling of the coordinates of two links, each a hinge, slide or screw: couplings.py
         ("row", "i8"),
-        ("residual", "i8"),  # of this row, and of its residual
+        ("residual", "i8"),  # index of the row, and of its residual
         ("links", "i8", (2,)),
         ("factors", "f8", (2,)),  # of their coordinates in the residual
         ("offset", "f8"),
         ("angle", "i8"),  # unwrapped angle of the second joint, -1: none
         ("sign", "f8"),  # of the second link's coordinate when that of its joint increases
-        ("turned", "i8"),  # 1: the residual counts modulo 2 pi
-        ("motion", "i8"),  # of a driven joint: the first coordinate is given; -1: a coupling
-        ("order", "i8"),  # of the derivative that a solve finds: 2 accelerations, 1 rates
+        ("turned", "i8"),  # 1: the residual is taken modulo 2 pi
+        ("motion", "i8"),  # motion that the first coordinate of a driven joint follows; -1: a coupling
+        ("order", "i8"),  # of the derivative that is solved for: 2 accelerations, 1 rates
     ],
     align=True,
 )
@@ -109,7 +109,7 @@ SWITCH = np.dtype(
         ("sign", "f8"),  # of this coordinate when that of the joint increases
         ("lower", "f8"),
         ("upper", "f8"),  # stops, rad or m; infinite: none
-        ("expected", "f8"),  # coordinate next to which that of a new state is
+        ("expected", "f8"),  # coordinate near which that of a new state is unwrapped
         ("restitution", "f8"),
         ("stiffness", "f8"),  # 0: rigid stops
         ("damping", "f8"),
@@ -118,7 +118,7 @@ SWITCH = np.dtype(
         ("viscous", "f8"),
         ("sliding_by_load", "f8"),  # friction for each N of load: N m or N
         ("static_by_load", "f8"),
-        ("bearing", "i8"),  # cut joint whose load it is; -1: that of the link
+        ("bearing", "i8"),  # cut joint that carries the load; -1: the joint of the link
     ],
     align=True,
 )
@@ -134,7 +134,7 @@ class RelativeModel(Struct):
     elements: np.ndarray  # of ELEMENT: those of the cut joints, between links
     joints: np.ndarray  # (c,) of JOINT
     owners: np.ndarray  # (c,) their elements in `space`
-    row_residual: np.ndarray  # (m,) which residual is that of a row
+    row_residual: np.ndarray  # (m,) index of the residual of each row
     row_turns: np.ndarray  # (m,) 1: the row forbids a rotation, 0: a translation
     child_jacobian: np.ndarray  # (m, 6) rows of every PAIR for its child link
     paths: np.ndarray  # (c, 2) range of each joint in `path_links`
@@ -145,21 +145,21 @@ class RelativeModel(Struct):
     shared: np.ndarray  # (k, 3) joints i, j < i that share freedoms, end in shared_freedoms
     shared_freedoms: np.ndarray  # (l, 3) a freedom, its place in the responses of both joints
     couplings: np.ndarray  # of COUPLED
-    coupling: np.ndarray  # (c,) which coupling a cut joint is, or -1
+    coupling: np.ndarray  # (c,) index of the coupling that a cut joint stands for, or -1
     switches: np.ndarray  # (k,) of SWITCH
     switched: np.ndarray  # (m,) 1: the row is that of a switch
     has_switched_rows: bool  # any of them
     has_loads: bool  # any friction by load
     first_column: np.ndarray  # (m,) first nonzero column of each row of the factor of W
     is_empty_tree: bool  # all bodies float, all joints are cut
-    only_free_bodies: bool  # links that all float, each with one body; no joints: see free_bodies.py
-    refinements: int  # steps of iterative refinement that each solve takes
-    usual_pivot: float  # smallest pivot of W, part of the mobility, at poses that are not singular
+    only_free_bodies: bool  # all links float, each with one body; no joints: see free_bodies.py
+    refinements: int  # steps of iterative refinement in each solve
+    usual_pivot: float  # smallest pivot of W, relative to the mobility, at poses that are not singular
     projects: bool
     baumgarte_rate: float
 
     def kept_rows(self, element):
-        """Numbers of the rows that are solved for, of an element of `space` in a cut joint."""
+        """Indices of the rows of an element of `space` that are solved for in a cut joint."""
         (found,) = (self.owners == element).nonzero()
         if not len(found):
             return []
@@ -169,7 +169,7 @@ class RelativeModel(Struct):
 
 
 PLANE_LINK = np.dtype(
-    [  # link of a planar mechanism; what the sweeps need, close together
+    [  # link of a planar mechanism: fields that sweeps need, close together in memory
         ("group", "i8"),
         ("parent", "i8"),
         ("freedom", "i8"),
@@ -208,7 +208,7 @@ class RelativeWork(Struct):
     """
 
     space: Work
-    angle: np.ndarray  # the following are those of `space`
+    angle: np.ndarray  # the fields from here to `report` are those of `space`
     acting: np.ndarray
     wanted: np.ndarray
     motions: np.ndarray
@@ -216,7 +216,7 @@ class RelativeWork(Struct):
     start_angle: np.ndarray
     report: np.ndarray
     child_jacobian: np.ndarray  # (m, 6)
-    known: np.ndarray = shaped(1)  # 1 if the rows of the links in pose and twist are those of the state
+    known: np.ndarray = shaped(1)  # 1 if the link rows of pose and twist belong to the present state
     pose: np.ndarray = shaped("state", 12)  # the state
     twist: np.ndarray = shaped("state", 6)
     stage_pose: np.ndarray = shaped("state", 12)
@@ -225,26 +225,26 @@ class RelativeWork(Struct):
     start_twist: np.ndarray = shaped("state", 6)
     middle_pose: np.ndarray = shaped("state", 12)  # the stage at a singular pose, see singular_poses.py
     middle_twist: np.ndarray = shaped("state", 6)
-    middle: np.ndarray = shaped("freedoms", 2)  # its regularised accelerations, and their mean beside it
+    middle: np.ndarray = shaped("freedoms", 2)  # its regularised accelerations, and those interpolated
     velocity: np.ndarray = shaped("links", 6)  # qdot at the start of the step
     slopes: np.ndarray = shaped("slopes", 2)  # k of stages and end, (s + 1) f: algebra, then qdot part
     external: np.ndarray = shaped("bodies", EXTERNAL_COLUMNS)  # see forces/external.py: external wrenches of the call
     pushed: np.ndarray = shaped(1)  # 1 if any of them is not zero
     held: np.ndarray = shaped("held")  # f + m: 1 if a freedom, or the row of a switch, is held: see switches.py
-    # Of each switch: SLIP, its direction; SIDE of the stop that it touches, -1 lower, 1 upper; COORDINATE
-    # at the start of the step, in its turn; 1 if these are KNOWN; 1 if it RESTS because of others that are
-    # held, and its EFFORT then
+    # Of each switch: SLIP, its direction; SIDE of the stop in contact, -1 lower, 1 upper; COORDINATE at the
+    # start of the step, unwrapped; KNOWN, 1 if these are valid; RESTS, 1 if it rests because of others that
+    # are held, and its EFFORT then
     modes: np.ndarray = shaped("switches", 6)
     reach: np.ndarray = shaped("switches")  # coordinate of each switch that is a row
     since: np.ndarray = shaped("switches", 2)  # rate and acceleration of each at the start of the step
     now: np.ndarray = shaped("switches", 2)  # and at the stage
-    # Force across the axis of each that its friction counts with, and that of the present accelerations,
-    # N; both of the iteration before: see loads.py
+    # Force normal to the axis of each, N: the one that its friction uses, and the one at the present
+    # accelerations; then both of the previous iteration: see loads.py
     loads: np.ndarray = shaped("switches", 4)
-    iteration: np.ndarray = shaped(3)  # 1: the loads are given; 1: they did not settle; scratch
-    guards: np.ndarray = shaped("switches", 5)  # how far each switch is from its next events
-    course: np.ndarray = shaped(NODES, "switches", 2)  # the last two at some stages: see events/crossings.py
-    crossed: np.ndarray = shaped("switches", 5)  # part of the step at which each is at the latest, or -1
+    iteration: np.ndarray = shaped(3)  # 1 if the loads are given; 1 if they did not converge; scratch
+    guards: np.ndarray = shaped("switches", 5)  # distance of each switch to its next events
+    course: np.ndarray = shaped(NODES, "switches", 2)  # the last two guards at some stages: see events/crossings.py
+    crossed: np.ndarray = shaped("switches", 5)  # fraction of the step by which each event has occurred, or -1
     watch: np.ndarray = shaped(3)  # WATCHED, BEGIN, SPAN
     wrench: np.ndarray = shaped("bodies", 6)  # wrenches on the bodies
     relative: np.ndarray = shaped("links", 12)  # pose of each link in its parent link
@@ -255,14 +255,14 @@ class RelativeWork(Struct):
     moved: np.ndarray = shaped("links", "twist")  # Vdot - gravity of the links
     inertia: np.ndarray = shaped("links", "inertia")  # of the articulated body: A (6), B (9), C (6)
     applied: np.ndarray = shaped("links", "twist")  # applied wrenches on the links
-    force: np.ndarray = shaped("links", "twist")  # its bias force
+    force: np.ndarray = shaped("links", "twist")  # bias force of the articulated body
     freedoms: np.ndarray = shaped("freedoms", 8)  # U, 1 / D, u of each freedom
     acceleration: np.ndarray = shaped("freedoms", 1)  # qddot
     total: np.ndarray = shaped("freedoms", 1)  # qddot, and Vdot - gravity, before a refinement
     total_moved: np.ndarray = shaped("links", "twist")
     parent_jacobian: np.ndarray = shaped("rows", 6)
     slip: np.ndarray = shaped("rows")  # J V
-    gap: np.ndarray = shaped("residuals")  # of all rows of the cut joints
+    gap: np.ndarray = shaped("residuals")  # position residuals of all rows of the cut joints
     bias: np.ndarray = shaped("rows")  # J Vdot = bias
     right: np.ndarray = shaped("rows")  # residual, then a change of the multipliers
     multipliers: np.ndarray = shaped("rows")
@@ -270,7 +270,7 @@ class RelativeWork(Struct):
     response: np.ndarray = shaped("responses")  # y of each row and freedom on its path
     matrix: np.ndarray = shaped("rows", "rows")  # W in the upper, its factor in the lower triangle
     diagonal: np.ndarray = shaped("rows")  # pivots
-    difference: np.ndarray = shaped(2, 6)  # that of a link: algebra, qdot
+    difference: np.ndarray = shaped(2, 6)  # error estimate of a link: algebra, qdot
     errors: np.ndarray = shaped("errors", 12)  # error estimates of the links, two rows each: xi, eta, dw, dv
 
 
@@ -303,7 +303,7 @@ def make_relative_work(model, work, stages):
 
 
 def links_of(work):
-    """Arrays of a RelativeWork that are the state: coordinates and rates, and whether they are."""
+    """Arrays of a RelativeWork that hold the state: whether it is known, coordinates, rates, switch modes."""
     n = len(work.pose) - len(work.relative)
     switches = (work.held, work.modes) if len(work.modes) else ()
     return work.known, work.pose[n:], work.twist[n:], *switches

@@ -22,8 +22,8 @@ BODY = np.dtype([
 # Numbers of Work.report: largest squared rotation of a stage, rad^2, so far and in this step; number of
 # solves at a singular pose; smallest pivot of W; round-off in accelerations of this step.
 LARGEST_TURN, STEP_TURN, SINGULAR_SOLVES, PIVOT, ROUND_OFF = range(5)
-# Of Work.clock, input of a call: a step starts at COUNT h + OFFSET s, the next at (COUNT + 1) h + OFFSET;
-# and the time of the stage.
+# Entries of Work.clock. Input of a call: a step starts at COUNT h + OFFSET s, the next at (COUNT + 1) h + OFFSET.
+# NOW is the time of the stage.
 COUNT, OFFSET, NOW = range(3)
 
 class Model(Struct):
@@ -57,7 +57,7 @@ class Work(Struct):
 
 
 def make_work(model, stages):
-    """Allocate the scratch memory of a model for a method of so many stages."""
+    """Allocate the scratch memory of a model for a method with this number of stages."""
     n = len(model.bodies)
     springs = count_of_angles(model.forces)
     return Work(

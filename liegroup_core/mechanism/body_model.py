@@ -14,9 +14,9 @@ from .redundancy import kept_rows
 
 # Ratio of neighbouring masses or inertias from which iterative refinement is used.
 LARGE_RATIO = 1e3
-# Ratios of a body's moments of inertia from which one, two and three refinements are used. If joint
-# rows mix its principal rotations, twelve rods lose 1e-12 times the ratio (measured); four rods
-# without such rows a thousandth of it. Each refinement about squares the relative error.
+# Ratios of a body's moments of inertia above which a solve takes one, two and three refinements. Measured relative
+# error: 1e-12 times the ratio for twelve rods with joint rows that mix principal rotations, a thousandth of that
+# for four rods without such rows. Each refinement about squares the relative error.
 SLENDER, ALIGNED = (1e2, 1e6, 1e8), 1e-4
 
 
@@ -31,9 +31,8 @@ def build_model(scene):
     """Model of a scene, with the names of its parts as in layout.Layout.
 
     scene : consistent, body frames at the centres of mass (scene.centres)
-    returns (model, frames, owners, row_names, kept): frames of every joint; of each element its
-    scene joint, the names of its rows, and the rows that are solved for. Redundant rows are
-    eliminated.
+    returns (model, frames, owners, row_names, kept): frames of every joint; for every element its
+    scene joint, the names of its rows, and the rows that are not redundant, which are solved for.
     Raises SceneError for a linkage in a pose that it cannot leave.
     """
     index = {body.name: i for i, body in enumerate(scene.bodies)} | {"world": WORLD}
@@ -83,8 +82,8 @@ def _elements(scene, index, frames, parts):
 def _solved_inertia(i, body, elements):
     """Inertia (3, 3) of body i about its centre of mass, for the arrays of the solve on SE(3)^n.
 
-    Without inertia about an axis, that of the body's mass at its joints is added: no method solves
-    with it (methods/families.py), but the other arrays of the Model are used.
+    If the body has no inertia about an axis, that of its mass at its joints is added. No method then solves
+    with these arrays (methods/families.py), but the rest of the Model is used.
     """
     points = [elements[f"{end}_point"][elements[end] == i] for end in ("parent", "child")]
     reach = np.linalg.norm(np.concatenate(points), axis=1).max(initial=0.0)
@@ -103,7 +102,7 @@ def _forces(scene, index, frames):
 def refinements(bodies, inertias, ends, elements):
     """Number of iterative refinements that recover the digits lost in the solve.
 
-    bodies : (n,) of BODY; inertias : (n,) their sums of principal moments that are solved with
+    bodies : (n,) of BODY; inertias : (n,) sums of principal moments that the solve uses
     ends   : (parent, child) of each joint; elements : of ELEMENT
     """
     inverse = bodies["inverse_inertia"].reshape(-1, 3, 3)
@@ -126,7 +125,7 @@ def levers(masses, inverse, elements):
 def _mixed_turns(inverse, elements, outer):
     """Largest ratio of a body's principal rotational mobilities that a joint row mixes.
 
-    Rows that do not mix principal rotations count by the factor ALIGNED.
+    Ratios of rows that do not mix principal rotations are multiplied by ALIGNED.
     inverse : (n, 3, 3) inverse inertias; outer : of every element the body farther from the world
     """
     forbidden = elements["forbidden"].reshape(-1, 6, 6)[:, :, :3]
@@ -143,7 +142,7 @@ def _mixed_turns(inverse, elements, outer):
 
 
 def _outer_ends(n, ends, elements):
-    """Body of every element that is farther from the world, in number of joints."""
+    """Of the two bodies of every element, the one that is farther from the world in number of joints."""
     near = [set() for _ in range(n + 1)]  # the last one, WORLD, is the world
     for a, b in ends:
         near[a].add(b)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cut joints of a spanning tree: the rows that are independent, and where each touches the tree."""
+"""Cut joints of a spanning tree: their independent rows, and their paths through the tree."""
 
 import numpy as np
 import scipy
@@ -23,7 +23,7 @@ COUPLING_PART = Element(PAIR, ("coupling",), np.zeros((1, 6)))
 def coupled_links(scene, links):
     """[(ResolvedCoupling, indices of the links of both joints)] of couplings, then of driven joints.
 
-    Raises SceneError for a joint that is no joint of the spanning tree.
+    Raises SceneError for a joint that is not in the spanning tree.
     """
     of_joint = {link.joint: i for i, link in enumerate(links) if link.joint is not None}
     found = []
@@ -51,8 +51,8 @@ def coupled_links(scene, links):
 def cut_rows(scene, frames, parts, tree, links, places, stops, coupled):
     """([(joint, element of the scene, part)], [kept rows]) of the cut joints, then of couplings.
 
-    stops   : of `stop_rows`, between the two; they have element -1
-    coupled : of `coupled_links`; their entries have joint None
+    stops   : result of `stop_rows`; its entries are between the two and have element -1
+    coupled : result of `coupled_links`; its entries have joint None
     """
     cut = []
     element = 0
@@ -70,7 +70,7 @@ def cut_rows(scene, frames, parts, tree, links, places, stops, coupled):
     if not cut:
         return cut, []
     keep = [np.ones(len(part.names), dtype=bool) for _, _, part in cut]
-    # A distance joint is cut also where it closes no loop: then its row is independent.
+    # A distance joint is cut even if it closes no loop; then its row is independent.
     for loops, numbers in dependent_groups(scene, [coupled[c][0] for c in rigid]):
         entries = [rigid[n] for n in numbers]
         closing = [k for k, (j, _, _) in enumerate(cut[:joints]) if j in loops]
@@ -115,7 +115,7 @@ def _rank(matrix):
 
 
 def _tree_jacobians(scene, frames, parts, loops, joints, links, places):
-    """Length, and rows of the cut joints of loops for the freedoms of the tree at generic poses.
+    """Characteristic length, and rows of the cut joints of loops for the tree's freedoms at generic poses.
 
     loops, joints : indices of the joints in loops, and of the cut ones among them
     """
@@ -123,12 +123,12 @@ def _tree_jacobians(scene, frames, parts, loops, joints, links, places):
     ends = {
         j: [_path(links, places[name][0]) for name in (scene.joints[j].child, scene.joints[j].parent)] for j in joints
     }
-    # On their common path to the world both ends of a joint move alike.
+    # On their common path to the world both ends of a joint move together.
     needed = sorted(set().union(*(set(a) ^ set(b) for a, b in ends.values())))
     # The loops move with welded bodies, and with the joints that hold them beside a floating part.
     used = ({links[i].joint for i in needed} - {None}).union(loops)
     used |= _welded(scene, used)
-    # In the order of mechanism/redundancy.py: the same linkage is analysed once.
+    # In the order of mechanism/redundancy.py, so that the same linkage is analysed only once.
     used = sorted(used, key=lambda j: (scene.joints[j].parent != WORLD_NAME, j))
     linkage = Linkage(scene, frames, parts, used)
     length = linkage.length
@@ -174,7 +174,7 @@ def _coupling_rows(links, coupled, length):
 
 
 def _welded(scene, joints):
-    """Fixed joints that hold bodies to those of other joints, directly or by each other."""
+    """Fixed joints that weld bodies to those of `joints`, directly or through each other."""
     bodies = {end for j in joints for end in (scene.joints[j].parent, scene.joints[j].child)}
     bodies.discard(WORLD_NAME)
     found, grown = set(), True
@@ -228,7 +228,7 @@ def loop_arrays(links, records, cut, rows, elements, coupled, counted, loops):
     """Arrays of the cut joints and couplings, ordered so that the envelope of W is narrow.
 
     counted : index of the first unwrapped angle that belongs to a coupling
-    loops   : of an empty tree the joints of the scene in closed loops, else None
+    loops   : for an empty tree the joints of the scene in closed loops, else None
     """
     solved = [k for k in range(len(cut)) if len(rows[k])]
     paths = [

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Freedoms of a tree that move no inertia.
 
-In relative coordinates every freedom needs inertia, D = s . U > 0 (trees.py), that is a regular mass
-matrix of the tree. It is singular if a motion of the tree leaves all centres of mass at rest and turns
-bodies about axes without inertia only. Whether there is such a motion depends on the geometry alone:
-masses and moments of inertia that are not zero, however small, do not matter. It is the null space of
+In relative coordinates every freedom needs inertia, D = s . U > 0 (trees.py): the mass matrix of the tree
+must be regular. It is singular if a motion of the tree leaves all centres of mass at rest and rotates bodies
+only about axes without inertia. Whether there is such a motion depends on geometry alone, not on the size of
+masses and moments of inertia that are not zero. Such motions are the null space of
 
     [ v_c / l ]   velocities of the centres of mass; l a length
     [ a . w   ]   rotations about the principal axes a with inertia, of all bodies
@@ -20,8 +20,8 @@ from liegroup_core.lie.groups import SE3
 from liegroup_core.scene.massless import axes_without_inertia, written
 
 # Sine of the angle between a freedom and those that move no inertia (for a point mass on a hinge: that
-# between the axis and the line to the mass). D is its square times the moments of inertia that D is a
-# difference of: below 1e-14 of them no digit of D would be left. A pose of round-off gives 1e-15.
+# between the axis and the line to the mass). D is a difference of moments of inertia, and its ratio to them is the
+# square of the sine: below 1e-14 no digit of D is correct. Round-off of a pose gives a sine of 1e-15.
 SMALLEST_SINE = 1e-7
 
 
@@ -35,7 +35,7 @@ def check_inertia(scene, links, places, world):
     found = _free_turns(scene, links, places, world)
     if found is None:
         return
-    # At poses in general position it may have inertia: a rod on a universal joint.
+    # At poses in general position it may have inertia, for example a rod on a universal joint.
     always = _free_turns(scene, links, places, _generic(links)) is not None
     raise _refusal(scene, links, places, world, *found, always)
 
@@ -125,7 +125,7 @@ def _refusal(scene, links, places, world, i, turns, always):
     if link.joint is None:
         return SceneError(
             f'bodies[{number}] "{name}": it is free to rotate about {axes}, where it has no inertia: '
-            "give it inertia there, or hold it by a joint that does not let it rotate so",
+            "give it inertia there, or hold it by a joint that prevents this rotation",
             ("bodies", number),
         )
     joint = scene.joints[link.joint]

@@ -20,7 +20,7 @@ FIRST_AXIS, SECOND_AXIS = np.eye(4)[:, [1, 2, 0, 3]], np.eye(4)[:, [2, 0, 1, 3]]
 class Link:
     """Link under construction: `placement` T in its parent, and poses of its bodies in it.
 
-    sign : of its coordinate, if it has one, when that of the joint increases
+    sign : 1 if its coordinate increases with that of the joint, -1 if it decreases
     """
 
     def __init__(self, joint, group, parent, placement, coordinates=OWN, pitch=0.0, in_plane=False):
@@ -103,9 +103,9 @@ def find_links(scene, frames, tree, normal, floating=FREE):
 def _align_hinges(links):
     """Turn the frames of hinges about their axes, so that the next axis of a chain is normal to x.
 
-    Then its placement turns about x, and about z, and so does its pose in its parent: less work for
-    add_aligned_hinge_inertia. The coordinates stay. The frame of a hinge with several children follows
-    the first of them.
+    Then its placement, and so its pose in its parent, is a rotation about x and one about z, which saves
+    work in add_aligned_hinge_inertia. The coordinates do not change. If a hinge has several children, its
+    frame is aligned with the first of them.
     """
     turns = {}
     for link in links:

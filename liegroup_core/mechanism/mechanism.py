@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""RelativeModel of a scene: links, freedoms, and the rows of the cut joints that are independent."""
+"""RelativeModel of a scene: links, degrees of freedom, and the independent rows of the cut joints."""
 
 import numpy as np
 
@@ -26,7 +26,7 @@ def relative_model(scene, model, in_space=False, group=None):
     scene    : Scene with body frames at the centres of mass
     model    : its Model
     in_space : True: never a PlaneModel
-    group    : name of FLOATING for an empty tree: all bodies float on it, all joints are cut
+    group    : key of FLOATING for an empty tree: all bodies float on this group, all joints are cut
     """
     frames, parts = resolve_frames(scene), resolve_elements(scene)
     plane = None if in_space else find_plane(scene, frames, parts)
@@ -114,11 +114,11 @@ def _plane_arrays(model, links, records, normal):
 
 
 def _refinements(scene, model, has_cuts, normal):
-    """Number of refinements that each solve takes, for all its digits.
+    """Number of refinements in each solve that recover all its digits.
 
-    One where neighbours differ so much that articulated inertias lose digits; slender bodies and
-    long levers lose none. W of cut joints loses twice as many, and some with long levers and, in space,
-    with slender bodies: in a plane a body has one moment of inertia
+    One if neighbours differ so much that articulated inertias lose digits; slender bodies and long levers
+    cost none. W of cut joints loses twice as many digits. It also loses some with long levers and, in space,
+    with slender bodies; in a plane a body has only one moment of inertia
     (test/verification/test_relative_accelerations.py).
     """
     bodies, elements = model.bodies, model.elements
@@ -139,7 +139,7 @@ def _refinements(scene, model, has_cuts, normal):
 
 
 def _without_zeros(moments):
-    """Moments of inertia (n,) with the largest one in place of zeros, those of point masses."""
+    """Moments of inertia (n,); zeros, those of point masses, are replaced by the largest one."""
     return np.where(moments > 0.0, moments, moments.max() or 1.0)
 
 
@@ -154,7 +154,7 @@ def refuse_freedoms_without_inertia(scene):
 
 
 def refuse_cut_couplings(scene):
-    """Raise SceneError if a coupled joint is no joint of the spanning tree.
+    """Raise SceneError if a coupled joint is not in the spanning tree.
 
     scene : Scene with body frames at the centres of mass
     """

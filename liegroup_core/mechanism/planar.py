@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Detection of planar mechanisms.
 
-A joint is planar if it allows planar motions only: a revolute joint along the normal, a prismatic
-joint in the plane, a planar joint across the normal, a fixed joint. If such joints connect every
+A joint is planar if it allows only planar motions: a revolute joint about the normal, a prismatic or planar
+joint in the plane, a fixed joint. If such joints connect every
 body to the world, no body can leave the plane, for any wrench and any inertia: their constraint
 wrenches balance all other loads. The spanning tree consists of these joints. All other joints close
-loops; only the part of their rows in the plane is left.
+loops; only the part of their rows in the plane remains.
 """
 
 import numpy as np
@@ -48,15 +48,15 @@ def find_plane(scene, frames, parts):
 
 
 def _leaves_plane(switch):
-    """True if stops or friction need more than the plane: a load has parts that are normal to it."""
+    """True if stops or friction need a model in space: loads, for one, have components normal to the plane."""
     by_load = switch.friction is not None and switch.friction.by_load[1] > 0.0
     return by_load or switch.kind in (CONE, DISTANCE)
 
 
 def _candidates(turns, slides):
-    """Unit normals that may be those of the plane; world axes exactly.
+    """Candidates for the unit normal of the plane; world axes are exact.
 
-    turns, slides : (k, 3) axes of the joints that turn, and that slide
+    turns, slides : (k, 3) axes of the joints that rotate, and of those that slide
     """
     found = turns
     if not len(turns):
@@ -103,7 +103,7 @@ def plane_axes(normal):
 def align(pose):
     """Make the pose of a body in its link exact, in place, if the normal is an axis of the body.
 
-    A body whose axes are those of the plane then leaves it not even by round-off.
+    Then a body with the axes of the plane does not leave it even by round-off.
     """
     near = np.round(pose[2, :3])
     if np.abs(pose[2, :3] - near).max() <= PARALLEL:
@@ -114,7 +114,7 @@ def align(pose):
 def frame_in_plane(kind, axis_frame, normal):
     """Frame (4, 4), relative to that of a joint, with the normal as z axis.
 
-    kind       : type of the joint; that of a prismatic joint is its x axis
+    kind       : type of the joint; the axis of a prismatic joint becomes the x axis
     axis_frame : rotation (3, 3) of the joint frame in the world
     """
     if kind in TURNS:

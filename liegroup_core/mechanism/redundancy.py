@@ -9,7 +9,7 @@ linkage loses the right rows. Trees have no redundant rows and are skipped.
 The eliminated rows must be redundant at every pose. Let U^T J = 0, U with orthonormal columns,
 contain the vanishing combinations of rows. The rows D can be eliminated where the square block U_D
 is regular; its smallest singular value measures how well. In Bricard's linkage some entries of U
-change sign along the motion: without such a row the rest loses rank there, although the pose of
+change sign along the motion: without such a row the others lose rank there, although the pose of
 the linkage is regular. So the linkage is moved far, and the rows with the best block over all
 poses are eliminated. If every row has such a pose, no choice holds for the whole motion.
 
@@ -61,9 +61,9 @@ def loop_joints(ends):
 def loop_groups(ends):
     """Lists of the joints whose closed loops share joints, sorted.
 
-    ends : as above. A joint that is in no loop is in no list. Reaction forces of redundant rows are
-    in equilibrium by themselves on the bodies of a list, and the list moves independently of all
-    others: each is analysed alone.
+    ends : as above. Joints outside of loops are in no list. Reaction forces of redundant rows are in
+    equilibrium on the bodies of a list, and each list moves independently of the others. So each list is
+    analysed alone.
     """
     beside = {}
     for j, (a, b) in enumerate(ends):
@@ -101,16 +101,16 @@ def loop_groups(ends):
 
 
 def _constrained_loops(scene):
-    """`loop_groups` of the joints of a scene that take freedoms: a cable closes no loop."""
+    """`loop_groups` of the joints of a scene that have constraint equations; a cable closes no loop."""
     numbers = [j for j, joint in enumerate(scene.joints) if joint.constrains]
     ends = [(scene.joints[j].parent, scene.joints[j].child) for j in numbers]
     return [[numbers[i] for i in group] for group in loop_groups(ends)]
 
 
 def dependent_groups(scene, couplings):
-    """[(joints of loops, numbers of couplings)]: what can depend on each other.
+    """[(joints of loops, numbers of couplings)] whose rows can depend on each other.
 
-    couplings : of consistency.ResolvedCoupling, or with their `joint` and `other`
+    couplings : of consistency.ResolvedCoupling, or others with `joint` and `other`
     """
     found = [(set(loops), loops, []) for loops in _constrained_loops(scene)]
     for c, coupling in enumerate(couplings):
@@ -238,7 +238,7 @@ def generic_poses(linkage):
         if len(free) == 0:
             break
         move = rng.normal(size=len(free)) @ free
-        if last is not None:  # on along the way, and a little aside
+        if last is not None:  # continue the last move, with a small random part
             move *= 0.5 * np.linalg.norm(last) / np.linalg.norm(move)
             move += free.T @ (free @ last)
         move *= TURN * linkage.length / np.abs(move).max()

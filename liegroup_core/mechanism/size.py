@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Size of a mechanism: the length that positions and gaps of joints are compared with."""
+"""Characteristic length of a mechanism, to which position errors and constraint residuals refer."""
 
 import numpy as np
 
@@ -9,10 +9,10 @@ from liegroup_core.joints.stops import DISTANCE
 
 
 def mechanism_size(model, joints):
-    """Largest of these lengths in m, or 1 m where all are zero.
+    """Characteristic length in m: the largest of the following lengths, or 1 m if all are zero.
 
-    Radii of gyration, distances from a joint or a rim to a centre of mass, and the lengths of what has no
-    mass: rods, cables and struts.
+    Radii of gyration, distances from a joint or a rim to a centre of mass, and the lengths of massless rods,
+    cables and struts.
 
     model, joints : Model and the joints of its scene
     """

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Spanning tree of a mechanism: which bodies are one link, which joints are cut.
 
-Bodies that fixed joints weld are one link. The tree takes the joints with the most rows: the fewest
-rows are left for the cut joints. Coupled and driven joints and those with stops or friction come
-first: their rows and modes are those of joints of the tree. Among equals it takes those next to the
-world: short paths make cheap loops. Distance joints are always cut, because their motions are no
-group.
+Bodies that fixed joints weld are one link. The tree prefers joints with the most rows, which leaves the
+fewest rows for cut joints. Coupled and driven joints and those with stops or friction come first, because
+their rows and modes refer to joints of the tree. Among equals it prefers those nearest to the world, because
+short paths make loops cheap. Distance joints are always cut, because their motions are not a group.
 """
 
 from dataclasses import dataclass

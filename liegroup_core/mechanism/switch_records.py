@@ -21,7 +21,7 @@ def _links_of(links):
 
 
 def stop_rows(scene, links):
-    """[(joint, Element)] of the switches of joints that are no freedom of the tree, one row each."""
+    """[(joint, Element)] of the switches of joints that are not freedoms of the tree, one row each."""
     in_tree = _links_of(links)
     return [
         (switch.joint, COORDINATES[switch.kind])
@@ -31,7 +31,7 @@ def stop_rows(scene, links):
 
 
 def switch_arrays(scene, links, records, arrays, elements, places):
-    """Arrays of a RelativeModel: its switches, in the order of `switches_of`, and whose rows they are.
+    """Arrays of a RelativeModel: its switches, in the order of `switches_of`, and which rows are theirs.
 
     links, records : links of the spanning tree, and their LINK records
     arrays         : of the rows (cuts.py);  elements : those of the cut joints, stops and couplings
@@ -75,7 +75,7 @@ def switch_arrays(scene, links, records, arrays, elements, places):
 
 
 def _bearing(joints, elements, row):
-    """Number of the cut joint with the same frames as that of a row, and other rows."""
+    """Index of the cut joint with the same frames as the joint of a row, but other rows."""
     (own,) = (elements[joint["element"]] for joint in joints if joint["first"] == row)
     for j, joint in enumerate(joints):
         element = elements[joint["element"]]

@@ -74,10 +74,10 @@ class KeptMomentum:
 
 
 def conserved_momentum(scene):
-    """Conserved components of a scene: tuple of KeptMomentum, one per group that has some.
+    """Conserved momentum components of a scene: tuple of KeptMomentum, without groups that have none.
 
     Raises SceneError for a scene that cannot be simulated.
-    test/core/test_symmetry.py shows it along independent integrations, with counterexamples.
+    Verified along independent integrations, with counterexamples: test/core/test_symmetry.py.
     """
     _, scene = ready(scene)
     if scene.couplings or any(joint.driven or joint.switches for joint in scene.joints):
@@ -239,7 +239,7 @@ def _generic_pose(scene, frames, forbidden, size, rng):
             else:
                 placed[joint.parent] = placed[joint.child] @ SE3.inverse(moved)
             break
-        else:  # nothing hangs on what is placed: a body that is free so far
+        else:  # no joint leads to a placed body from the others: place one of them freely
             name = next(name for name in waiting if name not in placed)
             placed[name] = SE3.exp(np.concatenate([rng.normal(size=3), size * rng.normal(size=3)]))
         waiting = [name for name in waiting if name not in placed]

@@ -219,7 +219,7 @@ def test_least_kinetic_energy_of_assembly_is_the_limit():
             BOB,
             [],
             'bodies[0] "bob": it is free to rotate about any axis, where it has no inertia: give it '
-            "inertia there, or hold it by a joint that does not let it rotate so",
+            "inertia there, or hold it by a joint that prevents this rotation",
         ),
         (
             BOB,
