@@ -2,7 +2,7 @@
 """Compilation of the numerical kernels by Numba. See README.md in this folder for the contract.
 
 In: plain Python functions and classes of arrays (Structs). Out: machine code, cached on disk, or
-the functions themselves without Numba. This package knows nothing of mechanics.
+the functions themselves without Numba. This package does not depend on mechanics.
 """
 
 from .backend import compiled

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `inlining` assumes of Numba."""
+"""Internals of Numba that `inlining` relies on."""
 
 import inspect
 
@@ -21,7 +21,7 @@ from numba.core.typing.context import CallStack
 from numba.core.untyped_passes import ReconstructSSA
 from numba.np import arrayobj
 
-# Inner parts that are overridden or called, with their parameters.
+# Internals that are overridden or called, with their parameters.
 ASSUMED = {
     JITCodeLibrary: {
         "__init__": "self codegen name",

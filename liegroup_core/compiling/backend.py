@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Selection of the compiler: with Numba's inner parts replaced, plain Numba, or none.
+"""Selection of the compiler: Numba with replaced internals, plain Numba, or none.
 
 The selection takes place at the first use of a kernel, so that importing kernels does not import
 Numba. Each compiler is a module with the functions
@@ -7,7 +7,7 @@ Numba. Each compiler is a module with the functions
     cache() -> folder of compiled code, or None
     for_python(kernel), for_kernels(kernel) -> Numba's dispatcher
     callable(kernel) -> callable for Python
-    entry(kernel, arguments) -> callable for arguments of the types of these
+    entry(kernel, arguments) -> callable for arguments of the same types
     words(struct) -> Numba type and words of a Struct
 """
 
@@ -21,7 +21,7 @@ from .undisturbed import undisturbed
 
 log = logging.getLogger("liegroup_core")
 
-TESTED = "0.63 to 0.68"  # releases of Numba whose inner parts are as expected
+TESTED = "0.63 to 0.68"  # releases of Numba whose internals are as expected
 PLAIN = "LIEGROUP_PLAIN_NUMBA"  # environment variable; 1: plain Numba
 
 _lock = threading.RLock()
@@ -54,11 +54,11 @@ def _select():
         if os.environ.get(PLAIN, "0") in ("", "0"):
             _chosen = _inlining()
             return
-    except Exception as error:  # a changed inner part can raise any exception
+    except Exception as error:  # changed internals can raise any exception
         log.warning(
-            "Numba %s is not as expected: %s. Kernels are compiled by plain numba.njit: the "
-            "results are the same, compiling takes 4 times and steps 5 times as long. Tested "
-            "releases of Numba: %s.",
+            "Numba %s is not as expected: %s. Kernels are compiled by plain numba.njit instead. The "
+            "results are the same, but compiling takes 4 times and a step takes 5 times as long. "
+            "Tested releases of Numba: %s.",
             numba.__version__,
             _line(error),
             TESTED,
@@ -68,8 +68,8 @@ def _select():
     except Exception as error:
         _chosen = _module("python")
         log.warning(
-            "Numba %s cannot compile the kernels: %s. The simulation runs as plain Python, some "
-            "hundred times slower. Tested releases of Numba: %s.",
+            "Numba %s cannot compile the kernels: %s. The simulation runs as plain Python, about "
+            "a hundred times slower. Tested releases of Numba: %s.",
             numba.__version__,
             _line(error),
             TESTED,

@@ -30,7 +30,7 @@ def array_value(context, builder, kind, data, shape):
 class BorrowedArray(types.Array):
     """Type of a C-contiguous array whose references are not counted: its owner is elsewhere.
 
-    It is its address and its shape only, which shortens the code of every access.
+    It consists of address and shape only, which shortens the code of every access.
     """
 
     def __init__(self, dtype, ndim):
@@ -59,7 +59,7 @@ def _to_python(kind, array, c):
 
 @unbox(BorrowedArray)
 def _not_from_python(kind, array, c):
-    c.pyapi.err_set_string("PyExc_TypeError", "a borrowed array is an argument of kernels only")
+    c.pyapi.err_set_string("PyExc_TypeError", "a borrowed array can only be passed from kernel to kernel")
     return NativeValue(ir.Constant(c.context.get_value_type(kind), None), is_error=cgutils.true_bit)
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files of compiled kernels, in a folder for each compiler, Python and version of `compiling`.
 
-A file is named by what its kernel is made of (ingredients.py) and by the processor, not by the place
-of the sources: all installations of a user share it.
+The name of a file depends on the contents of its kernel (ingredients.py) and on the processor, but not on the
+path of the sources. So all installations of a user share it.
 """
 
 import fcntl
@@ -22,7 +22,7 @@ from .trust import close_to_others, doubt, is_private
 log = logging.getLogger("liegroup_core")
 
 CODE = ".nbc"  # ending of files with code
-# Folders of other compilers, and files of kernels that are kept, those used last: a set of kernels has 10
+# Numbers of folders of other compilers and of kernel files to keep, those used last. A set of kernels has 10
 # to 20 files of 0.1 to 1 MB, and a developer switches between a few versions.
 KEPT_CACHES, KEPT_FILES = 6, 600
 COMPILED = re.compile("[0-9a-f]{16}(-[0-9]+)?")  # names of the folders of compiled code
@@ -30,7 +30,7 @@ COMPILED = re.compile("[0-9a-f]{16}(-[0-9]+)?")  # names of the folders of compi
 
 @functools.lru_cache(maxsize=None)
 def source_digest(room="."):
-    """Hash of the sources that results depend on, in a room or in all but `study`, which has no kernels."""
+    """Hash of the sources that results depend on, in folder `room`; by default in all but `study` (no kernels)."""
     root = Path(__file__).parents[1]
     digest = hashlib.sha256()
     for path in sorted((root / room).rglob("*.py")):
@@ -44,8 +44,8 @@ def source_digest(room="."):
 def cache_root():
     """User's cache folder; a folder in the temporary directory if that is not suitable.
 
-    Suitable is a folder in which this user can write and no other one can (trust.doubt): code from it
-    is executed. Returns None if neither is.
+    A suitable folder is writable for this user and for nobody else (trust.doubt), because code from it is
+    executed. Returns None if neither folder is suitable.
     """
     default = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     preferred = Path(os.environ.get("LIEGROUP_CACHE_DIR") or Path(default) / "liegroup_core")
@@ -72,14 +72,14 @@ def cache_root():
 @functools.lru_cache(maxsize=None)
 def _refuse(folder, reason):
     """Log once why a folder is not used."""
-    log.warning("the cache in %s is not used, because its code is executed: %s", folder, reason)
+    log.warning("the kernel cache in %s is ignored, because its files are executed as code: %s", folder, reason)
 
 
 @functools.lru_cache(maxsize=None)
 def cache_folder(versions):
     """Cache folder of a compiler; created if necessary. Removes the oldest other folders.
 
-    Only this user can reach what it holds, whatever the modes of the files are.
+    Only this user can access its files, whatever their modes are.
 
     versions : text that distinguishes compiled code: version and options of the compiler
     Returns None if no folder is suitable.
@@ -95,7 +95,7 @@ def cache_folder(versions):
         new = not folder.exists()
         folder.mkdir(exist_ok=True, mode=0o700)
         if not is_private(folder):
-            _refuse(folder, f"others can reach it: rm -r {folder}")
+            _refuse(folder, f"others can access it: rm -r {folder}")
             return None
     except OSError:  # the disk is full
         return None
@@ -109,7 +109,7 @@ def cache_folder(versions):
 
 
 def write(path, data):
-    """Write a file of a cache folder at once: no reader finds a part of it. Removes those not used for long."""
+    """Write a file of a cache folder atomically. Removes files that have not been used for long."""
     handle, name = tempfile.mkstemp(dir=path.parent)
     try:
         with os.fdopen(handle, "wb") as file:
@@ -125,7 +125,7 @@ def write(path, data):
 
 
 def lock(path):
-    """Open file that this process alone holds until it is closed, also by its end; waits for it."""
+    """Wait for a lock, and return its file. This process holds the lock until it closes the file or ends."""
     held = open(path.with_name(f"{path.stem}.lock"), "wb")
     fcntl.flock(held, fcntl.LOCK_EX)
     return held
@@ -133,9 +133,9 @@ def lock(path):
 
 @contextmanager
 def cached_in(folder, config):
-    """Numba's settings while it makes a dispatcher: its files are in this folder, nowhere else.
+    """Set Numba's cache folder while it makes a dispatcher, whose files then are only in this folder.
 
-    Those of the user and of other packages in the process are restored: they have their own folders.
+    Restores the settings of the user and of other packages in the process, which have their own folders.
     """
     own = {"CACHE_DIR": str(folder or ""), "CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator"}
     before = {name: getattr(config, name, "") for name in own}

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the machine code of a kernel is made of, as a hash: the name of its file in the cache.
+"""Hash of everything that the machine code of a kernel depends on. It names the kernel's file in the cache.
 
-A kernel is made of its bytecode and of what that names: other kernels with theirs, and constants. Of a
-`shared` function it has the symbol alone, whose machine code has a file of its own. So an edit compiles
-again what it changes: docstrings, comments, lines and places of files are no part of it.
+A kernel depends on its bytecode and on all that it refers to: constants, and other kernels with theirs. Of a
+`shared` function it contains the symbol only, whose machine code has a file of its own. So an edit recompiles
+only what it changes. Docstrings, comments, line numbers and paths of files do not count.
 """
 
 import dataclasses
@@ -29,9 +29,9 @@ _known = {}  # id of a Kernel or Choice: (itself, hash)
 
 
 def digest(kernel):
-    """Hash of what a kernel is made of, the same in every process and at every place.
+    """Hash of everything that a kernel depends on, the same in every process and for every path.
 
-    Raises TypeError if its function names something that this module does not know.
+    Raises TypeError if its function refers to a kind of object that this module does not know.
     """
     return _of_function(kernel.function)
 
@@ -68,9 +68,9 @@ def _of_function(function):
 
 
 def names_in(code):
-    """{(global, attribute that is read of it or None)} in a code and in those inside it.
+    """{(global, attribute that is read from it or None)} in a code object and in those inside it.
 
-    By hand, as dis takes a hundred times as long: this is done at every start.
+    Decoded by hand at every start, because dis takes a hundred times as long.
     """
     if code not in _names:
         found, last, high = set(), None, 0
@@ -107,7 +107,7 @@ def _name(value):
 
 
 def _of(value):
-    """Text of a value that a function names."""
+    """Text of a value that a function refers to."""
     if isinstance(value, (Kernel, Choice)):
         return _of_kernel(value)
     if isinstance(value, PLAIN):
@@ -122,10 +122,10 @@ def _of(value):
         return _of_function(value)
     if isinstance(value, type) and issubclass(value, Struct):
         return f"{_name(value)} {[(f.name, str(f.type)) for f in dataclasses.fields(value)]}"
-    if isinstance(value, types.ModuleType):  # of what is read of it another name tells
+    if isinstance(value, types.ModuleType):  # attributes read from it have their own entries
         return value.__name__
     if isinstance(value, Borrowed):
         return "borrowed"
     if callable(value) and hasattr(value, "__name__"):  # of Python, NumPy or Numba
         return f"{getattr(value, '__module__', None)}.{value.__name__}"
-    raise TypeError(f"a kernel is made of {value!r}, of which this module knows no text")
+    raise TypeError(f"a kernel refers to {value!r}, which the cache cannot identify")

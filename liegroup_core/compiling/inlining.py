@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels compiled with inner parts of Numba replaced: optimised and translated once.
+"""Kernels compiled by Numba with replaced internals: optimised and translated only once.
 
 By default, Numba optimises every function and translates it to machine code before a caller inlines
 it, and repeats both with the caller. For kernels ten calls deep, that was two thirds of the compile
@@ -56,7 +56,7 @@ def _inner(function, always):
 
 
 class _Cache(NullCache):
-    """Disk cache of a kernel: a file for what it is made of, the types of its arguments and the processor.
+    """Disk cache of a kernel: one file per contents (ingredients.py), argument types and processor.
 
     Only one process compiles a kernel, others wait for its file. Unreadable files are replaced, files
     that cannot be written are omitted.
@@ -88,7 +88,7 @@ class _Cache(NullCache):
     def _load(self, path, context):
         try:
             found = CompileResult._rebuild(context, *pickle.loads(path.read_bytes()))
-            os.utime(path)  # the files that are used are kept
+            os.utime(path)  # marks the file as used, so that it is kept
             return found
         except Exception:  # a truncated or corrupt file can raise any exception
             return None
@@ -98,7 +98,7 @@ class _Cache(NullCache):
             write(self._file(signature, data.target_context), dumps(data._reduce()))
 
     def release(self):
-        """Let others compile: the file is there, or the attempt failed."""
+        """Release the lock: the file is written, or the attempt failed."""
         held, self._lock = self._lock, None
         if held is not None:
             with suppress(OSError):
@@ -178,7 +178,7 @@ class InnerFunction(types.Dispatcher):
     LLVM sees the constants where it inlines the function. Its signature is found once for given types.
     """
 
-    _found = weakref.WeakKeyDictionary()  # of all dispatchers: this type is made at every use
+    _found = weakref.WeakKeyDictionary()  # for each dispatcher, because Numba makes this type at every use
 
     def get_call_type(self, context, args, kws):
         args = tuple(map(types.unliteral, args))
@@ -244,7 +244,7 @@ def for_python(kernel):
         return compiling_apart(dispatcher)
     try:
         dispatcher._cache = _Cache(kernel)
-    except TypeError as error:  # a function of a user, with something unknown in it
+    except TypeError as error:  # a user's function that refers to an unknown kind of object
         log.warning("Every start compiles %s again: %s", kernel.__qualname__, error)
         return compiling_apart(dispatcher)
     return compiling_apart(dispatcher, dispatcher._cache.release)
@@ -262,7 +262,7 @@ def callable(kernel):
 
 
 def entry(kernel, arguments):
-    """Machine code of a kernel for arguments of the types of these."""
+    """Machine code of a kernel for arguments of the same types."""
     return kernel.dispatcher.compile(tuple(map(numba.typeof, arguments)))
 
 

@@ -27,7 +27,7 @@ class Kernel:
     dispatcher : Numba's dispatcher of the function for Python
     inner      : Numba's dispatcher of the function for other kernels
     call       : callable for Python: takes Structs
-    These are made when they are needed, by the functions of the compiler that _PARTS names.
+    These are made on demand, by the functions of the compiler in _PARTS.
     """
 
     _PARTS = {"dispatcher": "for_python", "inner": "for_kernels", "call": "callable"}
@@ -37,7 +37,7 @@ class Kernel:
         functools.update_wrapper(self, function)
         self.function, self.role = function, role
 
-    def __getattr__(self, name):  # of a part that is not made yet
+    def __getattr__(self, name):  # called for a part that is not made yet
         if name not in self._PARTS:
             raise AttributeError(f"a kernel has no attribute {name}")
         return undisturbed(self._made, name)
@@ -56,7 +56,7 @@ class Kernel:
         return self.__qualname__  # pickled by reference: compiled code is not copied
 
     def entry(self, *arguments):
-        """Callable for arguments of exactly the types of these. It does not check the types."""
+        """Callable for arguments of exactly the same types, which it does not check."""
         return backend.chosen().entry(self, arguments)
 
 
@@ -108,8 +108,8 @@ def kernel(function):
 def stepper(function):
     """Compile a kernel that takes steps. On x86, subnormal numbers are flushed to zero in it.
 
-    Motion decays along a chain. From some body on it is below 2.2e-308, and x86 takes a hundred
-    times as long with such numbers: a chain of a thousand balls was a third slower.
+    Motion decays along a long chain to below 2.2e-308, and x86 takes a hundred times as long with such
+    numbers: a chain of a thousand ball joints was a third slower.
     """
     return Kernel(function, "stepper") if JIT else function
 

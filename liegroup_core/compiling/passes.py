@@ -20,7 +20,7 @@ from .signatures import Typing
 from .struct_types import StructType
 from .undisturbed import check_end
 
-# Passes of Numba's compiler for what kernels do not have: closures, generators, expressions of
+# Passes of Numba's compiler for features that kernels do not use: closures, generators, expressions of
 # whole arrays, functions that are typed by values, parallel loops, annotated listings.
 # IRProcessing finds control flow and lifetimes, which GenericRewrites does again.
 OMITTED = {
@@ -47,14 +47,14 @@ WORD32 = ir.IntType(32)
 FLUSH_TO_ZERO_AND_DENORMALS_ARE_ZERO = ir.Constant(WORD32, 0x8040)  # bits of MXCSR
 
 
-# LLVM is asked for the size of a type once: each time, Numba writes a module for it that is parsed.
+# Cached, because Numba writes a module and lets LLVM parse it each time it needs the size of a type.
 _size = functools.cache(BaseContext.get_abi_sizeof)
 
 
 class _Lower(Lower):
     """Mark Structs as dereferenceable, so that LLVM moves loads out of loops.
 
-    What holds no counted reference is not searched for one at the end of its use.
+    Values without counted references are skipped when references are counted.
     """
 
     _counted = {}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels compiled by plain `numba.njit`, with Structs by Numba's interface for extensions.
+"""Kernels compiled by plain `numba.njit`, with Structs implemented by Numba's extension API.
 
 Results are bit-identical to those of `inlining`,
 except for numbers below 2.2e-308, which `stepper` does not flush to zero here.
@@ -25,7 +25,7 @@ OPTIONS = {"nogil": True, "error_model": "numpy"}
 
 def cache():
     """Cache folder of this compiler; None if nothing can be cached."""
-    # Numba names files by their place, and checks only the source that a kernel is defined in.
+    # Numba names files by the path of the sources, and checks only the source that defines the kernel.
     place = Path(__file__).parents[1]
     return cache_folder(f"{name} {numba.__version__} {numba.config.BOUNDSCHECK} {place} {source_digest()}")
 

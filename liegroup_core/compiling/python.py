@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels as plain Python functions: where Numba is missing or disabled."""
+"""Kernels as plain Python functions, used if Numba is missing or disabled."""
 
 name = "python"
 

@@ -28,9 +28,9 @@ class Operator(types.Function):
 
 
 class _Calls:
-    """Stack of the functions that are being typed; they do not collect the warnings of Numba.
+    """Stack of the functions that are being typed, which do not collect warnings.
 
-    Numba changes and restores Python's filters of warnings at every assignment.
+    To collect them, Numba changes and restores Python's warning filters at every assignment.
     """
 
     def __init__(self, calls):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numba type of Structs, by Numba's interface for extensions.
+"""Numba type of Structs, implemented by Numba's extension API.
 
-A tuple of arrays is taken apart at every call from Python and copied into every kernel that it is
-passed to. Of a Struct, a kernel gets the address and loads the fields that it uses from there.
+Numba unpacks a tuple of arrays at every call from Python and copies it into every kernel that it is passed
+to. Of a Struct, a kernel gets only the address, and loads the fields that it uses from there.
 A Struct is a sequence of 64-bit words: address and shape of each array, value of each number,
 address of the words of each Struct.
 """
@@ -25,14 +25,14 @@ WORD = ir.IntType(64)
 
 
 def text(kind):
-    """Text of a type, the same in every process, and another one for every other type."""
+    """Text that identifies a type, the same in every process."""
     if isinstance(kind, StructType):
         return f"{kind} {[(name, word, text(field)) for name, word, field in kind.key[1]]}"
     return str(kind)
 
 
 def digest(*parts):
-    """Short text that stands for other texts."""
+    """Short hash of texts."""
     return hashlib.sha256(" ".join(parts).encode()).hexdigest()[:16]
 
 
@@ -67,7 +67,7 @@ def native_value(context, builder, kind, data, shape):
 array_type, array_value = native_array, native_value
 
 
-# Constructing the type of every field anew was half of the time to build a Simulation.
+# Cached: constructing the type of every field each time took half of the time to build a Simulation.
 @functools.lru_cache(maxsize=None)
 def _array_type(make, dtype, ndim):
     return make(from_dtype(dtype), ndim)

@@ -11,7 +11,7 @@ from . import backend
 class _Once:
     """Attribute that is computed at its first use.
 
-    Without a lock, as the cached_property of Python 3.11 has one: the compiler's thread needs the same
+    Unlike cached_property of Python 3.11 it has no lock, because the compiler's thread needs the same
     attributes of other Structs while its caller waits.
     """
 
@@ -87,9 +87,9 @@ class Struct:
 
 
 class Borrowed:
-    """Function that returns the same array, in kernels without reference counts.
+    """Function that returns its argument; in kernels, an array without reference counts.
 
-    For the entry of a kernel: its caller holds the array until the kernel returns. Counting every
+    For use at the entry of a kernel, whose caller holds the array until the kernel returns. Counting every
     use of it by atomic operations took three quarters of the time of a step.
     """
 

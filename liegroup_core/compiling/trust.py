@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who else can write in a folder. Code from the cache is executed, so nobody else may."""
+"""Check whether others can write to a folder. Code from the cache is executed, so nobody else may."""
 
 import os
 import stat
@@ -11,16 +11,16 @@ OTHERS = stat.S_IRWXG | stat.S_IRWXO
 
 
 def doubt(folder):
-    """Why others could change what a folder holds: one line; None: they cannot.
+    """Reason why others could change the contents of a folder, in one line; None if they cannot.
 
-    The folder, all folders and symbolic links on the way to it, must be of this user or of root. Only
-    these may write there. On the way, a folder that all may write to is allowed if each may only move
-    their own entries (/tmp): the next one is checked as well.
+    The folder and all folders and symbolic links of its path must belong to this user or to root, and only
+    they may write there. A folder of the path that all may write to is allowed if each user may only move
+    their own entries (/tmp), because the next folder is checked as well.
     """
     places = list(_way(folder))
     for place, status in places:
         if status.st_uid not in (0, os.getuid()):
-            return f"{place} is of user {status.st_uid}: choose a folder of your own"
+            return f"{place} belongs to user {status.st_uid}: choose a folder of your own"
         last = place == places[-1][0]
         shared = status.st_mode & WRITABLE and not stat.S_ISLNK(status.st_mode)
         if shared and (last or not status.st_mode & stat.S_ISVTX):
@@ -29,14 +29,14 @@ def doubt(folder):
 
 
 def close_to_others(folder):
-    """Take from others what they may do in a folder of this user: earlier versions made it with the umask."""
+    """Remove the permissions of others from a folder of this user; earlier versions made it with the umask."""
     status = os.stat(folder)
     if status.st_uid == os.getuid() and status.st_mode & OTHERS:
         os.chmod(folder, stat.S_IMODE(status.st_mode) & ~OTHERS)
 
 
 def is_private(folder):
-    """Whether only this user can reach what a folder holds."""
+    """Whether only this user can access the contents of a folder."""
     status = os.lstat(folder)
     return stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & OTHERS
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Work of the compiler, which Ctrl-C does not interrupt.
+"""Run the compiler so that Ctrl-C does not interrupt it.
 
-An exception between any two operations leaves Numba in a state from which it may not recover: its
-tables of types are half filled, and an exception in a callback of LLVM is lost. Python raises
-KeyboardInterrupt, and what other handlers of signals raise, in the main thread only. So the compiler
+An exception at an arbitrary point leaves Numba in a state from which it may not recover: its tables of types
+are half filled, and an exception in a callback of LLVM is lost. Python raises KeyboardInterrupt and the
+exceptions of other signal handlers in the main thread only. So the compiler
 works in a thread of its own, and the caller waits. If the wait is interrupted, the work continues, and
 the next caller finds its result.
 """
@@ -25,13 +25,13 @@ _ending = False  # the process ends
 
 
 def undisturbed(function, *arguments):
-    """function(*arguments), called in a thread that no signal reaches; returns its result.
+    """Call function(*arguments) in a thread that no signal reaches; returns its result.
 
-    It is called in this thread if it would wait there for a lock that this thread holds.
+    Calls it in this thread if it would otherwise wait for a lock that this thread holds.
     """
     if getattr(_here, "apart", False) or _holds_numba() or _imports():
         return function(*arguments)
-    # The waiting thread takes locks of C alone: an interrupt in a `with` of Python may leave one taken.
+    # The waiting thread takes only locks of C: an interrupt in a `with` of Python may leave a lock taken.
     lock, results, errors = _thread.allocate_lock(), [], []
     lock.acquire()
     _thread.start_new_thread(_work, (_Done(lock), results, errors, function, arguments))
@@ -57,7 +57,7 @@ class _Done:
 
 
 def compiling_apart(dispatcher, after=None):
-    """The same dispatcher of Numba: it compiles undisturbed; after: called when it has, or failed."""
+    """Make a dispatcher of Numba compile undisturbed, and return it; after: called when it has compiled or failed."""
     numba_compiles = dispatcher.compile
 
     def compiler(arguments):
@@ -97,7 +97,7 @@ def _work(done, results, errors, function, arguments):
         check_end()
         with _no_collection():
             results.append(function(*arguments))
-    except BaseException as error:  # it is the caller's
+    except BaseException as error:  # raised in the caller
         errors.append(error)
     finally:
         _working.discard(done)
@@ -106,9 +106,9 @@ def _work(done, results, errors, function, arguments):
 
 @contextmanager
 def _no_collection():
-    """Switch the garbage collector off: with millions of objects of Numba it is a tenth of compiling.
+    """Switch the garbage collector off: with Numba's millions of objects it takes a tenth of the compile time.
 
-    At the end they are old objects. As young ones they would be searched at once, and again later.
+    At the end it makes them old objects. As young ones they would be searched at once, and again later.
     """
     was = gc.isenabled()
     gc.disable()
@@ -122,18 +122,18 @@ def _no_collection():
 
 
 def check_end():
-    """Raise SystemExit if the process ends; called before each function that is compiled."""
+    """Raise SystemExit if the process is ending; called before each function that is compiled."""
     if _ending:
         raise SystemExit
 
 
 @atexit.register
 def _wait():
-    """Wait for the function that is being compiled: LLVM's code is about to be unloaded."""
+    """Wait for the function that is being compiled, before LLVM's code is unloaded."""
     global _ending
     _ending = True
     try:
         while _working:
             time.sleep(0.01)
-    except KeyboardInterrupt:  # once more
+    except KeyboardInterrupt:  # a second Ctrl-C
         os._exit(128 + signal.SIGINT)

@@ -102,7 +102,7 @@ def test_the_whole_way_to_a_folder_is_checked(tmp_path, monkeypatch):
     for place in (folder, folder.parent, open_ / "there"):
         with monkeypatch.context() as patch:
             of_another_user(patch, place)
-            assert f"{place} is of user {OTHER}" in trust.doubt(tmp_path / "link")
+            assert f"{place} belongs to user {OTHER}" in trust.doubt(tmp_path / "link")
     (tmp_path / "circle").symlink_to("circle")
     with pytest.raises(OSError):
         trust.doubt(tmp_path / "circle")
@@ -135,7 +135,8 @@ def test_the_folder_of_compiled_code_is_private(tmp_path, monkeypatch, caplog, h
     with caplog.at_level(logging.WARNING, logger="liegroup_core"):
         assert cache.cache_folder("x") is None
     assert [each.getMessage() for each in caplog.records] == [
-        f"the cache in {folder} is not used, because its code is executed: others can reach it: rm -r {folder}"
+        f"the kernel cache in {folder} is ignored, because its files are executed as code: "
+        f"others can access it: rm -r {folder}"
     ]
 
 
