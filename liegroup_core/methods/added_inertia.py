@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Inertia that momentum methods add about the long axis of a slender body.
 
-Methods that conserve the angular momentum turn a free rod about its long axis as if
+Methods that conserve the angular momentum rotate a free rod about its long axis as if its moment of inertia were
 
     I_1 + (h w)^2 I_3 / 12
 
-were its moment of inertia about it, w being the rate about the other axes; 8 instead of 12 for
-`lie_midpoint`. Measured to 1e-3, test/verification/test_added_inertia.py. Where that is far above I_1 the
-rod hardly turns, whatever the step. Compositions of `constrained_rattle` do likewise.
+with w the rate about the other axes, and 8 instead of 12 for `lie_midpoint` (measured to 1e-3,
+test/verification/test_added_inertia.py). If that is far above I_1, the rod hardly rotates at any step size. The
+same holds for compositions of `constrained_rattle`.
 """
 
 import numpy as np
 
-ROUND_OFF = 1e-14  # of the largest moment of inertia: below, there is no rotation about the axis
+ROUND_OFF = 1e-14  # relative to the largest moment of inertia: smaller ones count as zero
 SLENDER = 100.0  # ratio of moments of inertia
 SHARES = {"lie_midpoint": 8.0, "constrained": 12.0}  # of a method or family, see above
 
@@ -29,7 +29,7 @@ class AddedInertia:
 
     @classmethod
     def of(cls, method, model):
-        """That of the bodies of a model, or None for a method that adds none, or without slender bodies."""
+        """AddedInertia of the bodies of a model, or None if the method adds none or no body is slender."""
         share = SHARES.get(method.name) or SHARES.get(method.family)
         moments, vectors = np.linalg.eigh(model.bodies["inertia"].reshape(-1, 3, 3))
         least, largest = moments[:, 0], moments[:, 2]
@@ -40,7 +40,7 @@ class AddedInertia:
         return cls(ratios / share, vectors[:, :, 0])
 
     def wrong_turn(self, twist, step, steps):
-        """Largest rotation about an axis in so many steps, rad, among bodies with I_1 more than doubled."""
+        """Largest rotation about a long axis in `steps` steps, rad, among bodies whose I_1 is more than doubled."""
         rate = twist[:, :3]
         along = np.abs(np.sum(self.axes * rate, axis=1))
         across = np.sum(rate * rate, axis=1) - along * along

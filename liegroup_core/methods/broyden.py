@@ -13,7 +13,7 @@ def broyden(corrections, k, bound):
 
     corrections (m, size) : rows 0 to k - 1 are the previous corrections; row k is changed
     bound : limit of the component of correction k along correction k - 1, relative to that one.
-            From it on correction k is not lengthened: the Jacobian update would be too large
+            At this limit correction k is not lengthened, as the Jacobian update would be too large
     """
     size = corrections.shape[1]
     for j in range(k):

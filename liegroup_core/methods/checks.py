@@ -15,7 +15,7 @@ def error_norm_square(xi, eta, dw, dv, start, end, i, rtol, atol, length):
 
     xi, eta, dw, dv : estimated errors of rotation, translation, angular and linear velocity
     start, end      : twists (n, 6) at both ends of the step; row i is that of the body
-    length          : m, times which atol is that of positions
+    length          : m, factor of atol for positions
     """
     w0, w1 = load3(start, i, 0), load3(end, i, 0)
     v0, v1 = load3(start, i, 3), load3(end, i, 3)
@@ -45,7 +45,7 @@ def is_finite(pose, twist):
     """True if pose (n, 12) and twist (n, 6) are finite: neither NaN nor infinity."""
     total = 0.0
     for i in range(len(pose)):
-        # Sums of rows do not wait for each other.
+        # One sum per row, so that the rows do not wait for each other.
         row = 0.0
         for c in range(12):
             row += abs(pose[i, c])

@@ -50,7 +50,7 @@ def lu_solve(matrix, pivots, x):
 
 @kernel
 def complex_lu_factorise(real, imag, pivots):
-    """As `lu_factorise`, of real + i imag: in two arrays, whose rows the processor takes in parallel.
+    """`lu_factorise` of real + i imag, in two arrays whose rows the processor handles in parallel.
 
     Complex division is written out, since that of compilers and of Python rounds differently.
     """

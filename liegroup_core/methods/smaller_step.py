@@ -5,7 +5,7 @@ import math
 
 from liegroup_core.status import OK
 
-SMALLEST_FRACTION = 1e-9  # of the failed step: smaller ones are not tried
+SMALLEST_FRACTION = 1e-9  # relative to the failed step: smaller ones are not tried
 BISECTIONS = 6  # between a step that succeeds and one that fails
 SAFETY = 0.95  # factor of the recommended step
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Table of integration methods; a Munthe-Kaas method is defined by a Runge-Kutta tableau.
 
-A new explicit Runge-Kutta method is one entry of _RUNGE_KUTTA. Tests find it. They check row sums,
+To add an explicit Runge-Kutta method, add an entry to _RUNGE_KUTTA. Tests include it: they check row sums,
 the order conditions of all rooted trees up to the stated order, and the order on problems with
 non-commuting rotations: test/contract/test_methods.py, test/verification/test_orders.py.
 
@@ -94,7 +94,7 @@ class Method:
 
     @property
     def power(self):
-        """Power of a substep that its tolerance is proportional to, with error control."""
+        """Exponent of the substep in the tolerance that it meets with error control."""
         return 1 + len(self.tableau.b) if self.implicit else self.order
 
     @property

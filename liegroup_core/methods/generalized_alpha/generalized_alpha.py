@@ -20,8 +20,8 @@ tree, and J and lambda belong to the cut joints only.
 Newton's method in x = (Vdot_1, lambda): with sigma = d psi/d Vdot_1 the constraints are
 g / sigma = 0. The matrix is then [[M, J^T], [J, 0]] plus O(h). Unlike the matrix for psi, it stays
 well conditioned for small steps. It is dense (newton.py): a body that is held by a hinge adds 11
-unknowns on SE(3)^n and one in relative coordinates. So these are suitable for about a hundred
-bodies, SE(3)^n for about ten.
+unknowns on SE(3)^n and one in relative coordinates. So relative coordinates suit about a
+hundred bodies, SE(3)^n about ten.
 
 Source: Bruels, Cardona and Arnold, Mech. Mach. Theory 48 (2012) 121-137, table 1; the scaling
 after Bottasso, Bauchau and Cardona, J. Comput. Nonlinear Dyn. 2 (2007).

@@ -19,9 +19,9 @@ from .steps import residual
 # largest coordinate or 1: about ten times round-off. Its effect on velocities is larger by 2 / h.
 # If round-off is larger and corrections stop decreasing, the bound is STUCK times that.
 TOLERANCE, STUCK = 2e-15, 100.0
-# The matrix is factorised again if a correction exceeds SLOW times the one before, and either that
-# bound, or the constraints are violated by more than TOLERANCE: next to a singular pose old factors
-# do not satisfy them. A correction is halved if the next one exceeds GROWTH times it. Some growth is
+# The matrix is factorised again if a correction exceeds SLOW times the one before, and either it
+# exceeds that bound, or the constraints are violated by more than TOLERANCE: near a singular pose old
+# factors do not satisfy them. A correction is halved if the next one exceeds GROWTH times it. Some growth is
 # allowed: if the initial guess stretches a stiff spring, corrections increase before they decrease.
 SLOW, GROWTH = 0.1, 10.0
 MOST_ITERATIONS = 50
@@ -68,7 +68,7 @@ def _correct(memory, numbers, h):
 
 @kernel
 def _violation(memory, numbers, h):
-    """Largest position residual of a row that memory.residual has, rad or m."""
+    """Largest position residual in memory.residual, rad or m."""
     largest = 0.0
     for r in range(len(memory.rate), len(memory.x)):
         largest = max(largest, abs(memory.residual[r]))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Operations of a generalised-alpha step in relative coordinates; see relative.py.
+"""Operations of a generalised-alpha step in relative coordinates; see generalized_alpha.py.
 
 A step multiplies the coordinates of every link by the exponential of an element of the algebra of
-its motion group, so that no joint of the tree opens. The residual is
+its motion group, so that joints of the tree stay exactly closed. The residual is
     M qddot_1 + bias + J^T lambda - S^T W = 0 ,   g / sigma = 0
 in N m or N, and in m/s^2 or rad/s^2. g are the position residuals of the independent rows of the cut
 joints, lambda their multipliers.
@@ -44,7 +44,7 @@ def begin(model, work, memory, pose, twist):
 
 @kernel
 def set_unknowns(model, work, memory, pose, twist, external):
-    """qddot and lambda from the index-1 equations, to memory.x; returns -1 or a dependent element."""
+    """Write qddot and lambda of the index-1 equations to memory.x; returns -1 or a dependent element."""
     set_size(model.space, memory, pose)
     link_state.begin(model, work, pose, twist)
     dependent = accelerations(model, work, external)

@@ -10,11 +10,11 @@ START, END = STAGES, STAGES + 1  # rows of Collocation.z after those of the stag
 
 
 class Collocation(Struct):
-    """Data and scratch memory of an implicit method for f freedoms; all arrays of others are empty."""
+    """Data and scratch memory of an implicit method for f freedoms; for other methods all arrays are empty."""
 
     inverse: np.ndarray  # (3, 3) of a
     real: np.ndarray  # (3, 2) transformation to the eigenvector of the real eigenvalue, and back
-    pair: np.ndarray  # (3, 4) to one of the complex ones, and twice back: real, imaginary parts
+    pair: np.ndarray  # (3, 4) the same for one complex eigenvalue, and twice back: real, imaginary parts
     real_value: float
     pair_value: np.ndarray  # (2,) real and imaginary part
     estimate: np.ndarray  # (3,) weights of the z_j in the error estimate

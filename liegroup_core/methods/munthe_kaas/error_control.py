@@ -7,18 +7,18 @@ It has one screw (dxi, deta) and one twist difference (dw, dv) for every body. A
 if for every body
     |dxi|^2/atol^2 + |deta|^2/(atol L)^2 + |dw|^2/tol_w^2 + |dv|^2/tol_v^2 <= 1
     tol_w = atol + rtol max(|w_0|, |w_1|),   tol_v = atol L + rtol max(|v_0|, |v_1|)
-in rad, m, rad/s and m/s. L is 1 m, or with an accuracy the mechanism's size. The tolerance of poses is
+in rad, m, rad/s and m/s. L is 1 m or, with an accuracy, the characteristic length. The tolerance of poses is
 absolute, so that it does not depend on the origin of the world. The largest error of a body decides: a
-mean would hide one fast body among many slow ones. A method with two estimates of such norms e_5 and
-e_3 has e_5^2 / sqrt(e_5^2 + e_3^2 / 100) instead (Hairer, Norsett and Wanner, Solving ODEs I, (10.17)).
+mean would hide one fast body among many slow ones. If a method has two estimates with norms e_5 and e_3, the
+norm is e_5^2 / sqrt(e_5^2 + e_3^2 / 100) instead (Hairer, Norsett and Wanner, Solving ODEs I, (10.17)).
 
-That norm is small by chance where a force jumps within a substep and e_5 is not far from a zero. So e_3 must be
-at most 1, too, if it is JUMP times what the last substep lets expect: it is proportional to h^4 where the
-motion is smooth.
+If a force jumps within a substep, e_5 may be near a zero, and this norm small by chance. So e_3 must also be at
+most 1 if it exceeds JUMP times the value expected from the last substep. In smooth motion it is proportional to
+h^4.
 
-A tolerance below rounding would only make substeps smaller. So atol is larger by h times the round-off in the
-accelerations next to a singular pose, and with an accuracy by ROUNDING / h. With given tolerances such a step
-ends with SUBSTEP_TOO_SMALL.
+A tolerance below round-off would only make substeps smaller. So atol is increased by h times the round-off in the
+accelerations near a singular pose and, with an accuracy, by ROUNDING / h. With given tolerances such a step ends
+with SUBSTEP_TOO_SMALL.
 """
 
 import math
@@ -29,21 +29,21 @@ from liegroup_core.status import OK, SUBSTEP_TOO_SMALL
 
 from . import steps
 
-# Numbers of `control`: next substep in s, numbers of accepted and of attempted substeps so far, next substep at
-# the start of the step, rtol of velocities, atol in rad, m, rad/s, m/s, longest substep in s, most attempts in a
-# step, length in m times which atol is that of positions, round-off of a pose, part that the most attempts are of
-# those of the whole step if its rest takes equal substeps, factor of `_coarsen` or 0, and e_3 atol / h^4 of the
-# last substep or 0. Those from RTOL on are for schemes with error control.
+# Entries of `control`: next substep in s; numbers of accepted and of attempted substeps so far; next substep at
+# the start of the step; rtol of velocities; atol in rad, m, rad/s, m/s; longest substep in s; most attempts in a
+# step; length in m, factor of atol for positions; round-off of a pose; after too many attempts, their fraction of
+# those of the whole step if its rest takes equal substeps; factor of `_coarsen` or 0; e_3 atol / h^4 of the last
+# substep or 0. Entries from RTOL on are for schemes with error control.
 SIZE, ACCEPTED, ATTEMPTED, KEPT_SIZE, RTOL, ATOL, LONGEST, MOST, LENGTH, ROUNDED, PART, COARSE, GROWTH = range(13)
 SUBSTEPS, TOLERANCES = slice(SIZE, RTOL), slice(RTOL, LONGEST)
 # Bounds of the ratio of two successive substeps, and safety factor of the next one.
 LARGEST_GROWTH, LARGEST_CUT, SAFETY = 5.0, 0.2, 0.9
-# Rounding of a pose, m or rad, as it shows in an error estimate: stiff forces make accelerations of it. At h
-# of their fastest oscillation that is a velocity of about the rounding of a pose divided by h.
+# Round-off of a pose, m or rad, as it appears in an error estimate: stiff forces turn it into accelerations. With
+# h at their fastest oscillation, these change velocities by about the round-off of a pose divided by h.
 ROUNDING = 0.03 * 2.0**-52
 # Smallest substep as a fraction of a step: dampers may stop light bodies that fast.
 SMALLEST_SUBSTEP = 1e-13
-# A push from outside may be felt as a jump: then it costs a few substeps.
+# A change of an external wrench may count as a jump, which costs a few substeps.
 JUMP = 1e3
 
 
@@ -93,7 +93,7 @@ def judge(model, work, scheme, h, size, status, twist, control):
     error, growth = math.inf, 0.0
     if status == OK:
         error, error_3 = _error(model, work, scheme, size, twist, control)
-        if work.report[ROUND_OFF] == 0.0:  # next to a singular pose it is rounding that jumps
+        if work.report[ROUND_OFF] == 0.0:  # near a singular pose round-off jumps
             growth = error_3 * control[ATOL] / (size * size * size * size)
         if growth > JUMP * control[GROWTH] > 0.0:
             error = max(error, error_3)

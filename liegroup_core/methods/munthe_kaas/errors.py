@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Error estimates in relative coordinates: those of the bodies, from those of the freedoms.
+"""Error estimates of the bodies from those of the freedoms, in relative coordinates.
 
-The differences of the freedoms add up along the tree: links come in the order of the tree.
+The differences of the freedoms add up along the tree, so links are processed in the order of the tree.
 """
 
 from liegroup_core.compiling import kernel
@@ -30,7 +30,7 @@ def _difference(model, work, scheme, row, h, i):
 
 @kernel
 def _with_parent(work, at, rot, p, moved, rate):
-    """Differences of a link in those of its parent: row `at` of work.errors; rot, p: its pose there."""
+    """Add the differences of the parent, row `at` of work.errors, to a link's; rot, p: its pose in the parent."""
     errors = work.errors
     xi, eta = se3_Ad_inverse(rot, p, load3(errors, at, 0), load3(errors, at, 3))
     dw, dv = se3_Ad_inverse(rot, p, load3(errors, at, 6), load3(errors, at, 9))

@@ -16,12 +16,12 @@ from .collocation import Collocation, make_collocation, no_collocation
 class Scheme(Struct):
     """Data of a Munthe-Kaas method: tableau of s stages, series of dexpinv.
 
-    The sums of an implicit step are computed in implicit.py. The operations of steps.py see a method of
-    one stage whose derivatives times 1 are Psi; its nodes are those of the stages, then 0 and 1.
+    For an implicit method, implicit.py computes the sums. The operations of steps.py treat it as a method of
+    one stage with step 1, whose derivative is Psi; its nodes are those of the stages, then 0 and 1.
     """
 
     a: np.ndarray  # (s + 1, s) the tableau's a, below it its b
-    nodes: np.ndarray  # (s + 1,) its c, then 1: times of the stages in parts of a step
+    nodes: np.ndarray  # (s + 1,) its c, then 1: times of the stages as fractions of a step
     rows: np.ndarray  # (s + 1,) and weights: see crossings.py
     weights: np.ndarray
     error: np.ndarray  # (0 to 2, s + 1) weights of the error estimates
@@ -47,7 +47,7 @@ def make_implicit_scheme(tableau, freedoms):
 
 @kernel
 def substep(scheme, model, work, size, start, elapsed, first, pose, external):
-    """Set the stage to the end of a substep of a size in s, from a pose and the twist of `begin`.
+    """Set the stage to the end of a substep of `size` s, from a pose and the twist of `begin`.
 
     start, elapsed : s, time of the step, and of the substep in it
     first          : 1: the stage derivatives of the start are in work.slopes
@@ -56,8 +56,8 @@ def substep(scheme, model, work, size, start, elapsed, first, pose, external):
     stages = scheme.a.shape[1]
     controlled = len(scheme.error) > 0
     watching = steps.watches(model, work)
-    # Accelerations at the end serve events, the next substep unless the end is projected, and estimates
-    # that have a weight for them.
+    # Accelerations at the end are needed for events, for the next substep unless the end is projected, and
+    # for estimates that have a weight for them.
     ending = watching or controlled and not model.projects
     for row in range(len(scheme.error)):
         ending = ending or scheme.error[row, stages] != 0.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stages of free bodies, without a look at the motion group of every link: steps.py for SE(3)^n alone.
+"""Stages of free bodies: steps.py for SE(3)^n only, without a branch on the motion group of every link.
 
 See dynamics/free_bodies.py.
 """

@@ -9,10 +9,10 @@ one real and two complex eigenvalues, Newton's method for
     1/h sum_l (a^-1)_jl z_l - F(z_j) = 0 ,    J = [0 1; Q D]
 
 takes a real and a complex system of the size of the freedoms, mu^2 - mu D - Q, mu = eigenvalue / h
-(Hairer and Wanner, Solving ODEs II, IV.8; second-order systems: IV.8, exercise 5). J is by finite
+(Hairer and Wanner, Solving ODEs II, IV.8; second-order systems: IV.8, exercise 5). J is computed by finite
 differences at the start of a step, so that all forces are implicit without further formulas, and again
-in a later substep if the iteration becomes slow. Its part of the chart, about half of the angular
-velocity, is omitted.
+in a later substep if the iteration becomes slow. The part of J that is due to dexp^-1, about half of the
+angular velocity, is omitted.
 
 The error estimate is (mu - J)^-1 (F(0) + mu sum_j e_j z_j), mu real (IV.8.19): of order three, and bounded
 for stiff forces.
@@ -28,13 +28,13 @@ from liegroup_core.status import DEPENDENT_ROWS, NOT_CONVERGED, OK
 from . import steps
 from .collocation import END, STAGES, START
 
-# Newton's method ends where the next correction is below ROUNDING, rad or m, and times 1 + the rate for
-# rates, or, up to STUCK times that, where it is not below STALLED times the last one: that is rounding. What
-# it leaves is no random error: with a bound of 1e-3 of the tolerance motions are wrong by 50 to 500 times
-# as much. The matrix is computed anew if a correction is more than SLOW times the one before.
+# Newton's method ends if the next correction is below ROUNDING, rad or m, and for rates ROUNDING (1 + |rate|). At
+# up to STUCK times that, it also ends if a correction is not below STALLED times the last one: that is round-off.
+# The remaining error is not random: with a bound of 1e-3 of the tolerance, errors of motions are 50 to 500 times
+# as large. The matrix is recomputed if a correction is more than SLOW times the last one.
 ROUNDING, STUCK, STALLED = 1e-17, 1e5, 0.3
 SLOW, MOST_ITERATIONS = 0.05, 20
-FREEDOMS_SQUARED = 200  # of a mechanism whose factorisations take as long as an evaluation
+FREEDOMS_SQUARED = 200  # number of freedoms, squared, at which the factorisations take as long as an evaluation
 DISPLACEMENT = 1e-8  # rad, m, rad/s, m/s: the derivative has half of all digits
 
 
@@ -62,7 +62,7 @@ def _store(values, factor, out, block):
 
 @subroutine
 def _evaluate(scheme, model, work, j, time, pose, external):
-    """F at z of row j; the stage is there. Returns a status."""
+    """Set the stage to row j of z, and evaluate F there. Returns a status."""
     newton = scheme.newton
     scheme.spent[0] += 1.0
     half = work.slopes.shape[1] // 2
@@ -233,7 +233,7 @@ def _estimate(newton, h):
 
 @subroutine
 def substep(scheme, model, work, size, start, elapsed, first, pose_in, external_in):
-    """Set the stage to the end of a substep of a size in s; see explicit.py.
+    """Set the stage to the end of a substep of `size` s; see explicit.py.
 
     The error estimate is in work.slopes, as the derivative of stage 1.
     """
@@ -249,7 +249,7 @@ def substep(scheme, model, work, size, start, elapsed, first, pose_in, external_
         if steps.watches(model, work):
             steps.note_stage(model, work, scheme, 0)
     _load(work.slopes, 0, newton.initial)
-    # Not from an earlier step: a run that is repeated from this step on is to be bit-identical.
+    # Never the Jacobian of an earlier step, so that a run repeated from this step on is bit-identical.
     fresh = elapsed == 0.0 or newton.known[0] == 0.0
     status = NOT_CONVERGED
     for _ in range(2):
@@ -259,7 +259,7 @@ def substep(scheme, model, work, size, start, elapsed, first, pose_in, external_
                 break
         newton.known[0] = 1.0
         status = NOT_CONVERGED
-        # whole: sums are exact, and repeated runs the same
+        # an integer, so that sums are exact and repeated runs identical
         f = len(newton.initial)
         scheme.spent[0] += f * f // FREEDOMS_SQUARED
         if _factorise(newton, size):

@@ -7,9 +7,9 @@ One step of (6.25), stages j = 1..s, on G x R^6n with G = SE(3)^n or (SO(3) x R^
 On the vector part (velocities) exp and dexp are the identity. On SO(3) x R^3 the velocity of the
 group is (omega in body axes, rdot in WORLD axes): (6.26) and the note to it.
 
-This is a step of an explicit method, explicit.py; of an implicit one: implicit.py. The number of stages
-is data, so that all tableaux share one compiled `advance`. With an error estimate each step is
-divided into substeps: error_control.py.
+explicit.py has the step of explicit methods, implicit.py that of implicit ones. The number of stages is data,
+so that all tableaux share one compiled `advance`. With an error estimate each step is divided into substeps:
+error_control.py.
 """
 
 import math
@@ -46,8 +46,8 @@ from .error_control import (
 from .steps import begin, check_end, close, count_turns, enter, has_event, leave, store_slopes, watches
 
 MOST_SUBSTEPS = 100_000
-# If no substep meets the tolerance, as next to a singular pose, a step is repeated with these multiples.
-# With the last one only stages that cannot be computed reject a substep.
+# If no substep meets the tolerance, for example near a singular pose, a step is repeated with these multiples
+# of it. With the last one a substep is rejected only if a stage cannot be computed.
 LOOSER = (1e2, 1e4, 1e6, 1e8, 1e100)
 TOO_TIGHT = (DEPENDENT_ROWS, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS)
 
@@ -91,11 +91,11 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
     control (13,)   : see error_control.py
     returns (steps done, status): fewer steps if status is not OK. Pose, twist and work.angle are
     those of the last valid step, after EVENT of the last valid substep. The low byte of status is
-    the code. The other bytes are the element
-    of DEPENDENT_ROWS or the torsional spring, or switch after them, of TURNS_NOT_COUNTED.
+    the code. The other bytes are the element for DEPENDENT_ROWS, and for TURNS_NOT_COUNTED the torsional
+    spring, or the switch, counted after the springs.
 
-    Steps, substeps and stages are loops of one function: the mechanics are inlined and compiled at
-    every call.
+    Steps, substeps and stages are loops of one function, because the mechanics are inlined and compiled
+    wherever they are called.
     """
     pose_in, twist_in = borrowed(pose_in), borrowed(twist_in)
     external_in, control = borrowed(external_in), borrowed(control)
@@ -112,7 +112,7 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
         remaining = h
         start = (work.clock[COUNT] + done) * h + work.clock[OFFSET]
         if len(work.motions) > 0:
-            first = 0  # the end of the last step is another time, by round-off
+            first = 0  # the time at the end of the last step differs by round-off
         attempts = 0
         while remaining > 0.0 and status == OK:
             count = 1
@@ -199,7 +199,7 @@ class MuntheKaas:
         self.restart()
 
     def add(self, method, looser=1.0):
-        """Add a method with error control that `choose` may take instead, with looser tolerances."""
+        """Add a method with error control for `choose`; its tolerances are multiplied by `looser`."""
         if method.implicit:
             scheme = explicit.make_implicit_scheme(method.tableau, self.freedoms)
         else:
@@ -243,9 +243,9 @@ class MuntheKaas:
             self._control[RTOL + k] = part * looser * tolerance
 
     def follow_accuracy(self, length, bits):
-        """Take all steps, none with tolerances below rounding; those of positions are times a length in m.
+        """Take all steps, none with tolerances below round-off. length : m, factor of tolerances of positions.
 
-        bits : by which the state is rounded more after every substep; no tolerance is below that, either
+        bits : number of bits that are rounded away after every substep; a lower bound of tolerances, too
         """
         self.passes = True
         self._control[COARSE] = 2.0**bits + 1.0 if bits else 0.0
@@ -266,8 +266,8 @@ class MuntheKaas:
 
     @property
     def evaluations(self):
-        """Evaluations of the accelerations under error control, of all methods, ever; with systems of
-        equations as so many of them.
+        """Number of evaluations of the accelerations under error control, of all methods so far. Solves of
+        linear systems count as evaluations that take as long.
         """
         return sum(float(scheme.spent[0]) for scheme, *_ in self._methods)
 
@@ -277,7 +277,7 @@ class MuntheKaas:
 
     @property
     def part(self):
-        """Part of the attempts of the last step that it made, if it failed as they were too many; otherwise 0."""
+        """Fraction of its attempts that the last step made before it failed because of too many; otherwise 0."""
         return float(self._control[PART])
 
     def limit(self, longest):

@@ -48,7 +48,7 @@ def _add_slopes(h, weights, row, stages, slopes, count, to):
 
 @kernel
 def move(model, work, scheme, h, stage, end, pose):
-    """Set all links to X_0 exp Psi of a stage; at the end of a step, bodies where they are needed."""
+    """Set all links to X_0 exp Psi of a stage; at the end of a step, also the bodies if needed."""
     n, count = len(model.parts), len(work.freedoms)
     first = stage * count
     largest, links = 0.0, len(model.bodies)
@@ -150,19 +150,19 @@ def count_turns(model, work):
 
 @kernel
 def watches(model, work):
-    """Whether events are looked for."""
+    """Whether steps stop at events."""
     return work.watch[WATCHED] > 0.0
 
 
 @kernel
 def note_stage(model, work, scheme, stage):
-    """Guards of what is held; at the end those of all switches."""
+    """Save the guards of held switches; at the end of a substep set those of all switches."""
     note_guards(model, work, scheme.rows[stage])
 
 
 @kernel
 def has_event(model, work, scheme, start, h):
-    """Whether stops or friction change in a substep of size h that starts at a time of the step."""
+    """Whether stops or friction change in the substep of size h that begins at time `start` of the step."""
     if not crossed(model, work, h, scheme.weights):
         begin_at_end(work)
         return False

@@ -12,11 +12,11 @@ TOLERANCE, STUCK = 1e-15, 100.0
 MAX_REPEATS = 100
 # Corrections that Broyden's method stores before it restarts.
 HISTORY = 8
-LONGER = 10.0  # than the last substep: such a substep is too long for the growth known from the last one
+LONGER = 10.0  # times the last substep: for a longer substep the growth is not extrapolated
 
 
 class Memory(Struct):
-    """Memory of the method besides the state and the work; the last but one are for initial guesses.
+    """Memory of the method besides the state and the work; bias, growth and size are for initial guesses.
 
     Wrenches and momenta have s numbers: 6, in a plane 3.
     """
@@ -59,8 +59,8 @@ def make_memory(model):
 def times_between(memory, h):
     """Times in s between the points at h/3 of the last substep and of this one, for initial guesses.
 
-    returns (this time, the part of it over which `growth` is extrapolated): none after a substep that a
-    change of wrenches has cut short, as its growth is that of the change, or round-off
+    returns (this time, the time over which `growth` is extrapolated). The latter is 0 after a substep that a
+    change of wrenches has cut short, because its growth is that of the change, or round-off
     """
     since = (2.0 * memory.size[0] + h) / 3.0
     return since, since if abs(h) <= LONGER * abs(memory.size[0]) else 0.0

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Both halves of a RATTLE step of free bodies, each on its own; rattle.py has the equations.
+"""Both halves of a RATTLE step of free bodies, body by body; rattle.py has the equations.
 
-See dynamics/free_bodies.py. Newton's method finds the rotation of a body from its momentum at half step,
-whatever its inertia: displacements of links that are corrected together would not find that of a slender
-rod in a large step.
+See dynamics/free_bodies.py. Newton's method finds the rotation of a body from its momentum at half step for
+any inertia. The common correction of all links in halves.py would fail for a slender rod in a large step.
 """
 
 import math
@@ -39,7 +38,7 @@ from .arrays import MAX_REPEATS, STUCK, TOLERANCE
 
 @subroutine
 def loads_of_bodies(model, work, external_in):
-    """Sum of all wrenches on the bodies at the stage, without gyroscopic terms, to work.wrench."""
+    """Write the sum of all wrenches on the bodies at the stage, without gyroscopic terms, to work.wrench."""
     external, space = borrowed(external_in), work.space
     pose, twist = space.stage_pose, space.stage_twist
     copy_bodies(model, work.stage_pose, work.stage_twist, pose, twist)

@@ -7,11 +7,11 @@ multiplier: with S^T the sum over a link and its children, in their axes,
     S^T (M V' - M V - (h/2) Q) + J^T lambda = 0 ,   g+ = 0        unknown: psi, lambda
     S+^T (M V+ - M V'+ - (h/2) Q+) + J+^T mu = 0 ,   J+ V+ = 0    unknown: qdot+, mu
 psi are the displacements of the joints, J, lambda, mu and g those of the cut joints. M V' follows from
-psi, see space_links.py. The second half is a solve for rates, as the index-1 equations are one for
-accelerations: of the links at rest, under the impulses M V'+ + (h/2) Q+.
+psi, see space_links.py. The second half solves for rates as the index-1 equations do for accelerations,
+with links at rest under the impulses M V'+ + (h/2) Q+.
 
 The derivative of the first half is (M/h, J^T; J, 0) of the tree at the start up to O(h). With its
-factors, which the second half of the last step has left, a correction is two sweeps. It does not
+factors, from the second half of the last step, a correction takes two sweeps. It does not
 depend on lambda, which the solve eliminates; Broyden's method acts on psi alone.
 """
 
@@ -168,7 +168,7 @@ def _correct(model, work, memory, h, k, is_open):
 
 @kernel
 def _length(model, memory):
-    """Largest number of which the residuals of the cut joints are differences, m or rad."""
+    """Largest term in the residuals of the cut joints, m or rad."""
     length = 0.0
     for j in range(len(model.joints)):
         joint = model.joints[j]
@@ -254,8 +254,8 @@ def _set_rates(model, work):
 def _change_rates(model, work, memory, h, k):
     """Add correction k to the rates, for the change of Q+ from memory.last_load to memory.load.
 
-    The residual of the rates is qdot+ less the response to P + (h/2) Q+, P = M V'+. It changes by the
-    last correction less the response to the change of Q+: numbers that become small.
+    The residual of the rates is qdot+ minus the response to P + (h/2) Q+, P = M V'+. It is updated by the
+    last correction minus the response to the change of Q+, which become small numbers.
     returns (largest component of the correction, largest rate)
     """
     for b in range(len(model.bodies)):
@@ -325,7 +325,7 @@ def second_half(model, work, memory, h, external):
 
 @kernel
 def keep(model, work, memory):
-    """Continue from the end of a substep: the stage."""
+    """Continue from the end of a substep, which is the stage."""
     work.report[STEP_TURN] = max(work.report[STEP_TURN], memory.turned[0])
 
 

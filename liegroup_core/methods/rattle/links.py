@@ -17,8 +17,8 @@ displace_links, place_ends, weigh, transport = (
 def move_coordinates(model, b, psi, coordinates):
     """Displace the coordinates of link b by its part of psi, in place."""
     link, row = link_of(model, b), len(model.parts) + b
-    # Rotation and shift of floating links and planes are independent of each other, which
-    # `displace` does not do: see `displace_links`.
+    # Unlike `displace`, as `displace_links`: rotation and translation of floating and planar links are
+    # independent of each other.
     _move_coordinates(model, link, coordinates, row, psi, link["freedom"], coordinates)
 
 
@@ -32,7 +32,7 @@ def add_applied(model, work, memory):
 
 @kernel
 def set_momentum(model, work, memory, h):
-    """M V + (h/2) Q of all links at the start, to memory.impulse."""
+    """Write M V + (h/2) Q of all links at the start to memory.impulse."""
     for b in range(len(model.bodies)):
         V = load(model, work.velocities, b)
         store(model, momentum(model, link_of(model, b), V), memory.impulse, b)
@@ -49,5 +49,5 @@ def set_at_rest(model, work, memory, h):
         for c in range(size(model)):
             work.velocities[b, c] = 0.0
             work.applied[b, c] = memory.impulse[b, c] + 0.5 * h * memory.load[b, c]
-            # In a plane the links have bias forces already.
+            # In a plane the bias forces are already set: replace them.
             work.force[b, c] = -work.applied[b, c]

@@ -58,7 +58,7 @@ def displace_links(model, work, memory, h):
 
 @kernel
 def place_ends(model, work, memory):
-    """Poses in the world of the links of cut joints after memory.moves, to memory.world."""
+    """Write the poses in the world of the links of cut joints after memory.moves to memory.world."""
     axes, moves, place = load9(model.axes, 0, 0), memory.moves, work.placed
     for e in range(len(model.elements)):
         for b in (model.elements[e]["parent"], model.elements[e]["child"]):
@@ -73,7 +73,7 @@ def place_ends(model, work, memory):
 
 @kernel
 def weigh(model, work, memory):
-    """Acceleration of gravity in the axes of all links, to memory.weight; weights to memory.load."""
+    """Write the acceleration of gravity in link axes to memory.weight, weights to memory.load."""
     n, g = len(model.parts), load3(model.space.gravity, 0, 0)
     axes = load9(model.axes, 0, 0)
     world_x = axes[0] * g[0] + axes[3] * g[1] + axes[6] * g[2]
@@ -93,7 +93,7 @@ def weigh(model, work, memory):
 
 @kernel
 def transport(model, work, memory):
-    """M V'+ of all links, about the origin and in the axes of the end, to memory.impulse."""
+    """Write M V'+ of all links, about the origin and in the axes of the end, to memory.impulse."""
     for b in range(len(model.links)):
         less, s = memory.moves[b, 1], memory.moves[b, 2]
         spin, x, y = load3(memory.half, b, 0)

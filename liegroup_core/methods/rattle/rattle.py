@@ -153,7 +153,7 @@ class Constrained:
 
 
 def _for_rates(model):
-    """RelativeModel of equations for rates, not accelerations: a step adds impulses of weights."""
+    """RelativeModel for rates instead of accelerations, without gravity: a step adds the impulses of weights."""
     couplings = model.couplings.copy()
     couplings["order"] = 1
     changes = {"gravity": np.zeros_like(model.gravity), "couplings": couplings}

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Momenta and displacements of links in space, for a RATTLE step; relative.py has the equations.
+"""Momenta and displacements of links in space, for a RATTLE step; halves.py has the equations.
 
 A link moves in a substep by D = C^-1 C+, in the axes of its start. With the pose C_ba of the joint
 at the start, and the displacement X of the joint,
     D_b = C_ba^-1 D_a C_ba X
-The rotation of D is a unit quaternion (c, q): its vector part q and the shift are products of small
-numbers. So velocities D / h have all their digits, which a difference of poses does not leave them.
+The rotation of D is a unit quaternion (c, q). Its vector part q and the translation are computed as products of
+small numbers, so velocities D / h keep all digits. A difference of poses would lose them.
 """
 
 import math
@@ -87,12 +87,12 @@ def _half_turn(x):
 
 @subroutine
 def displace_links(model, work, memory, h):
-    """Displacements of all links for memory.psi, M V', and what it lacks of the impulse.
+    """Displacements of all links for memory.psi, M V', and its difference from the impulse.
 
     Writes memory.moves and half, and M V' - memory.impulse to work.force; the largest squared
     rotation of a link to memory.turned. Uses work.relative of the start.
-    returns the largest sum of angles of which the rotation of a link is composed, rad; where it is
-    not below LARGEST_ROTATION, also NaN, no more is found
+    returns the largest sum of the angles that compose the rotation of a link, rad; if it is NaN or not below
+    LARGEST_ROTATION, results are incomplete
     """
     moves, half = memory.moves, memory.half
     largest = turned = 0.0
@@ -137,7 +137,7 @@ def displace_links(model, work, memory, h):
 
 @kernel
 def place_ends(model, work, memory):
-    """Poses in the world of the links of cut joints after memory.moves, to memory.world."""
+    """Write the poses in the world of the links of cut joints after memory.moves to memory.world."""
     for e in range(len(model.elements)):
         for b in (model.elements[e]["parent"], model.elements[e]["child"]):
             if b != WORLD:
@@ -161,7 +161,7 @@ def place_ends(model, work, memory):
 
 @kernel
 def weigh(model, work, memory):
-    """Acceleration of gravity in the axes of all links, to memory.weight; weights to memory.load."""
+    """Write the acceleration of gravity in link axes to memory.weight, weights to memory.load."""
     g = load3(model.space.gravity, 0, 0)
     for b in range(len(model.bodies)):
         link = model.bodies[b]
@@ -175,7 +175,7 @@ def weigh(model, work, memory):
 
 @kernel
 def transport(model, work, memory):
-    """M V'+ of all links, about the origin and in the axes of the end, to memory.impulse."""
+    """Write M V'+ of all links, about the origin and in the axes of the end, to memory.impulse."""
     for b in range(len(model.bodies)):
         c, q = memory.moves[b, 0], load3(memory.moves, b, 1)
         angular = _turned_back(c, q, load3(memory.half, b, 0))

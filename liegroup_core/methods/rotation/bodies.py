@@ -56,7 +56,7 @@ def place(spinner, i, rot, w, r, linear, pose_out, twist_out):
         r = add3(vector3(spinner["pivot"]), matvec3(rot, arm))
         v = cross3(w, arm)
     else:
-        # R^T is the inverse of R up to round-off, which is the same for many steps: refine once.
+        # R^T is the inverse of R up to round-off. This stays the same for many steps, so refine once.
         v = tmatvec3(rot, linear)
         v = scale3(1.0 / spinner["mass"], add3(v, tmatvec3(rot, sub3(linear, matvec3(rot, v)))))
     store9(rot, pose_out, i, 0)

@@ -89,8 +89,8 @@ def iterated(rule, spinners, work, memory, loads, h, evaluation, pose, twist):
         store3(u, memory, i, TURN)
         store3(w_end, memory, i, VELOCITY)
         store9(turn(whole), memory, i, Q)
-        # For large steps there are several solutions. One that rotates less than the body does is
-        # no better: the larger of both rotations is reported.
+        # For large steps there are several solutions. If this one rotates less than the body does, the
+        # larger of both rotations is reported.
         work.report[STEP_TURN] = max(work.report[STEP_TURN], dot3(whole, whole), h * h * dot3(w, w))
 
         r, linear = load3(pose, i, 9), linear_momentum(spinner, pose, twist, i)

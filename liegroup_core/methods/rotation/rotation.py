@@ -64,9 +64,9 @@ RULES = {
     "bottasso_borri_candidate": BOTTASSO_BORRI,
 } | {name: RUNGE_KUTTA for name, method in METHODS.items() if method.family == "rotation" and method.coefficients}
 
-# An ITERATED step is repeated until no displacement changes by more than TOLERANCE, in rad and
-# relative to the largest coordinate or 1 m. If round-off is larger: until the change is below STUCK
-# times that and two iterations have not halved it.
+# An ITERATED step is repeated until no displacement changes by more than TOLERANCE, in rad or relative to
+# the largest coordinate (at least 1 m). If round-off is larger, it ends when the change is below STUCK *
+# TOLERANCE and two iterations have not halved it.
 TOLERANCE, STUCK = 1e-15, 100.0
 MAX_REPEATS = 100
 
