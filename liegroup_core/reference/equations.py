@@ -9,8 +9,8 @@ Kinematics and Dynamics of Mechanical Systems, 1989, chapter 9 (dot-1, dot-2, di
     DISTANCE  (d . d - length^2) / (2 length) = 0
     ANGLE     theta                                 of a coupled joint, and LEVEL of a coupled slide
 
-A coupling is the difference of two such coordinates: q_1 - ratio q_2, less its value at the start.
-A driven joint has one coordinate less its motion: q(t), its rate and its acceleration are given.
+A coupling is the difference of two such coordinates: q_1 - ratio q_2, minus its value at the start.
+A driven joint is one coordinate minus its motion, whose q(t), rate and acceleration are given.
 theta is the angle of a screw. Its rate is integrated with the motion, so that it is unwrapped. Each
 equation g = 0 is given with its first and second time derivatives.
 """
@@ -82,7 +82,7 @@ def rotate_back(q, x):
 def direction(state, body, fixed):
     """World components (3, 3) of a body-fixed direction and its first two time derivatives.
 
-    The second derivative is without the terms of omegadot.
+    The second derivative excludes the terms with omegadot.
     """
     out = np.zeros((3, 3))
     if body == GROUND:
@@ -101,7 +101,7 @@ def direction(state, body, fixed):
 def point(state, body, fixed):
     """Position, velocity and acceleration (3, 3) of a body-fixed point, world axes.
 
-    The acceleration is without the terms of rddot and omegadot.
+    The acceleration excludes the terms with rddot and omegadot.
     """
     out = direction(state, body, fixed)
     if body != GROUND:

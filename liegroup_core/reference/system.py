@@ -15,7 +15,7 @@ from .rigid_body_dae import System
 HALF_TURN = 1e-9
 TURNING = ("torsional_spring_damper", "motor", "servo")
 SLIDING = ("linear_spring_damper", "linear_motor", "linear_servo")
-FREE = (0.0, 0.0, 0.0, np.inf)  # law of a joint whose angle is only counted
+FREE = (0.0, 0.0, 0.0, np.inf)  # law of a joint whose angle is only integrated
 
 
 def build_system(scene, pose, angles=None):

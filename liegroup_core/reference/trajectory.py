@@ -25,8 +25,8 @@ LOOSER = 10.0
 # Reached after about ten minutes. A scene that needs more steps is too stiff for an explicit method
 # of high order.
 MOST_STEPS = 2_000_000
-# Every LOOKS steps the integration ends if it would take more than HOPELESS steps to the first time after the
-# start that is asked for: its numbers are those of no motion.
+# Every LOOKS steps it is checked whether the first requested time after the start would take more than HOPELESS
+# steps. If so, the integration ends: the motion is unrealistically fast.
 LOOKS, HOPELESS = 2000, 10_000_000
 # Bounds of the singular values of the unit rows of all joints. At the start, values below REDUNDANT
 # belong to redundant rows (the pose is accurate to 1e-9 or better). Later, values of independent
@@ -164,7 +164,7 @@ class Reference:
 
     @one_blas_thread()
     def up_to_limit(self, times):
-        """As `at`, at those times that are reached with most_steps."""
+        """As `at`, for the times that are reached within most_steps."""
         times = np.asarray(times, dtype=float)
         states = []
         for run in self._runs:
@@ -282,7 +282,7 @@ class _Run:
                 return out
 
     def _look_ahead(self, time):
-        """Raise SimulationError if a time is beyond all reach; called every LOOKS steps."""
+        """Raise SimulationError if a time would take far too many steps; called every LOOKS steps."""
         advanced, self._seen = self.reached - self._seen, self.reached
         if (time - self.reached) * LOOKS > HOPELESS * advanced:
             raise SimulationError(
