@@ -1,24 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Accuracy by control: the tolerance of the steps follows the estimate of the global error.
+"""Accuracy control: the tolerance of the steps follows the estimate of the global error.
 
-The wanted error at time t is accuracy * max(1, t / horizon). Steps are taken with error control. Their
-tolerance, in rad and parts of the mechanism's size, is set at every checkpoint of the running error. An
-error of the velocities acts on the poses for ever, so that errors of the steps, tol per second, add up
-to
+The error bound at time t is accuracy * max(1, t / horizon). Steps are taken with error control. Their
+tolerance, in rad or relative to the characteristic length, is set at every checkpoint of the running error. A
+velocity error acts on the poses forever, so step errors, tol per second, add up to
 
     V = int tol dt ,   X = int V dt ,   estimated error E = gain X
 
-with a gain that is measured. Over the next r seconds, with another tolerance, X becomes
+with a measured gain. Over the next r seconds, with another tolerance, X becomes
 
-    X + V r + tol r^2 / 2 ,   and gain times that must not exceed AIM times the wanted error.
+    X + V r + tol r^2 / 2 ,   and gain times that must not exceed AIM times the error bound.
 
-r is the horizon, or the time so far if that is more: errors of the velocities must leave room for all
-the time to come.
+r is the horizon, or the time so far if that is longer: velocity errors must leave room for all the time
+to come.
 
-Errors that decay, oscillate or grow exponentially show in the gain. What has been committed cannot be
-taken back: tol is not made smaller than what adds NEW of it. Once the motion cannot be predicted any
-more, the tolerance is that of the start, which keeps the energy. Decisions depend on states and
-wrenches alone, so that a repeated run is bit-identical.
+The gain shows whether errors decay, oscillate or grow exponentially. Past error cannot be undone: tol is
+never lowered below the value that adds NEW of it. Once the motion is unpredictable, the tolerance is that
+of the start, which conserves the energy. Decisions depend only on states and wrenches, so that a repeated
+run is bit-identical.
 """
 
 import math
@@ -29,37 +28,37 @@ METHOD = "rkmk853"
 DEFAULT = 1e-4
 MINUTE = 60.0  # s, default of the horizon
 LONGEST = 1e6  # s, of a horizon
-SMALLEST = 1e-13  # accuracy: rounding of a single step is not far below
+SMALLEST = 1e-13  # accuracy; the round-off of a single step is not far below
 AIM, NEW = 0.1, 0.03
-KEPT = 0.85  # of the gain, from one checkpoint to the next: where motions oscillate, so does it
-# Conservative motions have a gain of 5 to 10, once it shows. So at least this is assumed up to the part
-# SHOWN of the horizon, and from there on at least the error that it gives there.
+KEPT = 0.85  # fraction of the gain kept from one checkpoint to the next, because it oscillates with the motion
+# Conservative motions have a gain of 5 to 10, once it can be measured. So at least this gain is assumed up to the
+# fraction SHOWN of the horizon, and later at least the error that it gives there.
 LEAST_GAIN, SHOWN = 2.0, 0.1
-# Tolerance in parts of the accuracy: at the start over a horizon of 1 s, and at most. It starts small,
-# as the errors of the first steps stay, and grows to what is allowed within a few checkpoints.
+# Tolerance relative to the accuracy: at the start with a horizon of 1 s, and largest. It starts small, because
+# the errors of the first steps remain, and grows to the allowed value within a few checkpoints.
 FIRST, LARGEST = 3e-4, 0.03
 LEAST_TOLERANCE = 1e-15
 FASTER, SLOWER = 2.0, 0.1  # bounds of the ratio of two successive tolerances
 _REMEMBERED = ("accuracy", "_begin", "_last", "_sum", "_double_sum", "_gain", "ended", "_tolerance")
 _FOUND = ("time", "error", "wanted", "tenfold", "room", "finer")
-# Decades below the wanted error in which its growth is measured, and the ratio to a finer accuracy.
+# Decades below the error bound in which the growth is measured, and the ratio to a finer accuracy.
 DECADES, FINER = 3, 100.0
 RESOLVED = 8.0  # least time of these decades, in checkpoints
-# Mean of the tolerances, as a multiple of the least one, up to which errors are rounding.
+# Mean of the tolerances, as a multiple of the least one, up to which errors are round-off.
 ROUNDING = 2.0
 
 
 class AccuracyControl:
     """Sets the tolerances of a simulation and of its companion.
 
-    accuracy : largest error of a pose, parts of the mechanism's size or rad
+    accuracy : largest error of a pose, relative to the characteristic length or in rad
     horizon  : s, in which the error may grow by the accuracy
     tighten  : function of a tolerance as a fraction of `accuracy`
 
     given    : accuracy at the start
-    accuracy : that is wanted now, see `change`
-    ended    : s, the last checkpoint before the estimate exceeded the wanted error; inf: it did not
-    found    : of the checkpoint at which it did: "time", "error" and "wanted", "tenfold": time in s in
+    accuracy : present one, see `change`
+    ended    : s, the last checkpoint before the estimate exceeded the error bound; inf: never
+    found    : at the checkpoint where it did: "time", "error" and "wanted", "tenfold": time in s in
                which errors grow tenfold, 0 if they do not grow exponentially, "room": mean of the
                tolerances so far, as a multiple of the least one, and "finer", see `follow`
     """
@@ -69,10 +68,10 @@ class AccuracyControl:
         self.restart(0.0)
 
     def restart(self, time):
-        """Forget the errors so far, and changes of the accuracy: the state was set."""
+        """Clear errors and changes of the accuracy, because the state was set."""
         self.accuracy = self.given
         self._begin = self._last = time
-        # Last times with an estimate 10, 100, 1000 times below the wanted error.
+        # Last times with an estimate 10, 100, 1000 times below the error bound.
         self._below = [time] * DECADES
         self._sum = self._double_sum = self._gain = 0.0
         self.ended = math.inf
@@ -88,7 +87,7 @@ class AccuracyControl:
         self._tighten(self._tolerance / self.given)
 
     def wanted(self, time):
-        """Largest error at a time in s."""
+        """Error bound at a time in s."""
         return self.accuracy * max(1.0, (time - self._begin) / self.horizon)
 
     def change(self, accuracy, time, error):
@@ -102,7 +101,7 @@ class AccuracyControl:
     def follow(self, time, error, predictable, finer):
         """Set the tolerance from the estimated error at a checkpoint.
 
-        finer : whether a finer accuracy would have made finer steps
+        finer : whether a smaller accuracy would have led to smaller steps
         """
         span, since = time - self._last, time - self._begin
         wanted, before = self.wanted(time), self._last
@@ -128,10 +127,10 @@ class AccuracyControl:
         self._set(min(max(tolerance, SLOWER * self._tolerance), FASTER * self._tolerance))
 
     def _tenfold(self, time, span):
-        """Time in s in which the estimate grows tenfold; 0: it does not grow exponentially.
+        """Time in s in which the estimate grows tenfold; 0 if it does not grow exponentially.
 
-        It does if it took no longer for the last decade than for the two before. Powers of the time up to
-        the fourth take longer. A jump passes decades within a few checkpoints, span : s between two.
+        Growth is exponential if the last decade took no longer than the two before. Powers of the time up to
+        the fourth take longer. A jump passes the decades within a few checkpoints, span : s between two.
         """
         all_of_them = time - self._below[-1]
         last, *earlier = (end - start for end, start in zip([time, *self._below], self._below))
@@ -140,19 +139,19 @@ class AccuracyControl:
 
     @property
     def reason(self):
-        """Text that says why the accuracy ended and what can be had; empty if that is not known."""
+        """Text that says why the accuracy ended and what can be done; empty if that is unknown."""
         if self.ended == math.inf:
             return ""
         tenfold, room = self.found["tenfold"], self.found["room"]
         if room <= ROUNDING:
-            return "this is rounding: finer steps do not help, a larger accuracy holds longer"
+            return "this is round-off: smaller steps do not help, a larger accuracy holds longer"
         if not tenfold:
             return ""
         grow = f"errors grow tenfold in about {tenfold:.2g} s"
         if not self.found["finer"] or min(room, self.found["wanted"] / SMALLEST) < FINER:
             return grow
         return (
-            f"{grow}, so that with an accuracy {FINER:g} times as fine they would be this large about "
+            f"{grow}: with an accuracy {FINER:g} times smaller they would reach this size about "
             f"{math.log10(FINER) * tenfold:.2g} s later"
         )
 

@@ -24,7 +24,7 @@ def describe(layout):
     layout : layout.Layout, from `make_layout(scene)` or `Simulation.layout`
     returns dict of
         scene, description, gravity  of the scene; gravity in m/s^2
-        notes               remarks of the scene, such as what an import merged and left out, and
+        notes               remarks of the scene, such as what an import merged and omitted, and
                             motions of driven joints beyond the limits in their data
         import              what the import of a robot saved, see `imported`; None for other scenes
         bodies              [{name, mass}], kg
@@ -45,9 +45,9 @@ def describe(layout):
         methods             names of the integration methods that can integrate the scene
         groups              [[body]]: bodies that joints or forces connect, not counting the world
         couplings           [{name, joint, other, ratio, offset}]; offset in rad or m
-        kept_momentum       [{bodies, components}] of the conserved momentum, as text; None if a
-                            joint is not a lower pair, or with couplings or driven joints: not
-                            determined then
+        kept_momentum       [{bodies, components}] of the conserved momentum, as text; None: not
+                            determined, because a joint is not a lower pair, or because of couplings,
+                            driven joints, stops or friction
     Raises SceneError.
     """
     scene, model = layout.scene, layout.model
@@ -136,7 +136,7 @@ def _motions_beyond(layout):
 
 
 def formulation(layout):
-    """Configuration space of the relative coordinates, and why another cannot hold the scene.
+    """Configuration space of the relative coordinates, and why the scene needs it.
 
     returns dict of
         coordinates      dimension of the relative configuration space, before cut joints
@@ -145,7 +145,7 @@ def formulation(layout):
                          group; None for a floating link
         cut              [{joint, rows, dropped}] of the joints that close loops: names of the rows that
                          are solved for, and of the redundant ones
-        only             text why only relative coordinates can hold it, or ""
+        only             reason why the scene needs relative coordinates, or ""
     """
     scene, relative = layout.centred, layout.relative
     tree = tree_of(scene)
@@ -173,10 +173,10 @@ def formulation(layout):
 
 
 def imported(layout):
-    """Return what the import of a robot's file saved: a dict, or None for other scenes.
+    """Return how much smaller the scene of a robot is than its file: a dict, or None for other scenes.
 
-    links, bodies       number of links of the file, and of bodies of the scene: links that fixed
-                        and locked joints hold together are one body, those of the world are none
+    links, bodies       number of links of the file, and of bodies of the scene: links that fixed or
+                        locked joints connect are one body; those connected to the world are none
     file_coordinates, coordinates  of the joints of the file's tree, and of the scene's spanning tree;
                         a part that floats has six
     """

@@ -38,12 +38,12 @@ BAUMGARTE_STEPS = 10
 # Largest entry of R R^T - 1 that `set_state` accepts.
 NO_ROTATION = 1e-6
 METHOD, STEP = "rkmk4", 1e-3  # defaults; s
-# Steps that a kernel takes at a time: at first, and s of wall time that they take later.
+# Number of steps per call of a kernel at first, and range of the wall time in s of later calls.
 FIRST_BLOCK, QUICK, SLOW = 16, 0.01, 0.03
 
 
 def _next_block(steps, seconds):
-    """Steps that the next call of a kernel takes after so many took so long."""
+    """Number of steps for the next call of a kernel, after `steps` took `seconds`."""
     if seconds < QUICK:
         return 2 * steps
     return max(1, steps // 2) if seconds > SLOW else steps
@@ -172,12 +172,12 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         angles : (k,) rad, `Sample.angles` of the state: unwrapped angles. None:
                  all are in (-pi, pi], as at the start of a scene
         memory : bytes from `memory()` at this state: the run continues bit-identically. None: a
-                 method with memory restarts, and joints with stops or friction lose their whole turns:
-                 their angles are those next to 0 that the stops allow. `place` keeps the turns
+                 method with memory restarts, and angles of joints with stops or friction are unwrapped
+                 near 0, as far as the stops allow. `place` keeps the whole turns
         steps  : 0 or more
         Clears the applied wrenches and efforts. The wrenches of the scene follow the step count.
-        Raises ValueError for wrong shapes, non-finite numbers, matrices that are no rotations, no step
-        count, or a memory of another method.
+        Raises ValueError for wrong shapes, non-finite numbers, matrices that are not rotations, an invalid
+        step count, or a memory of another method.
         """
         n = len(self._body)
         pose = floats(f"expected a pose ({n}, 12)", pose)
@@ -216,7 +216,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
             change.repeat(self)
 
     def _check_memory(self, memory):
-        """Raise ValueError for what is not as long as `memory` of this method."""
+        """Raise ValueError unless `memory` is as long as the memory of this method."""
         size = len(self.memory())
         if not isinstance(memory, (bytes, bytearray)):
             raise ValueError(f"expected {size} bytes of method memory, {got(memory)}")
@@ -310,13 +310,13 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         self._integrator.limit_attempts(most)
 
     def halt(self) -> None:
-        """End `advance`, which another thread has called, after the last valid step: within a few ms."""
+        """End an `advance` of another thread after its last valid step, within a few ms."""
         self._halted = True
         if METHODS[self.method].controlled:  # a step may have 100 000 substeps
             self._integrator.limit_attempts(0)
 
     def _go_on(self):
-        """Advance again after `halt`."""
+        """Allow `advance` again after `halt`."""
         self._halted = False
         if METHODS[self.method].controlled:
             self._integrator.limit_attempts()
@@ -324,10 +324,10 @@ class Engine(Inputs, JointEvents, Placing, Reports):
     def advance(self, steps: int = 1, enough: Callable[[], bool] | None = None) -> None:
         """Take `steps` steps, an integer >= 0.
 
-        enough : asked about every 20 ms of wall time, or after a step that takes longer; as soon as it is
-                 true, no more steps are taken
+        enough : called about every 20 ms of wall time, or after each step that takes longer; if it returns
+                 True, no more steps are taken
 
-        Python handles signals as often, so that Ctrl-C ends a call. Raises ValueError for other numbers.
+        Python handles signals equally often, so that Ctrl-C ends a call. Raises ValueError for other numbers.
         Raises SimulationError if the integration cannot continue: NaN or overflow, a rotation of nearly
         2 pi in a step, constraints that cannot be satisfied, an implicit step without solution, an
         unreachable tolerance. State and `steps` are then those of the last valid step.
@@ -369,7 +369,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         self._give_warnings()
 
     def peek(self, steps: int, part: float) -> tuple[Floats, Floats]:
-        """State after some steps and a part of one, as `state`; the present one stays.
+        """State after some steps and a part of one, as `state`; the present state does not change.
 
         Raises SimulationError, as `advance`.
         """
@@ -463,7 +463,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         return self._switching.modes(self.time, (self._pose, self._twist, self._external))
 
     def reaction_array(self, out: Floats | None = None) -> Floats:
-        """Reactions of all joints at the present state, without a Sample: the same numbers.
+        """Reactions of all joints at the present state, bit-identical to those of a Sample.
 
         out : (J, 6) array, of any memory layout, that takes them; None: a new one
         returns (J, 6) torque N m, force N of the joints in the order of the scene; see
@@ -488,7 +488,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         return out
 
     def _inputs_now(self):
-        """What reactions depend on beside the state and external wrenches; see Reactions.at."""
+        """Inputs of reactions besides the state and external wrenches; see Reactions.at."""
         work, modes = self._work, None
         if self._switching is not None:
             if not self.layout.reactions.take_modes(*self._integrator.links):

@@ -7,17 +7,17 @@ q h:
     order seen     : d / (q^p - 1), the errors being c h^p and c (q h)^p
     order not seen : about d, the two errors being independent of each other
 
-The estimate is the larger of the two, the first one times SEEN, the second one times a given part of d. They are
-close to each other (a factor of 2 for p = 4, of 3 for p = 8), so nothing has to be decided. For q = 2 the
-factor is 15 and 255: whether the order is seen has to be found from a third run, and is often found
-wrongly. The estimate of a body is multiplied by up to 1 + LARGE, in proportion up to NOT_SMALL of the
-mechanism: two errors of that size do not follow the linearised motion, and their difference may be a
-fraction of either by chance.
+The estimate is the larger of the two, the first one times SEEN, the second one a given fraction of d. They are
+close to each other (a factor of 2 for p = 4, of 3 for p = 8), so no decision is needed. For q = 2 the factor
+would be 15 and 255: a third run would have to tell whether the order is seen, and would often be wrong. The
+estimate of a body is multiplied by up to 1 + LARGE, reached linearly at an error of NOT_SMALL relative to the
+characteristic length. Two errors of that size do not follow the linearised motion, and their difference may be
+a fraction of either by chance.
 
-An estimate is at least FADING times the largest of the last checkpoints: a distance may pass through zero
-where the error does not. One that exceeds LOST of what the body has moved at a checkpoint does not fade at
-all: where both runs lose the motion, as an oscillation that their steps do not resolve, they meet again, and
-not with the true one.
+An estimate is at least FADING times the largest of the last checkpoints, because a distance may pass through
+zero where the error does not. If it exceeds LOST times the body's motion so far at a checkpoint, it does not
+fade at all. If both runs lose the motion, for example an oscillation that their steps do not resolve, they may
+agree again, but not with the true motion.
 """
 
 import copy
@@ -32,7 +32,7 @@ WINDOW, FADING = 4, 0.36  # checkpoints
 LOST = 0.1  # of the motion of a body
 SEEN = 1.35
 LARGE, NOT_SMALL = 2.5, 0.03
-# Of the mechanism's size, and rad: an error of this size makes a motion unpredictable.
+# Relative to the characteristic length, or rad: an error of this size makes a motion unpredictable.
 UNPREDICTABLE = 0.1
 _KEPT = (
     "distance",
@@ -50,7 +50,7 @@ _KEPT = (
 
 
 def scale_of(position, angle, factor):
-    """Estimate divided by distance, for distances in parts of the mechanism's size and in rad."""
+    """Estimate divided by distance, for distances relative to the characteristic length and in rad."""
     return factor * (1.0 + LARGE * min(1.0, factor * max(position, angle) / NOT_SMALL))
 
 
@@ -68,7 +68,7 @@ def _set_errors(distance, size, factor, least, out):
 
 @kernel
 def _note_lost(distance, moved, motion, size, factor, least):
-    """Note in `least` the errors that are a large part of the motion so far; all (n, 4).
+    """Raise `least` to the errors that are a large part of the motion so far; all (n, 4).
 
     returns the largest m and rad of `least`
     """
@@ -87,15 +87,15 @@ def _note_lost(distance, moved, motion, size, factor, least):
 class ErrorEstimate:
     """Estimated errors of n bodies of a mechanism, and how long its motion is predictable.
 
-    size  : of the mechanism, m
+    size  : characteristic length, m
     ratio : q, of the steps
     order : p
-    least : part of the distance that the estimate is where the order is not seen
+    least : ratio of estimate to distance if the order is not seen
 
     distance : (n, 4) m, rad, m/s, rad/s of the last meeting
     largest  : largest m and rad of them
     checkpoints       : number of checkpoints so far
-    predictable_until : s, the last checkpoint before the estimate was UNPREDICTABLE; inf: it was not
+    predictable_until : s, the last checkpoint before the estimate was UNPREDICTABLE; inf: never
     """
 
     def __init__(self, n, size, ratio, order, least):
@@ -109,7 +109,7 @@ class ErrorEstimate:
         self.note_motion(self.distance)
 
     def restart(self, time):
-        """Forget the errors so far: the state was set, at a time in s."""
+        """Clear the errors, because the state was set at a time in s."""
         self.distance[:] = self._window[:] = self._motion[:] = self._least[:] = 0.0
         self._least_pose = 0.0
         # Largest m and rad of all bodies, of the distance and of each part of the window.
@@ -132,7 +132,7 @@ class ErrorEstimate:
         self._kept_at = time
 
     def note_motion(self, moved):
-        """Follow the largest motion of each body, from its distances (n, 4) from its start."""
+        """Update the largest motion of each body; moved : (n, 4) distances from its start."""
         state = self._motion, self.size, self._factor, self._least
         self._set_least_pose(*self._lost(self.distance, moved, *state))
 
@@ -149,7 +149,7 @@ class ErrorEstimate:
         return max(1.0, last / before) if before > 0.0 else 1.0
 
     def largest_error(self, largest, grown=1.0):
-        """Largest estimated error of a pose: parts of the mechanism's size, or rad.
+        """Largest estimated error of a pose, relative to the characteristic length or in rad.
 
         largest : m and rad of the present distances
         grown   : ratio of the present distances to these

@@ -22,7 +22,7 @@ class SceneError(LieGroupSimError, ValueError):
 
 
 class MissingFileError(SceneError):
-    """Scene that needs a file which is not there."""
+    """Scene that refers to a file that does not exist."""
 
 
 class SimulationError(LieGroupSimError, RuntimeError):

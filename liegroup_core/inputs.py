@@ -14,10 +14,10 @@ from liegroup_core.joints.motion import COLUMNS, at, row_at, through
 
 
 class Inputs:
-    """Commands of an Engine, its base class, which has `layout`, `steps`, `time`, `_grid` and `_work`."""
+    """Commands of an Engine: base class that uses its `layout`, `steps`, `time`, `_grid` and `_work`."""
 
     def _clear_inputs(self):
-        """Forget all commands: servos and driven joints do what the scene says."""
+        """Clear all commands: servos and driven joints follow the scene."""
         wanted = wanted_values(self.layout.model.forces)
         bodies, drives = len(self.layout.body_names), len(self.layout.motions)
         self._schedule = WrenchSchedule(bodies, wanted, drives)
@@ -46,7 +46,7 @@ class Inputs:
                    and of recordings are; `drain_applied` returns what acted
         source   : each source has one wrench per body; wrenches of different sources add
         axes     : of the components: "body", or "world". A wrench in world axes keeps its direction
-                   in the world while the body rotates. Also those of a drained AppliedWrench
+                   in the world while the body rotates. The axes of a drained AppliedWrench are valid, too
         point    : (3,) m, in the body frame: the force acts there, and the point turns with the body.
                    None: the origin of the body frame
         A step in which a wrench starts or ends is split at that time, so that methods keep their
@@ -54,7 +54,7 @@ class Inputs:
         Raises ValueError for an unknown body, a wrong shape, or a number that is not finite.
         """
         if axes in PAIRS and point is not None:
-            raise ValueError(f"axes {axes!r} name a point already: omit point, got {point!r}")
+            raise ValueError(f"axes {axes!r} already define a point: omit point, got {point!r}")
         if axes not in AXES:
             raise ValueError(f"axes must be 'body' or 'world', got {axes!r}")
         check_name(body, self._body, "unknown body {}")
@@ -130,7 +130,7 @@ class Inputs:
         start: float | Fraction | None = None,
         duration: float | None = None,
     ) -> None:
-        """As `command_servo`, of wanted values that were checked before: repeats a run."""
+        """As `command_servo`, without checks: to repeat a run with values that were checked before."""
         begin, end = self._interval(start, duration)
         self._schedule.command_servo(self._servo(joint), float(position), float(velocity), begin, end)
 
@@ -148,11 +148,11 @@ class Inputs:
         accelerations: ArrayLike | None = None,
         start: float | Fraction | None = None,
     ) -> None:
-        """Command the motion of a driven joint through points, and on at the last velocity.
+        """Command the motion of a driven joint through points, and then at the last velocity.
 
         joint     : name of a driven joint
         times     : (m,) s after the start, positive and increasing
-        positions : (m,) rad, which may exceed 2 pi, or m; None: those to which the velocities lead
+        positions : (m,) rad, which may exceed 2 pi, or m; None: they follow from the velocities
         velocities, accelerations : (m,), the last acceleration 0; default: see joints/motion.py
         start     : as in `apply_wrench`
         The motion begins with the position, velocity and acceleration that the joint has at the start,
@@ -200,9 +200,9 @@ class Inputs:
         return list(zip(instants, rows))
 
     def prescribe(self, joint: str, motion: ArrayLike, start: float | Fraction | None = None) -> None:
-        """Command a motion (7,) of a driven joint as it is: see AppliedMotion.
+        """Command a motion (7,) of a driven joint without checks of limits: see AppliedMotion.
 
-        Raises ValueError for a joint that is not driven, or what is no motion.
+        Raises ValueError for a joint that is not driven, or an invalid motion.
         """
         row = finite(f"a motion must be {COLUMNS} finite numbers", motion, (COLUMNS,))
         begin, _ = self._interval(start, None)
@@ -216,7 +216,7 @@ class Inputs:
             self.layout.limits[joint].check_jump(before, position)
 
     def _drive(self, joint):
-        """Number of a driven joint. Raises ValueError for another one."""
+        """Number of a driven joint. Raises ValueError for a joint that is not driven."""
         names = tuple(self.layout.motions)
         check_name(joint, names, "joint {} is not driven")
         return names.index(joint)
@@ -250,7 +250,7 @@ class Inputs:
 
     @property
     def wrench_sources(self):
-        """Names of the sources of these wrenches and efforts."""
+        """Names of the sources of wrenches and efforts that act now or start later."""
         return self._schedule.sources
 
     def clear_wrenches(self, source: str = "api") -> None:
@@ -268,7 +268,7 @@ class Inputs:
         return applied
 
     def acting(self):
-        """[AppliedWrench, AppliedTarget or AppliedMotion] of what acts from now on."""
+        """[AppliedWrench, AppliedTarget or AppliedMotion] of the inputs that act from now on."""
         now = self._grid.boundary(self.steps)
         return [self._applied_at(now, *key) for key in self._acting_numbers()]
 
@@ -284,7 +284,7 @@ class Inputs:
         return sorted(acting | {(i, SERVO) for i in self.layout.servos.values()})
 
     def acting_now(self):
-        """[[body or joint, axes, *wrench]] of what acts, JSON types; see Layout.names_of_inputs."""
+        """[[body or joint, axes, *wrench]] of the acting inputs, JSON types; see Layout.names_of_inputs."""
         names = self.layout.names_of_inputs
         return [
             [names[axes][number], axes, *self._schedule.total[axes][number].tolist()]
@@ -292,16 +292,16 @@ class Inputs:
         ]
 
     def remember_acting(self, acting):
-        """Restore what acts, as `acting_now` returned it.
+        """Restore the acting inputs that `acting_now` returned.
 
-        It has no other end than another command: a wrench whose source is the name of its axes, or
-        wanted values of the servo. Raises ValueError, KeyError, TypeError for what is no such list.
+        They act until replaced, by a wrench whose source is the name of its axes, or by wanted values of
+        the servo. Raises ValueError, KeyError, TypeError for an invalid list.
         """
         names = self.layout.names_of_inputs
         for name, axes, *wrench in acting:
             total = self._schedule.total[axes]
             if len(wrench) != total.shape[1] or not np.isfinite(wrench).all():
-                raise ValueError(f"no wrench: {axes!r:.20}, {wrench!r:.60}")
+                raise ValueError(f"not a wrench: {axes!r:.20}, {wrench!r:.60}")
             number = names[axes].index(name)
             self._schedule.act(number, wrench, axes)
             self._set_input(number, wrench, axes)

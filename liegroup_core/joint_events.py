@@ -40,9 +40,9 @@ def has_impacts(scene: Scene) -> bool:
 
 
 class JointEvents:
-    """Events of an Engine, its base class, which has `scene`, `layout`, `sample` and `_switching`.
+    """Events of an Engine: base class that uses its `scene`, `layout`, `sample` and `_switching`.
 
-    Without stops and friction, `_switching` is None, and there are none.
+    Without stops and friction `_switching` is None, and there are no events.
     """
 
     _parts = 1  # see `divide_events`
@@ -53,7 +53,7 @@ class JointEvents:
         return 0 if self._switching is None else self._switching.count
 
     def drain_events(self) -> list[JointEvent]:
-        """Return what happened at stops and by dry friction since the last call, in order of time.
+        """Return the events of stops and dry friction since the last call, in order of time.
 
         At most the last 100 000 are kept.
         """
@@ -64,7 +64,7 @@ class JointEvents:
 
     @property
     def lost_rebound(self):
-        """Longest way of a rebound that was made plastic since the state was set, see ModeChanges.lost."""
+        """Largest displacement of a rebound that became plastic since the state was set, see ModeChanges.lost."""
         return 0.0 if self._switching is None else self._switching.lost
 
     def drain_impacts(self) -> list[Impact]:
@@ -83,7 +83,7 @@ class JointEvents:
         return found
 
     def divide_events(self, parts: int) -> None:
-        """Take steps that lead to an event at a stop, of friction or of an input in so many parts."""
+        """Divide every step up to an event, of a stop, friction or an input, into `parts` parts."""
         self._parts = parts
         if self._switching is not None:
             self._switching.parts = parts

@@ -40,7 +40,7 @@ from liegroup_core.threads import one_blas_thread
 
 NO_MOTIONS = np.zeros((0, COLUMNS))
 NO_ANGLES = np.zeros(0)
-# m p^2 / I of a joint at a distance p, from which on W of a cut joint has no digit of 1 / m beside p^2 / I.
+# m p^2 / I of a joint at a distance p, above which 1 / m is lost to round-off next to p^2 / I in W of a cut joint.
 LONGEST_LEVER = 2.0**52
 
 
@@ -74,7 +74,7 @@ class Layout:
 
     @cached_property
     def relative_in_space(self):
-        """RelativeModel of the scene that is no PlaneModel."""
+        """RelativeModel of the scene that is not a PlaneModel."""
         if self.normal is None:
             return self.relative
         return self._with_usual_pivot(relative_model(self.centred, self.model, in_space=True))
@@ -102,8 +102,8 @@ class Layout:
     def drifts(self, group):
         """Whether joints drift with a Munthe-Kaas method on a group.
 
-        Cut and driven joints do in relative coordinates, but no couplings, on SE(3)^n all but one lower
-        pair per body to ground, on (SO(3) x R^3)^n all.
+        In relative coordinates, cut and driven joints do, but couplings do not. On SE(3)^n all joints do
+        except one lower pair per body to ground, on (SO(3) x R^3)^n all.
         """
         if group == RELATIVE:
             return len(self.relative.joints) > (self.relative.couplings["motion"] < 0).sum()
@@ -123,7 +123,7 @@ class Layout:
 
     @property
     def needs_relative(self):
-        """Text why only relative coordinates can hold the scene, or ""."""
+        """Reason why the scene needs relative coordinates, or ""."""
         if self.lack_of_inertia or self.scene.couplings:
             return self.lack_of_inertia or "it has couplings"
         return "it has driven joints" if self.motions else self.needs_events
@@ -135,13 +135,13 @@ class Layout:
 
     @cached_property
     def switch_sizes(self):
-        """(k,) mechanism's size in the unit of each of the switches: 1 rad, or m."""
+        """(k,) characteristic length in the unit of each switch: 1 rad, or m."""
         units = [unit_of(switch, self.scene) for switch in self.switches]
         return np.array([self.size if unit == "m" else 1.0 for unit in units])
 
     @property
     def needs_events(self):
-        """Text that the scene has stops or friction of joints, or ""."""
+        """Reason why the scene needs events, or ""."""
         return "its joints have limits or friction" if self.switches else ""
 
     @cached_property
@@ -156,7 +156,7 @@ class Layout:
         return {self.centred.joints[j].name: rows for j, rows in drives.items()}
 
     def with_model(self, model):
-        """The layout with other options of its model; what does not depend on them is kept."""
+        """Layout with other options of its model; reuses everything that does not depend on them."""
         layout = replace(self, model=model)
         layout.__dict__["lack_of_inertia"] = self.lack_of_inertia
 
@@ -198,7 +198,7 @@ class Layout:
 
     @cached_property
     def reactions(self):
-        """Reactions of the joints, and what the forces at them exert."""
+        """Reactions of the joints, and the wrenches of the forces at them."""
         return Reactions(self)
 
     @cached_property
@@ -225,12 +225,12 @@ class Layout:
 
     @cached_property
     def size(self):
-        """Mechanism's size in m."""
+        """Characteristic length of the mechanism, m."""
         return mechanism_size(self.model, self.scene.joints)
 
     @cached_property
     def limits(self):
-        """{joint: CommandLimits} of what is commanded to the joints with one coordinate, screws included."""
+        """{joint: CommandLimits} of commands to the joints with one coordinate, including screws."""
         return {j.name: limits_of(j, self.size) for j in self.scene.joints if j.type in COUPLED}
 
     @cached_property

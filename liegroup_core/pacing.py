@@ -104,8 +104,8 @@ class Pacer:
     def wait(self, sim_time, longest=math.inf, earliest=None):
         """Wait until `sim_time` is due, at most about `longest` wall seconds.
 
-        earliest : simulated time from whose deadline on the tick may be taken before its own; the
-                   deadlines of later ticks stay. None: not before
+        earliest : simulated time; the tick may be taken from the deadline of this time on. Deadlines of
+                   later ticks do not change. None: not before its own deadline
         returns True if it is due: take the tick. False: call again.
         """
         now = self._clock()

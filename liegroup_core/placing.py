@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""States of an Engine that are set by poses, twists or joint coordinates of some bodies and joints."""
+"""Setting the state of an Engine by poses, twists or joint coordinates of some bodies and joints."""
 
 import numpy as np
 
@@ -16,11 +16,11 @@ from liegroup_core.scene.switches import unit_of
 
 from .errors import SceneError
 
-MOVED = 1e-9  # relative change of a driven joint's coordinate or rate by which `place` moves it
+MOVED = 1e-9  # relative change of a driven joint's coordinate or rate above which `place` has moved it
 
 
 class Placing:
-    """Setting of states of an Engine, its base class."""
+    """Setting of states: base class of Engine."""
 
     def place(self, poses=None, twists=None, joints=None) -> None:
         """Set poses and twists of bodies, and joint coordinates; all other bodies follow.
@@ -29,13 +29,13 @@ class Placing:
         twists : {body: (6,)} omega rad/s, v m/s; body axes, v of the body frame's origin
         joints : {joint: (position, velocity)} of revolute, prismatic and screw joints, rad and rad/s,
                  or m and m/s; None for one that is not set. Positions may exceed 2 pi
-        The given ones are kept exactly. Joints that are not given keep their coordinates and
-        velocities if `joints` are given and no loop prevents it. Otherwise the others are the nearest
-        that satisfy all joints. Bodies without a path of joints to a given one are not changed. Step
+        Given values are kept exactly. Joints that are not given keep their coordinates and
+        velocities if `joints` are given and no loop prevents it. Otherwise the other values are the
+        nearest that satisfy all joints. Bodies without a path of joints to a given one are not changed. Step
         count and time continue. The wrenches of `apply_wrench` are cleared. A driven joint keeps its
-        velocity unless what is given prevents it; one that is moved goes on at its new velocity.
+        velocity unless the given values prevent it; if it is moved, it continues at its new velocity.
         Raises SceneError with the joint, and its residual or its stop, if the joints do not allow it,
-        ValueError for an unknown body or joint, NaN or a matrix that is no rotation. The state is then
+        ValueError for an unknown body or joint, NaN or a matrix that is not a rotation. The state is then
         unchanged.
         """
         poses = mapping("poses must be {body: pose}", poses)
@@ -84,7 +84,7 @@ class Placing:
             self._commanded[:] = self._schedule.total[DRIVE]
 
     def _keep_turns(self, before, joints):
-        """Put angles with stops or friction in their turns: as given, or those of a Sample before.
+        """Unwrap the angles of joints with stops or friction: near given ones, or those of an earlier Sample.
 
         joints : {joint: (position, velocity)} that were given, with their whole turns
         """
@@ -123,14 +123,14 @@ class Placing:
         return start
 
     def _joint_states(self, pose, twist, wanted):
-        """(joint of the scene, (position, velocity)) of those that are wanted, at a state of `state()`."""
+        """(joint of the scene, (position, velocity)) of joints for which `wanted` is true, at a `state()`."""
         start = self._start_of(pose, twist)
         for joint, frames in zip(self.layout.centred.joints, self.layout.joint_frames):
             if wanted(joint):
                 yield joint, joint_state(start, joint, *frames)
 
     def _motions_after(self, commanded, joints):
-        """Motions of the driven joints that a new state moves: at constant rate; None for the others.
+        """Motions, at constant rate, of the driven joints that a new state moves; None for the others.
 
         joints : {joint: (position, velocity)} that were given, with their whole turns
         """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an Engine says: its warnings, and why it stopped."""
+"""Messages of an Engine: warnings, and why it stopped."""
 
 import logging
 import math
@@ -26,14 +26,14 @@ from .status import (
 
 log = logging.getLogger("liegroup_core")
 
-# What fast motion, among others, leads to.
+# Statuses that fast motion may cause.
 FAST = {ROTATION_TOO_LARGE, NOT_CONVERGED, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS}
 # Steps after the last valid one at which a driven joint may be beyond the reach of its loop.
 STEPS_AHEAD = (1, 2, 4)
 
 
 class Reports:
-    """Texts of an Engine, its base class. Each warning is given once."""
+    """Messages of an Engine: its base class. Each warning is given once."""
 
     def _give_warnings(self):
         if self._work.report[SINGULAR_SOLVES] and not self._warned_singular:
@@ -41,7 +41,7 @@ class Reports:
             log.warning(
                 "Singular configuration before t = %g s: some constraint equations are "
                 "redundant there, and the mass distribution decides the remaining motion. %s"
-                "If it is always in one, remove a redundant joint",
+                "If it is always singular, remove a redundant joint",
                 self.time,
                 ""
                 if self.layout.model.projects
@@ -68,7 +68,7 @@ class Reports:
             self._warned_endless = True
             log.warning(
                 "At t = %.9g s impacts follow each other without end at %s: they are plastic until the end "
-                "of the step, which takes energy",
+                "of the step, which dissipates energy",
                 endless[0],
                 self._names_of_switches(endless[1]),
             )
@@ -98,8 +98,8 @@ class Reports:
         angle = math.sqrt(self._work.report[STEP_TURN])
         if status & 0xFF == NO_RATTLE_STEP:
             body = self.layout.body_names[status >> 8]
-        # If a wrench of the scene changes within the step, no smaller step can be suggested; nor is it the
-        # step that fails where error control sets the substeps.
+        # No smaller step is suggested if a wrench of the scene changes within the step, or with error control,
+        # because then a substep has failed.
         searched = (NO_RATTLE_STEP, NOT_CONVERGED) if not METHODS[self.method].controlled else ()
         if status & 0xFF in searched and not self._instants_inside():
             self._work.clock[:] = 0.0, self.time, self.time
@@ -125,11 +125,11 @@ class Reports:
             joint=joint, force=force, body=body, angle=angle, hint=hint, events=MOST_EVENTS
         )
         if status & 0xFF in FAST and self.layout.lack_of_inertia:
-            text += f"; or, as {self.layout.lack_of_inertia}, a freedom has no inertia at this pose"
+            text += f"; or a degree of freedom has no inertia at this pose, because {self.layout.lack_of_inertia}"
         return stopped + text
 
     def _beyond_reach(self):
-        """Text on driven joints whose motion leads where their loops do not, or ""."""
+        """Text on driven joints whose motion leads beyond the reach of their loops, or ""."""
         for ahead in STEPS_AHEAD:
             time = self.time + ahead * self.step
             positions = [at(m, time)[0] for m in self.layout.motions_at(time, self._commanded)]

@@ -1,38 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
 """Running estimate of the global error of a simulation, from a companion with a larger step.
 
-The companion follows the simulation with steps of q h under the same wrenches, q = 4/3, or 6/5 for
-orders from 8. With error control its tolerances are larger, so that its substeps are q times as long,
-q = 4/3, 1.43 for an implicit method, or 1.7 with an accuracy. What the distance of the two says of the
-error: error_estimate.py.
+The companion is a second run under the same wrenches with steps of q h, q = 4/3, or 6/5 for orders from 8.
+With error control its tolerances are larger, so that its substeps are q times as long, q = 4/3, 1.43 for an
+implicit method, or 1.7 with an accuracy. error_estimate.py derives the error from the distance of the two.
 
-The least part of the distance that counts is below 1 where that is more often far above the error than below
-it, by measurement: with order 8, whose errors fall faster than h^8 before they are rounding, and with error
-control, whose substeps differ by more than q at times. With an accuracy q is larger, so that two errors are
-hardly ever equal by chance, and the estimate sets the tolerance: it may be far above the error, but not
-below it.
+The estimate is at least a fraction of this distance. The fraction is below 1 where, as measured, the distance
+is more often far above the error than below it: with order 8, whose errors fall faster than h^8 before they
+are round-off, and with error control, whose substeps sometimes differ by more than q. With an accuracy q is
+larger, so that two errors are hardly ever equal by chance. There the estimate sets the tolerance: it may be
+far above the error, but not below it.
 
-The two meet every 4 or 6 steps. Whoever reads an estimate in between gets that of the present step: the
-companion goes there by whole steps and a part of one, and returns (`Engine.peek`). Checkpoints, after
-MEETINGS of them and more often at the start, depend on the step count alone, so that a repeated run has
-bit-identical estimates.
+The two meet every 4 or 6 steps. If an estimate is read in between, the companion advances to the present step,
+by whole steps and a part of one, and returns (`Engine.peek`). Checkpoints follow after MEETINGS meetings, more
+often at the start. They depend only on the step count, so that a repeated run has bit-identical estimates.
 
-With an accuracy also the rounding of the companion is larger. Where steps are so fine that rounding is all the
-error there is, as beside a separatrix, two runs of the same precision would differ by the error of either, and
-the estimate is less than half of their distance.
+With an accuracy the round-off of the companion is also larger. If steps are so small that all error is
+round-off, as near a separatrix, two runs of the same precision differ by the error of either, and the estimate
+would be less than half of their distance.
 
-With an accuracy the two are compared at checkpoints only, after about SUBSTEPS substeps, no motion is lost,
-and no estimate in between is computed: an error that grew is taken to grow on until the next one. If the
-companion cannot continue, the estimate is infinite from then on. Before the first meeting it is NaN.
+With an accuracy the two are compared only at checkpoints, after about SUBSTEPS substeps, and all estimates
+fade. In between, the last growth of the error is extrapolated. If the companion cannot continue, the estimate
+is infinite from then on. Before the first meeting it is NaN.
 
-With error control the companion takes four steps in one: in steps as short as those of the simulation
-the last substep of each, which ends with the step, would often make the substeps of both equal. Its
-substeps are at most 4/3 of a step, with an accuracy only where joints have stops or friction: it would
-step over contacts that the simulation meets.
+With error control the companion takes one step for four of the simulation. With equal steps the last substep,
+which ends with the step, would often make the substeps of both equal. Its substeps are at most 4/3 of a step,
+because it would step over contacts that the simulation meets; with an accuracy, only if joints have stops or
+friction.
 
-What both runs get wrong alike, whatever the step, is no distance: see methods/added_inertia.py, and
-impacts that follow each other without end and are made plastic, though they would go on (LOST_REBOUND).
-There the estimate is infinite.
+Errors common to both runs at any step are invisible: see methods/added_inertia.py, and endless impacts that
+become plastic although they would continue (LOST_REBOUND). Then the estimate is infinite.
 
 Coverage, that is estimate against true error: benchmarks/estimate_coverage.py,
 test/verification/test_running_error.py.
@@ -51,20 +48,20 @@ from liegroup_core.methods.added_inertia import AddedInertia
 from liegroup_core.methods.table import METHODS
 from liegroup_core.observables.distances import distances
 
-HIGH = 8  # order from which the steps are more similar
+HIGH = 8  # order from which the steps of both are more similar
 FIRST_MEETINGS, MEETINGS = 2, 48  # between two checkpoints, from the second one on
 SUBSTEPS, MOST = 32, 8  # between checkpoints with an accuracy: substeps, and steps at most
-FASTEST = 8.0  # growth between two meetings that is continued until the next one
-# rad, or of the mechanism's size: a rebound made plastic that would be longer. Bouncing that comes to rest by
-# itself is far below it when its impacts are that dense.
+FASTEST = 8.0  # largest growth between two meetings that is extrapolated to the next one
+# rad, or relative to the characteristic length: above it, a rebound that became plastic makes the estimate
+# infinite. Bouncing that comes to rest by itself is far below it when its impacts are that dense.
 LOST_REBOUND = 1e-7
-PARTS = 2  # of the step that leads to an event, whose size does not depend on that of the others
-# Least part of the distance, where the order is not seen.
+PARTS = 2  # of the step up to an event, whose size does not depend on that of other steps
+# Fraction of the distance that counts if the order is not seen.
 LEAST, LEAST_HIGH = 1.0, 0.75
-# q and this part, of error control: with a method, an implicit one, with an accuracy.
+# q and this fraction with error control: for an explicit method, an implicit method, and an accuracy.
 CONTROLLED, STIFF, BY_WORK = (4.0 / 3.0, 0.5), (1.43, 0.5), (1.7, 0.4)
-# Bits by which the companion rounds its state more, with an accuracy: its rounding is 64 times as large, its
-# tolerances are 70 times as large.
+# With an accuracy the companion rounds away this number of bits of its state: its round-off is 64 times as large,
+# its tolerances are 70 times as large.
 BITS = 6
 _KEPT = ("_set_at", "_start", "_next", "_block", "_substeps", "_alive", "_failed")
 
@@ -99,12 +96,12 @@ class RunningError:
                 integrator.follow_accuracy(self.size, bits)
         n = len(engine.layout.body_names)
         self.estimate = ErrorEstimate(n, self.size, ratio, order, least)
-        # Pose from which on bodies are seen to move, and distances between two meetings.
+        # Pose from which the motion of bodies is measured, and distances between two meetings.
         self._origin, self._at_rest = np.zeros((n, 12)), np.zeros((n, 6))
         self._seen = np.zeros((n, 4))
         self._distances = SameTypes(distances)
         self._added = AddedInertia.of(METHODS[engine.method], engine.layout.model)
-        self._compare()  # compiles it, as the next one
+        self._compare()  # compiles it, as does the next call
         self._watch_motion()
         self.restart()
 
@@ -132,7 +129,7 @@ class RunningError:
         return companion
 
     def restart(self):
-        """Forget the error so far: the state was set."""
+        """Clear the estimate, because the state was set."""
         self._set_at = self.engine.steps
         self._start, self._next = None, 0  # steps at which the companion started, and meets next
         self._block = self._substeps = 0  # steps to the next checkpoint, substeps at the last one
@@ -165,7 +162,7 @@ class RunningError:
         return self._start + (done // period + 1) * period
 
     def changed(self, changes):
-        """Tell the companion of changes of inputs: [AppliedWrench, AppliedTarget or AppliedMotion]."""
+        """Pass changes of inputs to the companion: [AppliedWrench, AppliedTarget or AppliedMotion]."""
         if self._start is not None and self._alive:
             for change in changes:
                 change.repeat(self._companion)
@@ -186,12 +183,12 @@ class RunningError:
         if not self._failed:
             try:
                 self._companion.advance_to(meeting)
-                self._companion.drain_applied()  # nobody else does
+                self._companion.drain_applied()  # nothing else reads them
             except SimulationError:
                 self._failed = True
         if not self._failed and self._companion.steps < meeting:
             return  # it was halted, too
-        # In between, the companion only shares out its work.
+        # Between checkpoints the companion only advances, which spreads its work.
         if self._by_work and steps != self._next:
             return
         if self._failed:
@@ -241,8 +238,8 @@ class RunningError:
     def _now(self):
         """Distances at the present step, and their largest m and rad.
 
-        Between two meetings the companion is asked for its state then. With an accuracy they are those of
-        the last meeting.
+        Between two meetings the companion computes its state at that step. With an accuracy they are those
+        of the last meeting.
         """
         since = self.engine.steps - self._companion.steps * self.ours // self._theirs
         if self._by_work or not self._alive or since <= 0:
@@ -259,7 +256,7 @@ class RunningError:
         return self._seen, self._seen_largest
 
     def _watch_motion(self):
-        """Follow the largest distance of each body from its start, and its largest velocities."""
+        """Update the largest distance of each body from its start, and its largest velocities."""
         self._measure((self._origin, self._at_rest), self._seen)
         self._seen_at = -1
         self.estimate.note_motion(self._seen)
@@ -287,7 +284,7 @@ class RunningError:
 
     @property
     def companion(self):
-        """Engine that follows."""
+        """Engine of the companion."""
         return self._companion
 
     @property
@@ -297,7 +294,7 @@ class RunningError:
 
     @property
     def largest(self):
-        """Largest estimated error of a pose: parts of the mechanism's size, or rad."""
+        """Largest estimated error of a pose, relative to the characteristic length or in rad."""
         if self._unknown:
             return math.nan
         return self.estimate.largest_error(self._now()[1], self._growth())
@@ -319,7 +316,7 @@ class RunningError:
 
     @property
     def pending(self):
-        """Wrenches of the companion, JSON types: it may be some steps behind.
+        """Inputs of the companion, which may be some steps behind, as JSON types.
 
         {"acting": see Engine.acting_now, "later": [[time in s, name, axes, *wrench]]}
         """
@@ -382,7 +379,7 @@ class RunningError:
         return self._alive and self._set_at < self.engine.steps < self.first_step
 
     def _growth(self):
-        """With an accuracy: growth since the last checkpoint, as between the two before."""
+        """With an accuracy: growth since the last checkpoint, extrapolated from the two before."""
         if not (self._by_work and self._alive and self._block):
             return 1.0
         stale = 1.0 - (self._next - self.engine.steps) / self._block

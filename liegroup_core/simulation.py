@@ -23,14 +23,14 @@ from liegroup_core.stiffness import MOST_ATTEMPTS, STIFF, MethodChoice
 
 log = logging.getLogger("liegroup_core")
 
-# Steps of a simulation to an accuracy, s. The longest is taken that keeps to a PART of the horizon, and to
-# SUBSTEPS in the first step.
+# Possible steps of a simulation to an accuracy, s. It takes the longest that is at most PART of the horizon and
+# has at most SUBSTEPS substeps at the start.
 STEPS = tuple(float(f"{digit}e{power}") for power in range(-3, -8, -1) for digit in (10, 5, 2))
 PART = 0.02
 SUBSTEPS = 20
-# Most attempted substeps in each of the steps that are tried.
+# Largest number of attempted substeps in each trial step.
 TRIALS = {METHOD: [2 * SUBSTEPS], STIFF: [MOST_ATTEMPTS, 2 * SUBSTEPS]}
-MANY = 500  # freedoms, whose matrices take too long for a trial
+MANY = 500  # number of freedoms above which the matrices take too long for a trial
 
 
 class Simulation(Engine):
@@ -39,12 +39,11 @@ class Simulation(Engine):
     Without a method, the tolerance of the steps follows the estimated error (accuracy.py), and `method`
     is the cheaper one of an explicit and an implicit method (stiffness.py):
 
-    accuracy : largest error of a pose in the first `horizon` seconds, as a part of the mechanism's
-               size, or rad; later the error may grow by as much in each further horizon. Default 1e-4
+    accuracy : largest error of a pose in the first `horizon` seconds, relative to the mechanism's size,
+               or in rad; the error may grow by as much in each further horizon. Default 1e-4
     horizon  : s, at most 1e6; default 60
-    step     : s, times at which states can be had; of a sequence the longest suitable one. Default:
-               at most 10 ms and a fiftieth of the horizon, in which the error control takes at most
-               twenty substeps
+    step     : s, output interval; from a sequence, the longest suitable one. Default: at most 10 ms and
+               1/50 of the horizon, such that the error control takes at most 20 substeps
     stabilisation : default "projection" for joints that would drift, else "none"
 
     With a method, it takes the arguments of Engine, with their defaults.
@@ -79,7 +78,7 @@ class Simulation(Engine):
     ) -> None:
         self._quiet = quiet
         if method is not None and (accuracy, horizon) != (None, None):
-            raise ValueError("give either an accuracy or a method: an accuracy chooses the method")
+            raise ValueError("give either an accuracy or a method: an accuracy selects the method itself")
         if method is not None or not isinstance(scene, Scene):
             super().__init__(scene, method, step, group, stabilisation or "none", baumgarte_time, quiet, **options)
             self._running = RunningError(self) if estimate else None
@@ -91,7 +90,7 @@ class Simulation(Engine):
         if step is None:
             step = default_steps(horizon)
         if not estimate:
-            raise ValueError("an accuracy requires the estimate of the error; or give a method")
+            raise ValueError("an accuracy requires the error estimate: enable it, or give a method")
         for name in {"rtol", "atol"} & options.keys():
             raise ValueError(f"an accuracy sets {name}; remove it, or give a method")
         check_group(METHOD, group)
@@ -114,7 +113,7 @@ class Simulation(Engine):
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """Arguments besides the scene that make the same simulation, JSON types."""
+        """Arguments besides the scene that create the same simulation, as JSON types."""
         common = {
             "step": self.step,
             "group": self.group,
@@ -137,28 +136,28 @@ class Simulation(Engine):
 
     @property
     def accuracy(self) -> float | None:
-        """Accuracy that is kept now, see `set_accuracy`; None with a method."""
+        """Present accuracy, see `set_accuracy`; None with a method."""
         return None if self._control is None else self._control.accuracy
 
     @accuracy.setter
     def accuracy(self, accuracy):
-        raise AttributeError("an accuracy is changed by `set_accuracy`")
+        raise AttributeError("use `set_accuracy` to change the accuracy")
 
     def set_accuracy(self, accuracy: float) -> None:
         """Continue with another accuracy, until the state is set. Raises ValueError.
 
-        If the estimated error exceeds this one, too, `accurate_until` stays.
+        If the estimated error also exceeds this one, `accurate_until` does not change.
         """
         if self._control is None:
-            raise ValueError("a simulation with a method has no accuracy")
+            raise ValueError("`set_accuracy` needs a simulation made with an accuracy; this one has a method")
         self._control.change(_checked(accuracy), self.time, self.largest_error)
         self._warned = self.accurate_until <= self.time
 
     @property
     def doubt(self) -> str | None:
-        """Line that says when the estimated error exceeded the accuracy, or became large; None: it did not.
+        """Message stating when the estimated error exceeded the accuracy, or became large; None if never.
 
-        It is logged, too.
+        It is also logged.
         """
         return "; ".join(filter(None, (self._excess, self._lost))) or None
 
@@ -172,7 +171,7 @@ class Simulation(Engine):
 
     @property
     def accurate_until(self) -> float:
-        """Last simulated time in s before the estimated error exceeded the accuracy; inf: it did not.
+        """Last simulated time in s before the estimated error exceeded the accuracy; inf if never.
 
         NaN with a method.
         """
@@ -180,12 +179,12 @@ class Simulation(Engine):
 
     @property
     def inaccurate_because(self) -> str:
-        """Why `accurate_until` is finite, and what can be had; empty if it is infinite or not known."""
+        """Why `accurate_until` is finite, and what can be done; empty if it is infinite or the reason unknown."""
         return "" if self._control is None else self._control.reason
 
     @property
     def largest_error(self) -> float:
-        """Largest estimated error of a pose: parts of the mechanism's size, or rad.
+        """Largest estimated error of a pose, relative to the mechanism's size or in rad.
 
         NaN without an estimate, and before `estimated_from`.
         """
@@ -237,7 +236,7 @@ class Simulation(Engine):
 
     @functools.cached_property
     def _identity(self):
-        """What a snapshot must have in common with the simulation that returns to it."""
+        """Properties that a snapshot must share with the simulation that restores it."""
         return {"scene": self.scene.text, **self.arguments}
 
     @functools.cached_property
@@ -246,7 +245,7 @@ class Simulation(Engine):
         return self.snapshot()
 
     def snapshot(self) -> dict[str, Any]:
-        """As Engine.snapshot, with the estimate of the error and what sets the steps."""
+        """As Engine.snapshot, with the error estimate and the control of the steps."""
         parts = {"simulation": self._identity, "doubt": (self._warned, self._lost)}
         if self._running is not None:
             parts["estimate"] = self._running.snapshot()
@@ -255,7 +254,7 @@ class Simulation(Engine):
         return super().snapshot() | parts
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """As Engine.restore. Raises ValueError for what is no snapshot of this simulation.
+        """As Engine.restore. Raises ValueError for anything but a snapshot of this simulation.
 
         Another Simulation of the same scene with the same arguments counts as this one.
         """
@@ -283,7 +282,7 @@ class Simulation(Engine):
 
     @property
     def pending(self):
-        """Wrenches that belong to `memory`, JSON types; {} if there are none, or with a method.
+        """Inputs that belong to `memory`, as JSON types; {} if there are none, or with a method.
 
         {"engine": those that act, "companion": RunningError.pending}
         """
@@ -362,7 +361,7 @@ class Simulation(Engine):
             self._warn(self._excess)
         if self._lost is None and self.predictable_until <= time:
             advice = "" if self._control else "; use a smaller step, or an accuracy"
-            what = f": from here on this may be another motion{advice}"
+            what = f": from here on the computed motion may differ completely from the true one{advice}"
             self._lost = _text(time, self.largest_error, what)
             self._warn(self._lost)
 
@@ -382,18 +381,18 @@ def _checked(accuracy):
 
 
 def default_steps(horizon):
-    """Steps in s, long to short, from which that of an accuracy is taken; horizon : s."""
+    """Possible steps in s of a simulation to an accuracy, long to short; horizon : s."""
     return [step for step in STEPS if step <= PART * horizon] or STEPS[-1:]
 
 
 def _suitable(steps, scene, layout, settings, tolerances):
     """The longest step that takes at most SUBSTEPS substeps at the start of the scene, and the layout.
 
-    Or in its second step, with the implicit method: that starts with small ones.
+    With the implicit method, which starts with small substeps, the second step may count instead.
     """
     if not steps:
         raise ValueError(f"expected a step in s or several of them, got {steps!r}")
-    freedoms = 0  # as the explicit method finds
+    freedoms = 0  # set by the trial of the explicit method, which is first
     for step in steps:
         for method, attempts in TRIALS.items():
             if method == STIFF and freedoms > MANY:
@@ -406,7 +405,7 @@ def _suitable(steps, scene, layout, settings, tolerances):
 
 
 def _takes_few(engine, attempts):
-    """Whether one of the first steps, with at most so many attempted substeps, takes few of them."""
+    """Whether one of the first steps takes at most SUBSTEPS substeps; attempts: limit for each step."""
     for most in attempts:
         before = engine.substeps[0]
         engine.limit_attempts(most)

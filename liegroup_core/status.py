@@ -17,7 +17,7 @@ DIVERGED = 10
 EVENTS_WITHOUT_END = 11
 BEYOND_STOP = 13
 NO_FRICTION = 14
-# No failure: a stop, or friction that changes, within a step. It never leaves an integrator.
+# Not a failure: within a step a stop is reached or friction changes. Integrators never return it.
 EVENT = 12
 
 # rad in one step. dexp^-1 is singular at 2 pi and loses digits near it: its norm is
@@ -27,11 +27,11 @@ LARGE_ROTATION = math.pi
 # rad in one step, for methods without a limit at 2 pi. A larger rotation means that the integration
 # is unstable: a damper or spring is too stiff for the step of an explicit method.
 HOPELESS_ROTATION = 1e3
-# In a step, at stops and of friction.
+# Largest number of events of stops and friction in a step.
 MOST_EVENTS = 1000
 
 MESSAGES = {
-    NOT_FINITE: "the state is not finite any more: the step is too large for this motion, or a "
+    NOT_FINITE: "the state is no longer finite: the step is too large for this motion, or a "
     "force is too large; use a smaller step",
     ROTATION_TOO_LARGE: "a body would rotate by almost 2 pi within one step, beyond the method's "
     "limit; use a smaller step{hint}",
@@ -50,10 +50,10 @@ MESSAGES = {
     DIVERGED: "a body rotates by more than 1000 rad within one step: the integration is "
     "unstable, the step is too large for the forces; use a smaller step",
     BEYOND_STOP: "joint {joint} is beyond its stop: set a state between the stops",
-    EVENTS_WITHOUT_END: "a step has more than {events} impacts or changes of friction: stops and friction "
-    "let them follow each other without end; change their numbers",
+    EVENTS_WITHOUT_END: "a step has more than {events} impacts or changes of friction, which do not end with "
+    "these parameters of stops and friction; change the parameters",
     NO_FRICTION: "friction by load has no solution, or several, at this pose (Painleve's paradox): mu times "
-    "radius is too large for the load that friction itself causes; make it smaller",
+    "radius is too large for the load that friction itself causes; reduce it",
     NO_RATTLE_STEP: "RATTLE has no solution for body {body}: it rotates by {angle:.3g} rad in a "
     "step, and the limit is 1 rad; use a smaller step{hint}",
 }

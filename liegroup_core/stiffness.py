@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Choice between an explicit and an implicit method, by their cost, in a simulation to an accuracy.
 
-Forces that change fast with the state, as of a hard spring or a strong damper, limit the substeps of an
-explicit method by stability, however slow the motion is. It shows in the companion of the running error:
-its tolerances are larger, but its substeps are hardly longer. An implicit method has no such limit, but takes
-more evaluations for a substep, and is of lower order. Which one is cheaper is tried then, and at the start if
-the first step is expensive: the companion takes a step with each, and returns. Both are one-step methods
-under the same control, so that nothing else changes.
+Stiff forces, as of a hard spring or a strong damper, limit the substeps of an explicit method by stability, even
+if the motion is slow. The companion of the running error shows it: its tolerances are larger, but its substeps
+are hardly longer. An implicit method has no such limit, but takes more evaluations for a substep, and is of lower
+order. So the cheaper method is found by trial in this case, and at the start if the first step is expensive: the
+companion takes a step with each method, and returns. Both are one-step methods under the same control, so that
+nothing else changes.
 
-A trial ends as soon as it costs more than it could save; the cost of the step then follows from the last
-substep, as they grow after a start. The next one comes after as much as both trials
-cost, as the start of a motion says little of the rest, and then after up to WAIT times that.
+A trial ends as soon as it costs more than it could save. The cost of the step then follows from the last substep,
+because substeps grow after a start. The next trial follows when the run has cost as much as both trials, because
+the start of a motion says little about the rest; later ones wait for up to WAIT times that.
 Cost counts evaluations of the accelerations, not time, so that a repeated run is bit-identical.
 """
 
@@ -24,15 +24,15 @@ from liegroup_core.methods.table import METHODS
 
 EXPLICIT, IMPLICIT = 0, 1  # numbers of the methods in the integrators
 STIFF = "radau5"
-# Where a step of the companion takes fewer evaluations, the implicit method cannot be cheaper.
+# If a step of the companion takes fewer evaluations, the implicit method cannot be cheaper.
 CHEAP = 100.0
 # Evaluations in the first step of the companion, above which both methods are tried at once. An attempted
 # substep takes twelve, so that a tenth as many attempts show it.
 DEAR = 1000
 # Evaluations of the simulation per one of the companion, below which stability limits the explicit method.
-# Where tolerances limit it there are 1.7, of which single blocks differ by some tenths.
+# If tolerances limit it, the ratio is 1.7, and differs by some tenths between checkpoints.
 ALIKE = 1.4
-WORTH, WAIT = 0.7, 16.0  # part of the present cost at which a change pays
+WORTH, WAIT = 0.7, 16.0  # fraction of the present cost below which a change pays
 LEAST_COST = 6  # evaluations of the cheapest attempted substep, without its factorisations
 MOST_ATTEMPTS = 1000  # in a trial
 
@@ -46,14 +46,14 @@ class MethodChoice:
         self._integrators = running.integrators
         ours, theirs = METHODS[self._engine.method], METHODS[STIFF]
         self._names = ours.name, theirs.name
-        # Substeps are to differ by the same ratio.
+        # The substeps of both engines must differ by the same ratio.
         looser = running.ratio ** (theirs.power - ours.power)
         for integrator, factor in zip(self._integrators, (1.0, looser)):
             integrator.add(theirs, factor)
         self.restart()
 
     def restart(self):
-        """Start again, with the explicit one: the state was set."""
+        """Restart with the explicit method, because the state was set."""
         self._waiting, self._wait, self._begun = 0.0, 1.0, False
         self._continue()
 
@@ -102,7 +102,7 @@ class MethodChoice:
         self._continue()
 
     def _attempts(self, number, present):
-        """Attempted substeps with which a step of a method can cost less than the present one, at most."""
+        """Largest number of attempted substeps with which a step of a method can cost less than the present one."""
         matrix, attempt = 0, LEAST_COST
         if number == IMPLICIT:
             f = self._integrators[1].freedoms
@@ -111,9 +111,9 @@ class MethodChoice:
         return max(0, math.ceil(min(MOST_ATTEMPTS, saved / attempt)))
 
     def _cost(self, number, most):
-        """Evaluations of a step of the companion with a method, from so many attempted substeps.
+        """Evaluations that a step of the companion takes with a method, from at most `most` attempted substeps.
 
-        inf: they suffice for nothing, or the method fails.
+        inf if no substep is accepted, or the method fails.
         """
         integrator, before = self._integrators[1], self._spent[1]
         chosen, passes, kept = integrator.chosen, integrator.passes, self._companion.snapshot()

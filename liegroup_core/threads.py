@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One BLAS thread for the small matrices of models and references.
 
-By default BLAS has a thread for each core. They wait for each other actively: where another process
+By default BLAS has a thread for each core. They busy-wait for each other: if another process
 takes a core, a decomposition of a matrix of 50 rows takes up to a hundred times as long.
 """
 

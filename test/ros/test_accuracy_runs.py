@@ -454,7 +454,7 @@ def test_a_run_reports_that_its_error_exceeds_the_accuracy(tmp_path):
     recording = repeats(log)
     _, event, later, _ = recording.events
     assert (event.name, later.name) == ("inaccurate", "unpredictable")
-    assert "within the accuracy: errors grow tenfold in about 2.1 s, so that" in event.text
+    assert "within the accuracy: errors grow tenfold in about 2.1 s: with" in event.text
     simulation = Simulation(load_scene("double_pendulum"), step=0.01)
     simulation.advance(3000)
     since = simulation.accurate_until

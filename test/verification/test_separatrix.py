@@ -47,4 +47,4 @@ def test_the_estimate_knows_an_error_that_is_all_rounding(inertia, rate):
     # The companion rounds to 64 times as much; both are random, and close to each other by chance.
     known = errors > 1e-11
     assert np.median(estimates[known] / errors[known]) > 1.0
-    assert "finer" not in (simulation.doubt or "") and "times as fine" not in (simulation.doubt or "")
+    assert "finer" not in (simulation.doubt or "") and "times smaller" not in (simulation.doubt or "")
