@@ -26,7 +26,7 @@ def describe(layout):
         scene, description, gravity  of the scene; gravity in m/s^2
         notes               remarks of the scene, such as what an import merged and omitted, and
                             motions of driven joints beyond the limits in their data
-        import              what the import of a robot saved, see `imported`; None for other scenes
+        import              sizes of a robot's file and scene, see `imported`; None for other scenes
         bodies              [{name, mass}], kg
         joints              [{name, type, parent, child, rows, dropped}]: names of all rows, wx..vz,
                             and of the redundant ones, which are eliminated

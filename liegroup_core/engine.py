@@ -202,7 +202,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
             self._remember(memory)
 
     def _start_at(self, pose, twist, steps, angles):
-        """Continue from a valid state, whose arrays become those of the engine."""
+        """Continue from a valid state; the engine takes over its arrays."""
         self._work.angle[:] = angles
         self._pose, self._twist, self.steps = pose, twist, steps
         self._clear_inputs()
@@ -433,7 +433,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         return self._integrator.advance(h, steps, self._pose, self._twist, self._external)
 
     def _set_inputs(self, start, h):
-        """Set what depends on time for a step of size h from an Instant on."""
+        """Set the time-dependent inputs of a step of size h from an Instant on."""
         work, time = self._work, start.time
         if len(work.acting):
             work.acting[:] = self._timetable.acting(start)

@@ -43,7 +43,7 @@ class Inputs:
         start    : simulated time, s; None or a past time: the next step. A Fraction is exact: floats
                    resolve whole ns up to 4e6 s
         duration : s; None: until it is replaced. Start and end are rounded to whole ns, as stamps of ROS
-                   and of recordings are; `drain_applied` returns what acted
+                   and of recordings are; `drain_applied` returns them
         source   : each source has one wrench per body; wrenches of different sources add
         axes     : of the components: "body", or "world". A wrench in world axes keeps its direction
                    in the world while the body rotates. The axes of a drained AppliedWrench are valid, too
@@ -156,7 +156,7 @@ class Inputs:
         velocities, accelerations : (m,), the last acceleration 0; default: see joints/motion.py
         start     : as in `apply_wrench`
         The motion begins with the position, velocity and acceleration that the joint has at the start,
-        and is twice continuously differentiable. It replaces what was commanded from there on.
+        and is twice continuously differentiable. From its start on it replaces earlier commands.
         Raises ValueError for a joint that is not driven, wrong shapes or times, or NaN, and BeyondLimits,
         a ValueError, for a motion beyond the limits of the joint (joints/limits.py).
         """
@@ -165,7 +165,7 @@ class Inputs:
             self._schedule.command_motion(self._drive(joint), row, instant)
 
     def check_motion(self, joint, times, positions, velocities=None, accelerations=None, start=None):
-        """Raise what `command_motion` would raise; command nothing."""
+        """Raise the errors of `command_motion` without commanding anything."""
         self._planned(joint, times, positions, velocities, accelerations, start)
 
     def _planned(self, joint, times, positions, velocities, accelerations, start):

@@ -289,7 +289,7 @@ class RunningError:
 
     @property
     def integrators(self):
-        """Those of the engine and of its companion."""
+        """Integrators of the engine and of its companion."""
         return self.engine._integrator, self._companion._integrator
 
     @property

@@ -241,7 +241,7 @@ class Simulation(Engine):
 
     @functools.cached_property
     def _shapes(self):
-        """A snapshot, for the shapes and sizes of the parts of all others."""
+        """Snapshot with the shapes and sizes that the parts of all others must have."""
         return self.snapshot()
 
     def snapshot(self) -> dict[str, Any]:

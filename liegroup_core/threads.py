@@ -13,7 +13,7 @@ from threadpoolctl import ThreadpoolController
 
 @functools.cache
 def _libraries():
-    """BLAS libraries of this process, those of NumPy and SciPy; found once, that takes 1 ms."""
+    """BLAS libraries of this process, those of NumPy and SciPy; found once, because that takes 1 ms."""
     return ThreadpoolController()
 
 

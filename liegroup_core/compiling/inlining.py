@@ -113,7 +113,7 @@ class _Cache(NullCache):
             if not _Cache.warned:
                 _Cache.warned = True
                 log.warning(
-                    "Compiled kernels cannot be cached, so every start compiles them again: %s: %s",
+                    "Compiled kernels cannot be cached in %s: %s. Every start compiles them again",
                     cache(),
                     getattr(error, "strerror", "out of memory"),
                 )

@@ -66,8 +66,8 @@ add_row = _of(
     "return e[0], axpy3(slip, load3(rows, r, 3), e[1])",
     "return axpy3(slip, (0.0, rows[r, 3], rows[r, 4]), e)",
 )
-# Index of the wrench component along the freedom of a hinge, screw, slide or cylinder (component 1: displacement
-# of a cylinder, else 0), and the wrench with this component alone.
+# Index of the wrench component along the degree of freedom of a hinge, screw, slide or cylinder (component 1:
+# displacement of a cylinder, else 0), and the wrench with this component alone.
 column = _of(
     "column", "link component", "return 5 if component == 1 or slides(link) else 2", "return 1 if slides(link) else 0"
 )

@@ -70,7 +70,7 @@ add_effort = choice("add_effort", _add_effort_in_space, _add_effort_in_plane)
 
 @kernel
 def coupled_rate(model, rates, c):
-    """J times rates (f, 1) of the freedoms, for coupling c."""
+    """J times rates (f, 1) of the degrees of freedom, for coupling c."""
     coupling = model.couplings[c]
     total = 0.0
     for k in range(2):

@@ -15,7 +15,7 @@ from liegroup_core.lie.vec3 import ZERO3, cross3, load3, matrix3, matvec3, scale
 
 @kernel
 def copy_bodies(model, pose, twist, pose_out, twist_out):
-    """Poses and twists of the bodies from the rows of the links."""
+    """Write poses and twists of the bodies from the rows of the links."""
     n = len(model.parts)
     for i in range(n):
         for c in range(12):
@@ -26,7 +26,7 @@ def copy_bodies(model, pose, twist, pose_out, twist_out):
 
 @kernel
 def copy_links(model, pose, twist):
-    """The rows of the links from those of the bodies."""
+    """Write the rows of the links from those of the bodies."""
     n = len(model.parts)
     for i in range(n):
         for c in range(12):

@@ -32,7 +32,7 @@ NEARER = 0.95  # the second iteration must reduce the residual at least by this 
 
 @kernel
 def gather_lacking(model, work):
-    """Write the wrenches that links need from their parents to work.force, efforts of held freedoms to -u.
+    """Write the wrenches that links need from their parents to work.force, efforts of held degrees of freedom to -u.
 
     returns the sum of the magnitudes of the wrenches that single links need
     """

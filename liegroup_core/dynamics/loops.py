@@ -2,8 +2,8 @@
 """Closed loops: rows of the cut joints, their solve, and projection onto them.
 
 A cut joint has rows J for the twists of its two links, see rows.py. On the
-freedoms of the tree, with the factors of trees.py (M = L D L^T in the freedoms' order),
-    W lambda = J Vdot_free - bias ,   W = J M^-1 J^T = sum over freedoms of y y^T / D
+degrees of freedom of the tree, with the factors of trees.py (M = L D L^T in their order),
+    W lambda = J Vdot_free - bias ,   W = J M^-1 J^T = sum over degrees of freedom of y y^T / D
 The column y = L^-1 (J^T) of a row results from carrying its wrench along the path from the two links
 to the world: y_f = s . w, w <- w - U y_f / D. W is zero where paths of two joints share no freedom.
 Its factorisation L D L^T stays within the envelope of W; the order of the cut joints keeps that
@@ -58,7 +58,7 @@ def _add_baumgarte(model, work):
 
 @kernel
 def _subtract_responses(model, work):
-    """Subtract y . lambda from u of all freedoms; lambda is in work.right."""
+    """Subtract y . lambda from u of all degrees of freedom; lambda is in work.right."""
     for j in range(len(model.joints)):
         first, rows = model.joints[j]["first"], model.joints[j]["rows"]
         at = model.path_places[j]
@@ -111,7 +111,7 @@ def apply_multipliers(model, work):
 
 @subroutine
 def close_loops(model, work):
-    """Change u of the freedoms so that the residual of the rows in work.right vanishes."""
+    """Change u of the degrees of freedom so that the residual of the rows in work.right vanishes."""
     solve(model, work)
     for r in range(len(work.right)):
         work.multipliers[r] += work.right[r]

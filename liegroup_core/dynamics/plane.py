@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Operations on a link or a cut joint in a plane: those of space.py, with twists of three components.
 
-Let A be the acceleration of a link, minus gravity, if no freedom accelerates:
+Let A be the acceleration of a link, minus gravity, if no degree of freedom accelerates:
     A_b = X A_a + [V_b, S qdot] ,   A_world = -g
 In the plane A has no angular part. The bias forces include I A, and the sweeps solve for the rest E:
     Vdot_b = A_b + E_b ,   E_b = X E_a + S qddot ,   E_world = 0

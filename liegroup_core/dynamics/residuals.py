@@ -26,7 +26,7 @@ def add_own_forces(model, work):
 
 @subroutine
 def gather_forces(model, work):
-    """u of all freedoms for the wrenches -work.force (L, s) on the links; work.force is overwritten."""
+    """u of all degrees of freedom for the wrenches -work.force (L, s) on the links; work.force is overwritten."""
     for b in range(len(model.bodies) - 1, -1, -1):
         leave(model, work, link_of(model, b), b)
     return 0

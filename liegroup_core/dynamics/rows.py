@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rows of the cut joints, and their responses in the freedoms of the tree; see loops.py.
+"""Rows of the cut joints, and their responses in the degrees of freedom of the tree; see loops.py.
 
 A lower pair constrains the components A (k x 6) of the relative twist of its two frames. Let
 C_ba = C_b^-1 C_a, let W = Ad(C_ba) V_a be the twist of the parent in the axes of the child, and let

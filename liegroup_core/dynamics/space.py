@@ -142,7 +142,7 @@ def acceleration_of(model, work, b, a):
 
 @kernel
 def leave(model, work, link, b):
-    """u of the freedoms of link b for the wrench -work.force on it; the rest is added to the parent."""
+    """u of the degrees of freedom of link b for the wrench -work.force on it; the rest is added to the parent."""
     w, v = load(model, work.force, b)
     F = table.load_freedoms(link, work, link["freedom"], w, v)
     if link["parent"] != WORLD:

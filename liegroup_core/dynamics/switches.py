@@ -4,7 +4,7 @@
 A switch is such a coordinate; it is free or held. Most switches are degrees of freedom of the tree. The
 sweeps of trees.py do not eliminate a held one, so that its rate stays exactly zero. The effort that holds
 it, from a rigid stop or from friction at rest, follows from the residual of the equations of motion of its
-link. The other switches are rows beside those of the cut joints: the length of a cable, the slack of a
+link. The other switches are rows in addition to those of the cut joints: the length of a cable, the slack of a
 coupling, the angle of a cone, the coordinate of a cut joint. If such a row is held, it is solved with those
 of the cut joints, and its multiplier is the effort that holds it; else it is inactive. If more switches rest
 than there are degrees of freedom, only some are held, and the others rest because of them, each with its

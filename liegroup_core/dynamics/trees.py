@@ -4,16 +4,16 @@
 With the relative pose C_ba of parent a and child b, X = Ad(C_ba), twists in link axes,
     V_b = X V_a + S qdot ,   Vdot_b = X Vdot_a + [V_b, S qdot] + S qddot
 From the leaves to the world every link adds the inertia and bias force of its articulated body to
-its parent, one freedom s (column of S) after the other:
+its parent, one degree of freedom s (column of S) after the other:
     U = I s ,  D = s . U ,  u = -s . p ;   I <- I - U U^T / D ,  p <- p + U u / D
     I_a += X^T I X ,   p_a += X^T (p + I [V_b, S qdot])
 and from the world to the leaves, in the reverse order,
     qddot = (u - U . Vdot) / D ,   Vdot <- Vdot + s qddot
 The world accelerates by -g instead of a weight on every link: Work.moved is Vdot - g.
 
-Eliminating a freedom makes its row of I exactly zero. So a massive link adds no inertia about the axis of a
+Eliminating a degree of freedom makes its row of I exactly zero. So a massive link adds no inertia about the axis of a
 hinge to a light parent, not even by round-off, and through a ball joint it adds a mass matrix only. A held
-freedom (switches.py) is not eliminated: it does not accelerate.
+degree of freedom (switches.py) is not eliminated: it does not accelerate.
 
 Source: Featherstone, Rigid Body Dynamics Algorithms, section 7.3.
 """
@@ -56,7 +56,7 @@ def gather(model, work):
 
 @subroutine
 def _spread(model, work, gx, gy, gz, drift):
-    """Accelerations of all freedoms and links, from the world to the leaves.
+    """Accelerations of all degrees of freedom and links, from the world to the leaves.
 
     gx, gy, gz : acceleration of gravity, world axes
     drift      : 1 with the terms [V, S qdot], 0 without: response to forces alone
@@ -70,7 +70,7 @@ def _spread(model, work, gx, gy, gz, drift):
 
 @kernel
 def spread(model, work):
-    """Accelerations of all freedoms and links at the stage."""
+    """Accelerations of all degrees of freedom and links at the stage."""
     g = load3(model.gravity, 0, 0)
     _spread(model, work, g[0], g[1], g[2], 1)
 

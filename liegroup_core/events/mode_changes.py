@@ -4,9 +4,9 @@
     impact     impulses p at all rigid stops in contact, with the velocities v- and v+ of their
                coordinates, v+ - v- = A p and A = D M^-1 D^T with loops: p >= 0, v+ + e v- >= 0, one of
                them zero (Newton's law; Moreau). Friction at rest gives no impulse.
-    modes      efforts x of the freedoms at rest, within the bounds of stop and friction, and their
-               accelerations: x inside its bounds and the freedom held, or x at a bound and the
-               freedom moves away from it
+    modes      efforts x of the degrees of freedom at rest, within the bounds of stop and friction, and their
+               accelerations: x inside its bounds and the degree of freedom held, or x at a bound and the
+               degree of freedom moves away from it
 
 Each is one complementarity problem for all switches (complementarity.py). With equal restitution e kinetic
 energy never grows; if different ones would let it grow, the smallest holds for all. A rebound lower than
@@ -42,7 +42,7 @@ IMPACT = "impact"
 
 
 class JointEvent(NamedTuple):
-    """What happened at a joint with stops or friction.
+    """Event at a joint with stops or friction.
 
     time    : s
     joint   : number of the switch

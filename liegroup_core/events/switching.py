@@ -145,7 +145,7 @@ class Switching(EventTimes):
             work.modes[:, KNOWN] = 1.0
             log, count = len(self.events), self.count
             status = self._switch(time, state, np.zeros(work.guards.shape, dtype=bool))
-            # A joint that starts at rest or at its stop is no event. One that hits its stop is.
+            # A joint that starts at rest or at its stop is not an event. One that hits its stop is.
             hit = {event.joint for event in self.events[log:] if event.kind == IMPACT}
             self.events[log:] = [event for event in self.events[log:] if event.joint in hit]
             self.count = count + len(self.events) - log

@@ -52,7 +52,7 @@ class EventTimes(ModeChanges):
             self._at_zero[:, end] = AT_STOP * (1.0 + far)
             self._digit[:, end] = DIGIT * (sizes + far)
         self._at_zero[:, SLIDING] = RESTING
-        # s: time by which the pressure of a compliant stop that is left vanishes before its depth.
+        # s: when a compliant stop is left, its pressure vanishes this long before its depth.
         self._lag = table["damping"] / np.where(self._rigid, np.inf, table["stiffness"])
 
     def _locate(self, size, state):

@@ -10,7 +10,7 @@ lets the link move relative to its parent link in a subgroup H of SE(3), its mot
 with the constant placement T of the joint in the parent link. S has unit columns (for a screw: one
 column with the pitch). A universal joint is two hinges with a massless link between them.
 
-    n bodies of the scene, L links, f freedoms (columns of S of all links), m rows of cut joints
+    n bodies of the scene, L links, f degrees of freedom (columns of S of all links), m rows of cut joints
 
 A state has n + L rows. The first n are poses (n, 12) and twists (n, 6) of the bodies, as in Work.
 Row n + b has the coordinates of link b: X as (R row by row, r) for the groups SO(3) and SE(3), else
@@ -40,7 +40,7 @@ LINK = np.dtype(
         ("group", "i8"),  # motion_groups/table.py
         ("parent", "i8"),  # parent: link, or WORLD
         ("freedom", "i8"),
-        ("freedoms", "i8"),  # first freedom, and their number
+        ("freedoms", "i8"),  # first degree of freedom, and their number
         ("body", "i8"),
         ("coordinates", "i8"),  # body that represents the link; OWN, or CROSS for
         # the massless link of a universal joint
@@ -100,7 +100,7 @@ COUPLED = np.dtype(
 
 SWITCH = np.dtype(
     [  # coordinate with stops or dry friction: of a link of the tree, or of a row; see switches.py
-        ("row", "i8"),  # -1: a freedom of the tree
+        ("row", "i8"),  # -1: a degree of freedom of the tree
         ("joint", "i8"),  # cut joint whose wrench the row is, else -1
         ("link", "i8"),
         ("freedom", "i8"),  # of the tree; of row r: f + r
@@ -139,11 +139,11 @@ class RelativeModel(Struct):
     child_jacobian: np.ndarray  # (m, 6) rows of every PAIR for its child link
     paths: np.ndarray  # (c, 2) range of each joint in `path_links`
     path_links: np.ndarray  # links between the joint and the world, children first
-    path_freedoms: np.ndarray  # freedoms of these links, in the order of elimination
+    path_freedoms: np.ndarray  # degrees of freedom of these links, in the order of elimination
     path_ends: np.ndarray  # (c + 1,) where those of each joint start in `path_freedoms`
     path_places: np.ndarray  # (c + 1,) where the joint's responses start in Work.response
-    shared: np.ndarray  # (k, 3) joints i, j < i that share freedoms, end in shared_freedoms
-    shared_freedoms: np.ndarray  # (l, 3) a freedom, its place in the responses of both joints
+    shared: np.ndarray  # (k, 3) joints i, j < i that share degrees of freedom, end in shared_freedoms
+    shared_freedoms: np.ndarray  # (l, 3) a degree of freedom, its place in the responses of both joints
     couplings: np.ndarray  # of COUPLED
     coupling: np.ndarray  # (c,) index of the coupling that a cut joint stands for, or -1
     switches: np.ndarray  # (k,) of SWITCH
@@ -229,8 +229,8 @@ class RelativeWork(Struct):
     velocity: np.ndarray = shaped("links", 6)  # qdot at the start of the step
     slopes: np.ndarray = shaped("slopes", 2)  # k of stages and end, (s + 1) f: algebra, then qdot part
     external: np.ndarray = shaped("bodies", EXTERNAL_COLUMNS)  # see forces/external.py: external wrenches of the call
-    pushed: np.ndarray = shaped(1)  # 1 if any of them is not zero
-    held: np.ndarray = shaped("held")  # f + m: 1 if a freedom, or the row of a switch, is held: see switches.py
+    pushed: np.ndarray = shaped(1)  # positive if any of them is not zero
+    held: np.ndarray = shaped("held")  # 1 if a degree of freedom or a switch row is held: switches.py
     # Of each switch: SLIP, its direction; SIDE of the stop in contact, -1 lower, 1 upper; COORDINATE at the
     # start of the step, unwrapped; KNOWN, 1 if these are valid; RESTS, 1 if it rests because of others that
     # are held, and its EFFORT then
@@ -256,7 +256,7 @@ class RelativeWork(Struct):
     inertia: np.ndarray = shaped("links", "inertia")  # of the articulated body: A (6), B (9), C (6)
     applied: np.ndarray = shaped("links", "twist")  # applied wrenches on the links
     force: np.ndarray = shaped("links", "twist")  # bias force of the articulated body
-    freedoms: np.ndarray = shaped("freedoms", 8)  # U, 1 / D, u of each freedom
+    freedoms: np.ndarray = shaped("freedoms", 8)  # U, 1 / D, u of each degree of freedom
     acceleration: np.ndarray = shaped("freedoms", 1)  # qddot
     total: np.ndarray = shaped("freedoms", 1)  # qddot, and Vdot - gravity, before a refinement
     total_moved: np.ndarray = shaped("links", "twist")
@@ -267,7 +267,7 @@ class RelativeWork(Struct):
     right: np.ndarray = shaped("rows")  # residual, then a change of the multipliers
     multipliers: np.ndarray = shaped("rows")
     carried: np.ndarray = shaped("carried", 6)  # wrenches of the rows of a joint on their way to the world
-    response: np.ndarray = shaped("responses")  # y of each row and freedom on its path
+    response: np.ndarray = shaped("responses")  # y of each row and degree of freedom on its path
     matrix: np.ndarray = shaped("rows", "rows")  # W in the upper, its factor in the lower triangle
     diagonal: np.ndarray = shaped("rows")  # pivots
     difference: np.ndarray = shaped(2, 6)  # error estimate of a link: algebra, qdot

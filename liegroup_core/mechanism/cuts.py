@@ -115,7 +115,7 @@ def _rank(matrix):
 
 
 def _tree_jacobians(scene, frames, parts, loops, joints, links, places):
-    """Characteristic length, and rows of the cut joints of loops for the tree's freedoms at generic poses.
+    """Characteristic length, and rows of the cut joints of loops for the tree's degrees of freedom at generic poses.
 
     loops, joints : indices of the joints in loops, and of the cut ones among them
     """
@@ -157,12 +157,12 @@ def _tree_jacobians(scene, frames, parts, loops, joints, links, places):
 
 
 def _first_freedoms(links):
-    """(links + 1,) first freedom of each link."""
+    """(links + 1,) first degree of freedom of each link."""
     return np.concatenate([[0], np.cumsum([FREEDOMS[link.group] for link in links])])
 
 
 def _coupling_rows(links, coupled, length):
-    """Unit rows of the couplings for the freedoms of the tree, (omega length, v)."""
+    """Unit rows of the couplings for the degrees of freedom of the tree, (omega length, v)."""
     first = _first_freedoms(links)
     rows = np.zeros((len(coupled), first[-1]))
     for row, (coupling, ends) in zip(rows, coupled):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Freedoms of a tree that move no inertia.
 
-In relative coordinates every freedom needs inertia, D = s . U > 0 (trees.py): the mass matrix of the tree
+In relative coordinates every degree of freedom needs inertia, D = s . U > 0 (trees.py): the mass matrix of the tree
 must be regular. It is singular if a motion of the tree leaves all centres of mass at rest and rotates bodies
 only about axes without inertia. Whether there is such a motion depends on geometry alone, not on the size of
 masses and moments of inertia that are not zero. Such motions are the null space of
@@ -19,14 +19,14 @@ from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.groups import SE3
 from liegroup_core.scene.massless import axes_without_inertia, written
 
-# Sine of the angle between a freedom and those that move no inertia (for a point mass on a hinge: that
+# Sine of the angle between a degree of freedom and those that move no inertia (for a point mass on a hinge: that
 # between the axis and the line to the mass). D is a difference of moments of inertia, and its ratio to them is the
 # square of the sine: below 1e-14 no digit of D is correct. Round-off of a pose gives a sine of 1e-15.
 SMALLEST_SINE = 1e-7
 
 
 def check_inertia(scene, links, places, world):
-    """Raise SceneError for a freedom of the tree without inertia, at the start.
+    """Raise SceneError for a degree of freedom of the tree without inertia, at the start.
 
     scene  : Scene with body frames at the centres of mass
     links  : list of links.Link; places : {body or world: (link or WORLD, pose (4, 4) in it)}
@@ -61,7 +61,7 @@ def _free_turns(scene, links, places, world):
         shifts.append((S[3:] + np.cross(S[:3].T, C[:3, 3]).T) * moves)
         turns.append(_axes_with_inertia(body) @ C[:3, :3].T @ S[:3] * moves)
         arms.append(np.linalg.norm(C[:3, 3] - origins, axis=1) * moves)
-    # The arms of a freedom are compared with the part of the tree that it moves: a small finger of a
+    # The arms of a degree of freedom are compared with the part of the tree that it moves: a small finger of a
     # large machine is not singular.
     arms = np.max(arms, axis=0)
     length = arms.max() or 1.0

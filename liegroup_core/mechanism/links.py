@@ -31,7 +31,7 @@ class Link:
 
     @property
     def turns(self):
-        """Whether its first freedom is a rotation."""
+        """Whether its first degree of freedom is a rotation."""
         return self.components[0] < 3
 
     @property
@@ -40,7 +40,7 @@ class Link:
         return self.group == HINGE and self.coordinates == OWN
 
     def directions(self):
-        """S (6, freedoms)."""
+        """S (6, degrees of freedom)."""
         S = np.eye(6)[:, list(self.components)]
         S[5, 0] += self.pitch
         return S

@@ -144,7 +144,7 @@ def _without_zeros(moments):
 
 
 def refuse_freedoms_without_inertia(scene):
-    """Raise SceneError if a freedom of the spanning tree has no inertia.
+    """Raise SceneError if a degree of freedom of the spanning tree has no inertia.
 
     scene : Scene with body frames at the centres of mass
     """

@@ -13,7 +13,7 @@ from liegroup_core.scene.switches import switches_of
 from .arrays import SWITCH
 
 FRAMES = ("parent", "child", "parent_point", "parent_rotation", "child_point", "child_rotation")
-FREEDOMS = (TURN, SLIDE)  # kinds that a freedom of a link can be
+FREEDOMS = (TURN, SLIDE)  # kinds that a degree of freedom of a link can be
 
 
 def _links_of(links):
@@ -21,7 +21,7 @@ def _links_of(links):
 
 
 def stop_rows(scene, links):
-    """[(joint, Element)] of the switches of joints that are not freedoms of the tree, one row each."""
+    """[(joint, Element)] of the switches of joints that are not degrees of freedom of the tree, one row each."""
     in_tree = _links_of(links)
     return [
         (switch.joint, COORDINATES[switch.kind])

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Source text of the functions of a motion group, generated from its data in the same way for all groups.
 
-The data are the components of a twist that are freedoms (COMPONENTS), the order of their elimination (ORDER)
+The data are the components of a twist that are degrees of freedom (COMPONENTS), the order of their elimination (ORDER)
 and whether stops and friction may hold them (MAY_BE_HELD). table.py combines the texts of all groups into
 one function. A kernel for every group would double the time to compile.
 """
@@ -94,7 +94,7 @@ def _accelerate(components, order, pitch):
 
 
 def _wrench_without(components, order, held, pitch, one):
-    """Text that removes all freedoms from a wrench; one: that for freedom {k}, the {position}th, component {y}."""
+    """Text that removes degrees of freedom from a wrench; one: for number {k}, the {position}th, component {y}."""
     lines = []
     for position, k in enumerate(order):
         vector, c = _part(components[k], "w", "v")

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Elimination of one freedom from an articulated body, a wrench or an acceleration; see dynamics/trees.py.
+"""Elimination of one degree of freedom from an articulated body, a wrench or an acceleration; see dynamics/trees.py.
 
-A freedom f is a direction s of a twist. For most it is a component k: rotations are 0 to 2, translations 3
+A degree of freedom f is a direction s of a twist. For most it is a component k: rotations are 0 to 2, translations 3
 to 5.
 """
 
@@ -38,7 +38,7 @@ def made(name, text, called):
 
 @kernel
 def store_freedom(work, f, U, inverse, u):
-    """Store a freedom: U, 1 / D and u."""
+    """Store a degree of freedom: U, 1 / D and u."""
     for c in range(6):
         work.freedoms[f, c] = U[c]
     work.freedoms[f, 6] = inverse
@@ -47,7 +47,7 @@ def store_freedom(work, f, U, inverse, u):
 
 @kernel
 def is_held(work, f):
-    """Whether freedom f is held: then its U and 1 / D become zero, and it remains in the inertia."""
+    """Whether degree of freedom f is held: then its U and 1 / D become zero, and it remains in the inertia."""
     if work.held[f] == 0.0:
         return False
     store_freedom(work, f, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0, 0.0)
@@ -96,7 +96,7 @@ reduced = made("reduced", f"def reduced(m, U, inverse):\n    {_SCALED}\n    retu
 
 @kernel
 def without_helix(work, pitch, f, m, torque, force):
-    """Inertia and bias force without freedom f, a rotation about z with a translation of pitch along z."""
+    """Inertia and bias force without degree of freedom f, a rotation about z with a translation of pitch along z."""
     U = (
         m[2] + pitch * m[8],
         m[4] + pitch * m[11],
@@ -114,9 +114,9 @@ def without_helix(work, pitch, f, m, torque, force):
 
 
 def _without(k):
-    """Kernel that eliminates component k of the twist: freedom f.
+    """Kernel that eliminates component k of the twist: degree of freedom f.
 
-    It stores the freedom, and returns inertia and bias force without it. Row k of I becomes exactly zero.
+    It stores the degree of freedom, and returns inertia and bias force without it. Row k of I becomes exactly zero.
     """
     wrench = f"torque[{k}]" if k < 3 else f"force[{k - 3}]"
     text = f"""

@@ -67,7 +67,7 @@ def slope(link, first, b, u, rates, row, slopes, at):
 
 @kernel
 def eliminate(link, work, f, m, torque, force):
-    """Eliminate all freedoms from an articulated body. Nothing remains for a parent."""
+    """Eliminate all degrees of freedom from an articulated body. Nothing remains for a parent."""
     m, torque, force = _without_z(work, f + 2, m, torque, force)
     m, torque, force = _without_x(work, f, m, torque, force)
     m, torque, force = _without_y(work, f + 1, m, torque, force)

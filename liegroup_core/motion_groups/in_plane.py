@@ -6,7 +6,7 @@ placement and its motion. Links are displaced by products from the right, so sta
 placement. Twists are (omega, v_x, v_y). An inertia is (6): I, -m c_y, m c_x, and the mass matrix (xx, xy, yy).
 
 Hinges and slides store U in the axes of their parents, U X, so that qddot = (u - U X . E_a) / D follows
-directly from the parent. A link with all freedoms of the plane adds nothing to its parent.
+directly from the parent. A link with all degrees of freedom of the plane adds nothing to its parent.
 """
 
 from liegroup_core.compiling import kernel, subroutine
@@ -34,7 +34,7 @@ def place_at(link, c, s, x, y, coordinates, row):
 
 @kernel
 def store_freedom(work, f, U, inverse, u):
-    """Store a freedom: U, 1 / D and u."""
+    """Store a degree of freedom: U, 1 / D and u."""
     freedoms = work.freedoms
     freedoms[f, 0], freedoms[f, 1], freedoms[f, 2] = U
     freedoms[f, 6], freedoms[f, 7] = inverse, u
@@ -42,7 +42,7 @@ def store_freedom(work, f, U, inverse, u):
 
 @kernel
 def begin_freedom(work, f, D, part):
-    """Store 1 / D and u of a freedom, zeros if it is held. `hand_on` stores U if the link has a parent."""
+    """Store 1 / D and u of a degree of freedom, zeros if it is held. `hand_on` stores U if the link has a parent."""
     inverse, u = (inverse_of(D), -part) if work.held[f] == 0.0 else (0.0, 0.0)
     work.freedoms[f, 6], work.freedoms[f, 7] = inverse, u
 
@@ -73,7 +73,7 @@ def accelerate_at(work, f, E):
 
 @kernel
 def leave_at(work, f, row, F, y):
-    """Wrench without freedom f in the axes of the parent, and its component y of f."""
+    """Wrench without degree of freedom f in the axes of the parent, and its component y of f."""
     U, share = work.freedoms, y * work.freedoms[f, 6]
     torque, fx, fy = se2_wrench(place(work.stage_pose, row), F)
     return (torque - share * U[f, 0], fx - share * U[f, 1], fy - share * U[f, 2]), y, 0.0, 0.0

@@ -66,7 +66,7 @@ def plane_add_rates(link, S, V):
 
 @kernel
 def plane_eliminate(link, work, f, m, F):
-    """Eliminate all freedoms of the plane from an articulated body; stores U in its own axes."""
+    """Eliminate all degrees of freedom of the plane from an articulated body; stores U in its own axes."""
     ww, wx, wy, xx, xy, yy = m
     _, fx, fy = F
     inverse, u = inverse_of(ww), -F[0]
@@ -85,7 +85,7 @@ def plane_eliminate(link, work, f, m, F):
 
 @kernel
 def plane_accelerate(link, work, f, E, V):
-    """E of a link with all freedoms of the plane; V: E without them."""
+    """E of a link with all degrees of freedom of the plane; V: E without them."""
     U, qddot = work.freedoms, work.acceleration
     y = U[f + 2, 6] * U[f + 2, 7]
     x = U[f + 1, 6] * (U[f + 1, 7] - U[f + 1, 2] * y)

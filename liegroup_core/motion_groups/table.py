@@ -6,10 +6,10 @@ the functions of SPACE that it does not share with other groups:
 
     NAME             that users see
     JOINTS           joint types with this group: {type: motion that it allows, as text}
-    COMPONENTS       of a twist that are freedoms; S has unit columns
-    ORDER            of elimination of the freedoms; default: as in COMPONENTS
-    HAS_PITCH        True if its first freedom includes a translation of link["pitch"] m/rad
-    MAY_BE_HELD      True if stops and friction may hold its freedoms
+    COMPONENTS       of a twist that are degrees of freedom; S has unit columns
+    ORDER            of elimination of the degrees of freedom; default: as in COMPONENTS
+    HAS_PITCH        True if its first degree of freedom includes a translation of link["pitch"] m/rad
+    MAY_BE_HELD      True if stops and friction may hold its degrees of freedom
     IN_WORLD_AXES    True if velocities on the group are in world axes: see direct.py
     PLANE_COMPONENTS components in a planar mechanism; without them, none has such a joint. Functions of
                      IN_PLANE that the group does not share with others begin with plane_
@@ -62,11 +62,11 @@ SPACE = {
     "slope": "first, b, u, rates, row, slopes, at",  # dexp^-1 of the rates, where dexp is not the identity
     "column_twist": "psi, at",  # S psi for a column psi; a displacement as rotation vector and shift
     "move_coordinates": "coordinates, row, psi, at, out",  # X displaced by that
-    "eliminate": "work, f, m, torque, force",  # inertia and bias force without the freedoms
+    "eliminate": "work, f, m, torque, force",  # inertia and bias force without the degrees of freedom
     "hand_on": "work, b, m, torque, force",  # the rest, added to the parent in a short form
-    "accelerate": "work, f, w, v",  # acceleration with that of the freedoms
+    "accelerate": "work, f, w, v",  # acceleration with that of the degrees of freedom
     "leave": "work, f, place, rows, w, v",  # a wrench without them, and its responses
-    "load_freedoms": "work, f, w, v",  # the same with u of the freedoms for the wrench -(w, v)
+    "load_freedoms": "work, f, w, v",  # the same with u of the degrees of freedom for the wrench -(w, v)
 }
 # The same for a planar mechanism: see in_plane.py.
 IN_PLANE = {
@@ -74,9 +74,9 @@ IN_PLANE = {
     **{name: SPACE[name] for name in ("rates_of", "own_forces")},
     **{name: SPACE[name] for name in ("normalise", "column_twist", "move_coordinates")},
     "add_rates": "S, V",  # V and the translation of [V, S qdot]
-    "eliminate": "work, f, m, F",  # inertia and bias force without the freedoms; or hand_on does it
+    "eliminate": "work, f, m, F",  # inertia and bias force without the degrees of freedom; or hand_on does it
     "hand_on": "work, row, m, F",  # the rest, added to the parent
-    "accelerate": "work, f, E, V",  # acceleration with that of the freedoms; E of the parent
+    "accelerate": "work, f, E, V",  # acceleration with that of the degrees of freedom; E of the parent
     "leave": "work, f, row, F",  # a wrench without them, in the axes of the parent; its responses
 }
 
@@ -186,7 +186,7 @@ slope = choice("slope", SPACE["slope"], _CURVED)
 
 _DIRECT = [code for code, group in enumerate(GROUPS) if getattr(group, "IN_WORLD_AXES", False)]
 in_world_axes = _kernel("in_world_axes", "link", f"return {_is_any(_DIRECT)}", {})
-# Whether the first freedom is a translation.
+# Whether the first degree of freedom is a translation.
 _SLIDING = [code for code, components in enumerate(COMPONENTS) if components[0] > 2]
 slides = _kernel("slides", "link", f"return {_is_any(_SLIDING)}", {})
 

@@ -25,8 +25,8 @@ LOOSER = 10.0
 # Reached after about ten minutes. A scene that needs more steps is too stiff for an explicit method
 # of high order.
 MOST_STEPS = 2_000_000
-# Every LOOKS steps it is checked whether the first requested time after the start would take more than HOPELESS
-# steps. If so, the integration ends: the motion is unrealistically fast.
+# Every LOOKS steps the integration ends if the first requested time after the start would take more than HOPELESS
+# steps: the motion is unrealistically fast.
 LOOKS, HOPELESS = 2000, 10_000_000
 # Bounds of the singular values of the unit rows of all joints. At the start, values below REDUNDANT
 # belong to redundant rows (the pose is accurate to 1e-9 or better). Later, values of independent

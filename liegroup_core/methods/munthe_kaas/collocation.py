@@ -10,7 +10,7 @@ START, END = STAGES, STAGES + 1  # rows of Collocation.z after those of the stag
 
 
 class Collocation(Struct):
-    """Data and scratch memory of an implicit method for f freedoms; for other methods all arrays are empty."""
+    """Data and scratch memory of an implicit method, f degrees of freedom; else all arrays are empty."""
 
     inverse: np.ndarray  # (3, 3) of a
     real: np.ndarray  # (3, 2) transformation to the eigenvector of the real eigenvalue, and back

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Error estimates of the bodies from those of the freedoms, in relative coordinates.
+"""Error estimates of the bodies from those of the degrees of freedom, in relative coordinates.
 
-The differences of the freedoms add up along the tree, so links are processed in the order of the tree.
+The differences of the degrees of freedom add up along the tree, so links are processed in the order of the tree.
 """
 
 from liegroup_core.compiling import kernel
@@ -15,7 +15,7 @@ from liegroup_core.motion_groups.direct import to_link
 
 @kernel
 def _difference(model, work, scheme, row, h, i):
-    """Write the differences of the freedoms of link i to work.difference: algebra, qdot."""
+    """Write the differences of the degrees of freedom of link i to work.difference: algebra, qdot."""
     count, parts = len(work.freedoms), work.difference
     for k in range(model.bodies[i]["freedoms"]):
         psi, dq = 0.0, 0.0

@@ -63,7 +63,7 @@ def _save(work, pose, twist, control):
 
 @kernel
 def _coarsen(factor, pose, twist):
-    """Round all numbers to b bits less; factor : 2^b + 1 (Veltkamp's splitting)."""
+    """Round all numbers to b fewer bits; factor : 2^b + 1 (Veltkamp's splitting)."""
     for i in range(len(pose)):
         for c in range(12):
             large = factor * pose[i, c]

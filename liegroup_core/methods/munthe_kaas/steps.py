@@ -2,7 +2,7 @@
 """Operations of a Munthe-Kaas step in relative coordinates: states on the product of joint groups.
 
 The algebra of a link has one number for each freedom. On SO(2), R, SO(2) x R and screws, which are
-commutative, dexp is the identity. work.slopes has the freedoms of all links, stage by stage.
+commutative, dexp is the identity. work.slopes has the degrees of freedom of all links, stage by stage.
 """
 
 import math
