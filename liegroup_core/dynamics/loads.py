@@ -27,7 +27,7 @@ GIVEN, UNSETTLED, REST = range(3)  # of Work.iteration
 MOST_ITERATIONS = 60
 SETTLED = 1e-14  # residual, relative to the largest load
 CLOSE = 1e-11  # below it, a residual that no longer decreases is at round-off level
-NEARER = 0.95  # the second iteration must reduce the residual at least by this factor
+NEARER = 0.95  # the second iteration must reduce the residual at least to this fraction
 
 
 @kernel

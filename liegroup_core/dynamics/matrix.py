@@ -98,7 +98,7 @@ def set_shared(model, work):
 
 @kernel
 def _mobility(model, W, r, first, rows):
-    """Largest diagonal entry of W among the rows of a joint that forbid, as row r, a rotation or a translation."""
+    """Largest diagonal entry of W among the rows of a joint of the kind of row r: rotation or translation."""
     largest = W[r, r]
     for s in range(first, first + rows):
         if W[s, s] > largest and model.row_turns[s] == model.row_turns[r]:

@@ -181,7 +181,7 @@ class ModeChanges:
 
         crossed : mask of the guards that are zero: a switch whose effort reached a bound is released,
                   unless it would move back
-        pressed : mask of switches that were held or returned to a stop: if in doubt, they are held
+        pressed : mask of switches that were held or returned to a stop: held if both are possible
         """
         model, work = self._model, self._work
         modes = work.modes

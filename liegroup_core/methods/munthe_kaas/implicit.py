@@ -8,7 +8,7 @@ one real and two complex eigenvalues, Newton's method for
 
     1/h sum_l (a^-1)_jl z_l - F(z_j) = 0 ,    J = [0 1; Q D]
 
-takes a real and a complex system with the f degrees of freedom, mu^2 - mu D - Q, mu = eigenvalue / h
+takes a real and a complex system, mu^2 - mu D - Q, one row for each degree of freedom, mu = eigenvalue / h
 (Hairer and Wanner, Solving ODEs II, IV.8; second-order systems: IV.8, exercise 5). J is computed by finite
 differences at the start of a step, so that all forces are implicit without further formulas, and again
 in a later substep if the iteration becomes slow. The part of J that is due to dexp^-1, about half of the
