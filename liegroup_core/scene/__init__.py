@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes: models of a user's description, from a file or from code, checked.
+"""Scenes: checked models of what a user describes in a file or in code.
 
-In: YAML text or Python values. Out: a frozen Scene, or one SceneError with file and line. A scene
-knows no array of the solver.
+Input: YAML text or Python values. Output: a frozen Scene, or one SceneError with file and line. A scene
+contains no arrays of the solver.
 """
 
 from . import description

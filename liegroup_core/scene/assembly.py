@@ -5,12 +5,12 @@ A scene with `assemble: true` leaves part of its initial state to its joints. `a
 scene in which every pose, velocity and joint frame is explicit:
 
 1. A body without a pose is placed by a joint to a body that has one: both joint frames coincide.
-2. A joint frame that is not given is placed where the other frame of the joint is at these poses.
-   A length that is not given is the distance at these poses, an offset of a coupling that of these.
+2. An omitted joint frame is placed so that it coincides with the joint's other frame at these poses.
+   An omitted length, or offset of a coupling, gets its value at these poses.
 3. Poses: the nearest ones that satisfy all joints (Newton's method on the group). Bodies marked
-   `fixed` keep the given pose, joints with a `coordinate` keep it. More coordinates than the
-   mechanism has degrees of freedom may be rounded ones: they may then move by COORDINATE_ROUNDING.
-4. Velocities: with V0 the given ones, the change of least kinetic energy,
+   `fixed` keep their given pose, joints their given `coordinate`. If there are more given coordinates
+   than degrees of freedom, they may be rounded numbers: each may change by COORDINATE_ROUNDING.
+4. Velocities: the change of the given twists V0 that has the least kinetic energy,
        min (V - V0)^T M (V - V0)   subject to   J V = 0, the given joint rates, the velocities of
    `fixed` bodies, and the components listed in `kept`.
 
@@ -39,31 +39,31 @@ from .consistency import (
 from .description import WORLD
 from .massless import NO_INERTIA
 
-# Largest change of given coordinates that contradict each other: rad, and relative to the length of the
-# linkage. Three digits of an angle.
+# Largest change of given coordinates that contradict each other, in rad or relative to the length of the
+# linkage: angles with three decimals are accepted.
 COORDINATE_ROUNDING = 1e-3
 
-# Largest residual of the velocities, relative to the velocities involved: round-off.
+# Largest velocity residual that counts as round-off, relative to the velocities involved.
 TOLERANCE = 1e-10
 
-# Square root of a part of the largest inertia, below which a motion has no kinetic energy: round-off.
+# Motions with a smaller square root of inertia, relative to the largest one, have no kinetic energy: it is round-off.
 FLAT = 1e-12
 
-# Position residual of a joint that is not satisfied: far above round-off, in units as above.
+# A joint with a larger position residual is violated. Units as above; far above round-off.
 OPEN = 1e-9
 
 
 def assembled(scene, kept=()):
     """Scene with consistent initial poses and velocities; its `assemble` is false.
 
-    kept : (body, component 0..5) of the twists of body frames that keep the given value
+    kept : [(body, component 0..5)]: components of the twists of body frames that keep the given value
     Raises SceneError with the joint that cannot be satisfied and its residual.
     """
     if not scene.assemble:
         return scene
     fixed = [body for body in scene.bodies if body.initial == "fixed"]
     rates = {j: joint.rate for j, joint in enumerate(scene.joints) if joint.rate is not None}
-    # A coordinate that is kept is a coupling of ratio 0.
+    # A prescribed coordinate is a coupling of ratio 0.
     kept_coordinates = [
         ResolvedCoupling(j, j, 0.0, joint.coordinate)
         for j, joint in enumerate(scene.joints)
@@ -119,7 +119,7 @@ def _with_bodies_placed(scene):
         else:
             i = next(i for i, name in enumerate(names) if name not in poses)
             raise SceneError(
-                f'bodies[{i}] "{names[i]}": cannot be placed, it has no position, no rotation '
+                f'bodies[{i}] "{names[i]}": cannot be placed: it has no position, no rotation '
                 "and no joint to a placed body; give a position",
                 ("bodies", i),
             )
@@ -163,7 +163,7 @@ def _with_joints_written_out(scene):
 
 
 def _rows_of(scene, kept):
-    """[(body, (6,) row)]: each row gives a kept component from the twist at the centre of mass."""
+    """[(body, (6,) row)]: row times the twist at the centre of mass is the kept component."""
     rows = []
     for body in scene.bodies:
         to_body = np.eye(6)  # v = v_com - w x com
@@ -203,8 +203,8 @@ def consistent_velocities(scene, given, linkage, poses, rates, fixed, kept=()):
     wanted = np.concatenate([np.zeros(len(closing)), list(rates.values()), [part @ given[name] for name, part in kept]])
     V = np.concatenate([given[name] for name in linkage.bodies])
 
-    # The rank is that of the joints alone, in velocities (omega length, v): slender and light bodies
-    # would make conditions on the others look dependent.
+    # The rank does not weigh the velocities (omega length, v) by inertia: slender and light bodies would
+    # make independent conditions on other bodies look redundant.
     moves = np.repeat([name not in fixed for name in linkage.bodies], 6)
     unit = np.tile([1.0 / linkage.length] * 3 + [1.0] * 3, len(linkage.bodies))[moves]
     A = J[:, moves] * unit
@@ -215,7 +215,7 @@ def consistent_velocities(scene, given, linkage, poses, rates, fixed, kept=()):
     across, along = directions[:rank].T * unit[:, None], directions[rank:].T * unit[:, None]
 
     def correction():
-        """Shortest change that meets the conditions."""
+        """Smallest change that satisfies the conditions."""
         return across @ (left[:, :rank].T @ ((wanted - J @ V) / size) / values[:rank])
 
     start = V[moves]
@@ -231,7 +231,7 @@ def consistent_velocities(scene, given, linkage, poses, rates, fixed, kept=()):
 
 
 def _root_of_inertia(scene, names):
-    """Matrix (6 n, 6 n) R of n bodies: R^T R is their mass matrix, singular without some inertia."""
+    """Matrix R (6 n, 6 n) of n bodies. R^T R is their mass matrix; it is singular if a body lacks inertia."""
     bodies = {body.name: body for body in scene.bodies}
     blocks = []
     for body in (bodies[name] for name in names):
@@ -245,7 +245,7 @@ def _with_start(scene, centred, length, poses, twists):
     """Scene with the given poses and twists of the frames at the centres of mass."""
     pose = np.array([poses[body.name] for body in scene.bodies])
     twist = np.array([twists[body.name] for body in scene.bodies])
-    # What assembly did not change keeps the numbers it was written with.
+    # Poses and twists that assembly did not change keep the digits of the file.
     moved = [not np.array_equal(C, body.pose) for C, body in zip(pose, centred.bodies)]
     hurried = [not np.array_equal(V, body.twist) for V, body in zip(twist, centred.bodies)]
     fastest = np.abs(twist).max(axis=0).reshape(2, 3).max(axis=1).repeat(3)
@@ -267,7 +267,7 @@ def _with_start(scene, centred, length, poses, twists):
 
 
 def _tidy(values, size):
-    """Numbers with round-off next to zero removed; `size` is the scale of the round-off."""
+    """Values with round-off replaced by zero; `size`: scale of the round-off."""
     return np.where(np.abs(values) <= 1e-16 * size, 0.0, values)
 
 
@@ -279,7 +279,7 @@ def _keys(pose):
 def cannot_close(linkage, poses):
     """SceneError for the joint with the largest position residual.
 
-    Of the joints that the start violates: those of a tree that it satisfies are not to blame.
+    If the start violates joints, only these count: tree joints that it satisfies are not the cause.
     """
     gaps, before = ([linkage.gap(j, each) for j in range(len(linkage.joints))] for each in (poses, linkage.start))
     sizes, open_before = ([max(gap / linkage.length, tilt) for gap, tilt in each] for each in (gaps, before))
@@ -304,9 +304,10 @@ def cannot_close(linkage, poses):
 
 
 def _with_moved_coordinates(scene, linkage, poses, entries):
-    """Scene with a note of the coordinates that close the joints in place of the given, rounded ones.
+    """Scene with a note that lists the coordinates used instead of the given, rounded ones.
 
-    poses, entries : the nearest poses without the coordinates of the entries
+    poses   : nearest poses that satisfy the joints without the given coordinates
+    entries : ResolvedCoupling of each given coordinate
     Raises SceneError if a coordinate would move by more than COORDINATE_ROUNDING.
     """
     off = {entry.joint: linkage.coupling_gap(entry, poses) for entry in entries}
@@ -319,12 +320,12 @@ def _with_moved_coordinates(scene, linkage, poses, entries):
         f"{given[j] + off[j]:.12g}"
         for j in off
     )
-    note = f"changes the motion: start values contradict each other, moved to close the loops: {moved}"
+    note = f"changes the motion: start values contradict each other, changed to satisfy all joints: {moved}"
     return scene.remade(notes=[*scene.notes, note])
 
 
 def not_kept(linkage, poses, entries):
-    """SceneError for coordinates that cannot be kept; poses: the nearest ones without them."""
+    """SceneError for coordinates that no pose has; poses, entries: as in _with_moved_coordinates."""
     off = {entry.joint: linkage.coupling_gap(entry, poses) for entry in entries}
     given = {entry.joint: entry.offset for entry in entries}
     k = max(off, key=lambda each: abs(off[each]))
@@ -348,7 +349,7 @@ def _contradiction(linkage, J, owner, miss):
     )
     return SceneError(
         f'joints[{j}] "{linkage.joints[k].name}": the given joint velocities and '
-        "velocities of fixed bodies contradict each other, the closest motion violates "
+        "velocities of fixed bodies contradict each other: the closest motion violates "
         f"this joint by {slip:.3g} m/s and {turn:.3g} rad/s; give fewer velocities",
         ("joints", j),
     )

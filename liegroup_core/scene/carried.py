@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bodies that follow joints with given coordinates and rates, along a spanning tree.
+"""Motion of the bodies behind joints with given coordinates and rates, along a spanning tree.
 
-Every joint of the tree that is not given keeps its relative pose and its relative velocity: what a
-joint carries moves with it as one. In a tree this is the whole answer; in loops it is the guess from
-which the nearest consistent state is found (rearrange.py).
+All other joints of the tree keep their relative pose and relative velocity, so the bodies behind a given
+joint move as one. For a tree this is the result. With loops it is the initial guess from which
+rearrange.py finds the nearest consistent state.
 """
 
 import numpy as np
@@ -23,7 +23,7 @@ def relative_pose(scene, frames, j, poses):
 
 
 def coordinates_at(scene, frames, poses, numbers, near):
-    """{j: coordinate} of joints, rad or m; near: {j: rad} an angle within half a turn of it."""
+    """{j: coordinate} of the joints `numbers`, rad or m. Angles are within half a turn of near: {j: rad}."""
     found = {}
     for j in numbers:
         found[j] = coordinate(scene.joints[j], relative_pose(scene, frames, j, poses))
@@ -33,7 +33,7 @@ def coordinates_at(scene, frames, poses, numbers, near):
 
 
 def with_coupled(couplings, values):
-    """{j: value} of joints, and of those that couplings tie to them: changes, or rates."""
+    """{j: value} extended to the joints coupled to them; values: changes of coordinates, or rates."""
     values, before = dict(values), -1
     while len(values) != before:
         before = len(values)
@@ -46,11 +46,11 @@ def with_coupled(couplings, values):
 
 
 def carried(scene, frames, before, given, changes, rates):
-    """Poses {body: (4, 4)} and twists {body: (6,)} after a change of joints and of some bodies.
+    """Poses {body: (4, 4)} and twists {body: (6,)} after changes of joints and of bodies.
 
     frames  : (parent frame, child frame) of every joint
-    before  : poses and twists of all bodies and the world
-    given   : those of bodies that are set
+    before  : (poses, twists) of all bodies and the world
+    given   : (poses, twists) of the bodies that are set
     changes : {j: change of the coordinate}, rad or m; rates: {j: rate}, rad/s or m/s
     """
     poses, twists = (old | part for old, part in zip(before, given))
@@ -65,7 +65,7 @@ def carried(scene, frames, before, given, changes, rates):
         C_rel = C_rel @ SE3.exp(changes.get(j, 0.0) * direction)
         if j in rates:
             V_rel = V_rel + (rates[j] - V_rel[TYPES[joint.type].rate]) * direction
-        between = F_a @ C_rel @ inverse(F_b)  # child's frame in that of the parent
+        between = F_a @ C_rel @ inverse(F_b)  # child's frame in the parent's
         V_rel = SE3.Ad(F_b) @ V_rel
         if far == joint.child:
             pose = poses[near] @ between
@@ -88,7 +88,7 @@ def _relative(scene, frames, j, poses, twists):
 
 
 def _direction(joint):
-    """(6,) relative twist at a rate of 1; 0 of a joint without one coordinate."""
+    """(6,) relative twist at a joint velocity of 1; 0 for a joint that has not exactly one coordinate."""
     rate, direction = TYPES[joint.type].rate, np.zeros(6)
     if rate is not None:
         direction[rate] = 1.0
@@ -98,7 +98,7 @@ def _direction(joint):
 
 
 def _from_the_roots(scene, wanted, set_bodies):
-    """[(joint, body before it, body behind it)] of a spanning tree, with the wanted joints if possible.
+    """[(joint, body before it, body behind it)] of a spanning tree that contains the wanted joints if possible.
 
     Roots: the world, then bodies that are set.
     """

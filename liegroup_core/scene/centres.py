@@ -13,8 +13,8 @@ If all centres of mass are at the origins of the body frames, all numbers pass u
 
 import numpy as np
 
-# {key of a joint or force with a point or frame in a body's frame: key with the body's name}.
-# Frames shift with their origin. test/core/test_centres.py finds keys that are missing here.
+# {key whose value is a point or frame in a body's frame: key with the name of this body}, of joints and forces.
+# test/core/test_centres.py finds keys that are missing here.
 PLACES = {
     "parent_frame": "parent",
     "child_frame": "child",
@@ -25,10 +25,10 @@ PLACES = {
 
 
 def at_centres_of_mass(scene):
-    """Scene of the same mechanism with every body frame at the centre of mass: all com are zero.
+    """Scene of the same mechanism with every body frame at the centre of mass, so that all com are zero.
 
-    scene : assembled
-    returns a Scene with mass and inertia in place of shapes; the given one if all com are zero
+    scene : assembled scene
+    returns a Scene with mass and inertia in place of shapes; the given scene if all its com are zero
     """
     com = {body.name: np.array(body.com) for body in scene.bodies}
     if not any(offset.any() for offset in com.values()):
@@ -77,7 +77,7 @@ class Offsets:
     def __init__(self, scene):
         self.com = np.array([body.com for body in scene.bodies], dtype=float).reshape(-1, 3)
         self.none = not self.com.any()
-        # (n, 3, 3): times w it is w x com, at a tenth of the cost of np.cross for a few bodies.
+        # (n, 3, 3): the product with w is w x com; for a few bodies ten times as fast as np.cross.
         self._crossed = np.cross(np.eye(3), self.com[:, None]).transpose(0, 2, 1).copy()
 
     def to_centres(self, pose, twist):
@@ -98,7 +98,7 @@ class Offsets:
         return pose, twist
 
     def wrench_at_centre(self, body, wrench):
-        """Wrench (6,) about the centre of mass of body number `body` from one about its frame."""
+        """Wrench (6,) about the centre of mass of body number `body`; wrench: about the origin of its frame."""
         wrench = np.array(wrench, dtype=float)
         if not self.none:
             wrench[:3] -= np.cross(self.com[body], wrench[3:])
@@ -106,7 +106,7 @@ class Offsets:
 
 
 def pose_matrix(row):
-    """(4, 4) of a pose (12,)."""
+    """Pose (12,) as a matrix (4, 4)."""
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = row[:9].reshape(3, 3), row[9:]
     return matrix

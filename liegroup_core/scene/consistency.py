@@ -7,8 +7,8 @@ and child,
     C_rel = F_a^-1 C_a^-1 C_b F_b                        must have a zero position residual
     V_rel = Ad(F_b^-1) V_b - Ad(C_rel^-1) Ad(F_a^-1) V_a   must satisfy A V_rel = 0
 
-with the forbidden rows A of the joint. The chapter's index-1 equations preserve both only if they
-hold initially. Plain NumPy, once per scene.
+with A the rows of the velocities that the joint forbids. The chapter's index-1 equations preserve both
+only if they hold initially. Plain NumPy, once per scene.
 """
 
 from typing import NamedTuple
@@ -25,11 +25,11 @@ from liegroup_core.lie.groups import SE3
 from .description import WORLD
 from .switches import coordinate_of, switches_of, unit_of
 
-# Exact decimals and results of double precision arithmetic are correct to about 1e-15 of their
-# size, and sums over a long chain to 1e-12. Values rounded to six digits are not consistent: they
-# are refused, and the error names consistent values.
+# Decimals and double precision results have a relative error of about 1e-15, sums over a long chain
+# 1e-12. Values rounded to six digits are not consistent: they are refused, and the error gives
+# consistent values.
 TOLERANCE = 1e-9
-# What sets the stops of a coordinate, if not `limits`.
+# Keys that set the stops of a coordinate without `limits`.
 STOPPED_BY = {DISTANCE: "its length", BACKLASH: "its offset and gap"}
 
 
@@ -42,9 +42,8 @@ def _start(scene):
 def resolve_frames(scene):
     """Joint frames of every joint, in the order of scene.joints.
 
-    returns list of (F_a, F_b), (4, 4) each: pose of the joint frame in the frame of the parent
-    and in that of the child, m. A frame that the scene omits coincides with the other one at the
-    initial poses.
+    returns list of (F_a, F_b), (4, 4) each, m: poses of the joint frames in the frames of parent and
+    child. If the scene omits one of the two frames, both coincide at the initial poses.
     """
     start = _start(scene)
     frames = []
@@ -91,7 +90,7 @@ class ResolvedCoupling(NamedTuple):
 def resolve_couplings(scene):
     """Couplings of a scene: list of ResolvedCoupling.
 
-    An offset that the scene omits is that of the initial poses.
+    An offset that the scene omits is computed from the initial poses.
     """
     if not scene.couplings:
         return []
@@ -107,7 +106,7 @@ def resolve_couplings(scene):
 
 
 def rigid_couplings(scene):
-    """`resolve_couplings` without those that have slack: those that are constraints."""
+    """The couplings without backlash, as `resolve_couplings`. These are constraints."""
     pairs = zip(scene.couplings, resolve_couplings(scene))
     return [entry for coupling, entry in pairs if coupling.backlash is None]
 
@@ -127,9 +126,9 @@ def resolve_drives(scene):
 
 
 def joint_state(start, joint, F_a, F_b):
-    """(coordinate, rate) of a joint with one coordinate: rad in (-pi, pi] or m, and per s.
+    """(coordinate, rate) of a joint with one coordinate: rad in (-pi, pi] or m; rad/s or m/s.
 
-    start : {name: (pose (4, 4), twist (6,))} of its bodies and the world
+    start : {name: (pose (4, 4), twist (6,))} of the joint's bodies and the world
     """
     C_rel = _relative(start, joint, F_a, F_b)
     return coordinate(joint, C_rel), _rate(start, joint, F_a, F_b)
@@ -210,7 +209,7 @@ def _check_couplings(scene, start):
 
 
 def _check_drives(scene, start):
-    """Raise SceneError for the first driven joint that does not start as its motion says."""
+    """Raise SceneError for the first driven joint whose initial state differs from the start of its motion."""
     frames = resolve_frames(scene)
     for j, rows in resolve_drives(scene).items():
         joint = scene.joints[j]
@@ -228,7 +227,7 @@ def _check_drives(scene, start):
 
 
 def switch_coordinates(scene, start, frames):
-    """[(Switch, its coordinate)] at poses, rad or m; angles about z in the turn that its stops expect.
+    """[(Switch, its coordinate)] at poses, rad or m; angles about z are unwrapped to the turn of the stops.
 
     start : {name: (pose (4, 4), twist (6,))} of the bodies and the world;  frames : of `resolve_frames`
     """
@@ -268,7 +267,7 @@ def _check_stops(scene, start):
 
 
 def _parts(rows, values):
-    """Norms of the linear and of the angular part of a residual; rows: what it belongs to."""
+    """Norms of the linear and the angular part of a residual with these constraint rows."""
     angular = rows[:, :3].any(axis=1) & ~rows[:, 3:].any(axis=1)
     return np.linalg.norm(values[~angular]), np.linalg.norm(values[angular])
 
@@ -296,7 +295,7 @@ def _moving(joint, A, C_rel, F_a, F_b, V_a, V_b):
     from_parent = SE3.Ad(SE3.inverse(C_rel)) @ SE3.Ad(SE3.inverse(F_a))
     V_rel = to_joint @ V_b - from_parent @ V_a
     slip, turn = _parts(A, A @ V_rel)
-    # Round-off of the sums above is relative to their terms.
+    # The round-off of the sums above is proportional to their terms.
     size = max((np.abs(to_joint) @ np.abs(V_b)).max(), (np.abs(from_parent) @ np.abs(V_a)).max())
     if max(slip, turn) <= TOLERANCE * (1.0 + size):
         return None
@@ -310,6 +309,6 @@ def _moving(joint, A, C_rel, F_a, F_b, V_a, V_b):
 
 
 def _written(vector, size):
-    """Numbers to copy into a scene: twelve digits, round-off written as 0."""
+    """Text of a vector to copy into a scene: twelve digits, round-off written as 0."""
     rounded = (0.0 if abs(x) < 1e-14 * size else float(f"{x:.12g}") for x in vector)
     return f"[{', '.join(f'{x:.12g}' for x in rounded)}]"

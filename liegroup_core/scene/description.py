@@ -3,11 +3,10 @@
 
 SI units, angles in radians. The world frame is `world`. A body frame is fixed to its body; `com` is
 the centre of mass in this frame. Rotations map body components to world components; quaternions
-are x, y, z, w. Twists are (omega, v), angular first, in body axes, v of the body frame's origin.
+are x, y, z, w. Twists are (omega, v) in body axes, angular first; v is that of the body frame's origin.
 
-A model made from wrong values raises `SceneError`. The classes of joints and forces are next to
-their equations, in liegroup_core/joints/ and liegroup_core/forces/, those of sensors in
-liegroup_core/sensors/.
+A model made from wrong values raises `SceneError`. The classes of joints, forces and sensors are next
+to their equations, in liegroup_core/joints/, liegroup_core/forces/ and liegroup_core/sensors/.
 """
 
 from typing import Annotated, Any, Literal
@@ -68,8 +67,8 @@ class Body(Placed):
     mass: Positive | None = Field(None, description="mass in kg, greater than 0; required without a shape")
     unphysical: Flag = Field(
         False,
-        description="true: the inertia may be that of no rigid body, its largest principal moment "
-        "above the sum of the other two, as in some robot descriptions",
+        description="true: accept an inertia that no rigid body can have (largest principal moment "
+        "above the sum of the other two), as in some robot descriptions",
     )
     inertia: Inertia | None = Field(
         None,
@@ -146,7 +145,7 @@ def entries_of(classes):
 
 
 def list_of(item):
-    """Type of a list; a key without a value is an empty one."""
+    """Type of a list; a key without a value is an empty list."""
     return Annotated[tuple[item, ...], BeforeValidator(lambda value: [] if value is None else listed(value))]
 
 
@@ -158,8 +157,8 @@ class Scene(Described):
     gravity: Vector3 = Field(description="gravity in m/s^2, world axes, such as [0, 0, -9.81]")
     assemble: Flag = Field(
         False,
-        description="true: assemble, correct the given poses and velocities until they satisfy the "
-        "joints; false: use them as given",
+        description="true: assemble, that is, correct the given poses and velocities so that they satisfy "
+        "the joints; false: use them as given",
     )
     notes: Annotated[tuple[Text, ...], BeforeValidator(listed)] = Field(
         (), description="remarks that `liegroup_sim describe` prints, such as what an import left out"
@@ -172,7 +171,7 @@ class Scene(Described):
 
     _text: str | None = PrivateAttr(None)
     _source: str | None = PrivateAttr(None)
-    _where: Any = PrivateAttr(None)  # yaml_text.Lines, or as it
+    _where: Any = PrivateAttr(None)  # yaml_text.Lines, or an object with its methods
     _robot: Any = PrivateAttr(None)
 
     @property
@@ -187,12 +186,12 @@ class Scene(Described):
 
     @property
     def differences(self):
-        """Notes of what makes the motion differ from that of the robot that the scene comes from."""
+        """Notes on deviations from the robot file that change the motion."""
         return [note for note in self.notes if note.startswith("changes the motion")]
 
     @property
     def unwrapped(self):
-        """[(joint, force or coupling)]: names, for each angle that is unwrapped: forces/turn.py."""
+        """[(joint, force or coupling)]: names for each unwrapped angle; see forces/turn.py."""
         types = {joint.name: joint.type for joint in self.joints}
         springs = [(force.joint, force.name) for force in self.forces if force.counts_turns]
         coupled = [(coupling.other, coupling.name) for coupling in self.couplings if TYPES[types[coupling.other]].turns]
@@ -201,7 +200,7 @@ class Scene(Described):
 
     @property
     def robot(self):
-        """RobotNames of a scene that was read from a robot's file; None for others."""
+        """RobotNames of a scene that was read from a robot file, else None."""
         return self._robot
 
     def located(self, error):

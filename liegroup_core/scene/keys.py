@@ -12,7 +12,7 @@ from .description import FORCES, JOINTS, SENSORS, Body, Scene
 from .robot_file import RobotFile
 from .shapes import SHAPES
 
-# {where the keys stand: the models of this place}
+# {place of the keys: models of this place}
 PARTS = {
     "scene": (Scene,),
     "bodies": (Body,),
@@ -31,7 +31,7 @@ PARTS = {
 
 
 class Key(NamedTuple):
-    """One key: its name, its meaning and its default, as texts."""
+    """Name, meaning and default of a key, as texts."""
 
     name: str
     meaning: str
@@ -39,7 +39,7 @@ class Key(NamedTuple):
 
 
 class Table(NamedTuple):
-    """Keys of one model: where they stand, the values of its key `type`, what it is."""
+    """Keys of one model, with its place, the values of its key `type` and its summary."""
 
     place: str
     types: tuple[str, ...]

@@ -3,7 +3,7 @@
 
     config/x.yaml:12: bodies[0] "top": mass must be greater than 0, got -1
 
-A robot's file (URDF, SDF, MJCF, or YAML with the key robot) becomes the text of a scene first.
+A robot file (URDF, SDF, MJCF, or YAML with the key robot) is first converted to the text of a scene.
 """
 
 import os
@@ -31,17 +31,17 @@ LARGEST_FILE = 64 * 2**20  # bytes
 def load_scene(name_or_path: str | os.PathLike[str], *, allow_files: bool = False) -> Scene:
     """Read a scene from a file, given by its path or, for an example scene, by its name.
 
-    The file is a scene file, or a robot's file: URDF, xacro, SDF or MJCF. Paths may begin with
+    The file is a scene file or a robot file (URDF, xacro, SDF or MJCF). Paths may begin with
     package:// or model://.
 
-    allow_files : files of robots may name files outside of their trees, see liegroup_core.robots.access
+    allow_files : robot files may refer to files outside of their trees, see liegroup_core.robots.access
     """
     with anywhere(allow_files):
         return scene_of(name_or_path)
 
 
 def scene_of(name_or_path, options=None):
-    """As `load_scene`, with additions to a robot's file: robots.options.Options, or None."""
+    """As `load_scene`, with additions to a robot file: robots.options.Options, or None."""
     path = find_scene(name_or_path)
     permit(path)
     try:
@@ -51,7 +51,7 @@ def scene_of(name_or_path, options=None):
             return scene_from_robot(path, options)
         if options is not None:
             raise SceneError(
-                f"{path}: is a scene file: these options are for files of robots; change the bodies, "
+                f"{path}: is a scene file: these options are for robot files; change the bodies, "
                 "joints and forces in the scene itself"
             )
         if os.path.getsize(path) > LARGEST_FILE:
@@ -68,16 +68,16 @@ def scene_of(name_or_path, options=None):
 
 
 def scene_from_robot(path, options=None):
-    """Scene of a robot's file; options: robots.options.Options, None: none."""
+    """Scene of a robot file; options: robots.options.Options or None."""
     return _made(*robot_text(path, options), source=str(path), complete=True)
 
 
 def scene_from_text(text: str, source: str = "scene") -> Scene:
-    """Scene of a YAML text, such as that of a recording; assembled if it says so.
+    """Scene of a YAML text, such as that of a recording; assembled if it has `assemble: true`.
 
-    A text names no files: only a file may, as it lies on this machine.
+    Only a scene file on this machine may refer to other files. A text may not.
 
-    source : path or name that errors start with; becomes scene.source
+    source : path or name at the start of error messages; becomes scene.source
     """
     return _read(text, source, True)
 
@@ -97,15 +97,15 @@ def _read(text, source, complete, may_name_files=False):
     if "robot" in root.value:
         if not may_name_files:
             raise SceneError(
-                f"{source}:{root.parts['robot'].line}: a text cannot name a robot's file: give the scene "
-                "of the robot itself, as liegroup_sim import writes it"
+                f"{source}:{root.parts['robot'].line}: a scene given as text cannot refer to a robot file: "
+                "give the scene that liegroup_sim import writes for this robot"
             )
         return _made(*robot_beside(root, source), source, complete)
     return _made(text, root.value, Lines(source, root), None, source, complete)
 
 
 def _made(text, values, where, robot, source, complete):
-    """Scene of a text with these values; where: Lines, or as Lines."""
+    """Scene of a text with these values; where: Lines, or an object with its methods."""
     try:
         scene = Scene(**values)
         scene = assembled(scene) if complete else scene

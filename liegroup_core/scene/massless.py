@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bodies without inertia about an axis: point masses, rods without thickness.
 
-Only relative coordinates integrate them: there a body needs inertia along the freedoms of its joints
-only. On SE(3)^n every body needs inertia about all axes.
+They require relative coordinates: there a body needs inertia only along the degrees of freedom of its
+joints. On SE(3)^n every body needs inertia about all axes.
 """
 
 import numpy as np
 
-# Principal moments up to this part of the largest are zero: eigenvalues of a 3x3 matrix have errors of
-# a few 1e-16. A rod of diameter d and length L has the ratio (d / L)^2, above 1e-12.
+# A principal moment below this fraction of the largest one counts as zero: eigenvalues of a 3x3 matrix have
+# relative errors of a few 1e-16. A rod of diameter d and length L has the ratio (d / L)^2, above 1e-12.
 NO_INERTIA = 1e-12
 
 
@@ -19,7 +19,7 @@ def axes_without_inertia(body):
 
 
 def invertible_inertia(body, reach=1.0):
-    """Inertia (3, 3) of a body, with that of its mass at `reach`, m, about axes without inertia."""
+    """Invertible inertia (3, 3): about axes without inertia, that of the body's mass at the distance `reach`, m."""
     axes = axes_without_inertia(body)
     if not len(axes):
         return body.inertia_matrix
@@ -28,7 +28,7 @@ def invertible_inertia(body, reach=1.0):
 
 
 def lack_of_inertia(scene):
-    """Text that names the first body without inertia about an axis, or "" without one."""
+    """Text with the first body that has no inertia about an axis, "" if there is none."""
     for i, body in enumerate(scene.bodies):
         axes = axes_without_inertia(body)
         if len(axes):

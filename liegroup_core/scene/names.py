@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names of a scene that entries refer to: bodies, joints, couplings and forces must exist and fit."""
+"""Checks of the names that entries of a scene refer to: they must exist and have a suitable type."""
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import suggestion
@@ -60,9 +60,9 @@ def refuse_joint(force, kinds, i):
 
 
 def refuse_sensor(sensor, bodies, kinds, taken, i):
-    """Refuse a sensor with a name that is taken, or of a body or joint that does not exist or fit.
+    """Refuse a sensor whose name is taken, or whose body or joint does not exist or is not suitable.
 
-    bodies : names; kinds : {joint: type}; taken : names of everything else
+    bodies : names; kinds : {joint: type}; taken : all other names
     """
     where = f'sensors[{i}] "{sensor.name}": '
     if sensor.name in taken:
@@ -85,7 +85,7 @@ def refuse_sensor(sensor, bodies, kinds, taken, i):
 
 
 def refuse_two_servos(forces):
-    """Refuse a second servo at a joint: commands name the joint."""
+    """Refuse a second servo at a joint, because commands address servos by their joint."""
     first = {}
     for i, force in enumerate(forces):
         if force.type not in ("servo", "linear_servo"):
@@ -100,7 +100,7 @@ def refuse_two_servos(forces):
 
 
 def refuse_motion(joint, forces, i):
-    """Refuse a prescribed motion of a joint that has not one coordinate, is not driven, or has a servo."""
+    """Refuse a prescribed motion if the joint is not driven, cannot be driven, or has a servo."""
     if joint.motion is not None and not joint.driven:
         raise SceneError(f'joints[{i}] "{joint.name}": motion requires driven: true', place=("joints", i, "motion"))
     if not joint.driven:
@@ -121,7 +121,7 @@ def refuse_motion(joint, forces, i):
 
 
 def refuse_switches(joint, i):
-    """Refuse stops or friction of a joint that has not one coordinate, or is driven."""
+    """Refuse stops or friction of a joint whose type has none, or that is driven."""
     for key in ("limits", "friction"):
         if getattr(joint, key) is None:
             continue
@@ -131,13 +131,13 @@ def refuse_switches(joint, i):
         elif key == "friction" and (text := _unfit_load(joint)):
             reason = text
         elif joint.driven:
-            reason = "a driven joint moves as prescribed; remove driven, or this"
+            reason = f"a driven joint moves as prescribed; remove driven or {key}"
         if reason:
             raise SceneError(f'joints[{i}] "{joint.name}": {key}: {reason}', place=("joints", i, key))
 
 
 def _kinds_that_have(key, kind):
-    """Text that a joint of a kind has no stops or friction, and which joints do."""
+    """Message that joints of this type have no stops or friction, with the types that do."""
     if key == "limits" and kind in ("cable", "strut"):
         return f"a {kind} has its length as its stop; give length, and restitution or stiffness"
     which = [*WITH_STOPS, "spherical"] if key == "limits" else WITH_STOPS
@@ -145,13 +145,13 @@ def _kinds_that_have(key, kind):
 
 
 def _unfit_load(joint):
-    """Text that friction by load does not fit its joint, or ""."""
+    """Message why friction by load is not possible at a joint, or ""."""
     for switch in joint.switches:
         friction = switch.friction
         if friction is None or not friction.by_load[1]:
             continue
         if joint.type == "screw":
-            return "mu: the thread of a screw has none; give coulomb and static"
+            return "mu: a screw joint has no friction by load; give coulomb and static"
         if switch.kind == TURN and friction.radius is None:
             return "mu requires the radius of the bearing, in m"
         if switch.kind == SLIDE and friction.radius is not None:
@@ -160,7 +160,7 @@ def _unfit_load(joint):
 
 
 def refuse_coupling(coupling, kinds, i):
-    """Refuse a coupling of joints that do not exist, or that have not one coordinate."""
+    """Refuse a coupling if a joint does not exist or has not exactly one coordinate."""
     where = f'couplings[{i}] "{coupling.name}": '
     for end in ("joint", "other"):
         name, place = getattr(coupling, end), ("couplings", i, end)

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""State in which some bodies have given poses or twists, or some joints given coordinates or rates.
+"""Consistent state with given poses or twists of bodies, or given coordinates or rates of joints.
 
-The other bodies follow through their joints. What a joint with a given value carries moves with it
-(carried.py). Then the steps are those of assembly: the nearest poses that satisfy all joints, and the
-change of velocities of least kinetic energy. Bodies without a path of joints to what is set are not
-touched.
+The other bodies follow through their joints. First, the bodies behind a given joint move with it
+(carried.py). Then come the steps of assembly: the nearest poses that satisfy all joints, and the change
+of velocities with the least kinetic energy. Bodies that no path of joints connects to a given value stay
+unchanged.
 
-What is given is kept. If the joints do not allow that, it may change by ROUNDED: the digits that
-single precision, or a number printed for people, has lost.
+Given values are kept. If the joints do not permit them, they may change by ROUNDED, because single
+precision and printed numbers have lost digits.
 """
 
 import numpy as np
@@ -24,31 +24,31 @@ from .centres import pose_matrix
 from .consistency import ResolvedCoupling, resolve_elements, resolve_frames, rigid_couplings
 from .description import WORLD
 
-# Largest change of what is given: rad, and relative to the distances and velocities involved.
+# Largest change of given values, in rad or relative to the distances and velocities involved.
 ROUNDED = 1e-6
-# Smallest step towards given coordinates, as a part of the way.
+# Smallest step towards given coordinates, as a fraction of the whole change.
 SMALLEST_STEP = 1.0 / 16
 
 
 @one_blas_thread()
 def rearranged(scene, pose, twist, poses, twists, joints=None, angles=None, driven=None):
-    """Nearest consistent state with what is given.
+    """Nearest consistent state with the given values.
 
     scene  : with body frames at the centres of mass (scene.centres), like all states here
     pose, twist   : (n, 12), (n, 6) present state
     poses, twists : {body: (12,)}, {body: (6,)} of the bodies that are set
     joints : {joint: (coordinate, rate)} of the joints that are set, rad or m; None: not given
     angles : {joint: rad} present unwrapped angles
-    driven : {joint: rate} of driven joints, kept where what is given allows it
-    returns pose (n, 12), twist (n, 6), {joint: rad} angles to which those of the result are near
-    Coordinates that cannot be reached at once are approached in steps from the present state.
+    driven : {joint: rate} of driven joints, kept where the given values permit it
+    returns pose (n, 12), twist (n, 6), {joint: rad}: angles within half a turn of the new unwrapped ones
+    If given coordinates cannot be reached in one step, they are approached in several.
     Raises SceneError with the joint that cannot be satisfied and its residual.
     """
     present, angles, driven = (pose, twist), angles or {}, driven or {}
     try:
         return _at_once(scene, *present, poses, twists, joints or {}, angles, driven)
     except SceneError:
-        # Bodies that are set stay where they are, so that there is no way to them.
+        # Intermediate states are defined for joint coordinates only, not for poses of bodies.
         if poses or twists or not any(q is not None for q, _ in (joints or {}).values()):
             raise
         found = _in_steps(scene, *present, joints, angles, driven)
@@ -58,9 +58,9 @@ def rearranged(scene, pose, twist, poses, twists, joints=None, angles=None, driv
 
 
 def _in_steps(scene, pose, twist, joints, angles, driven):
-    """As _at_once, through states between the present one and that of the joints; None: no way.
+    """As _at_once, in several steps from the present to the given coordinates; None if this fails.
 
-    A joint without an unwrapped angle takes the shorter way. A step that fails is halved.
+    A joint without an unwrapped angle takes the shorter direction. A step that fails is halved.
     """
     numbers = {joint.name: j for j, joint in enumerate(scene.joints)}
     poses = {body.name: pose_matrix(row) for body, row in zip(scene.bodies, pose)}
@@ -101,7 +101,7 @@ def _at_once(scene, pose, twist, poses, twists, joints, angles, driven):
     couplings, frames, parts = (resolve(scene) for resolve in (rigid_couplings, resolve_frames, resolve_elements))
     number = {joint.name: j for j, joint in enumerate(scene.joints)}
     near = {number[name]: angle for name, angle in angles.items()}
-    # The turns of a coupled joint follow from those of the other one.
+    # The turns of a coupled joint follow from the turns of the other joint.
     others = coordinates_at(scene, frames, before[0], {entry.other for entry in couplings}, near)
     near = {e.joint: e.ratio * others[e.other] + e.offset for e in couplings} | near
     wanted, rates = ({number[name]: pair[k] for name, pair in joints.items() if pair[k] is not None} for k in (0, 1))
@@ -115,7 +115,7 @@ def _at_once(scene, pose, twist, poses, twists, joints, angles, driven):
     bodies = {*poses, *twists, *ends} - {WORLD}
     numbers = everything if couplings else _connected(scene.joints, bodies)
     couplings = _counted_from(scene, frames, start, couplings, near)
-    # A coordinate that is kept is a coupling of ratio 0.
+    # A prescribed coordinate is a coupling of ratio 0.
     at = {j: i for i, j in enumerate(numbers)}
     kept = [ResolvedCoupling(at[j], at[j], 0.0, value) for j, value in wanted.items()]
 
@@ -139,9 +139,9 @@ def _at_once(scene, pose, twist, poses, twists, joints, angles, driven):
 
 
 def _counted_from(scene, frames, poses, couplings, near):
-    """Couplings for angles of the other joint in (-pi, pi] at these poses.
+    """Couplings with offsets that refer to angles of the other joint in (-pi, pi] at these poses.
 
-    near : {j: rad} unwrapped angles, within half a turn
+    near : {j: rad} approximate unwrapped angles, within half a turn
     """
     counted = [entry for entry in couplings if turns(scene.joints[entry.other])]
     others = {entry.other for entry in counted}
@@ -155,9 +155,9 @@ def _counted_from(scene, frames, poses, couplings, near):
 
 
 def _closed(linked, free, start, given, kept):
-    """Poses that satisfy all joints: with the given bodies and coordinates, or changed by ROUNDED.
+    """Poses that satisfy all joints, with the given poses and coordinates kept or changed by up to ROUNDED.
 
-    linked : function (bodies that are held, coordinates that are kept) -> Linkage
+    linked : function (bodies to hold, coordinates to keep) -> Linkage
     """
     held = linked(given.keys(), kept)
     found = held.nearest(start)
@@ -188,10 +188,10 @@ def _closed(linked, free, start, given, kept):
 
 
 def _moving(scene, given, linkage, poses, fixed, rates, driven):
-    """Twists {body: (6,)} that satisfy all joints: with those of `fixed`, or changed by ROUNDED.
+    """Twists {body: (6,)} that satisfy all joints, with those of `fixed` kept or changed by up to ROUNDED.
 
     rates  : {index of a joint of the linkage: rate}, kept in the same way
-    driven : the same, of joints that keep theirs unless the others prevent it
+    driven : {index: rate} of driven joints, kept unless the other values prevent it
     """
 
     def solved(kept):
@@ -225,7 +225,7 @@ def _moving(scene, given, linkage, poses, fixed, rates, driven):
 
 
 def _connected(joints, bodies):
-    """Indices of the joints of all bodies that joints connect to some bodies, not via the world."""
+    """Indices of all joints of the bodies that are connected to `bodies` by joints, not via the world."""
     found, reached = set(), set(bodies)
     before = None
     while len(found) != before:

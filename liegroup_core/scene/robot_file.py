@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robots as scenes: a robot's file alone, or a YAML file that names one and adds to it.
+"""Robots as scenes: a robot file alone, or a YAML file that refers to a robot file and adds to it.
 
 robot: arm.urdf
 start: {shoulder: 0.4}
@@ -37,7 +37,7 @@ def _mapped(value):
     return value
 
 
-# {joint: number}; a key without a value is an empty one.
+# {joint: number}; a key without a value is an empty mapping.
 ByJoint = Annotated[dict[str, Number], BeforeValidator(_mapped)]
 
 
@@ -50,7 +50,7 @@ def _motions(value):
 
 
 def _arguments(value):
-    """{name: text} of the arguments of xacro, which are texts."""
+    """Arguments of xacro as {name: text}."""
     if value is None:
         return {}
     if not isinstance(value, Mapping):
@@ -71,7 +71,7 @@ Arguments = Annotated[
 
 
 class RobotFile(Described):
-    """YAML file beside a robot's file: what is added to it."""
+    """YAML file with additions to a robot file."""
 
     robot: Text = Field(description="path of a URDF, xacro, SDF or MJCF file, relative to this file")
     name: Name | None = Field(None, description="name of the scene; default: that of the robot")
@@ -82,7 +82,7 @@ class RobotFile(Described):
     base: Literal[BASES] | None = Field(
         None,
         description="fixed: the root link is fixed to the world; floating: it moves freely; default: "
-        "fixed for URDF, as the file says for SDF and MJCF",
+        "fixed for URDF, as given in the file for SDF and MJCF",
     )
     pose: Text | None = Field(
         None, description="name of a pose at the start: a keyframe of MJCF, a group state of SRDF"
@@ -96,33 +96,33 @@ class RobotFile(Described):
     lock: ByJoint = Field({}, description="joints that do not move, and their coordinates, rad or m")
     keep: list_of(Text) = Field(
         (),
-        description="fixed joints that are not merged, so that their reactions are known; those with a "
-        "force_torque sensor are kept by themselves",
+        description="fixed joints that are not merged, so that their reactions are known; fixed joints "
+        "with a force_torque sensor are never merged",
     )
     stops: list_of(Text) = Field((), description="joints whose limits are rigid stops, or all; see stops and friction")
     friction: list_of(Text) = Field((), description="joints whose dry friction acts, or all; see stops and friction")
     driven: Annotated[dict[str, Motion | None], BeforeValidator(_motions)] = Field(
-        {}, description="joints that move as prescribed: a motion of each, or nothing for its velocity at the start"
+        {}, description="driven joints, each with its motion, or without a value to keep its velocity at the start"
     )
     only: list_of(Text) = Field((), description="links to keep, with the chains that lead to them; default: all")
-    joints: entries_of(JOINTS) = Field((), description="further joints, with names of links; they close loops")
-    couplings: list_of(Coupling) = Field((), description="couplings, with names of joints of the robot")
-    forces: entries_of(FORCES) = Field((), description="forces, with names of links and joints of the robot")
-    sensors: entries_of(SENSORS) = Field((), description="sensors, with names of links and joints of the robot")
+    joints: entries_of(JOINTS) = Field((), description="additional joints between links, which close loops")
+    couplings: list_of(Coupling) = Field((), description="couplings of the robot's joints")
+    forces: entries_of(FORCES) = Field((), description="forces, which refer to links and joints of the robot")
+    sensors: entries_of(SENSORS) = Field((), description="sensors, which refer to links and joints of the robot")
 
 
 class RobotNames:
-    """Names of a robot's file for the names of its scene.
+    """Correspondence between the names of a robot file and those of its scene.
 
     links, joints : {name in the scene: name in the file}
     frames        : {link of the file: (name of its body or world, (4, 4) pose in the body's frame)}
-    still         : {joint of the file with one coordinate that does not move: rad or m}
+    still         : {joint of the file with one coordinate that is locked: rad or m}
     visuals       : {link of the file: [robots.description.Visual]}
     text          : URDF text, "" for other formats
-    file          : path of the robot's file
+    file          : path of the robot file
     size          : (links, joint coordinates) of the file
     options       : robots.options.Options
-    missing       : mesh files that are not there, each with its link
+    missing       : mesh files that do not exist, each with its link
     """
 
     def __init__(self, robot, parts, size, options):
@@ -136,9 +136,9 @@ class RobotNames:
 
 
 class _Origins:
-    """Places of a scene in the files that it comes from: _Origins(...)(place) is "file:line".
+    """File and line that a place of a scene comes from: _Origins(...)(place) is "file:line".
 
-    file  : the robot's file
+    file  : the robot file
     lines : {(list, index) or (list, index, key): line of the file, or path inside the additions}
     names : {(list, name in the scene): name in the file}
     added : function: path inside the additions -> "file:line"; None without a file of additions
@@ -158,7 +158,7 @@ class _Origins:
         return self._lines.get(tuple(place[:3]), self._lines.get(tuple(place[:2]), 0))
 
     def located(self, error):
-        """SceneError with file and line, names of the file, and the index of an entry in the additions."""
+        """SceneError with file and line, the names used in the file, and the index of an entry in the additions."""
         place, text = error.place or (), str(error)
         line = self._line(place)
         if isinstance(line, tuple):
@@ -187,7 +187,7 @@ def robot_text(path, options=None, added_line=None):
 
 
 def robot_beside(root, source):
-    """As `robot_text`, of a YAML file with the key robot; root: Entry of its text."""
+    """As `robot_text`, for a YAML file with the key robot; root: Entry of its text."""
     at = Lines(source, root)
     try:
         given = RobotFile(**root.value)

@@ -40,12 +40,12 @@ class _Solid(Placed):
         description="rotation from axes of the solid to body axes as unit quaternion x, y, z, w; default: no rotation",
     )
     rotation_vector: RotationVector | None = Field(
-        None, description="that rotation as rotation vector in rad; replaces quaternion"
+        None, description="the same rotation as rotation vector in rad; replaces quaternion"
     )
     axis: Direction | None = Field(
         None,
-        description="direction of the solid's z axis in the body, of any length; replaces "
-        "quaternion by the smallest rotation from z to this direction",
+        description="direction of the solid's z axis in body axes, a vector of any length; replaces "
+        "quaternion; the rotation is the smallest one from z to this direction",
     )
     mass: Positive | None = Field(None, description="mass in kg, greater than 0; give either mass or density")
     density: Positive | None = Field(None, description="density in kg/m^3, greater than 0; replaces mass")
@@ -63,7 +63,7 @@ class _Solid(Placed):
 
     @property
     def body(self):
-        """{"mass", "com", "inertia"} of a body of this shape, in the form of a scene.
+        """{"mass", "com", "inertia"} of a body of this shape, as in a scene file.
 
         Raises SceneError if mass or inertia is out of range.
         """

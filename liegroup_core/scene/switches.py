@@ -25,7 +25,7 @@ def unit_of(switch, scene):
 def coordinate_of(switch, C_rel):
     """Coordinate of a Switch of a joint, rad or m; C_rel (4, 4): child's joint frame in the parent's.
 
-    An angle about z is in the turn that its stops expect.
+    An angle about z is unwrapped to the turn of its stops.
     """
     (q,) = position_residual((COORDINATES[switch.kind],), C_rel).tolist()
     return q if switch.limits is None else switch.limits.turn_of(q, switch.is_angle)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""YAML of scene files: values with the lines that they are on.
+"""YAML reader of scene files: values with their line numbers.
 
 Plain values are those of YAML 1.2 (numbers such as 1e4, true, false, null; everything else is
 text). Tags, several documents and repeated keys are refused.
@@ -14,7 +14,7 @@ from liegroup_core.fields.values import shown
 
 from .description import Scene
 
-# A scene is five levels deep; aliases may repeat parts of it, but not without bound.
+# A scene has five levels. Aliases may repeat parts of it, up to a limit.
 DEEPEST = 20
 MOST_REPEATED = 100_000  # values that come from aliases
 
@@ -35,12 +35,12 @@ _WORDS |= {sign + word: float(sign + "inf") for sign in ("", "+", "-") for word 
 
 
 class Entry:
-    """Value of the file, with its line and those of its parts.
+    """Value of the file, with its line and the lines of its parts.
 
     value : dict, list, str, int, float, bool or None
     line  : 1-based line of its start; in a mapping, that of its key
     parts : entries by key or index
-    size  : number of values in it; values of aliases count in full
+    size  : number of values in it; an alias counts with all its values
     key   : in an unfinished mapping, the entry of the key whose value comes next
     done  : False while its parts are being read
     """
@@ -52,7 +52,7 @@ class Entry:
         self.parts, self.size, self.key = {}, 1, None
 
     def add(self, part):
-        """Take up the next key, value or list entry that was read."""
+        """Add the next key, value or list entry."""
         self.size += part.size
         if isinstance(self.value, list):
             self.parts[len(self.value)] = part
@@ -73,7 +73,7 @@ class Entry:
             self.key = None
 
     def line_of(self, place):
-        """Line of the innermost part that the file has on the path to a place."""
+        """Line of the innermost existing part on the path to a place."""
         entry = self
         for step in place:
             if step not in entry.parts:
@@ -110,7 +110,7 @@ def read_yaml(text, source):
     if odd:
         line = len(text[: odd.end()].splitlines())
         raise SceneError(f"{source}:{line}: is not YAML: contains the character {odd.group()!a}; remove it")
-    # the parser reports an end that comes too early on the line after the last one
+    # The parser reports a premature end of the file on the line after the last one.
     last_line = max(1, len(text.splitlines()))
     try:
         root = _root(yaml.parse(text, Loader=_PARSER), last_line, len(text) + MOST_REPEATED)
@@ -128,10 +128,10 @@ def read_yaml(text, source):
 
 
 def _root(events, last_line, most):
-    """Root entry of the parser's events with at most so many values; None without a document.
+    """Root entry of the parser's events, with at most `most` values; None if there is no document.
 
-    It uses its own stack, so that no input can exhaust Python's. An alias shares its value: its
-    size is known, and refused if too large, before it is expanded.
+    An explicit stack prevents a recursion error for deeply nested input. An alias shares its value, so
+    its size is known, and refused if too large, before it is expanded.
     """
     root, stack, anchors = None, [], {}
     for event in events:
@@ -176,7 +176,7 @@ def _scalar(event):
         return _WORDS[text]
     if not _NUMBER.fullmatch(text):
         return text
-    # Python limits the digits of an integer; as a float it is finite or infinite.
+    # Python limits the digits of integers that it parses. Floats have no such limit.
     return int(text) if len(text) < 18 and text.lstrip("+-").isdigit() else float(text)
 
 

@@ -388,7 +388,7 @@ def test_a_rate_without_assembly_is_refused():
 
 def test_bodies_with_an_undetermined_pose_are_named():
     bodies = [Body(name="a", mass=1, inertia=(1, 1, 1), position=(1, 0, 0)), Body(name="b", mass=1, inertia=(1, 1, 1))]
-    with pytest.raises(SceneError, match='bodies\\[1\\] "b": cannot be placed, it has no position, no rotation and no'):
+    with pytest.raises(SceneError, match='bodies\\[1\\] "b": cannot be placed: it has no position, no rotation and no'):
         assembled(Scene(name="s", gravity=(0, 0, 0), assemble=True, bodies=bodies))
     joint = Joint(name="j", type="revolute", parent="a", child="b", child_frame=Frame())
     with pytest.raises(

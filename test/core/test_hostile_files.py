@@ -208,7 +208,7 @@ def test_the_tree_of_a_file_is_never_a_home_folder(tmp_path, monkeypatch):
 def test_a_text_names_no_files(tmp_path):
     (tmp_path / "arm.xacro").write_text(ARM)
     text = f"robot: {tmp_path}/arm.xacro\n"
-    with pytest.raises(SceneError, match="^scene:1: a text cannot name a robot's file"):
+    with pytest.raises(SceneError, match="^scene:1: a scene given as text cannot refer to a robot file"):
         scene_from_text(text)
     (tmp_path / "scene.yaml").write_text(text)
     assert load_scene(tmp_path / "scene.yaml").bodies[0].name == "lx"

@@ -276,4 +276,4 @@ def test_a_recording_names_no_files_of_this_machine(command, tmp_path, capsys):
     record(path, scene, 20)
     assert main([command[0], str(path), *command[1:]]) == 2
     said = capsys.readouterr().err
-    assert "scene.yaml:1: a text cannot name a robot's file" in said and said.count("\n") == 1, said
+    assert "scene.yaml:1: a scene given as text cannot refer to a robot file" in said and said.count("\n") == 1, said

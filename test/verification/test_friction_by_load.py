@@ -267,7 +267,10 @@ def test_the_running_error_covers_the_true_error():
     [
         ({"type": "revolute", "friction": {"mu": 0.1}}, "requires the radius"),
         ({"type": "prismatic", "friction": {"mu": 0.1, "radius": 0.1}}, "a translation has none"),
-        ({"type": "screw", "pitch": 0.1, "friction": {"mu": 0.1, "radius": 0.1}}, "the thread of a screw"),
+        (
+            {"type": "screw", "pitch": 0.1, "friction": {"mu": 0.1, "radius": 0.1}},
+            "a screw joint has no friction by load",
+        ),
         (
             {"type": "revolute", "friction": {"mu": 0.2, "mu_static": 0.1, "radius": 0.1}},
             "mu_static must be at least mu",
