@@ -1,21 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robot descriptions: URDF, SDF and MJCF files as texts of scenes.
+"""Robot descriptions: conversion of URDF, SDF and MJCF files to scene files.
 
-In: a file of a robot, and what the user adds to it. Out: the text of a scene file, with comments
-that say what came from where, or one SceneError with file and line. It knows no Scene: a scene is
-read from the text like any other, so a recording of a robot needs no other file.
+Input: a robot file and the user's additions. Output: the text of a scene file, with comments on the
+origin of each entry, or one SceneError with file and line. This package does not build a Scene: the text
+is read like any scene file, so a recording of a robot needs no other file.
 
-    read.py                       which format a file has
+    read.py                       detects the format of a file
     urdf.py, sdf.py, mjcf.py      file -> Robot, a neutral description (description.py)
-    apart.py                      xacro, MuJoCo's compiler and readers of meshes, in processes of their own
-    confined.py                   what takes the rights from these processes
-    expressions.py                the check of xacro's expressions
-    access.py                     which files a file may name
+    apart.py                      xacro, MuJoCo's compiler and mesh readers, each in a separate process
+    confined.py                   restricts the rights of these processes
+    expressions.py                checks xacro's expressions
+    access.py                     files that a robot file may refer to
     meshes.py                     triangles that a viewer draws
     sdf_sensors.py, mjcf_sensors.py   sensors of a file
-    options.py, additions.py      what a user adds: start values, closing joints, forces
-    chains.py, links.py           links that stay, links that move as one, poses at the start
-    sensors.py                    sensors of file and user, fixed joints that are kept for them
+    options.py, additions.py      the user's additions: start values, closing joints, forces
+    chains.py, links.py           links to keep, links that move as one body, initial poses
+    sensors.py                    sensors of file and user, and the fixed joints that they need
     mapping.py                    Robot -> bodies, joints, forces and notes of a scene
     text.py                       -> YAML with comments
 """

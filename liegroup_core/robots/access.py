@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which files a robot's file may name: those of its own tree, and of the search paths of ROS and Gazebo.
+"""Files that a robot file may refer to: those of its own tree and of the search paths of ROS and Gazebo.
 
-The tree of a file is the nearest folder above it with a package.xml or a .git, else the folder above its
-own, where robots keep their meshes; never a home folder, nor one above it. Who answers requests reads
-below given folders only (`served_from`); who trusts all files reads any (`anywhere`).
+The tree of a file is the nearest folder above it with a package.xml or a .git. Without one, it is the
+parent of the file's folder, because robots keep their meshes there. It is never a home folder or a folder
+above one. A server of requests reads below given folders only (`served_from`). `anywhere` permits all files.
 """
 
 import os
@@ -15,17 +15,17 @@ from liegroup_core.errors import SceneError
 
 ROOTS = ("package.xml", ".git")  # one of them marks the folder of a tree
 ANYWHERE = (Path("/"),)
-# Variables with folders that contain models, in the order of search.
+# Environment variables that list folders with models, in search order.
 MODEL_PATHS = ("GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "GAZEBO_MODEL_PATH", "SDF_PATH")
 PACKAGE_PATHS = ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH")
 
-# Folders below which files are read; None: below the tree of the file that names them.
+# Folders below which files may be read; None: the tree of the file that refers to them.
 _served = ContextVar("served", default=None)
 
 
 @contextmanager
 def served_from(folders):
-    """Read files below these folders and the search paths only, whoever names them."""
+    """Permit only files below these folders and the search paths, whichever file refers to them."""
     before = _served.set(tuple(Path(os.path.realpath(folder)) for folder in folders))
     try:
         yield
@@ -34,28 +34,28 @@ def served_from(folders):
 
 
 def anywhere(allowed=True):
-    """Read files wherever they are, if `allowed`."""
+    """Permit files in all folders, if `allowed`."""
     return served_from(ANYWHERE) if allowed else nullcontext()
 
 
 def search_folders(variables=(*PACKAGE_PATHS, *MODEL_PATHS)):
-    """Folders of the search paths, in their order."""
+    """Folders of the search paths, in search order."""
     return [
         Path(folder) for variable in variables for folder in os.environ.get(variable, "").split(os.pathsep) if folder
     ]
 
 
 def trees(file):
-    """Folders below which a file may name others."""
+    """Folders with the files that a file may refer to."""
     served = _served.get()
     own = served if served is not None else {tree_of(file), tree_of(os.path.realpath(file))}
     return [*own, *_searched()]
 
 
 def permit(path, file=None):
-    """The path of a file that is to be read. Raises SceneError if it is outside of what may be read.
+    """Return the path of a file to read. Raises SceneError if it may not be read.
 
-    file : that names it; None: a user or a request does
+    file : file that refers to this path; None: a user or a request does
     """
     if not is_permitted(path, file):
         raise SceneError(f"{path}: is not read: {outside(file)}")
@@ -71,12 +71,12 @@ def is_permitted(path, file=None):
 
 
 def outside(file):
-    """Why files may not be read, and what to do."""
+    """Message why a file may not be read, and what to do."""
     served = _served.get()
     if served is None:
         return (
-            f"it is outside of {tree_of(file)}, the tree of the file that names it: move it there, "
-            "or give --allow-files (of a node: -p world_folders:=/)"
+            f"it is outside of {tree_of(file)}, the tree of the file that refers to it: move it there, "
+            "or give --allow-files (for a node: -p world_folders:=/)"
         )
     listed = ", ".join(map(str, served)) or "none"
     return (
@@ -86,7 +86,7 @@ def outside(file):
 
 
 def tree_of(file):
-    """Folder that holds what belongs to a file; the file itself if it lies in a home folder."""
+    """Folder with the files that belong to a file; the file itself if it is in a home folder."""
     file = Path(os.path.abspath(file))
     folder = file.parent
     if holds_home(folder):
@@ -101,13 +101,13 @@ def tree_of(file):
 
 
 def holds_home(folder):
-    """True for the user's home folder and those above it."""
+    """True for the user's home folder and the folders above it."""
     home = os.path.realpath(os.path.expanduser("~"))
     return Path(home).is_relative_to(os.path.realpath(folder))
 
 
 def _searched():
-    """Folders of the search paths, and the sources of packages that are installed as links to them."""
+    """Folders of the search paths, and the source folders of packages installed by symbolic links."""
     found = []
     for folder in search_folders():
         found.append(Path(os.path.realpath(folder)))

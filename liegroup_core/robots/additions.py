@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joints and forces that a user adds to a robot: keys of a scene, between links of the robot."""
+"""Joints, couplings and forces that a user adds between links or joints of a robot."""
 
 from liegroup_core.lie.groups import SE3
 
 from .description import ONE_COORDINATE, WORLD, Coupling, RobotJoint
 
-# {key of a force with a point: key of the link that it is fixed to}
+# {key of a force with a point: key of the link that the point is fixed to}
 POINTS = {"parent_point": "parent", "child_point": "child", "point": "body"}
 
 
 def added_joints(options, grouping):
-    """[RobotJoint] of the joints of the additions, which close loops.
+    """[RobotJoint] of the added joints, which close loops.
 
-    A frame that is omitted is where the other one is at the start.
+    An omitted frame coincides with the other frame at the start.
     """
     names = {joint.name for joint in grouping.robot.joints}
     return [_joint(options, grouping, i, given, names) for i, given in enumerate(options.joints)]
@@ -51,7 +51,7 @@ def _joint(options, grouping, i, given, names):
 
 
 def _check_ends(options, grouping, place, which, given):
-    """Refuse unknown links of an entry, and two links that do not move relative to each other."""
+    """Refuse an entry with unknown links, or with two links that do not move relative to each other."""
     ends = [end for end in ("parent", "child", "body") if hasattr(given, end)]
     for end in ends:
         if getattr(given, end) not in grouping.of_link:
@@ -60,13 +60,13 @@ def _check_ends(options, grouping, place, which, given):
     links = [getattr(given, end) for end in ends]
     groups = [grouping.of_link[link] for link in links]
     if len(groups) == 2 and groups[0] is groups[1]:
-        raise options.error(place, f"{which}: {links[0]} and {links[1]} move as one body: name other links")
+        raise options.error(place, f"{which}: {links[0]} and {links[1]} move as one body: choose other links")
     if ends == ["body"] and groups[0] is grouping.world:
-        raise options.error((*place, "body"), f"{which}: {links[0]} does not move: name another link")
+        raise options.error((*place, "body"), f"{which}: {links[0]} does not move: choose another link")
 
 
 def added_couplings(options, robot):
-    """[Coupling] of the additions, with their place there as line. Raises SceneError."""
+    """[Coupling] of the additions; `line` is the path inside the additions. Raises SceneError."""
     types = {joint.name: joint.type for joint in robot.joints}
     for i, entry in enumerate(options.couplings):
         for end in ("joint", "other"):
@@ -86,7 +86,7 @@ def added_couplings(options, robot):
 
 
 def added_forces(options, grouping, parts):
-    """[keys of a scene's force] with links and points in the frames of bodies."""
+    """[keys of a force of a scene]: the added forces, with bodies for links and points in body frames."""
     links = {file: scene for (kind, scene), file in parts.names.items() if kind == "bodies"}
     joints = {file: scene for (kind, scene), file in parts.names.items() if kind == "joints"}
     known = {joint.name for joint in grouping.robot.joints} - joints.keys()
@@ -114,7 +114,7 @@ def added_forces(options, grouping, parts):
             if end in entry:
                 group = grouping.of_link[entry[end]]
                 entry[end] = WORLD if group is grouping.world else links[group.links[0]]
-        if entry.get("child") == WORLD:  # the child of a force of a scene moves
+        if entry.get("child") == WORLD:  # in a scene, the child of a force must be a body
             for key in ("", "_point"):
                 ends = (f"parent{key}", f"child{key}")
                 entry |= dict(zip(ends, [entry[end] for end in reversed(ends)]))

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tools that expand or compile a file, each in a process of its own without rights, in bounded time and memory.
+"""Tools that expand or compile a file, each in a confined process with bounded time and memory.
 
     python -m liegroup_core.robots.apart FOLDERS xacro FILE [NAME:=VALUE ...]   prints the expanded XML
     python -m liegroup_core.robots.apart FOLDERS mjcf FILE                      prints the compiled model as JSON
     python -m liegroup_core.robots.apart FOLDERS meshes FILE                    prints triangles as JSON
 
-FOLDERS, separated by colons, are all that the process may read (confined.py), besides Python itself. A wrong
-or hostile file cannot take the calling process down nor do anything else, whatever the tool does with it.
-Where a tool fails, its message is on stderr, and the place "file:line" on stdout if it is known.
+Besides Python itself, the process may read only FOLDERS, separated by colons (confined.py). A wrong or
+hostile file can neither crash the calling process nor do other harm. If a tool fails, it prints its message
+to stderr, and the place "file:line", if known, to stdout.
 """
 
 import json
@@ -32,16 +32,16 @@ from .expressions import evaluate
 SECONDS = 60
 BYTES = 2**30  # in memory; the largest models of dm_control take 0.5 GB
 ADDRESSES = 8 * 2**30  # mapped; MuJoCo maps 3.4 GB for dm_control's rodent and uses 0.1 GB of it
-LOOK = 0.02  # s between looks at the memory of a tool
-LARGEST_OUTPUT = 32 * 2**20  # bytes; large models have 1 MB, read they take ten times as much
+LOOK = 0.02  # s between checks of the memory of a tool
+LARGEST_OUTPUT = 32 * 2**20  # bytes; large models have 1 MB, and ten times as much when they are parsed
 MISSING = 3  # exit code: the package of the tool is not installed
 ADVISED = 4  # exit code: the message says what to do
-ABSENT = 5  # exit code: so it does, about a file that is not there
+ABSENT = 5  # exit code: the message says what to do about a missing file
 FORBIDDEN = 6  # exit code: the message is the name of a file that may not be read
-UNSAFE = 7  # exit code: the process cannot give up its rights
-# Folders of the system's libraries, and what the loader reads to find them.
+UNSAFE = 7  # exit code: the process cannot be confined
+# Folders of the system's libraries, and the cache file that the loader reads.
 LIBRARIES = ("/usr/lib", "/usr/lib64", "/lib", "/lib64", "/usr/local/lib", "/etc/ld.so.cache")
-# Parts of the messages of the tools for a lack of memory.
+# Texts in the tools' messages that indicate a lack of memory.
 NO_MEMORY = ("MemoryError", "bad_alloc", "Could not allocate memory", "unknown exception")
 REFLECTING = ("vars", "type")  # of xacro's namespace `python`
 PACKAGES = {"xacro": "xacro", "mjcf": "mujoco", "meshes": "trimesh"}
@@ -50,7 +50,7 @@ PACKAGES = {"xacro": "xacro", "mjcf": "mujoco", "meshes": "trimesh"}
 def run_apart(tool, path, arguments=(), folders=None):
     """Text that a tool prints for a file. Raises SceneError with the tool's own message.
 
-    folders : that it may read; None: those of access.trees
+    folders : folders that the tool may read; None: those of access.trees
     """
     readable = os.pathsep.join(map(str, trees(path) if folders is None else folders))
     command = [sys.executable, "-P", "-m", __name__, readable, tool]
@@ -65,7 +65,7 @@ def run_apart(tool, path, arguments=(), folders=None):
                 cwd=folder,
                 env=os.environ
                 | {"PYTHONPATH": os.pathsep.join(filter(None, folders))}
-                | {"OPENBLAS_NUM_THREADS": "1"},  # a buffer for each core is memory, too
+                | {"OPENBLAS_NUM_THREADS": "1"},  # OpenBLAS allocates a buffer for each thread
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=errors,
@@ -74,7 +74,7 @@ def run_apart(tool, path, arguments=(), folders=None):
     if returncode is None:
         raise refusal(path, 0, f"{tool} did not end within {SECONDS} s: make the file smaller")
     if len(found) >= LARGEST_OUTPUT:
-        raise refusal(path, 0, f"{tool} made more than {LARGEST_OUTPUT >> 20} MiB: make the file smaller")
+        raise refusal(path, 0, f"{tool} wrote more than {LARGEST_OUTPUT >> 20} MiB: make the file smaller")
     if returncode == 0:
         return found.decode(errors="replace")
     if returncode == MISSING:
@@ -84,11 +84,9 @@ def run_apart(tool, path, arguments=(), folders=None):
     if returncode == FORBIDDEN:
         raise refusal(path, 0, f"{tool}: {text[-1][-400:]} is not read: {outside(path)}")
     if returncode == UNSAFE:
-        raise refusal(path, 0, f"{tool} is not run, as it could do harm: {' '.join(text)[-400:]}")
+        raise refusal(path, 0, f"{tool} is not run, because it cannot be confined: {' '.join(text)[-400:]}")
     if returncode < 0 or any(sign in line for sign in NO_MEMORY for line in text):
-        raise refusal(
-            path, 0, f"{tool} needs more than {BYTES >> 30} GiB of memory for it, or crashes: simplify the file"
-        )
+        raise refusal(path, 0, f"{tool} needs more than {BYTES >> 30} GiB of memory, or crashes: simplify the file")
     file, _, line = found.decode(errors="replace").strip().rpartition(":")
     if not line.isdecimal() or file == str(Path(path).resolve()):
         file = path
@@ -99,9 +97,9 @@ def run_apart(tool, path, arguments=(), folders=None):
 
 
 def _ended(command, **options):
-    """Exit code of a command; None if it does not end within SECONDS, and is killed.
+    """Exit code of a command, or None if it was killed after SECONDS.
 
-    One that has more than BYTES in memory is killed, too; its exit code is that of the signal.
+    A command with more than BYTES in memory is killed as well; its exit code is that of the signal.
     """
     end, page, late = time.monotonic() + SECONDS, resource.getpagesize(), False
     with subprocess.Popen(command, **options) as process:
@@ -115,26 +113,26 @@ def _ended(command, **options):
                     with suppress(subprocess.TimeoutExpired):
                         process.wait(LOOK)
         finally:
-            process.kill()  # it ends with this one; nothing if it has ended
+            process.kill()  # no effect if it has ended
     return None if late else process.returncode
 
 
 def _pages(number):
-    """Pages that a process has in memory."""
+    """Number of pages that a process has in memory."""
     try:
         return int(Path(f"/proc/{number}/statm").read_text().split()[1])
-    except (OSError, IndexError):  # it has just ended, or this system does not tell
+    except (OSError, IndexError):  # it has just ended, or the system has no /proc
         return 0
 
 
 def _head(path):
-    """Bytes of a file, at most LARGEST_OUTPUT: a tool writes no more, see _bound."""
+    """First LARGEST_OUTPUT bytes of a file; _bound limits the output of a tool to this size."""
     with path.open("rb") as file:
         return file.read(LARGEST_OUTPUT)
 
 
 def _bound():
-    """Bound memory, time and output of this process."""
+    """Limit memory, time and output of this process."""
     for kind, limit in (
         (resource.RLIMIT_AS, ADDRESSES),
         (resource.RLIMIT_CPU, SECONDS),
@@ -146,29 +144,29 @@ def _bound():
 
 
 def _confine(folders):
-    """Give up all rights but to read below the folders, and Python's own."""
+    """Give up all rights except reading below these folders and Python's own folders."""
     own = [*sys.path, sys.prefix, sys.base_prefix, *LIBRARIES]
     confine([*folders, *filter(None, own)])
 
 
 def _expand(folders, path, *arguments):
-    """Expanded XML of a xacro file; arguments: NAME:=VALUE, as of the command xacro."""
+    """Expanded XML of a xacro file; arguments: NAME:=VALUE, as for the command xacro."""
     import xacro
     from xacro import substitution_args
 
     def of_eval(text, context):
-        """Value of $(eval ...), whose names are arguments and a few functions."""
+        """Value of $(eval ...), where names are those of arguments and of a few functions."""
         names = substitution_args._DictWrapper(context["arg"], substitution_args._eval_dict)
         return str(evaluate(text, names, ()))
 
-    # Functions that reach into objects: with them the parts of a function can be had.
+    # These functions give access to the internals of objects.
     for name in REFLECTING:
         xacro._global_symbols["python"].pop(name, None)
     spaces = (xacro.NameSpace, xacro.YamlDictWrapper)
     xacro.safe_eval = lambda text, symbols, more=None: evaluate(text, more or symbols, spaces)
     substitution_args._eval = of_eval
     _confine(folders)
-    expatbuilder.ExpatBuilderNS = _PlacedBuilder  # that minidom makes its elements with
+    expatbuilder.ExpatBuilderNS = _PlacedBuilder  # minidom builds its elements with this class
     given = _Arguments(text.split(":=", 1) for text in arguments)
     names = set(given)
     expanded = xacro.process_file(path, mappings=given)
@@ -196,7 +194,7 @@ class _Arguments(dict):
 
 
 class _PlacedBuilder(expatbuilder.ExpatBuilderNS):
-    """Builder of elements that know their `place`, "file:line"."""
+    """Builder of elements with the attribute `place`, "file:line"."""
 
     def parseFile(self, file):
         self.file = Path(file.name).resolve()
@@ -208,7 +206,7 @@ class _PlacedBuilder(expatbuilder.ExpatBuilderNS):
 
 
 def _place(error):
-    """Place of the element that was handled last when an error was raised; "" if it is not known."""
+    """Place of the element that was being processed when the error was raised; "" if unknown."""
     place, trace = "", error.__traceback__
     while trace is not None:
         for value in trace.tb_frame.f_locals.values():
@@ -234,7 +232,7 @@ def _triangulate(folders, path):
 
 
 def main(folders, tool, *arguments):
-    """Print the result, or one line why there is none; returns the exit code."""
+    """Print the result, or the reason of failure in one line; returns the exit code."""
     _bound()
     tools = {"xacro": _expand, "mjcf": _compile, "meshes": _triangulate}
     try:
@@ -255,7 +253,7 @@ def main(folders, tool, *arguments):
     except RecursionError:
         print("it contains itself, or is nested too deep", file=sys.stderr)
         return 1
-    except Exception as error:  # whatever the tool finds wrong is the message
+    except Exception as error:  # tools raise errors of any type; their text is the message
         forbidden = _forbidden(error)
         if forbidden:
             print(forbidden, file=sys.stderr)
@@ -267,7 +265,7 @@ def main(folders, tool, *arguments):
 
 
 def _forbidden(error):
-    """Name of the file that an error is about because it may not be read, else None."""
+    """Name of the file that caused an error because it may not be read, else None."""
     while error is not None:
         if isinstance(error, PermissionError) and error.filename:
             return error.filename
@@ -276,7 +274,7 @@ def _forbidden(error):
 
 
 def _reason(error):
-    """Text of an error in one line; xacro wraps the cause and repeats it, or has only its type."""
+    """Text of an error in one line. Errors of xacro repeat their cause, or contain only its type."""
     cause = error
     while getattr(cause, "exc", None) is not None:
         cause = cause.exc

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which links of a robot stay, and which of them move as one.
+"""Selection of the links to keep, and of the links that move as one body.
 
-A user may cut what is off the chains of interest, and lock joints. Joints that a locked joint drives
-are locked too. Links without mass at the end of a chain are held in place.
+A user may cut links outside the chains of interest, and lock joints. Joints that are coupled to a locked
+joint are locked too. Links without mass at the end of a chain are held in place.
 """
 
 from liegroup_core.lie.groups import SE3
@@ -28,7 +28,7 @@ def kept_joints(robot, options, notes):
                 break
             name = holders[name].parent
         kept |= seen
-    # What fixed joints hold to a kept link stays: it is a part of the same body.
+    # Links that fixed joints connect to a kept link are parts of the same body.
     grown = True
     while grown:
         grown = False
@@ -49,7 +49,7 @@ def kept_joints(robot, options, notes):
 
 
 def locked_joints(robot, options, values, notes):
-    """Names of joints that do not move: locked ones, and those that a mimic joint ties to them."""
+    """Names of joints that do not move: fixed and locked joints, and joints coupled to them."""
     types = {joint.name: joint.type for joint in robot.joints}
     still = set(options.lock) | set(robot.locked) | {name for name, kind in types.items() if kind == "fixed"}
     changed = True
@@ -57,7 +57,7 @@ def locked_joints(robot, options, values, notes):
         changed = False
         for coupling in robot.couplings:
             first, second = coupling.first in still, coupling.second in still
-            held = coupling.offset is not None  # else the start values define the offset
+            held = coupling.offset is not None  # otherwise the start values define the offset
             if second and not first:
                 if held:
                     values[coupling.first] = coupling.ratio * values[coupling.second] + coupling.offset
@@ -77,7 +77,7 @@ def locked_joints(robot, options, values, notes):
             raise options.error(
                 ("lock", coupling.first),
                 f"lock: {ends[0]} at {values[ends[0]]:.6g} and {ends[1]} at {values[ends[1]]:.6g} "
-                f"contradict their coupling, which wants {wanted:.6g} for {ends[0]}: lock one of them",
+                f"contradict their coupling, which requires {wanted:.6g} for {ends[0]}: lock one of them",
             )
     for name in still:
         if types[name] != "fixed":
@@ -106,16 +106,16 @@ def base_of(robot, options, notes):
 
 
 def place_root(robot, base, pose, notes):
-    """Give the root link the pose that a group state has for it; where it is fixed, note it."""
+    """Give the root link its pose of a group state; add a note if the link is fixed."""
     name = robot.roots[0] if robot.roots else WORLD
     if base == "floating" and name != WORLD:
         robot.links[name].pose = robot.root_poses[pose]
     else:
-        notes.append(f'left out: pose of the root link in group state "{pose}", it does not float')
+        notes.append(f'left out: pose of the root link in group state "{pose}", because this link does not float')
 
 
 def grouped(robot, options, base, joints, lock, values, notes):
-    """Grouping of the links that stay; links without mass at the end of a chain are held."""
+    """Grouping of the kept links; links without mass at the end of a chain are held in place."""
     welded = [
         (j.parent, j.child, j.parent_frame @ j.motion(values[j.name]) @ SE3.inverse(j.child_frame))
         for j in joints
@@ -151,7 +151,7 @@ def grouped(robot, options, base, joints, lock, values, notes):
 
 
 def _end_without_mass(grouping, tied):
-    """(group, its only joint or None) of a group without mass at the end of a chain, or None."""
+    """(group, its only joint or None) for a group without mass at the end of a chain; None if there is none."""
     joints = {}
     for joint in grouping.moving:
         for name in (joint.parent, joint.child):

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A process without rights: it reads files below given folders, computes, and writes what is open.
+"""Confined process: it can read files below given folders, compute, and write to files that are open.
 
-Two mechanisms of the Linux kernel, which hold until the process ends, whatever code it runs:
+Two mechanisms of the Linux kernel ensure this until the process ends, whatever code it runs:
 
-* Landlock: files are opened below the given folders only, and only to be read.
-* seccomp: of the system calls only those of `ALLOWED` work. No file is made, changed or removed, no
-  program and no process is started, no socket is opened, no other process is signalled.
+* Landlock: the process can open only files below the given folders, and only for reading.
+* seccomp: only the system calls of `ALLOWED` work. The process cannot create, change or remove files,
+  start programs or processes, open sockets, or send signals to other processes.
 
 Source: kernel documentation, userspace-api/landlock and userspace-api/seccomp_filter.
 """
@@ -20,7 +20,7 @@ import struct
 MACHINES = {"x86_64": 0xC000003E, "aarch64": 0xC00000B7}
 SECCOMP = {"x86_64": 317, "aarch64": 277}
 LANDLOCK = 444  # create_ruleset, then add_rule and restrict_self
-# System calls with their numbers on x86_64 and aarch64; None: it does not exist there.
+# System calls with their numbers on x86_64 and aarch64; None: there is no such call.
 ALLOWED = {
     "read": (0, 63),
     "write": (1, 64),
@@ -78,7 +78,7 @@ ALLOWED = {
     "rseq": (334, 293),
     "faccessat2": (439, 439),
 }
-# System calls that work for some values of an argument: (numbers, argument, mask, wanted bits).
+# System calls that are allowed for some values of an argument: (numbers, argument, mask, required bits).
 TO_WRITE = os.O_ACCMODE | os.O_CREAT | os.O_TRUNC | (os.O_TMPFILE & ~os.O_DIRECTORY)
 CLONE_THREAD = 0x10000
 PARTLY = (
@@ -86,10 +86,10 @@ PARTLY = (
     ((257, 56), 2, TO_WRITE, 0),  # openat
     ((56, 220), 0, CLONE_THREAD, CLONE_THREAD),  # clone
 )
-# Of those whose second argument says what they do: (numbers, allowed values). ioctl: TCGETS and FIOCLEX, as
-# Python opens a file. fcntl: F_DUPFD, F_GETFD, F_SETFD, F_GETFL, F_DUPFD_CLOEXEC; others send signals.
+# System calls whose second argument selects an operation: (numbers, allowed operations). ioctl: TCGETS, FIOCLEX,
+# for Python's open(). fcntl: F_DUPFD, F_GETFD, F_SETFD, F_GETFL, F_DUPFD_CLOEXEC; others can send signals.
 CHOSEN = (((16, 29), (0x5401, 0x5451)), ((72, 25), (0, 1, 2, 3, 1030)))
-CLONE3 = 435  # its flags are in memory; the C library then takes clone
+CLONE3 = 435  # refused: its flags are in memory, which seccomp cannot read; the C library then uses clone
 
 _NO_NEW_PRIVILEGES = 38  # of prctl
 _READ = (1 << 2) | (1 << 3)  # files, folders
@@ -102,19 +102,19 @@ _libc = ctypes.CDLL(None, use_errno=True)
 
 
 class Unconfined(Exception):
-    """The kernel cannot take the rights away; one line of text."""
+    """The kernel cannot confine this process; one line of text."""
 
 
 def confine(folders):
-    """Take from this process all rights but to read files below `folders`. Raises Unconfined.
+    """Confine this process: it can only read files below `folders`. Raises Unconfined.
 
-    It must not have started threads. Folders that are not there are left out.
+    The process must not have started threads. Folders that do not exist are ignored.
     """
     machine = platform.machine()
     if machine not in MACHINES:
-        raise Unconfined(f"this is done on {' and '.join(MACHINES)} only, not on {machine}")
+        raise Unconfined(f"confinement is available on {' and '.join(MACHINES)} only, not on {machine}")
     if len(os.listdir("/proc/self/task")) > 1:
-        raise Unconfined("this process has threads already")
+        raise Unconfined("this process has already started threads")
     if _libc.prctl(_NO_NEW_PRIVILEGES, 1, 0, 0, 0):
         raise Unconfined("the kernel does not know no_new_privs")
     if os.sep not in map(str, folders):
@@ -123,10 +123,10 @@ def confine(folders):
 
 
 def _restrict_files(folders):
-    """Landlock: open files below the folders only, to be read."""
+    """Landlock: allow opening files below the folders only, for reading."""
     version = _libc.syscall(LANDLOCK, None, 0, 1)
     if version < 1:
-        raise Unconfined("the kernel has no Landlock (it is there from Linux 5.13 on); --allow-files does without it")
+        raise Unconfined("the kernel has no Landlock (Linux 5.13 or later has it); --allow-files works without it")
     kinds = struct.pack("=Q", _KNOWN[min(version, len(_KNOWN) - 1)])
     rules = _checked(_libc.syscall(LANDLOCK, kinds, len(kinds), 0))
     for folder in folders:
@@ -149,7 +149,7 @@ def _restrict_calls(machine):
         (_LOAD, 0, 0, 4),  # the machine
         (_EQUAL, 1, 0, MACHINES[machine]),
         (_RETURN, 0, 0, _KILL),
-        (_LOAD, 0, 0, 0),  # the number of the call
+        (_LOAD, 0, 0, 0),  # the number of the system call
     ]
     allow, refuse = (_RETURN, 0, 0, _ALLOW), (_RETURN, 0, 0, _ERROR | errno.EPERM)
     for numbers in ALLOWED.values():
@@ -159,7 +159,7 @@ def _restrict_calls(machine):
         if numbers[column] is not None:
             program += [
                 (_EQUAL, 0, 5, numbers[column]),
-                (_LOAD, 0, 0, 16 + 8 * argument),  # its lower half
+                (_LOAD, 0, 0, 16 + 8 * argument),  # the lower half of the argument
                 (_AND, 0, 0, mask),
                 (_EQUAL, 0, 1, wanted),
                 allow,

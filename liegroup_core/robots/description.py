@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Neutral description of a robot: what URDF, SDF and MJCF files have in common.
+"""Robot description independent of the file format (URDF, SDF or MJCF).
 
-SI units, radians, poses as (4, 4) matrices. The axis of a joint is the z axis of its two frames;
-those of a universal joint are x of the parent's frame and y of the child's. At coordinate 0 the two
+SI units, radians, poses as (4, 4) matrices. The axis of a joint is the z axis of its two frames. The
+axes of a universal joint are x of the parent's frame and y of the child's. At coordinate 0 the two
 frames of a joint coincide.
 """
 
@@ -17,10 +17,10 @@ from liegroup_core.lie.groups import SE3, SO3
 
 WORLD = "world"
 MISSING_MESHES = "mesh files that are not there"  # in notes
-# Elements whose unknown parts change the motion; of a joint its children, such as a misspelt <origin>.
+# Elements whose unknown parts may change the motion. For a joint these are children, such as a misspelt <origin>.
 MOTION = {"inertial", "mass", "inertia", "axis", "axis2", "dynamics", "mimic"}
 LONGEST_MESSAGE = 1500  # characters; names in it can be long
-# Coordinates of joints; those of a closing joint follow from the others.
+# {joint type: number of coordinates}; a closing joint adds none, because its coordinates follow from the others.
 COORDINATES = {
     "fixed": 0,
     "revolute": 1,
@@ -32,7 +32,7 @@ COORDINATES = {
     "planar": 3,
     "floating": 6,
 }
-# Types of joints that have one coordinate.
+# Types of joints with exactly one coordinate.
 ONE_COORDINATE = ("revolute", "prismatic", "screw")
 
 
@@ -41,9 +41,9 @@ class Visual:
     """Shape that a viewer draws.
 
     kind  : box, cylinder, sphere or mesh
-    size  : m: edges (x, y, z); (radius, length); (radius,); of a mesh its scale (x, y, z)
+    size  : m: edges (x, y, z); (radius, length); (radius,); for a mesh its scale (x, y, z)
     pose  : (4, 4) in the frame of the link
-    mesh  : address of the file, as the robot's file gives it
+    mesh  : address of the mesh file, as in the robot file
     """
 
     kind: str
@@ -56,11 +56,11 @@ class Visual:
 class Link:
     """Rigid link.
 
-    mass    : kg, 0 without inertia
+    mass    : kg; 0 if the file gives no inertia
     com     : (3,) m, centre of mass in the frame of the link
     inertia : (3, 3) kg m^2 about the centre of mass, axes of the link
     pose    : (4, 4) in the world when all joint coordinates are 0
-    line    : of the file; 0 if it is not known
+    line    : line of the file; 0 if unknown
     """
 
     name: str
@@ -73,7 +73,7 @@ class Link:
 
     @property
     def moves_nothing(self):
-        """True without mass and inertia."""
+        """True if the link has neither mass nor inertia."""
         return self.mass == 0.0 and not self.inertia.any()
 
 
@@ -81,12 +81,13 @@ class Link:
 class RobotJoint:
     """Joint between two links, or between the world and a link.
 
-    type          : type of a scene's joint; floating for none
+    type          : joint type of a scene; floating for no joint
     parent_frame  : (4, 4) in the frame of the parent; child_frame: in that of the child
-    closes        : True for a joint that is no part of the file's tree
-    damping       : N m s/rad or N s/m;  stiffness, rest: N m/rad or N/m, and its coordinate without torque
+    closes        : True for a joint outside of the file's tree
+    damping       : N m s/rad or N s/m
+    stiffness, rest  : of the spring: N m/rad or N/m, and the coordinate where its effort is 0
     stop          : {"stiffness": N m/rad or N/m, "damping": N m s/rad or N s/m} of compliant stops
-    coordinate, rate : at the start, kept by assembly, rad or m, rad/s or m/s; None: any
+    coordinate, rate : start values that assembly keeps, rad or m, rad/s or m/s; None: free
     data          : {name: number} that the simulation does not use: lower, upper, ...
     """
 
@@ -110,7 +111,7 @@ class RobotJoint:
 
     @property
     def direction(self):
-        """(6,) twist of the child's frame in the parent's, its axes, at a velocity of 1; 0 without one."""
+        """(6,) twist of the child's joint frame relative to the parent's, own axes, at joint velocity 1; or 0."""
         turns, slides = self.type in ("revolute", "screw"), self.type == "prismatic"
         return np.array([0.0, 0.0, turns, 0.0, 0.0, self.pitch * turns + slides])
 
@@ -123,7 +124,7 @@ class RobotJoint:
 class Coupling:
     """Linear relation of two joint coordinates: first = ratio * second + offset.
 
-    offset : None: that of the start values
+    offset : None: computed from the start values
     """
 
     name: str
@@ -138,11 +139,11 @@ class Coupling:
 class RobotSensor:
     """Sensor of a link or joint.
 
-    type   : of a sensor of a scene
-    link   : that it is fixed to, or None; joint: that it measures, or None
-    frame  : (4, 4) in the frame of the link, or of the child of the joint; None: the joint frame
-    values : other keys of the sensor of a scene
-    points : [(link, (3,) point)] of a distance
+    type   : sensor type of a scene
+    link   : link that it is fixed to, or None; joint: joint that it measures, or None
+    frame  : (4, 4) in the frame of the link, or of the joint's child; None: the joint frame
+    values : other keys of the sensor in a scene
+    points : [(link, (3,) point)], the two ends of a distance
     """
 
     name: str
@@ -159,15 +160,15 @@ class RobotSensor:
 class Robot:
     """Whole robot.
 
-    file     : path, as errors name it;  kind: URDF, SDF or MJCF
-    roots    : links that the file's tree starts from; `base` fixes or frees them
+    file     : path for error messages;  kind: URDF, SDF or MJCF
+    roots    : root links of the file's tree; `base` fixes them or lets them float
     free     : True if the roots float unless a joint holds them, as in SDF and MJCF
     gravity  : (3,) m/s^2, or None if the file has none
-    remarks  : {what: [names]} of what the import has done
-    left_out : {what: [names]} of what has no place in a scene and does not change the motion
-    changes  : {what: [names]} of what is left out and changes the motion
+    remarks  : {what: [names]}: decisions of the import
+    left_out : {what: [names]}: omitted parts that do not change the motion
+    changes  : {what: [names]}: omitted parts that change the motion
     poses    : {name of a pose: {joint: coordinate}}; velocities: {its name: {joint: velocity}}
-    root_poses : {name of a pose: (4, 4)} of the first root link, where it floats
+    root_poses : {name of a pose: (4, 4)} of the first root link, used if it floats
     locked   : {joint: coordinate} of joints that do not move
     text     : URDF text of the robot, "" for other kinds
     """
@@ -192,9 +193,9 @@ class Robot:
     text: str = ""
 
     def size(self, base):
-        """(number of links, joint coordinates of its tree); base: as of robots.options.Options.
+        """(number of links, number of joint coordinates of the tree); base: see robots.options.Options.
 
-        A part that no joint connects to the world has the six coordinates of a free body, too.
+        A part that no joint connects to the world has six more coordinates, those of a free body.
         """
         part = {name: name for name in (WORLD, *self.links)}
 
@@ -213,7 +214,7 @@ class Robot:
         coordinates = 0
         for parent, child, own in ends:
             first, second = part_of(parent), part_of(child)
-            if first != second:  # else it closes a loop
+            if first != second:  # otherwise it closes a loop
                 part[second] = first
                 coordinates += own
         parts = {part_of(name) for name in part}
@@ -224,7 +225,7 @@ class Robot:
         return refusal(self.file, line, message)
 
     def check_couplings(self):
-        """Raise SceneError for a coupling of unknown joints, and for circles of mimic joints."""
+        """Raise SceneError for a coupling of unknown joints, and for cyclic mimic joints."""
         types = {joint.name: joint.type for joint in self.joints}
         for coupling in self.couplings:
             for name in (coupling.first, coupling.second):
@@ -255,21 +256,21 @@ class Robot:
                 raise self.error(
                     coupling.line,
                     f"joints mimic each other in a circle: {' -> '.join([*seen[:6], name])}; "
-                    "one of them must move by itself",
+                    "one of them must not mimic another joint",
                 )
 
     def remark(self, what, name):
-        """Note what the import has done with something of the file."""
+        """Note a decision of the import about a part of the file."""
         self.remarks.setdefault(what, []).append(name)
 
     def leave_out(self, what, name, changes_motion=False):
-        """Note something of the file that the scene does not have."""
+        """Note a part of the file that the scene omits."""
         (self.changes if changes_motion else self.left_out).setdefault(what, []).append(name)
 
     def leave_out_unknown(self, root, known):
-        """Note the elements and attributes that the format does not have, such as misspelt ones.
+        """Note elements and attributes that the format does not define, such as misspelt ones.
 
-        Those of elements that define the motion are notes that it changes.
+        In elements that define the motion, they are noted as changes of the motion.
 
         known : {tag: (children, attributes)}, each separated by blanks; other elements are not checked
         """
@@ -281,7 +282,7 @@ class Robot:
             parent = element.getparent()
             drawn = element.tag == "origin" and parent is not None and parent.tag == "visual"
             for name in odd:
-                if "}" not in name:  # other tools write into namespaces of their own
+                if "}" not in name:  # other tools use their own namespaces
                     where = f"{name} in <{element.tag}> of line {element.sourceline}"
                     moves = (
                         element.tag in MOTION
@@ -292,7 +293,7 @@ class Robot:
 
 
 def refusal(file, line, message, kind=SceneError):
-    """SceneError, or one of this kind, at a line of a file."""
+    """Error of class `kind` at a line of a file."""
     if len(message) > LONGEST_MESSAGE:
         message = f"{message[:LONGEST_MESSAGE]}..."
     return kind(f"{file}:{line}: {message}" if line else f"{file}: {message}")
@@ -308,7 +309,7 @@ def place(position=(0.0, 0.0, 0.0), rotation=None):
 
 
 def frame_keys(pose):
-    """Keys of a scene for a pose (4, 4); {} for the identity. Round-off next to zero is omitted."""
+    """Keys of a scene for a pose (4, 4); {} for the identity. Round-off is replaced by zero."""
     keys = {}
     if pose[:3, 3].any():
         keys["position"] = pose[:3, 3]
@@ -331,12 +332,12 @@ def rotation_of_rpy(roll, pitch, yaw):
 
 
 def listed(names):
-    """Names for a note."""
+    """Text that lists names in a note."""
     return ", ".join(names)
 
 
 def rpy_of_rotation(R):
-    """Roll, pitch and yaw in rad of a rotation (3, 3); where they are not unique, yaw is 0."""
+    """Roll, pitch and yaw in rad of a rotation (3, 3); if they are not unique, yaw is 0."""
     level = math.hypot(R[0, 0], R[1, 0])
     pitch = math.atan2(-R[2, 0], level)
     if level < 1e-9:

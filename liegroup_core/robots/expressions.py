@@ -2,13 +2,13 @@
 """Expressions of xacro files, `${...}` and `$(eval ...)`, checked before they are evaluated.
 
 Allowed are numbers, texts, lists, mappings, names, operators, conditions, calls, elements, and the
-attributes of `_attribute`. A lambda or a comprehension would be code of its own and is refused.
+attributes of `_attribute`. Lambdas and comprehensions are refused, because they contain code.
 """
 
 import ast
 import string
 
-# Methods of these only compute values; `format` is one of this module, as that of Python reads attributes.
+# Methods of these types only compute values. `format` is replaced, because Python's own one reads attributes.
 METHODS = {
     kind: {name for name in dir(kind) if not name.startswith("_")} - {"format_map"} for kind in (str, dict, list, tuple)
 }
@@ -37,22 +37,22 @@ NODES = (
     ast.Starred,
     ast.Attribute,
 )
-# What others are called in a refusal.
+# Names of other nodes in error messages.
 CODE = {"Lambda": "lambda", "ListComp": "comprehension", "SetComp": "comprehension"}
 CODE |= {"DictComp": "comprehension", "GeneratorExp": "comprehension", "NamedExpr": "assignment"}
 CODE |= {"JoinedStr": "f-string"}
-_GET = ".attribute"  # no name of an expression
+_GET = ".attribute"  # cannot be a name in an expression
 
 
 class Refused(Exception):
-    """Expression that xacro files must not have; one line of text."""
+    """Expression that xacro files must not contain; one line of text."""
 
 
 def evaluate(text, symbols, spaces):
     """Value of an expression.
 
     symbols : mapping of names to values
-    spaces  : classes of mappings whose entries are their attributes, too, as `math` of `math.pi`
+    spaces  : classes of mappings whose entries are also attributes, such as `math` in `math.pi`
     raises Refused, SyntaxError, and what the operations raise
     """
     tree = ast.parse(text.strip(), "<expression>", "eval")
@@ -65,12 +65,12 @@ def evaluate(text, symbols, spaces):
             raise Refused(f"the name {name:.60} is not allowed: names must not begin with __")
     code = compile(ast.fix_missing_locations(_Attributes().visit(tree)), "<expression>", "eval")
     get = _attribute(spaces)
-    # Builtins are empty: without the key Python adds its own.
+    # Without the key __builtins__, Python would add its own.
     return eval(code, {"__builtins__": {}, _GET: get}, symbols)
 
 
 class _Attributes(ast.NodeTransformer):
-    """Attributes become calls of `_attribute`."""
+    """Replaces attributes by calls of `_attribute`."""
 
     def visit_Attribute(self, node):
         self.generic_visit(node)
@@ -80,7 +80,7 @@ class _Attributes(ast.NodeTransformer):
 
 def _attribute(spaces):
     def get(value, name):
-        """Entry of a namespace, or method of a text, list or mapping."""
+        """Entry of a namespace, or an allowed method of a text, list or mapping."""
         known = next((names for kind, names in METHODS.items() if isinstance(value, kind)), ())
         if isinstance(value, spaces) and (name in value or name not in known):
             if name not in value:
@@ -96,7 +96,7 @@ def _attribute(spaces):
 
 
 class _Formatter(string.Formatter):
-    """Texts with {} and {name}; attributes and elements of values are no part of them."""
+    """Formatter for {} and {name}; it refuses attributes and elements of values."""
 
     def get_field(self, field_name, args, kwargs):
         if "." in field_name or "[" in field_name:

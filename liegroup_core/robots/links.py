@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Links that move as one: groups of links over fixed and locked joints, and their poses at the start."""
+"""Links that move as one: groups of links connected by fixed and locked joints, and their initial poses."""
 
 from dataclasses import dataclass, field
 
@@ -14,7 +14,7 @@ from .description import WORLD
 class Group:
     """Links that move as one.
 
-    links  : names, the first is the one whose frame is the frame of the group
+    links  : names; the frame of the first link is the frame of the group
     places : {link: (4, 4) pose in the frame of the group}
     pose   : (4, 4) in the world at the start
     twist  : (6,) at the start, angular first, axes of the group, rad/s and m/s
@@ -27,9 +27,9 @@ class Group:
 
 
 def combined(parts):
-    """(mass, centre of mass (3,), inertia (3, 3) about it) of parts given in the same way, same axes.
+    """(mass, centre of mass (3,), inertia (3, 3) about it) of several parts together; all in the same axes.
 
-    A single part keeps its numbers.
+    parts : [(mass, centre, inertia)]; a single part is returned bit-identical
     """
     if len(parts) == 1:
         return parts[0]
@@ -49,7 +49,7 @@ class Grouping:
     welded : [(parent, child, (4, 4) pose of the child in the parent)] of links that do not move
              relative to each other
     held   : [(link, joint)] of links without mass at the end of a chain, which are held in place
-    joints : joints of the file that may move; those inside a group are not in `moving`
+    joints : joints of the file that may move; `moving` are those between different groups
     """
 
     def __init__(self, robot, welded, joints):
@@ -82,7 +82,7 @@ class Grouping:
         self.moving = [joint for joint in joints if self.of_link[joint.parent] is not self.of_link[joint.child]]
 
     def _add(self, links, held, beside):
-        """Group of links; its frame is that of the link that a joint moves, if it has mass."""
+        """Append a group; if a link with mass is the child of a moving joint, its frame is the group's frame."""
         robot = self.robot
         if WORLD in links:
             main = WORLD
@@ -116,7 +116,7 @@ class Grouping:
     def mass(self, group):
         """(mass, centre of mass (3,), inertia (3, 3) about it) of a group, in its frame.
 
-        A single link keeps its numbers.
+        The numbers of a single link are bit-identical.
         """
         parts = []
         for name in group.links:
@@ -129,13 +129,13 @@ class Grouping:
         return combined(parts)
 
     def moves_nothing(self, group):
-        """True for a group without mass and inertia."""
+        """True for a group with neither mass nor inertia."""
         return all(name != WORLD and self.robot.links[name].moves_nothing for name in group.links)
 
     def place(self, values, velocities):
         """Set poses and twists of all groups at joint coordinates and velocities.
 
-        What floats keeps its root link where the file puts it, whatever the order of the links.
+        Floating parts keep the pose of their root link from the file, in any order of the links.
         Returns the joints that close loops.
         """
         placed = {id(self.world)}
@@ -144,7 +144,7 @@ class Grouping:
             for name in (joint.parent, joint.child):
                 of_group.setdefault(id(self.of_link[name]), []).append(joint)
         used, roots = set(), [name for name in self.robot.roots if name in self.of_link]
-        # What the file holds is placed along its own joints; a closing joint places nothing.
+        # Links are placed along the joints of the file's tree, never along a closing joint.
         for name in (WORLD, *roots, *(group.links[0] for group in self.groups)):
             root = self.of_link[name]
             if root is not self.world:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a robot to the entries of a scene: bodies, joints, forces, and notes of what differs.
+"""Conversion of a robot to the entries of a scene: bodies, joints, forces, and notes on differences.
 
-Links that fixed or locked joints hold together become one body. Links that are held to the world
-become no body. A link without mass between two joints becomes a point mass far below the round-off
-of its neighbours; one at the end of a chain does not influence the motion and is held in place.
+Links connected by fixed or locked joints become one body. Links fixed to the world become no body. A
+link without mass between two joints becomes a point mass far below the round-off of its neighbours. At
+the end of a chain, such a link does not influence the motion and is held in place.
 """
 
 from dataclasses import dataclass, field
@@ -24,20 +24,20 @@ from .stiffness import stiffness_notes
 # Mass of a link without mass between two joints, relative to the lightest body: its effect on
 # accelerations is below round-off.
 NO_MASS = 1e-16
-# Moments of inertia in m^2 of the unit mass that are the round-off of 0: radii of 3e-8 m.
+# Moments of inertia per mass in m^2 that count as 0: radii of gyration below 3e-8 m.
 NO_INERTIA = 1e-15
-GRAVITY = (0.0, 0.0, -9.81)  # m/s^2, of files that have none
+GRAVITY = (0.0, 0.0, -9.81)  # m/s^2, for files without gravity
 
 
 @dataclass
 class SceneParts:
-    """Entries of a scene, as keys and values, with the lines of the file that they come from.
+    """Entries of a scene, as keys and values, with their lines in the robot file.
 
-    comments : {("bodies", i): text}, also of joints, forces and sensors
-    lines    : the same for lines of the file, or paths inside the additions; also of single keys
-    names    : {("bodies", name in the scene): name in the file}, also of joints
+    comments : {("bodies", i): text}, also for joints, forces and sensors
+    lines    : {("bodies", i): line of the file, or path inside the additions}, also for single keys
+    names    : {("bodies", name in the scene): name in the file}, also for joints
     frames   : {link: (name of its body or world, (4, 4) pose in the frame of the body)}
-    still    : {joint with one coordinate that does not move: coordinate}
+    still    : {joint with one coordinate that is locked: coordinate}
     """
 
     name: str
@@ -82,7 +82,7 @@ def scene_parts(robot, options):
         bool(closing),
     )
     used = _bodies(robot, grouping, parts, notes)
-    # The nearest poses and velocities that satisfy all loops keep what the user gives.
+    # Assembly keeps the user's start values if there are loops.
     given = (options.start, options.start_velocity) if closing else ({}, {})
     own = {entry.name for entry in (*options.couplings, *options.forces)}
     taken = _joints(robot, grouping, parts, used, (extra, given, own))
@@ -98,7 +98,7 @@ def scene_parts(robot, options):
         link: (used[id(group)], group.places[link]) for link, group in grouping.of_link.items() if link != WORLD
     }
     notes += _outside_limits(grouping.moving, values)
-    if not closing:  # loops add inertia to their joints
+    if not closing:  # with loops, joints move more inertia than stiffness_notes computes
         notes += stiffness_notes(grouping)
     moving = {joint.name for joint in grouping.moving}
     parts.still = {
@@ -113,7 +113,7 @@ def scene_parts(robot, options):
 
 
 def _bodies(robot, grouping, parts, notes):
-    """Append the bodies; returns {id of a group: name of its body}."""
+    """Append the bodies. Returns {id of a group: name of its body}."""
     movable = [group for group in grouping.groups if group is not grouping.world]
     if not movable:
         if grouping.held:
@@ -128,7 +128,7 @@ def _bodies(robot, grouping, parts, notes):
             if robot.roots
             else "give a body a joint"
         )
-        raise robot.error(0, f"has no link that moves: all are fixed to the world; {advice}")
+        raise robot.error(0, f"has no link that moves: all links are fixed to the world; {advice}")
     static = [name for name in grouping.world.links if name != WORLD]
     if static:
         notes.append(f"fixed to the world: {listed(static)}")
@@ -170,7 +170,7 @@ def _bodies(robot, grouping, parts, notes):
 
 
 def _check_inertia(robot, group, line, inertia, body, notes):
-    """Refuse a negative moment of inertia; note moments that no rigid body has."""
+    """Refuse a negative moment of inertia; add a note if no rigid body has these moments."""
     moments = np.linalg.eigvalsh(inertia)
     scale = np.abs(moments).max()
     text = ", ".join(f"{moment:.6g}" for moment in moments)
@@ -182,8 +182,8 @@ def _check_inertia(robot, group, line, inertia, body, notes):
                 line = robot.links[name].line
         raise robot.error(
             line,
-            f"{what} has a negative moment of inertia, principal moments {text} kg m^2: correct its "
-            "<inertia>, about the centre of mass",
+            f"{what} has a negative moment of inertia (principal moments {text} kg m^2): correct its "
+            "<inertia>, which is about the centre of mass",
         )
     if moments[2] > moments[0] + moments[1] + TRIANGLE_TOLERANCE * scale:
         body["unphysical"] = True
@@ -194,10 +194,10 @@ def _check_inertia(robot, group, line, inertia, body, notes):
 
 
 def _joints(robot, grouping, parts, body_of, added):
-    """Append the joints, and the forces of their springs and dampers; returns all their names.
+    """Append the joints, and the forces of their springs and dampers. Returns all their names.
 
-    added : joints of the user, ({joint: coordinate}, {joint: velocity}) that the start keeps, names
-            of other entries
+    added : (joints of the user, ({joint: coordinate}, {joint: velocity}) that assembly keeps, names of
+            other entries)
     """
     extra, (coordinates, rates), own_names = added
     moving = [*grouping.moving, *extra]
@@ -209,7 +209,7 @@ def _joints(robot, grouping, parts, body_of, added):
         number = len(parts.joints)
         F_a, F_b = grouping.frames(joint)
         parent, child = (body_of[id(grouping.of_link[end])] for end in (joint.parent, joint.child))
-        if child == WORLD:  # the child of a joint of a scene moves
+        if child == WORLD:  # in a scene, the child of a joint must be a body
             parent, child, F_a, F_b = child, parent, *exchanged(joint.type, F_a, F_b)
         entry = {"name": name, "type": joint.type, "parent": parent, "child": child}
         if joint.type == "screw":
@@ -250,7 +250,7 @@ def _drive(options, parts):
 
 
 def _switch(switches, parts):
-    """Add the stops and the friction that act; switches: see Options.with_switches."""
+    """Add stops and friction; switches: see Options.with_switches."""
     for number, entry in enumerate(parts.joints):
         name = parts.names["joints", entry["name"]]
         for key, option, of in zip(("limits", "friction"), ("stops", "friction"), switches):
@@ -268,14 +268,14 @@ def _couplings(robot, grouping, parts, values, taken):
         if not {coupling.first, coupling.second} <= moving:
             continue
         name = coupling.name
-        if not isinstance(coupling.line, tuple):  # a name that the user gives is kept
+        if not isinstance(coupling.line, tuple):  # names given by the user do not change
             (name,) = unique_names([name], taken)
             taken.add(name)
         number, second = len(parts.couplings), values[coupling.second]
         offset = coupling.offset
         if offset is None:
             offset = values[coupling.first] - coupling.ratio * second
-        # A scene counts the turns of the other joint from its start.
+        # In a scene, the angle of the other joint is unwrapped from its initial value.
         turned = second - within_a_turn(second, UNKNOWN_TURN) if turns[coupling.second] else 0.0
         parts.couplings.append(
             {
@@ -293,18 +293,18 @@ def _couplings(robot, grouping, parts, values, taken):
 
 
 def exchanged(kind, F_a, F_b):
-    """Frames (4, 4) of the same joint with its ends exchanged, and the same coordinate.
+    """Frames (4, 4) of the same joint with parent and child exchanged, and the same coordinate.
 
-    About or along a reversed z axis the reverse motion has the same sign.
+    The z axes are reversed, so that the reverse motion has the same sign.
     """
     reverse = np.diag([1.0, -1.0, -1.0, 1.0])
-    if kind == "universal":  # the arms of the cross, x of the parent and y of the child, exchange
+    if kind == "universal":  # exchanges the axes of the cross: x of the parent, y of the child
         reverse = np.array([[0.0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]])
     return F_b @ reverse, F_a @ reverse
 
 
 def _law(robot, parts, joint, name, taken):
-    """Append the spring and damper of a joint, or note them where no force of a scene has them."""
+    """Append the spring and damper of a joint, or note that no force of a scene can model them."""
     if not joint.damping and not joint.stiffness:
         return
     kinds = {"revolute": "torsional", "screw": "torsional", "prismatic": "linear"}
@@ -329,7 +329,7 @@ def _law(robot, parts, joint, name, taken):
 
 
 def _outside_limits(joints, values):
-    """Notes of joints that start outside their limits; values: {joint: coordinate}."""
+    """Notes on joints that start outside their limits; values: {joint: coordinate}."""
     found = []
     for joint in joints:
         lower, upper = joint.data.get("lower", -np.inf), joint.data.get("upper", np.inf)
@@ -339,7 +339,7 @@ def _outside_limits(joints, values):
 
 
 def _left_out(robot, grouping, switches):
-    """Notes of what has no place in a scene; switches: see Options.with_switches."""
+    """Notes on omitted parts of the robot file; switches: see Options.with_switches."""
     stops, friction = switches
     notes = []
     moving = {joint.name: joint for joint in grouping.moving}
@@ -364,7 +364,7 @@ def _left_out(robot, grouping, switches):
     for coupling in robot.couplings:
         for name, other in ((coupling.first, coupling.second), (coupling.second, coupling.first)):
             if name in moving and other not in moving:
-                notes.append(f"changes the motion: without the coupling of {name} and {other}, which is cut")
+                notes.append(f"changes the motion: no coupling of {name} and {other}, because {other} is cut")
     notes += [f"{what}: {listed(names)}" for what, names in robot.remarks.items()]
     for what, names in robot.changes.items():
         notes.append(f"changes the motion: {what}, left out: {listed(names)}")
@@ -382,6 +382,6 @@ def _from_line(robot, line):
 
 
 def _counted(names):
-    """Number of shapes, and the links that have them."""
+    """Text with the number of collision shapes and their links."""
     links = list(dict.fromkeys(names))
     return f"{len(names)} collision shape{'s'[: len(names) != 1]} of {listed(links)}"

@@ -1,29 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Triangles of the shapes that a viewer draws, by trimesh. Used in a process of its own, see apart.py."""
+"""Triangles of the shapes that a viewer draws, by trimesh. It runs in a separate process, see apart.py."""
 
 import base64
 
 import numpy as np
 import trimesh
 
-ROUND = 24  # sides of a cylinder
+ROUND = 24  # facets of a cylinder's surface
 
 
 def triangles_of(order):
     """Dict of JSON types: shapes {body: shape}, failed {mesh: why}, triangles (all), boxes (bodies).
 
-    order : dict of shapes [(body, kind, size, pose in the body's frame, path of the mesh)], with kinds and
-            sizes as of robots.description.Visual, and most, the triangles of the result
+    order : dict with shapes [(body, kind, size, pose in the body's frame, path of the mesh)], kinds and sizes
+            as in robots.description.Visual; and most, the maximum number of triangles of the result
     shape : points, base64 of (k, 3) float32 in m, in the body's frame; faces, base64 of (m, 3) int32; at,
             size: centre and edges of their bounding box in the body's frame, m
-    Bodies whose triangles cannot be simplified far enough are boxes: they have no shape. lacks: the name of
-    the package that does it, if it is not installed.
+    A body whose triangles cannot be simplified far enough has no shape and is drawn as a box. lacks: name of
+    the package for simplification if it is not installed, else "".
     """
     meshes, failed = {}, {}
     for body, kind, size, pose, path in order["shapes"]:
         try:
             mesh = _mesh(kind, size, path)
-        # Whatever a reader of meshes finds wrong, the other bodies are drawn.
+        # Mesh readers raise errors of any type. The other bodies are still drawn.
         except Exception as error:
             failed[path] = " ".join(f"{type(error).__name__}: {error}".split())[:120]
             continue
@@ -51,16 +51,16 @@ def _mesh(kind, size, path):
     if kind == "sphere":
         return trimesh.creation.icosphere(subdivisions=2, radius=size[0])
     mesh = trimesh.load_mesh(path).copy()
-    # Without common points decimation would tear the triangles apart.
+    # Decimation keeps triangles connected only if they share vertices.
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     if not len(mesh.faces) or not np.isfinite(mesh.vertices).all():
-        raise ValueError("it has no triangles, or points that are no numbers")
+        raise ValueError("it has no triangles, or points that are not finite")
     mesh.apply_scale(size)
     return mesh
 
 
 def _decimated(meshes, part):
-    """({body: mesh} with at most this part of the triangles of each, package that is missing)."""
+    """({body: mesh} with at most this fraction of the triangles of each mesh, name of a missing package or "")."""
     found, lacks = {}, ""
     for body, mesh in meshes.items():
         most = int(part * len(mesh.faces))

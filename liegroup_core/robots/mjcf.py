@@ -2,8 +2,8 @@
 """MJCF: the models of MuJoCo, compiled by MuJoCo's own compiler.
 
 Source: https://mujoco.readthedocs.io, chapters Computation and XML Reference. A body may have several
-joints; they act one after the other, the first one next to the parent. Between them are links
-without mass. Joint coordinates are counted from the pose of the file (qpos0).
+joints. They form a chain with links without mass between them; the first joint is next to the parent.
+Joint coordinates are 0 in the pose of the file (qpos0).
 """
 
 import json
@@ -55,34 +55,34 @@ def robot_of_mjcf(root, path):
 
 
 def _with_line(error, root, path):
-    """SceneError with the line that MuJoCo's message has, or of the file that it could not open."""
+    """SceneError with the line from MuJoCo's message, or with the line that refers to a file it could not open."""
     head, text = f"{path}: ", str(error)
     for element in root.iter():
         name = element.get("file")
         if name and text.startswith(head) and f"{name}'" in text:
             return refusal(path, element.sourceline, text.removeprefix(head), type(error))
     line = re.search(r", line ([1-9]\d*)", text)
-    # A line of an included file is counted in that file, whose name the message does not have.
+    # With <include>, the line may belong to an included file, whose name the message does not contain.
     if line and text.startswith(head) and root.find(".//include") is None:
         return refusal(path, int(line[1]), text.removeprefix(head), type(error))
     return error
 
 
 def _refuse_infinite(path, value, place=()):
-    """Raise SceneError for a number of the compiled model that is not finite."""
+    """Raise SceneError if the compiled model contains a number that is not finite."""
     if isinstance(value, float) and not math.isfinite(value):
         where = ", ".join(str(part) for part in place if not isinstance(part, int))
         raise refusal(path, 0, f"has a number that is not finite ({where}): correct the file")
     entries = value.items() if isinstance(value, dict) else ()
     if isinstance(value, list):
-        # An entry of a list is known by its name.
+        # The message refers to an entry of a list by its name.
         entries = [(str(each.get("name") or i) if isinstance(each, dict) else i, each) for i, each in enumerate(value)]
     for key, each in entries:
         _refuse_infinite(path, each, (*place, key))
 
 
 def _names(given, what):
-    """Names, made up where the file has none."""
+    """Names, generated where the file has none."""
     taken = set(given)
     found = []
     for i, name in enumerate(given):
@@ -146,7 +146,7 @@ def _joints(robot, model, names, lines):
 
 
 def _free(robot, joint, name):
-    """A body with a free joint floats; its joint has no force in a scene."""
+    """Record a free joint: the body floats, and no force of a scene acts in this joint."""
     robot.roots.append(name)
     if joint["damping"] or joint["stiffness"] or joint["friction"] or joint["armature"]:
         robot.leave_out("damping, friction and armature of free joints", joint["label"], changes_motion=True)
@@ -157,7 +157,7 @@ def _joint(robot, joint, parent, child, placement, line):
     if joint["type"] != "ball":
         turn = rotation_z_to(joint["axis"])
     frame = place(joint["pos"], turn)
-    if joint["type"] == "slide":  # its position has no meaning
+    if joint["type"] == "slide":  # the position of its axis has no effect
         frame[:3, 3] = 0.0
     found = RobotJoint(joint["label"], TYPES[joint["type"]], parent, child, placement @ frame, frame, line)
     found.damping, found.stiffness = joint["damping"], joint["stiffness"]
@@ -167,15 +167,15 @@ def _joint(robot, joint, parent, child, placement, line):
         robot.leave_out("nonlinear springs and dampers", joint["label"], changes_motion=True)
     if joint["type"] != "ball" and joint["zero"]:
         robot.remark(
-            f"coordinate of joint {joint['label']} counts from ref {joint['zero']:.6g} of the file",
-            "qpos is larger by it",
+            f"coordinate of joint {joint['label']} is 0 at its ref {joint['zero']:.6g} of the file",
+            "qpos = coordinate + ref",
         )
     for key in ("armature", "friction"):
         if joint[key]:
             found.data[key] = joint[key]
     if joint["range"] is not None and joint["type"] == "ball":
         robot.leave_out(
-            "limits of the rotation angle of ball joints, another angle than that of a cone",
+            "limits of the rotation angle of ball joints, which differs from the angle of a cone",
             joint["label"],
             changes_motion=True,
         )
@@ -214,7 +214,7 @@ def _closing(robot, equality, names, line):
         ends = [equality["first"], equality["second"]]
         if equality["type"] == "connect":
             frames = [place(data[0:3]), place(data[3:6])]
-        else:  # the anchor in the second body, its place in the first one
+        else:  # anchor in the second body, pose of the second body in the first
             frames = [place(data[3:6], _rotation(data[6:10])), place(data[0:3])]
     parent, child = (WORLD if end == 0 else names[end - 1] for end in ends)
     F_a, F_b = frames
@@ -234,7 +234,7 @@ def _closing(robot, equality, names, line):
 
 
 def _shapes(robot, model, names):
-    """Visuals of primitive shapes, and the shapes that would collide."""
+    """Add visuals of primitive shapes, and note the collision shapes."""
     for geom in model["geoms"]:
         if geom["body"] == 0:
             continue
@@ -252,7 +252,7 @@ def _shapes(robot, model, names):
 
 
 def _poses(robot, model):
-    """Keyframes as joint coordinates and velocities; free and ball joints have no place in them."""
+    """Add the keyframes as joint coordinates and velocities, without free and ball joints."""
     single = [joint for joint in model["joints"] if joint["type"] in ("slide", "hinge")]
     for key in model["keys"]:
         robot.poses[key["name"]] = {joint["label"]: key["qpos"][joint["qpos"]] - joint["zero"] for joint in single}
@@ -260,10 +260,10 @@ def _poses(robot, model):
 
 
 def _others(robot, model):
-    """What has no place in a scene."""
+    """Note the parts that a scene cannot model."""
     if model["fluid"]:
         robot.leave_out("forces of a fluid", "option density or viscosity", changes_motion=True)
-    # The length of a tendon that is a joint is constant: its springs and limits do no work.
+    # A tendon that is imported as a joint has constant length, so its springs and limits do no work.
     rods = {each["tendon"] for each in model["equalities"] if each["active"] and each.get("length")}
     for i, tendon in enumerate(model["tendons"]):
         if i in rods:

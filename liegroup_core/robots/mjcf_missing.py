@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MJCF whose files of meshes and pictures are not there. Used in a process of its own, see apart.py.
+"""MJCF models with missing mesh and picture files. It runs in a separate process, see apart.py.
 
-MuJoCo's compiler refuses a model with a missing file. The motion depends on such a file only where
-the mass of a body follows from a mesh. All others are replaced by a placeholder.
+MuJoCo's compiler refuses a model with a missing file. The motion depends on such a file only if the mass
+of a body follows from a mesh. All other missing files are replaced by placeholders.
 """
 
 import os
@@ -15,9 +15,9 @@ MESH_SCALE = (1.0, 1.0, 1.0)
 
 
 def compiled_without_files(path):
-    """(compiled model, {number of a geom: address of its mesh} of the meshes that are not there).
+    """(compiled model, {number of a geom: address of its mesh} of the missing meshes).
 
-    Raises MissingFileError if the mass of a body follows from such a mesh.
+    Raises MissingFileError if the mass of a body follows from a missing mesh.
     """
     spec = mujoco.MjSpec.from_file(path)
     missing = {}
@@ -32,7 +32,7 @@ def compiled_without_files(path):
         if _has_mass(geom, spec):
             body = f'body "{geom.parent.name}"' if geom.parent.name else "a body without a name"
             raise MissingFileError(
-                f"mesh file '{missing[geom.meshname]}' is not there, and the mass of {body} follows "
+                f"mesh file '{missing[geom.meshname]}' does not exist, and the mass of {body} follows "
                 "from it: supply the file, or give the body an <inertial>"
             )
     _replace_pictures(spec)
@@ -41,12 +41,12 @@ def compiled_without_files(path):
 
 
 def _missing(file, folder, spec):
-    """Address of a file relative to the model, or "" if it is there or none is named."""
+    """Address of a missing file relative to the model; "" if the file exists or `file` is empty."""
     if not file:
         return ""
     address = os.path.join(folder, os.path.basename(file) if spec.strippath else file)
     try:
-        # A file that this process may not open is as good as none.
+        # A file that this process may not open counts as missing.
         with open(os.path.join(spec.modelfiledir, address), "rb"):
             return ""
     except OSError:
@@ -54,7 +54,7 @@ def _missing(file, folder, spec):
 
 
 def _has_mass(geom, spec):
-    """True if a body has mass or inertia from this geom."""
+    """True if this geom contributes to the mass or inertia of a body."""
     rule, kinds = geom.compiler.inertiafromgeom, mujoco.mjtInertiaFromGeom
     if geom.parent.name == "world" or rule == kinds.mjINERTIAFROMGEOM_FALSE:
         return False
@@ -66,7 +66,7 @@ def _has_mass(geom, spec):
 
 
 def _replace_pictures(spec):
-    """Replace what only a viewer or contact needs: textures, height fields and skins."""
+    """Replace parts that only a viewer or contact needs: textures, height fields and skins."""
     for texture in spec.textures:
         if _missing(texture.file, texture.compiler.texturedir, spec) or any(
             _missing(file, texture.compiler.texturedir, spec) for file in texture.cubefiles

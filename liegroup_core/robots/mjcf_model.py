@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled MuJoCo model as lists and numbers. It is used in a process of its own, see apart.py."""
+"""Compiled MuJoCo model as lists and numbers. It runs in a separate process, see apart.py."""
 
 import mujoco
 import numpy as np
@@ -57,7 +57,7 @@ def arrays_of(path):
 
 
 def _compiled(path):
-    """(compiled model, {number of a geom: address of its mesh} of the meshes that are not there)."""
+    """(compiled model, {number of a geom: address of its mesh} of the missing meshes)."""
     try:
         return mujoco.MjModel.from_xml_path(path), {}
     except ValueError as error:
@@ -67,7 +67,7 @@ def _compiled(path):
 
 
 def _text(names, start):
-    """Text that ends with 0 in a buffer."""
+    """Null-terminated text in a buffer."""
     return bytes(names[start:]).split(b"\0", 1)[0].decode(errors="replace")
 
 
@@ -125,13 +125,13 @@ def _equality(model, i):
         if model.wrap_type[start : start + count].tolist() == [mujoco.mjtWrap.mjWRAP_SITE] * 2:
             found["tendon"] = int(first)
             found["sites"] = [_site(model, site) for site in model.wrap_objid[start : start + 2]]
-            # The polynomial counts from the length in the pose of the file.
+            # The constraint prescribes the length relative to that in the pose of the file.
             found["length"] = float(model.tendon_length0[first] + model.eq_data[i][0])
     return found
 
 
 def _sensor(model, i):
-    """Its site, or the number of its joint; plain: without a limit and a frame of reference."""
+    """Sensor with its site or the number of its joint; plain: it has no cutoff and no reference frame."""
     kind, thing = int(model.sensor_objtype[i]), int(model.sensor_objid[i])
     return {
         "name": model.sensor(i).name or f"sensor_{i}",

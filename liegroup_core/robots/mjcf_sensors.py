@@ -1,18 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sensors of MJCF as those of a scene: several of MuJoCo's sensors at a site are one of a scene.
+"""Conversion of MJCF sensors: several sensors at a site become one sensor of a scene.
 
     accelerometer, gyro, framequat          imu
     force, torque                           force_torque in the joint that holds the body of the site
     framepos, framequat, velocimeter        pose
     jointpos                                encoder
 
-MuJoCo's force and torque are those on the body of the site, with the efforts of actuators, springs and
-dampers of its joint. The attribute noise is information for users: MuJoCo adds none.
+MuJoCo's force and torque act on the body of the site. They include the efforts of actuators, springs and
+dampers of its joint. MuJoCo adds no noise: its attribute noise only informs users.
 """
 
 from .description import RobotSensor, place
 
-# In this order: what an imu has measured is not in a pose, too.
+# {sensor of a scene: (types of which one must be present, types that it replaces)}. The order matters: each
+# sensor of MuJoCo is used once.
 AT_SITES = {
     "imu": (("accelerometer", "gyro"), ("accelerometer", "gyro", "framequat")),
     "force_torque": (("force", "torque"), ("force", "torque")),
@@ -21,9 +22,9 @@ AT_SITES = {
 
 
 def read_sensors(robot, model, names, rotation, lines):
-    """Append the sensors of a compiled model to a Robot; others are left out.
+    """Append the sensors of a compiled model to a Robot; sensors without counterpart are left out.
 
-    names : of the bodies; rotation : function quaternion w x y z -> (3, 3)
+    names : names of the bodies; rotation : function quaternion w x y z -> (3, 3)
     lines : {(tag, name): line of the file}
     """
     at_sites, others = {}, []
@@ -43,7 +44,7 @@ def read_sensors(robot, model, names, rotation, lines):
     labels = [joint["label"] for joint in model["joints"]]
     for sensor in others:
         joint = model["joints"][sensor["joint"]] if sensor["joint"] is not None else None
-        # Coordinates are counted from the pose of the file.
+        # With a ref, MuJoCo's joint position differs from the coordinate.
         if joint and sensor["type"] == "jointpos" and sensor["plain"] and joint["zero"] == 0.0:
             label = labels[sensor["joint"]]
             line = lines.get((sensor["type"], sensor["name"]), 0)
@@ -53,12 +54,12 @@ def read_sensors(robot, model, names, rotation, lines):
 
 
 def _at_site(robot, kind, used, names, rotation, lines):
-    """Append a sensor at a site; False if it measures nothing: at the world, or below a free joint."""
+    """Append a sensor at a site. Returns False at the world, and for force and torque without a joint."""
     site = used[0]["site"]
     if site["body"] == 0:
         return False
     link = names[site["body"] - 1]
-    # Named after the first one that has a name.
+    # The first sensor with a name determines the name.
     known = [lines[key] for each in used if (key := (each["type"], each["name"])) in lines]
     names_of = [each["name"] for each in used if (each["type"], each["name"]) in lines]
     found = RobotSensor(

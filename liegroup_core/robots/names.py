@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names of a scene from names of a file: letters, digits and _, unique."""
+"""Conversion of names of a file to unique names of a scene: letters, digits and _."""
 
 import re
 
@@ -8,7 +8,7 @@ LONGEST = 64
 
 
 def scene_name(name):
-    """Name that a scene accepts; the same one if it already is."""
+    """Name that a scene accepts; valid names do not change."""
     plain = _OTHER.sub("_", name)
     if not plain[:1].isascii() or not plain[:1].isalpha():
         plain = f"n{plain}"
@@ -16,9 +16,9 @@ def scene_name(name):
 
 
 def unique_names(names, taken):
-    """Names of a scene for names of a file, in order, none twice and none of `taken`."""
+    """Names of a scene for names of a file, in the same order, all different and none in `taken`."""
     found, used = [], set(taken)
-    # Names that need no change keep theirs, whatever the others become.
+    # Valid names do not change, even if another name becomes equal to one of them.
     plain = {name for name in names if scene_name(name) == name and name not in taken}
     used |= plain
     kept = set()

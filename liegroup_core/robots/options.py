@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a user adds to a robot: start values, locked joints, closing joints, forces."""
+"""Additions of a user to a robot: start values, locked joints, closing joints, forces."""
 
 from dataclasses import dataclass, field
 
@@ -9,18 +9,18 @@ from liegroup_core.fields.values import suggestion
 from .description import ONE_COORDINATE
 
 BASES = ("fixed", "floating")
-ALL = "all"  # in place of the names of joints
+ALL = "all"  # instead of the names of joints
 
 
 @dataclass
 class Options:
-    """Additions to a robot's file; names are those of the file.
+    """Additions to a robot file; names are those of the file.
 
-    base      : fixed or floating root links; None: as the format says
+    base      : fixed or floating root links; None: default of the format
     pose      : name of a pose of the file (keyframe, group state)
-    start     : {joint: coordinate}, rad or m, in place of 0 or of the pose
-    start_velocity : {joint: velocity}, rad/s or m/s, in place of 0 or of that of the pose
-    lock      : {joint: coordinate} of joints that do not move
+    start     : {joint: coordinate}, rad or m; replaces 0 or the value of the pose
+    start_velocity : {joint: velocity}, rad/s or m/s; replaces 0 or the value of the pose
+    lock      : {joint: coordinate} of locked joints
     keep      : fixed joints that are not merged
     driven    : {joint: joints.motion.Motion, or None for its start velocity} of driven joints
     stops     : joints whose limits are rigid stops, ALL: those of all joints that are not driven
@@ -32,9 +32,9 @@ class Options:
     sensors   : [sensor of a scene], with names of links and joints of the robot
     srdf      : path of an SRDF file with poses
     xacro     : {name: text} arguments of a xacro file
-    gravity, name, description : of the scene, None: as the file says
-    joint_label : how errors name one of `joints`, by its index
-    place     : function: path inside the additions -> text that an error starts with
+    gravity, name, description : of the scene; None: from the robot file
+    joint_label : format of an entry of `joints` in error messages, with its index
+    place     : function: path inside the additions -> text at the start of an error message
     """
 
     base: str | None = None
@@ -60,7 +60,7 @@ class Options:
     place: object = None
 
     def error(self, path, message):
-        """SceneError at one of the additions."""
+        """SceneError at an entry of the additions."""
         head = self.place(path) if self.place else ""
         return SceneError(f"{head}{message}", path)
 
@@ -70,7 +70,7 @@ class Options:
         return self.error(path, f"{what} {str(name)!r:.60} is not in the robot; {hint}")
 
     def coordinates(self, robot):
-        """{joint: coordinate at the start}; refuses unknown joints, and those without a coordinate."""
+        """{joint: coordinate at the start}; refuses unknown joints and joints without exactly one coordinate."""
         types = {joint.name: joint.type for joint in robot.joints}
         values = dict.fromkeys(types, 0.0)
         if self.srdf is not None and self.pose is None:
@@ -85,7 +85,7 @@ class Options:
         return _followed(robot.couplings, values | given, known)
 
     def velocities(self, robot):
-        """{joint: velocity at the start}; refuses unknown joints, and those without a coordinate."""
+        """{joint: velocity at the start}; refuses unknown joints and joints without exactly one coordinate."""
         types = {joint.name: joint.type for joint in robot.joints}
         values = dict.fromkeys(types, 0.0)
         values |= {name: value for name, value in robot.velocities.get(self.pose, {}).items() if name in types}
@@ -109,7 +109,7 @@ class Options:
         return values
 
     def check_kept(self, kept):
-        """Refuse a start value of a joint that is not among the kept ones."""
+        """Refuse a start value of a joint that is cut; kept: names of joints."""
         for name in self.start:
             if name not in kept:
                 raise self.error(
@@ -117,7 +117,7 @@ class Options:
                 )
 
     def check_start(self, values):
-        """Refuse a start value of a joint that is locked elsewhere, by itself or by a coupling.
+        """Refuse a start value of a joint that is locked at another value, directly or by a coupling.
 
         values : {joint: coordinate at the start}
         """
@@ -125,14 +125,14 @@ class Options:
             if abs(value - values[name]) > 1e-9 * (1.0 + abs(value)):
                 raise self.error(
                     ("start", name),
-                    f'start: joint "{name}" is {value:g}, and lock holds it at {values[name]:g}: omit one of the two',
+                    f'start: joint "{name}" is {value:g}, but it is locked at {values[name]:g}: omit one of the two',
                 )
 
     def check_driven(self, moving):
-        """Refuse driven joints that do not move; moving : {joint: type}."""
+        """Refuse driven joints that do not move or cannot be driven; moving : {joint: type}."""
         for name in self.driven:
             if name not in moving:
-                raise self.unknown(("driven", name), "driven: joint that moves", name, moving)
+                raise self.unknown(("driven", name), "driven: moving joint", name, moving)
             if moving[name] not in ONE_COORDINATE:
                 raise self.error(
                     ("driven", name),
@@ -141,9 +141,9 @@ class Options:
                 )
 
     def with_switches(self, moving):
-        """({joint: its limits}, {joint: its friction}) that act; refuses joints without them.
+        """({joint: its limits}, {joint: its friction}) as keys of a scene; refuses joints that have none.
 
-        moving : joints of the robot that move; the values are keys of a joint of a scene
+        moving : [RobotJoint] that move
         """
         found = {"stops": {}, "friction": {}}
         for joint in moving:
@@ -161,7 +161,7 @@ class Options:
                 if name in known or name == ALL:
                     continue
                 if name not in {joint.name for joint in moving}:
-                    raise self.unknown((key,), f"{key}: joint that moves", name, known)
+                    raise self.unknown((key,), f"{key}: moving joint", name, known)
                 what = "limits" if key == "stops" else "friction"
                 raise self.error(
                     (key,),
@@ -173,7 +173,7 @@ class Options:
         return found["stops"], found["friction"]
 
     def check_velocities(self, moving):
-        """Refuse a velocity of a joint that is not among the moving ones."""
+        """Refuse a velocity of a joint that does not move."""
         for name, value in self.start_velocity.items():
             if value and name not in moving:
                 raise self.error(
@@ -183,15 +183,15 @@ class Options:
 
 
 def _followed(couplings, values, given, rates=False):
-    """Values of joints, with those that couplings determine from the given ones or from `second`.
+    """Values of joints, with coupled values computed from the given ones or from the coupling's `second`.
 
-    values : {joint: coordinate, or velocity if `rates`}; given : names of joints that keep theirs
+    values : {joint: coordinate, or velocity if `rates`}; given : names of joints that keep their value
     """
     left = [entry for entry in couplings if {entry.first, entry.second} <= values.keys()]
     left = [entry for entry in left if rates or entry.offset is not None]
     known = set(given)
     while left:
-        # From what is known, in any direction; else from a joint that follows no other.
+        # First couplings with a known joint, then couplings whose `second` follows no other joint.
         firsts = {entry.first for entry in left}
         entry = next(
             (e for e in left if {e.first, e.second} & known), next((e for e in left if e.second not in firsts), left[0])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robot of a file: the format is known by the root element."""
+"""Reading of a robot file; the root element determines the format."""
 
 import os
 from pathlib import Path
@@ -19,7 +19,7 @@ SUFFIXES = (".urdf", ".xacro", ".sdf", ".world", ".xml", ".mjcf")
 
 
 def is_robot_file(path):
-    """True for the file of a robot: by its suffix, or because it is XML."""
+    """True if a file is a robot file: it has such a suffix, or it is XML."""
     return Path(path).suffix.lower() in SUFFIXES or bool(root_tag(path))
 
 
@@ -46,7 +46,7 @@ def _read(path, arguments):
         if Path(path).suffix == ".xacro" or any("xacro}" in each.tag for each in root.iter()):
             given = [f"{name}:={value}" for name, value in arguments.items()]
             text = run_apart("xacro", path, given)
-            # Lines are those of the expanded text.
+            # Line numbers refer to the expanded text.
             file = f"{path} (expanded)"
             return robot_of_urdf(read_xml(file, text), file, text)
         _refuse_arguments(path, arguments)
@@ -60,20 +60,20 @@ def _read(path, arguments):
     raise refusal(
         path,
         root.sourceline,
-        f"has the root element <{root.tag:.40}>; a robot's file has <robot> (URDF), <sdf> or <mujoco>",
+        f"has the root element <{root.tag:.40}>; a robot file has <robot> (URDF), <sdf> or <mujoco>",
     )
 
 
 def _refuse_arguments(path, arguments):
-    """Raise SceneError for arguments of a file that takes none."""
+    """Raise SceneError if arguments are given for a file that is not xacro."""
     if arguments:
-        raise refusal(path, 0, f"is no xacro file and takes no arguments: omit {listed(list(arguments))}")
+        raise refusal(path, 0, f"is not a xacro file and takes no arguments: omit {listed(list(arguments))}")
 
 
 def _add_group_states(robot, path):
     """Add the group states of an SRDF file to a robot: joint coordinates, and poses of the root link.
 
-    The floating joint of the root is a virtual one of the file, or one that the robot does not have.
+    A floating joint of the root is a virtual joint of the SRDF file, or a joint that the robot does not have.
     """
     reader, root = Reader(path), read_xml(path)
     types = {joint.name: joint.type for joint in robot.joints}
@@ -101,7 +101,7 @@ def _add_group_states(robot, path):
 
 
 def _pose_of_root(reader, element, name, text):
-    """(4, 4) of x y z qx qy qz qw."""
+    """(4, 4) pose from the text "x y z qx qy qz qw"."""
     numbers = reader.numbers(element, text, 7, f'value of floating joint "{name}"')
     length = np.linalg.norm(numbers[3:])
     if not length > 1e-12:

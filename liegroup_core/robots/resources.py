@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that package:// and model:// addresses name. Only local folders are searched."""
+"""Files of package:// and model:// addresses. Only local folders are searched."""
 
 import os
 from pathlib import Path
@@ -11,7 +11,7 @@ from .access import MODEL_PATHS, holds_home, permit, search_folders
 from .xml import read_xml
 
 MARKS = ("package.xml", "model.config")  # one of them is in the folder of a package or model
-LATEST_SDF = (1, 12)  # version that the import knows
+LATEST_SDF = (1, 12)  # latest version that the import supports
 
 
 def resolve(name_or_path):
@@ -36,13 +36,13 @@ def resolve(name_or_path):
 
 
 def find_resource(address, file):
-    """Path of a mesh or another file that a robot's file names, or None if it is not there."""
+    """Path of a mesh or other file that a robot file refers to, or None if it does not exist."""
     if "://" in address and not address.startswith(("package://", "model://", "file://")):
         return None
     try:
         path = resolve(address)
     except SceneError:
-        # The package that holds the file itself needs no search path.
+        # The package that contains the robot file need not be in a search path.
         path = _above(address.partition("://")[2], file)
         if path is None:
             return None
@@ -51,7 +51,7 @@ def find_resource(address, file):
 
 
 def readable_resource(address, file):
-    """As `find_resource`. Raises SceneError for one that the file must not name, see access.py."""
+    """As `find_resource`. Raises SceneError if the file may not refer to it, see access.py."""
     path = find_resource(address, file)
     if path is None:
         return None
@@ -60,18 +60,18 @@ def readable_resource(address, file):
 
 
 def beside(source, name):
-    """Path of a file that another one names; relative to its folder."""
+    """Path of a file that another file refers to; relative to the folder of `source`."""
     path = resolve(name)
     return permit(path if path.is_absolute() else Path(source).parent / path)
 
 
 def _leaves(name, rest):
-    """Whether an address leads out of the package or model that it names."""
+    """True if an address leads out of its package or model."""
     return name in ("", ".", "..") or rest.startswith("/") or ".." in Path(rest).parts
 
 
 def _above(rest, file):
-    """File of a package:// address whose package is a folder above the robot's file."""
+    """File of a package:// address whose package is a folder above the robot file, or beside one."""
     package, _, inner = rest.lstrip("/").partition("/")  # some files have package:///NAME
     if _leaves(package, inner):
         return None
@@ -105,7 +105,7 @@ def _model(name, rest):
 
 
 def model_file(folder):
-    """File of a model in its folder: what model.config names for the latest version, or model.sdf."""
+    """File of a model in a folder: the latest supported version in model.config, or model.sdf."""
     config, found = folder / "model.config", []
     if config.is_file():
         for entry in read_xml(config).iter("sdf"):

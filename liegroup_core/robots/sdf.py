@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""SDF: the models and worlds of Gazebo. Joints connect any two links, so loops need nothing else.
+"""SDF: the models and worlds of Gazebo. Joints connect any two links, so they also close loops.
 
-Source: http://sdformat.org/spec. Models float unless a joint or <static> holds them. A link without
-<inertial> has the format's defaults: 1 kg, and 1 kg m^2 about every axis.
+Source: http://sdformat.org/spec. Models float unless a joint or <static> fixes them to the world. A link
+without <inertial> has the format's defaults: 1 kg, and 1 kg m^2 about every axis.
 """
 
 import math
@@ -32,10 +32,10 @@ TYPES = {
     "revolute2": "universal",
 }
 
-OWN_RULES = (1, 7)  # version from which the axes of joints are read by the same rules
-RIGID = 1e8  # stiffness of stops that the format has where none is given
-DEEPEST = 20  # nested models and includes
-# {element: (children, attributes)} that are read, or that change nothing.
+OWN_RULES = (1, 7)  # earlier versions have other rules for the axes of joints
+RIGID = 1e8  # default stiffness of stops in the format
+DEEPEST = 20  # levels of nested models and includes
+# {element: (children, attributes)} that are read, or that have no effect.
 KNOWN = {
     "inertial": ("pose mass inertia density auto_inertia_params fluid_added_mass", "auto"),
     "inertia": ("ixx ixy ixz iyy iyz izz", ""),
@@ -114,7 +114,7 @@ def _permit(reader, include, path, file):
 
 
 def _include(loader, element, depth):
-    """Replace <include> elements by the models that they name."""
+    """Replace <include> elements by the models that they refer to."""
     reader = loader.reader
     if depth > DEEPEST:
         raise reader.error(element, f"models include each other more than {DEEPEST} levels deep")
@@ -123,7 +123,7 @@ def _include(loader, element, depth):
         if uri is None:
             raise reader.error(include, "<include> has no <uri>: give one")
         if include.get("merge", "false") in ("true", "1"):
-            raise reader.error(include, "<include merge> is not supported: omit merge and name links as MODEL::LINK")
+            raise reader.error(include, "<include merge> is not supported: omit merge and write links as MODEL::LINK")
         path = find_resource(uri, loader.path)
         for name in () if uri.endswith(".sdf") else ("model.config", "model.sdf"):
             inside = find_resource(f"{uri.rstrip('/')}/{name}", loader.path)
@@ -137,7 +137,7 @@ def _include(loader, element, depth):
                 raise reader.error(include, str(error)) from None
         if not path.is_file():
             raise reader.error(include, f"the included model {uri!r:.80} is not found")
-        # A model may lie outside of the tree, but for a request not outside of what is served.
+        # A model may be outside of the tree, but a request may only use the folders that are served.
         _permit(reader, include, path, path if uri.startswith("model://") else reader.file)
         model = read_xml(path).find("model")
         if model is None:
@@ -157,7 +157,7 @@ def _include(loader, element, depth):
 
 
 def _nest(loader, model, depth):
-    """Models in a model; the only one of a world gives its links no prefix."""
+    """Add the nested models of a model. If a world has only one model, its links get no prefix."""
     if depth > DEEPEST:
         raise loader.reader.error(model.element, f"models are nested deeper than {DEEPEST} levels")
     elements = model.element.findall("model")
@@ -169,7 +169,7 @@ def _nest(loader, model, depth):
 
 
 def _model(loader, model, pose):
-    """Links and joints of a model whose frame has this pose in the world."""
+    """Add the links and joints of a model; pose : (4, 4) of its frame in the world."""
     reader, robot = loader.reader, loader.robot
     own = [part for part in model.element if part.tag == "link"]
     for element in own:
@@ -194,7 +194,7 @@ def _model(loader, model, pose):
 
 
 def _joints(loader, model, pose):
-    """Joints of a model or world whose frame has this pose, and its gearboxes."""
+    """Add the joints and gearboxes of a model or world; pose : (4, 4) of its frame in the world."""
     gears = []
     for element in model.element.iterfind("joint"):
         if element.get("type") == "gearbox":
@@ -254,7 +254,7 @@ def _axis(loader, model, element, key):
     vector = reader.direction(xyz, vector, f"<xyz> of <{key}>")
     base = xyz.get("expressed_in")
     if loader.version < OWN_RULES and base is None:
-        # Up to 1.4 axes were in the frame of the model, from 1.5 on if the file says so.
+        # Up to version 1.4, axes refer to the frame of the model; from 1.5 to 1.6 only with this flag.
         flag = text_of(axis, "use_parent_model_frame")
         if flag in ("true", "1") or (flag is None and loader.version < (1, 5)):
             base = "__model__"
@@ -317,7 +317,7 @@ def _law(reader, robot, model, element, joint):
 
 
 def _stop(reader, limit):
-    """Stiffness and damping of compliant stops; {}: rigid, as with the format's stiffness of 1e8."""
+    """Stiffness and damping of compliant stops; {} for rigid ones, such as with the default stiffness of 1e8."""
     found = []
     for part, usual in (("stiffness", RIGID), ("dissipation", 1.0)):
         value = text_of(limit, part)
@@ -350,7 +350,7 @@ def _mimic(reader, robot, model, mimic, joint):
 
 
 def _gearbox(loader, model, element, model_pose):
-    """Coupling of a gearbox: both links turn about the reference body, child = -ratio * parent."""
+    """Add the coupling of a gearbox. Both links rotate relative to the reference body: child = -ratio * parent."""
     reader, robot = loader.reader, loader.robot
     name = model.full(reader.name(element))
     parts = {}
@@ -373,7 +373,7 @@ def _gearbox(loader, model, element, model_pose):
             )
         sign = 1.0 if joint.child == parts[key] else -1.0
         if element.find(of_gear) is not None:
-            # The gear turns about its own axis, which is that of the hinge or its reverse.
+            # The axis of the gear must be parallel or antiparallel to the axis of the joint.
             own = X[:3, :3] @ _axis(loader, model, element, of_gear)
             held = np.eye(4) if joint.child == WORLD else robot.links[joint.child].pose
             hinge = (held @ joint.child_frame)[:3, 2]

@@ -15,9 +15,9 @@ MODEL_FRAMES = ("__model__", "world")
 
 
 class Model:
-    """Model with its named parts; also a world, whose frame does not move.
+    """Model or world with its named parts; the frame of a world does not move.
 
-    name   : full name, with those of the models around it: outer::inner
+    name   : full name with the names of the enclosing models: outer::inner
     frames : {name: element} of links, joints, frames and nested models
     nested : {name: Model}
     """
@@ -38,11 +38,11 @@ class Model:
                 self.frames[own] = part
 
     def full(self, name):
-        """Name of a link of this model in the robot."""
+        """Full name, in the robot, of a link of this model."""
         return f"{self.name}::{name}" if self.name else name
 
     def split(self, name, element):
-        """(model, name in it) of a name that may be in a nested model."""
+        """(model, name in this model) for a name such as a::b, which may be in a nested model."""
         head, separator, rest = name.partition("::")
         if separator and head in self.nested:
             return self.nested[head].split(rest, element)
@@ -62,7 +62,7 @@ class Model:
         return found
 
     def placed(self):
-        """(4, 4) pose of this nested model in the one around it."""
+        """(4, 4) pose of this nested model in the enclosing model."""
         return self.outer._pose(self.element.get("name"), self.element)
 
     def _pose(self, name, element):
@@ -113,7 +113,7 @@ class Model:
 
 
 def read_pose(reader, element):
-    """((4, 4), name of the frame it is relative to or None) of the <pose> of an element."""
+    """(pose (4, 4), name of the frame that it is relative to or None) from the <pose> of an element."""
     pose = element.find("pose")
     if pose is None:
         return np.eye(4), None

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Links of SDF: inertia and visuals.
 
-A link without <inertial> has the format's defaults: 1 kg, and 1 kg m^2 about every axis. Those of
-<inertial auto="true"> follow from the collision shapes.
+A link without <inertial> has the format's defaults: 1 kg, and 1 kg m^2 about every axis. With
+<inertial auto="true">, mass and inertia follow from the collision shapes.
 """
 
 import math
@@ -16,7 +16,7 @@ from .links import combined
 from .sdf_frames import read_pose, text_of
 from .sdf_sensors import link_sensor
 
-# Parts of a link that have no influence on its motion.
+# Parts of a link that do not influence its motion.
 OF_LINKS = ("pose", "inertial", "visual", "collision", "gravity")
 WATER = 1000.0  # kg/m^3, the format's density of a shape
 
@@ -84,7 +84,7 @@ def _place(reader, model, element, part):
 
 
 def _fill(reader, robot, model, element, link):
-    """Mass and inertia of a link from its collision shapes and their density; a <mass> scales them."""
+    """Set mass and inertia of a link from its collision shapes and their density, scaled to <mass> if given."""
     inertial, shapes = element.find("inertial"), []
     density = value_of(reader, inertial, "density", WATER)
     for collision in element.iterfind("collision"):
@@ -94,7 +94,7 @@ def _fill(reader, robot, model, element, link):
         if filled is None:
             raise reader.error(
                 collision,
-                f'inertia of link "{link.name}" is automatic, and not known for this shape: write '
+                f'inertia of link "{link.name}" is automatic, which is not supported for this shape: write '
                 "its <mass> and <inertia>, and remove auto",
             )
         pose = _place(reader, model, element, collision)
@@ -105,7 +105,7 @@ def _fill(reader, robot, model, element, link):
     if not mass > 0.0:
         raise reader.error(
             inertial,
-            f'inertia of link "{link.name}" is automatic, and it has no collision shape with a '
+            f'inertia of link "{link.name}" is automatic, but the link has no collision shape with a '
             "density: write its <mass> and <inertia>",
         )
     factor = 1.0 if inertial.find("mass") is None else link.mass / mass

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sensors of SDF elements, also those in the <gazebo> elements of URDF: imu and force_torque.
 
-Source: http://sdformat.org/spec, sensor. What maps exactly is mapped; noise that the sensors of a scene
-do not have is left out with a note. Rates and topics are those of the node.
+Source: http://sdformat.org/spec, sensor. Noise that the sensors of a scene do not have is left out with a
+note. The node determines rates and topics.
 """
 
 import numpy as np
@@ -17,7 +17,7 @@ NOISES = "noise of sensors that a scene does not have"
 
 
 def link_sensor(reader, robot, element, link, pose):
-    """Append an imu on a link; another sensor is left out. pose : (4, 4) in the frame of the link."""
+    """Append an imu on a link; other sensors are left out. pose : (4, 4) in the frame of the link."""
     name = element.get("name") or f"{link}_sensor"
     if element.get("type") != "imu":
         robot.leave_out("sensor of links", element.get("name") or link)
@@ -30,13 +30,13 @@ def link_sensor(reader, robot, element, link, pose):
             values[f"{key}_noise"] = deviation
         if mean.any():
             values[f"{key}_bias"] = mean
-    if own is not None and own.find("noise") is not None:  # of versions up to 1.4
+    if own is not None and own.find("noise") is not None:  # SDF versions up to 1.4
         robot.leave_out(NOISES, name)
     robot.sensors.append(RobotSensor(name, "imu", element.sourceline, link, None, pose, values))
 
 
 def joint_sensor(reader, robot, element, joint, at):
-    """Append a force_torque sensor in a RobotJoint; another sensor is left out.
+    """Append a force_torque sensor in a RobotJoint; other sensors are left out.
 
     at : (4, 4) joint frame of the file in the frame of the child
     """
@@ -75,7 +75,7 @@ def joint_sensor(reader, robot, element, joint, at):
 
 
 def _noise(reader, robot, element, name):
-    """(standard deviation, means (3,)) of the noise of three axes; what a scene has not is left out."""
+    """(standard deviation, means (3,)) of the noise of three axes; other noise is left out."""
     deviations, means = np.zeros(3), np.zeros(3)
     for k, axis in enumerate(AXES):
         noise = None if element is None else element.find(f"{axis}/noise")

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sensors of a robot, from its file or added by the user, as sensors of the scene.
 
-A force-torque sensor in a fixed joint keeps this joint: its links are not merged.
+A fixed joint with a force-torque sensor is kept: its links are not merged.
 """
 
 import numpy as np
@@ -15,9 +15,9 @@ ENDS = ("parent", "child", "parent_point", "child_point")
 
 
 def kept_fixed_joints(robot, options):
-    """Names of the fixed joints that are not merged. Raises SceneError for what the user names wrongly.
+    """Names of the fixed joints that are not merged: those of `keep` and those with a force-torque sensor.
 
-    Those of `keep`, and those with a force-torque sensor.
+    Raises SceneError if `keep` contains an unknown joint or a joint that is not fixed.
     """
     types = {joint.name: joint.type for joint in robot.joints}
     for i, name in enumerate(options.keep):
@@ -25,7 +25,7 @@ def kept_fixed_joints(robot, options):
             raise options.unknown(("keep", i), "keep: joint", name, types)
         if types[name] != "fixed":
             raise options.error(
-                ("keep", i), f'keep: joint "{name}" is {types[name]}: only fixed joints are merged, omit it'
+                ("keep", i), f'keep: joint "{name}" is {types[name]}: only fixed joints are merged; omit it'
             )
     measured = [sensor.joint for sensor in robot.sensors if sensor.type == "force_torque"]
     measured += [each.joint for each in options.sensors if each.type == "force_torque"]
@@ -33,11 +33,11 @@ def kept_fixed_joints(robot, options):
 
 
 def check_kept(options, moving):
-    """Refuse a joint of `keep` that transmits nothing, or is cut; moving: names of joints of the scene."""
+    """Refuse a joint of `keep` that is cut or has no mass behind it; moving: names of joints of the scene."""
     for i, name in enumerate(options.keep):
         if name not in moving:
             raise options.error(
-                ("keep", i), f'keep: joint "{name}" has no mass behind it, or is cut: it transmits nothing, omit it'
+                ("keep", i), f'keep: joint "{name}" is cut or has no mass behind it, so it transmits nothing: omit it'
             )
 
 
@@ -47,7 +47,7 @@ def add_sensors(robot, options, grouping, parts, body_of):
     taken = {entry["name"] for entry in (*parts.bodies, *parts.joints, *parts.couplings, *parts.forces)} | {
         WORLD,
         *robot.links,
-    }  # the frames of links are in /tf, and so are those of sensors
+    }  # /tf has frames of links and sensors, so their names must differ
     for i, each in enumerate(options.sensors):
         if each.name in robot.links:
             raise options.error(
@@ -74,7 +74,7 @@ def add_sensors(robot, options, grouping, parts, body_of):
 
 
 def _entry(robot, grouping, joints, body_of, sensor):
-    """(keys of a sensor of the scene, "") or (None, why there is none)."""
+    """(keys of the sensor in a scene, ""), or (None, reason why it is omitted)."""
     if sensor.points:
         return _between(grouping, body_of, sensor)
     if sensor.link is not None:
@@ -93,7 +93,7 @@ def _entry(robot, grouping, joints, body_of, sensor):
     entry = {"joint": joints[sensor.joint]}
     if sensor.type == "encoder":
         if joint.type not in ONE_COORDINATE:
-            return None, f"joint {sensor.joint} has not one coordinate"
+            return None, f"joint {sensor.joint} does not have exactly one coordinate"
         return entry, ""
     if grouping.of_link[joint.child] is grouping.world:
         return None, f"joint {sensor.joint} has the world as child"
@@ -104,7 +104,7 @@ def _entry(robot, grouping, joints, body_of, sensor):
 
 
 def _between(grouping, body_of, sensor):
-    """As `_entry`, of a distance between points of two links."""
+    """As `_entry`, for a distance between points of two links."""
     ends = []
     for link, point in sensor.points:
         group = grouping.of_link.get(link)
@@ -114,14 +114,14 @@ def _between(grouping, body_of, sensor):
         ends.append((body_of[id(group)], place[:3, :3] @ point + place[:3, 3]))
     if ends[0][0] == ends[1][0]:
         return None, "its links move as one body"
-    if ends[1][0] == WORLD:  # the child of a sensor moves
+    if ends[1][0] == WORLD:  # the child of a sensor must be a body
         ends.reverse()
     (parent, first), (child, second) = ends
     return {"parent": parent, "parent_point": first, "child": child, "child_point": second}, ""
 
 
 def _given(sensor):
-    """RobotSensor of a sensor of the additions, with names of links and joints of the robot."""
+    """RobotSensor for a sensor of the additions, which refers to links and joints of the robot."""
     placed = ("name", "type", "body", "joint", "frame", *ENDS)
     keys = [key for key in type(sensor).model_fields if key in sensor.model_fields_set]
     frame = getattr(sensor, "frame", None)

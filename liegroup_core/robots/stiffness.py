@@ -1,25 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joints whose damping stops them faster than explicit methods can follow.
+"""Detection of joint damping that is too stiff for explicit methods.
 
 With mass matrix M and damping d of the joints, velocities decay with the time constants of
     M dv/dt = -d v
-Explicit methods need steps of that size for as long as they simulate. An accuracy takes an implicit one.
+Explicit methods need steps of that size during the whole simulation. A simulation with an accuracy uses an
+implicit method.
 """
 
 import numpy as np
 
 from liegroup_core.lie.groups import SE3
 
-SHORTEST = 1e-4  # s; a second takes 10 000 explicit steps, and more below
-NO_INERTIA = 1e-12  # s; implicit methods fail too
+SHORTEST = 1e-4  # s; a second then takes 10 000 explicit steps
+NO_INERTIA = 1e-12  # s; below, implicit methods fail too
 
 
 def stiffness_notes(grouping):
-    """Notes of the fastest damping at the start, if its time constant is below SHORTEST.
+    """Note on the joint with the fastest damping at the start, if its time constant is below SHORTEST; a list.
 
     grouping : Grouping of a tree, with poses at the start
     """
-    # The others and floating links are held, which can only make these slower.
+    # Other joints and floating links are assumed fixed, which can only make the time constants longer.
     coupled = {name for each in grouping.robot.couplings for name in (each.first, each.second)}
     damped = [
         joint for joint in grouping.moving if joint.damping and joint.direction.any() and joint.name not in coupled
@@ -30,16 +31,16 @@ def stiffness_notes(grouping):
     if time >= SHORTEST:
         return []
     advice = (
-        "without a method, or with radau5 or generalized_alpha, steps need not be that short"
+        "give no method, or radau5 or generalized_alpha, so that steps need not be that short"
         if time > NO_INERTIA
-        else "what it moves has almost no inertia here: correct the inertia, or lock the joint"
+        else "the bodies that it moves have almost no inertia: correct the inertia, or lock the joint"
     )
     return [f"stiff: damping stops joint {joint.name} within {time:.1g} s; {advice}"]
 
 
 def _fastest(grouping, damped):
-    """(joint, s) of the shortest time constant of damped joints."""
-    # Velocities, in axes of the world, of what a joint moves per unit of its velocity.
+    """(joint, time constant in s) with the shortest time constant of the damped joints."""
+    # Twists, in axes of the world, of the bodies behind a joint at unit joint velocity.
     columns = [_direction(grouping, joint) for joint in damped]
     inertia = np.zeros((len(damped), len(damped)))
     holders = {id(grouping.of_link[joint.child]): joint for joint in grouping.moving}

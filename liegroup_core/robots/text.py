@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""YAML text of a scene made from a robot, with comments that say what came from where."""
+"""YAML text of a scene made from a robot, with comments on the origin of each entry."""
 
 import json
 import re

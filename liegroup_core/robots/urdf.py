@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """URDF: the robot descriptions of ROS.
 
-Source: the XML specification of URDF, http://wiki.ros.org/urdf/XML. Angles are in rad, the frame of
-a joint is the frame of its child link.
+Source: the XML specification of URDF, http://wiki.ros.org/urdf/XML. Angles are in rad. The frame of a
+joint is the frame of its child link.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ from .sdf_frames import read_pose
 from .sdf_sensors import joint_sensor, link_sensor
 from .xml import Reader
 
-# Types of URDF joints: type in a scene.
+# {type of a URDF joint: type in a scene}
 JOINTS = {
     "fixed": "fixed",
     "revolute": "revolute",
@@ -23,7 +23,7 @@ JOINTS = {
     "planar": "planar",
     "floating": "floating",
 }
-# {element: (children, attributes)} that are read, or that change nothing.
+# {element: (children, attributes)} that are read, or that have no effect.
 KNOWN = {
     "inertial": ("origin mass inertia", ""),
     "mass": ("", "value"),
@@ -131,7 +131,7 @@ def _link(reader, robot, element):
 
 
 def _origin(reader, element):
-    """(4, 4) of the <origin> of an element."""
+    """(4, 4) pose from the <origin> of an element."""
     origin = element.find("origin")
     if origin is None:
         return np.eye(4)
@@ -207,7 +207,7 @@ def _law(reader, robot, element, joint, kind):
                 joint.data[key] = reader.attribute(limit, key)
     elif kind in ("revolute", "prismatic"):
         robot.remark("without the <limit> that URDF requires, taken as unlimited", joint.name)
-    if kind == "continuous":  # its limits of position have no meaning
+    if kind == "continuous":  # position limits have no meaning
         joint.data.pop("lower", None)
         joint.data.pop("upper", None)
     for tag in ("safety_controller", "calibration"):
@@ -236,13 +236,13 @@ def _couplings(reader, robot, elements):
 
 
 def _place_links(robot):
-    """Poses of all links at zero joint coordinates; refuses what is no tree."""
+    """Set the poses of all links at zero joint coordinates; raises SceneError if the joints form no tree."""
     holder, below = {}, {}
     for joint in robot.joints:
         if joint.child in holder:
             raise robot.error(
                 joint.line,
-                f'joint "{joint.name}": link "{joint.child}" already is the child of joint '
+                f'joint "{joint.name}": link "{joint.child}" is already the child of joint '
                 f'"{holder[joint.child].name}" (line {holder[joint.child].line}); URDF has no '
                 "loops: close them by a joint in a scene file",
             )
@@ -253,27 +253,27 @@ def _place_links(robot):
     robot.roots = [name for name in robot.links if name not in holder]
     if not robot.roots:
         first = robot.joints[0]
-        raise robot.error(first.line, "its joints form a circle: no link is without a parent")
+        raise robot.error(first.line, "the joints form a circle: every link has a parent, so there is no root link")
     if len(robot.roots) > 1:
         second = robot.links[robot.roots[1]]
         raise robot.error(
             second.line,
-            f'links "{robot.roots[0]}" and "{second.name}" have no parent: URDF has one root '
-            "link, connect them by a joint",
+            f'links "{robot.roots[0]}" and "{second.name}" have no parent, but URDF has one root '
+            "link: connect them by a joint",
         )
     pending, placed = list(robot.roots), 0
     while pending:
         name = pending.pop()
         placed += 1
         for joint in below.get(name, ()):
-            # T of the child: the frames coincide at coordinate 0.
+            # At coordinate 0 the two joint frames coincide.
             robot.links[joint.child].pose = robot.links[name].pose @ joint.parent_frame @ _transposed(joint.child_frame)
             pending.append(joint.child)
     if placed < len(robot.links):
         name = next(j for j in robot.joints if not _reaches(j.child, holder, robot.roots[0])).name
         raise robot.error(
             next(j.line for j in robot.joints if j.name == name),
-            f'joint "{name}" is in a circle of joints without the root link "{robot.roots[0]}"',
+            f'joint "{name}" belongs to a circle of joints that is not connected to the root link "{robot.roots[0]}"',
         )
 
 

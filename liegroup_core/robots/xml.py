@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""XML of robot files: read without entities and without network, values with the line of an error."""
+"""XML reader for robot files: without entities or network access, with line numbers in errors."""
 
 import math
 import os
@@ -17,7 +17,7 @@ MOST_PARTS = 500_000  # elements and attributes; a parsed one takes some 200 byt
 
 
 class Reader:
-    """Values of the elements of one file; every refusal has the file and the line."""
+    """Reads values of the elements of one file; every error has the file and the line."""
 
     def __init__(self, file):
         self.file = str(file)
@@ -27,7 +27,7 @@ class Reader:
         return refusal(self.file, element.sourceline if element is not None else 0, message)
 
     def name(self, element, key="name"):
-        """Required attribute that names something."""
+        """Required attribute that is a name."""
         value = element.get(key)
         if not value or not value.strip():
             raise self.error(element, f"<{element.tag}> has no {key}: give one")
@@ -39,7 +39,7 @@ class Reader:
         return value
 
     def number(self, element, text, what):
-        """Finite number of a text."""
+        """Finite number from a text."""
         try:
             value = float(text)
         except (TypeError, ValueError):
@@ -56,7 +56,7 @@ class Reader:
         return np.array([self.number(element, part, what) for part in parts])
 
     def attribute(self, element, key, default=None):
-        """Number of an attribute; required without a default."""
+        """Number from an attribute, which is required if there is no default."""
         text = element.get(key)
         if text is None:
             if default is None:
@@ -65,7 +65,7 @@ class Reader:
         return self.number(element, text, f"{key} of <{element.tag}>")
 
     def vector(self, element, key, default):
-        """(3,) of an attribute."""
+        """Vector (3,) from an attribute."""
         text = element.get(key)
         if text is None:
             return np.array(default, dtype=float)
@@ -76,11 +76,11 @@ class Reader:
         length = float(np.linalg.norm(vector))
         if not length > 1e-12:
             raise self.error(element, f"{what} must not be zero: give a direction")
-        # A unit vector keeps its digits.
+        # A vector that already has unit length does not change.
         return vector if abs(length - 1.0) < 1e-15 else vector / length
 
     def pose_of(self, numbers):
-        """(4, 4) of x y z roll pitch yaw."""
+        """(4, 4) pose from the numbers x y z roll pitch yaw."""
         return place(numbers[:3], rotation_of_rpy(*numbers[3:]) if numbers[3:].any() else None)
 
     def unknown(self, element, what, name, known):
@@ -90,10 +90,10 @@ class Reader:
 
 
 def read_xml(path, text=None):
-    """Root element of an XML file, or of a text that stands for it. Raises SceneError.
+    """Root element of an XML file, or of `text` instead of the file's content. Raises SceneError.
 
-    No entity is expanded, no other file or address is opened. The parser refuses elements that are
-    nested deeper than 256.
+    The parser expands no entities, opens no other files or addresses, and refuses elements nested deeper
+    than 256 levels.
     """
     if text is None:
         with open(path, "rb") as file:
@@ -101,9 +101,9 @@ def read_xml(path, text=None):
     else:
         content = text.encode()
     if len(content) > LARGEST_FILE:
-        raise refusal(path, 0, f"is larger than {LARGEST_FILE >> 20} MiB: give a robot's file")
+        raise refusal(path, 0, f"is larger than {LARGEST_FILE >> 20} MiB: give a robot file")
     if content.count(b"<") - content.count(b"</") + content.count(b"=") > MOST_PARTS:
-        raise refusal(path, 0, f"has more than {MOST_PARTS} elements and attributes: give a robot's file")
+        raise refusal(path, 0, f"has more than {MOST_PARTS} elements and attributes: give a robot file")
     parser = etree.XMLParser(
         resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False, remove_comments=True, remove_pis=True
     )
@@ -124,7 +124,7 @@ def read_xml(path, text=None):
 
 
 def root_tag(path):
-    """Tag of the root element of a file without reading the rest, or "" if it is no XML."""
+    """Tag of the root element of a file, or "" if it is not XML. It reads only the start of the file."""
     if os.path.getsize(path) > LARGEST_FILE:
         return ""
     with open(path, "rb") as file:
@@ -142,14 +142,14 @@ def root_tag(path):
 
 
 def _first_line(error):
-    """First line of an error's text, without the position that the line number repeats."""
+    """First line of an error's text, without the position, which the message gives in front."""
     text = str(error).splitlines()[0] if str(error) else type(error).__name__
-    # The last two are advice to programmers.
+    # The last two texts are hints for programmers, not for users.
     for end in (", line ", ", use XML_PARSE", ", see xmlCtxt"):
         text = text.split(end)[0]
     return text.strip()
 
 
 def _short(text):
-    """Text for a message."""
+    """Shortened text for a message."""
     return "nothing" if text is None else repr(" ".join(str(text).split()))[:42]

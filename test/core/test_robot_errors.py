@@ -157,7 +157,7 @@ def test_a_mesh_of_mjcf_may_be_missing_unless_a_mass_follows_from_it(inertial, m
     path.write_text(MESHES.format(inertial=inertial, mass=mass, rule=rule))
     if expected is None:
         text = refusal(path)
-        assert text.startswith(f"{path}:2: mjcf: mesh file 'meshes/nope.stl' is not there"), text
+        assert text.startswith(f"{path}:2: mjcf: mesh file 'meshes/nope.stl' does not exist"), text
         assert 'the mass of body "arm" follows' in text
         return
     scene = load_scene(path)
@@ -220,7 +220,7 @@ def test_arguments_of_xacro(tmp_path):
     beside.write_text("robot: two.urdf.xacro\nxacro: {m: [1]}\n")
     assert refusal(beside).startswith(f"{beside}:2: xacro must have one text, number")
     plain = urdf(tmp_path, "arm", "arm")
-    with pytest.raises(SceneError, match="is no xacro file and takes no arguments: omit m"):
+    with pytest.raises(SceneError, match="is not a xacro file and takes no arguments: omit m"):
         scene_from_robot(plain, Options(xacro={"m": "1"}))
 
 
@@ -317,7 +317,7 @@ def test_a_tool_that_prints_too_much_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(apart, "LARGEST_OUTPUT", 1000)
     path = tmp_path / "arm.xml"
     path.write_text(ARM_MJCF.format(upper="0.02 0.03 0.025 0.001 -0.002 0.0015"))
-    with pytest.raises(SceneError, match="mjcf made more than"):
+    with pytest.raises(SceneError, match="mjcf wrote more than"):
         load_scene(path)
 
 
@@ -543,8 +543,8 @@ def test_damping_of_a_light_link_is_noted_with_its_time(tmp_path):
         )
         notes = [note for note in load_scene(path).notes if note.startswith("stiff")]
         assert notes == [
-            f"stiff: damping stops joint {name} within 2e-05 s; without a method, or with radau5 or "
-            "generalized_alpha, steps need not be that short"
+            f"stiff: damping stops joint {name} within 2e-05 s; give no method, or radau5 or "
+            "generalized_alpha, so that steps need not be that short"
             for name in expected
         ]
         simulation = Simulation(
@@ -574,7 +574,7 @@ def test_a_point_mass_on_axes_that_meet_is_noted(tmp_path):
         notes = scene_from_robot(path, Options(lock=lock)).notes
         noted.append([note for note in notes if note.startswith("stiff")])
     assert len(noted[0]) == 1 and noted[1] == []
-    assert re.search(r"joint (yaw|roll) within \S+ s; what it moves has almost no", noted[0][0])
+    assert re.search(r"joint (yaw|roll) within \S+ s; the bodies that it moves have almost no", noted[0][0])
 
 
 def test_collision_shapes_of_links_that_are_cut_are_not_counted(tmp_path):
@@ -602,7 +602,7 @@ def test_limits_that_are_exchanged_are_noted(tmp_path):
 
 def test_start_values_that_a_locked_joint_contradicts_are_refused(tmp_path):
     path = mimic_urdf(tmp_path)
-    with pytest.raises(SceneError, match='start: joint "drive" is 2, and lock holds it at'):
+    with pytest.raises(SceneError, match='start: joint "drive" is 2, but it is locked at'):
         scene_from_robot(path, Options(lock={"near": 0.07}, start={"drive": 2.0}))
 
 
@@ -752,7 +752,7 @@ def test_a_coordinate_is_of_joints_that_have_one(tmp_path):
             'stops: joint "elbow" cannot have stops; .* unless driven: there are none$',
         ),
         ({"friction": ["tip"]}, 'friction: joint "tip" cannot have friction; .* friction .*: elbow$'),
-        ({"stops": ["elbo"]}, "stops: joint that moves 'elbo' is not in the robot; .*elbow"),
+        ({"stops": ["elbo"]}, "stops: moving joint 'elbo' is not in the robot; .*elbow"),
     ],
 )
 def test_a_joint_without_limits_or_friction_cannot_have_them(options, message, tmp_path):

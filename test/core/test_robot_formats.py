@@ -253,7 +253,7 @@ def test_a_group_state_has_the_pose_of_a_floating_root_link(virtual, tmp_path):
     assert root.position == pytest.approx((1, 2, 3), abs=1e-15)
     assert root.quaternion == pytest.approx((0, 0, 0.6, 0.8), abs=1e-15)
     path.write_text("robot: two.urdf\nsrdf: two.srdf\npose: up\n")
-    note = 'left out: pose of the root link in group state "up", it does not float'
+    note = 'left out: pose of the root link in group state "up", because this link does not float'
     assert note in load_scene(path).notes
 
 
@@ -339,7 +339,7 @@ def test_automatic_inertias_follow_from_the_collision_shapes(shape, tmp_path):
     assert (body.mass, body.com) == (pytest.approx(8, rel=1e-14), pytest.approx((0.25, 0, 0)))
     assert body.inertia[1] == pytest.approx(8 * moments[1] + 8 * 0.25 * 0.75, rel=1e-13)
     mesh = text.replace(shape, "<mesh><uri>a.stl</uri></mesh>")
-    with pytest.raises(SceneError, match='inertia of link "a" is automatic, and not known for this'):
+    with pytest.raises(SceneError, match='inertia of link "a" is automatic, which is not supported for this'):
         load_scene(sdf(tmp_path, mesh, "1.11"))
 
 
@@ -470,6 +470,6 @@ def test_a_limit_of_a_ball_joint_of_mjcf_is_no_cone(tmp_path):
     scene = scene_from_robot(path, Options(stops=["all"]))
     assert scene.joints[0].limits is None
     assert (
-        "changes the motion: limits of the rotation angle of ball joints, another angle than that of a "
+        "changes the motion: limits of the rotation angle of ball joints, which differs from the angle of a "
         "cone, left out: s" in scene.notes
     )

@@ -184,7 +184,7 @@ def test_start_values_poses_and_locked_joints(tmp_path):
     expected = {"x": 0.1, "y": 0.2, "turn": 0.7, "wrist": 0.4 - np.radians(20), "twist": 0.5}
     assert {name: home[name] for name in expected} == pytest.approx(expected, abs=1e-14)
     notes = [note for note in load_scene(path).notes if " ref " in note]
-    assert notes == ["coordinate of joint wrist counts from ref 0.349066 of the file: qpos is larger by it"]
+    assert notes == ["coordinate of joint wrist is 0 at its ref 0.349066 of the file: qpos = coordinate + ref"]
     urdf = arm_in(tmp_path, "urdf")
     start = coordinates(scene_from_robot(urdf, Options(start={"shoulder": 0.3, "extend": -0.1})))
     assert start == pytest.approx({"shoulder": 0.3, "extend": -0.1}, abs=1e-14)
@@ -192,7 +192,7 @@ def test_start_values_poses_and_locked_joints(tmp_path):
     assert [joint.name for joint in locked.joints] == ["shoulder"]
     assert "locked: joint extend at 0.1" in locked.notes
     for options, message in (
-        (Options(lock={"extend": 0.1}, start={"extend": 0.2}), "is 0.2, and lock holds it at 0.1"),
+        (Options(lock={"extend": 0.1}, start={"extend": 0.2}), "is 0.2, but it is locked at 0.1"),
         (Options(only=["upper"], start={"extend": 0.2}), '"extend" is cut'),
     ):
         with pytest.raises(SceneError, match=message):

@@ -134,7 +134,7 @@ def test_import_writes_what_load_scene_takes(folder, capsys):
         (["--lock", "flange=1"], "is fixed: only joints with one coordinate"),
         (["--pose", "home"], "pose 'home' is not in the robot"),
         (["--only", "nothing"], "'nothing' is not in the robot"),
-        (["m:=1"], "is no xacro file and takes no arguments: omit m"),
+        (["m:=1"], "is not a xacro file and takes no arguments: omit m"),
         (["m"], "m: give arguments of xacro as NAME:=VALUE"),
         (["m:=1", "m:=2"], "argument m is given twice"),
         (["--close", "tool", "base", "glue"], "type 'glue'"),

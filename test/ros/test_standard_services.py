@@ -394,7 +394,7 @@ def test_a_robot_whose_mass_follows_from_a_missing_mesh_lacks_an_asset(node, fil
         for ignore in (False, True):
             result, error, world = load(node, str(file), ignore_missing_or_unsupported_assets=ignore)
             assert result == 104 and world.name == "", error
-            assert "nope.stl' is not there" in error and "\n" not in error
+            assert "nope.stl' does not exist" in error and "\n" not in error
     (files / "broken.xml").write_text('<mujoco><worldbody><body name="a"></worldbody></mujoco>')
     assert load(node, str(files / "broken.xml"))[0] == 103  # what cannot be read still is
 
