@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of arguments that users' code gives; each error is a ValueError with one line."""
+"""Checks of arguments of the Python API. Each error is a ValueError with one line."""
 
 import math
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ SCALARS = int, float, str, np.generic, type(None)
 
 
 def is_finite(value):
-    """True for a real number, no bool, that is finite as a float."""
+    """True for a real number (not a bool) that is finite as a float."""
     try:
         return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(float(value))
     except OverflowError:
@@ -26,14 +26,14 @@ def is_count(value):
 
 
 def got(value):
-    """End of a message: the value, in one line."""
+    """Text "got VALUE" for the end of a message, in one line."""
     return "got " + " ".join(shown(value).split())
 
 
 def floats(what, given):
     """New array of numbers.
 
-    what : beginning of the message, what they must be
+    what : beginning of the error message, such as what the numbers must be
     """
     try:
         return np.array(given, dtype=float, order="C")
@@ -42,7 +42,7 @@ def floats(what, given):
 
 
 def finite(what, given, shape):
-    """New array of finite numbers, as `floats`."""
+    """New array of finite numbers with this shape; what : see `floats`."""
     numbers = floats(what, given)
     if numbers.shape != shape or not np.isfinite(numbers).all():
         raise ValueError(f"{what}, {got(given)}")
@@ -50,7 +50,7 @@ def finite(what, given, shape):
 
 
 def check_name(name, known, what):
-    """Refuse what is none of the known names.
+    """Refuse a name that is not among the known names.
 
     what : beginning of the message, with {} for the name
     """
@@ -69,9 +69,9 @@ def mapping(what, given):
 
 
 def is_like(part, mine):
-    """True for a nest of dicts, lists, arrays and bytes of the same keys, shapes and sizes as another one.
+    """True if nested dicts, lists, arrays and bytes have the same keys, shapes and sizes as `mine`.
 
-    Numbers, texts and None may stand for each other.
+    Numbers, texts and None count as alike.
     """
     if isinstance(mine, SCALARS):
         return isinstance(part, SCALARS)

@@ -16,7 +16,7 @@ ROTATIONS = ("quaternion", "rotation_vector", "axis")
 
 
 def rotation_z_to(axis):
-    """Smallest rotation R with R (0, 0, 1) = axis; for axis = -z, the half turn about y.
+    """Smallest rotation R with R (0, 0, 1) = axis; for axis = -z, the rotation by pi about y.
 
     axis : (3,) unit vector
     returns (3, 3)
@@ -75,6 +75,6 @@ class Frame(Placed):
     )
     axis: Direction | None = Field(
         None,
-        description="direction of the joint axis, of any length; replaces quaternion by the "
-        "smallest rotation from z to this direction",
+        description="direction of the joint axis, a vector of any length; replaces quaternion; the "
+        "rotation is the smallest one from z to this direction",
     )

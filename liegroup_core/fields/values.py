@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers, vectors and names of a scene, and the checks of them.
+"""Types and checks of the numbers, vectors and names of a scene.
 
-A check raises ValueError with a text that continues the name of the value ("must be greater
-than 0"), or SceneError with a whole sentence. `Described`, the base of all scene models, turns
-either into one SceneError: place, what is wrong, given value.
+A check raises ValueError with a text that follows the name of the value ("must be greater than
+0"), or SceneError with a whole sentence. `Described`, the base of all scene models, turns both
+into one SceneError with the place, what is wrong, and the given value.
 """
 
 import difflib
@@ -33,11 +33,11 @@ LARGEST_NUMBER = 1e100
 # Four components rounded to three digits have errors up to 5e-4, their norm at most 1e-3.
 QUATERNION_NORM_TOLERANCE = 1e-3
 
-# Negative principal moments down to this part of the largest are zero.
+# A negative principal moment counts as zero if it is above minus this fraction of the largest one.
 NEGATIVE_ROUND_OFF = 1e-12
 
-# Moments rounded to seven digits have errors up to 5e-7 of the largest, in both sides of the triangle
-# inequality: 1e-6 in all. A flat plate lies on the bound.
+# Moments rounded to seven digits have errors up to 5e-7 of the largest one. Both sides of the triangle
+# inequality have this error, 1e-6 in sum. For a flat plate both sides are equal.
 TRIANGLE_TOLERANCE = 1e-6
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
@@ -149,16 +149,16 @@ def _within_a_turn(vector):
 
 
 def _direction(vector):
-    # The inverse of a smaller length is out of range.
+    # The inverse of a smaller length would exceed LARGEST_NUMBER.
     if not math.hypot(*vector) >= 1.0 / LARGEST_NUMBER:
         raise ValueError("must not be zero: give the direction of the axis")
     return vector
 
 
 def real_inertia(moments):
-    """Return moments of inertia that a rigid body can have; raise ValueError for others.
+    """Return the moments of inertia; raise ValueError if no rigid body can have them.
 
-    Principal moments may be zero: point masses, rods without thickness.
+    Principal moments may be zero, as for point masses and rods without thickness.
     """
     small, middle, large, scale = _principal(positive_inertia(moments))
     if large > small + middle + TRIANGLE_TOLERANCE * large:
@@ -171,12 +171,12 @@ def real_inertia(moments):
 
 
 def positive_inertia(moments):
-    """Return moments of inertia without a negative principal moment; raise ValueError for others."""
+    """Return the moments of inertia; raise ValueError if a principal moment is negative."""
     if len(moments) not in (3, 6):
         raise ValueError("must have 3 numbers [Ixx, Iyy, Izz] or 6 [Ixx, Iyy, Izz, Ixy, Ixz, Iyz]")
     small, middle, large, scale = _principal(moments)
-    # Eigenvalues of a scaled 3x3 matrix have errors of a few 1e-16, numbers written with 15 digits of
-    # a few 1e-15: the zero of a rod without thickness may come out negative.
+    # Eigenvalues of a scaled 3x3 matrix have errors of a few 1e-16, and numbers written with 15 digits
+    # errors of a few 1e-15. So the zero moment of a rod without thickness may become negative.
     if not small >= -NEGATIVE_ROUND_OFF:
         principal = ", ".join(f"{scale * moment:.6g}" for moment in (small, middle, large))
         raise ValueError(f"must not be negative, but its principal moments are {principal}; check order and signs")
@@ -184,7 +184,7 @@ def positive_inertia(moments):
 
 
 def _principal(moments):
-    """Principal moments in ascending order, in units of the scale that follows them."""
+    """(small, middle, large, scale): principal moments divided by the scale, in ascending order."""
     scale = max(abs(moment) for moment in moments) or 1.0
     return (*np.linalg.eigvalsh(inertia_matrix(moments) / scale), scale)
 
@@ -288,7 +288,7 @@ def _refusal(cls, errors, values):
     first = errors[0]
     cause = first.get("ctx", {}).get("error")
     path = place_text(first["loc"], values)
-    if isinstance(cause, SceneError):  # a whole sentence, about something inside `loc`
+    if isinstance(cause, SceneError):  # a whole sentence; its place is relative to `loc`
         place = first["loc"] + (cause.place or ())
         path = path if path.endswith(":") or not path else f"{path}:"
         message = f"{path} {cause}".strip()
@@ -331,9 +331,9 @@ class Described(BaseModel, metaclass=_Refusing):
     @model_validator(mode="before")
     @classmethod
     def _keys(cls, data):
-        """Refuse values that are no mapping, and unknown or missing keys.
+        """Refuse unknown or missing keys, and values that are not a mapping.
 
-        Unknown keys come first: a misspelt key is unknown and missing.
+        Unknown keys are reported first, because a misspelt key is both unknown and missing.
         """
         if isinstance(data, cls):
             return data

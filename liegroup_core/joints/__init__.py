@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joints: what a scene says of them, and the constraint elements that they are made of.
+"""Joints: their models in a scene, and the constraint elements that they consist of.
 
-In: joints of a scene and relative poses. Out: rows of forbidden relative twist, their rates and
-position residuals. A joint knows no body, no force and no integrator.
+Input: joints of a scene and relative poses. Output: rows of forbidden relative twist, their rates and
+position residuals. This package does not depend on bodies, forces or integrators.
 """
 
 from .kinds import forbidden_rows, position_residual

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two points that keep within a distance, or beyond one: a cable, a strut that only pushes.
+"""Largest or least distance of two points: a cable, or a strut that only pushes.
 
-Neither has a mass. A cable is slack below its length and taut at it; a strut bears at its length and
-is loose beyond. They are no constraint, but stops of the distance: see joints/stops.py.
+Both are massless. A cable is slack below its length and taut at its length. A strut bears load at its
+length and is loose beyond. They are stops of the distance, not constraints: see joints/stops.py.
 """
 
 from typing import Literal
@@ -22,10 +22,10 @@ class CableJoint(JointBase, Stop):
     type: Literal["cable", "strut"] = Field("cable", description="cable or strut")
     parent_frame: Frame = Field(description="frame in the parent frame; only its origin is used")
     child_frame: Frame = Field(description="frame in the child frame; only its origin is used")
-    length: Positive = Field(description="largest distance of the origins in m, of a strut the least one")
+    length: Positive = Field(description="largest distance of the origins in m; for a strut, the least distance")
 
     def elements(self, C_rel):
-        """None: it takes no freedom from the mechanism."""
+        """Empty: a cable or strut removes no degree of freedom."""
         return ()
 
     @property
@@ -36,10 +36,10 @@ class CableJoint(JointBase, Stop):
 
     @property
     def constrains(self):
-        """False: slack, it is not there; taut, it is a stop."""
+        """False: a slack cable has no effect, and a taut one is a stop."""
         return False
 
     @property
     def locates_child(self):
-        """False: it does not."""
+        """False: the joint frames need not coincide."""
         return False

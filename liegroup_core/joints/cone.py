@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Angle between two directions: the coordinate of a ball joint that stays within a cone.
+"""Angle between two directions: the coordinate that a cone limits at a spherical joint.
 
-x is the z axis of the parent's joint frame, y that of the child's one, both in the child's body
-axes; xdot = -w x x with the relative twist (w, v) = V_b - W:
+x and y are the z axes of the parent's and the child's joint frame, both in the child's body axes.
+With the relative twist (w, v) = V_b - W, xdot = -w x x:
 
     theta = angle(x, y) ,  cos theta = x . y      thetadot = (x x y) . w / sin theta
     Jdot_b V_rel = -((x . w)(y . w) - (w . w - thetadot^2) cos theta) / sin theta
 
-Where the axes coincide, the angle has no direction: the row is zero.
+If the axes coincide, the angle has no gradient and the row is zero.
 """
 
 import math
@@ -41,5 +41,5 @@ def row(element, rot, p, w, v):
 
 @kernel
 def residual(rot, p, parameter):
-    """Angle of the z axes, rad; rot: rotation of the child's joint frame in the parent's one."""
+    """Angle between the z axes, rad; rot: rotation of the child's joint frame in the parent's."""
     return math.atan2(math.hypot(rot[2], rot[5]), rot[8])

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Couplings: linear relations of two joint coordinates, as of gears, belts, racks and mimic joints.
+"""Couplings: linear relations of two joint coordinates, for gears, belts, racks and mimic joints.
 
     q_joint = ratio q_other + offset
 
 q is the angle of a revolute or screw joint about z, or the displacement of a prismatic joint along z.
-A coupling transmits a torque or force lambda to `joint` and -ratio lambda to `other`: it does no
-work. Its row is in the rates of the spanning tree, see dynamics/couplings.py; the
-groups of rigid bodies have no such row.
+A coupling transmits a torque or force lambda to `joint` and -ratio lambda to `other`, so it does no
+work. Its row acts on the rates of the spanning tree, see dynamics/couplings.py. The groups of rigid
+bodies have no such row.
 
-Angles of poses are known modulo 2 pi. The angle of `other` is unwrapped like that of a torsional
-spring (forces/turn.py); the turns of `joint` follow from the relation.
+Poses determine angles modulo 2 pi. The angle of `other` is unwrapped like that of a torsional spring
+(forces/turn.py). The turns of `joint` follow from the relation.
 """
 
 import math
@@ -22,7 +22,7 @@ from liegroup_core.lie.groups import SE3, UNKNOWN_TURN, within_a_turn
 from .kinds import TYPES
 from .stops import BACKLASH, Backlash, Switch
 
-# Types of joints with one coordinate.
+# Types of joints that can be coupled: those with exactly one coordinate.
 COUPLED = ("revolute", "prismatic", "screw")
 
 
@@ -31,17 +31,17 @@ class Coupling(Described):
 
     name: Name = Field(description="name, unique among joints, couplings and forces")
     joint: Text = Field(description="name of a revolute, prismatic or screw joint")
-    other: Text = Field(description="name of another such joint; they need not be neighbours")
+    other: Text = Field(description="name of another such joint; the two need not share a body")
     ratio: Number = Field(
-        description="ratio r of q_joint = r q_other + offset: -0.5 for a gear pair where joint has "
-        "twice the teeth; in m/rad for a rack"
+        description="ratio r of q_joint = r q_other + offset; for example -0.5 for a gear pair where "
+        "joint has twice the teeth; in m/rad for a rack"
     )
-    offset: Number | None = Field(None, description="offset in rad or m; default: that of the initial poses")
-    backlash: Backlash | None = Field(None, description="slack: the relation holds within a gap; default: none")
+    offset: Number | None = Field(None, description="offset in rad or m; default: computed from the initial poses")
+    backlash: Backlash | None = Field(None, description="backlash: the relation holds within a gap; default: none")
 
     @property
     def switches(self):
-        """[Switch]: q_joint - ratio q_other - offset, if it has slack."""
+        """[Switch]: q_joint - ratio q_other - offset, if the coupling has backlash."""
         if self.backlash is None:
             return []
         half = 0.5 * self.backlash.gap
@@ -62,11 +62,11 @@ def coordinate(joint, C_rel):
 
 
 def gap(first, second, ratio, offset, turned):
-    """first - ratio second - offset; turned: modulo 2 pi, the nearest to 0."""
+    """first - ratio second - offset; if `turned`, the value modulo 2 pi that is nearest to 0."""
     value = first - ratio * second - offset
     return within_a_turn(value) if turned else value
 
 
 def rate_row(joint, F_b):
-    """Row (6,) that gives the rate of a joint from its relative twist, in the child's body frame."""
+    """Row (6,) of the rate of a joint; it multiplies the relative twist in the child's body frame."""
     return SE3.Ad(SE3.inverse(F_b))[TYPES[joint.type].rate]

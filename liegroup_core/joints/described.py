@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a scene says of every joint: the base of the classes of all types."""
+"""Keys that all joints of a scene share: the base of all joint classes."""
 
 from typing import Annotated
 
@@ -23,10 +23,10 @@ from .stops import (
 
 
 class JointBase(Described):
-    """Joint of a scene between a body and another one or the world.
+    """Joint of a scene between a body and another body or the world.
 
     A subclass has `elements(C_rel)`: the constraint elements for the initial pose C_rel (4, 4) of
-    the child's joint frame in the parent's one. It may override `constrains`, `locates_child` and `remedy`.
+    the child's joint frame in the parent's. It may override `constrains`, `locates_child` and `remedy`.
     """
 
     name: Name = Field(description="name, unique among joints and forces")
@@ -51,20 +51,20 @@ class JointBase(Described):
     )
     driven: Flag = Field(
         False,
-        description="true: the joint moves as prescribed, whatever effort that requires: at its initial "
-        "rate until a command; of revolute, prismatic and screw joints",
+        description="true: the joint moves as prescribed, with whatever effort this requires; without motion "
+        "it keeps its initial rate until a command; for revolute, prismatic and screw joints",
     )
-    motion: Motion | None = Field(None, description="prescribed motion from the start on, of a driven joint; see there")
+    motion: Motion | None = Field(None, description="prescribed motion of a driven joint; see motion of a joint")
     limits: Annotated[Limits | Cone | CylinderLimits | None, limits_of_type] = Field(
-        None, description="stops of the joint; see there"
+        None, description="stops of the joint; see limits of a joint"
     )
     friction: Annotated[Friction | CylinderFriction | None, friction_of_type] = Field(
-        None, description="friction of the joint; see there"
+        None, description="friction of the joint; see friction of a joint"
     )
     data: dict[Name, Number] | None = Field(
         None,
-        description="numbers by name, as of an imported robot: commands beyond lower, upper, velocity and "
-        "effort are refused; others, such as friction and armature, have no effect",
+        description="numbers by name, for example from a robot file; commands beyond lower, upper, velocity "
+        "and effort are refused; other names, such as friction and armature, have no effect",
     )
 
     @model_validator(mode="after")
@@ -80,15 +80,15 @@ class JointBase(Described):
 
     @property
     def constrains(self):
-        """True if the joint takes freedoms from the mechanism."""
+        """True if the joint removes degrees of freedom."""
         return True
 
     @property
     def locates_child(self):
-        """True if the joint frames coincide in a pose that the joint allows."""
+        """True if the joint allows a pose in which its frames coincide."""
         return True
 
     @property
     def remedy(self):
-        """What to change in the scene if the joint does not close at the initial poses."""
+        """Advice for a joint that the initial poses violate."""
         return "omit parent_frame or child_frame to place it where the other one is"

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two points at a fixed distance: a massless rod between ball joints.
+"""Fixed distance of two points: a massless rod between spherical joints.
 
-s is the child's point, q the parent's one; both in the child's body frame, where s is constant and
-the parent's point moves with qdot = -(v + w x q), (w, v) = V_b - W the relative twist:
+s is the child's point and q the parent's, both in the child's body frame. There s is constant and
+qdot = -(v + w x q) with the relative twist (w, v) = V_b - W:
 
     g = |d| - length ,  d = s - q ,  u = d / |d|
     gdot = u . (v + w x s)      so  J_b = (s x u, u)
@@ -39,18 +39,18 @@ class DistanceJoint(JointBase):
     )
 
     def elements(self, C_rel):
-        """One element; a length that is not given is the initial distance."""
+        """One element; without a given length, it is the initial distance."""
         length = math.hypot(*C_rel[:3, 3]) if self.length is None else self.length
         return (Element(KIND, ("length",), np.eye(6)[3:], parameter=length),)
 
     @property
     def locates_child(self):
-        """False: with coincident ends the rod has no direction."""
+        """False: a rod with coincident ends would have no direction."""
         return False
 
     @property
     def remedy(self):
-        """What to change in the scene if the joint does not close at the initial poses."""
+        """Advice for a joint that the initial poses violate."""
         return "omit length to keep the initial distance"
 
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Constraint elements: what every joint is made of.
+"""Constraint elements, of which every joint consists.
 
 A PAIR is a lower pair, constant rows A. Every other kind is one row that depends on the pose; a
-joint with two such rows has two kinds. Such a row belongs to no subgroup of SE(3) and so is not kept
-exactly, even to ground on SE(3). The file of a kind has
+joint with two such rows has two kinds. Such a row belongs to no subgroup of SE(3), so integration on
+SE(3) does not satisfy it exactly, even for a joint to the world. The file of a kind has
 
     KIND                         number of the kind, the next free one after those of kinds.py
     row(element, rot, p, w, v)   row of the child, and its rate times the relative twist
@@ -25,11 +25,11 @@ ELEMENT = np.dtype(
         ("parent", "i8"),
         ("child", "i8"),  # body index; the parent may be WORLD
         ("rows", "i8"),
-        ("row_start", "i8"),  # its rows, and the first of them, in a residual
+        ("row_start", "i8"),  # number of rows, and index of the first one in a residual
         ("parent_rotation", "f8", (9,)),
-        ("parent_point", "f8", (3,)),  # its frame in the parent, m
+        ("parent_point", "f8", (3,)),  # joint frame in the parent, m
         ("child_rotation", "f8", (9,)),
-        ("child_point", "f8", (3,)),  # and in the child
+        ("child_point", "f8", (3,)),  # joint frame in the child, m
         ("forbidden", "f8", (36,)),
         ("turns_freely", "i8"),
         ("parameter", "f8"),  # see Element
@@ -43,10 +43,10 @@ class Element:
     """One constraint element.
 
     kind         : PAIR, or KIND of another file
-    names        : of the rows, what each of them forbids
-    forbidden    : (k, 6) A of a PAIR; of another kind directions that its row is a combination of
-    turns_freely : PAIR that allows every rotation
-    parameter    : pitch of a screw in m/rad, length of a distance in m, or whatever the kind has
+    names        : for each row, the name of what it forbids
+    forbidden    : (k, 6) A of a PAIR; for another kind, directions that span its row
+    turns_freely : True for a PAIR that allows all rotations
+    parameter    : pitch of a screw in m/rad, length of a distance in m, or the parameter of another kind
     """
 
     kind: int
@@ -56,7 +56,7 @@ class Element:
     parameter: float = 0.0
 
     def record(self, parent=WORLD, child=0, row_start=0, F_a=np.eye(4), F_b=np.eye(4)):
-        """Values of ELEMENT between two bodies; F_a, F_b: (4, 4) joint frames in their frames."""
+        """Values of ELEMENT between two bodies; F_a, F_b: (4, 4) joint frames in the body frames."""
         forbidden = np.zeros(36)
         forbidden[: self.forbidden.size] = self.forbidden.ravel()
         return (
@@ -77,11 +77,11 @@ class Element:
 
 @dataclass(frozen=True)
 class JointType:
-    """What the rest of the program must know of a type of joint.
+    """Properties of a joint type that other packages use.
 
-    text       : what the joint lets the child do, for readers of the code
-    turns      : the z axes stay parallel and the child rotates about z: torques about z act on it
-    slides     : the z axes coincide and the child translates along z: forces along z act on it
+    text       : motion that the joint allows, for readers of the code
+    turns      : the z axes stay parallel and the child rotates about z; torques about z can act
+    slides     : the z axes coincide and the child translates along z; forces along z can act
     coordinate : "rad" or "m", the unit of the joint coordinate about or along z; None if the joint
                  has not exactly one degree of freedom, or couples both (screw)
     """
@@ -93,5 +93,5 @@ class JointType:
 
     @property
     def rate(self):
-        """Component of the relative twist that `rate` of a scene sets; None: there is none."""
+        """Component of the relative twist that is the joint's `rate` in a scene, or None."""
         return 2 if self.turns else 5 if self.slides else None

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All types of joints, and the geometry of the elements that they are made of.
+"""All types of joints, and the geometry of their elements.
 
-A lower pair is a file of motion_groups. A joint whose row depends on the pose is a
-file with a class for the scene and the functions that elements.py names, and its lines below.
-test/contract/test_joints.py holds for every type.
+A lower pair is a file of motion_groups. For a joint whose row depends on the pose, add a file with a
+class for the scene and the functions listed in elements.py, and its lines below.
+test/contract/test_joints.py tests every type.
 """
 
 from typing import Literal
@@ -25,7 +25,7 @@ from .stops import CONE, DISTANCE, SLIDE, TURN
 
 __all__ = ["CableJoint", "DistanceJoint", "Joint", "ScrewJoint"]
 
-# Types with rows.
+# Types with constraint rows.
 CONSTRAINTS = LOWER_PAIRS | {
     "universal": JointType(
         "the frames share their origin; the parent's x axis and the child's y axis are the arms of the cross"
@@ -36,14 +36,14 @@ TYPES = CONSTRAINTS | {
     "cable": JointType("the origins of the frames are at most its length apart"),
     "strut": JointType("the origins of the frames are at least its length apart"),
 }
-# Coordinates of joints with stops or friction, by the kind of their Switch: residuals of these.
+# {kind of a Switch: element whose residual is its coordinate}
 COORDINATES = {
     TURN: Element(PAIR, ("wz",), np.eye(6)[2:3]),
     SLIDE: Element(PAIR, ("vz",), np.eye(6)[5:]),
     DISTANCE: Element(distance.KIND, ("length",), np.eye(6)[3:]),
     CONE: cone.CONE_ANGLE,
 }
-# Types that a name and two frames describe, and those with a pitch.
+# Types without a parameter, and types with a pitch.
 PLAIN = (*(name for name, pair in LOWER_PAIRS.items() if not pair.has_pitch), "universal")
 THREADED = tuple(name for name, pair in LOWER_PAIRS.items() if pair.has_pitch)
 
@@ -54,14 +54,14 @@ class Joint(JointBase):
     type: Literal[PLAIN] = Field(description=f"kind of joint: {', '.join(PLAIN[:-1])} or {PLAIN[-1]}")
 
     def elements(self, C_rel):
-        """One lower pair, of a universal joint with a row for the arms of its cross."""
+        """One lower pair; for a universal joint also the row that keeps the axes of its cross perpendicular."""
         if self.type == "universal":
             return pair_element("spherical"), PERPENDICULAR
         return (pair_element(self.type),)
 
 
 class ScrewJoint(JointBase):
-    """Nut on a bolt: turning about z moves the child along z."""
+    """Screw joint: rotation about z moves the child along z."""
 
     type: Literal[THREADED] = Field("screw", description=" or ".join(THREADED))
     pitch: Number = Field(description="displacement along z in m per radian, positive for a right-handed thread")
@@ -76,7 +76,7 @@ JOINTS = (Joint, ScrewJoint, DistanceJoint, CableJoint)
 
 @kernel
 def variable_row(element, rot, p, w, v):
-    """Row of an element that is no PAIR, and its rate; see `row` of its file."""
+    """Row of an element other than a PAIR, and its rate; see `row` in the file of its kind."""
     if element["kind"] == perpendicular.KIND:
         return perpendicular.row(element, rot, p, w, v)
     if element["kind"] == cone.KIND:
@@ -86,9 +86,9 @@ def variable_row(element, rot, p, w, v):
 
 @kernel
 def variable_residual(kind, rot, p, parameter):
-    """Position residual of an element that is no PAIR.
+    """Position residual of an element other than a PAIR.
 
-    rot, p : pose of the child's joint frame in the parent's one
+    rot, p : pose of the child's joint frame in the parent's
     """
     if kind == perpendicular.KIND:
         return perpendicular.residual(rot, p, parameter)
@@ -98,12 +98,12 @@ def variable_residual(kind, rot, p, parameter):
 
 
 def position_residual(elements, C_rel):
-    """How far a relative pose is from what elements allow; zero exactly there.
+    """Position residual of a relative pose; zero exactly where the elements allow this pose.
 
     elements : tuple of Element
     C_rel    : (4, 4) pose of the child's joint frame in the parent's joint frame
     returns (rows,) in the order of the rows of `forbidden_rows`: rad for angular rows, m for the
-    others. Where it vanishes its slope is theirs: d residual = rows V_rel for C_rel exp(V_rel).
+    others. Where it vanishes, these rows are its derivative: d residual = rows V_rel for C_rel exp(V_rel).
     """
     rot, p = tuple(C_rel[:3, :3].ravel().tolist()), tuple(C_rel[:3, 3].tolist())
     parts = [np.zeros(0)]

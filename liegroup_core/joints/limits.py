@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Limits of what is commanded to a joint. A command beyond them is refused; nothing else enforces them.
+"""Limits of commands to a joint. A command beyond them is refused; the simulation does not enforce them.
 
-They are the numbers lower, upper, velocity and effort in `data` of the joint, of a robot those of its
-file. A velocity or effort of zero or less is no limit: files have it where nothing is known. Without
-a velocity the limit is SPEED, so that no command asks for a motion that cannot be integrated.
+They are the numbers lower, upper, velocity and effort in `data` of the joint; for a robot, those of its
+file. A velocity or effort of zero or less means no limit, because files use it for unknown values.
+Without a velocity limit, SPEED applies, so that every permitted motion can be integrated.
 """
 
 import math
@@ -13,7 +13,7 @@ from .coupling import turns
 from .motion import extremes, peak_rate
 
 SPEED = 1e3  # rad/s, or characteristic lengths per s
-ROUNDING = 1e-9  # relative; limits are printed with fewer digits than they have
+ROUNDING = 1e-9  # relative tolerance, because limits are printed with fewer digits
 
 
 class BeyondLimits(ValueError):
@@ -58,9 +58,9 @@ class CommandLimits(NamedTuple):
             )
 
     def check_jump(self, before, after):
-        """Check a wanted position of a servo against the previous one. Raises BeyondLimits.
+        """Check a commanded servo position against the previous one. Raises BeyondLimits.
 
-        Limits of position are enough. Without them it may jump by what SPEED covers in a second.
+        Position limits suffice. Without them, a jump may be at most the speed limit times one second.
         """
         self.check_position(after)
         free = math.isinf(self.lower) or math.isinf(self.upper)
@@ -71,11 +71,11 @@ class CommandLimits(NamedTuple):
             )
 
     def check_motion(self, rows, positions, velocities, start=None):
-        """Check a motion to positions and velocities, with all between them, or to velocities alone.
+        """Check a whole motion through positions and velocities, or velocities alone.
 
         rows  : (m + 1, COLUMNS) of joints/motion.py
-        start : (position, rate) of the joint; None: those with which the rows begin. It may go on as
-                fast as it is, and return from beyond its limits
+        start : (position, rate) of the joint; None: the start of the rows. The joint may keep a rate
+                above its limit, and return from beyond its position limits
         Raises BeyondLimits.
         """
         position, rate = rows[0][1:3] if start is None else start
@@ -111,10 +111,10 @@ class CommandLimits(NamedTuple):
 
 
 def limits_of(joint, size):
-    """CommandLimits of a joint of the scene with one coordinate; size : m, of the mechanism."""
+    """CommandLimits of a joint with one coordinate; size : characteristic length in m."""
     data, angle = joint.data or {}, turns(joint)
     lower, upper = data.get("lower", -math.inf), data.get("upper", math.inf)
-    if lower > upper:  # wrong in the file, which the notes of a robot say
+    if lower > upper:  # an error of the robot file, reported in the notes of the scene
         lower, upper = -math.inf, math.inf
     speed, effort = (
         number if (number := data.get(key, 0.0)) > 0.0 else otherwise

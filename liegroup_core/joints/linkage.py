@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bodies and joints as dense matrices in NumPy: loop closure and Jacobian.
+"""Loop closure and Jacobian of bodies and joints, with dense matrices in NumPy.
 
-For work that is done once per scene: detection of redundant rows, and assembly. Lengths are in
-units of the linkage's characteristic length, so that rotations and translations are comparable.
-Poses are {body: (4, 4)}, the world included.
+Used once per scene, for the detection of redundant rows and for assembly. Lengths are in units of the
+linkage's characteristic length, so that rotations and translations are comparable. Poses are
+{body: (4, 4)} and include the world.
 """
 
 from functools import cached_property
@@ -16,13 +16,13 @@ from liegroup_core.lie.groups import SE3
 from .coupling import coordinate, gap, rate_row, turns
 from .kinds import forbidden_rows, position_residual
 
-# Singular values of unit rows: that of an independent row is rarely below 1e-3. In a singular
-# pose, a residual of CLOSED leaves sqrt(CLOSED) = 1e-6 instead of zero.
+# Smallest singular value, for unit rows, that counts as independent. Independent rows rarely have one below
+# 1e-3. In a singular pose, a residual of CLOSED gives sqrt(CLOSED) = 1e-6 instead of zero.
 RANK_TOLERANCE = 3e-5
 CLOSED = 1e-12
 ROUND_OFF = 4e-16
 MOST_ROUNDS = 50
-LARGEST_TURN = 1.0  # rad in an iteration: far from the solution a full step may diverge
+LARGEST_TURN = 1.0  # rad per iteration; far from the solution, full steps may diverge
 MOST_HALVINGS = 8
 
 
@@ -35,7 +35,7 @@ def inverse(C):
 
 
 def _are_angular(rows):
-    """Mask of the rows (k, 6) that forbid rotations only."""
+    """Mask (k,) of the rows (k, 6) that forbid rotations only."""
     return rows[:, :3].any(axis=1) & ~rows[:, 3:].any(axis=1)
 
 
@@ -52,8 +52,8 @@ class Linkage:
     parts  : tuple of joints.elements.Element of every joint of the scene
     joints : indices of the selected joints
     held   : names of bodies that do not move
-    couplings : of consistency.ResolvedCoupling, whose joints are counted among the selected ones
-    Linkages with equal numbers are equal and hash alike, so that results can be cached.
+    couplings : [consistency.ResolvedCoupling]; their joints are indices into the selected joints
+    Linkages with equal numbers are equal and have equal hashes, so that results can be cached.
     """
 
     def __init__(self, scene, frames, parts, joints, held=(), couplings=()):
@@ -72,7 +72,7 @@ class Linkage:
 
     @cached_property
     def _key(self):
-        """Hashable copy of all its numbers."""
+        """All numbers of the linkage, as a hashable tuple."""
         ends = {name for joint in self.joints for name in (joint.parent, joint.child)}
         return (
             tuple((joint.type, joint.parent, joint.child) for joint in self.joints),
@@ -90,7 +90,7 @@ class Linkage:
         return hash(self._key)
 
     def relative(self, j, poses):
-        """C_rel of joint j: pose of the child's joint frame in the parent's one."""
+        """C_rel of joint j: pose of the child's joint frame in the parent's."""
         joint, (parent, child) = self.joints[j], self.frames[j]
         return inverse(poses[joint.parent] @ parent) @ poses[joint.child] @ child
 
@@ -100,7 +100,7 @@ class Linkage:
 
     @cached_property
     def _to_joint(self):
-        """(6, 6) of each joint: twists of the child's body frame to those of its joint frame."""
+        """[(6, 6)] for each joint: transforms twists from the child's body frame to its joint frame."""
         return [SE3.Ad(inverse(child)) for _, child in self.frames]
 
     def velocity_rows(self, poses):
@@ -121,8 +121,8 @@ class Linkage:
     def relative_rows(self, poses, rows):
         """Rows (rows, 6 bodies) for twists (omega, v) of the bodies.
 
-        rows : (k, 6) for the twist of the child relative to the parent, in the child's body frame,
-               of every joint
+        rows : [(k, 6)] for each joint, for the twist of the child relative to the parent, in the
+               child's body frame
         """
         matrix = np.zeros((sum(len(part) for part in rows), 6 * len(self.bodies)))
         first = 0
@@ -166,7 +166,7 @@ class Linkage:
         return np.concatenate([np.zeros(0), *joints, couplings]) / self._units
 
     def coupling_gap(self, entry, poses):
-        """Residual of a coupling, rad or m; the angle of its other joint counts from the start."""
+        """Residual of a coupling, rad or m; the angle of `other` is unwrapped from its value at the start."""
         joint, other = self.joints[entry.joint], self.joints[entry.other]
         second = coordinate(other, self.relative(entry.other, poses))
         if turns(other):
@@ -176,7 +176,7 @@ class Linkage:
         return gap(first, second, entry.ratio, entry.offset, turns(joint))
 
     def joint_residual(self, j, poses):
-        """Position residual (k,) of joint j; where it is zero, its rows are its derivative."""
+        """Position residual (k,) of joint j; where it is zero, its derivative is joint_rows."""
         return position_residual(self.parts[j], self.relative(j, poses))
 
     def gap(self, j, poses):
@@ -200,23 +200,23 @@ class Linkage:
         return self._is_small(self._gaps(poses), poses, CLOSED)
 
     def _is_small(self, gap, poses, tolerance):
-        """True if a residual is small relative to the coordinates that it comes from."""
+        """True if a residual is small relative to the coordinates from which it is computed."""
         farthest = max((np.abs(poses[name][:3, 3]).max() for name in self.bodies), default=0.0)
         return np.abs(gap).max(initial=0.0) <= tolerance * max(1.0, farthest / self.length)
 
     def nearest(self, poses):
-        """Poses found by Newton's method on the group: closed, or a local minimum of the residual.
+        """Poses found by Newton's method on the group: they satisfy all joints, or minimise the residual locally.
 
-        Each iteration takes the shortest step that closes the linearised joints. The step is
-        halved until the residual decreases; the iteration ends if it does not. Convergence is
-        quadratic, down to round-off.
+        Each iteration takes the shortest step that satisfies the linearised joints. The step is halved
+        until the residual decreases. If it does not decrease, the iteration ends. Convergence is quadratic,
+        down to round-off.
         """
         for _ in range(MOST_ROUNDS if self.bodies else 0):
             gap = self._gaps(poses)
             if self._is_small(gap, poses, ROUND_OFF):
                 break
-            # The rows are the residual's derivative only where it vanishes. Far from there, finite
-            # differences may converge where the rows do not.
+            # The rows are the derivative of the residual only where it vanishes. Elsewhere, finite
+            # differences may converge although the rows do not.
             better = self._step(poses, gap, self.velocity_rows(poses))
             if better is None and not self._is_small(gap, poses, CLOSED):
                 better = self._step(poses, gap, self._differences(poses))
@@ -232,7 +232,7 @@ class Linkage:
         step = -scipy.linalg.lstsq(matrix, gap, cond=RANK_TOLERANCE, lapack_driver="gelsy")[0]
         turn = np.abs(step.reshape(-1, 6)[:, :3]).max() / self.length
         part = 1.0 / max(1.0, turn / LARGEST_TURN)
-        # Closed joints have only round-off left: halving the step does not reduce it.
+        # The residual of satisfied joints is round-off, which halving the step does not reduce.
         closed = self._is_small(gap, poses, CLOSED)
         enough = 0.5 if closed else 0.01
         for _ in range(1 if closed else MOST_HALVINGS):

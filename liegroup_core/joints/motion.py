@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prescribed motions of driven joints: quintic polynomials of time, joined twice differentiably.
+"""Prescribed motions of driven joints: piecewise quintic polynomials of time, twice differentiable.
 
     q(t) = c0 + c1 s + ... + c5 s^5 ,   s = t - origin
 
 A driven joint has a rheonomic row: the rate of its coordinate is qdot(t), its acceleration qddot(t).
 The multiplier of the row is the effort that the motion requires.
 
-A motion is a row of COLUMNS numbers: origin in s, then c0 to c5. It holds until the next one starts.
-Position, rate and acceleration of two successive ones agree where they meet.
+A motion is a row of COLUMNS numbers: origin in s, then c0 to c5. It holds until the origin of the next
+row, where position, rate and acceleration of both agree.
 """
 
 import math
@@ -22,29 +22,30 @@ from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import Described, Number, listed
 
 COLUMNS = 7
-# Quintic of s in [0, 1] from position, rate and acceleration at both ends: c3, c4, c5 of what the
-# start alone does not give.
+# Quintic of s in [0, 1] from position, rate and acceleration at both ends: matrix for c3, c4, c5 from the
+# differences to the end values after subtracting the quadratic of the start values.
 _END = np.array([[10.0, -4.0, 0.5], [-15.0, 7.0, -1.0], [6.0, -3.0, 0.5]])
 
 Numbers = Annotated[tuple[Number, ...], BeforeValidator(listed)]
 
 
 class Motion(Described):
-    """Prescribed motion of a joint through points; rest after the last one, unless it has a velocity."""
+    """Prescribed motion of a joint through points. After the last point, the joint keeps its last velocity."""
 
-    times: Numbers = Field(description="times in s, the first is 0, increasing")
+    times: Numbers = Field(description="increasing times in s; the first is 0")
     positions: Numbers = Field(
-        description="joint coordinate in rad, which may exceed 2 pi, or m, at each time; the first "
-        "is that of the initial poses"
+        description="joint coordinate at each time in m, or in rad, which may exceed 2 pi; the first "
+        "must be that of the initial poses"
     )
     velocities: Numbers | None = Field(
         None,
-        description="rate in rad/s or m/s at each time; default: of the cubic spline through the "
+        description="rate in rad/s or m/s at each time; default: from the cubic spline through the "
         "points that starts with the joint's initial rate and ends at rest",
     )
     accelerations: Numbers | None = Field(
         None,
-        description="acceleration in rad/s^2 or m/s^2 at each time, with velocities; default: the mean of both sides",
+        description="acceleration in rad/s^2 or m/s^2 at each time; requires velocities; default: the mean of "
+        "the accelerations before and after the time",
     )
 
     @model_validator(mode="after")
@@ -67,7 +68,7 @@ class Motion(Described):
                 raise SceneError("accelerations require velocities", place=("accelerations",))
             if self.accelerations[-1] != 0.0:
                 raise SceneError(
-                    "the last acceleration must be 0: the joint goes on at the last rate",
+                    "the last acceleration must be 0, because the joint keeps its last rate",
                     place=("accelerations", len(self.times) - 1),
                 )
         return self
@@ -104,15 +105,15 @@ def acceleration(motions, d, time):
 
 
 def at(motion, time):
-    """(position, rate, acceleration) of a row of COLUMNS at a time."""
+    """(position, rate, acceleration) of a motion (COLUMNS,) at a time."""
     row = np.asarray(motion, dtype=float)[None]
     return tuple(float(part(row, 0, time)) for part in (position, rate, acceleration))
 
 
 def peak_rate(motion, duration, enough):
-    """Largest absolute rate of a row of COLUMNS from its origin on, for a duration.
+    """Largest absolute rate of a motion (COLUMNS,) within a duration from its origin.
 
-    enough : if a simple bound is below it, the bound is returned
+    enough : if a simple bound is below this value, return the bound
     """
     rates = np.arange(1.0, 6.0) * np.asarray(motion[2:], dtype=float) * duration ** np.arange(5.0)
     bound = float(np.abs(rates).sum())
@@ -122,9 +123,9 @@ def peak_rate(motion, duration, enough):
 
 
 def extremes(motion, duration, least, largest):
-    """(least, largest) position of a row of COLUMNS from its origin on, for a duration.
+    """(least, largest) position of a motion (COLUMNS,) within a duration from its origin.
 
-    least, largest : if simple bounds are between them, the bounds are returned
+    least, largest : if simple bounds are within this range, return the bounds
     """
     parts = np.asarray(motion[1:], dtype=float) * duration ** np.arange(6.0)
     reach = float(np.abs(parts[1:]).sum())
@@ -136,19 +137,19 @@ def extremes(motion, duration, least, largest):
 
 
 def _extremes(curve):
-    """Values of a polynomial at 0, 1 and where it turns between them."""
+    """Values of a polynomial at 0, at 1 and at its stationary points between them."""
     turning = curve.deriv().roots()
     inside = turning.real[(np.abs(turning.imag) < 1e-9) & (turning.real > 0) & (turning.real < 1)]
     return curve(np.array([0.0, 1.0, *inside]))
 
 
 def uniform(origin, q, v):
-    """Motion at constant rate v, at q at the origin."""
+    """Motion (COLUMNS,) with constant rate v and position q at the time `origin`."""
     return np.array([origin, q, v, 0.0, 0.0, 0.0, 0.0])
 
 
 def _quintic(origin, duration, start, end):
-    """Motion from (position, rate, acceleration) at the origin to others after a duration."""
+    """Motion (COLUMNS,) between `start` and `end`, each (position, rate, acceleration)."""
     q0, v0, a0 = start
     q1, v1, a1 = end
     T = duration
@@ -157,13 +158,13 @@ def _quintic(origin, duration, start, end):
 
 
 def through(start, times, positions, velocities=None, accelerations=None):
-    """Motions (m + 1, COLUMNS) through m points, and on at the last rate.
+    """Motions (m + 1, COLUMNS) through m points; the last row continues at the last rate.
 
     start : (position, rate, acceleration) at times[0]
     times : (m + 1,) s, increasing;  positions, velocities, accelerations : (m,) at times[1:]
-    Without velocities those of the cubic spline that ends at rest, without accelerations the means
-    of those of the cubics on both sides; at the end without acceleration. Without positions those to
-    which the cubic spline of the velocities leads.
+    Default velocities are those of the cubic spline that ends at rest. Default accelerations are the means
+    of the cubics on both sides, and 0 at the end. Default positions are integrals of the cubic spline of
+    the velocities.
     """
     times = np.asarray(times, dtype=float)
     if positions is None:
@@ -177,7 +178,7 @@ def through(start, times, positions, velocities=None, accelerations=None):
     v = np.array([start[1], *velocities])
     if accelerations is None:
         T, dq = np.diff(times), np.diff(q)
-        # Of the cubic between two points, at its start and at its end.
+        # Accelerations of the cubic between two points, at its start and at its end.
         first = 6.0 * dq / T**2 - (4.0 * v[:-1] + 2.0 * v[1:]) / T
         last = -6.0 * dq / T**2 + (2.0 * v[:-1] + 4.0 * v[1:]) / T
         accelerations = np.append(0.5 * (last[:-1] + first[1:]), 0.0)
@@ -192,7 +193,7 @@ def through(start, times, positions, velocities=None, accelerations=None):
 def prescribed(motion, q, v):
     """Motions (m, COLUMNS) of a driven joint of a scene.
 
-    motion : Motion, or True: at constant rate
+    motion : Motion, or True for a constant rate
     q, v   : coordinate and rate at the initial poses and twists
     """
     if motion is True:
@@ -204,8 +205,8 @@ def prescribed(motion, q, v):
 
 
 def row_at(rows, time):
-    """The row of COLUMNS that holds at a time, of motions in the order of their origins."""
+    """Row (COLUMNS,) that holds at a time; rows: motions in the order of their origins."""
     return rows[max(0, np.searchsorted(rows[:, 0], time, side="right") - 1)]
 
 
-FROM_SCENE = np.array([math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])  # no command: that of the scene
+FROM_SCENE = np.array([math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])  # no command: the scene's motion holds

@@ -35,7 +35,7 @@ class LowerPair:
 
     coordinates : names of the components of the relative twist that it forbids
     text        : motion that the pair allows, for readers of the code
-    has_pitch   : True: the child moves by `pitch` (m/rad) along z per rotation about z:
+    has_pitch   : True: the child moves by `pitch` (m/rad) along z per radian about z, so that
                   v_z - pitch w_z is forbidden instead of v_z
     """
 
@@ -55,7 +55,7 @@ class LowerPair:
         """True if all rotations are allowed."""
         return not any(name.startswith("w") for name in self.coordinates)
 
-    # The following are the properties of a JointType.
+    # The following properties are those of JointType.
 
     @property
     def turns(self):
@@ -70,18 +70,18 @@ class LowerPair:
 
     @property
     def coordinate(self):
-        """Unit of the joint coordinate, "rad" or "m"; None: not exactly one direction is free."""
+        """Unit of the joint coordinate, "rad" or "m"; None if the pair has not exactly one free direction."""
         free = set(_COORDINATES) - set(self.coordinates)
         return {"wz": "rad", "vz": "m"}[free.pop()] if len(free) == 1 and not self.has_pitch else None
 
     @property
     def rate(self):
-        """Component of the relative twist that `rate` of a scene sets; None: there is none."""
+        """Component of the relative twist that is the joint's `rate` in a scene, or None."""
         return 2 if self.turns else 5 if self.slides else None
 
 
 def _of_group(group, text):
-    """LowerPair that allows the motions of a motion group: it forbids the other components."""
+    """LowerPair that allows the motions of a motion group and forbids all other components."""
     names = (name for k, name in enumerate(_COORDINATES) if k not in group.COMPONENTS)
     return LowerPair(tuple(names), text, getattr(group, "HAS_PITCH", False))
 
@@ -91,32 +91,32 @@ LOWER_PAIRS["fixed"] = LowerPair(_COORDINATES, "the frames coincide (weld)")
 
 
 def pair_element(name, pitch=0.0):
-    """Element of a lower pair; pitch: m/rad, of a screw."""
+    """Element of a lower pair; pitch: m/rad, for a screw."""
     pair = LOWER_PAIRS[name]
     return Element(PAIR, pair.coordinates, pair.forbidden(pitch), pair.turns_freely, pitch)
 
 
 @kernel
 def pair_coordinates(rot, p, turns_freely, pitch):
-    """Six coordinates of a relative pose, the argument of a lower pair's A.
+    """Six coordinates of a relative pose; A times these is the position residual of a lower pair.
 
-    rot, p       : C_rel, pose of the child's joint frame in the parent's one
+    rot, p       : C_rel, pose of the child's joint frame in the parent's
     turns_freely : see LowerPair
     pitch        : m/rad of a screw, else 0
-    returns (tilt_x, tilt_y, turn) rad, (x, y, z) m; next to H, d(A coordinates) = A V_rel
+    returns (tilt_x, tilt_y, turn) rad, (x, y, z) m; in the limit to H, d(A coordinates) = A V_rel
 
-    R = Rz(turn) tilt (twist and swing). The tilt is about a horizontal axis of the child's frame;
-    its angle is from atan2 of sine and cosine, so that a reversed z axis has a residual of pi, not
-    of 0. The position is in the axes of the element of H nearest to C_rel: those of Rz(turn), or
-    those of the child if all rotations are allowed. For a screw, of all angles turn + 2 pi k the
-    one nearest to z / pitch is used: z is then correct within half a thread.
+    R = Rz(turn) tilt (twist and swing). The tilt is about a horizontal axis of the child's frame. Its
+    angle is atan2 of sine and cosine, so that a reversed z axis has a residual of pi instead of 0. The
+    position is in the axes of the element of H nearest to C_rel: those of Rz(turn), or those of the
+    child if all rotations are allowed. For a screw, the angle among turn + 2 pi k that is nearest to
+    z / pitch is used, so that the residual along z is at most half a thread.
     """
     if turns_freely:
         return (0.0, 0.0, 0.0), tmatvec3(rot, p)
     # The third row of R is the parent's z axis in the child's axes: z x (tilt axis) times sine.
     sine = math.hypot(rot[6], rot[7])
     angle = math.atan2(sine, rot[8])
-    tilt_x, tilt_y = angle, 0.0  # upside down, every horizontal axis would do
+    tilt_x, tilt_y = angle, 0.0  # with reversed z, every horizontal axis is valid
     if sine > 0.0:
         tilt_x, tilt_y = angle * (rot[7] / sine), -angle * (rot[6] / sine)
     turn = math.atan2(rot[3] - rot[1], rot[0] + rot[4])
@@ -124,7 +124,7 @@ def pair_coordinates(rot, p, turns_freely, pitch):
     x, y, z = c * p[0] + s * p[1], c * p[1] - s * p[0], p[2]
     lead = 2.0 * math.pi * pitch
     ahead = z - pitch * turn
-    # Skipped for a pitch of 0, or one so small that z has no digit of the rotation left.
+    # Skipped if the pitch is 0, or so small that a turn is below the round-off of z.
     if abs(ahead) < 1e15 * abs(lead):
         turn += 2.0 * math.pi * math.floor(ahead / lead + 0.5)
     return (tilt_x, tilt_y, turn), (x, y, z)

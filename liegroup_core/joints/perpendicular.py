@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two perpendicular directions: with a spherical joint, the universal joint.
+"""Two perpendicular directions; together with a spherical joint, this is the universal joint.
 
-x is the x axis of the parent's joint frame, y the y axis of the child's one; both in the child's
-body axes, where y is constant and xdot = -w x x with the relative twist (w, v) = V_b - W:
+x is the x axis of the parent's joint frame and y the y axis of the child's, both in the child's body
+axes. There y is constant and xdot = -w x x with the relative twist (w, v) = V_b - W:
 
     g = x . y      gdot = (y x x) . w      so  J_b = (y x x, 0),
     Jdot_b V_rel = (y x xdot) . w = (x . w)(y . w) - (w . w)(x . y)
@@ -40,7 +40,7 @@ def row(element, rot, p, w, v):
 def residual(rot, p, parameter):
     """Pi / 2 minus the angle between x and y, rad.
 
-    rot : rotation of the child's joint frame in the parent's one. x . y = rot_xy; the length of
-    x x y is that of the rest of the row. The derivative with respect to g is 1 at the right angle.
+    rot : rotation of the child's joint frame in the parent's. x . y = rot_xy; the length of x x y is
+    that of the other two elements of this row of rot. The derivative with respect to g is 1 at pi / 2.
     """
     return math.atan2(rot[1], math.hypot(rot[0], rot[2]))

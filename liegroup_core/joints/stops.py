@@ -11,20 +11,20 @@ from liegroup_core.fields.values import Described, NotNegative, Number, Positive
 from liegroup_core.lie.groups import within_a_turn
 
 WITH_STOPS = ("revolute", "prismatic", "screw", "cylindrical")
-# Half a turn, less what round-off may take.
+# Half a turn, reduced by a margin for round-off.
 WITHIN_A_TURN = math.pi * (1.0 - 1e-12)
 
 
 class Stop(Described):
-    """What a stop is like: rigid, or compliant with a stiffness."""
+    """Properties of a stop: rigid, or compliant with a stiffness."""
 
     restitution: NotNegative | None = Field(
-        None, description="rebound speed as a part of the impact speed at a rigid stop, 0 to 1; default 0"
+        None, description="coefficient of restitution of rigid stops, rebound speed / impact speed, 0 to 1; default 0"
     )
     stiffness: Positive | None = Field(
-        None, description="of compliant stops in N m/rad or N/m; default: the stops are rigid"
+        None, description="stiffness of compliant stops in N m/rad or N/m; default: rigid stops"
     )
-    damping: NotNegative | None = Field(None, description="of compliant stops in N m s/rad or N s/m; default 0")
+    damping: NotNegative | None = Field(None, description="damping of compliant stops in N m s/rad or N s/m; default 0")
 
     @model_validator(mode="after")
     def _check(self):
@@ -40,7 +40,7 @@ class Stop(Described):
         return self
 
     def between(self, lower, upper):
-        """Limits with such stops; None: no stop there."""
+        """Limits with these stop properties; None for `lower` or `upper`: no stop at this end."""
         like = {key: getattr(self, key) for key in Stop.model_fields}
         return Limits(lower=lower, upper=upper, **like)
 
@@ -49,7 +49,7 @@ class Limits(Stop):
     """Stops of a joint: rigid ones, or compliant ones with a stiffness."""
 
     lower: Number | None = Field(
-        None, description="least coordinate in rad, which may exceed 2 pi, or m; default: no stop"
+        None, description="least coordinate in m, or in rad, which may exceed 2 pi; default: no stop"
     )
     upper: Number | None = Field(None, description="largest coordinate; default: no stop")
 
@@ -63,29 +63,29 @@ class Limits(Stop):
 
     @property
     def expected(self):
-        """Coordinate next to which an angle is expected, whatever turn a pose leaves open.
+        """Reference for unwrapping: an angle is taken within half a turn of this coordinate.
 
-        An angle in (-pi, pi] between the stops is next to it.
+        Angles in (-pi, pi] between the stops then keep their value.
         """
         first, last = self.least + WITHIN_A_TURN, self.largest - WITHIN_A_TURN
         return 0.5 * (first + last) if first > last else min(max(first, 0.0), last)
 
     def turn_of(self, q, is_angle):
-        """The coordinate q, an angle in the turn that is expected."""
+        """The coordinate q; an angle is unwrapped to within half a turn of `expected`."""
         return within_a_turn(q, self.expected) if is_angle else q
 
     def at_start(self, q):
-        """The coordinate of a scene's start, rad; q: of `turn_of`.
+        """The angle at the start of a scene, rad; q: result of `turn_of`.
 
-        Stops less than a turn apart leave one turn, and so do those wholly beyond pi. Else the angle is
-        in (-pi, pi], also where only another turn is between the stops.
+        If the stops are less than a turn apart, or both beyond pi or both below -pi, the angle is q. Otherwise it
+        is in (-pi, pi], even if only another turn lies between the stops.
         """
         only = self.largest - self.least < 2.0 * math.pi
         only = only or self.least > math.pi or self.largest < -math.pi
         return q if only or abs(q) <= math.pi * (1.0 + 1e-9) else within_a_turn(q)
 
     def excess(self, q):
-        """How far a coordinate is beyond a stop, rad or m; negative between the stops."""
+        """Distance of a coordinate beyond a stop, rad or m; negative between the stops."""
         return max(self.least - q, q - self.largest)
 
     @property
@@ -102,19 +102,18 @@ class Limits(Stop):
 class Friction(Described):
     """Friction of a joint: dry, with stiction, and viscous."""
 
-    coulomb: NotNegative = Field(0.0, description="torque or force of sliding friction in N m or N, against the motion")
+    coulomb: NotNegative = Field(0.0, description="torque or force of sliding friction in N m or N, opposes the motion")
     static: NotNegative | None = Field(
         None, description="largest friction at rest in N m or N, at least coulomb; default: coulomb"
     )
-    viscous: NotNegative = Field(0.0, description="of the rate, in N m s/rad or N s/m")
+    viscous: NotNegative = Field(0.0, description="coefficient of viscous friction in N m s/rad or N s/m")
     mu: NotNegative | None = Field(
-        None,
-        description="coefficient of sliding friction by load, the force across the axis; not of a screw; default 0",
+        None, description="coefficient of sliding friction by load (force across the axis); not for a screw; default 0"
     )
     mu_static: NotNegative | None = Field(
         None, description="coefficient of friction at rest by load, at least mu; default: mu"
     )
-    radius: Positive | None = Field(None, description="of the bearing in m, required with mu where the joint rotates")
+    radius: Positive | None = Field(None, description="bearing radius in m; required with mu if the joint rotates")
 
     @model_validator(mode="after")
     def _check(self):
@@ -139,7 +138,7 @@ class Friction(Described):
 
     @property
     def by_load(self):
-        """(sliding, at rest): friction for each N of load, N m or N."""
+        """(sliding, at rest): friction in N m or N per N of load."""
         lever = 1.0 if self.radius is None else self.radius
         mu = self.mu or 0.0
         return lever * mu, lever * (mu if self.mu_static is None else self.mu_static)
@@ -158,13 +157,13 @@ class Cone(Stop):
 
 
 class Backlash(Stop):
-    """Slack of a coupling, between two stops."""
+    """Backlash of a coupling: free play between two stops."""
 
-    gap: Positive = Field(description="play of the coordinate of joint in rad or m, half of it on either side")
+    gap: Positive = Field(description="free play of the coordinate of `joint` in rad or m, half of it on either side")
 
 
 class _OfBoth(Described):
-    """Something of the rotation and of the translation of a cylindrical joint."""
+    """Base of properties of a cylindrical joint: for its rotation, its translation, or both."""
 
     @model_validator(mode="after")
     def _check(self):
@@ -187,17 +186,17 @@ class CylinderFriction(_OfBoth):
     translation: Friction | None = Field(None, description="friction of the translation along z")
 
 
-# What the coordinate of a switch is.
+# Kinds of the coordinate of a Switch.
 TURN, SLIDE, DISTANCE, CONE, BACKLASH = "turn", "slide", "distance", "cone", "backlash"
 
 
 class Switch(NamedTuple):
     """Coordinate of a mechanism with stops or dry friction.
 
-    name     : of the joint, JOINT/rotation or JOINT/translation of a cylindrical one, or of the coupling
+    name     : of the coupling or joint; for a cylindrical joint JOINT/rotation or JOINT/translation
     kind     : TURN, SLIDE, DISTANCE (of two points), CONE (angle of two axes) or BACKLASH
     limits   : Limits or None;  friction : Friction or None
-    joint    : index of the joint, None: of a coupling;  coupling : index of the coupling, or None
+    joint    : index of the joint, or None;  coupling : index of the coupling, or None
     """
 
     name: str
