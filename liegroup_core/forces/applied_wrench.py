@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Constant wrench on a body, in body or world axes, from one time to another.
+"""Constant wrench on a body, in body or world axes, between a start and an end time.
 
 A row acts over a whole integration step or not at all: steps are split where a wrench starts or
 ends (timetable.py).
@@ -21,7 +21,7 @@ from .described import Force
 ROW = np.dtype(
     [
         ("body", "i8"),
-        ("world_axes", "i8"),  # world_axes: 1, body axes: 0
+        ("world_axes", "i8"),  # 1: world axes, 0: body axes
         ("torque", "f8", (3,)),
         ("force", "f8", (3,)),  # N m, N
         ("point", "f8", (3,)),  # m, in the frame of the body
@@ -33,7 +33,7 @@ ROW = np.dtype(
 
 
 class ConstantWrench(Force):
-    """Constant torque and force on a body, from one time to another."""
+    """Constant torque and force on a body, between a start and an end time."""
 
     type: Literal["applied_wrench"] = Field("applied_wrench", description="applied_wrench")
     body: Text = Field(description="name of a body")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a scene says of every force: the base of the classes of all kinds."""
+"""Keys that all forces of a scene share: the base of all force classes."""
 
 from typing import ClassVar
 
@@ -11,7 +11,7 @@ from liegroup_core.fields.values import Described, Name
 class Force(Described):
     """Force of a scene: between two bodies (`parent`, `child`), at a joint or on one body.
 
-    counts_turns : True: the angle of its joint is counted over many turns (see turn.py)
+    counts_turns : True if the angle of its joint is unwrapped (see turn.py)
     joint_moves  : motion about or along z that its joint must allow: "turns", "slides" or None
     """
 

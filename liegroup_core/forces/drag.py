@@ -2,7 +2,7 @@
 """Drag on a body at its centre of mass, relative to a medium at rest.
 
     force  -(c1 + c2 |v|) v        torque  -(d1 + d2 |omega|) omega
-Invariant under rotation of the axes. The second derivative of the quadratic part jumps at rest.
+Both are independent of the choice of axes. At rest, the second derivative of the quadratic part jumps.
 """
 
 import math
@@ -47,7 +47,7 @@ def make_row(drag, index, ends):
 
 @kernel
 def _factors(row, w, v):
-    """Factors of the angular and linear velocity, N m s/rad and N s/m."""
+    """Drag coefficients at this angular and linear velocity, N m s/rad and N s/m."""
     return (
         row["angular"] + row["angular_quadratic"] * math.sqrt(dot3(w, w)),
         row["linear"] + row["quadratic"] * math.sqrt(dot3(v, v)),

@@ -1,23 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""External wrenches of one instant: a part in body axes and a part in world axes for every body.
+"""External wrenches at one instant: for every body a part in body axes and a part in world axes.
 
 Both act at the origin of the body frame. The part in world axes keeps its direction in the world
 while the body rotates, also between the stages of a step.
 
-Forces F_i in world axes at points p_i of the body, which turn with it, have the torque
+Forces F_i in world axes at body-fixed points p_i have the torque
 
     sum p_i x R^T F_i = sum over k of e_k x R^T G_k ,   G_k = sum of p_ik F_i
 
-about the origin, in body axes. So each G_k is a pair of forces: G_k at the point 1 m along axis k of
-the body frame, and its opposite at the origin. All forces of this kind on a body are their sum at
-the origin and these three pairs, exactly and at every attitude.
+about the origin, in body axes. So each G_k acts as a pair of forces: G_k at the point 1 m along axis k
+of the body frame, and -G_k at the origin. All such forces on a body are exactly equivalent to their
+sum at the origin and these three pairs, at every attitude.
 
 Columns of the array (n, COLUMNS) that the integrators receive:
     0..5    torque N m, force N in body axes, about the centre of mass
     6..11   torque N m, force N in world axes, about the origin of the body frame
     12..14  centre of mass in the body frame, m
     15      2 if any of 16..24 is not zero, else 1 if any of 6..11 is not zero
-    16..24  G_x, G_y, G_z: N in world axes at the end of a lever of 1 m
+    16..24  G_x, G_y, G_z in world axes, N, each at a lever of 1 m
 """
 
 import numpy as np
@@ -39,9 +39,9 @@ def no_wrenches(offsets):
 
 
 def set_wrench(external, body, wrench, axes):
-    """Set the part in some of AXES of the wrench (6,) on body number `body`.
+    """Set the wrench (6,) on body number `body` in one of AXES.
 
-    Of a pair the torques cancel: only the force counts.
+    For a pair, only the force of the wrench is used.
     """
     if axes != "body":
         if axes == "world":
@@ -53,12 +53,12 @@ def set_wrench(external, body, wrench, axes):
         external[body, 15] = 2.0 if turning else float(external[body, 6:12].any())
     else:
         external[body, :6] = wrench
-        if external[body, 12:15].any():  # otherwise the numbers pass unchanged
+        if external[body, 12:15].any():  # otherwise the numbers stay bit-identical
             external[body, :3] -= _moment(external[body, 12:15], external[body, 3:6])
 
 
 def _moment(point, force):
-    """Cross product of arrays (3,), in far less time than np.cross."""
+    """Cross product of arrays (3,), much faster than np.cross."""
     return cross3(tuple(point.tolist()), tuple(force.tolist()))
 
 
@@ -87,7 +87,7 @@ def set_external_wrenches(external, pose, wrench_out):
 
 
 def parts_of_wrench(wrench, axes, point):
-    """[(axes, wrench (6,))] of a wrench whose force acts at a point of the body.
+    """[(axes, wrench (6,))] equivalent to a wrench whose force acts at a point of the body.
 
     wrench : (6,) torque N m, force N, in "body" or "world" axes
     point  : (3,) m, in the body frame

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Efforts of joints with one coordinate, as constant wrenches on the two bodies.
 
-The z axis of a revolute or prismatic joint is fixed in both bodies: a torque tau about it, or a force
-f along it, is constant in body axes, whatever the motion:
+The z axis of a revolute or prismatic joint is fixed in both bodies. So a torque tau about it, or a force
+f along it, is constant in body axes for any motion:
 
     revolute   torque  tau z_b on the child   ,   -tau z_a on the parent
     prismatic  force   f z_b at p_b           ,   -f z_a at p_a: the same line in space
 
-So an effort enters the schedule of external wrenches, turns with the bodies inside a step, and does
-exactly the work effort * d(joint coordinate) where the joint is satisfied.
+So an effort enters the schedule of external wrenches and rotates with the bodies inside a step. Its work
+is exactly effort * d(joint coordinate) where the joint is satisfied.
 """
 
 import numpy as np

@@ -2,17 +2,17 @@
 """All kinds of forces, and their sums.
 
 A kind is a file with
-    a class                 the force in a scene; its `type` is the name of the kind. It overrides
-                            `is_conservative` if it can be
+    a class                 the force in a scene; its `type` is the name of the kind. If forces of this
+                            kind can be conservative, it overrides `is_conservative`
     ROW                     record of one force for kernels
     make_row(force, ...)    such a record from a force of the scene
     add_wrench(rows, ...)   adds wrenches in body axes about the centre of mass
     energy(rows, ...)       potential energy, J; omitted for forces without a potential
     power(rows, ...)        power of the part without a potential, W; omitted if there is none
 and its lines below: import, __all__, FORCES and Forces in the same order, add_wrenches, energy,
-power. Scenes without forces of a kind have zero rows of it, so that all scenes share
-the same compiled code. test/contract/test_forces.py holds for every kind. Gravity acts on all
-bodies and is separate (gravity.py).
+power. A scene without forces of a kind has zero rows of this kind, so that all scenes share the same
+compiled code. test/contract/test_forces.py tests every kind. Gravity acts on all bodies and is separate
+(gravity.py).
 """
 
 import sys
@@ -82,8 +82,8 @@ class Forces(Struct):
     linear_servo: np.ndarray
     drag: np.ndarray
     applied_wrench: np.ndarray
-    counted: np.ndarray  # springs without stiffness, at joints of couplings, then of servos
-    exist: bool  # any but the last
+    counted: np.ndarray  # springs without stiffness at joints of couplings, then of servos: for their angles
+    exist: bool  # True if there are forces other than `counted`
 
 
 def make_forces(described, index, ends, counted=()):
@@ -111,12 +111,12 @@ def make_forces(described, index, ends, counted=()):
 
 
 def servos(described):
-    """Servos among the forces of a scene, in the order of their wanted values."""
+    """Servos among the forces of a scene, in the order of their target values."""
     return [force for kind in ("servo", "linear_servo") for force in described if force.type == kind]
 
 
 def wanted_values(forces):
-    """Wanted position and velocity (k, 2) of all servos without a command."""
+    """Target position and velocity (k, 2) of all servos without a command."""
     rows = [(row["position"], row["velocity"]) for row in (*forces.servo, *forces.linear_servo)]
     return np.array(rows, dtype=float).reshape(-1, 2)
 
@@ -137,7 +137,7 @@ def add_wrenches(forces, angle, acting, wanted, pose, twist, wrench_out):
 
     angle  : (k,) rad, the unwrapped angles after the last step
     acting : (k,) mask of the applied wrenches that act
-    wanted : (k, 2) wanted position and velocity of each servo
+    wanted : (k, 2) target position and velocity of each servo
     pose (n, 12), twist (n, 6)
     """
     if forces.exist:
@@ -201,7 +201,7 @@ def servo_efforts(forces, angle, wanted, pose, twist, out):
 
 @kernel
 def too_fast(forces, h, pose, twist):
-    """Index of an unwrapped angle whose joint rotates by half a turn or more in a step h, or -1.
+    """Index of an unwrapped angle whose joint rotates by pi or more in a step h, or -1.
 
     pose, twist : at the end of the step
     """
@@ -215,6 +215,6 @@ def too_fast(forces, h, pose, twist):
 
 @kernel
 def count_turns(forces, pose, angle):
-    """Unwrap the angles (k,) at the end of a step, less than half a turn after the last ones."""
+    """Unwrap the angles (k,) at the end of a step, in which they changed by less than pi."""
     turn.count_turns(forces.torsional_spring_damper, pose, angle, 0)
     turn.count_turns(forces.counted, pose, angle, len(forces.torsional_spring_damper))

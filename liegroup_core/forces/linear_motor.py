@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Motor along the z axis of a joint: force f - |f| sdot / limit, or f without a limit.
 
-The characteristic of motor.py, with force and speed instead of torque and rate.
+Same characteristic as in motor.py, with force and speed instead of torque and rate.
 """
 
 from typing import Literal
@@ -32,7 +32,7 @@ class LinearMotor(SlideForce):
     force: Number = Field(description="stall force on the child in N")
     speed_limit: Positive | None = Field(
         None,
-        description="no-load speed in m/s, greater than 0: the force falls linearly to zero there; "
+        description="no-load speed in m/s, greater than 0, at which the force has fallen linearly to zero; "
         "default: constant force",
     )
 

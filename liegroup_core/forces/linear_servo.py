@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Servo along the z axis of a joint.
 
-The law of servo.py, with position and force instead of angle and torque.
+Same control law as in servo.py, with position and force instead of angle and torque.
 """
 
 from typing import Literal
@@ -23,11 +23,11 @@ class LinearServo(SlideForce):
     """Servo along the z axis of a joint."""
 
     type: Literal["linear_servo"] = Field("linear_servo", description="linear_servo")
-    stiffness: NotNegative = Field(description="gain of the position in N/m, not negative")
-    damping: NotNegative = Field(0.0, description="gain of the velocity in N s/m, not negative")
+    stiffness: NotNegative = Field(description="position gain in N/m, not negative")
+    damping: NotNegative = Field(0.0, description="velocity gain in N s/m, not negative")
     effort_limit: Positive | None = Field(None, description="largest force in N, greater than 0; default: no limit")
-    position: Number = Field(0.0, description="wanted position in m without a command")
-    velocity: Number = Field(0.0, description="wanted velocity in m/s without a command")
+    position: Number = Field(0.0, description="target position in m until a command")
+    velocity: Number = Field(0.0, description="target velocity in m/s until a command")
 
 
 def make_row(servo, index, ends):
@@ -42,7 +42,7 @@ def _effort(row, position, velocity, pose, twist):
 
 @kernel
 def add_wrench(rows, wanted, pose, twist, wrench_out):
-    """Add the wrenches of all rows; wanted : (k, 2), the last ones are those of the rows."""
+    """Add the wrenches of all rows; wanted : (k, 2) targets of all servos, the last ones are of these rows."""
     first = len(wanted) - len(rows)
     for e in range(len(rows)):
         force = _effort(rows[e], wanted[first + e, 0], wanted[first + e, 1], pose, twist)
@@ -51,7 +51,7 @@ def add_wrench(rows, wanted, pose, twist, wrench_out):
 
 @kernel
 def efforts(rows, wanted, pose, twist, out):
-    """Write the forces, and the rates on which they act, to the last rows of out (k, 2)."""
+    """Write forces and joint velocities to the last rows of out (k, 2)."""
     first = len(wanted) - len(rows)
     for e in range(len(rows)):
         row = rows[e]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Motor about the z axis of a joint: torque tau - |tau| thetadot / limit, or tau without a limit.
 
-This is the characteristic of a DC motor at constant voltage: tau at rest, zero at the rate limit
-in the direction of tau. It holds at every rate: above the limit the motor brakes; against tau the
-torque exceeds tau. The torque is smooth, so that methods keep their order.
+This is the characteristic of a DC motor at constant voltage: tau at rest, zero at the rate limit in
+the direction of tau. It holds at every rate: above the limit the motor brakes, and for rates opposite to
+tau the torque exceeds tau. The torque is smooth, so that methods keep their order.
 """
 
 from typing import Literal
@@ -34,8 +34,8 @@ class Motor(TurnForce):
     torque: Number = Field(description="stall torque on the child in N m")
     rate_limit: Positive | None = Field(
         None,
-        description="no-load speed in rad/s, greater than 0: the torque falls linearly to zero "
-        "there; default: constant torque",
+        description="no-load speed in rad/s, greater than 0, at which the torque has fallen linearly to "
+        "zero; default: constant torque",
     )
 
 

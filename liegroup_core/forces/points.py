@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Points of bodies: position, velocity, and forces that act on them.
+"""Points of bodies: position, velocity, and forces at them.
 
 body  : body index, or WORLD
 place : (3,) m, the point in the frame of the body
@@ -20,7 +20,7 @@ def world_axes(pose, body, direction):
 
 @kernel
 def point(pose, body, place):
-    """World position of a point of a body (of the world: the point itself)."""
+    """World position of a point of a body; for the world, the point itself."""
     if body == WORLD:
         return place
     return add3(load3(pose, body, 9), matvec3(load9(pose, body, 0), place))
@@ -28,7 +28,7 @@ def point(pose, body, place):
 
 @kernel
 def place_of(pose, body, position):
-    """Point of a body that is at a world position: the inverse of `point`."""
+    """Point of a body at a given world position; the inverse of `point`."""
     if body == WORLD:
         return position
     return tmatvec3(load9(pose, body, 0), sub3(position, load3(pose, body, 9)))

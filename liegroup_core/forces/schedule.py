@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Schedule of external wrenches and of commands to joints: source, body, start and end.
 
-A source applies at most one wrench to a body. A later wrench of the same source replaces it when
-its time comes; a zero wrench ends it. Wrenches of different sources add. A wrench is constant in
+A source applies at most one wrench to a body. A later wrench of the same source replaces the earlier
+one at its start; a zero wrench ends it. Wrenches of different sources add. A wrench is constant in
 body axes or in world axes from its start to its end. A step in which a wrench starts or ends is
 split there, and the list of changes reproduces a run exactly.
 
 The effort of a joint is one command with constant wrenches on both bodies (joint_effort.py). A
 source applies at most one effort to a joint, by the same rules.
 
-The wanted position and velocity of a servo are a command, too, between the same instants. Whatever
-its source, a later one replaces it; without one the servo has the values of the scene. So is the
-motion of a driven joint, which holds until the next one: a new one also replaces those that wait.
+Target position and velocity of a servo are a command with a start and an end as well. A later command
+from any source replaces it; without a command the servo has the values of the scene. The motion of a
+driven joint is a command that holds until the next one. A new motion also replaces later waiting ones.
 """
 
 import bisect
@@ -28,18 +28,18 @@ from liegroup_core.joints.motion import FROM_SCENE
 from .external import AXES, parts_of_wrench
 from .instants import AFTER, BEFORE, NEVER, NS, ROUNDING, Instant
 
-# Stand for axes where a number is that of a servo, or of a driven joint.
+# Used as axes if a number is the index of a servo or of a driven joint.
 SERVO, DRIVE = "servo", "drive"
 
 
 def _start(change):
-    """Time in s of a change: exact, unless it is not at a whole ns."""
+    """Time in s of a change: an exact Fraction if it is at a whole ns, else a float."""
     time, time_ns = change.time, change.time_ns
     return Fraction(time_ns, NS) if abs(time_ns / NS - time) <= ROUNDING * time else time
 
 
 class AppliedWrench(NamedTuple):
-    """Total external wrench on a body in body axes, that in world axes, or a pair, from a time on.
+    """Total external wrench on a body, in body axes, in world axes or as a pair, from a time on.
 
     time    : s
     time_ns : the same in ns
@@ -61,7 +61,7 @@ class AppliedWrench(NamedTuple):
 
 
 class AppliedTarget(NamedTuple):
-    """Wanted position and velocity of the servo of a joint, from a time on.
+    """Target position and velocity of the servo of a joint, from a time on.
 
     time     : s
     time_ns  : the same in ns
@@ -103,29 +103,29 @@ class AppliedMotion(NamedTuple):
 class _Command(NamedTuple):
     start: Instant
     end: Instant
-    number: int  # order of arrival: of two with the same start the later wins
-    key: tuple  # source, joint or "", body: a later command with the same key replaces it
+    number: int  # order of arrival; of two commands with the same start, the later one holds
+    key: tuple  # (source, joint or "", body); a later command with the same key replaces this one
     parts: tuple  # ((axes, number, values), ...); see `WrenchSchedule.waiting`
-    effort: float  # of the joint
+    effort: float  # of the joint, N m or N
 
     @property
     def changes(self):
-        """{(body, axes)} on which it acts."""
+        """{(body, axes)} on which the command acts."""
         return {(number, axes) for axes, number, _ in self.parts}
 
     @property
     def is_zero(self):
-        """True if it ends what acts: a zero wrench or effort."""
+        """True for a zero wrench or effort, which ends the current one."""
         return not any(axes not in AXES or any(values) for axes, _, values in self.parts)
 
 
 class WrenchSchedule:
     """External wrenches that act, and those that start later.
 
-    wanted : (k, 2) wanted position and velocity of each servo without a command
+    wanted : (k, 2) target position and velocity of each servo without a command
     drives : number of driven joints
-    total  : {axes: (n, 6)} sums of the wrenches that act, by AXES;
-             "servo": (k, 2) wanted values; "drive": (d, 7) commanded motions, or FROM_SCENE
+    total  : {axes: (n, 6)} sums of the wrenches that act, for each of AXES;
+             "servo": (k, 2) target values; "drive": (d, 7) commanded motions, or FROM_SCENE
     """
 
     def __init__(self, body_count, wanted=np.zeros((0, 2)), drives=0):
@@ -138,7 +138,7 @@ class WrenchSchedule:
         self._known_next = None
 
     def copy(self):
-        """Schedule of the same wrenches."""
+        """Copy of the schedule."""
         other = copy.copy(self)
         other.total = {axes: total.copy() for axes, total in self.total.items()}
         other._waiting, other._acting = self._waiting.copy(), self._acting.copy()
@@ -167,17 +167,17 @@ class WrenchSchedule:
 
     @property
     def waiting(self):
-        """[(start in s, number, wrench (6,), axes)] that start later.
+        """[(start in s, number, wrench (6,), axes)] of the commands that start later.
 
-        The number is that of a body; with the axes "servo" that of a servo, and the wrench its wanted
-        position and velocity; with "drive" that of a driven joint, and the wrench its motion.
+        number is the index of a body. With the axes "servo" it is the index of a servo, and the wrench is
+        (target position, velocity). With "drive" it is that of a driven joint, and the wrench is its motion.
         """
         return [(c.start.time, number, values, axes) for c in self._waiting for axes, number, values in c.parts]
 
     def act(self, number, wrench, axes):
-        """Let a wrench (6,), or the wanted values of a servo, act that act already: it is no change.
+        """Restore a wrench (6,), or the target values of a servo, that act already, so `update` reports no change.
 
-        number, axes : as in `waiting`. The source of a wrench is that of its axes
+        number, axes : as in `waiting`. The axes are also the source of the wrench
         """
         self._arrived += 1
         key = (axes, "", number) if axes in AXES else ("", axes, number)
@@ -188,26 +188,26 @@ class WrenchSchedule:
         self._known_next = None
 
     def command(self, source, body, wrench, start, end, axes="body", point=None):
-        """Apply `wrench` (6,) of `source` to body number `body` from one Instant to another.
+        """Apply `wrench` (6,) of `source` to body number `body` between two Instants.
 
-        end   : None: until it is replaced
-        point : (3,) m, at which the force acts; None: the origin of the body frame
+        end   : None: until the wrench is replaced
+        point : (3,) m, point of application of the force; None: the origin of the body frame
         """
         parts = [(axes, wrench)] if point is None else parts_of_wrench(wrench, axes, point)
         parts = [(axes, body, values) for axes, values in parts]
         self._insert((source, "", body), parts, start, end)
 
     def command_effort(self, source, joint, effort, unit, start, end):
-        """Apply an effort of `source` to a joint from one Instant to another.
+        """Apply an effort of `source` to a joint between two Instants.
 
-        unit : wrenches of a unit effort, as of joint_effort.unit_wrenches
-        end  : None: until it is replaced
+        unit : wrenches of a unit effort, from joint_effort.unit_wrenches
+        end  : None: until the effort is replaced
         """
         parts = [("body", body, effort * wrench) for body, wrench in unit]
         self._insert((source, joint, -1), parts, start, end, effort)
 
     def command_servo(self, servo, position, velocity, start, end):
-        """Command the wanted values of servo number `servo` from one Instant to another.
+        """Command the target values of servo number `servo` between two Instants.
 
         end : None: until they are replaced
         """
@@ -225,13 +225,13 @@ class WrenchSchedule:
         return [c for c in (*self._acting.values(), *self._waiting) if c.key == key]
 
     def resume(self, commands):
-        """Let commands of another schedule act and wait here, too."""
+        """Add commands of another schedule to this one."""
         self._waiting = sorted((*self._waiting, *commands), key=lambda c: (c.start, c.number))
         self._arrived = max([self._arrived, *(c.number for c in commands)])
         self._known_next = None
 
     def motion_at(self, drive, instant):
-        """Commanded motion (7,) of a driven joint that will hold at an Instant, or FROM_SCENE."""
+        """Commanded motion (7,) of a driven joint at an Instant, or FROM_SCENE."""
         found = self.total[DRIVE][drive]
         for command in self._waiting:
             if command.key == ("", DRIVE, drive) and command.start <= instant:
@@ -248,9 +248,9 @@ class WrenchSchedule:
         self._known_next = None
 
     def clear(self, source):
-        """End all wrenches of a source, also those that start later. It takes effect with the next update.
+        """End all wrenches of a source at the next update, also those that start later.
 
-        Motions of driven joints have no end: they stay.
+        Motions of driven joints stay, because they have no end.
         """
         ended = {c.key for c in (*self._waiting, *self._acting.values())}
         ended = {key for key in ended if key[0] == source and key[1] != DRIVE}
@@ -268,7 +268,7 @@ class WrenchSchedule:
         return self._known_next
 
     def update(self, instant):
-        """Make `total` the wrenches that act from an Instant on; returns [(body, axes)] that changed."""
+        """Set `total` to the wrenches that act from an Instant on. Returns the changed [(body, axes)]."""
         if instant < self._next:
             return []
         self._known_next, touched = None, set()
@@ -281,7 +281,7 @@ class WrenchSchedule:
             if command.end <= instant or command.is_zero:
                 touched |= command.changes
                 del self._acting[key]
-        # Summed in the order of the sources' names: the sum is bit-identical for the same wrenches.
+        # Sorted by key, so that the sum of the same wrenches is always bit-identical.
         ordered = [self._acting[key] for key in sorted(self._acting)] if touched else []
         changed = []
         for body, axes in sorted(touched):
@@ -291,7 +291,7 @@ class WrenchSchedule:
                 for kind, number, values in command.parts
                 if (number, kind) == (body, axes)
             ]
-            # Numbers of Python: numpy takes several times longer for six of them.
+            # For six numbers, plain Python is several times faster than NumPy.
             total = [reduce(add, column) for column in zip(*wrenches)]
             total = total or self._idle[axes][body].tolist()
             if total != self.total[axes][body].tolist():
@@ -312,7 +312,7 @@ class WrenchSchedule:
         return min((i.step for i in self._instants(step) if i.step > step), default=NEVER)
 
     def _instants(self, step):
-        """Starts and ends up to the end of a step, and at least one later one if there is any."""
+        """Starts and ends of commands up to the end of a step, and at least one later if there is one."""
         instants = [c.end for c in self._acting.values()]
         for command in self._waiting:
             instants += command.start, command.end

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Servo about the z axis of a joint: a drive with a wanted angle and a wanted rate.
+"""Servo about the z axis of a joint: a drive with a target angle and a target rate.
 
     torque on the child  k (theta_wanted - theta) + c (thetadot_wanted - thetadot), within +- limit
-The angle theta is unwrapped (turn.py). Wanted values are those of the scene, or commands: inputs
-that are constant between two instants of the schedule.
+The angle theta is unwrapped (turn.py). The target (wanted) values come from the scene or from commands.
+Commands are constant between two instants of the schedule.
 """
 
 import math
@@ -23,7 +23,7 @@ LAW = [
     ("damping", "f8"),
     ("limit", "f8"),  # N m/rad, N m s/rad, N m; or N/m, N s/m, N
     ("position", "f8"),
-    ("velocity", "f8"),  # wanted without a command: rad, rad/s; or m, m/s
+    ("velocity", "f8"),  # targets without a command: rad, rad/s; or m, m/s
 ]
 ROW = np.dtype(turn.FIELDS + LAW, align=True)
 
@@ -32,11 +32,11 @@ class Servo(TurnForce):
     """Servo about the z axis of a joint."""
 
     type: Literal["servo"] = Field("servo", description="servo")
-    stiffness: NotNegative = Field(description="gain of the position in N m/rad, not negative")
-    damping: NotNegative = Field(0.0, description="gain of the velocity in N m s/rad, not negative")
+    stiffness: NotNegative = Field(description="position gain in N m/rad, not negative")
+    damping: NotNegative = Field(0.0, description="velocity gain in N m s/rad, not negative")
     effort_limit: Positive | None = Field(None, description="largest torque in N m, greater than 0; default: no limit")
-    position: Number = Field(0.0, description="wanted angle in rad without a command, may exceed 2 pi")
-    velocity: Number = Field(0.0, description="wanted velocity in rad/s without a command")
+    position: Number = Field(0.0, description="target angle in rad until a command; may exceed 2 pi")
+    velocity: Number = Field(0.0, description="target velocity in rad/s until a command")
 
 
 def law(servo):
@@ -66,8 +66,8 @@ def _effort(row, near, position, velocity, pose, twist, n):
 def add_wrench(rows, angle, wanted, pose, twist, wrench_out):
     """Add the torques of all rows.
 
-    angle  : rad after the last step; the last ones are those of the rows
-    wanted : (k, 2) wanted position and velocity; the first ones are those of the rows
+    angle  : all unwrapped angles after the last step, rad; the last ones are those of these rows
+    wanted : (k, 2) target position and velocity of all servos; the first ones are those of these rows
     """
     first = len(angle) - len(rows)
     for e in range(len(rows)):
@@ -78,7 +78,7 @@ def add_wrench(rows, angle, wanted, pose, twist, wrench_out):
 
 @kernel
 def efforts(rows, angle, wanted, pose, twist, out):
-    """Write the torques, and the rates on which they act, to out (k, 2)."""
+    """Write torques and joint velocities to out (k, 2)."""
     first = len(angle) - len(rows)
     for e in range(len(rows)):
         n = turn.axis(rows[e], pose)

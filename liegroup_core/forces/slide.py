@@ -4,9 +4,8 @@
 With o_a, o_b the origins of the joint frames and z the z axis of the parent's frame,
     coordinate   s = z . (o_b - o_a)
     rate         sdot = z . (velocity of o_b - velocity of the parent's point that is at o_b)
-A force f z acts on the child at o_b, and -f z acts on the parent at the same point: their total
-wrench is zero, and their work is exactly f ds, also if the joint drifts
-(test/contract/test_forces.py).
+A force f z acts on the child at o_b, and -f z acts on the parent at the same point. Their total wrench
+is zero, and their work is exactly f ds, even if the joint drifts (test/contract/test_forces.py).
 """
 
 from typing import ClassVar
@@ -33,7 +32,7 @@ FIELDS = [
     ("child", "i8"),  # body index or WORLD
     ("axis", "f8", (3,)),  # z in the axes of the parent
     ("parent_origin", "f8", (3,)),
-    ("child_origin", "f8", (3,)),  # m, in the frame of each
+    ("child_origin", "f8", (3,)),  # m, in the frames of parent and child
 ]
 
 

@@ -3,8 +3,8 @@
 
 With d the vector from the parent's point to the child's point and l = |d| the force on the child is
     f = -(k (l - l0) + c ldot) d / l ,   ldot = d . ddot / l
-and the parent gets -f. A spring of zero rest length has f = -k d, without a division. At l = 0 the
-direction is undefined: rest length and damper do not contribute.
+and the force on the parent is -f. A spring of zero rest length has f = -k d, without a division. At
+l = 0 the direction is undefined, and rest length and damper do not contribute.
 """
 
 import math
@@ -25,7 +25,7 @@ ROW = np.dtype(
         ("parent", "i8"),
         ("child", "i8"),  # body index or WORLD
         ("parent_point", "f8", (3,)),
-        ("child_point", "f8", (3,)),  # m, in the frame of each
+        ("child_point", "f8", (3,)),  # m, in the frames of parent and child
         ("stiffness", "f8"),
         ("damping", "f8"),
         ("rest_length", "f8"),  # N/m, N s/m, m
@@ -75,7 +75,7 @@ def _line(row, pose):
 
 @kernel
 def _line_rate(row, pose, twist):
-    """Rate of that vector."""
+    """Time derivative of the vector of `_line`."""
     return sub3(
         point_velocity(pose, twist, row["child"], vector3(row["child_point"])),
         point_velocity(pose, twist, row["parent"], vector3(row["parent_point"])),

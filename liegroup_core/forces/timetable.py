@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Times at which inputs of the scene change, in steps and inside steps.
+"""Times at which inputs of the scene change, at step boundaries and inside steps.
 
-Applied wrenches start and end, and prescribed motions go on to the next one. A time inside a step
-splits the step: the integration stops there and continues with the new inputs, so that the impulse is
-exact and a method keeps its order. Times of steps and samples do
-not change. A time within round-off of a step boundary is that boundary.
+These are starts and ends of applied wrenches, and times at which a prescribed motion passes to its next
+polynomial. A time inside a step splits the step: the integration stops there and continues with the new
+inputs, so that the impulse is exact and a method keeps its order. Times of steps and samples do not
+change. A time within round-off of a step boundary counts as that boundary.
 """
 
 from bisect import bisect_right
@@ -20,14 +20,14 @@ def acting_at(rows, time):
 
 
 def just_after(time):
-    """A time in s at which an input that starts at `time`, computed otherwise, acts already."""
+    """Time in s slightly after `time`, at which an input that starts at `time` acts despite rounding."""
     return time * (1.0 + ROUNDING)
 
 
 class Timetable:
     """Changes of the inputs of a scene.
 
-    rows    : of the scene's applied wrenches
+    rows    : records of the scene's applied wrenches
     grid    : StepGrid of the steps
     motions : [(m, 7)] prescribed motions of each driven joint, see joints/motion.py
     """
@@ -49,7 +49,7 @@ class Timetable:
         self._changes = sorted({i.step for i in self._instants if i.step < NEVER})
 
     def next_change(self, steps):
-        """First later step that is split, or from which other inputs hold."""
+        """First later step that starts with a change of the inputs, or is split by one."""
         at = bisect_right(self._changes, steps)
         return self._changes[at] if at < len(self._changes) else NEVER
 

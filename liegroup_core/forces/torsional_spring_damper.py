@@ -2,8 +2,8 @@
 """Torsional spring with damper about the z axis of a joint.
 
     torque on the child  -(k (theta - theta0) + c thetadot)
-The angle theta is unwrapped (turn.py). Its value after the last step is part of the state: one
-number `angle` per row.
+The angle theta is unwrapped (turn.py). Its value after the last step is part of the state, one number
+`angle` per row.
 """
 
 from typing import ClassVar, Literal

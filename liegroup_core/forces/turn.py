@@ -2,14 +2,14 @@
 """Rotation of a joint about its z axis: angle, rate, and a torque about it.
 
 With R the rotation of the child's joint frame in the parent's and z_a, z_b the z axes of both,
-    angle   theta = atan2(R10 - R01, R00 + R11)              the twist of swing and twist
+    angle   theta = atan2(R10 - R01, R00 + R11)              twist angle of the swing-twist decomposition
     rate    thetadot = n . (omega_b - omega_a) ,   n = (z_a + z_b) / (1 + z_a . z_b)
 If the z axes coincide, n is the axis. If they drift apart, theta is still defined and n is still
 its gradient: a torque tau n on the child and -tau n on the parent does exactly the work tau dtheta
 (test/contract/test_forces.py).
 
-A rotation matrix gives the angle modulo 2 pi. The angle is unwrapped: it is the value nearest to
-that of the last step. This is exact if the joint rotates by less than half a turn per step.
+A rotation matrix gives the angle modulo 2 pi. The angle is unwrapped: it is the value nearest to that
+of the last step. This is exact if the joint rotates by less than pi per step.
 """
 
 import math
@@ -37,7 +37,7 @@ FIELDS = [
     ("parent", "i8"),
     ("child", "i8"),  # body index or WORLD
     ("parent_axes", "f8", (9,)),
-    ("child_axes", "f8", (9,)),  # joint frame -> axes of each
+    ("child_axes", "f8", (9,)),  # rotation from joint frame to body frame, of parent and child
 ]
 
 
@@ -73,13 +73,13 @@ def angle(row, pose, near):
 
 @kernel
 def axis(row, pose):
-    """n, the gradient of the angle, world axes."""
+    """Gradient n of the angle, world axes."""
     parent_axes = row["parent_axes"]
     child_axes = row["child_axes"]
     z_a = world_axes(pose, row["parent"], (parent_axes[2], parent_axes[5], parent_axes[8]))
     z_b = world_axes(pose, row["child"], (child_axes[2], child_axes[5], child_axes[8]))
     both = 1.0 + dot3(z_a, z_b)
-    # Opposite axes have no angle: the joint does not allow such a pose.
+    # The angle is undefined for opposite axes, but the joint does not allow such a pose.
     return scale3(1.0 / both if both > 0.0 else 0.0, add3(z_a, z_b))
 
 
@@ -101,9 +101,9 @@ def apply(row, pose, n, torque, wrench_out):
 
 @kernel
 def count_turns(rows, pose, angles, first):
-    """Unwrap the angles of rows, from entry `first` of `angles` on, at a pose.
+    """Unwrap the angles of rows at a pose; they are in `angles` from entry `first` on.
 
-    The pose is less than half a turn after the last one.
+    Each angle must have changed by less than pi since the last call.
     """
     for e in range(len(rows)):
         angles[first + e] = angle(rows[e], pose, angles[first + e])
@@ -111,7 +111,7 @@ def count_turns(rows, pose, angles, first):
 
 @kernel
 def too_fast(rows, h, pose, twist):
-    """First row whose joint rotates by half a turn or more in a time h, or -1."""
+    """First row whose joint rotates by pi or more in a time h, or -1."""
     for e in range(len(rows)):
         row = rows[e]
         if abs(h * rate(row, pose, twist, axis(row, pose))) >= math.pi:

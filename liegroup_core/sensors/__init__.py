@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sensors of a scene: what they measure in a Sample. One file per kind, listed in kinds.py.
+"""Sensors of a scene and their measurements in a Sample. One file per kind, listed in kinds.py.
 
-In: a sensor as the scene describes it, and a Sample. Out: numbers, with noise that depends on seed,
-sensor and step only. Must not know: who asks, topics, files.
+Input: a sensor of a scene, and a Sample. Output: numbers, with noise that depends only on seed, sensor
+and step. This package does not depend on topics, files or its callers.
 """

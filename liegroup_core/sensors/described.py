@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a scene says of every sensor: the base of the classes of all kinds, and their noise."""
+"""Keys that all sensors of a scene share, and their noise: the base of all sensor classes."""
 
 import zlib
 from typing import Annotated, ClassVar
@@ -22,10 +22,10 @@ Seed = Annotated[int, BeforeValidator(_seed)]
 class Sensor(Described):
     """Sensor of a scene, at a body, at a joint or between two bodies.
 
-    A subclass has `measure(sample)`: its numbers without noise, of the length of `parts`, their names
-    and units.
+    A subclass has `parts`, names and units of its numbers, and `measure(sample)`, the numbers without
+    noise.
 
-    needs_coordinate : True: its joint has one angle or displacement
+    needs_coordinate : True if its joint must have exactly one angle or displacement
     """
 
     parts: ClassVar = ()
@@ -34,20 +34,20 @@ class Sensor(Described):
     type: str
 
     def read(self, sample):
-        """Numbers of a Sample."""
+        """Measured numbers at a Sample."""
         return self.measure(sample)
 
 
 class NoisySensor(Sensor):
     """Sensor with noise. A subclass has `noise`, the standard deviations of its numbers, 0 without noise."""
 
-    seed: Seed = Field(0, description="of the noise, a whole number")
+    seed: Seed = Field(0, description="seed of the noise, a whole number")
 
     def read(self, sample):
-        """Numbers with noise: white, of the same values at the same step in every run.
+        """Measured numbers with white noise, which is the same at the same step in every run.
 
-        It is drawn from a counter (Philox) with the seed and the sensor's name as key and the step
-        as position, so that it needs no memory and a run is repeated bit for bit from any step.
+        The noise is sampled from a counter-based generator (Philox). Its key is the seed and the sensor's
+        name, its counter the step. So it has no state, and a run is bit-identical from any step on.
         """
         values, noise = self.measure(sample), self.noise
         if noise.any():

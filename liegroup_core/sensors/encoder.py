@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Encoder of a joint with one angle or displacement: whole steps of its resolution."""
+"""Encoder of a joint with one angle or displacement, with a resolution."""
 
 from typing import Literal
 
@@ -18,10 +18,10 @@ class Encoder(Sensor):
     needs_coordinate = True
     type: Literal["encoder"] = Field("encoder", description="encoder")
     joint: Text = Field(description="name of a joint with one angle or displacement")
-    resolution: Positive | None = Field(None, description="rad or m of one step; default: exact. A step begins at 0")
+    resolution: Positive | None = Field(None, description="resolution in rad or m, with a step at 0; default: exact")
 
     def measure(self, sample):
-        """(1,) rad or m, rounded down to a whole step."""
+        """(1,) rad or m, rounded down to a multiple of the resolution."""
         position, _ = sample.joint_coordinates[self.joint]
         if self.resolution is not None:
             position = self.resolution * np.floor(position / self.resolution)

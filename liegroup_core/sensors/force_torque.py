@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Force-torque sensor in a joint or weld: what the joint transmits to its child."""
+"""Force-torque sensor in a joint: the wrench that the joint transmits to its child."""
 
 from typing import Literal
 
@@ -24,16 +24,16 @@ class ForceTorque(NoisySensor):
     joint: Text = Field(description="name of the joint")
     frame: Frame | None = Field(
         None,
-        description="its frame in the child: axes, and origin that the torque is about; default: the "
-        "joint frame of the child",
+        description="sensor frame in the child: the axes, and the origin that the torque is about; default: "
+        "the joint frame of the child",
     )
     acts_on: Literal["child", "parent"] = Field(
         "child", description="child: the wrench on the child; parent: the opposite one, on the parent"
     )
     measures: Literal["reaction", "transmitted"] = Field(
         "reaction",
-        description="reaction: that of the joint alone; transmitted: with springs, motors, servos and "
-        "commanded efforts at the joint, as a sensor beside a drive shows",
+        description="reaction: the wrench of the joint's constraints alone; transmitted: with springs, motors, "
+        "servos and commanded efforts at the joint, as a sensor next to a drive measures",
     )
     torque_noise: NotNegative = Field(0.0, description="standard deviation of each torque in N m")
     force_noise: NotNegative = Field(0.0, description="standard deviation of each force in N")
@@ -52,7 +52,7 @@ class ForceTorque(NoisySensor):
 
 
 def _moved(wrench, between):
-    """Wrench (6,) in another frame; between: (4, 4) pose of its frame there. NaN stays where it enters."""
+    """Wrench (6,) in another frame; between: (4, 4) pose of the old frame in the new one. NaN propagates."""
     R, p = between[:3, :3], between[:3, 3]
     to = np.zeros((6, 6))
     to[:3, :3] = to[3:, 3:] = R

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Inertial measurement unit: orientation, angular velocity and specific force of a frame of a body.
 
-The specific force is what an accelerometer shows: the acceleration of the frame's origin less
-gravity, in the axes of the frame. Angular velocity and specific force have a constant bias.
+An accelerometer measures the specific force: the acceleration of the frame's origin minus gravity, in
+the axes of the frame. Angular velocity and specific force have a constant bias.
 """
 
 from typing import Literal
@@ -27,7 +27,7 @@ class Imu(NoisySensor):
     )
     type: Literal["imu"] = Field("imu", description="imu")
     body: Text = Field(description="name of the body")
-    frame: Frame | None = Field(None, description="its frame in the body; default: the body frame")
+    frame: Frame | None = Field(None, description="sensor frame in the body; default: the body frame")
     angular_velocity_noise: NotNegative = Field(0.0, description="standard deviation of each angular velocity in rad/s")
     acceleration_noise: NotNegative = Field(0.0, description="standard deviation of each specific force in m/s^2")
     angular_velocity_bias: Vector3 = Field((0.0, 0.0, 0.0), description="bias in rad/s")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All kinds of sensors. A kind is a file with a class, and its line in SENSORS."""
+"""All kinds of sensors. For a new kind, add a file with a class, and an entry in SENSORS."""
 
 from .distance import Distance
 from .encoder import Encoder

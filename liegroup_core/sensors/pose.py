@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pose and twist of a frame other than that of its body, such as a tool or a mark of a tracker."""
+"""Pose and twist of a frame fixed to a body, such as a tool or a marker of a tracker."""
 
 from typing import Literal
 
