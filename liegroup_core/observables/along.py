@@ -51,7 +51,7 @@ def _rows(pose, twist, out):
 def rows(pose, twist):
     """(n, 13) position, quaternion as above, v, omega of poses (n, 12) and twists (n, 6).
 
-    The arrays are those of a Sample: C-contiguous, not to be written.
+    The arrays must be C-contiguous and read-only, as in a Sample.
     """
     out = np.empty((len(pose), 13))
     _rows(pose, twist, out)
@@ -61,8 +61,8 @@ def rows(pose, twist):
 class Along:
     """Observables along a motion of the body frames of a layout, block by block.
 
-    Angles of torsional springs are unwrapped from one state to the next: a joint must rotate by
-    less than half a turn in between. Call `restart` at the start of another motion.
+    Angles of torsional springs are unwrapped from one state to the next, so a joint must rotate by
+    less than pi in between. Call `restart` at the start of another motion.
     """
 
     def __init__(self, layout):
@@ -75,7 +75,7 @@ class Along:
     def restart(self, near=None):
         """Start another motion with the next state.
 
-        near : (t,) rad, its angles of the torsional springs; None: less than half a turn
+        near : (t,) rad, approximate angles of the torsional springs; None: between -pi and pi
         """
         self._angle, self._near = None, near
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Distances of two states of a mechanism."""
+"""Distances between two states of a mechanism."""
 
 import math
 
@@ -9,7 +9,7 @@ from liegroup_core.lie.vec3 import cross3, load3, load9, matvec3, sub3, tmatmul3
 
 @kernel
 def _norm(v):
-    """Norm of a vector, without underflow or overflow of the squares."""
+    """Norm of a vector without underflow or overflow of its squares."""
     size = max(abs(v[0]), abs(v[1]), abs(v[2]))
     if not 0.0 < size < math.inf:
         return size
@@ -19,10 +19,10 @@ def _norm(v):
 
 @kernel
 def distances(com, pose, twist, other_pose, other_twist, out):
-    """Distances of the body frames of two states, out (n, 4): m, rad, m/s, rad/s; twists in body axes.
+    """Write distances between the body frames of two states to out (n, 4): m, rad, m/s, rad/s; twists in body axes.
 
-    com : (n, 3) m, of the frames at the centres of mass, to which the states refer, in body frames
-    returns the largest m and rad
+    com : (n, 3) m, centres of mass in the body frames; the states are those of frames at these points
+    returns the largest distance in m and in rad
     """
     position = angle = 0.0
     for i in range(len(pose)):
@@ -41,5 +41,5 @@ def distances(com, pose, twist, other_pose, other_twist, out):
 
 
 def largest_of(distance):
-    """Largest m and rad of distances (n, 4), as `distances` returns them."""
+    """(largest m, largest rad) of distances (n, 4), as `distances` returns them."""
     return tuple(distance[:, :2].max(axis=0).tolist())

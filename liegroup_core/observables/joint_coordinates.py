@@ -4,8 +4,8 @@
 With the joint frames A on the parent and B on the child, z_A and z_B their axes in the world,
     revolute   theta = atan2(R10 - R01, R00 + R11) of R = R_A^T R_B,   z_B . (omega_b - omega_a)
     prismatic  z_A . (p_B - p_A),                                      z_B . (v_b - v_a) at p_B
-Their error is of the order of the joint's residual. An angle is unwrapped if the joint has a torsional
-spring or a servo, is coupled or driven; other angles are between -pi and pi.
+Their errors are of the order of the joint's residual. An angle is unwrapped if the joint has a torsional
+spring or a servo, is coupled or driven. Other angles are between -pi and pi.
 """
 
 import math
@@ -21,7 +21,7 @@ from liegroup_core.scene.consistency import resolve_couplings
 
 @kernel
 def _placed(frames, j, start, pose, body):
-    """Rotation and origin of a joint frame, columns from `start` of row j, in world axes."""
+    """Rotation and origin, in world axes, of the joint frame in row j of frames, columns from `start` on."""
     rot, point = load9(frames, j, start), load3(frames, j, start + 9)
     if body == len(pose):
         return rot, point
@@ -31,7 +31,7 @@ def _placed(frames, j, start, pose, body):
 
 @kernel
 def _motion(pose, twist, body, point):
-    """Angular velocity of a body, and its velocity at a point; world axes."""
+    """Angular velocity of a body, and the velocity of its point at a world position; world axes."""
     if body == len(pose):
         return ZERO3, ZERO3
     turn = load9(pose, body, 0)
@@ -44,8 +44,9 @@ def _motion(pose, twist, body, point):
 def _coordinates(ends, slides, frames, pose, twist, out):
     """Positions and velocities of joints, out (k, 2).
 
-    ends (k, 2) parent and child, the world has the index after the last body; slides (k,);
-    frames (k, 24) of the parent and of the child: R row by row, point in m
+    ends   : (k, 2) indices of parent and child; that of the world is the number of bodies
+    slides : (k,) True for a prismatic joint
+    frames : (k, 24) joint frames in parent and child: R row by row, point in m
     """
     for j in range(len(ends)):
         a, b = ends[j]
@@ -67,7 +68,7 @@ class JointCoordinates:
 
     scene  : Scene with frames at the centres of mass
     frames : (parent frame, child frame), each (4, 4), of its joints
-    names, units : joints that have a coordinate; {joint: "rad" or "m"}
+    names, units : joints with exactly one coordinate; {joint: "rad" or "m"}
     """
 
     def __init__(self, scene, frames):

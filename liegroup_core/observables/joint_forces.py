@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Springs, dampers, motors and servos at joints: what each of them exerts about or along the z axis.
+"""Efforts of springs, dampers, motors and servos about or along the z axis of their joint.
 
-A joint transmits its reaction and, beside it, what these forces exert on its child.
+A joint transmits its reaction and the efforts of these forces to its child.
 """
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 from liegroup_core.compiling import kernel
 from liegroup_core.forces import kinds, linear_motor, linear_spring_damper, motor, torsional_spring_damper, turn
 
-# Kinds in the order of `_efforts`; servos know their efforts.
+# Kinds in the order of `_efforts`. Efforts of servos are computed elsewhere.
 KINDS = ("torsional_spring_damper", "linear_spring_damper", "motor", "linear_motor")
 SERVOS = ("servo", "linear_servo")
 
@@ -45,7 +45,7 @@ def names_of_forces(scene):
 class JointForces:
     """Forces at the joints of a scene.
 
-    names  : of the forces, in the order of the scene
+    names  : names of the forces, in the order of the scene
     joints : {force: its joint}
     turns  : {force: True for a torque about z, False for a force along z}
     """
@@ -63,7 +63,7 @@ class JointForces:
         """{force: N m or N} on the child of its joint.
 
         forces : of the model;  angles, pose, twist : as in Reactions.at
-        servo_efforts : (k,) of the servos
+        servo_efforts : (k,) efforts of the servos
         """
         efforts = dict(zip(self._servos, map(float, servo_efforts)))
         if self._ordered:

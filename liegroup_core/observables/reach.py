@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the loops of a mechanism can reach the positions that its driven joints are to have."""
+"""Check whether the loops of a mechanism can reach commanded positions of its driven joints."""
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from liegroup_core.scene.description import WORLD
 
 
 def beyond_reach(scene, pose, positions):
-    """[(driven joint, its position)] that its loop cannot reach from the present poses.
+    """[(driven joint, position)] of the positions that a loop cannot reach from the present poses.
 
     scene     : with frames at the centres of mass
     pose      : (n, 12) present poses
@@ -43,7 +43,7 @@ def beyond_reach(scene, pose, positions):
 
         if closes(entries):
             continue
-        # Those without which the others can be reached; all if no single one is the reason.
+        # Joints without which the loop can reach all other positions; if there are none, all joints.
         alone = [e for e in driven if closes([entry for entry in entries if entry is not e])]
         found += [(scene.joints[e.joint].name, e.offset) for e in alone or driven]
     return found

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reactions of joints, and which of their components the equations of motion determine.
+"""Reactions of joints, and detection of the components that the equations of motion do not determine.
 
-Redundant rows of closed loops leave reactions undetermined: with J^T lambda given, lambda is known
-up to the null space N of J^T, and so is the wrench A^T lambda of a joint with rows A. A component is
-determined if its row of A^T N vanishes. This is a property of the linkage: it is found at generic
-poses (mechanism/redundancy.py), and again at a singular pose, where more of them are undetermined.
+Redundant rows of closed loops leave reactions undetermined: J^T lambda determines lambda only up to the
+null space N of J^T, and likewise the wrench A^T lambda of a joint with rows A. A component is determined
+if its row of A^T N vanishes. This is a property of the linkage. It is computed at generic poses
+(mechanism/redundancy.py), and again at a singular pose, where more components are undetermined.
 
 Source: Wojtyra, Joint reactions in rigid body mechanisms with dependent constraints, Mechanism and
 Machine Theory 44 (2009) 2265.
@@ -39,12 +39,12 @@ from liegroup_core.scene.consistency import (
 
 COMPONENTS = ("torque x", "torque y", "torque z", "force x", "force y", "force z")
 MOST = 5  # names in a reason
-# A^T N has entries of order one or of round-off; closed poses leave 1e-12 / RANK_TOLERANCE.
+# Entries of A^T N are of order one or round-off. Residuals of the poses contribute 1e-12 / RANK_TOLERANCE.
 VANISHING = 1e-6
 
 
 class _Rows(NamedTuple):
-    """Rows of a linkage at a pose: unit rows, and their null space.
+    """Unit rows of a linkage at a pose, and their null space.
 
     shares : (joints, 6, rows) wrench that a unit multiplier of each row exerts on each joint's child,
              in the axes of the joint frame, (torque / length, force)
@@ -56,15 +56,15 @@ class _Rows(NamedTuple):
 
 
 NO_EFFORTS = np.zeros(0)
-REGULAR = -1  # what `joint_wrenches` returns at a pose that is not singular
+REGULAR = -1  # result of `joint_wrenches` at a regular pose
 
 
 class Reactions:
     """Reactions of all joints of a layout.
 
-    names      : of the joints, in the order of all arrays
-    has_inputs : whether they depend on more than the state and the external wrenches
-    idle       : no external wrenches
+    names      : names of the joints, in the order of all arrays
+    has_inputs : True if reactions depend on more than the state and the external wrenches
+    idle       : array without external wrenches
     """
 
     def __init__(self, layout):
@@ -83,12 +83,12 @@ class Reactions:
         couplings = rigid_couplings(scene)
         couplings += [ResolvedCoupling(j, j, 0.0, 0.0) for j in driven_joints(scene)]
         frames, parts = resolve_frames(scene), resolve_elements(scene)
-        # [(joints, their Linkage that moves, that with its driven joints held)]
+        # [(joints, their Linkage with free driven joints, their Linkage with prescribed driven joints)]
         self._groups = []
         for loops, numbers in dependent_groups(scene, couplings):
             entries = [couplings[n] for n in numbers]
             joints = {*loops, *(j for entry in entries for j in (entry.joint, entry.other))}
-            # The order of mechanism/redundancy.py: the same linkage is analysed once.
+            # Same order as in mechanism/redundancy.py, so that the cached analysis is used.
             group = sorted(joints, key=lambda j: (scene.joints[j].parent != WORLD_NAME, j))
             own = [entry._replace(joint=group.index(entry.joint), other=group.index(entry.other)) for entry in entries]
             moving, held = (
@@ -98,7 +98,7 @@ class Reactions:
             self._groups.append((group, moving, held))
 
     def warm_up(self):
-        """Compile the kernels and analyse the linkage, at the start of the scene."""
+        """Compile the kernels and analyse the linkage, with the initial state of the scene."""
         pose, twist = initial_state(self._scene)
         _ = self.present
         forces, angles = self._model.space.forces, np.zeros(len(self._work.angle))
@@ -112,7 +112,7 @@ class Reactions:
 
     @cached_property
     def _joint_wrenches(self):
-        """Compiled `joint_wrenches`, for arrays that can be written, as the engine's."""
+        """Compiled `joint_wrenches` for writable arrays, as the engine has them."""
         call = SameTypes(joint_wrenches)
         arguments = self._model, self._work, self._table, *initial_state(self._scene), self.idle
         call(*arguments, self.empty())
@@ -120,9 +120,9 @@ class Reactions:
 
     @cached_property
     def present(self):
-        """Function (pose, twist, external, out) of `joint_wrenches` for arrays as the engine's.
+        """Function (pose, twist, external, out) that calls `joint_wrenches` with arrays of the engine.
 
-        One call of compiled code: no check, no copy. The inputs are those of the last `take`.
+        It calls compiled code without checks or copies. The inputs are those of the last `take`.
         """
         _ = self._joint_wrenches
         return partial(self._joint_wrenches.machine_code, self._model, self._work, self._table)
@@ -136,13 +136,13 @@ class Reactions:
         """(J, 6) mask of the components that are undetermined at generic poses."""
         mask = np.zeros((len(self.names), 6), dtype=bool)
         for group, linkage, _ in self._groups:
-            # Driven joints depend on no others (mechanism/cuts.py).
+            # Driven joints are independent of each other (mechanism/cuts.py).
             for poses in generic_poses(linkage):
                 mask[group] |= _undetermined(_rows(linkage, poses))
         return mask
 
     def reasons(self, mask):
-        """{joint: why some of its components are undetermined}; mask : (J, 6)."""
+        """{joint: reason why some of its components are undetermined}; mask : (J, 6)."""
         found = {}
         for group, *_ in self._groups:
             joints = [j for j in group if mask[j].any()]
@@ -156,16 +156,15 @@ class Reactions:
         return found
 
     def at(self, pose, twist, external=None, inputs=None, table=None):
-        """(wrenches and motion (J + n, 6), mask of the undetermined components (J, 6), efforts (d,)).
+        """Return (wrenches and motion (J + n, 6), mask of undetermined components (J, 6), efforts (d,)).
 
         pose, twist : (n, 12), (n, 6) of frames at the centres of mass
         external    : (n, COLUMNS), see forces/external.py; None: no external wrenches
-        inputs      : (angles, acting, wanted, motions, modes, time); None if there are none:
+        inputs      : (angles, acting, wanted, motions, modes, time) or None:
                       angles (k,) rad, `Sample.angles`; acting, mask of the scene's applied wrenches;
-                      wanted (k, 2) positions and velocities of the servos; motions (d, 7) of the driven
-                      joints; modes (k, 5) of the joints with stops or friction, None: as they are;
-                      time in s
-        table       : ReactionTable, with the components that are NaN; None: the undetermined ones
+                      wanted (k, 2) targets of the servos; motions (d, 7) of the driven joints; modes
+                      (k, 5) of the joints with stops or friction, None: unchanged; time in s
+        table       : ReactionTable with the components to set to NaN; None: the undetermined ones
         wrenches, motion : see `joint_wrenches`;  efforts : of the driven joints, N m or N
         Raises SimulationError if the accelerations cannot be computed.
         """
@@ -203,17 +202,17 @@ class Reactions:
             set_modes(self._model, work, modes)
 
     def take_modes(self, model, work):
-        """Set the modes of the joints with stops or friction to those of an integrator's arrays.
+        """Copy the modes of the joints with stops or friction from an integrator's arrays.
 
-        returns whether they were known
+        returns True if they are known there
         """
         return self._copy_modes(model, work, self._model, self._work)
 
     def of_impact(self, pose, impulses):
-        """(J, 6) impulses of all joints at an impact, N m s and N s; NaN: undetermined.
+        """(J, 6) impulses of all joints at an impact, N m s and N s; NaN if undetermined.
 
         pose     : (n, 12) of frames at the centres of mass
-        impulses : (k,) of the stops, on the coordinates of the joints with stops or friction
+        impulses : (k,) impulses of the stops, along the coordinates of the joints with stops or friction
         Raises SimulationError if they cannot be computed.
         """
         work, out = self._work, self.empty()
@@ -225,14 +224,14 @@ class Reactions:
         return out[: len(self.names)]
 
     def _places(self, pose):
-        """{body: (4, 4)} of frames at the centres of mass, with the world."""
+        """{body: (4, 4)} poses of the frames at the centres of mass, and of the world."""
         places = dict(zip(self._bodies, map(pose_matrix, pose)))
         return places | {WORLD_NAME: np.eye(4)}
 
     def minimum_norm(self, pose, *others):
-        """(J, 6) wrenches with the smallest multipliers of unit rows, among all that are possible.
+        """(J, 6) possible wrenches with the minimum-norm multipliers of unit rows.
 
-        Arguments as of `at`. Torques are compared with forces at the linkage's characteristic length.
+        Arguments as for `at`. For the norm, torques are divided by the linkage's characteristic length.
         """
         table = self._table.replace(hidden=np.zeros_like(self._table.hidden))
         wrenches = self.at(pose, *others, table)[0][: len(self.names)]
@@ -270,5 +269,5 @@ def _rows(linkage, poses):
 
 
 def _undetermined(rows):
-    """(joints, 6) mask of the components of the joints that the null space changes."""
+    """(joints, 6) mask of the wrench components that depend on the null space."""
     return np.abs(rows.shares @ rows.null).max(axis=2, initial=0.0) > VANISHING

@@ -30,15 +30,15 @@ class Sample:
     pose  : (n, 12) per body R row by row, then r in m; body frame -> world
     twist : (n, 6) per body omega rad/s, v m/s; body axes, v of the frame's origin
     errors : (n, 4) estimated errors, see `error`; None without an estimate
-    bound : (m, rad) that an accuracy allows for errors of poses at this time; None with a method
-    external : (n, COLUMNS) external wrenches, see forces/external.py; None: none
-    joint_efforts : {joint: N m or N} of the efforts that acted at the end of the last step
-    wanted : (k, 2) wanted positions and velocities of the servos, rad and rad/s, or m and m/s;
+    bound : (m, rad) largest pose errors that an accuracy allows at this time; None with a method
+    external : (n, COLUMNS) external wrenches, see forces/external.py; None: no wrenches
+    joint_efforts : {joint: N m or N} commanded efforts that acted at the end of the last step
+    wanted : (k, 2) target positions and velocities of the servos, rad and rad/s, or m and m/s;
              None: those of the scene
     motions : (d, 7) prescribed motions of the driven joints; None: those of the scene
-    switching : (k, 5) modes of the joints with stops or friction, in the order of the scene: 1 if held,
-                2 if it rests because others are; direction of slip, stop that it touches (-1 lower, 1 upper),
-                coordinate, effort in case of 2; None: all free
+    switching : (k, 5) modes of the joints with stops or friction, in the order of the scene: 1 if held, 2 if
+                it rests because other joints are held; direction of slip; touched stop (-1 lower, 1 upper);
+                coordinate; effort in case of 2. None: all free
     The constructor takes pose and twist at the centres of mass; all attributes refer to the body
     frames of the scene. Derived quantities are computed on first access and cached.
     """
@@ -89,17 +89,17 @@ class Sample:
 
     @cached_property
     def positions(self) -> dict[str, NDArray[np.float64]]:
-        """{body: (3,)} of the body frame's origin, m, world axes."""
+        """{body: (3,)} positions of the body frame's origin, m, world axes."""
         return self._by_body(self.pose[:, 9:])
 
     @cached_property
     def orientation(self) -> NDArray[np.float64]:
-        """(n, 4) x, y, z, w of the rotations body -> world, w >= 0."""
+        """(n, 4) quaternions x, y, z, w of the rotations body -> world, w >= 0."""
         return quaternions(self.pose)
 
     @cached_property
     def quaternions(self) -> dict[str, NDArray[np.float64]]:
-        """{body: (4,)} x, y, z, w of the rotation body -> world, w >= 0."""
+        """{body: (4,)} quaternion x, y, z, w of the rotation body -> world, w >= 0."""
         return self._by_body(self.orientation)
 
     @property
@@ -112,7 +112,7 @@ class Sample:
 
     @property
     def rows(self) -> NDArray[np.float64]:
-        """(n, 13) per body x, y, z, qx, qy, qz, qw, v, omega: the order of ROS messages."""
+        """(n, 13) per body x, y, z, qx, qy, qz, qw, v, omega, as in ROS messages."""
         return rows(self.pose, self.twist)
 
     @cached_property
@@ -122,9 +122,9 @@ class Sample:
 
     @cached_property
     def joint_coordinates(self) -> dict[str, tuple[float, float]]:
-        """{joint: (position, velocity)}: revolute joints in rad, rad/s, prismatic in m, m/s.
+        """{joint: (position, velocity)}, in rad and rad/s for revolute, in m and m/s for prismatic joints.
 
-        The angle is unwrapped if the joint has a torsional spring, is coupled or driven; other angles
+        The angle is unwrapped if the joint has a torsional spring, is coupled or driven. Other angles
         are between -pi and pi.
         """
         found = self._layout.coordinates.at(*self._state, self.angles)
@@ -141,10 +141,10 @@ class Sample:
 
     @cached_property
     def power(self) -> float:
-        """Power of the scene's non-conservative forces, W: the rate of `energy`.
+        """Power of the scene's non-conservative forces, W; the rate of `energy` without external wrenches.
 
-        Motors, servos and the scene's applied wrenches, dampers, drag, and driven joints. The power of
-        external wrenches is not included.
+        It includes motors, servos, applied wrenches of the scene, dampers, drag and driven joints. It does
+        not include the power of external wrenches.
         """
         forces = self._layout.model.forces
         rates = self.prescribed
@@ -153,7 +153,7 @@ class Sample:
 
     @property
     def _acting(self):
-        """Mask of the scene's applied wrenches that act: one that starts at this time, too."""
+        """Mask of the scene's applied wrenches that act, including those that start at this time."""
         rows = self._layout.model.forces.applied_wrench
         if not len(rows):
             return NONE_ACT
@@ -161,7 +161,7 @@ class Sample:
 
     @property
     def _inputs(self):
-        """What the reactions depend on beside the state and external wrenches; see Reactions.at."""
+        """Inputs of the reactions other than state and external wrenches; see Reactions.at."""
         if not self._layout.reactions.has_inputs:
             return None
         given = self.angles, self._acting, self._wanted, self._motions, self._switching
@@ -179,9 +179,9 @@ class Sample:
 
     @property
     def modes(self) -> dict[str, str]:
-        """{joint: "free", "lower" or "upper" (at this stop), "stick"} of those with stops or friction.
+        """{joint: "free", "lower" or "upper" (at this stop), "stick"} for joints with stops or friction.
 
-        Of a cylindrical joint JOINT/rotation and JOINT/translation, of a coupling with backlash its name.
+        Cylindrical joints have the keys JOINT/rotation and JOINT/translation, couplings with backlash their name.
         """
         names = [switch.name for switch in self._layout.switches]
         return {
@@ -208,20 +208,19 @@ class Sample:
     def reactions(self) -> dict[str, NDArray[np.float64]]:
         """{joint: (6,)} torque N m, force N that the joint exerts on its child.
 
-        In the axes and about the origin of the child's joint frame. NaN for components that redundant
-        constraints leave undetermined, see `undetermined`. Springs, motors and other forces are
-        no part of it, see `force_efforts` and `transmitted`; stops and friction are, about or along the
-        axis; a coupling acts along the axes of its two
-        joints. External wrenches are those of the last step. At the end of a tree of n bodies, errors
-        are about n times those of a wrench: test/verification/test_reactions.py.
+        In the axes and about the origin of the child's joint frame. Components that redundant constraints
+        leave undetermined are NaN, see `undetermined`. Stops and friction are included, about or along
+        the axis, and couplings along the axes of their two joints. Springs, motors and other forces are
+        not, see `force_efforts` and `transmitted`. External wrenches are those of the last step. At the end
+        of a tree of n bodies, errors are about n times those of a wrench: test/verification/test_reactions.py.
         """
         return self._by_joint(self._reactions[0])
 
     @cached_property
     def force_efforts(self) -> dict[str, float]:
-        """{force: N m about, or N along the z axis of its joint, on the child}.
+        """{force: effort on the child, N m about or N along the z axis of its joint}.
 
-        Of the springs, dampers, motors and servos of the scene at joints. Efforts that are commanded are
+        These are the springs, dampers, motors and servos of the scene at joints. Commanded efforts are in
         `joint_efforts`.
         """
         forces = self._layout.model.forces
@@ -230,10 +229,10 @@ class Sample:
 
     @cached_property
     def transmitted(self) -> dict[str, NDArray[np.float64]]:
-        """{joint: (6,)} wrench that passes through a joint to its child; axes as of `reactions`.
+        """{joint: (6,)} wrench that a joint transmits to its child; axes as for `reactions`.
 
-        The reaction, `force_efforts` and `joint_efforts`: what an ideal force-torque sensor between the
-        joint and its child shows.
+        Sum of the reaction, `force_efforts` and `joint_efforts`, as an ideal force-torque sensor between the
+        joint and its child measures it.
         """
         found = {joint: wrench.copy() for joint, wrench in self.reactions.items()}
         placed = self._layout.joint_forces
@@ -246,9 +245,9 @@ class Sample:
 
     @cached_property
     def accelerations(self) -> dict[str, NDArray[np.float64]]:
-        """{body: (6,)} angular rad/s^2, and linear m/s^2 of the body frame's origin; body axes.
+        """{body: (6,)} angular acceleration, rad/s^2, and that of the body frame's origin, m/s^2; body axes.
 
-        Under the same wrenches as `reactions`.
+        The wrenches are the same as for `reactions`.
         """
         motion = self._reactions[0][len(self._layout.reactions.names) :]
         R = self.pose[:, :9].reshape(-1, 3, 3)
@@ -260,12 +259,12 @@ class Sample:
 
     @cached_property
     def sensors(self) -> dict[str, NDArray[np.float64]]:
-        """{sensor: its numbers} of the scene's sensors, with noise; see docs/reference/scene_format.md."""
+        """{sensor: measured numbers} of the scene's sensors, with noise; see docs/reference/scene_format.md."""
         return {sensor.name: sensor.read(self) for sensor in self.scene.sensors}
 
     @property
     def child_frames(self) -> dict[str, NDArray[np.float64]]:
-        """{joint: (4, 4) its frame in the frame of its child}: the frames of `reactions`."""
+        """{joint: (4, 4) joint frame in the frame of the child}, the frames of `reactions`."""
         return self._layout.child_frames
 
     @property
@@ -275,16 +274,16 @@ class Sample:
 
     @cached_property
     def minimum_norm_reactions(self) -> dict[str, NDArray[np.float64]]:
-        """As `reactions`; undetermined components are those of the smallest multipliers of unit rows.
+        """As `reactions`, with undetermined components from the minimum-norm multipliers of unit rows.
 
-        Torques are compared with forces at the characteristic length of the closed loop.
+        For the norm, torques are divided by the characteristic length of the closed loop.
         """
         given = *self._state, self.external, self._inputs
         return self._by_joint(self._layout.reactions.minimum_norm(*given))
 
     @cached_property
     def undetermined(self) -> dict[str, str]:
-        """{joint: why components of its reaction are undetermined}, without the others."""
+        """{joint: reason why components of its reaction are undetermined}, only joints that have some."""
         return self._layout.reactions.reasons(self._reactions[1])
 
     @property
@@ -307,7 +306,7 @@ class Sample:
 
     @property
     def all_efforts(self) -> dict[str, float]:
-        """{joint: N m or N} sum of the effort of its servo or drive and of those in `joint_efforts`."""
+        """{joint: N m or N}: sum of its effort in `joint_efforts` and that of its servo or drive."""
         efforts = {**self.servo_efforts, **self.drive_efforts}
         for joint, effort in self.joint_efforts.items():
             efforts[joint] = efforts.get(joint, 0.0) + effort
@@ -328,8 +327,8 @@ class Sample:
     def drive_efforts(self) -> dict[str, float]:
         """{driven joint: effort that its motion requires}, N m or N on the child.
 
-        NaN where redundant constraints leave it undetermined. Motors, springs and other forces at the
-        joint, and what couplings transmit, are no part of it. test/verification/test_driven.py.
+        NaN if redundant constraints leave it undetermined. It does not include motors, springs and other
+        forces at the joint, nor the efforts of couplings. Tested in test/verification/test_driven.py.
         """
         if not self._layout.motions:
             return {}
