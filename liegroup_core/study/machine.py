@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Processor that a measured cost refers to."""
+"""Name of the processor on which a cost was measured."""
 
 import platform
 from functools import lru_cache
@@ -8,7 +8,7 @@ from pathlib import Path
 
 @lru_cache(maxsize=None)
 def cpu_name():
-    """Name of the processor; its architecture if the system does not give a name."""
+    """Name of the processor, or its architecture if the system gives no name."""
     try:
         for line in Path("/proc/cpuinfo").read_text().splitlines():
             if line.startswith("model name"):

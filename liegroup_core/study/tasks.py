@@ -4,8 +4,8 @@
 Each worker is a process with one thread. If a worker is killed, another one repeats its task, so no
 result is lost (test/core/test_tasks.py).
 
-The workers of this machine get their tasks through pipes without a name, which no other process can
-open. Whoever reaches a port of Dask without TLS runs code there.
+Workers on this machine get their tasks through unnamed pipes, which no other process can open. Without
+TLS, anyone who can reach a port of Dask can execute code there.
 """
 
 import logging
@@ -21,7 +21,7 @@ from multiprocessing.pool import ExceptionWithTraceback
 
 from liegroup_core.errors import LieGroupSimError
 
-try:  # of Dask: it also takes functions that are defined in other functions
+try:  # a dependency of Dask; it can also pickle nested functions
     from cloudpickle import dumps
 except ImportError:
     from pickle import dumps
@@ -29,28 +29,28 @@ except ImportError:
 log = logging.getLogger("liegroup_core")
 
 CONNECTING = 10  # s
-# Number of workers that may die at the same task before the task is considered the cause.
+# Number of workers that may die in the same task before the task counts as the cause.
 MOST_DEATHS = 5
-ENDING = 5  # s that a worker without a task has to end
+ENDING = 5  # s to wait for the end of a worker without a task
 THREADS = "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"
 
 
 class TasksError(LieGroupSimError):
-    """Tasks cannot be distributed, or kill their workers; one line of text, exit code 2."""
+    """Tasks cannot be distributed, or crash their workers; one line of text, exit code 2."""
 
 
 def run(function, items, scheduler=None, workers=None, follow=None):
     """Call function(item) for every item; yields (k, result) in order of completion.
 
     k         : number of the item
-    function  : must be picklable, as items and results; its exceptions end the run
+    function  : must be picklable, like items and results; an exception in it ends the run
     scheduler : address of a Dask scheduler, such as tls://host:8786; its workers must have this
                 package. Certificates are those of Dask's configuration (distributed.comm.tls).
                 None: this machine
-    workers   : processes on this machine; None: one for each core. With one, the items run in this
-                process, one after the other. Worker processes import the main script, so it needs
-                `if __name__ == "__main__"`
-    follow    : function(k, result) that returns further items; their numbers continue
+    workers   : number of processes on this machine; None: one for each core. With one worker, the items
+                run in this process, one after the other. Worker processes import the main script, so
+                it needs `if __name__ == "__main__"`
+    follow    : function(k, result) that returns further items, which get the next numbers
     raises TasksError
     """
     items = list(items)
@@ -108,15 +108,15 @@ def _on(client, function, items, follow):
 
 
 class _Team:
-    """Worker processes on this machine, each with a pipe; they end with the block of `with`."""
+    """Worker processes on this machine, each with a pipe; they end at the end of the `with` block."""
 
     def __init__(self, function, workers):
         self._function, self._workers = dumps(function), workers
         self._processes = {}  # {pipe: process}
         self._idle, self._working = [], {}  # pipes, {pipe: (k, item)}
         self._waiting = deque()  # (k, item)
-        self._deaths = Counter()  # {k: workers that died at it; None: at the start}
-        self._begun = False  # a worker is ready, or was
+        self._deaths = Counter()  # {k: number of workers that died in item k; None: during their start}
+        self._begun = False  # True once a worker has been ready
 
     def __enter__(self):
         return self
@@ -138,8 +138,8 @@ class _Team:
                     raise result
                 self._begun = True
                 self._idle.append(pipe)
-                if pipe not in self._working:  # its first message: it is ready
-                    del self._deaths[None]  # in succession they count
+                if pipe not in self._working:  # the first message of a worker: it is ready
+                    del self._deaths[None]  # only successive deaths count
                     self._employ()
                     continue
                 k, _ = self._working.pop(pipe)
@@ -147,7 +147,7 @@ class _Team:
                     # Next, not last: related items finish together.
                     self._waiting.appendleft((count, more))
                     count += 1
-                self._employ()  # before the result is used
+                self._employ()  # first, so that workers run while the caller uses the result
                 yield k, result
 
     def _employ(self):
@@ -155,7 +155,7 @@ class _Team:
         while self._waiting and self._idle:
             pipe = self._idle.pop()
             self._working[pipe] = _, item = self._waiting.popleft()
-            with suppress(OSError):  # it has died: `results` finds the end of its pipe
+            with suppress(OSError):  # the worker has died; `results` will find its pipe closed
                 pipe.send_bytes(dumps(item))
 
     def _replace(self, pipe):
@@ -184,7 +184,7 @@ class _Team:
                 process.start()
         except (OSError, RuntimeError) as error:
             raise self._no_workers(error) from None
-        theirs.close()  # so that the pipe ends with the worker
+        theirs.close()  # so that the pipe closes when the worker ends
         self._processes[pipe] = process
 
     def _no_workers(self, error):
@@ -195,7 +195,7 @@ class _Team:
 
     def __exit__(self, *_):
         for pipe, process in self._processes.items():
-            pipe.close()  # a worker that waits for an item ends
+            pipe.close()  # ends a worker that waits for an item
             if pipe in self._working:
                 process.kill()
         for process in self._processes.values():
@@ -213,7 +213,7 @@ def _work(pipe, function):
             pipe.send_bytes(answer)
             item = pickle.loads(pipe.recv_bytes())
             answer = dumps((True, function(item)))
-    except (EOFError, BrokenPipeError):  # no further item, or nobody waits for the result
+    except (EOFError, BrokenPipeError):  # no further item, or the parent has ended
         return
     except Exception as error:
         answer = _failure(error)
@@ -222,7 +222,7 @@ def _work(pipe, function):
 
 
 def _failure(error):
-    """Bytes of (False, exception); of its text, if the exception cannot be sent."""
+    """Bytes of (False, exception); if the exception cannot be pickled, of a TasksError with its text."""
     try:
         answer = dumps((False, ExceptionWithTraceback(error, error.__traceback__)))
         pickle.loads(answer)
@@ -233,7 +233,7 @@ def _failure(error):
 
 @contextmanager
 def _one_thread_each():
-    """Processes started inside use one thread for linear algebra: there is one for each core."""
+    """Processes started inside use one thread for linear algebra, because there is a process for each core."""
     new = [name for name in THREADS if name not in os.environ]
     os.environ.update(dict.fromkeys(new, "1"))
     try:
@@ -245,8 +245,8 @@ def _one_thread_each():
 
 @contextmanager
 def _interrupts_later():
-    """Defer Ctrl-C to the end of the block. Processes started inside ignore it; their parent
-    handles it for them.
+    """Defer Ctrl-C to the end of the block. Processes started inside ignore it, because their parent
+    handles it.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -277,11 +277,11 @@ def _cluster(address):
     except (OSError, TimeoutError, ValueError) as error:
         raise TasksError(f"no dask scheduler at {address}: {' '.join(str(error).split())[:200]}") from None
     with client:
-        # The one that is used: a scheduler may be named by a file or without its protocol.
+        # The actual address: the given one may be a file, or lack the protocol.
         used = client.scheduler.address
         if used.split("://")[0] in ("tcp", "ws"):
             log.warning(
-                "the dask scheduler at %s is used without TLS: whoever reaches its port runs code "
+                "the dask scheduler at %s is used without TLS: anyone who can reach its port can run code "
                 "there and on its workers. Start it with certificates, and give its tls:// address",
                 used,
             )

@@ -17,9 +17,9 @@ class Axis:
 
     name    : one word, for the command line
     title   : meaning of the values
-    unit    : of the values, or ""
-    values  : in the order of the map
-    problem : function of a value that returns the Problem
+    unit    : unit of the values, or ""
+    values  : values in the order of the map
+    problem : function that returns the Problem for a value
     alike   : value at which the problem has its natural scale; the errors of scaled problems must
               be similar, see cell.ALIKE. None: the problems differ in more than their scale
     quick   : values for tests and `--quick`

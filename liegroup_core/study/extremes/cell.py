@@ -3,17 +3,17 @@
 
 Verdicts, of which the last one is a defect:
     accurate    the error is below BOUND of the size of the motion
-    flagged     the error is larger, and the simulation's estimate of it at least half of it or unknown
-                (NaN), or a warning was logged
+    flagged     the error is larger, but a warning was logged, or the simulation's estimate is at least
+                half of the error or unknown (NaN)
     refused     no step was taken, with a reason
     stopped     the run stopped early, with a reason
     unjudged    the reference solution is not accurate enough
     silent      undetected error: the run finished with a larger error, an estimate below half of
                 it, and no warning
 
-The size of a motion is its largest distance from the start over the horizon: in rad, at most 1, and
-in m, where one radian counts as the length of the problem. The error is the largest distance from
-the reference solution at the samples, relative to that size.
+The size of a motion is its largest distance from the start over the horizon, as an angle in rad, at most
+1, and as a distance in m, where one radian counts as the length of the problem. The error is the largest
+distance from the reference solution at the samples, relative to this size.
 """
 
 import logging
@@ -39,13 +39,13 @@ ACCURATE, FLAGGED, REFUSED, STOPPED, UNJUDGED, SILENT = VERDICTS = (
 )
 # Largest acceptable error, relative to the size of the motion.
 BOUND = 0.05
-HALF = 0.5  # of the error, which an estimate must reach
-LARGE = 1e300  # in place of infinity, which is no JSON
+HALF = 0.5  # fraction of the error that an estimate must reach
+LARGE = 1e300  # replaces infinity, which JSON does not have
 # Axes along which only the scale changes: errors may grow by the factor ALIKE relative to scale 1;
 # errors below NO_LOSS always pass.
 ALIKE, NO_LOSS = 30.0, 1e-6
 MOST_SAMPLES = 32
-DEFAULT = "default"  # in place of a method: to the default accuracy
+DEFAULT = "default"  # instead of a method: simulation to the default accuracy
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Problem:
     length   : characteristic length in m
     shown    : names of the bodies that are compared; None: all
     settings : further arguments of Simulation
-    turns    : known rotation of the bodies in rad; samples do not show full turns between them
+    turns    : known rotation of the bodies in rad, because samples do not show full turns between them
     """
 
     scene: Any
@@ -74,7 +74,7 @@ class Problem:
 
 
 def run_cell(problem, truth, method, make=Simulation):
-    """Run a method; returns a dict of JSON types: verdict, error and warnings of the run.
+    """Run a method. Returns verdict, error and warnings of the run as a dict of JSON types.
 
     truth    : Truth at the samples of the problem
     make     : class of the simulation
@@ -104,7 +104,7 @@ def run_cell(problem, truth, method, make=Simulation):
 
 
 def _run(simulation, problem, truth, cell, said):
-    """Run and compare at the samples; returns why the run stopped, or None."""
+    """Run and compare at the samples. Returns the reason why the run stopped, or None."""
     names = simulation.layout.body_names
     rows = [i for i, name in enumerate(names) if problem.shown is None or name in problem.shown]
     angle_size, length_size = sizes(truth, problem.length, problem.turns)
@@ -121,7 +121,7 @@ def _run(simulation, problem, truth, cell, said):
         angle, way = apart(pose[:, :9].reshape(-1, 3, 3), pose[:, 9:], truth.rotation[k], truth.position[k])
         error = max(angle / angle_size, way / length_size)
         cell["error"] = float(max(cell["error"] or 0.0, error))
-        if steps and not math.isnan(estimate):  # NaN: before the first meeting of the two runs
+        if steps and not math.isnan(estimate):  # NaN before the first comparison with the companion run
             cell["estimate"] = float(min(max(cell["estimate"] or 0.0, estimate), LARGE))
         if cell["error"] > BOUND and cell["wrong_from_s"] is None:
             cell["wrong_from_s"] = simulation.time
@@ -137,7 +137,7 @@ def _verdict(cell, simulation, stopped):
 
 
 def judged(cell, bound):
-    """Verdict on a finished run, from a bound on its error."""
+    """Verdict on a finished run for a bound on its error."""
     if not cell["uncertainty"] < bound:
         return UNJUDGED
     if cell["error"] <= bound + cell["uncertainty"]:
@@ -158,14 +158,14 @@ def judge_alike(cells, natural):
 
 
 def sizes(truth, length, turns=0.0):
-    """Size of a motion: (rad, at most 1; m); turns : least rotation in rad."""
+    """Size of a motion as (rad, at most 1; m); turns : lower bound of the rotation in rad."""
     angle, way = apart(truth.rotation, truth.position, truth.rotation[:1], truth.position[:1])
     angle = min(max(angle, way / length, turns), 1.0)
     return angle or 1.0, max(way, length * angle) or length
 
 
 def apart(rotation, position, rotation_2, position_2):
-    """Largest distance of attitudes (..., n, 3, 3) in rad and of positions (..., n, 3) in m.
+    """(largest distance of attitudes (..., n, 3, 3) in rad, of positions (..., n, 3) in m).
 
     Accurate for angles down to 1e-300 rad.
     """
@@ -188,7 +188,7 @@ def _norm(vectors):
 
 @contextmanager
 def _listening():
-    """Collect the warnings of the core in a list; they appear nowhere else."""
+    """Collect the warnings of the core in a list instead of logging them."""
     said = []
 
     class Listener(logging.Handler):

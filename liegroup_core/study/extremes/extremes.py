@@ -4,7 +4,7 @@
     from liegroup_core.study.extremes.extremes import survey
     for count, axis, cells, complete in survey(AXES): ...
 
-axes.py has the parameters that are driven to their limits, cell.py the verdicts.
+axes.py defines the parameters that are driven to their limits, cell.py the verdicts.
 """
 
 from collections import Counter
@@ -23,14 +23,14 @@ from . import problems as problems
 from .axes import _STEPS, AXES, Axis, _powers
 from .cell import DEFAULT, REFUSED, SILENT, UNJUDGED, VERDICTS, judge_alike, run_cell
 
-# Version of problems and verdicts: the key of the cache does not cover these sources.
+# Version of problems and verdicts, because the key of the cache does not depend on these sources.
 FORMAT = 3
 # The default accuracy counts as a method.
 METHOD_NAMES = (DEFAULT, *METHODS)
 
 
 def axes_of(scene=None, horizon=8.0, long=False):
-    """Axes of the map; for a scene of the user: step and speed.
+    """Axes of the map. For a scene of the user these are step and speed.
 
     A scene that is initially at rest has no speed axis.
     """
@@ -59,7 +59,7 @@ def axes_of(scene=None, horizon=8.0, long=False):
 
 
 class Kept:
-    """Cache of finished columns, written at once: an interrupted map continues.
+    """Cache of finished columns. Each is written immediately, so that an interrupted map can be continued.
 
     folder : Folder; None: no cache
     """
@@ -102,10 +102,10 @@ def survey(axes, quick=False, methods=METHOD_NAMES, scheduler=None, workers=None
     """Run the map; yields (number of columns, Axis, cells, whether the axis is complete).
 
     quick : only the values for tests
-    kept  : Kept, which takes up the results; its columns are not run again
-    A cell is a dict of JSON types. A column is one value of one axis: its reference solution is
-    computed once for all methods. On long axes each method is a column of its own. Columns of an
-    axis along which only the scale changes come together, because they are judged together.
+    kept  : Kept, to which results are added; columns in it are not run again
+    A cell is a dict of JSON types. A column is one value of one axis; its reference solution is computed
+    once for all methods. On long axes, each method is a separate column. Columns of an axis along which
+    only the scale changes are yielded together, because their verdicts depend on each other.
     """
     kept = kept or Kept()
     columns = [

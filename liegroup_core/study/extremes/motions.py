@@ -17,8 +17,8 @@ from liegroup_core.reference import integrate
 from liegroup_core.scene.assembly import ready
 
 DIGITS = 25
-# Tolerance of equations in one or two angles, and their error after some hundred radians, relative
-# to the largest angle.
+# Tolerance for equations in one or two angles, and the error of their solution after several hundred
+# radians, relative to the largest angle.
 TIGHT, ANGLE_ERROR = 1e-13, 1e-9
 
 
@@ -27,7 +27,7 @@ class Truth(NamedTuple):
 
     rotation: np.ndarray  # (k, n, 3, 3) body -> world
     position: np.ndarray  # (k, n, 3) m, world, of the body frames
-    uncertainty: float  # rad, and of the length positions are compared with
+    uncertainty: float  # rad; for positions, relative to the length of the problem
 
 
 def free_body(inertia, omega):
@@ -36,7 +36,7 @@ def free_body(inertia, omega):
 
     def motion(times):
         R = [elliptic.to_floats(elliptic.free_body(inertia, np.eye(3), omega, t, DIGITS)[0]) for t in times.tolist()]
-        # Round-off of the times and the initial state; the elliptic functions are exact.
+        # Only round-off of times and initial state; the elliptic functions are exact.
         turned = np.linalg.norm(omega) * times[-1]
         return Truth(np.array(R)[:, None], np.zeros((len(times), 1, 3)), 1e-15 * (1.0 + turned))
 
@@ -59,8 +59,8 @@ def spinning(axis, rate):
 def top(body, field, rotation=np.eye(3)):
     """Symmetric top on a spherical joint at the origin, in a constant force field in N.
 
-    body : of the scene, its frame at the centre of mass; the axis of symmetry passes through the
-           joint, whose position in the body is -rotation^T position
+    body : Body of the scene with its frame at the centre of mass. The axis of symmetry passes through
+           the joint, whose position in the body is -rotation^T position
     """
     from liegroup_core.reference import elliptic
 
@@ -115,7 +115,7 @@ def two_rods(rods, gravity):
     rods : (mass, moment of inertia about the middle, across) of each; frames at the near ends
     """
     (m1, I1), (m2, I2) = rods
-    A, B, C = I1 + 0.25 * m1 + m2, I2 / m2 + 0.25, 0.5  # the second equation over m2
+    A, B, C = I1 + 0.25 * m1 + m2, I2 / m2 + 0.25, 0.5  # the second equation is divided by m2
 
     def rate(t, y):
         a, b, da, db = y
@@ -138,8 +138,8 @@ def two_rods(rods, gravity):
 def four_bar(crank, rate, bars, length):
     """Planar four-bar without forces: energy conservation gives the speed at each crank angle.
 
-    crank : length of the crank, of a coupler, rocker and ground of 1, times `length`; rate : rad/s
-            of the crank, upright at time 0
+    crank : length of the crank relative to `length`, which is that of coupler, rocker and ground
+    rate  : rad/s of the crank at time 0, when it is upright
     bars  : (mass, moment of inertia about the middle over length^2) of crank, coupler, rocker;
             frames at their middles
     """
@@ -205,9 +205,9 @@ def linear_swing(amplitude, frequency, place):
 
 
 def integrated(scene, length, scale=1.0, time_scale=1.0, shown=None):
-    """Reference integration of a scene, or of the scene enlarged by `scale`.
+    """Reference integration of a scene, with positions and times scaled by `scale` and `time_scale`.
 
-    time_scale : factor of its times; shown : names of the bodies to return
+    shown : names of the bodies to return
     """
     described, centred = ready(scene)
     rows = [i for i, body in enumerate(described.bodies) if shown is None or body.name in shown]

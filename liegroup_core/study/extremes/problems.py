@@ -46,24 +46,24 @@ def step_free(step):
 
 
 def turn(angle):
-    """Free body that rotates by so many rad in each of 64 steps about a changing axis."""
+    """Free body that rotates by `angle` rad in each of 64 steps about a changing axis."""
     return _free(INERTIA, OMEGA, angle / SPEED, 64)
 
 
 def steady_turn(angle):
-    """Free body that rotates by so many rad in each of 64 steps about its major axis."""
+    """Free body that rotates by `angle` rad in each of 64 steps about its major axis."""
     return _free(INERTIA, (0.0, 0.0, 1.0), angle, 64, motions.spinning((0, 0, 1), 1.0))
 
 
 def spin_free(spin):
-    """Free body at so many rad/s, 200 steps of 1 ms."""
+    """Free body at `spin` rad/s, 200 steps of 1 ms."""
     return _free(INERTIA, np.array(OMEGA) * spin / SPEED, 1e-3, 200)
 
 
 def racket(offset, step=0.05):
     """Rotation about the intermediate axis with a relative offset, until the body has flipped.
 
-    An offset far below 1e-10 is lost in the round-off of attitudes; so is the time of the flip.
+    Offsets far below 1e-10 are lost in the round-off of attitudes, and the time of the flip with them.
     """
     a, b, c = INERTIA
     rate = math.sqrt((b - a) * (c - b) / (a * c))
@@ -72,22 +72,22 @@ def racket(offset, step=0.05):
 
 
 def inertia_rod(ratio, step=0.05):
-    """Rod with such a ratio of its moments of inertia, tumbling for 20 s."""
+    """Rod with a given ratio of its moments of inertia, tumbling for 20 s."""
     return _free((1.0 / ratio, 1.0, 1.0 + 0.5 / ratio), (2.0, 1.0, 0.5), step, round(20.0 / step))
 
 
 def inertia_limit(ratio, step=0.05):
-    """Flat body at the limit of the triangle inequality, with such a ratio of length to width."""
+    """Flat body at the limit of the triangle inequality, with a given ratio of its moments of inertia."""
     return _free((1.0 / ratio, 1.0, 1.0 + 1.0 / ratio), (2.0, 1.0, 0.5), step, round(20.0 / step))
 
 
 def steps_free(steps):
-    """The free body at 0.05 s for so many steps."""
+    """The chapter's free body with a given number of steps of 0.05 s."""
     return _free(INERTIA, OMEGA, 0.05, int(steps))
 
 
 def _top(inertia, length, rotation, omega, gravity=DOWN, field=None, forces=(), mass=1.0):
-    """Body with its centre `length` above a spherical joint along its z: (scene, body)."""
+    """(scene, body) of a top whose centre is at the distance `length` from a spherical joint, along its z axis."""
     position = tuple((rotation @ (0.0, 0.0, length)).tolist())
     body = Body(
         name="top",
@@ -122,12 +122,12 @@ def _vector(rotation):
 
 
 TOP_INERTIA, TOP_LENGTH = (0.3, 0.3, 0.4), 1.0
-# rad/s: a top of this spin just stays upright ("sleeps").
+# Smallest spin in rad/s at which the top stays upright ("sleeps").
 CRITICAL = 2.0 * math.sqrt((TOP_INERTIA[0] + 1.0) * GRAVITY) / TOP_INERTIA[2]
 
 
 def spin_top(spin, step=1e-3, steps=500):
-    """Top on a spherical joint, 1 rad off the vertical, with so many rad/s of spin."""
+    """Top on a spherical joint, 1 rad off the vertical, with a spin in rad/s."""
     R = motions.about(0, np.array([1.0]))[0]
     scene, body = _top(TOP_INERTIA, TOP_LENGTH, R, (0.0, 0.0, spin))
     return Problem(scene, step, steps, motions.top(body, DOWN, R), TOP_LENGTH)
@@ -160,7 +160,7 @@ def _pulled_top(stiffness, damping, rotation):
 
 
 def stiff(stiffness, step=1e-3, steps=100):
-    """Top with a spring of so many N/m, without damping: a top in a strong field."""
+    """Top with an undamped spring of the given stiffness in N/m, which acts as a strong uniform field."""
     scene, body = _pulled_top(stiffness, 0.0, np.eye(3))
     field = stiffness * np.array((0.0, 0.6, 0.8)) + np.array(DOWN)
     return Problem(scene, step, steps, motions.top(body, field), TOP_LENGTH)
@@ -178,7 +178,7 @@ def step_stiff(step):
 
 
 def angle(amplitude, part=0.1):
-    """Pendulum released at such an angle; 100 steps of `part` rad of its phase each."""
+    """Pendulum released at the angle `amplitude`; 100 steps of `part` rad of its phase."""
     across, length = 0.3 + 1.0, 1.0
     frequency = math.sqrt(GRAVITY * length / across)
     R = motions.about(1, np.array([amplitude]))[0]
@@ -214,7 +214,7 @@ def angle(amplitude, part=0.1):
 
 
 def mass_chain(ratio):
-    """Two jointed rods of 1 m whose masses are in such a ratio, falling for 0.8 s, 1 ms."""
+    """Two jointed rods of 1 m with a given mass ratio, falling for 0.8 s, step 1 ms."""
     rods = [Rod(axis=(1, 0, 0), length=1.0, radius=0.05, mass=m, position=(0.5, 0, 0)) for m in (1.0, ratio)]
     far, hinge = Frame(position=(1.0, 0, 0), axis=(0, 1, 0)), Frame(axis=(0, 1, 0))
     bodies = [Body(name="upper", shape=rods[0]), Body(name="lower", shape=rods[1], position=(1.0, 0, 0))]
@@ -234,7 +234,7 @@ def mass_chain(ratio):
 
 
 def mass_spring(ratio):
-    """Two free bodies whose masses are in such a ratio, on a spring off their centres, 2 s."""
+    """Two free bodies with a given mass ratio and a spring between points off their centres, 2 s."""
     light = min(1.0, ratio)
     bodies = [
         Body(name=name, mass=m, inertia=(0.3 * m, 0.4 * m, 0.5 * m), position=(x, 0, 0), angular_velocity=w)
@@ -254,7 +254,7 @@ def mass_spring(ratio):
 
 
 def length_top(length):
-    """Top of such a length, 30 rad/s at 1 m; its time scales with the root of the length."""
+    """Top of a given length, 30 rad/s at 1 m; times scale with the square root of the length."""
     scale = math.sqrt(length)
     R = motions.about(0, np.array([1.0]))[0]
     inertia = tuple(length**2 * i for i in TOP_INERTIA)
@@ -263,7 +263,7 @@ def length_top(length):
 
 
 def _four_bar(length, step, steps):
-    """The four-bar of config/scenes, enlarged, at the same angular velocity."""
+    """Four-bar of config/scenes, scaled to a length, at the same angular velocity."""
 
     def bar(name, size, mass, x, y, turned, **more):
         return Body(
@@ -308,7 +308,7 @@ def _four_bar(length, step, steps):
 
 
 def length_bars(length):
-    """Four-bar enlarged by such a factor, 0.2 s at 1 ms."""
+    """Four-bar scaled by a factor, 0.2 s at 1 ms."""
     return _four_bar(length, 1e-3, 200)
 
 
@@ -318,7 +318,7 @@ def step_bars(step):
 
 
 def redundant(hinges):
-    """Door that falls about so many collinear hinges, 1 s at 1 ms: all but one are redundant."""
+    """Door that falls about several collinear hinges, all but one redundant; 1 s at 1 ms."""
 
     def door(count):
         frames = [Frame(position=(0.0, y, 0.0), axis=(0, 1, 0)) for y in np.linspace(-1.0, 1.0, count).tolist()]
@@ -343,7 +343,7 @@ def redundant(hinges):
 
 
 def flat(rate, stabilisation="none"):
-    """Parallelogram that passes its flat configuration at so many rad/s, up to ten times."""
+    """Parallelogram that passes its flat configuration at a rate in rad/s, up to ten times."""
 
     def rod(name, axis, x, y, **more):
         middle = tuple(0.5 * a for a in axis)
@@ -406,14 +406,14 @@ def flat(rate, stabilisation="none"):
 
 
 def moves(scene):
-    """Whether a body or joint of a Scene has an initial velocity."""
+    """True if a body or joint of a Scene has an initial velocity."""
     return any(any(body.angular_velocity) or any(body.linear_velocity) for body in scene.bodies) or any(
         joint.rate for joint in scene.joints
     )
 
 
 def of_scene_step(name, horizon, step):
-    """Scene of the user with such a step."""
+    """Scene of the user with a given step."""
     scene = load_scene(name)
     return _of_scene(scene, step, max(1, round(horizon / step)))
 

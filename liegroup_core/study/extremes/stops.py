@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Problems with stops and dry friction for the robustness map: sliders with closed forms."""
+"""Problems with stops and dry friction for the robustness map: sliders with closed-form solutions."""
 
 import math
 
@@ -14,7 +14,7 @@ from .cell import Problem
 from .motions import Truth
 
 STEP = 0.01  # s
-SMALLEST = 1e-13  # of a speed: slower rebounds are over
+SMALLEST = 1e-13  # m/s; a ball with a slower rebound stays at rest
 
 
 def _body(name, **start):
@@ -22,7 +22,7 @@ def _body(name, **start):
 
 
 def _slide(body, **keys):
-    """Vertical slide of a body in the world."""
+    """Vertical prismatic joint between the world and a body."""
     ends = dict(parent="world", child=body.name, parent_frame=Frame(), child_frame=Frame())
     return Joint(name=f"slide_{body.name}", type="prismatic", **ends, **keys)
 
@@ -30,7 +30,7 @@ def _slide(body, **keys):
 def _problem(bodies, joints, place, steps, gravity=0.0, forces=()):
     """Problem of masses of 1 kg that move vertically.
 
-    place : function of times -> their heights in m, (times,) of one or (times, bodies)
+    place : function of times -> heights in m, (times,) for one body or (times, bodies)
     """
     scene = Scene(name="sliders", gravity=(0, 0, -gravity), bodies=bodies, joints=joints, forces=forces)
 
@@ -45,13 +45,13 @@ def _problem(bodies, joints, place, steps, gravity=0.0, forces=()):
 
 
 def _slider(place, steps, start, speed=0.0, gravity=0.0, forces=(), **keys):
-    """One mass on a slide with stops or friction; place : function of times -> its height in m."""
+    """Problem of one mass on a prismatic joint with stops or friction; place : function of times -> height in m."""
     body = _body("mass", position=(0.0, 0.0, start), linear_velocity=(0.0, 0.0, speed))
     return _problem([body], [_slide(body, **keys)], place, steps, gravity, forces)
 
 
 def _by_pieces(pieces):
-    """Function of times, from an iterator of (end of a piece, function of the time)."""
+    """Function of times from `pieces`, which yields (end time, function of time) of successive pieces."""
 
     def place(times):
         found, pending, (end, at) = np.zeros(len(times)), iter(pieces()), (0.0, None)
@@ -65,7 +65,7 @@ def _by_pieces(pieces):
 
 
 def _bouncing(e):
-    """Height of a ball over what it bounces on, function of times; it falls from 1 m."""
+    """Height of a bouncing ball that falls from 1 m, as a function of times; e: coefficient of restitution."""
 
     def pieces():
         begin, speed = math.sqrt(2.0 / GRAVITY), math.sqrt(2.0 * GRAVITY)
@@ -82,7 +82,7 @@ def _bouncing(e):
 
 
 def restitution(e):
-    """Ball that falls by 1 m on a rigid stop, over 3 s."""
+    """Ball that falls by 1 m onto a rigid stop, over 3 s."""
     limits = Limits(lower=0.0, restitution=e)
     return _slider(_bouncing(e), 300, 1.0, gravity=GRAVITY, limits=limits)
 
@@ -96,7 +96,7 @@ def cable(e):
 
 
 def simultaneous(count):
-    """Ball at 1 m/s that hits a row of balls which touch, restitution 0.7: one impact at all contacts."""
+    """Ball at 1 m/s that hits a row of touching balls, restitution 0.7: one impact at all contacts."""
     e, size, gap = 0.7, 0.1, 0.4137
     heights = [0.0, *(gap + size * k for k in range(1, count))]
     bodies = [
@@ -127,7 +127,7 @@ def simultaneous(count):
 
 
 def stop_stiffness(stiffness):
-    """Ball that falls by 1 m on an elastic stop, over 3 s."""
+    """Ball that falls by 1 m onto an elastic stop, over 3 s."""
     speed, omega, sag = math.sqrt(2.0 * GRAVITY), math.sqrt(stiffness), GRAVITY / stiffness
     contact = (2.0 * math.pi - 2.0 * math.atan2(speed / omega, sag)) / omega
     flight = 2.0 * speed / GRAVITY
@@ -150,12 +150,12 @@ def stop_stiffness(stiffness):
 
 
 def friction(ratio):
-    """Oscillator of 1 Hz from 1 m with dry friction, so many times the first pull of its spring."""
+    """Oscillator of 1 Hz released at 1 m; ratio: dry friction relative to the initial force of its spring."""
     omega = 2.0 * math.pi
 
     def place(times):
         half = np.floor(2.0 * times)
-        # Every half swing ends 2 ratio nearer; it rests once the spring pulls less than friction.
+        # Each half swing reduces the amplitude by 2 ratio. The mass rests once friction exceeds the spring force.
         ends = np.maximum(np.ceil((1.0 / ratio - 1.0) / 2.0), 0.0)
         half = np.minimum(half, ends)
         turns = np.minimum(times, 0.5 * ends)
@@ -170,8 +170,8 @@ def friction(ratio):
 
 
 def bounces(rate):
-    """Ball that bounces between two elastic stops at 1 m/s so many times a second, over 0.2 s."""
-    gap = 1.0371 / rate  # the samples show all its places
+    """Ball that bounces between two elastic stops at 1 m/s, `rate` times a second, over 0.2 s."""
+    gap = 1.0371 / rate  # so that the samples cover the whole gap
 
     def place(times):
         turned, along = np.divmod(times + 0.5 * gap, gap)

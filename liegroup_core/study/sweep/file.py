@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results of a sweep as Parquet: a folder with a file for each finished batch of runs.
 
-    NAME.parquet/runs-000000000-000000124.parquet       runs 0 to 124, a row each
+    NAME.parquet/runs-000000000-000000124.parquet       runs 0 to 124, one row per run
 
-pandas, pyarrow, Dask and Spark read the folder as one table, in the order of the runs. The
-metadata of each file describe the sweep. Files are written atomically, so finished runs survive any
-interruption and the same command continues with the others.
+pandas, pyarrow, Dask and Spark read the folder as one table, in the order of the runs. The metadata of
+each file describe the sweep. Files are written atomically, so an interruption loses no finished batch,
+and the same command continues with the missing runs.
 """
 
 import fcntl
@@ -29,7 +29,7 @@ PART = re.compile(r"runs-([0-9]+)-([0-9]+)\.parquet")
 
 
 class SweepFileError(LieGroupSimError):
-    """The file cannot be read or written, or belongs to another sweep; one line, exit code 2."""
+    """The folder cannot be read or written, or belongs to another sweep; one line, exit code 2."""
 
 
 class SweepFile:
@@ -37,7 +37,7 @@ class SweepFile:
 
     path        : must end in .parquet
     description : JSON types, with at least the entries of sweep.describe; the folder must be empty
-                  or hold this sweep. None: the folder must hold a sweep
+                  or contain this sweep. None: the folder must contain a sweep
     raises SweepFileError
     """
 
@@ -60,15 +60,15 @@ class SweepFile:
 
     @cached_property
     def sweep(self):
-        """The Sweep."""
+        """Sweep of the folder."""
         try:
             return sweeps.described(self.description)
         except (KeyError, TypeError, ValueError) as error:
-            raise SweepFileError(f"{self.path}: cannot be read, it was written by another version: {error}") from None
+            raise SweepFileError(f"{self.path}: cannot be read, because another version wrote it: {error}") from None
 
     @property
     def missing(self):
-        """Numbers of the missing runs, ascending."""
+        """Numbers of the missing runs, in ascending order."""
         runs = np.ones(self.description["samples"], dtype=bool)
         for first, last, _ in self._parts:
             runs[first : last + 1] = False
@@ -93,7 +93,7 @@ class SweepFile:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 raise SweepFileError(f"{self.path}: another process is writing to it") from None
-            self._parts = self._found()  # again: the other process may just have ended
+            self._parts = self._found()  # again, because another process may have written until now
             for left in self.path.glob(".runs-*.part"):
                 left.unlink()
             yield self
@@ -104,7 +104,7 @@ class SweepFile:
                     self.path.rmdir()
 
     def add(self, columns):
-        """Write the runs that sweep.Sweep.run yielded. Raises SweepFileError."""
+        """Write a batch of runs from sweep.Sweep.run. Raises SweepFileError."""
         pa, parquet = import_module("pyarrow"), import_module("pyarrow.parquet")
         kinds = {"int": pa.int64(), "float": pa.float64(), "text": pa.string(), "list": pa.list_(pa.float64())}
         schema = pa.schema(
@@ -137,7 +137,7 @@ class SweepFile:
         return parts
 
     def _description(self, part):
-        """Description in a file, checked against the runs of its name."""
+        """Description in a file; checks that its number of runs fits its name."""
         parquet, pa = import_module("pyarrow.parquet"), import_module("pyarrow")
         try:
             metadata = parquet.read_metadata(part)

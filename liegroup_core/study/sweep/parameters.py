@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of a scene: paths of its numbers, their ranges, and changed scenes.
+"""Parameters of a scene: paths of its numbers, ranges of values, and changed scenes.
 
     bodies.top.mass     joints.pin.parent_frame.position.0      forces.spring.stiffness   gravity.2
 
@@ -25,7 +25,7 @@ from liegroup_core.lie.groups import SO3
 from liegroup_core.scene.description import Body
 
 SHOWN = 12  # names in a message
-# Derived from others, or subject to common constraints.
+# Keys of a body that follow from its shape.
 OF_SHAPE = ("mass", "inertia", "com")
 
 
@@ -34,7 +34,7 @@ class ParameterError(LieGroupSimError, ValueError):
 
 
 def parameters(scene):
-    """{path: number} of all numbers of a scene; None for one that follows from others."""
+    """{path: number} of all numbers of a scene; None for numbers that the scene omits."""
     return {".".join(path): value for path, value in _numbers(scene, ())}
 
 
@@ -184,7 +184,7 @@ def range_of(scene, text):
 
 
 def _rule(scene, path):
-    """Constraint on the number alone, independent of others."""
+    """Constraint on this number alone, independent of other numbers of the scene."""
     model, steps = scene, path.split(".")
     while steps:
         key = steps.pop(0)

@@ -6,8 +6,8 @@
     for columns in sweep.run(range(100), workers=1):
         print(columns["bodies.top.mass"], columns["top.z"], columns["status"])
 
-Run k depends on the sweep and on k only, not on other runs, workers or scheduling. A run that is
-not possible or stops early is a row with the reason as its status.
+Run k depends only on the sweep and on k, not on other runs, workers or scheduling. A run that cannot
+start or stops early gives a row with the reason as its status.
 """
 
 import math
@@ -34,14 +34,14 @@ from .parameters import ParameterError, changed, parameters, range_of
 FORMAT = 1  # version of the description and of the columns
 POSE, TWIST = ("x", "y", "z", "qx", "qy", "qz", "qw"), ("wx", "wy", "wz", "vx", "vy", "vz")
 WRENCH = "tx", "ty", "tz", "fx", "fy", "fz"
-CHECKS = 10  # evaluations of energy and joints in a run, by default
+CHECKS = 10  # default number of evaluations of energy and joints in a run
 # CPU time of a batch in s: far above the cost of its distribution, and short enough that an
 # interruption loses few runs. The number of batches is limited because each is a file.
 PIECE, MOST_PIECES = 0.5, 1000
 MOST_VALUES = 2_000_000  # in the results of a batch
-MOST_DRAWS = 100_000_000  # numbers, 0.8 GB
-FIRST = 0.2  # CPU s of the first runs, which measure the cost of one
-SMALL = 5.0  # CPU s in total: shorter sweeps do not repay the start of workers
+MOST_DRAWS = 100_000_000  # sampled numbers, 0.8 GB
+FIRST = 0.2  # CPU s of the first runs, which measure the cost of a run
+SMALL = 5.0  # CPU s in total; for shorter sweeps, starting workers does not pay
 OK = "ok"
 VELOCITIES = {"angular_velocity": 0, "linear_velocity": 3}  # first component in a twist
 PLACES = (["position"], ["rotation_vector"])
@@ -50,20 +50,20 @@ NEAR = 1e-9  # round-off of assembly: larger changes of a sampled pose are repor
 
 @dataclass(frozen=True)
 class Sweep:
-    """Specification of an ensemble: all that a worker needs.
+    """Specification of an ensemble, with all data that a worker needs.
 
-    text     : of the scene file
-    name     : of the scene
+    text     : text of the scene file
+    name     : name of the scene
     ranges   : tuple of Range
     samples  : number of runs
-    seed     : of the Latin hypercube, an integer >= 0
-    steps    : of each run
-    every    : steps between two evaluations of energy and joints
+    seed     : seed of the Latin hypercube, an integer >= 0
+    steps    : number of steps of each run
+    every    : number of steps between two evaluations of energy and joints
     keep     : whether the states at these times are saved
     assemble : whether sampled poses and velocities are corrected to satisfy the joints
     reactions : whether the largest reactions of all joints are columns
-    settings : ((name, value), ...), arguments of Simulation, the step among them
-    sources  : digest of the sources, which a worker must have too
+    settings : ((name, value), ...), arguments of Simulation, including the step
+    sources  : digest of the sources, which must be the same on a worker
     """
 
     text: str
@@ -81,10 +81,10 @@ class Sweep:
 
     @classmethod
     def of(cls, scene, vary, samples, steps, seed=0, every=None, assemble=False, settings=None, reactions=False):
-        """Sweep of a Scene with ranges as texts, see parameters.range_of; the rest as above.
+        """Sweep of a Scene with ranges as texts, see parameters.range_of; other arguments as above.
 
-        every : None: a tenth of the run, without states
-        raises ParameterError, SceneError, ValueError for a configuration that does not fit the scene
+        every : None: a tenth of the run, and states are not saved
+        raises ParameterError, SceneError, and ValueError for a configuration that does not suit the scene
         """
         for number, least, what in (
             (samples, 1, "samples"),
@@ -107,7 +107,7 @@ class Sweep:
                 f"{samples} samples of {len(ranges)} parameters exceed {MOST_DRAWS:.0e} "
                 "numbers: run several sweeps with different seeds"
             )
-        # Compiles, and checks the configuration.
+        # This compiles the kernels and checks the configuration.
         simulation = Simulation(scene, **(settings or {}))
         settings = simulation.arguments
         if reactions:
@@ -129,7 +129,7 @@ class Sweep:
 
     @property
     def paths(self):
-        """Paths of the parameters, also the names of their columns."""
+        """Paths of the parameters, which are also the names of their columns."""
         return tuple(entry.path for entry in self.ranges)
 
     @property
@@ -146,13 +146,13 @@ class Sweep:
         return assembled(scene, _velocities_in(self.paths))
 
     def _unlike(self, values, scene):
-        """How assembly changed a sampled pose, in one line, or None."""
+        """One-line message if assembly changed a sampled pose, else None."""
         found = parameters(scene) if self._places else {}
         for path, value in zip(self.paths, values):
             if path in self._places and abs(found[path] - value) > NEAR * max(1.0, abs(value)):
                 return (
                     f"assembly changed {path} to {found[path]:.6g} from the sampled {value:.6g}: "
-                    "set initial: fixed for that body, or sample a joint frame that places it"
+                    "set initial: fixed for this body, or sample a joint frame that determines its pose"
                 )
         return None
 
@@ -192,9 +192,9 @@ class Sweep:
         )
 
     def run(self, runs, scheduler=None, workers=None):
-        """Run the given numbers, ascending; yields {column: (k,) values} of finished batches.
+        """Run the runs with these numbers, in ascending order; yields {column: (k,) values} of finished batches.
 
-        scheduler, workers : see tasks.run; None: a few short runs are made in this process
+        scheduler, workers : see tasks.run; None: a short sweep runs in this process
         raises TasksError
         """
         runs = np.asarray(runs, dtype=int)
@@ -235,7 +235,7 @@ class Sweep:
 
 @lru_cache(maxsize=4)
 def _velocities_in(paths):
-    """(body, component) of all velocities among these: assembly keeps their sampled values."""
+    """[(body, component)] of the velocities among these paths; assembly keeps their sampled values."""
     steps = [path.split(".") for path in paths]
     return tuple(
         (step[1], VELOCITIES[step[2]] + int(step[3])) for step in steps if step[0] == "bodies" and step[2] in VELOCITIES
@@ -243,7 +243,7 @@ def _velocities_in(paths):
 
 
 def _together(runs):
-    """Number of consecutive numbers at the start."""
+    """Number of consecutive run numbers at the start."""
     breaks = np.flatnonzero(np.diff(runs) != 1)
     return int(breaks[0]) + 1 if len(breaks) else len(runs)
 
@@ -288,7 +288,7 @@ def simulate(work, limit=math.inf):
 
 
 def _run(sweep, values):
-    """One run as {column: value}; columns that it did not reach are absent."""
+    """One run as {column: value}, without the columns that it did not reach."""
     start = time.thread_time()
     looks, impulses, simulation, status = [], [], None, OK
     with listening() as said:
@@ -299,7 +299,7 @@ def _run(sweep, values):
             hits = sweep.reactions and has_impacts(scene)
             if hits:
                 impulses.append(np.zeros((len(scene.joints), 6)))
-                simulation.drain_impacts()  # they are kept from here on
+                simulation.drain_impacts()  # from here on, impacts are recorded
             looks.append(_look(simulation, sweep.reactions))
             while simulation.steps < sweep.steps:
                 simulation.advance(min(sweep.every, sweep.steps - simulation.steps))
@@ -341,7 +341,7 @@ def _run(sweep, values):
 def _look(simulation, reactions):
     sample = simulation.sample()
     if reactions:
-        _ = sample.reaction_array  # kept with the sample; raises here if there are none
+        _ = sample.reaction_array  # computed and cached now, so that an error is raised here
     if not math.isfinite(sample.energy):
         raise ArithmeticError(f"the energy is not finite at t = {sample.time:.9g} s")
     return sample

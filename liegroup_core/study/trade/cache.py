@@ -6,8 +6,8 @@
     trades/NAME-KEY/HORIZON/cells.jsonl     one measured cell per line, see measure.py
     extremes/KEY/cells.jsonl                cells of the robustness map, see extremes.py
 
-KEY is a digest of the scene text, of the sources and of the versions that affect the numbers, so
-other scenes and versions have files of their own. Each cell names its processor. A cell is written
+KEY is a digest of the scene text, of the sources and of the versions that affect the numbers, so other
+scenes and versions have separate files. Each cell contains the name of its processor. A cell is written
 as soon as it is measured, so an interruption loses none. The cache may be deleted at any time.
 """
 
@@ -49,10 +49,10 @@ def key_of(text):
 
 
 class Folder:
-    """Folder of files; without write access nothing is cached.
+    """Folder of cached files; without write access nothing is cached.
 
-    name : of the folder
-    root : its parent; None: in the cache of the user
+    name : name of the folder
+    root : its parent; None: the cache folder of the user
     """
 
     def __init__(self, name, root=None):
@@ -60,7 +60,7 @@ class Folder:
         self.folder = root and root / name
 
     def lines(self, name):
-        """Dicts that `keep_line` has written to a file, in that order."""
+        """Dicts that `keep_line` has written to a file, in the same order."""
         try:
             lines = (self.folder / name).read_bytes().splitlines()
         except (OSError, TypeError):
@@ -77,7 +77,7 @@ class Folder:
 
     def keep_line(self, name, entry):
         """Append a dict of JSON types to a file, immediately and atomically."""
-        line = "\n" + json.dumps(entry)  # first: the last line may be truncated
+        line = "\n" + json.dumps(entry)  # newline first, because the last line may be truncated
 
         def write():
             path = self.folder / name
@@ -88,7 +88,7 @@ class Folder:
         self._try(write)
 
     def _try(self, write):
-        """Write; after the first failure nothing more, because results do not need the cache."""
+        """Call write(). After the first failure, warn and write nothing more: the cache is optional."""
         if self.folder is None:
             return
         try:
@@ -99,7 +99,7 @@ class Folder:
 
 
 class Store(Folder):
-    """The files of one scene, see Folder."""
+    """Folder with the files of one scene."""
 
     def __init__(self, scene, root=None):
         name = re.sub(r"[^A-Za-z0-9_.]", "_", scene.name)[:40]

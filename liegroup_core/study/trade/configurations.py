@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Configurations of a scene: methods, groups, stabilisations, and ladders of steps.
 
-A ladder is a configuration without its step (for error control: without its tolerance). Its rungs
-are steps of 1, 2, 5 times powers of ten in s (tolerances: powers of ten), from coarse to fine.
+A ladder is a configuration without its step, or with error control, without its tolerance. Its rungs are
+steps of 1, 2, 5 times powers of ten in s, or tolerances of powers of ten, from coarse to fine.
 """
 
 import math
@@ -27,11 +27,11 @@ SHORTLIST = (
     "constrained_rattle8",
 )
 
-# Number of evaluations over a horizon, and in its first thousandth and ten-thousandth: the initial
-# transient of a stiff scene ends before the first regular evaluation.
+# Number of evaluations over a horizon, and additional ones near its start, because the initial transient
+# of a stiff scene ends before the first regular evaluation.
 SAMPLES, EARLY = 100, 10
-LEAST_SAMPLES = 5  # coarse steps meet fewer sample times
-COARSEST = Fraction(1, 10)  # of the horizon: the first step of a ladder
+LEAST_SAMPLES = 5  # with coarse steps, fewer sample times lie on whole steps
+COARSEST = Fraction(1, 10)  # first step of a ladder, relative to the horizon
 # Longest outer step in s of a method with error control: it ends at every sample, and the node
 # publishes at this rate.
 OUTER_STEP = Fraction(1, 100)
@@ -47,7 +47,7 @@ class Ladder(NamedTuple):
 
     @property
     def controlled(self):
-        """Whether the rungs are tolerances."""
+        """True if the rungs are tolerances."""
         return METHODS[self.method].controlled
 
 
@@ -92,10 +92,10 @@ def ladders(layout, methods=None, groups=None, stabilisations=None):
 
 
 def _groups(method, layout, groups):
-    """Groups of a method for a scene; groups : those to use, None for all."""
+    """Groups of a method for a scene; groups : groups to choose from, None for all."""
     family = METHODS[method].family
     if family in NOT_ON_SE3:
-        # The same trajectory in all of its groups: the one of the user, or the fastest.
+        # The trajectory is the same in all groups, so one is enough: the user's, or the fastest.
         asked = "auto" if groups is None or layout.needs_relative else "so3xr3"
         if groups and RELATIVE in groups and family in ON_JOINTS:
             asked = RELATIVE
@@ -125,7 +125,7 @@ def steps(horizon):
 def sample_spacing(step, horizon):
     """Time between samples, s: the least common multiple of the step and horizon / SAMPLES."""
     grid = horizon / SAMPLES
-    # That of p/q and r/s in lowest terms is lcm(p, r) / gcd(q, s).
+    # The lcm of p/q and r/s in lowest terms is lcm(p, r) / gcd(q, s).
     return Fraction(math.lcm(step.numerator, grid.numerator), math.gcd(step.denominator, grid.denominator))
 
 

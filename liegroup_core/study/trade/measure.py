@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Error and cost of one configuration of a scene.
 
-Errors are evaluated at the samples of the horizon that are whole steps. The cost is the CPU time of
-the thread in compiled loops, which other load affects little: the minimum over several runs.
+Errors are evaluated at the samples of the horizon that are whole steps. The cost is the minimum, over
+several runs, of the CPU time of the thread in compiled loops. Other load on the machine affects it little.
 """
 
 import logging
@@ -34,9 +34,9 @@ MOST_STEPS_AT_ONCE = 100_000
 
 
 class Study(NamedTuple):
-    """Scene and reference solution: all that a worker needs."""
+    """Scene and reference solution, with all data that a worker needs."""
 
-    text: str  # of the scene file
+    text: str  # text of the scene file
     truth: Truth
     sources: str  # digest of the sources, equal on all workers
 
@@ -45,17 +45,17 @@ def measure(work):
     """Measure a (Study, Setting); returns a cell, JSON types.
 
     returns dict of method, step, group, stabilisation, options of the configuration, and
-        stopped     why there is no result, one line; if None, the dict also has
+        stopped     reason why there is no result, one line; if it is None, the dict also has
         error       the larger of position error / length and attitude error in rad, the largest of
                     all bodies and samples
         position, attitude, angular, linear     largest errors in m, rad, rad/s, m/s
         energy      largest energy error relative to the largest kinetic energy
-        momentum    largest relative drift of a conserved component; None: there is none
+        momentum    largest relative drift of a conserved component; None if none is conserved
         joints      largest joint residual, m or rad
         flagged     warning of the engine about the run, one line, or None
         samples     number of evaluations
-        cost_us     CPU time of a simulated second, us
-        timings     number of timed runs, of which the fastest counts
+        cost_us     CPU time per simulated second, us
+        timings     number of timed runs; the fastest counts
         cpu         name of the processor
     raises TasksError if the sources on this worker differ from those of the study
     """
@@ -87,11 +87,11 @@ def measure(work):
 def to_accuracy(scene, truth, accuracy):
     """Measure a simulation to an accuracy over the horizon; returns a dict, JSON types.
 
-    accuracy    that is wanted at the end of the horizon
-    step        s, times at which states can be had: those of the samples
+    accuracy    requested accuracy at the end of the horizon
+    step        s, output interval, equal to the spacing of the samples
     error, estimate     true error as in `measure`, and the largest estimate at the samples
-    until       s, when the estimate exceeded the accuracy; None: never
-    cost_us     CPU time of a simulated second, us, with the estimate
+    until       s, time at which the estimate exceeded the accuracy; None: never
+    cost_us     CPU time per simulated second, us, including the estimate
     """
     step = truth.horizon / SAMPLES
     simulation = Simulation(scene, step=float(step), accuracy=accuracy, horizon=float(truth.horizon))
@@ -109,7 +109,7 @@ def to_accuracy(scene, truth, accuracy):
     }
 
 
-# Keys of all cells, and further keys of finished runs.
+# Keys of all cells, and additional keys of finished runs.
 ALWAYS = {
     "method": str,
     "step": float,
@@ -129,7 +129,7 @@ FINISHED = {
 
 
 def is_whole(cell):
-    """Whether a dict is a complete cell, see `measure`."""
+    """True if a dict is a complete cell, see `measure`."""
     wanted = ALWAYS | (FINISHED if cell.get("stopped", "") is None else {})
     return all(name in cell and isinstance(cell[name], kind) for name, kind in wanted.items())
 
@@ -145,7 +145,7 @@ def _kept_momentum(text):
 
 
 def _judge(simulation, study, step):
-    """Run over the horizon; returns errors and the CPU time in s of the integration alone.
+    """Run over the horizon. Returns errors, and the CPU time in s of the integration alone.
 
     step : s, Fraction
     """
@@ -183,14 +183,14 @@ def _judge(simulation, study, step):
 
 
 def _estimate(sample, length):
-    """Largest estimated error of a pose; 0 where it is not known."""
+    """Largest estimated error of a pose; 0 if it is unknown."""
     if sample.errors is None or np.isnan(sample.errors).any():
         return 0.0
     return scaled(sample.errors[:, 0], sample.errors[:, 1], length)
 
 
 def _cost(simulation, horizon, cpu):
-    """(CPU us per simulated second, number of timings); cpu : s of the first run."""
+    """(CPU time in us per simulated second, number of timings); cpu : CPU time of the first run, s."""
     times = [cpu]
     steps = simulation.steps
     while cpu < LONG and (len(times) < LEAST_RUNS or sum(times) < SHORTEST):
@@ -204,7 +204,7 @@ def _cost(simulation, horizon, cpu):
 
 @contextmanager
 def listening():
-    """Collect the warnings of the engine in this thread; they appear nowhere else."""
+    """Collect the warnings of the engine in this thread instead of logging them."""
     said, here = [], threading.get_ident()
     logger = logging.getLogger("liegroup_core")
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reference solution of a scene at the samples of a horizon, with its uncertainty.
 
-Closed form if the scene has one, else the integration of liegroup_core.reference. The uncertainty
-of the integration is its distance to one with a ten times looser tolerance. A closed form is also
-compared with the integration, and the difference is recorded.
+It is a closed form if the scene has one, else the integration of liegroup_core.reference. The uncertainty
+of the integration is its distance to an integration with a ten times larger tolerance. A closed form is
+also compared with the integration, and the difference is recorded.
 """
 
 import io
@@ -24,8 +24,8 @@ from liegroup_core.reference.exact import exact_solution
 from .configurations import sample_times
 
 # Default horizon: the longest of these, in s, with an uncertainty below KNOWN (relative to the
-# characteristic length, and in rad) and at most STEPS steps of the reference. That is about a hundred
-# periods of fast scenes; in chaotic scenes, the time over which 1e-9 can be guaranteed.
+# characteristic length, and in rad) and at most STEPS steps of the reference. For fast scenes this is
+# about a hundred periods; for chaotic scenes, the time over which 1e-9 can be guaranteed.
 HORIZONS = tuple(digit * Fraction(10) ** power for power in range(-5, 1) for digit in (1, 2, 5)) + (Fraction(10),)
 KNOWN, STEPS = 1e-10, 10_000
 
@@ -37,10 +37,10 @@ class Truth(NamedTuple):
     kind: str  # "integration", or the name of the closed form
     length: float  # m, characteristic length of the scene
     motion: Trajectory  # of n bodies
-    uncertainty: tuple  # position m, angle rad, angular rad/s, linear m/s: the largest ones
+    uncertainty: tuple  # largest ones: position m, angle rad, angular velocity rad/s, velocity m/s
     energy: np.ndarray  # (k,) J
-    kinetic: float  # J, the largest
-    agrees: float | None  # error, see `scaled`, of the integration against the closed form
+    kinetic: float  # largest kinetic energy, J
+    agrees: float | None  # distance of the integration from the closed form, see `scaled`
     seconds: float  # of the reference integration
 
     @property
@@ -93,7 +93,7 @@ def find_truth(layout, horizon=None, tell=lambda text: None):
 
 
 def _as_far_as_known(layout, pose, twist, length, tell):
-    """(horizon, Trajectory, Distance) of the longest of HORIZONS."""
+    """(horizon, Trajectory, Distance) for the longest possible one of HORIZONS."""
     reference = Reference(layout.scene, pose, twist, end=float(HORIZONS[-1]))
     # The samples of all candidate horizons.
     wanted = sorted({at for horizon in HORIZONS for at in sample_times(horizon)})
@@ -112,7 +112,7 @@ def _as_far_as_known(layout, pose, twist, length, tell):
             break
         best = horizon
     if best is None:
-        raise SimulationError(f"{failure}; no horizon can be derived because the scene moves too fast: give one")
+        raise SimulationError(f"{failure}; the scene is too fast for a default horizon: give a horizon")
     times = sample_times(best)
     columns = [np.array(column) for column in zip(*(kept[at] for at in times))]
     return (best, Trajectory(np.array([float(at) for at in times]), *columns[:3]), Distance(*columns[3:]))
@@ -150,7 +150,7 @@ def truth_from(path):
 def momentum_drift(scene, kept, truth, motion):
     """Largest relative drift of a conserved momentum component along a motion.
 
-    kept : from `conserved_momentum`. None: nothing is conserved
+    kept : from `conserved_momentum`. Returns None if nothing is conserved
     """
     true = truth.motion
     mass = np.array([body.mass for body in scene.bodies])
@@ -158,7 +158,7 @@ def momentum_drift(scene, kept, truth, motion):
     linear = mass * np.linalg.norm(true.twist[..., 3:], axis=2)
     arm = np.linalg.norm(true.position, axis=2)
     spin = np.linalg.norm(np.einsum("nij,knj->kni", inertia, true.twist[..., :3]), axis=2)
-    # Scale, also of a component that is zero: the sum over the bodies.
+    # Drifts are relative to the sum over the bodies, because a component itself can be zero.
     size = {"N m s": float((arm * linear + spin).sum(axis=1).max()), "N s": float(linear.sum(axis=1).max())}
     worst = None
     for group in kept:

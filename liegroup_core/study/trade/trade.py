@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trade-off of a scene: error against cost of its configurations, measured on this machine.
+"""Trade-off for a scene: error against cost of its configurations, measured on this machine.
 
     trade = Trade(load_scene("heavy_top"))
     for cell, _ in trade.measure():
@@ -24,17 +24,17 @@ from .measure import Study, measure, to_accuracy
 from .reference_solution import find_truth
 
 ACCURACIES = (1e-3, 1e-6, 1e-9)
-WANTED = tuple(sorted({*ACCURACIES, DEFAULT}, reverse=True))  # of simulations to an accuracy
-# A guaranteed accuracy is this factor above the measured error: between the samples of the
-# measurement the error may be slightly larger.
+WANTED = tuple(sorted({*ACCURACIES, DEFAULT}, reverse=True))  # accuracies of simulations to an accuracy
+# A guaranteed accuracy is this factor above the measured error, because the error may be larger between
+# the samples of the measurement.
 MARGIN = 3.0
 BUDGET = 1.0  # limit of the CPU time of a run, s
 ENOUGH = 1e-11  # smallest error of interest: 1e-9 with its margin, and a reserve
-# If two finer steps do not reduce the error by the factor BETTER, it is round-off; above ROUGH, the
+# If two finer steps do not reduce the error to BETTER times its value, it is round-off; above ROUGH, the
 # steps are too large for the method.
 BETTER, ROUGH = 0.5, 1e-2
-DEARER = 1.5  # if these steps cost so many times more
-SETTLING = 2  # number of finer rungs that must not be worse
+DEARER = 1.5  # the rule above requires that the cost grows by this factor
+SETTLING = 2  # number of finer rungs whose errors must not be larger
 MOST_STEPS = 1_000_000  # in a horizon, for a ladder without a finished run
 
 
@@ -42,10 +42,10 @@ class Trade:
     """Measurements of a scene over a horizon.
 
     scene   : Scene
-    horizon : s, over which errors are evaluated; None: default, see reference_solution.HORIZONS
-    store   : Store; None: that of the user
+    horizon : s, time over which errors are evaluated; None: default, see reference_solution.HORIZONS
+    store   : Store; None: the user's cache
     tell    : function that is called with the progress as text
-    raises SceneError, SimulationError without a reference solution, ValueError for a horizon
+    raises SceneError, SimulationError if there is no reference solution, ValueError for a wrong horizon
     """
 
     def __init__(self, scene, horizon=None, store=None, tell=lambda text: None):
@@ -66,7 +66,7 @@ class Trade:
 
     @property
     def cells(self):
-        """All measured cells, see measure.measure, by ladders and from coarse to fine."""
+        """All measured cells, see measure.measure, sorted by ladder and from coarse to fine."""
         return sorted(self._cells.values(), key=lambda cell: (_ladder(cell), _coarseness(cell)))
 
     def measure(
@@ -82,13 +82,13 @@ class Trade:
     ):
         """Measure missing cells; yields (cell, (ladders done, ladders)) in order of completion.
 
-        methods, groups, stabilisations : names; None: all that fit the scene, all, and none and
-                                          projection
+        methods, groups, stabilisations : names; None: all methods that suit the scene, all groups, and
+                                          the stabilisations none and projection
         steps              : s, divisors of the horizon, instead of ladders
         budget             : s, limit of the CPU time of a run
         scheduler, workers : see tasks.run
         tell               : function that is called with the progress before the first result
-        raises ValueError for steps that do not fit, or if nothing does; TasksError
+        raises TasksError, and ValueError for unsuitable steps or if no method suits the scene
         """
         if steps is not None:
             steps = [_fitting(step, self.truth.horizon) for step in sorted(steps, reverse=True)]
@@ -123,13 +123,13 @@ class Trade:
             yield cell, (done[0], len(climbs))
 
     def to_accuracies(self, accuracies=WANTED):
-        """Simulations to an accuracy over the horizon, each as in measure.to_accuracy; not kept."""
+        """Simulations to an accuracy over the horizon, each as in measure.to_accuracy; they are not cached."""
         return [to_accuracy(self.scene, self.truth, accuracy) for accuracy in accuracies]
 
     def keep_only(self, methods=None, groups=None, stabilisations=None, steps=None):
-        """Drop cells of other configurations, arguments as of `measure`. They stay in the cache.
+        """Drop cells of other configurations from `cells`, not from the cache; arguments as for `measure`.
 
-        The same arguments then have the same result, whatever was measured before.
+        So the same arguments give the same result, whatever was measured before.
         """
         chosen = set(ladders(self.layout, methods, groups, stabilisations))
         self._cells = {
@@ -148,8 +148,8 @@ class Trade:
                 pass
 
     def settled(self):
-        """[(cell, error)] of finished runs, where error is the largest of the cell, of the next finer
-        ones of its ladder, and of the reference. So errors that are small by chance do not count.
+        """[(cell, error)] of finished runs. error is the largest of the cell's error, those of the next finer
+        cells of its ladder and the reference uncertainty, so that errors small by chance do not count.
         """
         found = []
         by_ladder = {}
@@ -163,7 +163,7 @@ class Trade:
         return found
 
     def front(self):
-        """Pareto front of error and cost: cells from cheap to accurate."""
+        """Cells on the Pareto front of error and cost, from cheap to accurate."""
         front, best = [], float("inf")
         for cell, error in sorted(self.settled(), key=lambda pair: (pair[0]["cost_us"], pair[1])):
             if error < best:
@@ -177,7 +177,7 @@ class Trade:
         return min(kept, key=lambda cell: cell["cost_us"], default=None)
 
     def best(self, usable=lambda cell: True):
-        """(cell, accuracy that it meets with its margin) of the most accurate cell, or None."""
+        """(most accurate cell, accuracy that it meets with its margin), or None."""
         found = [(cell, MARGIN * error) for cell, error in self.settled() if usable(cell)]
         return min(found, key=lambda pair: (pair[1], pair[0]["cost_us"]), default=None)
 
@@ -223,7 +223,7 @@ class _Climb:
         if errors[-1] <= max(ENOUGH, self._known):
             return True
         last = good[-1]
-        # A tolerance without extra cost does not yet determine the error.
+        # If a tighter tolerance costs nothing, the tolerance does not determine the error yet.
         if (
             len(good) > 2
             and min(errors) < ROUGH
@@ -238,7 +238,7 @@ class _Climb:
 
 
 def _fitting(step, horizon):
-    """Step as float. Raises ValueError if it meets no samples of the horizon."""
+    """Step as float. Raises ValueError if too few samples of the horizon lie on whole steps."""
     if (
         not is_positive(step)
         or horizon % as_time(step)
