@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command line liegroup_sim: one file per subcommand.
 
-In: arguments. Out: files, tables and an exit code. Computations are elsewhere.
+Input: arguments. Output: files, tables and an exit code. Other packages do the computations.
 """

@@ -50,8 +50,8 @@ def add_arguments(parser):
     parser.add_argument(
         "--robot",
         metavar="FILE",
-        help="draw the visuals of this file in the report of --html: the robot's file of the "
-        "recording, or the scene file that names it (meshes need trimesh)",
+        help="draw the visuals of this file in the report of --html: the robot file of the "
+        "recording, or the scene file that refers to it (meshes need trimesh)",
     )
     parser.add_argument(
         "--png",
@@ -85,25 +85,25 @@ def add_arguments(parser):
         type=count,
         default=REFERENCE_STEPS,
         metavar="N",
-        help="limit of the steps of the reference integration; the error is known up to there "
+        help="maximum number of steps of the reference integration, which stops there "
         "(default: %(default)d, some minutes)",
     )
     parser.add_argument("--scheduler", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tls://host:8786")
 
 
 def _shapes(file, scene):
-    """Triangles of the bodies of a recording by the robot's file, None without; prints remarks."""
+    """Triangles of the bodies of a recording, from a robot file; None without a file. Prints remarks."""
     if file is None:
         return None
     robot = load_scene(file)
     if robot.robot is None:
-        raise AnalysisError(f"--robot {file}: is the file of no robot: give a URDF, SDF or MJCF file")
+        raise AnalysisError(f"--robot {file}: is not a robot file: give a URDF, SDF or MJCF file")
     names = [{body.name for body in each.bodies} for each in (scene, robot)]
     if names[0] != names[1]:
         differing = min(names[0] ^ names[1])
         raise AnalysisError(
-            f"--robot {file}: has other bodies than the recording, such as {differing}: give the file "
-            "that was simulated"
+            f"--robot {file}: its bodies differ from those of the recording, for example in {differing}: give "
+            "the file that was simulated"
         )
     shapes, remarks = robot_shapes(robot.robot)
     for remark in remarks:
@@ -157,7 +157,7 @@ def run(args):
     differing = comparison and comparison[0]
     if args.json:
         write_text(args.json, document(found, differing, args.max_error, args.max_drift, exceeded))
-    # After the files: the reader of stdout may end, as in `| head`.
+    # Print after writing the files, because the reader of stdout may end early, as in `| head`.
     console = Console(file=sys.stdout)
     if many:
         print_overview(found, console)

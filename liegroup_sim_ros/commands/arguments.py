@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parser whose errors are one line, and types of its arguments."""
+"""Argument parser with errors of one line, and types of arguments."""
 
 import argparse
 
@@ -8,7 +8,7 @@ class Parser(argparse.ArgumentParser):
     """ArgumentParser that reports a wrong argument in one line, exit code 2."""
 
     def error(self, message):
-        """Print the line, and exit."""
+        """Print the message in one line and exit."""
         self.exit(2, f"{self.prog}: {' '.join(message.split())}; see {self.prog} --help\n")
 
 

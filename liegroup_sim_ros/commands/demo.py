@@ -2,7 +2,7 @@
 """`liegroup_sim demo`: simulate in real time, apply a force, record and analyse.
 
 The simulation node and the publisher of the force are separate processes in their own ROS domain,
-limited to this machine. Both have ended when the demo ends, also after an error.
+limited to this machine. The demo ends both before it returns, also after an error.
 """
 
 import math
@@ -102,7 +102,7 @@ def _simulate(seconds, log, output, console, check):
     try:
         with open(output, "w", encoding="utf-8") as stream:
             node = _start("node.entry", ["--ros-args", *arguments], stream, processes)
-            # The analysis needs other kernels than the node: a second core compiles them meanwhile.
+            # The analysis needs additional kernels, which a second core compiles during the run.
             _start("analysis.compiled", [SCENE], subprocess.DEVNULL, processes)
             with console.status("starting (the first run of a kind of mechanism compiles for about 20 s)"):
                 _wait_until(log.exists, STARTING, node, output, check)
@@ -124,7 +124,7 @@ def _watch(seconds, node, output, processes, console, check):
     start = time.monotonic()
 
     def going_on():
-        # On a loaded machine the publisher starts slowly; the run waits for it.
+        # On a loaded machine the publisher starts slowly, so the run waits for it.
         return elapsed < seconds or not answered and elapsed < seconds + PUSHING
 
     with (
@@ -169,7 +169,7 @@ def _watch(seconds, node, output, processes, console, check):
 
 @contextmanager
 def _diagnostics():
-    """Function latest(seconds): waits that long and returns the last figures of /diagnostics."""
+    """Function latest(seconds), which waits for this time and returns the last figures of /diagnostics."""
     try:
         import rclpy
         from diagnostic_msgs.msg import DiagnosticArray
@@ -205,8 +205,8 @@ def _diagnostics():
 
 
 def _start(module, arguments, stream, processes):
-    """Start a process of this package in its own session: only the demo forwards Ctrl-C."""
-    # -P: the working folder must not come before the installed package.
+    """Start a process of this package in its own session, so that it gets Ctrl-C only from the demo."""
+    # -P: do not import from the working folder instead of the installed package.
     process = subprocess.Popen(
         [
             sys.executable,

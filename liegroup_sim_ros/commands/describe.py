@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`liegroup_sim describe`: degrees of freedom, conserved quantities and cost per step of a scene.
 
-Only the cost of a step is measured; the rest is from liegroup_core.describe. No ROS.
+The cost of a step is measured here. All other facts come from liegroup_core.describe. No ROS.
 """
 
 import json
@@ -22,9 +22,9 @@ from liegroup_sim_ros.numbers import counted
 from .robot_options import add_robot_options, robot_scene
 
 METHODS = ("rkmk4", "rkmk8")
-MEASURING, LEAST_RUNS = 0.2, 3  # per method: s, and smallest number of runs; the fastest counts
-STEP = 1e-5  # s: small enough for every scene
-MOST_ROWS = 40  # of a list on the terminal; JSON has all
+MEASURING, LEAST_RUNS = 0.2, 3  # per method: time in s, and minimum number of runs; the fastest run counts
+STEP = 1e-5  # s, small enough for every scene
+MOST_ROWS = 40  # printed rows of a list; JSON contains all
 
 
 def add_arguments(parser):
@@ -56,8 +56,8 @@ def run(args):
 def step_cost(scene, method, seconds=MEASURING):
     """Measured cost of a step: {"step_us", "stage_us", "runs", "steps"}, or {"failed": text}.
 
-    step_us, stage_us : of a step, and of each of its stages: minimum of several runs of many steps each;
-                        other load of the machine only adds time
+    step_us, stage_us : time of a step and of each of its stages, the minimum of several runs of many steps,
+                        because other load on the machine can only add time
     """
     simulation = Engine(scene, method, STEP)
     steps, times = 1, []
@@ -68,7 +68,7 @@ def step_cost(scene, method, seconds=MEASURING):
             start = time.perf_counter()
             simulation.advance(steps)
             taken = time.perf_counter() - start
-            if taken < seconds / 40.0:  # too short to be timed
+            if taken < seconds / 40.0:  # too short to time
                 steps *= 2
             else:
                 times.append(taken / steps)
@@ -79,7 +79,7 @@ def step_cost(scene, method, seconds=MEASURING):
 
 
 def print_facts(facts, console):
-    """Tables on a terminal."""
+    """Print the facts as tables on a terminal."""
     console.print(Text(f"{facts['scene']}: {_freedoms(facts['degrees_of_freedom'])}", style="bold"))
     if facts["description"]:
         console.print(Text(facts["description"], style="dim"))
@@ -159,14 +159,14 @@ def sections(facts):
 
 
 def _switch_row(entry):
-    """Stops and friction of a joint, and its modes."""
+    """Row with stops and friction of a joint, and its modes."""
     named = {**(entry["limits"] or {}), **(entry["friction"] or {})}
     values = [f"{name} {value:.6g}" for name, value in named.items() if value is not None]
     return entry["joint"], ", ".join(values), f"modes: {', '.join(entry['modes'])}"
 
 
 def _import_rows(facts):
-    """What the import of a robot saved."""
+    """Rows with the numbers of links and coordinates before and after the import of a robot."""
     if facts is None:
         return []
     rows = [
@@ -174,7 +174,7 @@ def _import_rows(facts):
         (
             "joint coordinates",
             f"{facts['file_coordinates']} -> {facts['coordinates']}",
-            "without joints that are locked, cut, or held in place",
+            "without locked, cut or held joints",
         ),
     ]
     return rows
@@ -186,7 +186,7 @@ def _freedoms(count):
 
 
 def _note(text):
-    """(kind, text, "") of a note `kind: text`."""
+    """Row (kind, text, "") of a note "kind: text"."""
     kind, separator, rest = text.partition(": ")
     return (kind, rest, "") if separator and len(kind) < 24 else ("", text, "")
 
@@ -202,7 +202,7 @@ def _formulation_rows(facts, bodies, plane):
             str(facts["coordinates"]),
             f"joint positions of a spanning tree, for {6 * bodies} of poses; its joints are satisfied exactly",
         ),
-        ("cut joints", ", ".join(cut) or "none", "and their rows that are solved for" if cut else ""),
+        ("cut joints", ", ".join(cut) or "none", "with the rows that are solved" if cut else ""),
     ]
     if plane is not None:
         rows.append(("planar", f"across {plane}", "in relative coordinates bodies are integrated in the plane"))
@@ -246,7 +246,7 @@ def _freedom_rows(facts):
 
 
 def _not_searched(facts):
-    """Why conserved momentum was not searched."""
+    """Reason why conserved momentum was not searched."""
     if facts["couplings"]:
         return "couplings"
     driven = any(joint["driven"] for joint in facts["joints"])

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`liegroup_sim extremes`: robustness map of the methods as table, heat map and JSON. No ROS.
 
-Exit code 0 without undetected errors, 1 with one, 2 for wrong input, 130 after Ctrl-C.
+Exit code 0 without undetected errors, 1 if there are some, 2 for wrong input, 130 after Ctrl-C.
 """
 
 import math
@@ -31,7 +31,7 @@ def add_arguments(parser):
         "Stress-test every method on built-in problems or on your scene, and compare each run "
         "with a reference solution."
     )
-    parser.epilog = "Results are cached as they come: after Ctrl-C the same command continues."
+    parser.epilog = "Each result is cached immediately: after Ctrl-C, the same command continues."
     parser.add_argument(
         "scene",
         metavar="SCENE",
@@ -82,7 +82,7 @@ def run(args):
         from liegroup_sim_ros.report.heat_map import write_heat_map  # needs matplotlib
 
         write_file(args.png, lambda path: write_heat_map(axes, cells, args.methods, path))
-    # After the files: the reader of stdout may end, as in `| head`.
+    # Print after writing the files, because the reader of stdout may end early, as in `| head`.
     print_end(cells, console)
     return EXIT_SILENT if silent(cells) else 0
 

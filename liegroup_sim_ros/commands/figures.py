@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """`liegroup_sim figures`: compute and draw Figs. 6.2 and 6.4 to 6.9 of the chapter. Needs no ROS.
 
-The tables compare the largest errors with those of independent implementations of the same
-methods. docs/explanation/figures.md discusses the figures and which claims of the chapter hold.
+The tables compare the largest errors with those of independent implementations of the same methods.
+docs/explanation/figures.md discusses the figures and the claims of the chapter.
 """
 
 import logging
@@ -48,7 +48,7 @@ def add_arguments(parser):
 def run(args):
     """Run the subcommand; returns the exit code. Raises FiguresError."""
     try:
-        import matplotlib  # noqa: F401  check before the runs
+        import matplotlib  # noqa: F401  checked before the runs
         import mpmath  # noqa: F401  for the exact solutions
     except ImportError as error:
         raise FiguresError(f"{error.name} is needed to draw: pip install {error.name}") from None
@@ -61,7 +61,7 @@ def run(args):
     except OSError as error:
         raise FiguresError(f"{error.filename}: cannot be written: {error.strerror}") from None
     console = Console(file=sys.stdout)
-    for result in (table, *tables):  # not cropped in a narrow terminal
+    for result in (table, *tables):  # do not crop them in a narrow terminal
         console.print(result, width=max(console.width, TABLE_WIDTH), crop=False)
     console.print(NOTE, soft_wrap=True, highlight=False)
     print(*paths, *more_paths, sep="\n")

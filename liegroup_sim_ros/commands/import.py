@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`liegroup_sim import`: a robot's file as a scene file to edit. No ROS."""
+"""`liegroup_sim import`: convert a robot file to a scene file that can be edited. No ROS."""
 
 import sys
 from pathlib import Path
@@ -15,9 +15,9 @@ from .robot_options import RobotError, add_robot_options, robot_scene
 def add_arguments(parser):
     """Arguments of the subcommand."""
     parser.description = (
-        "Write the scene file of a robot: bodies, joints and forces with comments that say which "
-        "line of the robot's file they come from, and notes of what was merged and left out. Every "
-        "command also takes the robot's file itself."
+        "Write the scene file of a robot: bodies, joints and forces, each with the line of the robot file "
+        "that it comes from as a comment, and notes on merged and omitted parts. Every command also "
+        "takes the robot file itself."
     )
     parser.add_argument(
         "robot",
@@ -37,7 +37,7 @@ def run(args):
     if args.out is not None and Path(args.out).suffix not in (".yaml", ".yml"):
         raise RobotError(f"--out {args.out}: a scene file ends in .yaml")
     scene = robot_scene(args.robot, args, args.name)
-    counts = imported(make_layout(scene))  # refuses what cannot be simulated, as all commands do
+    counts = imported(make_layout(scene))  # raises SceneError if the scene cannot be simulated
     text = scene.text
     if counts is not None:
         text = (

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`liegroup_sim info`: contents of recordings, and whether they are complete.
+"""`liegroup_sim info`: show the contents of recordings and whether they are complete.
 
-Exit code 0, also for an incomplete recording, which is reported; 2 with one line of text for a file
-that is not a recording.
+Exit code 0, also for an incomplete recording; 2 with one line of text for a file that is not a recording.
 """
 
 import json
@@ -104,7 +103,7 @@ def as_json(found):
 
 
 def print_survey(found, console):
-    """A Survey as tables."""
+    """Print a Survey as tables."""
     content = as_json(found)
     table = Table(show_header=False, box=None, pad_edge=False)
 
@@ -150,7 +149,7 @@ def print_survey(found, console):
 
 
 def listed(problems):
-    """Texts of {problem: number of occurrences}."""
+    """[text of each problem, with its number] from {problem: number of occurrences}."""
     return [text + (f" ({n} times)" if n > 1 else "") for text, n in problems.items()]
 
 

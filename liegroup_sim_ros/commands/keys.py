@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`liegroup_sim keys`: the keys of a scene file, from the models that check it. No ROS."""
+"""`liegroup_sim keys`: print the keys of a scene file. No ROS."""
 
 import sys
 
@@ -12,7 +12,7 @@ from liegroup_core.scene.keys import key_tables
 
 
 class UnknownWord(LieGroupSimError):
-    """No table has this word; one line of text, exit code 2."""
+    """Word that selects no table; one line of text, exit code 2."""
 
 
 def add_arguments(parser):
@@ -49,5 +49,5 @@ def run(args):
 
 
 def _words(table):
-    """First word of the place, and types of a table: what selects it."""
+    """Words that select a table: the first word of its place, and its types."""
     return table.place.split()[0], *table.types

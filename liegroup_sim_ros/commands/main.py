@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command `liegroup_sim`: its subcommands, and how their errors become exit codes.
+"""The command `liegroup_sim`: its subcommands, and the exit codes for their errors.
 
-A subcommand is a module of this folder, named as the subcommand, with
+A subcommand is a module of this folder with the same name and with
 
     add_arguments(parser)   sets the description and the arguments of an argparse parser
     run(args)               runs it and returns the exit code
@@ -9,7 +9,7 @@ A subcommand is a module of this folder, named as the subcommand, with
 and a line in COMMANDS. Only the module of the chosen subcommand is imported.
 
 Exit code 0 on success, 2 and one line on stderr for wrong input or an output that cannot be written, 1 if a
-simulation had to stop, 130 after Ctrl-C, SIGTERM, SIGHUP or SIGQUIT, 141 if the reader of stdout is gone.
+simulation had to stop, 130 after Ctrl-C, SIGTERM, SIGHUP or SIGQUIT, 141 if the reader of stdout has ended.
 """
 
 import errno
@@ -24,7 +24,7 @@ from liegroup_sim_ros.version import __version__
 
 from .arguments import Parser
 
-# Before NumPy is loaded: threads make small solves slower, on a busy machine by large factors.
+# Set before NumPy is imported. Threads slow down small solves, on a busy machine by large factors.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 COMMANDS = {
@@ -43,18 +43,18 @@ COMMANDS = {
     "push": "apply a wrench to a body of a running simulation",
     "figures": "draw Figs. 6.2 and 6.4 to 6.9 of the chapter",
 }
-# Those that read scenes and robots.
+# Subcommands that read scenes and robots.
 READERS = ("import", "describe", "trade", "extremes", "sweep", "run", "analyze")
-FULL = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)  # of a file that stdout is sent to
+FULL = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)  # stdout is redirected to a file that cannot grow
 EXIT_WRONG_INPUT, EXIT_INTERRUPTED, EXIT_UNREAD = 2, 130, 141
 
 
 def make_parser(chosen=None):
-    """Parser of the command line; `chosen` is the subcommand whose arguments it reads."""
+    """Parser of the command line; only the subcommand `chosen` gets its arguments."""
     parser = Parser(
         prog="liegroup_sim",
         description="Multibody dynamics on Lie groups for ROS 2.",
-        epilog="The simulation node is a program of its own: sim_node --ros-args -p "
+        epilog="The simulation node is a separate program: sim_node --ros-args -p "
         "scene:=heavy_top, or with a ROS installation: ros2 run liegroup_sim_ros sim_node "
         "--ros-args -p scene:=heavy_top",
     )
@@ -69,14 +69,14 @@ def make_parser(chosen=None):
                 subparser.add_argument(
                     "--allow-files",
                     action="store_true",
-                    help="robots may name files outside of the trees of their own files",
+                    help="robot files may refer to files outside of their own folder trees",
                 )
             subparser.set_defaults(run=module.run)
     return parser
 
 
 def _drop_output():
-    """Let nothing that is left in the buffer of stdout raise an error at the end of the process."""
+    """Redirect stdout to /dev/null, so that flushing its buffer at exit raises no error."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 

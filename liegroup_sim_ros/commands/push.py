@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """`liegroup_sim push`: apply a wrench to a body of a running simulation from another process.
 
-Publishes the wrench at a fixed rate and a zero wrench at the end, also after Ctrl-C. Reports the
-wrench that the simulation applied. The duration is wall time.
+It publishes the wrench at a fixed rate, and a zero wrench at the end, also after Ctrl-C. It reports when
+the simulation applied the wrench. The duration is wall time.
 """
 
 import math
@@ -11,7 +11,7 @@ import time
 
 from liegroup_core.errors import LieGroupSimError
 
-DISCOVERY = 10.0  # s; processes see each other after 0.05 to 2.5 s
+DISCOVERY = 10.0  # s; processes discover each other within 0.05 to 2.5 s
 ANSWER = 2.0  # s: longest response time of a running simulation
 
 
@@ -109,7 +109,7 @@ def _push(args):
             if topic.startswith(prefix) and topic.endswith(suffix)
         )
 
-    # Both directions, else the response would be missed.
+    # Wait for both directions, because otherwise the response would be missed.
     if not spin_until(
         lambda: publisher.get_subscription_count() and node.count_publishers(f"{name}/applied_wrench"), DISCOVERY
     ):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`liegroup_sim recover`: a readable file from a truncated or damaged recording.
+"""`liegroup_sim recover`: write a readable file from a truncated or damaged recording.
 
 Exit code 0 if a file was written or the recording is complete; 2 with one line of text if the file
-has no readable content or the new one cannot be written.
+has no readable content or the new file cannot be written.
 """
 
 import sys

@@ -24,12 +24,12 @@ def add_arguments(parser):
         "terminal: space pauses and resumes, up and down change the rate, right publishes the "
         "next sample while paused, left goes back 5 s. With --resimulate nothing is "
         "published: the run is simulated again from its recorded initial state and wrenches, "
-        "and compared bit for bit. With --from a simulation node goes on from an instant of it, "
-        "such as with other wrenches."
+        "and compared bit for bit. With --from, a simulation node continues the run from an "
+        "instant of the recording, for example with other wrenches."
     )
     parser.epilog = (
-        "Exit code: 0; 1 if --resimulate finds a difference where there must be none, or one "
-        "above --bound; 2 if a file cannot be read."
+        "Exit code: 0; 1 if --resimulate finds a difference where results must be identical, or a "
+        "difference above --bound; 2 if a file cannot be read."
     )
     parser.add_argument("file", metavar="FILE", help="recording (*.mcap): a path or URL")
     parser.add_argument(
@@ -61,7 +61,7 @@ def add_arguments(parser):
     parser.add_argument(
         "--inputs",
         action="store_true",
-        help="with --from: apply the wrenches recorded after that, too (default: all wrenches end)",
+        help="with --from: also apply the wrenches recorded after this time (default: all wrenches end)",
     )
     parser.add_argument("--record", metavar="OUT", help="with --from: record the new run to this file (*.mcap)")
     parser.add_argument("--resimulate", action="store_true", help="simulate the run again and compare; publish nothing")
@@ -108,7 +108,7 @@ def run(args):
 
 
 def _continue(args):
-    """Run a simulation node that goes on from an instant; returns its exit code."""
+    """Run a simulation node that continues from an instant of a recording; returns its exit code."""
     from liegroup_sim_ros.node.entry import main
 
     if not (math.isfinite(args.instant) and args.instant >= 0.0):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Options of subcommands that take the file of a robot: start values, locked joints, closed loops."""
+"""Options of subcommands that take a robot file: start values, locked joints, closed loops."""
 
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.joints.kinds import Joint
@@ -7,7 +7,7 @@ from liegroup_core.robots.names import scene_name
 from liegroup_core.robots.options import BASES, Options
 from liegroup_core.scene.load import scene_of
 
-# Types of joints that need no more than the frames of two links.
+# Types of joints that only need the frames of two links.
 CLOSING = ("spherical", "revolute", "prismatic", "cylindrical", "planar", "fixed", "universal")
 # Names of the same joints in SDF and MJCF.
 ALSO = {"ball": "spherical", "hinge": "revolute", "slide": "prismatic", "slider": "prismatic"}
@@ -18,8 +18,8 @@ class RobotError(LieGroupSimError):
 
 
 def add_robot_options(parser):
-    """Add the options; the path of the file is the positional argument before them."""
-    parser = parser.add_argument_group("files of robots (URDF, xacro, SDF, MJCF)")
+    """Add the options; the path of the robot file is the positional argument before them."""
+    parser = parser.add_argument_group("robot files (URDF, xacro, SDF, MJCF)")
     parser.add_argument("arguments", nargs="*", metavar="NAME:=VALUE", help="arguments of a xacro file")
     parser.add_argument(
         "--base",
@@ -37,7 +37,7 @@ def add_robot_options(parser):
         ("keep", "JOINT", "fixed joints that are not merged, so that their reactions are known"),
         ("stops", "JOINT", "joints whose limits are rigid stops, or all"),
         ("friction", "JOINT", "joints whose dry friction acts, or all"),
-        ("drive", "JOINT", "joints that move as prescribed: at their velocity at the start, until a command"),
+        ("drive", "JOINT", "driven joints; they keep their velocity at the start until a command"),
     ):
         parser.add_argument(f"--{name}", nargs="+", action="extend", default=[], metavar=each, help=text)
     parser.add_argument(
@@ -46,15 +46,15 @@ def add_robot_options(parser):
         action="append",
         default=[],
         metavar=("LINK", "LINK", "TYPE"),
-        help="close a loop: a joint of this type whose frames are the frames of the two links, z "
-        f"axis as axis ({', '.join(CLOSING)})",
+        help="close a loop by a joint of this type; its frames are those of the two links, its axis is "
+        f"their z axis ({', '.join(CLOSING)})",
     )
 
 
 def robot_scene(path, args, name=None):
     """Scene of a path or name with the options of `args`. Raises SceneError, RobotError.
 
-    name : of the scene; None: that of the robot
+    name : name of the scene; None: name of the robot
     """
     options = Options(
         base=args.base,

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """`liegroup_sim run`: simulate as fast as possible, without ROS, to arrays or to a recording.
 
-Exit code 1 if the integration had to stop, 130 after Ctrl-C; all computed samples are written in
-both cases. Wrong input is refused before a file is opened.
+Exit code 1 if the integration had to stop, 130 after Ctrl-C. In both cases all computed samples are
+written. Wrong input is refused before a file is opened.
 """
 
 import math
@@ -32,8 +32,8 @@ from .robot_options import add_robot_options, robot_scene
 
 EXIT_STOPPED = EXIT_LOST = 1
 REDRAW = 0.1  # s between two updates
-NOTE = 160  # characters of a note of the scene
-# Passed on to Simulation if given.
+NOTE = 160  # maximum length of a printed note of the scene
+# Options that are passed on to Simulation if given.
 SETTINGS = (
     "accuracy",
     "horizon",
@@ -95,34 +95,34 @@ def add_settings(parser):
         "--accuracy",
         type=float,
         metavar="X",
-        help="largest error in the first --horizon seconds: positions as parts of the "
-        "mechanism's size, attitudes in rad; later it may grow by as much in each further "
+        help="largest error in the first --horizon seconds: positions relative to the "
+        "characteristic length, attitudes in rad; it may grow by the same amount in each further "
         f"horizon (default: {DEFAULT:g}; docs/how-to/choose_accuracy.md)",
     )
     parser.add_argument(
         "--horizon",
         type=float,
         metavar="S",
-        help=f"simulated time in s for the accuracy, at most {LONGEST:g} (default: {MINUTE:g})",
+        help=f"simulated time in s to which the accuracy refers, at most {LONGEST:g} (default: {MINUTE:g})",
     )
     parser.add_argument("--method", metavar="NAME", help=f"instead of an accuracy: {', '.join(METHODS)}")
     parser.add_argument(
         "--step",
         type=float,
         metavar="S",
-        help=f"step size of the method in s (default: {STEP:g}); with an accuracy: times in s at "
-        "which states can be had (default: at most 0.01 and a fiftieth of the horizon)",
+        help=f"step size of the method in s (default: {STEP:g}); with an accuracy: output interval in s "
+        "(default: at most 0.01 and a fiftieth of the horizon)",
     )
     parser.add_argument(
         "--group",
         metavar="NAME",
-        help=f"configuration space: {', '.join(CONFIGURATION_GROUPS)} or auto: relative, for "
-        "rotation methods so3xr3 (default: auto)",
+        help=f"configuration space: {', '.join(CONFIGURATION_GROUPS)}, or auto, which is relative, or "
+        "so3xr3 for rotation methods (default: auto)",
     )
     parser.add_argument(
         "--stabilisation",
         metavar="KIND",
-        help=f"{', '.join(STABILISATIONS)} (default: none; with an accuracy projection, for joints that would drift)",
+        help=f"{', '.join(STABILISATIONS)} (default: none; with an accuracy, projection for joints that would drift)",
     )
     parser.add_argument(
         "--baumgarte-time",
@@ -134,7 +134,7 @@ def add_settings(parser):
     parser.add_argument(
         "--space",
         metavar="KIND",
-        help="auto, or space: use the spatial formulation also for planar mechanisms (default: auto)",
+        help="auto, or space to use the spatial formulation also for planar mechanisms (default: auto)",
     )
     for name in ("rtol", "atol"):
         parser.add_argument(f"--{name}", type=float, metavar="X", help="tolerance of a method with error control")
@@ -155,7 +155,7 @@ def given_settings(args):
 
 
 def dividing_steps(duration, horizon):
-    """Steps for an accuracy that divide a duration, long to short."""
+    """Steps for an accuracy that divide a duration, from long to short."""
     usual = default_steps(horizon)
     return [step for step in usual if divides(step, duration)] or [
         duration / math.ceil(duration / step) for step in usual
@@ -195,7 +195,7 @@ def _run(args):
     try:
         with console.status("starting (the first run of a kind of mechanism compiles for about 20 s)"):
             simulation = Simulation(scene, **settings, estimate=args.estimate)
-    except ValueError as error:  # SceneError, too, is one
+    except ValueError as error:  # includes SceneError
         raise RunError(str(error)) from None
     if args.reactions or args.torques:
         simulation.layout.reactions.warm_up()
@@ -242,14 +242,14 @@ def _run(args):
 
 
 def _events_of(simulation):
-    """The number of events at joints with stops or friction, as text."""
+    """Text with the number of events at joints with stops or friction."""
     if not simulation.layout.switches:
         return ""
     return f", {counted(simulation.event_count, 'event')} at joints"
 
 
 def _error_of(simulation):
-    """The estimated error at the end, or from when on there is one, as text."""
+    """Text with the estimated error at the end, or the time of the first estimate."""
     errors = simulation.sample().errors
     if errors is None:
         return ""
@@ -260,7 +260,7 @@ def _error_of(simulation):
 
 
 def _simulate(simulation, steps, every, write, console, signals):
-    """Take all steps; `write` writes a sample when one is due."""
+    """Take all steps; call `write` at each sample."""
     with Progress(
         TextColumn("simulating"),
         BarColumn(),
@@ -283,7 +283,7 @@ def _simulate(simulation, steps, every, write, console, signals):
 
 
 def divides(step, duration):
-    """Whether a duration is a whole number of steps."""
+    """True if a duration is a whole number of steps."""
     try:
         return whole_steps(duration, step) > 0
     except RunError:
@@ -295,7 +295,7 @@ def whole_steps(duration, step, name="--duration"):
     if not (math.isfinite(duration) and duration > 0.0):
         raise RunError(f"{name} must be a positive number of seconds, got {duration:g}")
     steps = round(duration / step)
-    # Far above round-off, far below any relevant difference.
+    # This tolerance is far above round-off and far below any relevant difference.
     if steps < 1 or abs(duration / step - steps) > 1e-6 * steps:
         nearest = max(1, steps) * step
         raise RunError(

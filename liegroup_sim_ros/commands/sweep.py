@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`liegroup_sim sweep`: runs of a scene with sampled parameters, written to Parquet. No ROS.
 
-Finished runs are saved as they come, so an interrupted sweep continues.
+Finished runs are saved batch by batch, so that an interrupted sweep can be continued.
 """
 
 import math
@@ -25,7 +25,7 @@ from liegroup_sim_ros.version import __version__
 from .run import RunError, add_settings, divides, given_settings, whole_steps
 
 EXIT_ALL_FAILED, EXIT_INTERRUPTED = 1, 130
-MOST_PARTS = 1000  # steps of an accuracy in the period of --keep
+MOST_PARTS = 1000  # maximum number of steps in the period of --keep, for an accuracy
 # Parts of error texts about an initial state that violates the joints.
 CLOSING = "velocities violate the joint", "does not close at the initial poses"
 
@@ -37,7 +37,7 @@ def add_arguments(parser):
         "all samples in parallel, write the results to Parquet, and show how they vary and "
         "what they depend on."
     )
-    parser.epilog = "Finished runs are saved as they come: after Ctrl-C the same command continues."
+    parser.epilog = "Finished runs are saved batch by batch: after Ctrl-C, the same command continues."
     parser.add_argument("scene", metavar="SCENE", help="path of a scene or robot file, or name of an example scene")
     parser.add_argument(
         "--vary",
@@ -68,12 +68,12 @@ def add_arguments(parser):
     parser.add_argument(
         "--assemble",
         action="store_true",
-        help="assemble: correct the sampled poses and velocities until they satisfy the joints",
+        help="assemble: correct the sampled poses and velocities so that they satisfy the joints",
     )
     parser.add_argument(
         "--reactions",
         action="store_true",
-        help="add the largest reactions of all joints at these times (nan: undetermined)",
+        help="add the largest reactions of all joints at the times of --keep (nan: undetermined)",
     )
     parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one per core)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tls://host:8786")
@@ -160,7 +160,7 @@ def _sweep_of(scene, args):
 
 
 def _steps_of_both(steps, duration, keep):
-    """Steps, long to short, that divide a duration, as `steps`, and the period of --keep."""
+    """Steps that divide both a duration, as `steps` do, and the period of --keep; from long to short."""
     whole_steps(keep, keep, "--keep")  # raises RunError for an invalid period
     parts = {*steps, *(keep / math.ceil(keep / step) for step in steps)}
     found = [

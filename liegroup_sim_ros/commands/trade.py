@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`liegroup_sim trade`: accuracy against cost of a scene, measured on this machine. No ROS.
 
-Measurements are cached as they come, so an interrupted run continues.
+Each measurement is cached immediately, so that an interrupted run can be continued.
 """
 
 import json
@@ -32,7 +32,7 @@ def add_arguments(parser):
         "of each against an independent reference solution and its cost in CPU time. Report "
         "the Pareto front, and the cheapest configuration for errors of 1e-3, 1e-6 and 1e-9."
     )
-    parser.epilog = "Measurements are cached as they come: after Ctrl-C the same command continues."
+    parser.epilog = "Each measurement is cached immediately: after Ctrl-C, the same command continues."
     parser.add_argument(
         "scenes", metavar="SCENE", nargs="+", help="path of a scene or robot file, or name of an example scene"
     )
@@ -94,7 +94,7 @@ def run(args):
             write_text(args.html, make_page(parts))
         if args.png:
             write_file(args.png, lambda path: write_picture(parts[0], path))
-    # After the files: the reader of stdout may end, as in `| head`.
+    # Print after writing the files, because the reader of stdout may end early, as in `| head`.
     for part in parts:
         print_trade(part, Console(file=sys.stdout))
     return 0
