@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures and tables of Mueller and Terze's chapter, recomputed."""
+"""Figures and tables of the chapter by Mueller and Terze, recomputed."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Figs. 6.2, 6.4 and 6.5 of the chapter: position errors of the joints, on three groups.
 
-The table compares them with those of an independent implementation. Needs matplotlib.
+The table compares the largest errors with those of an independent implementation. Needs matplotlib.
 """
 
 import numpy as np
@@ -32,7 +32,7 @@ LOWEST = 1e-17  # m, lower limit of the log axis; exact zeros are not drawn
 
 
 def count_joint_runs():
-    """Return the number of runs that make_joint_figures takes."""
+    """Number of runs in make_joint_figures."""
     return 2 * len(GROUPS) * len(STEPS)
 
 
@@ -52,7 +52,7 @@ def make_joint_figures(out, say=lambda text: None):
 
 
 def make_table(top, bars):
-    """Largest errors of all runs and, below each, those of an independent implementation."""
+    """Table of the largest errors of all runs, each row followed by that of an independent implementation."""
     table = Table(title="Largest position error of a joint, m", box=None, padding=(0, 1, 0, 0), title_justify="left")
     for column in ("group", "step", "", "top", *(f"joint {j}" for j in range(1, 5))):
         table.add_column(column, no_wrap=True)
@@ -68,7 +68,7 @@ def make_table(top, bars):
 
 
 def _draw(path, runs, panels):
-    """One row of panels for each group, one column for each joint; a curve for each step size."""
+    """Draw a row of panels for each group, a column for each joint and a curve for each step size."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(4.6 * max(len(panels), 1.5), 3.2 * len(GROUPS)), layout="constrained", dpi=120)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs for Figs. 6.2, 6.4 and 6.5 of the chapter: constraint violation on three groups.
 
-Beside the chapter's SE(3)^n and (SO(3) x R^3)^n the groups of the joints of a spanning tree.
+These are SE(3)^n and (SO(3) x R^3)^n as in the chapter, and the joint groups of a spanning tree.
 
 Errors are computed from poses and joint frames directly, not from the engine's residuals.
 Source: Müller and Terze, sections 6.2.6.1 and 6.2.6.2.
@@ -35,7 +35,7 @@ class JointErrors:
     step: float  # s
     times: np.ndarray  # (k,) s
     joints: tuple  # (m,) names
-    gap: np.ndarray  # (k, m) m, between the origins of the two frames
+    gap: np.ndarray  # (k, m) m, distance between the origins of the two frames
     tilt: np.ndarray  # (k, m) sine of the angle between their z axes, for joints with an
     #                         axis; else 0
     poses: np.ndarray  # (k, n, 4, 4)
@@ -91,16 +91,16 @@ def _runs(name, scene, horizon, say):
 def four_bar(ball="coupler_rocker"):
     """Planar four-bar of crank 0.5 m, coupler, rocker and ground 1 m; no gravity.
 
-    ball : name of the spherical joint; the others are revolute about z
+    ball : name of the spherical joint; the other joints are revolute about z
     Uniform bars of 0.5, 1 and 1 kg with a square section of 50 mm, x along the bar. The crank
-    starts at 90 degrees and rotates at 10 pi rad/s; the rocker points away from it.
+    starts at 90 degrees and rotates at 10 pi rad/s; the rocker leans away from it.
     """
     pin, tip = np.array([1.0, 0.0]), np.array([0.0, 0.5])
-    # Coupler and rocker are sides of 1 m over the line from the crank's tip to the ground pin.
+    # Coupler and rocker are the sides, each 1 m, of a triangle over the line from crank tip to ground pin.
     base = pin - tip
     length = math.hypot(*base)
     corner = (tip + pin) / 2.0 + math.sqrt(1.0 - length**2 / 4.0) * _turned(base) / length
-    # Both turn the corner at the same velocity: v + w2 x (corner - tip) = w3 x (corner - pin).
+    # Both give the corner the same velocity: v + w2 x (corner - tip) = w3 x (corner - pin).
     tip_velocity = CRANK_RATE * _turned(tip)
     sides = np.array([_turned(corner - tip), -_turned(corner - pin)]).T
     coupler_rate, rocker_rate = np.linalg.solve(sides, -tip_velocity)
@@ -153,5 +153,5 @@ def _bar(name, mass, start, end, rate, start_velocity):
 
 
 def _turned(vector):
-    """Vector of the plane, rotated by 90 degrees."""
+    """Vector in the plane, rotated by 90 degrees."""
     return np.array([-vector[1], vector[0]])

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Figs. 6.6 to 6.9 of the chapter: errors of the rotation methods against their step.
 
-    6.6, 6.8  |Y - Y0| of the free body at 16 s, a multiple of all steps (the printed 1 s is not a
-              multiple of 8, 4 and 2 s)
+    6.6, 6.8  |Y - Y0| of the free body at 16 s, a multiple of all steps (the 1 s of the chapter is not
+              a multiple of 8, 4 and 2 s)
     6.7       ||R - Rref||_2 of the Lagrangian top at 1 s
     6.9       ||R - Rref||_2 of the free body at 10 s
 and the largest deviations of the integrals of motion of the top over 10 s.
-The exact end states come from elliptic functions (liegroup_core.reference.elliptic). A run
-with a small step is no reference here: its own error would show at the smallest steps. Needs no ROS.
+The exact end states come from elliptic functions (liegroup_core.reference.elliptic). A run with a small
+step would not be accurate enough as a reference for the smallest steps. No ROS.
 """
 
 from dataclasses import dataclass, field
@@ -49,9 +49,9 @@ STYLES = {
 
 @dataclass(frozen=True)
 class Panel:
-    """One figure: error measure, methods, steps, and results of independent implementations."""
+    """Figure with its error measure, methods, steps, and results of independent implementations."""
 
-    number: str  # of the figure
+    number: str  # number of the figure
     title: str
     unit: str
     scene: str
@@ -60,7 +60,7 @@ class Panel:
     methods: tuple
     steps: tuple  # s
     elsewhere: dict  # {method: errors at the steps}
-    constants: dict = field(default_factory=dict)  # {method: (order, C)} of those
+    constants: dict = field(default_factory=dict)  # {method: (order, C)} of these errors
 
 
 PANELS = (
@@ -133,12 +133,12 @@ PANELS = (
         FREE_CONSTANTS,
     ),
 )
-# Smaller errors are round-off over 65536 steps.
+# Smaller errors count as round-off of 65536 steps.
 ROUNDING = 1e-11
 
 
 def count_runs():
-    """Return the number of runs that make_rotation_figures takes."""
+    """Number of runs in make_rotation_figures."""
     return sum(len(panel.methods) * len(panel.steps) for panel in PANELS) + len(TOP_INTEGRALS)
 
 
@@ -192,9 +192,9 @@ def errors(panel, say=lambda text: None):
 
 
 def order_and_constant(steps, step_errors, order):
-    """(order, C) from the last two errors above round-off; C = error / h^order, `order` as stated.
+    """(observed order, C) from the last two errors above round-off; C = error / h^order with the given order.
 
-    NaN if there are fewer than two.
+    NaN if there are fewer than two such errors.
     """
     usable = [(step, error) for step, error in zip(steps, step_errors) if error and error > ROUNDING]
     if len(usable) < 2:
@@ -207,7 +207,7 @@ def top_integrals(method, step):
     """Largest deviations over 10 s of energy, J, vertical momentum, N m s, and spin, rad/s."""
     simulation = Simulation(load_scene("lagrangian_top"), method=method, step=step)
     start, deviations = simulation.sample(), []
-    # Every tenth step: slightly underestimates the peaks of the nutation.
+    # Samples at every tenth step slightly underestimate the peaks of the nutation.
     for _ in range(round(10 / step) // 10):
         simulation.advance(10)
         sample = simulation.sample()
@@ -222,7 +222,7 @@ def top_integrals(method, step):
 
 
 def _integrals_table(say):
-    """Table of the integrals of motion, for methods and steps with independent results."""
+    """Table of the integrals of motion for methods and steps that have independent results."""
     table = _new_table("Lagrangian top, 10 s: largest deviation from the start")
     for column in ("method", "step", "", "energy, J", "vertical momentum, N m s", "spin, rad/s"):
         table.add_column(column, min_width=9)
@@ -249,9 +249,9 @@ def _error(panel, method, step, reference):
 
 
 def make_table(panel, found):
-    """Errors of all methods per step and, below each, those of independent implementations.
+    """Table of errors of all methods at each step, each row followed by that of independent implementations.
 
-    For attitudes, with order and error constant.
+    For attitudes, it also has order and error constant.
     """
     table = _new_table(f"Fig. {panel.number}, {panel.title}, {panel.unit}")
     for column in ("step", "", *(STYLES[method][0] for method in panel.methods)):
@@ -293,7 +293,7 @@ def _new_table(title):
 
 
 def step_text(step):
-    """A step as a fraction of a second."""
+    """Text of a step as a fraction of a second."""
     return f"{step:g} s" if step >= 1 else f"1/{1 / step:g} s"
 
 
@@ -309,7 +309,7 @@ def _draw(path, panel, found):
     axis = figure.subplots()
     for method in panel.methods:
         label, colour, marker = STYLES[method]
-        # Gaps in the line: no solution. Exact zeros are not drawn.
+        # Lines have gaps where a method has no solution. Exact zeros are not drawn.
         axis.loglog(
             panel.steps,
             [error or np.nan for error in found[method]],

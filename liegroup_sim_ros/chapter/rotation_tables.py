@@ -2,7 +2,7 @@
 """Results of independent implementations of the rotation methods for the chapter's two problems.
 
 Double precision; exact end states by Taylor series with 45 digits. None: no solution at this step.
-The names are those of METHODS.
+Names of methods are those of METHODS.
 """
 import numpy as np
 
@@ -78,7 +78,7 @@ FREE_ATTITUDE = {
     "lie_midpoint": (2.6858e-1, 6.7839e-2, 1.6944e-2, 4.2340e-3, 2.6458e-4, 1.6536e-5, 1.0335e-6),
 }
 
-# Order from the last two errors above round-off, and C = error / h^order at the last of them.
+# (order from the last two errors above round-off, C = error / h^order at the last one).
 TOP_CONSTANTS = {
     "stoermer_verlet": (2.01, 1.808e4), "lie_newmark": (2.00, 1.355e5), "rattle": (2.00, 5.636e5),
     "rkmk4": (4.00, 2.845e8), "lie_midpoint": (2.00, 1.524e4), "simo_wong": (2.00, 1.776e4),
