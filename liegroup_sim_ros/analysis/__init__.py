@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Figures of a recording: errors, drift, constraint residuals, conserved quantities.
 
-In: a recording. Out: numbers, curves and a verdict. Knows no display.
+Input: a recording. Output: numbers, curves and a verdict. This package displays nothing.
 """
 
 from .analyse import analyse

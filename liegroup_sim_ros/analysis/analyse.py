@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Numerical error of one recorded run: figures and curves.
 
-The file is the only input: recorded poses and twists, scene, initial state and applied wrenches.
-No ROS is needed. The samples are read once, in blocks, so memory does not grow with the length of
-the run.
+The recording is the only input. It contains poses and twists, scene, initial state and applied wrenches.
+No ROS is needed. The samples are read once, in blocks, so memory does not grow with the length of the
+run.
 """
 
 import math
@@ -32,14 +32,14 @@ from .reference import ReferenceError, exact_error
 from .timing import number, timing_figures
 from .verdict import find_problems, verdict
 
-# Default of the simulated time that the reference integration covers, s.
+# Default simulated time that the reference integration covers, s.
 REFERENCE_SECONDS = 60.0
-# Default of the limit of its steps, which stiff scenes reach: two minutes with one body. heavy_top needs
-# 17 000 for 60 s, four_bar 47 000.
+# Default maximum number of its steps. Stiff scenes reach it, which takes about two minutes with one body.
+# heavy_top needs 17 000 for 60 s, four_bar 47 000.
 REFERENCE_STEPS = 200_000
-# Limit of the steps and substeps of the re-simulation, and more of them for each sample: some minutes.
+# Maximum number of steps and substeps of the re-simulation, and its increase per sample: some minutes.
 REPEAT_STEPS, REPEAT_STEPS_PER_SAMPLE = 5_000_000, 1000
-MOST_PUSHES = 1000  # intervals with an applied wrench that are listed in the figures
+MOST_PUSHES = 1000  # largest number of intervals with an applied wrench in the figures
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,13 +64,13 @@ def analyse(
     reference_seconds=REFERENCE_SECONDS,
     reference_steps=REFERENCE_STEPS,
 ):
-    """Analysis of a Recording.
+    """Analyse a Recording; returns an Analysis.
 
     reference         : whether to compare with a reference solution
-    tell              : function of one line of text, called with the progress
-    reference_seconds : simulated time in s that a reference integration covers; an exact solution,
-                        if the scene has one, replaces it and covers the whole run
-    reference_steps   : limit of the steps of a reference integration; it stops there
+    tell              : function that is called with the progress, one line of text
+    reference_seconds : simulated time in s that a reference integration covers; if the scene has an
+                        exact solution, this replaces it and covers the whole run
+    reference_steps   : maximum number of steps of a reference integration, which stops there
     raises RecordingError, SceneError
     """
     scene = scene_from_text(recording.scene_text, source=f"{recording.path}: scene.yaml")
@@ -100,7 +100,7 @@ def analyse(
 
 
 class _Parts:
-    """All figures that are computed from the samples, block by block."""
+    """Computes all figures that depend on the samples, block by block."""
 
     def __init__(self, scene, recording, layout, motion, reference, seconds, steps):
         self._scene, self._recording, self._layout = scene, recording, layout
@@ -111,7 +111,7 @@ class _Parts:
         angles = self._starts.of(motion.first)[2]
         if angles is not None and len(angles) != count_of_angles(layout.model.forces):
             raise RecordingError(
-                f"{recording.path}: its torsional springs do not match the "
+                f"{recording.path}: the number of its torsional springs does not match the "
                 f"{counted(len(angles), 'angle')} of its initial state"
             )
         self._energy, self._joints = Energy(layout, expected), Joints(layout, expected)
@@ -179,7 +179,7 @@ class _Parts:
             figures["local"] = _failed(error)
 
 
-# Raised for an unknown method or joint type, options of another version, a singular configuration.
+# Errors for an unknown method or joint type, options of another version, or a singular configuration.
 _NO_RESULT = (SimulationError, ReplayError, ValueError, TypeError)
 
 
@@ -188,7 +188,7 @@ def _failed(error):
 
 
 class _Guarded:
-    """Part of the analysis that may fail; `figures` then returns the reason."""
+    """Wrapper of a part of the analysis that may fail; `figures` then returns the reason."""
 
     def __init__(self, make):
         self._failure = None

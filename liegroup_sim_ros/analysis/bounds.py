@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Check of figures against bounds on the error and on the drift."""
+"""Check of figures against bounds on error and drift."""
 
 import math
 
 
 def find_exceeded(found, max_error=None, max_drift=None):
-    """Texts of the bounds that recordings exceed or that cannot be judged."""
+    """Messages on bounds that recordings exceed, or that cannot be checked."""
     exceeded = []
     for figures in found:
         if "failed" in figures:
@@ -31,7 +31,7 @@ def find_exceeded(found, max_error=None, max_drift=None):
         if max_drift is not None:
             drifts = _relative_drifts(figures)
             if not drifts:
-                exceeded.append(f"{log}: it has no drift to check, neither energy nor momentum is conserved")
+                exceeded.append(f"{log}: there is no drift to check: neither energy nor momentum is conserved")
             exceeded += [
                 f"{log}: relative drift {drift:.3g} of {name} exceeds {max_drift:g}"
                 for name, drift in drifts
@@ -41,7 +41,7 @@ def find_exceeded(found, max_error=None, max_drift=None):
 
 
 def _too_large(error, bound):
-    """Text if an error exceeds a bound or may exceed it within the uncertainty, else None."""
+    """Message if an error exceeds a bound, or may do so within the uncertainty; else None."""
     unit = error["unit"]
     if not error["max"] <= bound:
         return f"error {error['max']:.3g} {unit} exceeds {bound:g}"
@@ -54,7 +54,7 @@ def _too_large(error, bound):
 
 
 def _estimates(figures):
-    """Recorded estimates of position and attitude errors, as far as they are known."""
+    """Recorded estimates of position and attitude errors that are known."""
     found = figures.get("estimate") or {}
     entries = [found[name] for name in ("position", "angle") if name in found]
     return [entry for entry in entries if entry["max"] is not None]
@@ -63,7 +63,7 @@ def _estimates(figures):
 def _relative_drifts(figures):
     """[(name, relative drift)] of all conserved quantities."""
     if "energy" not in figures:
-        return [("the motion", math.nan)]  # without a finite sample
+        return [("the motion", math.nan)]  # no sample is finite
     drifts = [("the energy", figures["energy"]["relative_drift"])]
     drifts += [("the " + entry["component"], entry["relative_drift"]) for entry in figures["momentum"]]
     return [(name, drift) for name, drift in drifts if drift is not None]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Comparison of two recordings: distance between the motions, and different settings."""
+"""Comparison of two recordings: distance between the motions, and differences of the configuration."""
 
 import numpy as np
 import scipy
@@ -9,7 +9,7 @@ from liegroup_sim_ros.recording.read import RecordingError
 
 from .drift import MOST_POINTS, thinned
 
-# Settings that are compared; time and machine of a run are not.
+# Compared settings. Time and machine of a run are not compared.
 SETTINGS = (
     "scene",
     "method",
@@ -25,14 +25,14 @@ QUANTITIES = (("position", "m"), ("angle", "rad"), ("angular", "rad/s"), ("linea
 
 
 def compare(one, other):
-    """Figures of the difference of two Recordings, see `differences`."""
+    """Figures of the difference between two Recordings, see `differences`."""
     return differences(one, other)[0]
 
 
 def differences(one, other):
-    """Difference of two Recordings at their common time stamps.
+    """Difference between two Recordings at their common time stamps.
 
-    Bodies are matched by name; bodies of one recording only are ignored. The samples are read in
+    Bodies are matched by name. Bodies in only one of the recordings are ignored. The samples are read in
     pieces, so memory does not grow with the length of the run.
 
     returns figures, ((times, distance in m), (times, angle in rad)) of the most distant body
@@ -90,14 +90,14 @@ def differences(one, other):
 
 
 def _same_track(one, other):
-    """Whether two JointTracks or MotionTracks, or None, are equal."""
+    """True if two JointTracks or MotionTracks are equal, or both are None."""
     if one is None or other is None:
         return one is other
     return all(map(np.array_equal, one, other))
 
 
 class _Track:
-    """Samples of some bodies of a recording that are not yet compared."""
+    """Samples of some bodies of a recording that have not been compared yet."""
 
     def __init__(self, recording, bodies):
         self._pieces = recording.samples()
@@ -106,7 +106,7 @@ class _Track:
         self.values = None
 
     def fill(self):
-        """Read a piece if all samples are compared; False at the end of the recording."""
+        """Read a piece if all samples have been compared. Returns False at the end of the recording."""
         if not len(self.stamps):
             piece = next(self._pieces, None)
             if piece is None:
@@ -124,7 +124,7 @@ class _Track:
 
 
 def _next(tracks):
-    """(stamps, values of both) of the next common samples, or None at the end."""
+    """(stamps, values of both tracks) of the next common samples, or None at the end."""
     while all([track.fill() for track in tracks]):
         upto = min(track.stamps[-1] for track in tracks)
         stamps = np.intersect1d(*(track.stamps[track.stamps <= upto] for track in tracks), True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Process that compiles the kernels of an analysis while something else is simulated."""
+"""Process that compiles the kernels of an analysis while a simulation runs in another process."""
 
 import os
 import sys
@@ -13,7 +13,7 @@ from liegroup_core.reference import integrate
 
 
 def main():
-    """Integrate the scene of the first argument for a millisecond; returns the exit code."""
+    """Integrate the scene given by the first argument for a millisecond; returns the exit code."""
     os.nice(10)
     scene = load_scene(sys.argv[1])
     integrate(scene, *initial_state(make_layout(scene).centred), np.array([1e-3]))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""JSON document of analyses; its schema is config/analysis.schema.json."""
+"""JSON document with the results of analyses; its schema is config/analysis.schema.json."""
 
 import json
 import math
@@ -27,7 +27,7 @@ def document(found, comparison=None, max_error=None, max_drift=None, exceeded=()
 
 
 def plain(value):
-    """Figures as JSON types. NaN and infinity become texts: JSON has neither."""
+    """Figures as JSON types. NaN and infinity become texts, because JSON has neither."""
     if isinstance(value, dict):
         return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):

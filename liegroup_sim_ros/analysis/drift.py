@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drift of conserved quantities, block by block: largest and final change, trend, curve."""
+"""Drift of conserved quantities, computed block by block: largest and final change, trend, curve."""
 
 import numpy as np
 
-MOST_POINTS = 20_000  # of a curve; minimum and maximum of each group of neighbours are kept
+MOST_POINTS = 20_000  # of a curve; it keeps minimum and maximum of each group of neighbouring points
 MOST_PIECES = 2000  # intervals in a curve; the figures cover all intervals
 
 
 def extremes(values, every):
-    """Rows of the minimum and the maximum of values (k,) in each group of 2 `every` neighbours."""
+    """Rows of the minimum and the maximum of values (k,) in each group of 2 * every neighbours."""
     count = len(values)
     if every <= 1 or count <= 1:
         return np.arange(count)
@@ -34,7 +34,7 @@ class Drift:
     worst (c,), final (c,) : largest and last change; intervals of one sample do not count
     intervals, seconds     : number and total length of the evaluated intervals
     trend (c,)             : slope per s of a least-squares line, common to all intervals
-    explained (c,)         : part of the variance that the trend explains, 0 to 1
+    explained (c,)         : fraction of the variance that the trend explains, 0 to 1
     curves                 : c lists of (times, change), one per interval
     """
 
@@ -72,7 +72,7 @@ class Drift:
         self._open.add(times, values, self._every)
 
     def close(self):
-        """End the current interval. Call it after the last block, too."""
+        """End the current interval. Call it also after the last block."""
         done, self._open = self._open, None
         if done is None or done.count < 2:
             return

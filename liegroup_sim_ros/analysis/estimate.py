@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Estimated errors that a run recorded (liegroup_core.running_error), beside its true errors.
+"""Comparison of the error estimates of a run (liegroup_core.running_error) with its true errors.
 
-A sample is compared in the largest error of all bodies, if the true one is above the uncertainty of
-the reference solution and the estimate is known (not NaN).
+At each sample, the largest estimate and the largest true error of all bodies are compared, if the true
+error is above the uncertainty of the reference solution and the estimate is known (not NaN).
 """
 
 import math
@@ -11,18 +11,18 @@ import numpy as np
 
 # Column of the estimates -> (name in Distance, unit)
 COLUMNS = (("position", "m"), ("angle", "rad"), ("linear", "m/s"), ("angular", "rad/s"))
-LEAST, MOST = 0.5, 10.0  # of the true error: bounds of an estimate that covers it and is of use
+LEAST, MOST = 0.5, 10.0  # an estimate / true error of at least LEAST covers it, of at most MOST is close
 
 
 class Estimate:
-    """Largest estimates of a recording, and how they cover the true errors."""
+    """Largest estimates of a recording, and statistics of estimate / true error."""
 
     def __init__(self):
         self._max = None
         self._samples, self._covering, self._close = np.zeros((3, len(COLUMNS)), dtype=int)
 
     def add(self, block):
-        """Add the estimates of a Block. A zero at the start of a stretch is given, not estimated."""
+        """Add the estimates of a Block, without zeros at the start of a stretch, where no error exists yet."""
         if block.errors is not None:
             counted = (block.steps != block.stretch.start) | block.errors.any(axis=(1, 2))
             largest = np.fmax.reduce(block.errors[counted], axis=(0, 1), initial=np.nan)

@@ -12,8 +12,8 @@ class Energy:
     """Energy drift in J: the largest change within intervals without an applied wrench.
 
     drift_J is None for a scene with non-conservative forces, driven joints, stops or friction. The
-    relative drift refers to the largest kinetic energy. That does not depend on the zero of the
-    potential energy.
+    relative drift refers to the largest kinetic energy, which does not depend on the zero of the potential
+    energy.
     """
 
     def __init__(self, layout, expected):
@@ -33,7 +33,7 @@ class Energy:
 
     def add(self, block, energies, kinetic):
         """Add the energies (k,) in J of a Block."""
-        self._kinetic = float(np.maximum(self._kinetic, kinetic.max()))  # keeps NaN
+        self._kinetic = float(np.maximum(self._kinetic, kinetic.max()))  # propagates NaN
         if not self._doing_work:
             self._drift.add(block, energies[:, None])
 
@@ -80,7 +80,7 @@ class Momentum:
             drift.add(block, values)
 
     def _scale(self, conserved, block):
-        """Sums of the magnitudes of the bodies' momenta, the scale of all components.
+        """Sums of the magnitudes of the bodies' momenta, to which drifts are relative.
 
         returns (angular N m s, linear N s), upper bounds
         """
@@ -123,7 +123,7 @@ class Momentum:
 
 
 class Joints:
-    """Largest position residual of each joint: m, or the norm of its parts in m and rad."""
+    """Largest position residual of each joint, in m, or as the norm of its parts in m and rad."""
 
     def __init__(self, layout, expected):
         self._names = [joint.name for joint in layout.scene.joints]
@@ -144,7 +144,7 @@ class Joints:
         times = block.log_times
         rows = residual.argmax(axis=0)
         values = residual[rows, np.arange(len(rows))]
-        worse = ~(values <= self._largest)  # NaN, too
+        worse = ~(values <= self._largest)  # True also for NaN
         self._at[worse] = times[rows[worse]]
         self._largest = np.maximum(self._largest, values)
         self._final = residual[-1].copy()
@@ -169,6 +169,6 @@ class Joints:
 
 
 def _pushed_text(motion, bodies):
-    """Time excluded because of applied wrenches, as text; None if no wrench was applied."""
+    """Text with the time excluded because of applied wrenches; None if no wrench was applied."""
     seconds = sum(stretch.seconds - stretch.free_seconds(bodies) for stretch in motion.stretches)
     return f"{seconds:.4g} s with an applied wrench" if seconds > 1e-12 else None

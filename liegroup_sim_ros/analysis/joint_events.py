@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Events at joints with stops or friction: their number, and the energy that impacts take."""
+"""Events at joints with stops or friction: their numbers, and the energy lost at impacts."""
 
 import numpy as np
 
@@ -8,21 +8,21 @@ from liegroup_sim_ros.messages.joint_modes import ENERGY, IMPULSE, switching
 from liegroup_sim_ros.recording.read import RecordingError
 
 KINDS = ("impact", "stop", "leave", "stick", "slip")
-MOST_TIMES = 200  # instants that plots mark
+MOST_TIMES = 200  # largest number of instants that plots mark
 
 
 def joint_events(recording, layout, motion):
     """(figures, (k,) times in s of the recording that plots mark); (None, None) without such joints.
 
-    Stops that a joint comes to rest at, releases, sticking and slipping follow from the modes of
-    successive messages. Raises RecordingError if the modes are not those of the scene.
+    Rest at a stop, release from it, sticking and slipping follow from the modes of successive messages.
+    Raises RecordingError if the modes do not fit the scene.
     """
     track = recording.joint_modes
     switches = layout.switches
     if track is None or not switches:
         return None, None
     if track.values.shape[1] != len(switches):
-        raise RecordingError(f"{recording.path}: its joint modes are not those of its scene")
+        raise RecordingError(f"{recording.path}: the number of its joint modes does not fit its scene")
     found = happened(track, [stretch.begin_ns for stretch in motion.all])
     instants = found.any(axis=(1, 2))
     impulses, energies = track.values[:, :, IMPULSE], track.values[:, :, ENERGY]
@@ -43,9 +43,9 @@ def joint_events(recording, layout, motion):
 
 
 def happened(track, begins):
-    """(m, k, 5) bool: kinds of events of k joints in the m messages of a ModeTrack.
+    """(m, k, 5) mask of the KINDS of events at k joints in the m messages of a ModeTrack.
 
-    begins : stamps at which the run starts or continues in a state that was set, ns
+    begins : stamps at which the run starts, or continues from a state that was set, ns
     """
     modes = switching(track.values)
     held, side = modes[:, :, 0] != 0.0, modes[:, :, 2]
@@ -63,7 +63,7 @@ def happened(track, begins):
 
 
 def _spread(times):
-    """At most MOST_TIMES of the times, the first ones of equal intervals."""
+    """At most MOST_TIMES of the times: the first one in each of equal intervals."""
     if len(times) <= MOST_TIMES:
         return times
     bins = np.linspace(times[0], times[-1], MOST_TIMES, endpoint=False)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Error of a single step by step halving, and the observed order of convergence.
 
-From states of the recording, one step h is compared with two steps h/2. For a method of order p,
-the difference is 1 - 2^-p times the error of the step. Over LENGTH steps, the differences between
-runs at 4 h, 2 h, h, h/2 and h/4 decrease by 2^p each, down to round-off.
+Starting from states of the recording, one step h is compared with two steps h/2. For a method of order
+p, the difference is 1 - 2^-p times the error of the step. Over LENGTH steps, the differences between
+successive runs at 4 h, 2 h, h, h/2 and h/4 decrease by a factor 2^p each, down to round-off.
 Source: Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, II.4.
 """
 
@@ -18,8 +18,8 @@ from liegroup_sim_ros.playback.rerun import Work, make_simulation
 WINDOWS = 8  # states of the recording at which the error is estimated
 LENGTH = 16  # steps
 RUNGS = (4.0, 2.0, 1.0, 0.5, 0.25)  # step sizes, relative to the recorded step
-MOST_STEPS = 500_000  # of all of them, or as many substeps
-# Smaller differences are round-off: LENGTH / 0.25 steps, each with a few units of 2^-53.
+MOST_STEPS = 500_000  # steps, or substeps, of all runs together
+# Smaller differences count as round-off of LENGTH / 0.25 steps, each with a few units of 2^-53.
 FLOOR = 500 * np.finfo(float).eps
 
 
@@ -66,7 +66,7 @@ def local_error(scene, recording, motion, layout):
 
 
 def _windows(motion):
-    """Yield (stretch, row of a kept sample), evenly distributed over all of them."""
+    """Yield (stretch, row of a kept sample) for samples evenly distributed over the recording."""
     counts = [len(stretch.steps) for stretch in motion.stretches]
     starts = np.concatenate([[0], np.cumsum(counts)])
     for k in np.unique(np.linspace(0, starts[-1] - 1, WINDOWS).astype(int)).tolist():
@@ -75,9 +75,9 @@ def _windows(motion):
 
 
 def _advance(work, simulation, stretch, row, length):
-    """State (pose, twist) after `length` recorded steps from a sample, with constant wrenches.
+    """State (pose, twist) after `length` recorded steps from a sample, with constant external wrenches.
 
-    The time of the scene's own wrenches is rounded to a multiple of the step.
+    The start time, which the scene's applied wrenches depend on, is rounded to a multiple of the step.
     """
     rung = simulation.step / stretch.step
     n = len(stretch.bodies)
@@ -120,7 +120,7 @@ def _apart(one, other):
 
 
 def _order(work, simulations, stretch, row, size):
-    """Observed order at a sample, from the finest steps above round-off; None if all are below."""
+    """Observed order at a sample, from the finest steps with differences above round-off; None if there are none."""
     states = []
     for rung in RUNGS:
         try:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Check of the accuracy that a run kept by its own estimate (liegroup_core.accuracy).
+"""Check of the accuracy for which a run controlled its error (liegroup_core.accuracy).
 
-The run promises an error of at most accuracy * max(1, t / horizon), through applied wrenches, until it
-says itself that this has ended. Later errors are reported but do not violate it. A reset starts the
-run again. What continues a snapshot or an earlier part of a recording is not checked: the promise counts from
-the start of the run, errors there from the recorded state.
+The run guarantees an error of at most accuracy * max(1, t / horizon), also with applied wrenches, until it
+reports that its estimate exceeds this. Later errors are reported but do not violate the guarantee. A reset
+starts the run again. Runs that continue a snapshot or an earlier part of a recording are not checked,
+because the guarantee refers to the start of the run, but errors there to the recorded state.
 """
 
 import numpy as np
@@ -15,14 +15,14 @@ from liegroup_sim_ros.numbers import counted
 class Promise:
     """Check of an accuracy, block by block.
 
-    promise : entry of the recorded settings; None: the run had a method
+    promise : entry of the recorded settings; None for a run with a method
     """
 
     def __init__(self, promise):
         self._promise = promise
         self._inside = self._known = self._all = 0.0
-        self._part = self._known_part = self._sure_part = 0.0  # of the promised error
-        self._seconds, self._unchecked = {}, {}  # of stretches, by their first stamp
+        self._part = self._known_part = self._sure_part = 0.0  # relative to the allowed error
+        self._seconds, self._unchecked = {}, {}  # {first stamp of a stretch: s}
         self._beyond = False
 
     def add(self, stretch, times, error, uncertainty):
@@ -35,7 +35,7 @@ class Promise:
         )
         self._all = max(self._all, float(error.max()))
         times = np.asarray(times)
-        end = stretch.inaccurate_from + 0.5 * stretch.step  # with the sample of that time
+        end = stretch.inaccurate_from + 0.5 * stretch.step  # includes the sample at this time
         inside = times < end
         self._beyond |= not inside.all()
         if stretch.start != 0:
@@ -53,7 +53,7 @@ class Promise:
         self._seconds[stretch.begin_ns] = float(times[inside].max())
 
     def figures(self):
-        """Result of the check, see config/analysis.schema.json; None if nothing is promised."""
+        """Result of the check, see config/analysis.schema.json; None for a run with a method."""
         if self._promise is None:
             return None
         kept = None
@@ -78,7 +78,7 @@ class Promise:
 
 
 def promise_text(found):
-    """Result of the check as text; found : as returned by Promise.figures."""
+    """Text with the result of the check; found : as returned by Promise.figures."""
     accuracy = f"the accuracy of {found['accuracy']:g} in {found['horizon']:g} s"
     if found["seconds"] is None:
         return f"{accuracy} cannot be checked: there is no reference from the start of the run"

@@ -2,7 +2,7 @@
 """Global error of a recorded run: distance to the exact solution or a reference integration.
 
 Both are independent of the engine (liegroup_core.reference) and start at the recorded initial
-state of each stretch.
+state of each stretch. A stretch is a part of the recording between resets or set states.
 """
 
 import numpy as np
@@ -17,14 +17,14 @@ from .drift import MOST_POINTS, extremes
 
 # (name in Distance, unit)
 QUANTITIES = (("position", "m"), ("attitude", "1"), ("angle", "rad"), ("angular", "rad/s"), ("linear", "m/s"))
-EXACT_SAMPLES = 200  # each takes about 10 ms
+EXACT_SAMPLES = 200  # number of samples; each takes about 10 ms
 
 
 class Errors:
     """Largest and final errors of trajectories, and their curves.
 
-    promise  : analysis.promise.Promise that checks the same errors, or None
-    estimate : analysis.estimate.Estimate that is compared with them, or None
+    promise  : analysis.promise.Promise that checks these errors, or None
+    estimate : analysis.estimate.Estimate that is compared with these errors, or None
     """
 
     def __init__(self, expected, promise=None, estimate=None):
@@ -42,7 +42,7 @@ class Errors:
         if self._promise is not None:
             self._promise.add(stretch, times, error, uncertainty)
         if estimates is not None:
-            if stretch.start != 0:  # they cover the parts before this one, the error does not
+            if stretch.start != 0:  # estimates then include earlier parts of the run; this error does not
                 estimates = np.full_like(estimates, np.nan)
             if self._estimate is not None:
                 self._estimate.compare(estimates, error, uncertainty)
@@ -69,7 +69,7 @@ class Errors:
     def figures(self, **more):
         """(figures, [(times, position error, angle error, uncertainty of the two)]).
 
-        A curve ends with the estimates of the two if they were recorded.
+        If estimates of both errors were recorded, they are the last two entries of a curve.
         """
         found = {
             name: {
@@ -90,7 +90,7 @@ class ReferenceError:
     The uncertainty is the distance between reference integrations with two tolerances.
 
     seconds : simulated time to cover, summed over all stretches
-    steps   : limit of its steps, summed over all stretches
+    steps   : maximum number of its steps, summed over all stretches
     promise, estimate : see Errors
     """
 
@@ -117,8 +117,8 @@ class ReferenceError:
         if k == 0 or self._stopped:
             return
         if self._reference is None:
-            # Only wrench changes up to the end of the reference.
-            when = stretch.change_steps * stretch.step  # of whole steps as exact as the samples
+            # Wrench changes after the end of the reference are not needed.
+            when = stretch.change_steps * stretch.step  # computed in the same way as sample times
             upto = int(np.searchsorted(when, self._end, "right"))
             changes = [
                 WrenchChange(time, stretch.bodies[body], tuple(wrench), AXES[axes])
@@ -139,8 +139,8 @@ class ReferenceError:
             k = len(exact.times)
             at = stretch.base_ns * 1e-9 + (float(times[k - 1]) if k else self._start)
             self._stopped = (
-                f"the error is known up to {shown(at, 's')} only: the reference integration took "
-                f"{counted(self._steps, 'step')} up to there; more with --reference-steps"
+                f"the error is known up to {shown(at, 's')} only: the reference integration reached its limit of "
+                f"{counted(self._steps, 'step')}; use --reference-steps for a larger limit"
             )
             if k == 0:
                 return
@@ -152,7 +152,7 @@ class ReferenceError:
         self._errors.add(stretch, times[:k], block.log_times[:k], error, uncertainty, estimates)
 
     def _targets(self, stretch):
-        """[ServoChange] up to the end of the reference."""
+        """[ServoChange] of a stretch up to the end of the reference."""
         when = stretch.target_steps * stretch.step
         upto = int(np.searchsorted(when, self._end, "right"))
         return [
@@ -162,7 +162,7 @@ class ReferenceError:
         ]
 
     def _motions(self, stretch):
-        """[MotionChange] up to the end of the reference."""
+        """[MotionChange] of a stretch up to the end of the reference."""
         when = stretch.motion_steps * stretch.step
         upto = int(np.searchsorted(when, self._end, "right"))
         return [

@@ -5,17 +5,17 @@ from itertools import pairwise
 
 from liegroup_sim_ros.numbers import counted, shown
 
-FASTEST = 0.0  # as a requested real-time factor: as fast as possible
+FASTEST = 0.0  # requested real-time factor that means as fast as possible
 
 
 def timing_figures(recording, motion):
-    """{name: number or None} of "timing" in config/analysis.schema.json."""
+    """{name: number or None}, the entry "timing" of config/analysis.schema.json."""
     pacing = recording.pacing or _pacing_so_far(recording.diagnostics)
     timing = {
         key: number(pacing.get(key))
         for key in ("ticks", "overruns", "reanchored", "real_time_factor", "wall_seconds", "sim_seconds")
     }
-    if timing["ticks"] == 0:  # only steps on request, which have no pace
+    if timing["ticks"] == 0:  # only steps on request, without real-time pacing
         timing["real_time_factor"] = None
     timing["lateness_us"] = {key: number(pacing["lateness_us"].get(key)) for key in ("p50", "p99", "max")}
     requests = _requests(recording)
@@ -38,7 +38,7 @@ def timing_figures(recording, motion):
 def _pacing_so_far(diagnostics):
     """Pacing from the last diagnostics, for a recording that was not finished.
 
-    The factor is the last one while running: diagnostics of a pause have 0.
+    The factor is that of the last diagnostics while running, because diagnostics of a pause have 0.
     """
     last = diagnostics[-1][1] if diagnostics else {}
     running = [entry for _, entry in diagnostics if entry.get("state") == "running"]
@@ -52,10 +52,10 @@ def _pacing_so_far(diagnostics):
 
 
 def _requests(recording):
-    """[(stamp in ns, requested factor or None)], the first from the start of the recording.
+    """[(stamp in ns, requested factor or None)]; the first entry holds from the start of the recording.
 
-    The node records the factor at the start as a parameter and each change as an event "speed".
-    A recording without parameters has the factor in its diagnostics or, by `run`, in its pacing.
+    The node records the factor at the start as a parameter and each change as an event "speed". A recording
+    without parameters has the factor in its diagnostics or, if `run` wrote it, in its pacing.
     """
     first = (recording.settings.get("parameters") or {}).get("real_time_factor")
     if first is None and recording.diagnostics:
@@ -71,9 +71,9 @@ def _requests(recording):
 def _mean_factor(requests, motion):
     """Requested real-time factor, averaged over the wall time of the requests.
 
-    That is the simulated time of the run divided by the wall time in which the requests allow it,
-    so it compares directly with the achieved factor. Pauses do not count. None if a part of the
-    run was requested as fast as possible.
+    It is the simulated time of the run divided by the wall time that the requests imply, so it is directly
+    comparable with the achieved factor. Pauses do not count. None if a part of the run was requested as
+    fast as possible.
     """
     factors = {factor for _, factor in requests}
     if len(factors) == 1 or not motion.stretches:
@@ -102,7 +102,7 @@ def number(text):
 
 
 def requested_text(timing):
-    """Requested real-time factor as text; timing : as returned by timing_figures."""
+    """Text with the requested real-time factor; timing : as returned by timing_figures."""
     last = timing["factor_wanted"]
     if not timing["factor_changes"]:
         return "requested: as fast as possible" if last == FASTEST else f"requested {shown(last)}"

@@ -10,7 +10,7 @@ from liegroup_sim_ros.playback.resimulate import difference_cause
 from .promise import promise_text
 from .timing import requested_text
 
-OPEN = 1e-3  # of the mechanism's size: joints open by more are no joints any more
+OPEN = 1e-3  # relative to the characteristic length; a larger constraint violation makes the motion invalid
 
 
 def find_problems(figures):
@@ -48,7 +48,7 @@ def find_problems(figures):
             f"{counted(timing['reanchored'], 'time')}; the simulation continued from there "
             "without catching up"
         )
-    # An infinite estimate says that the error is unknown, not that the run is wrong.
+    # An infinite estimate means that the error is unknown, not that the run is wrong.
     computed = {name: entry for name, entry in figures.items() if name != "estimate"}
     wrong = [name for name, value in _numbers(computed) if not math.isfinite(value)]
     if wrong:
@@ -57,7 +57,7 @@ def find_problems(figures):
 
 
 def _open_joints(figures):
-    """Constraint violation that makes the motion invalid, of the worst joint."""
+    """Problem text for the joint with the largest constraint violation, if the motion is invalid; a list."""
     if not figures.get("joints"):
         return []
     name, worst = max(figures["joints"].items(), key=lambda item: item[1]["largest"])

@@ -225,7 +225,7 @@ def test_a_violated_or_unjudged_limit_fails_the_command(logs, tmp_path, capsys, 
     driven = FREE + "forces: [{name: jet, type: applied_wrench, body: box, force: [1, 2, 3]}]"
     alone = record(tmp_path / "d.mcap", scene_from_text(driven), 50)
     assert main(["analyze", str(alone), "--max-drift", "1"]) == 1
-    assert "it has no drift to check" in capsys.readouterr().err
+    assert "there is no drift to check" in capsys.readouterr().err
     assert main(["analyze", log, "--no-reference", "--max-error", "1"]) == 2
     assert main(["analyze", log, log, "--compare", log]) == 2
     for nothing, said in ((tmp_path / "*.none", "no file matches"), (tmp_path.parent, "the folder has no *.mcap file")):
@@ -251,7 +251,7 @@ def test_the_steps_of_the_reference_are_limited(tmp_path, capsys):
     short = reference(one, 3, 1)
     out, err = capsys.readouterr()
     assert 0.0 < short["seconds"] < 0.2 and 0.0 < short["position"]["max"] < 1.0
-    said = f"the error is known up to {short['seconds']:.3g} s only: the reference integration took 3"
+    said = f"the error is known up to {short['seconds']:.3g} s only: the reference integration reached its limit of 3"
     assert short["stopped"].startswith(said) and short["stopped"] in err
     assert said in " ".join(out.split())
     enough = next(2**k for k in range(2, 12) if analyse_to(one, 2**k)["stopped"] is None)
@@ -298,7 +298,7 @@ def test_recorded_estimates_are_compared_with_the_error(tmp_path, text, factor, 
     assert max(estimate["y"]) == pytest.approx(largest[1], rel=1e-6)
     table = dict(sections(figures))["Estimate of the error, recorded with the run"]
     shares = [share for _, _, share in table if "samples" in share]
-    assert shares and all(share.startswith("at least half of the error in") for share in shares)
+    assert shares and all(share.startswith("at least half of the true error in") for share in shares)
 
 
 def test_only_known_estimates_and_errors_above_the_uncertainty_count():
