@@ -16,7 +16,7 @@ def write_page(axes, cells, methods, path):
 
 
 def shown(value):
-    """Value of an axis with enough digits to distinguish it from others: 1.000001 is not 1."""
+    """Value of an axis with enough digits to distinguish it from other values, such as 1.000001 from 1."""
     short = f"{value:g}"
     return short if float(short) == value else f"{value:.7g}"
 
@@ -24,10 +24,7 @@ def shown(value):
 def _lines(axes, cells, methods):
     yield "# Robustness map"
     yield ""
-    yield (
-        "Written by `liegroup_sim extremes`. docs/explanation/robustness.md explains the signs and how "
-        "each cell is judged."
-    )
+    yield ("Written by `liegroup_sim extremes`. docs/explanation/robustness.md explains the signs and the verdicts.")
     yield ""
     yield "| sign | verdict | cells |"
     yield "|---|---|---|"

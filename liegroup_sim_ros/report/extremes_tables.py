@@ -11,7 +11,7 @@ from liegroup_core.study.extremes.extremes import VERDICTS, counts, silent
 
 from .extremes_page import SIGNS, shown
 
-WIDTH = 200  # characters; no table is wider, so none is cropped
+WIDTH = 200  # characters; all tables fit into this width
 STYLES = dict(zip(VERDICTS, ("green", "yellow", "blue", "cyan", "dim", "bold white on red")))
 NOTE = (
     "accurate: error below 5 % of the motion; flagged: wrong, with a warning; "

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Output files of a command: checked before the work, written after it."""
+"""Output files of a command: checked before the computation, written after it."""
 
 import os
 import shutil
@@ -18,15 +18,15 @@ class ReportError(LieGroupSimError):
 
 
 def check_files(*paths, picture=None):
-    """Raise ReportError for a path that cannot be written; None or "": no file.
+    """Raise ReportError for a path that cannot be written; None or "" means no file.
 
-    picture : path of a picture, whose format follows from the ending of its name
+    picture : path of an image; the suffix selects its format
     """
     for path in filter(None, (*paths, picture)):
         if Path(path).is_dir() or not Path(path).absolute().parent.is_dir():
             raise ReportError(f"{path}: cannot be written: give a file in an existing folder")
         if str(path).lower().endswith(INPUTS):
-            raise ReportError(f"{path}: is the name of a recording or a scene: give another name")
+            raise ReportError(f"{path}: has the suffix of a recording or a scene: choose another name")
     if not picture:
         return
     if not picture.lower().endswith(PICTURES):
@@ -36,10 +36,10 @@ def check_files(*paths, picture=None):
 
 
 def write_file(path, write):
-    """Call write(path) with the path of a new file beside this one, which then takes its place.
+    """Call write(path) with the path of a new file in the same folder, which then replaces this one.
 
-    A file appears whole or not at all: if writing fails, that of an earlier run is still there. What is no
-    file, such as /dev/stdout, is written directly. Raises ReportError.
+    So the file is never incomplete: if writing fails, an earlier file stays unchanged. A path that is not a
+    regular file, such as /dev/stdout, is written directly. Raises ReportError.
     """
     place = Path(path).resolve()
     is_new = not os.path.exists(place)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Analysis of many recordings in parallel, with the parts of their HTML report.
 
-Dask spreads the recordings over the cores of this machine, or over a cluster.
+The recordings are distributed over the cores of this machine, or by Dask over a cluster.
 """
 
 from rich.console import Console

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Self-contained HTML report of analyses: verdict, plots, motion, tables, scene. Needs no network.
 
-Names come from files of unknown origin, so all of them are escaped. The Content-Security-Policy of
-the page forbids foreign scripts and all requests.
+Names come from untrusted files, so all of them are escaped. The Content-Security-Policy of the page
+forbids other scripts and all requests.
 """
 
 import base64
@@ -18,9 +18,9 @@ from .plots import difference_plot, make_plots
 from .summary import OVERVIEW, comparison_rows, headline, overview, sections, short_names
 from .view import make_view, speeds
 
-MOST_PARTS = 20  # recordings with plots in one report; the others have tables only
-MOST_LISTED = 20  # problems in the list at the top
-LONGEST = 200_000  # characters of a text
+MOST_PARTS = 20  # largest number of recordings with plots in a report; further ones have tables only
+MOST_LISTED = 20  # largest number of problems in the list at the top
+LONGEST = 200_000  # largest number of characters of a text
 NUMBER = re.compile(
     r"\d[\d.]*(?:e[+-]\d+)?"
     r"(?: (?:m|s|ms|us|rad|J|W|N)\b(?:/s)?(?: m\b)?(?: s\b)?)?"
@@ -52,8 +52,8 @@ def make_page(parts, comparison=None, exceeded=(), bounds=()):
 
     parts      : one result of page_part per recording, or {"figures": {"log", "failed"}}
     comparison : (figures, curve), see comparison.differences
-    exceeded   : texts of the bounds that are exceeded
-    bounds     : texts of the bounds that were given
+    exceeded   : messages on exceeded bounds
+    bounds     : texts of all given bounds
     """
     data = [{"plots": [plot for *_, plot in part.get("plots", ())], "view": part.get("view")} for part in parts]
     one = len(parts) == 1
@@ -125,7 +125,7 @@ def _one(part, number, exceeded=(), bounds=()):
 
 
 def _several(parts, exceeded, bounds):
-    """Overview of several recordings, with a section for each that can be expanded."""
+    """Overview of several recordings, with an expandable section for each."""
     found = [part["figures"] for part in parts]
     names = short_names(found)
     problems_of = [figures.get("problems", [figures.get("failed")]) for figures in found]
@@ -211,7 +211,7 @@ def _text(value):
 
 
 def plot_card(title, remark):
-    """HTML of the element into which page.js draws a plot of a part."""
+    """HTML of an element into which page.js draws a plot."""
     return (
         f'<section class="card"><h3>{escape(title)}</h3><p class="remark">{escape(remark)}</p>'
         '<div class="plot plane"></div></section>'
@@ -303,5 +303,5 @@ def _digest(script):
 
 
 def _json(data):
-    """JSON that cannot end its script element."""
+    """JSON escaped so that it cannot close its script element."""
     return json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")

@@ -11,7 +11,7 @@ from .plots import centre_paths, difference_plot, make_plots
 
 KINDS = (".png", ".pdf", ".svg")
 WIDTH, ROW = 7.0, 2.4  # inch: text width of a page, height of a row of two plots
-LINE, SHORT = 34, 12  # characters per line of a label; longer names of single curves need a legend
+LINE, SHORT = 34, 12  # characters: line of a label; longest name for which a single curve needs no legend
 COLOURS = {
     "--blue": "#2a6fd6",
     "--orange": "#cf6a12",
@@ -40,7 +40,7 @@ def write_picture(analysis, path, comparison=None):
     _paths(figure.add_subplot(rows, 2, 1, projection="3d"), analysis)
     for k, (title, _, plot) in enumerate(plots, 2):
         _plane(figure.add_subplot(rows, 2, k), title, plot)
-    # matplotlib would take a name with $ for a formula.
+    # matplotlib would interpret a name with $ as a formula.
     with_names = [text for axes in figure.axes for text in axes.findobj(_is_text)]
     for text in with_names:
         text.set_parse_math(False)
@@ -90,7 +90,7 @@ def _paths(axes, analysis):
     for (body, path), colour in zip(paths.items(), list(COLOURS.values())[:4] * len(paths)):
         axes.plot(*path.T, lw=0.9, color=colour, label=_label(body))
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_box_aspect(None, zoom=0.9)  # room for its labels, which the layout ignores
+    axes.set_box_aspect(None, zoom=0.9)  # space for the axis labels, which the layout ignores
     for name in "xyz":
         getattr(axes, f"set_{name}label")(f"{name} / m", fontsize=7, labelpad=-2)
         getattr(axes, f"{name}axis").set_tick_params(pad=-1)
@@ -101,6 +101,6 @@ def _paths(axes, analysis):
 
 
 def _label(name):
-    """Name, wrapped. matplotlib hides names with a leading underscore from legends: prepend a space."""
+    """Wrapped name, with a space before a leading underscore: matplotlib omits such names from legends."""
     name = textwrap.fill(unescape(name), LINE)
     return f" {name}" if name.startswith("_") else name

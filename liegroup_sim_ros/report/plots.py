@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plots of an analysis for plotly.js: {"data": traces, "layout": layout}.
 
-Colours are names of CSS variables ("--blue"); the page replaces them for light or dark mode.
+Colours are names of CSS variables ("--blue"), which the page replaces for light or dark mode.
 """
 
 import math
@@ -11,16 +11,16 @@ import numpy as np
 
 from liegroup_sim_ros.analysis.estimate import LEAST, MOST
 
-BINS = 1000  # of a curve; the minimum and the maximum of each bin are drawn
+BINS = 1000  # number of bins of a curve; the minimum and the maximum of each bin are drawn
 PATH_POINTS = 4000
 HEIGHT = 340  # px
-# A log axis omits at most this fraction of its smallest values, if they are this factor below the rest.
+# A log axis omits at most the fraction FEW of its smallest values, if they are below ODD times the others.
 FEW, ODD = 0.02, 1e-2
 COLOURS = ("--blue", "--orange", "--green", "--violet", "--red", "--grey")
 
 
 def make_plots(analysis):
-    """[(title, remark, plot)] of all curves over time."""
+    """[(title, remark, plot)] for all curves over time."""
     figures, curves = analysis.figures, analysis.curves
     plots = []
     if not curves:
@@ -43,7 +43,7 @@ def make_plots(analysis):
             plots.append(
                 (
                     "Coverage",
-                    f"estimate divided by error, where the reference knows it; lines at {LEAST:g} and {MOST:g}",
+                    f"estimate / error, where the error exceeds the uncertainty; lines at {LEAST:g} and {MOST:g}",
                     _ratio_plane(ratios, bands),
                 )
             )
@@ -83,7 +83,7 @@ def make_plots(analysis):
     for title, unit, part in (("forces", "N", slice(3, 6)), ("torques", "N m", slice(0, 3))):
         traces = _reaction_traces(analysis.recording.reactions, part)
         if traces:
-            remark = "size of the determined components of the largest ones, in joint frames"
+            remark = "norm of the determined components, for the joints with the largest ones"
             plots.append((f"Reaction {title}", remark, _plane(traces, bands, unit)))
     late = _lateness_traces(analysis.recording.diagnostics)
     if late:
@@ -111,7 +111,7 @@ def _error_traces(parts):
 
 
 def _coverage_traces(parts):
-    """Estimate divided by error: curves of position and attitude, where they are known."""
+    """Curves of estimate / error for position and attitude, where both are known."""
     with_estimate = [part for part in parts if len(part) > 5]
     if not with_estimate:
         return []
@@ -162,7 +162,7 @@ def _interval_traces(named):
 
 
 def _reaction_traces(reactions, part):
-    """Curves of the joints with the largest forces or torques, as many as there are colours."""
+    """Curves of the joints with the largest forces or torques, one for each colour."""
     sizes = {
         joint: (track.time, np.sqrt(np.nansum(track.wrench[:, part] ** 2, axis=1)))
         for joint, track in reactions.items()
@@ -201,7 +201,7 @@ def centre_paths(analysis):
 
 
 def difference_plot(curve):
-    """[(title, remark, plot)] of the curves of a comparison, except zeros."""
+    """[(title, remark, plot)] of the curves of a comparison; empty if all differences are zero."""
     if not any((values > 0.0).any() for _, values in curve):
         return []
     traces = [
@@ -236,7 +236,7 @@ def _plane(traces, bands, unit, log=False):
 
 
 def _logarithms(traces):
-    """Logarithms of what a log axis shows: of the positive numbers of all curves, of which there may be none."""
+    """Logarithms of the positive values of all curves; may be empty."""
     return [math.log10(v) for trace in traces for v in trace["y"] if v is not None and v > 0.0]
 
 
@@ -247,7 +247,7 @@ def _decades(traces):
         return {"dtick": 1}
     low, high = min(values), max(values)
     usual = float(np.quantile(values, FEW)) + math.log10(ODD)
-    if low < usual:  # a difference of 1e-40 by chance must not stretch the axis
+    if low < usual:  # prevent an accidental difference of 1e-40 from stretching the axis
         low = usual
         found["range"] = [low, high + 0.2]
     return {"dtick": max(1, math.ceil((high - low) / 7.0)), **found}
@@ -292,14 +292,14 @@ def _event_lines(times):
 
 
 def _event_entry(figures, times):
-    """Entry of the legend for the lines that mark events at joints; it draws nothing itself."""
+    """Invisible curve that gives the lines at joint events an entry in the legend."""
     count = figures["joint_events"]["instants"]
     some = "" if len(times) == count else f", {len(times)} of {count}"
     return _line(f"events at joints{some}", [math.nan], [math.nan], "--grey")
 
 
 def _line(name, x, y, colour, dash="solid"):
-    """Trace of a curve; a long one is reduced to minimum and maximum of each bin, and its gaps."""
+    """Trace of a curve. Long curves are reduced to minimum, maximum and a gap of each bin."""
     if len(x) > 2 * BINS:
         pick = _extremes(y)
         x, y = x[pick], y[pick]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Visuals of a robot's file as triangles for the 3D view, within a bound for the page.
+"""Visuals of a robot file as triangles for the 3D view, with a limit on their number.
 
-Needs trimesh, and for collada and decimation the other packages of the extra `meshes`. Without them,
-and for meshes that this machine does not have, the view draws the boxes of the bodies' inertias.
-Files of meshes are read in a process of their own, robots/apart.py.
+This needs trimesh, and for Collada and decimation the other packages of the extra `meshes`. Without them,
+and for missing mesh files, the view draws boxes that have the bodies' inertias. Mesh files are read in a
+separate process, robots/apart.py.
 """
 
 import json
@@ -17,19 +17,19 @@ from liegroup_core.robots.apart import run_apart
 from liegroup_core.robots.resources import readable_resource
 from liegroup_sim_ros.numbers import counted
 
-MOST_TRIANGLES = 20_000  # of a page
-LARGEST_FILE = 64 * 2**20  # bytes of a mesh
+MOST_TRIANGLES = 20_000  # in a page
+LARGEST_FILE = 64 * 2**20  # bytes of a mesh file
 HINT = "pip install 'liegroup_sim_ros[meshes]'"
 
 
 def robot_shapes(robot):
-    """({body: shape}, [remark]) of the visuals of a robot: a scene's RobotNames.
+    """({body: shape}, [remark]) for the visuals of a robot; robot : RobotNames of a scene.
 
-    shape : as of liegroup_core.robots.meshes
-    remarks say in one line each what is not drawn.
+    shape   : see liegroup_core.robots.meshes
+    remarks : one line each on visuals that are not drawn
     """
     if find_spec("trimesh") is None:
-        return {}, [f"visuals are drawn as boxes, trimesh is not installed: {HINT}"]
+        return {}, [f"visuals are drawn as boxes, because trimesh is not installed: {HINT}"]
     shapes, folders, missing, failed, names = [], set(), [], {}, {}
     for link, (body, place) in robot.frames.items():
         for visual in robot.visuals.get(link, ()) if body != "world" else ():
@@ -56,7 +56,7 @@ def robot_shapes(robot):
 
 
 def _file(address, file):
-    """Path of a mesh, or None if it is not there. Raises SceneError if it must not be read."""
+    """Path of a mesh file, or None if it does not exist. Raises SceneError if it may not be read."""
     path = readable_resource(address, file)
     if path is not None and os.path.getsize(path) > LARGEST_FILE:
         raise SceneError(f"it is larger than {LARGEST_FILE >> 20} MiB")
@@ -72,13 +72,13 @@ def _triangles(order, folders):
 
 def _remarks(found, missing, failed):
     if missing:
-        yield f"meshes that are not on this machine: {len(missing)}, the first is {missing[0]}"
+        yield f"missing mesh files: {len(missing)}, the first is {missing[0]}"
     if failed:
         name, text = next(iter(failed.items()))
-        yield f"meshes that cannot be read: {len(failed)}, the first is {name}: {text}"
+        yield f"unreadable mesh files: {len(failed)}, the first is {name}: {text}"
     if found["boxes"]:
         advice = f"; {HINT} decimates them" if found["lacks"] else ""
         yield (
-            f"drawn as boxes: {counted(found['boxes'], 'body')}; all visuals have "
-            f"{found['triangles']} triangles, the page at most {MOST_TRIANGLES}{advice}"
+            f"drawn as boxes: {counted(found['boxes'], 'body')}, because all visuals have "
+            f"{found['triangles']} triangles and the page at most {MOST_TRIANGLES}{advice}"
         )

@@ -4,8 +4,8 @@
 from liegroup_sim_ros.analysis.timing import requested_text
 from liegroup_sim_ros.numbers import GROUPS, counted, error_text, shown
 
-MOST_JOINTS = 8  # in the table; the JSON document has all
-# Parts of an error in the analysis, and their names for the user.
+MOST_JOINTS = 8  # number of joints in the table; the JSON document has all
+# {part of an error in the analysis: name in tables}
 PARTS = {
     "position": "position",
     "angle": "attitude",
@@ -13,7 +13,7 @@ PARTS = {
     "angular": "angular velocity",
     "linear": "velocity",
 }
-# Kinds of events at joints, and their names for the user.
+# {kind of event at a joint: name in tables}
 NOUNS = {"impact": "impact", "stop": "stop", "leave": "release", "stick": "stick", "slip": "slip"}
 OVERVIEW = ("position", "attitude", "energy", "joints", "bit-identical", "dropped")
 
@@ -152,8 +152,8 @@ def _estimate_rows(figures):
         (
             text,
             shown(entry["max"], entry["unit"]),
-            f"at least half of the error in {_percent(entry['covering'])} of "
-            f"{counted(entry['samples'], 'sample')}, at most ten times in "
+            f"at least half of the true error in {_percent(entry['covering'])} of "
+            f"{counted(entry['samples'], 'sample')}, at most ten times the error in "
             f"{_percent(entry['close'])}"
             if entry["samples"]
             else "no estimate is known"
@@ -165,12 +165,12 @@ def _estimate_rows(figures):
 
 
 def _named(parts):
-    """[(name for the user, entry)] of the parts of an error that are there; parts : {key: entry}."""
+    """[(name in tables, entry)] of the existing parts of an error; parts : {key: entry}."""
     return [(text, parts[key]) for key, text in PARTS.items() if key in parts]
 
 
 def _percent(share):
-    """Share as text; 100 % only if it is all of them."""
+    """Text of a share in percent; it is 100 % only if the share is exactly 1."""
     percent = round(100.0 * share, 1)
     return f"{percent if share == 1.0 else min(percent, 99.9):g} %"
 
@@ -192,7 +192,7 @@ def _local_rows(local):
 
 
 def _trend(slope, explained, unit):
-    """Linear trend of a drift as text; None if it explains at most half of the variance."""
+    """Text with the linear trend of a drift; None if it explains at most half of the variance."""
     if slope is None or not explained > 0.5:
         return None
     return f"{'falls' if slope < 0.0 else 'grows'} by {shown(abs(slope), unit)}"
@@ -244,13 +244,13 @@ def _conserved_rows(figures):
 
 
 def _joint_event_rows(events):
-    """Events and the energy of impacts of each joint, those with most events first."""
+    """Rows with the events and the impact energy of each joint, sorted by number of events."""
     joints = sorted(events["joints"].items(), key=lambda item: -_event_count(item[1]))
     rows = [
         (
             name,
             ", ".join(counted(entry[kind], noun) for kind, noun in NOUNS.items() if entry[kind]) or "no event",
-            f"impacts take {shown(-entry['impact_energy_J'], 'J')}, largest impulse "
+            f"energy lost at impacts {shown(-entry['impact_energy_J'], 'J')}, largest impulse "
             f"{shown(entry['largest_impulse'], entry['unit'])}"
             if entry["impact"]
             else "",
@@ -268,7 +268,7 @@ def _event_count(entry):
 
 def _timing_rows(timing):
     late, ticks = timing["lateness_us"], timing.get("ticks")
-    no_clock = "not run in real time"
+    no_clock = "the run was not in real time"
     return [
         (
             "real-time factor",
@@ -292,7 +292,7 @@ def _timing_rows(timing):
             str(timing["gaps"]),
             ""
             if not timing["gaps"]
-            else f"the longest {shown(timing['largest_gap_s'], 's')}, at {shown(timing['largest_gap_at_s'], 's')}",
+            else f"longest {shown(timing['largest_gap_s'], 's')}, at {shown(timing['largest_gap_at_s'], 's')}",
         ),
     ]
 
@@ -351,7 +351,7 @@ def comparison_rows(figures):
             f"{figures['identical']} of {counted(figures['samples'], 'sample')}",
             ""
             if figures["first_difference_s"] is None
-            else f"the first difference at {shown(figures['first_difference_s'], 's')}",
+            else f"first difference at {shown(figures['first_difference_s'], 's')}",
         )
     ]
     rows += [

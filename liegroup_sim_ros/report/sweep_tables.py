@@ -12,11 +12,11 @@ from liegroup_sim_ros.numbers import counted, shown
 
 from .terminal import plain_table
 
-WIDTH = 130  # characters; a narrower terminal folds the lines
+WIDTH = 130  # characters; in a narrower terminal, lines wrap
 QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
-BODIES = 2  # bodies whose states are shown by default
-REASONS = 10  # different texts that are printed
-# Smallest number of runs for a rank correlation: with fewer, 5 % exceed 0.6 by chance.
+BODIES = 2  # number of bodies whose states are shown by default
+REASONS = 10  # largest number of different texts that are printed
+# Smallest number of runs for a rank correlation; with fewer, 5 % of correlations exceed 0.6 by chance.
 LEAST = 10
 
 
@@ -30,9 +30,9 @@ def spread(table, columns):
 
 
 def dependence(table, parameters, columns):
-    """{column: {parameter: Spearman's rank correlation}}, over runs that have both numbers.
+    """{column: {parameter: Spearman's rank correlation}} of the runs that have both numbers.
 
-    Constant columns and those with fewer than LEAST runs are omitted.
+    Constant columns, and columns with fewer than LEAST runs, are omitted.
     """
     result = {}
     for column in columns:
@@ -46,7 +46,7 @@ def dependence(table, parameters, columns):
 
 
 def reasons(texts):
-    """[(count, text)], most frequent first; texts that differ in numbers only are merged."""
+    """[(count, text)], most frequent first; texts that differ only in numbers are merged."""
     kinds = {}
     for text in texts:
         kinds.setdefault(re.sub(r"[-+]?\d[\d.]*(e[-+]?\d+)?", "#", text), []).append(text)
@@ -54,14 +54,14 @@ def reasons(texts):
 
 
 def _solver(settings):
-    """Method, or the accuracy in its place, as text."""
+    """Text with the method, or with the accuracy if there is none."""
     if "method" in settings:
         return settings["method"]
     return f"accuracy {settings['accuracy']:g} in {settings['horizon']:g} s, states"
 
 
 def print_sweep(file, show, console):
-    """Tables of a SweepFile on a terminal; returns the set of the statuses of its runs.
+    """Print the tables of a SweepFile on a terminal. Returns the set of the statuses of its runs.
 
     show : names of columns, or None
     """
@@ -86,7 +86,7 @@ def print_sweep(file, show, console):
     )
     cpu = table["cpu_s"]
     console.print(
-        Text(f"{shown(cpu.mean() * 1e3, 'ms')} of CPU time a run, {shown(cpu.sum(), 's')} in all", style="dim")
+        Text(f"{shown(cpu.mean() * 1e3, 'ms')} of CPU time per run, {shown(cpu.sum(), 's')} in total", style="dim")
     )
     _print_reasons(console, "failed", [s for s in table["status"] if s != OK])
     _print_reasons(console, "with warning", [w for w in table["warning"] if w])

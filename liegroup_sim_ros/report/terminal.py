@@ -51,14 +51,14 @@ def print_overview(analyses, console):
 
 
 def print_comparison(figures, console):
-    """Print the difference of two recordings."""
+    """Print the difference between two recordings."""
     identical, samples = figures["identical"], figures["samples"]
     console.print()
     console.print(
         Text(
             f"Comparison with {figures['logs'][1]}: bit-identical in {identical} of "
             + counted(samples, "sample")
-            + (f", the first difference at {shown(figures['first_difference_s'], 's')}" if identical < samples else ""),
+            + (f", first difference at {shown(figures['first_difference_s'], 's')}" if identical < samples else ""),
             style="bold",
         )
     )
@@ -69,7 +69,7 @@ def print_comparison(figures, console):
 
 
 def plain_table(title, heads, rows):
-    """Table without rules; markup in its texts is not interpreted."""
+    """Table without lines; markup in its texts is not interpreted."""
     table = Table(box=None, padding=(0, 2, 0, 0), title=Text(title), title_justify="left", title_style="bold")
     for head in heads:
         table.add_column(Text(head), no_wrap=True)

@@ -9,12 +9,12 @@ from liegroup_sim_ros.recording.attachments import versions
 
 from .terminal import plain_table
 
-WIDTH = 130  # characters; a narrower terminal folds the lines
+WIDTH = 130  # characters; in a narrower terminal, lines wrap
 CHEAPEST_HEAD = ("accuracy", "configuration", "error", "CPU s per s", "real-time factor")
 FRONT_HEAD = ("error", "CPU s per s", "configuration", "rad/s", "m/s", "energy", "momentum", "joints")
-SHARE = 0.5  # of a core, for the integration in real time
-ACCURACY_HEAD = ("accuracy", "error", "estimate", "kept, by the estimate", "CPU s per s")
-ACCURACY_TITLE = "Simulations to an accuracy, the cost of the estimate included"
+SHARE = 0.5  # of a core that a real-time integration may use
+ACCURACY_HEAD = ("accuracy", "error", "estimate", "met, by the estimate", "CPU s per s")
+ACCURACY_TITLE = "Simulations to an accuracy (cost includes the estimate)"
 FRONT_TITLE = "Pareto front; right columns: errors of angular velocity, velocity, energy, momentum, joints"
 
 
@@ -62,7 +62,7 @@ def document_part(trade):
 
 
 def setting(cell):
-    """Configuration of a cell in words."""
+    """Text with the configuration of a cell."""
     tolerance = cell["options"].get("rtol")
     more = "" if tolerance is None else f", rtol {tolerance:g}"
     stabilised = "" if cell["stabilisation"] == "none" else f", {cell['stabilisation']}"
@@ -71,12 +71,12 @@ def setting(cell):
 
 
 def error_text(value, known):
-    """Error in words; "below" the reference uncertainty if that is larger."""
+    """Text of an error: its value, or "below" the reference uncertainty if this is larger."""
     return f"below {shown(known)}" if value <= known else shown(value)
 
 
 def reference_text(part):
-    """Reference solution in words."""
+    """Text that describes the reference solution."""
     reference = part["reference"]
     text = (
         "the reference integration" if reference["kind"] == "integration" else f"the closed form ({reference['kind']})"

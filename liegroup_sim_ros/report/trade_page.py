@@ -21,7 +21,7 @@ from .trade_figures import (
     setting,
 )
 
-DASHES = ("solid", "dash", "dot", "longdashdot")  # times 6 colours: distinct for all methods
+DASHES = ("solid", "dash", "dot", "longdashdot")  # with 6 colours, enough combinations for all methods
 SYMBOLS = ("circle", "square", "triangle-up", "diamond", "triangle-down", "cross")
 HEIGHT = 560  # px
 MARKS = ("o", "s", "^", "D", "v", "P")
@@ -43,12 +43,12 @@ def curves(part):
 
 
 def accuracy_text(entry):
-    """Name of a simulation to an accuracy."""
+    """Label of a simulation to an accuracy."""
     return f"accuracy {entry['accuracy']:g}" + (", the default" if entry["accuracy"] == DEFAULT else "")
 
 
 def _at_places(part):
-    """[((cost, error), entries)] of the simulations to an accuracy; equal errors are one place."""
+    """[((cost, error), entries)] of the simulations to an accuracy; entries with equal errors share a point."""
     known, places = part["reference"]["known"], {}
     for entry in part["to_accuracy"]:
         places.setdefault(entry["error"], []).append(entry)

@@ -12,7 +12,7 @@ from liegroup_sim_ros.messages.markers import CUBE, CYLINDER, THINNEST, solid
 
 from .plots import BASE, label
 
-# Limits on poses of all bodies and on frames: more make the page large, fewer the motion jerky.
+# Limits on the number of poses of all bodies and of frames. More would make the page large, fewer the motion jerky.
 MOST_PLACES, MOST_FRAMES, LEAST_FRAMES = 15_000, 3000, 200
 MOST_PUSHES = 1000
 # Red marks bodies with an applied wrench, grey the links between joints and bodies.
@@ -22,7 +22,7 @@ COLOURS = ("--blue", "--orange", "--green", "--violet", "--teal", "--pink", "--o
 def make_view(analysis, shapes=None):
     """Data of the 3D view of an Analysis for page.js, JSON types; m, s, world axes.
 
-    shapes        : {body: triangles}, see shapes.robot_shapes; other bodies are solids of their inertia
+    shapes        : {body: triangles}, see shapes.robot_shapes; other bodies are drawn as solids with their inertia
     times, places : base64 of (k,) float64, and of (k, n, 7) float32: position and x y z w of the
                     body frames
     breaks        : last frames before a reset
@@ -95,7 +95,7 @@ def make_view(analysis, shapes=None):
 
 
 def speeds(seconds):
-    """([playback speeds], initial speed) that play a run within 2 s to a few minutes."""
+    """([playback speeds], initial speed); they play a run in 2 s to several minutes."""
     seconds = seconds or 1.0
     steps = [m * 10.0**e for e in range(-6, 7) for m in (1, 2, 5)]
     usual = [s for s in steps if seconds / 200.0 <= s <= seconds / 1.5] or [1.0]

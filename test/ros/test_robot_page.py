@@ -226,7 +226,7 @@ def test_the_page_draws_meshes_within_its_bound(tmp_path, capsys, monkeypatch):
     trimesh.creation.icosphere(subdivisions=6).export("meshes/ball.stl")
     Path("ball.urdf").write_text(BALL_URDF)
     shapes, remarks = robot_shapes(load_scene("ball.urdf").robot)
-    assert remarks == ["meshes that are not on this machine: 1, the first is package://nowhere/rod.stl"]
+    assert remarks == ["missing mesh files: 1, the first is package://nowhere/rod.stl"]
     points, faces = (
         np.frombuffer(base64.b64decode(shapes["ball"][key]), kind).reshape(-1, 3)
         for key, kind in (("points", "<f4"), ("faces", "<i4"))
@@ -241,13 +241,13 @@ def test_the_page_draws_meshes_within_its_bound(tmp_path, capsys, monkeypatch):
     report = ["analyze", "run.mcap", "--no-reference", "--html", "run.html", "--robot"]
     assert main([*report, "ball.urdf"]) == 0
     assert shapes["ball"]["points"] in Path("run.html").read_text()
-    assert "meshes that are not on this machine: 1" in capsys.readouterr().err
+    assert "missing mesh files: 1" in capsys.readouterr().err
     Path("arm.urdf").write_text(ROBOT)
     assert main([*report, "arm.urdf"]) == 2
-    assert "has other bodies than the recording" in capsys.readouterr().err
+    assert "its bodies differ from those of the recording" in capsys.readouterr().err
     monkeypatch.setitem(sys.modules, "trimesh", None)
     assert main([*report, "ball.urdf"]) == 0
-    assert "drawn as boxes, trimesh is not installed" in capsys.readouterr().err
+    assert "drawn as boxes, because trimesh is not installed" in capsys.readouterr().err
     assert shapes["ball"]["points"] not in Path("run.html").read_text()
 
 
@@ -257,4 +257,4 @@ def test_a_damaged_mesh_leaves_a_box(tmp_path):
     (tmp_path / "meshes" / "ball.stl").write_bytes(b"solid \xff\x00" * 9)
     (tmp_path / "ball.urdf").write_text(BALL_URDF)
     shapes, remarks = robot_shapes(load_scene(tmp_path / "ball.urdf").robot)
-    assert not shapes and any("cannot be read: 1, the first is meshes/ball" in r for r in remarks)
+    assert not shapes and any("unreadable mesh files: 1, the first is meshes/ball" in r for r in remarks)
