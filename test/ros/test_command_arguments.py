@@ -32,7 +32,7 @@ def test_no_report_replaces_a_scene_or_a_recording(line, name, tmp_path, capsys)
     path = tmp_path / name
     path.write_text("kept")
     assert main(line.format(path).split()) == 2
-    assert "give another name" in capsys.readouterr().err
+    assert "choose another name" in capsys.readouterr().err
     assert path.read_text() == "kept"
 
 
