@@ -5,7 +5,7 @@ A kind is a file with
     a class                 the force in a scene; its `type` is the name of the kind. If forces of this
                             kind can be conservative, it overrides `is_conservative`
     ROW                     record of one force for kernels
-    make_row(force, ...)    such a record from a force of the scene
+    make_row(force, ...)    makes this record from a force of the scene
     add_wrench(rows, ...)   adds wrenches in body axes about the centre of mass
     energy(rows, ...)       potential energy, J; omitted for forces without a potential
     power(rows, ...)        power of the part without a potential, W; omitted if there is none

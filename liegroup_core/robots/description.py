@@ -16,7 +16,7 @@ from liegroup_core.fields.values import suggestion
 from liegroup_core.lie.groups import SE3, SO3
 
 WORLD = "world"
-MISSING_MESHES = "mesh files that are not there"  # in notes
+MISSING_MESHES = "missing mesh files"  # in notes
 # Elements whose unknown parts may change the motion. For a joint these are children, such as a misspelt <origin>.
 MOTION = {"inertial", "mass", "inertia", "axis", "axis2", "dynamics", "mimic"}
 LONGEST_MESSAGE = 1500  # characters; names in it can be long
@@ -82,7 +82,7 @@ class RobotJoint:
     """Joint between two links, or between the world and a link.
 
     type          : joint type of a scene; floating for no joint
-    parent_frame  : (4, 4) in the frame of the parent; child_frame: in that of the child
+    parent_frame  : (4, 4) in the frame of the parent; child_frame: in the frame of the child
     closes        : True for a joint outside of the file's tree
     damping       : N m s/rad or N s/m
     stiffness, rest  : of the spring: N m/rad or N/m, and the coordinate where its effort is 0

@@ -188,7 +188,7 @@ def _check_inertia(robot, group, line, inertia, body, notes):
     if moments[2] > moments[0] + moments[1] + TRIANGLE_TOLERANCE * scale:
         body["unphysical"] = True
         notes.append(
-            f"inertia of no rigid body: {what}, principal moments {text} kg m^2, used as given"
+            f"inertia that no rigid body can have: {what}, principal moments {text} kg m^2, used as given"
             + (f" (line {line})" if line else "")
         )
 
@@ -360,7 +360,7 @@ def _left_out(robot, grouping, switches):
         name for name, joint in moving.items() if joint.data.get("lower", -np.inf) > joint.data.get("upper", np.inf)
     ]
     if swapped:
-        notes.append(f"wrong in the file: the lower limit is above the upper one: {listed(swapped)}")
+        notes.append(f"error in the file: the lower limit is above the upper one: {listed(swapped)}")
     for coupling in robot.couplings:
         for name, other in ((coupling.first, coupling.second), (coupling.second, coupling.first)):
             if name in moving and other not in moving:

@@ -23,7 +23,7 @@ class Options:
     lock      : {joint: coordinate} of locked joints
     keep      : fixed joints that are not merged
     driven    : {joint: joints.motion.Motion, or None for its start velocity} of driven joints
-    stops     : joints whose limits are rigid stops, ALL: those of all joints that are not driven
+    stops     : joints whose limits are rigid stops, or ALL for all joints that are not driven
     friction  : joints whose dry friction acts, or ALL
     only      : links whose chains to the root are kept; empty: all
     joints    : [joint of a scene], between links; its frames are in the frames of the links

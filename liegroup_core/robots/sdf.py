@@ -378,7 +378,7 @@ def _gearbox(loader, model, element, model_pose):
             held = np.eye(4) if joint.child == WORLD else robot.links[joint.child].pose
             hinge = (held @ joint.child_frame)[:3, 2]
             if abs(abs(own @ hinge) - 1.0) > 1e-6:
-                raise reader.error(element, f'gearbox "{name}": <{of_gear}> is not along that of "{joint.name}"')
+                raise reader.error(element, f'gearbox "{name}": <{of_gear}> is not parallel to that of "{joint.name}"')
             sign *= np.sign(own @ hinge)
         found.append((joint, sign))
     (first, sign), (second, other) = found[1], found[0]

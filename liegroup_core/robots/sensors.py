@@ -80,7 +80,7 @@ def _entry(robot, grouping, joints, body_of, sensor):
     if sensor.link is not None:
         group = grouping.of_link.get(sensor.link)
         if group is None:
-            return None, f"link {sensor.link!r:.60} is not a link that is kept"
+            return None, f"link {sensor.link!r:.60} does not exist or is cut"
         if group is grouping.world:
             return None, f"link {sensor.link} does not move"
         frame = group.places[sensor.link] @ sensor.frame
@@ -109,7 +109,7 @@ def _between(grouping, body_of, sensor):
     for link, point in sensor.points:
         group = grouping.of_link.get(link)
         if group is None:
-            return None, f"link {link!r:.60} is not a link that is kept"
+            return None, f"link {link!r:.60} does not exist or is cut"
         place = group.places[link]
         ends.append((body_of[id(group)], place[:3, :3] @ point + place[:3, 3]))
     if ends[0][0] == ends[1][0]:

@@ -206,7 +206,7 @@ def _law(reader, robot, element, joint, kind):
             if limit.get(key) is not None:
                 joint.data[key] = reader.attribute(limit, key)
     elif kind in ("revolute", "prismatic"):
-        robot.remark("without the <limit> that URDF requires, taken as unlimited", joint.name)
+        robot.remark("unlimited, because the <limit> that URDF requires is missing", joint.name)
     if kind == "continuous":  # position limits have no meaning
         joint.data.pop("lower", None)
         joint.data.pop("upper", None)

@@ -164,7 +164,7 @@ def test_a_mesh_of_mjcf_may_be_missing_unless_a_mass_follows_from_it(inertial, m
     assert scene.bodies[0].mass == pytest.approx(expected, rel=1e-12)
     assert "changes the motion: no contact, 3 collision shapes of arm" in " ".join(scene.notes)
     (note,) = [note for note in scene.notes if "mesh files" in note]
-    assert note.startswith("left out: 2 mesh files that are not there (meshes/nope.stl of arm, ")
+    assert note.startswith("left out: 2 missing mesh files (meshes/nope.stl of arm, ")
     assert [visual.kind for visual in scene.robot.visuals["arm"]] == ["box"]
 
 
@@ -505,7 +505,7 @@ def test_a_joint_without_its_limit_is_noted(tmp_path, kind, noted):
         '<inertia ixx="1" iyy="1" izz="1"/></inertial></link>'
         f'<joint name="j" type="{kind}"><parent link="base"/><child link="a"/></joint></robot>'
     )
-    note = "without the <limit> that URDF requires, taken as unlimited: j"
+    note = "unlimited, because the <limit> that URDF requires is missing: j"
     assert (note in load_scene(path).notes) is noted
 
 

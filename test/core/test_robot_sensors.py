@@ -263,7 +263,7 @@ def test_sensors_beside_a_robot_name_its_links_and_joints(tmp_path, capsys):
 @pytest.mark.parametrize(
     "entry, text",
     [
-        ("{name: s, type: imu, body: hand}", "sensors[0] \"s\": link 'hand' is not a link"),
+        ("{name: s, type: imu, body: hand}", "sensors[0] \"s\": link 'hand' does not exist or is cut"),
         ("{name: s, type: imu, body: base}", 'sensors[0] "s": link base does not move'),
         ("{name: s, type: encoder, joint: wrist}", 'sensors[0] "s": joint wrist is merged'),
         ("{name: s, type: force_torque, joint: tcp_joint}", "joint tcp_joint is merged"),

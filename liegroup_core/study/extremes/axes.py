@@ -120,7 +120,7 @@ AXES = (
     ),
     Axis(
         "sleeping",
-        "spin over that of a sleeping top",
+        "spin relative to the stability limit, sleeping top",
         "",
         (0.5, 0.9, 0.99, 0.999, 0.999999, 1.0, 1.000001, 1.001, 1.01, 1.1, 2.0),
         problems.sleeping,
@@ -147,7 +147,7 @@ AXES = (
     ),
     Axis(
         "friction",
-        "dry friction, part of the spring's force",
+        "dry friction relative to the spring's force",
         "",
         (1e-8, 1e-4, 1e-2, 0.03, 0.13, 0.4, 0.99, 1.01, 10.0),
         stops.friction,
