@@ -28,6 +28,8 @@ from .switches import coordinate_of, switches_of, unit_of
 # Decimals and double precision results have a relative error of about 1e-15, sums over a long chain
 # 1e-12. Values rounded to six digits are not consistent: they are refused, and the error gives
 # consistent values.
+# Beginnings of the texts about joints that the initial state violates.
+AT_POSES, AT_VELOCITIES = "is violated at the initial poses", "the initial velocities violate the joint"
 TOLERANCE = 1e-9
 # Keys that set the stops of a coordinate without `limits`.
 STOPPED_BY = {DISTANCE: "its length", BACKLASH: "its offset and gap"}
@@ -283,10 +285,7 @@ def _open(joint, elements, rows, C_rel, poses):
                 "joint, or move one of the frames"
             )
         return None
-    return (
-        f"is violated at the initial poses: gap {gap:.3g} m, tilt {tilt:.3g} rad; {joint.remedy}, "
-        f'or move "{joint.child}" or the frames'
-    )
+    return f'{AT_POSES}: gap {gap:.3g} m, tilt {tilt:.3g} rad; {joint.remedy}, or move "{joint.child}" or the frames'
 
 
 def _moving(joint, A, C_rel, F_a, F_b, V_a, V_b):
@@ -302,7 +301,7 @@ def _moving(joint, A, C_rel, F_a, F_b, V_a, V_b):
     # Smallest change of V_rel that satisfies the joint.
     V_ok = to_child @ (V_rel - np.linalg.pinv(A) @ (A @ V_rel) + from_parent @ V_a)
     return (
-        f"the initial velocities violate the joint by {slip:.3g} m/s and {turn:.3g} "
+        f"{AT_VELOCITIES} by {slip:.3g} m/s and {turn:.3g} "
         f'rad/s; consistent values for "{joint.child}" are angular_velocity '
         f"{_written(V_ok[:3], size)} and linear_velocity {_written(V_ok[3:], size)}"
     )
