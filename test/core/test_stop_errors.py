@@ -87,7 +87,7 @@ WRONG = [
     ("planar", {"limits": {"upper": 1}}, "only .*, screw, cylindrical and spherical joints do$"),
     ("planar", {"friction": {"coulomb": 1}}, "only .*, prismatic, screw and cylindrical joints do$"),
     ("planar", {"friction": {"coulomb": 1}}, "friction: a planar joint has none"),
-    ("revolute", {"coupling": {"backlash": {}}}, "gap is missing: give the play"),
+    ("revolute", {"coupling": {"backlash": {}}}, "gap is missing: give the free play"),
     ("revolute", {"coupling": {"backlash": 0.1}}, "backlash must be a mapping with the keys"),
     ("revolute", {"coupling": {"backlash": {"gap": 0}}}, "gap must be greater than 0, got 0"),
     (

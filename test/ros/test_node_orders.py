@@ -82,4 +82,5 @@ def test_random_commands_are_answered_and_all_recording_parts_repeat(client, tmp
         last = stamps[-1]
         same = resimulate(recording)
         assert same["identical"] == same["samples"] >= 1, part
-    assert names - {"fault"} == {"start", "pause", "resume", "step", "reset", "speed", "stop"}
+    # How far the motion gets in real time, and so whether it becomes inaccurate, depends on the machine.
+    assert names - {"fault", "inaccurate"} == {"start", "pause", "resume", "step", "reset", "speed", "stop"}
