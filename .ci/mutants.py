@@ -178,7 +178,7 @@ MUTANTS = [
            'cross3(vector3(row["point"]), force)', 'cross3(force, vector3(row["point"]))',
            MOTION[:1] + ("-k", "kind_of_force and applied")),
     Mutant("force at a point in world axes, sign of the moment", "forces/external.py",
-           "pairs[6] - pairs[2]", "pairs[2] - pairs[6]",
+           "levers[6] - levers[2]", "levers[2] - levers[6]",
            ("core/test_wrenches.py", "-k", "whatever_its_point")),
     Mutant("force at a point in world axes, does not turn", "forces/external.py",
            "matmul3(load9(external, i, 16), rot)", "load9(external, i, 16)",

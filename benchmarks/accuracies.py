@@ -37,7 +37,7 @@ from rich.console import Console
 from rich.table import Table
 
 from liegroup_core import Simulation, SimulationError, load_scene
-from liegroup_core.reference import Reference, Trajectory, WrenchChange, distance
+from liegroup_core.reference import Reference, Trajectory, WrenchSpan, distance
 from liegroup_core.study.trade.trade import MARGIN, SETTLING
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -122,28 +122,13 @@ def true_motion(scene, pushes, times, size, stabilisation, step, budget):
 
 
 def independent(scene, pushes, times, states, size):
-    """Largest distance of the states from the integration that shares no code; None: not available.
-
-    Pushes on a body in the same axes add up.
-    """
-    acting, totals = {}, []
-    events = sorted(
-        (at, k, on)
-        for k, (_, _, start, duration, _) in enumerate(pushes)
-        for at, on in ((start, True), (start + duration, False))
-    )
-    for at, k, on in events:
-        body, wrench, _, _, axes = pushes[k]
-        mine = acting.setdefault((body, axes), {})
-        if on:
-            mine[k] = np.array(wrench)
-        else:
-            mine.pop(k)
-        total = sum(mine.values(), np.zeros(6))
-        totals.append(WrenchChange(at, body, tuple(total.tolist()), axes))
+    """Largest distance of the states from the integration that shares no code; None: not available."""
+    spans = [
+        WrenchSpan(start, start + duration, body, tuple(wrench), axes) for body, wrench, start, duration, axes in pushes
+    ]
     try:
         start = Simulation(scene, quiet=True).state()
-        exact, _ = Reference(scene, *start, totals, end=times[-1]).at(np.array(times))
+        exact, _ = Reference(scene, *start, spans, end=times[-1]).at(np.array(times))
     except (SimulationError, ValueError):
         return None
     return max(

@@ -27,7 +27,7 @@ from rich.table import Table
 
 from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.errors import SceneError
-from liegroup_core.reference import Reference, WrenchChange
+from liegroup_core.reference import Reference, WrenchSpan
 from liegroup_core.scene.description import Drag
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -98,11 +98,9 @@ def compare(job):
     rng = np.random.default_rng([0 if seed is None else seed, 4, len(name)])
     scale = SHORT.get(name, 1.0)
     wrenches = pushes(scene, scale, rng)
-    changes = sorted(
-        WrenchChange(time, body, value, axes)
-        for body, wrench, start, duration, axes in wrenches
-        for time, value in ((start, wrench), (start + duration, (0.0,) * 6))
-    )
+    changes = [
+        WrenchSpan(start, start + duration, body, wrench, axes) for body, wrench, start, duration, axes in wrenches
+    ]
     times = np.linspace(0.0, scale * DURATION, SAMPLES + 1)[1:]
     try:
         start = Simulation(scene).state()

@@ -22,8 +22,6 @@ run is bit-identical.
 
 import math
 
-import numpy as np
-
 METHOD = "rkmk853"
 DEFAULT = 1e-4
 MINUTE = 60.0  # s, default of the horizon
@@ -39,7 +37,6 @@ LEAST_GAIN, SHOWN = 2.0, 0.1
 FIRST, LARGEST = 3e-4, 0.03
 LEAST_TOLERANCE = 1e-15
 FASTER, SLOWER = 2.0, 0.1  # bounds of the ratio of two successive tolerances
-_REMEMBERED = ("accuracy", "_begin", "_last", "_sum", "_double_sum", "_gain", "ended", "_tolerance")
 _FOUND = ("time", "error", "wanted", "tenfold", "room", "finer")
 # Decades below the error bound in which the growth is measured, and the ratio to a finer accuracy.
 DECADES, FINER = 3, 100.0
@@ -60,8 +57,10 @@ class AccuracyControl:
     ended    : s, the last checkpoint before the estimate exceeded the error bound; inf: never
     found    : at the checkpoint where it did: "time", "error" and "wanted", "tenfold": time in s in
                which errors grow tenfold, 0 if they do not grow exponentially, "room": mean of the
-               tolerances so far, as a multiple of the least one, and "finer", see `follow`
+               tolerances so far, as a multiple of the least one, and "finer", see `update`
     """
+
+    KEPT = ("accuracy", "_begin", "_last", "_below", "_sum", "_double_sum", "_gain", "ended", "found", "tolerance")
 
     def __init__(self, accuracy, horizon, tighten):
         self.given, self.horizon, self._tighten = accuracy, horizon, tighten
@@ -76,13 +75,19 @@ class AccuracyControl:
         self._sum = self._double_sum = self._gain = 0.0
         self.ended = math.inf
         self.found = dict.fromkeys(_FOUND, math.nan)
-        self._set(self._first)
+        self.tolerance = self._first
 
     @property
     def _first(self):
         return FIRST * self.accuracy / max(1.0, self.horizon)
 
-    def _set(self, tolerance):
+    @property
+    def tolerance(self):
+        """Present tolerance, rad or relative to the characteristic length."""
+        return self._tolerance
+
+    @tolerance.setter
+    def tolerance(self, tolerance):
         self._tolerance = max(LEAST_TOLERANCE, min(LARGEST * self.accuracy, tolerance))
         self._tighten(self._tolerance / self.given)
 
@@ -96,9 +101,9 @@ class AccuracyControl:
         self.accuracy = accuracy
         if not error > self.wanted(time):
             self.ended = math.inf
-        self._set(tolerance)
+        self.tolerance = tolerance
 
-    def follow(self, time, error, predictable, finer):
+    def update(self, time, error, predictable, finer):
         """Set the tolerance from the estimated error at a checkpoint.
 
         finer : whether a smaller accuracy would have led to smaller steps
@@ -114,7 +119,7 @@ class AccuracyControl:
             self.found = dict(zip(_FOUND, (time, error, wanted, tenfold, room, float(finer))))
         self._below = [time if error <= wanted * 10.0**-k else below for k, below in enumerate(self._below, 1)]
         if not predictable:
-            self._set(self._first)
+            self.tolerance = self._first
         if not (predictable and math.isfinite(error)):
             return
         ahead = max(self.horizon, since)
@@ -124,7 +129,7 @@ class AccuracyControl:
         gain = max(LEAST_GAIN * shown**2, self._gain)
         committed = self._double_sum + self._sum * ahead
         tolerance = 2.0 * max(allowed / gain - committed, NEW * committed) / ahead**2
-        self._set(min(max(tolerance, SLOWER * self._tolerance), FASTER * self._tolerance))
+        self.tolerance = min(max(tolerance, SLOWER * self._tolerance), FASTER * self._tolerance)
 
     def _tenfold(self, time, span):
         """Time in s in which the estimate grows tenfold; 0 if it does not grow exponentially.
@@ -154,17 +159,3 @@ class AccuracyControl:
             f"{grow}: with an accuracy {FINER:g} times smaller they would reach this size about "
             f"{math.log10(FINER) * tenfold:.2g} s later"
         )
-
-    def memory(self):
-        """Array from which `remember` restores the control."""
-        own = (getattr(self, name) for name in _REMEMBERED)
-        return np.array([*own, *self._below, *self.found.values()])
-
-    def remember(self, memory):
-        """Restore the control from `memory`."""
-        numbers = list(map(float, memory))
-        for name in _REMEMBERED:
-            setattr(self, name, numbers.pop(0))
-        self._below = numbers[:DECADES]
-        self.found = dict(zip(_FOUND, numbers[DECADES:]))
-        self._set(self._tolerance)

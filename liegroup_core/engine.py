@@ -13,7 +13,6 @@ from liegroup_core.compiling import warm_up
 from liegroup_core.errors import SimulationError
 from liegroup_core.fields.arguments import finite, floats, got, is_count, is_finite
 from liegroup_core.forces.instants import NEVER, StepGrid
-from liegroup_core.forces.schedule import DRIVE
 from liegroup_core.forces.timetable import Timetable
 from liegroup_core.inputs import Inputs
 from liegroup_core.joint_events import JointEvents
@@ -24,9 +23,11 @@ from liegroup_core.methods.families import check_group, check_options, choose_gr
 from liegroup_core.methods.table import METHODS, is_positive
 from liegroup_core.observables.reactions import REGULAR
 from liegroup_core.observables.sample import Sample
-from liegroup_core.placing import Placing
-from liegroup_core.reports import Reports
+from liegroup_core.parts import method_of, property_of
+from liegroup_core.placing import place
+from liegroup_core.reports import Warnings, explain
 from liegroup_core.scene.description import Scene
+from liegroup_core.state import State, decoded, kept, set_kept
 from liegroup_core.status import OK
 
 Floats = NDArray[np.float64]
@@ -64,7 +65,7 @@ def _stabilised(model, kind, constant, step):
     return model.replace(projects=kind == "projection", baumgarte_rate=1.0 / constant if kind == "baumgarte" else 0.0)
 
 
-class Engine(Inputs, JointEvents, Placing, Reports):
+class Engine:
     """Mechanism that is integrated on its Lie group by one method with one step size.
 
     scene  : Scene, from `load_scene` or built in code
@@ -90,8 +91,30 @@ class Engine(Inputs, JointEvents, Placing, Reports):
     Raises SceneError for a scene that cannot be simulated, ValueError for an invalid option or a
     method that cannot integrate the scene.
 
+    inputs : Inputs, the commands that act
+    events : JointEvents, of stops and dry friction
+
     Orders: test/verification/test_orders.py; constraint residuals: test_heavy_top.py.
     """
+
+    KEPT: tuple[str, ...] = ("_pose", "_twist", "steps", "_angles", "_memory", "_modes", "inputs")
+
+    apply_wrench = method_of("inputs", Inputs.apply_wrench)
+    apply_effort = method_of("inputs", Inputs.apply_effort)
+    command_servo = method_of("inputs", Inputs.command_servo)
+    command_motion = method_of("inputs", Inputs.command_motion)
+    check_motion = method_of("inputs", Inputs.check_motion)
+    check_jump = method_of("inputs", Inputs.check_jump)
+    clear_wrenches = method_of("inputs", Inputs.clear_wrenches)
+    drain_applied = method_of("inputs", Inputs.drain_applied)
+    commanded_motions = property_of("inputs", Inputs.commanded_motions)
+    input_count = property_of("inputs", Inputs.input_count)
+    wrench_sources = property_of("inputs", Inputs.wrench_sources)
+    drain_events = method_of("events", JointEvents.drain_events)
+    drain_impacts = method_of("events", JointEvents.drain_impacts)
+    drain_instants = method_of("events", JointEvents.drain_instants)
+    event_count = property_of("events", JointEvents.event_count)
+    place = place
 
     def __init__(
         self,
@@ -123,12 +146,12 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         self._integrator = make_integrator(method, self.layout, self.group, self.step, self.options)
         self._work = self._integrator.work
         self._switching = getattr(self._integrator, "switching", None)
-        self._body = {name: i for i, name in enumerate(self.layout.body_names)}
         rows, motions = self.layout.model.forces.applied_wrench, self.layout.motions.values()
         self._grid = StepGrid(self.step)
         self._timetable = Timetable(rows, self._grid, motions)
-        self._warned = self._warned_singular = quiet
-        self._warned_endless = self._warned_crowded = quiet
+        self._warnings = Warnings(quiet)
+        self.inputs = Inputs(self.layout, self._grid, self._work.wanted, self._present)
+        self.events = JointEvents(self.layout, self._switching)
         self._start = initial_state(self.layout.centred)
         self._block, self._halted = FIRST_BLOCK, False
         warm_up(self._touch)
@@ -141,7 +164,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         self.reset()
         self._advance(0)
         if self._switching is not None:
-            self._switching.touch(self._pose, self._twist, self._external)
+            self._switching.touch(self._pose, self._twist, self.inputs.external)
             self.reset()
         sample = self.sample()
         return (
@@ -164,22 +187,22 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         twist: ArrayLike,
         steps: int = 0,
         angles: ArrayLike | None = None,
-        memory: bytes | None = None,
+        coordinates: ArrayLike | None = None,
     ) -> None:
-        """Continue from a state at a step count.
+        """Start again from a state at a step count: the method and the estimate of the error start anew.
 
         pose, twist : (n, 12), (n, 6) of frames at the centres of mass, as `state()` returns them
         angles : (k,) rad, `Sample.angles` of the state: unwrapped angles. None:
                  all are in (-pi, pi], as at the start of a scene
-        memory : bytes from `memory()` at this state: the run continues bit-identically. None: a
-                 method with memory restarts, and angles of joints with stops or friction are unwrapped
-                 near 0, as far as the stops allow. `place` keeps the whole turns
+        coordinates : (s,) rad or m of the joints with stops or friction, to which their angles are
+                 unwrapped: the fourth column of `Sample.switching`. None: near 0, as far as the stops allow
         steps  : 0 or more
         Clears the applied wrenches and efforts. The wrenches of the scene follow the step count.
-        Raises ValueError for wrong shapes, non-finite numbers, matrices that are not rotations, an invalid
-        step count, or a memory of another method.
+        `snapshot` and `restore` continue a run exactly.
+        Raises ValueError for wrong shapes, non-finite numbers, matrices that are not rotations, or an
+        invalid step count.
         """
-        n = len(self._body)
+        n = len(self.layout.body_names)
         pose = floats(f"expected a pose ({n}, 12)", pose)
         twist = floats(f"expected a twist ({n}, 6)", twist)
         if pose.shape != (n, 12) or twist.shape != (n, 6):
@@ -190,46 +213,65 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         off = np.abs(turned @ turned.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
         for i in np.flatnonzero((off > NO_ROTATION) | (np.linalg.det(turned) < 0.0)):
             raise ValueError(f"pose of {self.layout.body_names[i]}: the first nine numbers are not a rotation matrix")
-        k = len(self._work.angle)
+        k, s = len(self._work.angle), len(self.layout.switches)
         if angles is not None:
             angles = finite(f"expected {k} finite angles, as `Sample.angles`", angles, (k,))
+        if coordinates is not None:
+            coordinates = finite(f"expected {s} finite coordinates of joints with stops or friction", coordinates, (s,))
         if not (is_count(steps) and steps < NEVER):
             raise ValueError(f"steps must be a whole number from 0 to {NEVER - 1}, {got(steps)}")
-        if memory is not None:
-            self._check_memory(memory)
         self._start_at(pose, twist, int(steps), self.layout.angles(pose, angles))
-        if memory is not None:
-            self._remember(memory)
+        if self._switching is not None and coordinates is not None:
+            self._switching.expect(coordinates)
 
     def _start_at(self, pose, twist, steps, angles):
-        """Continue from a valid state; the engine takes over its arrays."""
+        """Start again from a valid state; the engine takes over its arrays."""
         self._work.angle[:] = angles
         self._pose, self._twist, self.steps = pose, twist, steps
-        self._clear_inputs()
+        self.inputs.clear()
         self._integrator.restart()
 
-    def follow(self, other, steps):
-        """Continue from the state of another engine of the same scene at a step count, with its inputs."""
+    def start_from(self, other, steps):
+        """Start again from the state of another engine of the same scene at a step count, with its inputs."""
         self._start_at(*other.state(), steps, other._work.angle)
-        self.take_modes(other)
-        for change in other.acting():
-            change.repeat(self)
+        self._modes = other._modes
+        self.inputs.commands = other.inputs.commands
 
-    def _check_memory(self, memory):
-        """Raise ValueError unless `memory` is as long as the memory of this method."""
-        size = len(self.memory())
-        if not isinstance(memory, (bytes, bytearray)):
-            raise ValueError(f"expected {size} bytes of method memory, {got(memory)}")
-        if len(memory) != size:
-            raise ValueError(
-                f"expected {size} bytes of method memory, got {len(memory)}: it belongs to another method or version"
-            )
+    def take(self, commands, modes=None):
+        """Continue from a state that was set with Commands, and modes of stops and friction as `encoded` gave them.
 
-    def _remember(self, memory):
-        at = 0
-        for array in self._integrator.memory:
-            array[...] = np.frombuffer(memory, array.dtype, array.size, at).reshape(array.shape)
-            at += array.nbytes
+        Raises ValueError
+        """
+        self.inputs.commands = commands
+        if self._modes and modes is not None:
+            self._modes = decoded(modes, self._modes, "modes")
+
+    @property
+    def _angles(self):
+        return self._work.angle
+
+    @property
+    def _memory(self):
+        return self._integrator.memory
+
+    @_memory.setter
+    def _memory(self, memory):
+        self._integrator.restart()
+        for mine, array in zip(self._integrator.memory, memory):
+            mine[...] = array
+
+    @property
+    def _modes(self):
+        return () if self._switching is None else self._switching.memory
+
+    @_modes.setter
+    def _modes(self, modes):
+        for mine, array in zip(self._modes, modes):
+            mine[...] = array
+
+    def _present(self):
+        """Instant of the present step."""
+        return self._grid.boundary(self.steps)
 
     def state(self) -> tuple[Floats, Floats]:
         """Copies of the integrator's pose (n, 12) and twist (n, 6), for `set_state`.
@@ -243,33 +285,13 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         """Pose (n, 12) and twist (n, 6) of the body frames, read-only: possibly not copies."""
         return self.layout.offsets.to_bodies(self._pose, self._twist)
 
-    def memory(self) -> bytes:
-        """Bytes of the method's memory between steps, for `set_state`.
+    def snapshot(self) -> State:
+        """Copy of the whole state, with the commands that act or start later, for `restore`."""
+        return State({}, kept(self))
 
-        In group "relative" the coordinates of the joints. Methods with error control add the size of
-        the substep, implicit methods accelerations and initial guesses.
-        """
-        return b"".join(array.tobytes() for array in self._integrator.memory)
-
-    def snapshot(self) -> dict[str, Any]:
-        """Copy of the whole state, with the wrenches of `apply_wrench`, for `restore`."""
-        return {
-            "state": (*self.state(), self.steps, self._work.angle.copy()),
-            "memory": Engine.memory(self),
-            "schedule": self._schedule.copy(),
-            "external": self._external.copy(),
-            "wanted": self._work.wanted.copy(),
-        }
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot of this simulation. The continuation is bit-identical."""
-        self._pose[:], self._twist[:], self.steps, self._work.angle[:] = snapshot["state"]
-        self._integrator.restart()
-        Engine._remember(self, snapshot["memory"])
-        self._schedule, self._applied = snapshot["schedule"].copy(), []
-        self._external[:] = snapshot["external"]
-        self._work.wanted[:] = snapshot["wanted"]
-        self._commanded[:] = self._schedule.total[DRIVE]
+    def restore(self, state: State) -> None:
+        """Return to a snapshot. The continuation is bit-identical."""
+        set_kept(self, state.parts)
 
     @property
     def time(self) -> float:
@@ -279,7 +301,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
     @property
     def time_ns(self) -> int:
         """Simulated time in integer nanoseconds, rounded from step count times step."""
-        return self._grid.time_ns(self._grid.boundary(self.steps))
+        return self._grid.time_ns(self._present())
 
     @property
     def singular_solves(self) -> int:
@@ -345,12 +367,12 @@ class Engine(Inputs, JointEvents, Placing, Reports):
     def _advance(self, steps, enough=None):
         end = self.steps + steps
         while True:
-            start = self._grid.boundary(self.steps)
+            start = self._present()
             change = min(end, self._timetable.next_change(self.steps))
             inside = self._timetable.inside(self.steps)
-            if self._schedule:
-                self._change_wrenches(start, self._schedule.update(start))
-                change = min(change, self._schedule.next_change(self.steps))
+            if self.inputs.schedule:
+                self.inputs.update(start)
+                change = min(change, self.inputs.schedule.next_change(self.steps))
                 inside = self._instants_inside()
             steps, began = change - self.steps, 0.0
             if steps > self._block:
@@ -366,28 +388,28 @@ class Engine(Inputs, JointEvents, Placing, Reports):
                 self._block = _next_block(done, time.perf_counter() - began)
             if enough is not None and enough():
                 break
-        self._give_warnings()
+        self._warnings.give(self)
 
     def peek(self, steps: int, part: float) -> tuple[Floats, Floats]:
         """State after some steps and a part of one, as `state`; the present state does not change.
 
         Raises SimulationError, as `advance`.
         """
-        kept = Engine.snapshot(self)
+        before = kept(self, Engine.KEPT)
         try:
             self._advance(steps)
             if part:
-                start, end = self._grid.boundary(self.steps), self._grid.end(self.steps, part)
-                self._change_wrenches(start, self._schedule.update(start))
+                start, end = self._present(), self._grid.end(self.steps, part)
+                self.inputs.update(start)
                 inside = [instant for instant in self._instants_inside() if instant < end]
                 self._checked(self._take_in_parts(start, inside, part * self.step, end))
             return self.state()
         finally:
-            Engine.restore(self, kept)
+            set_kept(self, before)
 
     def _checked(self, status):
         if status != OK:
-            raise SimulationError(self._explain(status), status & 0xFF)
+            raise SimulationError(explain(self, status), status & 0xFF)
 
     def _take_steps(self, start, steps, inside):
         """Take steps in which no wrench changes, or one step in parts if one changes.
@@ -410,19 +432,19 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         """Take a step of size h, between two Instants, in parts between those inside; returns a status."""
         begin = start
         for instant in sorted(inside):
-            changed = self._schedule.update(instant)
-            # A part ends only where a total changes: the recorded totals repeat the same parts.
+            changed = self.inputs.schedule.update(instant)
+            # A part ends only where a total changes.
             if changed or instant in self._timetable.inside(self.steps):
                 status = self._take_part(begin, self._grid.between(begin, instant))
                 if status != OK:
                     return status
-                self._change_wrenches(instant, changed)
+                self.inputs.apply(instant, changed)
                 begin = instant
         return self._take_part(begin, h if begin is start else self._grid.between(begin, end))
 
     def _take_part(self, start, h):
         """Take a part of a step of size h from an Instant on; returns a status."""
-        return self._integrate(start, h / self._parts, self._parts)[1]
+        return self._integrate(start, h / self.events.parts, self.events.parts)[1]
 
     def _integrate(self, start, h, steps):
         """Take steps of size h from an Instant on, in which no wrench changes.
@@ -430,7 +452,12 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         returns (steps done, status)
         """
         self._set_inputs(start, h)
-        return self._integrator.advance(h, steps, self._pose, self._twist, self._external)
+        return self._integrator.advance(h, steps, self._pose, self._twist, self.inputs.external)
+
+    def _instants_inside(self):
+        """Instants inside the next step at which an input may start or end."""
+        instants, schedule = self._timetable.inside(self.steps), self.inputs.schedule
+        return {*instants, *schedule.inside(self.steps)} if schedule else instants
 
     def _set_inputs(self, start, h):
         """Set the time-dependent inputs of a step of size h from an Instant on."""
@@ -439,28 +466,33 @@ class Engine(Inputs, JointEvents, Placing, Reports):
             work.acting[:] = self._timetable.acting(start)
         if len(work.motions):
             # The middle is away from all changes: round-off has no influence.
-            work.motions[:] = self.layout.motions_at(time + 0.5 * h, self._commanded)
+            work.motions[:] = self.layout.motions_at(time + 0.5 * h, self.inputs.commanded)
         clock, whole = work.clock, h == self.step and not start.offset
         clock[COUNT], clock[OFFSET], clock[NOW] = (self.steps, 0.0, time) if whole else (0.0, time, time)
 
     def sample(self) -> Sample:
         """Create a Sample of the present state."""
         sample = Sample(self.layout, self.time, self.time_ns, self.steps, *self.state(), self._work.angle.copy())
-        if self._schedule:
-            sample.external = self._external.copy()
-            sample.joint_efforts = self._schedule.efforts
+        if self.inputs.schedule:
+            sample.external = self.inputs.external.copy()
+            sample.joint_efforts = self.inputs.schedule.efforts
         if len(self._work.wanted):
             sample.wanted = self._work.wanted.copy()
         if self._switching is not None:
             sample.switching = self._modes_now()
         if len(self._work.motions):
-            sample.motions = self.layout.motions_at(self.time, self._commanded)
+            sample.motions = self.layout.motions_at(self.time, self.inputs.commanded)
         return sample
+
+    @property
+    def modes(self) -> dict[str, str]:
+        """As Sample.modes."""
+        return self.sample().modes
 
     def _modes_now(self):
         """(k, 5) modes of the joints with stops or friction, see Sample.switching."""
-        self._set_inputs(self._grid.boundary(self.steps), self.step)
-        return self._switching.modes(self.time, (self._pose, self._twist, self._external))
+        self._set_inputs(self._present(), self.step)
+        return self._switching.modes(self.time, (self._pose, self._twist, self.inputs.external))
 
     def reaction_array(self, out: Floats | None = None) -> Floats:
         """Reactions of all joints at the present state, bit-identical to those of a Sample.
@@ -475,7 +507,7 @@ class Engine(Inputs, JointEvents, Placing, Reports):
         found = reactions.empty()
         if reactions.has_inputs:
             reactions.take(*self._inputs_now())
-        external = self._external if self._schedule else reactions.idle
+        external = self.inputs.external if self.inputs.schedule else reactions.idle
         if reactions.present(self._pose, self._twist, external, found) != REGULAR:
             return self._given(self.sample().reaction_array, out)  # a singular pose, or an error
         return self._given(found[: len(reactions.names)], out)
@@ -495,8 +527,8 @@ class Engine(Inputs, JointEvents, Placing, Reports):
                 modes = self._modes_now()
         acting = work.acting
         if len(acting):
-            acting = self._timetable.acting(self._grid.boundary(self.steps))
-        motions = self.layout.motions_at(self.time, self._commanded)
+            acting = self._timetable.acting(self._present())
+        motions = self.layout.motions_at(self.time, self.inputs.commanded)
         return work.angle, acting, work.wanted, motions, modes, self.time
 
     def energy(self) -> float:

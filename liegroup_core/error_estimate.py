@@ -20,13 +20,11 @@ fade at all. If both runs lose the motion, for example an oscillation that their
 agree again, but not with the true motion.
 """
 
-import copy
 import math
 
 import numpy as np
 
 from .compiling import SameTypes, kernel
-from .observables.distances import largest_of
 
 WINDOW, FADING = 4, 0.36  # checkpoints
 LOST = 0.1  # of the motion of a body
@@ -34,19 +32,6 @@ SEEN = 1.35
 LARGE, NOT_SMALL = 2.5, 0.03
 # Relative to the characteristic length, or rad: an error of this size makes a motion unpredictable.
 UNPREDICTABLE = 0.1
-_KEPT = (
-    "distance",
-    "largest",
-    "checkpoints",
-    "predictable_until",
-    "_kept_at",
-    "_window",
-    "_largest_m",
-    "_largest_rad",
-    "_motion",
-    "_least",
-    "_least_pose",
-)
 
 
 def scale_of(position, angle, factor):
@@ -97,6 +82,11 @@ class ErrorEstimate:
     checkpoints       : number of checkpoints so far
     predictable_until : s, the last checkpoint before the estimate was UNPREDICTABLE; inf: never
     """
+
+    KEPT = (
+        *("distance", "largest", "checkpoints", "predictable_until", "_kept_at"),
+        *("_window", "_largest_m", "_largest_rad", "_motion", "_least", "_least_pose"),
+    )
 
     def __init__(self, n, size, ratio, order, least):
         self.size, self._factor = size, max(least, SEEN / (ratio**order - 1.0))
@@ -165,30 +155,3 @@ class ErrorEstimate:
         errors = np.empty_like(kept)
         self._errors(kept, self.size, self._factor * grown, self._least, errors)
         return errors
-
-    def snapshot(self):
-        """Copy of the estimate, for `restore`."""
-        return {name: copy.deepcopy(getattr(self, name)) for name in _KEPT}
-
-    def restore(self, snapshot):
-        """Return to a snapshot."""
-        for name in _KEPT:
-            setattr(self, name, copy.deepcopy(snapshot[name]))
-
-    def memory(self):
-        """Array from which `remember` restores the estimate."""
-        arrays = self.distance, self._window, self._motion, self._least
-        own = self.checkpoints, self.predictable_until, self._kept_at
-        return np.concatenate([own, *(array.ravel() for array in arrays)])
-
-    def remember(self, memory):
-        """Restore the estimate from the first numbers of an array; returns the others."""
-        checkpoints, self.predictable_until, self._kept_at = map(float, memory[:3])
-        self.checkpoints, at = int(checkpoints), 3
-        for array in (self.distance, self._window, self._motion, self._least):
-            array[...] = memory[at : at + array.size].reshape(array.shape)
-            at += array.size
-        self._set_least_pose(*largest_of(self._least))
-        self.largest = largest_of(self.distance)
-        self._largest_m, self._largest_rad = map(list, zip(*map(largest_of, self._window)))
-        return memory[at:]

@@ -7,24 +7,121 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from liegroup_core.fields.arguments import check_name, finite, floats, got, is_finite
-from liegroup_core.forces.external import AXES, PAIRS, no_wrenches, set_wrench
+from liegroup_core.forces.commands import AXES, CLEAR, EFFORT, MOTION, TARGET, WRENCH, Command, Commands
+from liegroup_core.forces.external import no_wrenches, parts_of_wrench, set_wrench
+from liegroup_core.forces.instants import AFTER
 from liegroup_core.forces.kinds import servos, wanted_values
-from liegroup_core.forces.schedule import DRIVE, SERVO, AppliedMotion, AppliedTarget, AppliedWrench, WrenchSchedule
-from liegroup_core.joints.motion import COLUMNS, at, row_at, through
+from liegroup_core.forces.schedule import BODY, DRIVE, IN_WORLD, LEVERS, SERVO, Schedule
+from liegroup_core.joints.motion import at, row_at, through
 
 
 class Inputs:
-    """Commands of an Engine: base class that uses its `layout`, `steps`, `time`, `_grid` and `_work`."""
+    """Commands to an Engine, and the totals that act.
 
-    def _clear_inputs(self):
-        """Clear all commands: servos and driven joints follow the scene."""
-        wanted = wanted_values(self.layout.model.forces)
-        bodies, drives = len(self.layout.body_names), len(self.layout.motions)
-        self._schedule = WrenchSchedule(bodies, wanted, drives)
-        self._commanded = self._schedule.total[DRIVE].copy()
-        self._work.wanted[:] = wanted
-        self._external = no_wrenches(self.layout.offsets)
-        self._applied = []
+    layout  : Layout of the scene
+    grid    : StepGrid of the steps
+    wanted  : (k, 2) array of the integrator, set to the wanted values of servos that act
+    present : function that returns the Instant of the present step
+
+    external  : (n, COLUMNS) external wrenches that act, see forces/external.py
+    commanded : (d, 7) commanded motions of driven joints, or FROM_SCENE
+    schedule  : Schedule
+    follower  : Inputs of another Engine that takes all commands, too, or None
+    log       : [Command] since they were last taken; None: not logged
+    """
+
+    KEPT = ("commands",)
+
+    def __init__(self, layout, grid, wanted, present):
+        self._layout, self._grid, self._present = layout, grid, present
+        self._bodies = {name: i for i, name in enumerate(layout.body_names)}
+        self._drives, self._servos = tuple(layout.motions), tuple(layout.servos)
+        self.schedule = Schedule(len(self._bodies), wanted_values(layout.model.forces), len(self._drives))
+        self.external, self.wanted = no_wrenches(layout.offsets), wanted
+        self.commanded = self.schedule.total[DRIVE].copy()
+        self.follower, self.log = None, []
+
+    def clear(self):
+        """Discard all commands: servos and driven joints follow the scene."""
+        self.schedule.clear_all()
+        self._take_totals()
+
+    def _take_totals(self):
+        self.external[:] = no_wrenches(self._layout.offsets)
+        for axes in (BODY, IN_WORLD, LEVERS):
+            total = self.schedule.total[axes]
+            for body in np.flatnonzero(total.any(axis=1)).tolist():
+                set_wrench(self.external, body, total[body], axes)
+        self.wanted[:] = self.schedule.total[SERVO]
+        self.commanded[:] = self.schedule.total[DRIVE]
+        if self.log:
+            self.log = []
+
+    @property
+    def commands(self):
+        """Commands that act or start later, of which a state consists."""
+        return Commands(*(tuple(map(self._marked, part)) for part in (self.schedule.acting, self.schedule.waiting)))
+
+    @commands.setter
+    def commands(self, commands):
+        self.schedule.clear_all()
+        for command in commands.acting:
+            key, parts = self._effects(command)
+            self.schedule.resume(command, key, parts, self._end(command))
+        for command in commands.waiting:
+            key, parts = self._effects(command)
+            self.schedule.insert(command, key, parts, self._grid.marked(command.start_ns), self._end(command))
+        self._take_totals()
+
+    def _marked(self, entry):
+        """Command of an Entry; a command that was ended has its earlier end."""
+        end = None if entry.end == AFTER else self._grid.mark(entry.end)
+        return entry.command._replace(end_ns=end)
+
+    def _end(self, command):
+        return AFTER if command.end_ns is None else self._grid.marked(command.end_ns)
+
+    def accept(self, command):
+        """Take a Command without checks of limits; one that is late starts with the next step.
+
+        Raises ValueError for an unknown body or joint.
+        """
+        self._insert(command, max(self._present(), self._grid.marked(command.start_ns)), self._end(command))
+
+    def _insert(self, command, begin, end):
+        """Take a Command from an Instant on, up to another one."""
+        command = command._replace(
+            start_ns=self._grid.mark(begin), end_ns=None if end == AFTER else self._grid.mark(end)
+        )
+        if command.kind == CLEAR:
+            self.schedule.clear(command.source, begin)
+        else:
+            key, parts = self._effects(command)
+            self.schedule.insert(command, key, parts, begin, end)
+        if self.follower is not None:
+            self.follower.accept(command)
+        if self.log is not None and command.kind in (WRENCH, EFFORT, CLEAR):
+            self.log.append(command)
+
+    def _effects(self, command):
+        """(key, parts) of a command, see schedule.Entry. Raises ValueError for an unknown body or joint."""
+        kind, name, values, source = command.kind, command.name, command.values, command.source
+        if kind == WRENCH:
+            check_name(name, self._bodies, "unknown body {}")
+            body = self._bodies[name]
+            parts = [(axes, body, part) for axes, part in parts_of_wrench(values, command.axes, command.point)]
+            key = source, "", body
+        elif kind == EFFORT:
+            check_name(name, self._layout.unit_efforts, "joint {} is not a joint with one coordinate")
+            parts = [(BODY, body, values[0] * unit) for body, unit in self._layout.unit_efforts[name]]
+            key = source, name, -1
+        elif kind == TARGET:
+            parts = [(SERVO, self._servo(name), values)]
+            key = "", SERVO, parts[0][1]
+        else:
+            parts = [(DRIVE, self._drive(name), values)]
+            key = "", DRIVE, parts[0][1]
+        return key, tuple((axes, number, tuple(map(float, part))) for axes, number, part in parts)
 
     def apply_wrench(
         self,
@@ -46,18 +143,16 @@ class Inputs:
                    and of recordings are; `drain_applied` returns them
         source   : each source has one wrench per body; wrenches of different sources add
         axes     : of the components: "body", or "world". A wrench in world axes keeps its direction
-                   in the world while the body rotates. The axes of a drained AppliedWrench are valid, too
+                   in the world while the body rotates
         point    : (3,) m, in the body frame: the force acts there, and the point turns with the body.
                    None: the origin of the body frame
         A step in which a wrench starts or ends is split at that time, so that methods keep their
         order (test/verification/test_pushes.py).
         Raises ValueError for an unknown body, a wrong shape, or a number that is not finite.
         """
-        if axes in PAIRS and point is not None:
-            raise ValueError(f"axes {axes!r} already define a point: omit point, got {point!r}")
         if axes not in AXES:
             raise ValueError(f"axes must be 'body' or 'world', got {axes!r}")
-        check_name(body, self._body, "unknown body {}")
+        check_name(body, self._bodies, "unknown body {}")
         wrench = finite("a wrench must be six finite numbers (torque, force)", wrench, (6,))
         if point is not None:
             point = finite("a point must be three finite numbers", point, (3,))
@@ -65,8 +160,8 @@ class Inputs:
                 moments = np.outer(point, wrench[3:])
             finite("point times force must be finite numbers", moments, (3, 3))
         _check_source(source)
-        begin, end = self._interval(start, duration)
-        self._schedule.command(source, self._body[body], wrench, begin, end, axes, point)
+        point = None if point is None else tuple(point.tolist())
+        self._command(WRENCH, body, wrench.tolist(), start, duration, source, axes, point)
 
     def apply_effort(
         self,
@@ -82,19 +177,17 @@ class Inputs:
         effort : torque about its z axis in N m, or force along it in N, on the child; the opposite
                  acts on the parent. Zero ends it
         start, duration, source : as in `apply_wrench`; each source has one effort per joint
-        The total wrenches of `drain_applied` contain the efforts.
         Raises ValueError for an unknown joint, a joint without exactly one coordinate, or a number
         that is not finite, and BeyondLimits, a ValueError, for an effort beyond that of the joint
         (joints/limits.py).
         """
-        units = self.layout.unit_efforts
+        units = self._layout.unit_efforts
         check_name(joint, units, "joint {} is not a joint with one coordinate")
         if not is_finite(effort):
             raise ValueError(f"an effort must be a finite number, {got(effort)}")
         _check_source(source)
-        self.layout.limits[joint].check_effort(effort)
-        begin, end = self._interval(start, duration)
-        self._schedule.command_effort(source, joint, float(effort), units[joint], begin, end)
+        self._layout.limits[joint].check_effort(effort)
+        self._command(EFFORT, joint, (effort,), start, duration, source)
 
     def command_servo(
         self,
@@ -119,25 +212,24 @@ class Inputs:
             if not is_finite(value):
                 raise ValueError(f"a wanted {name} must be a finite number, {got(value)}")
         self.check_jump(joint, position)
-        self.layout.limits[joint].check_velocity(velocity)
-        self.set_servo_target(joint, position, velocity, start, duration)
+        self._layout.limits[joint].check_velocity(velocity)
+        self.set_target(joint, position, velocity, start, duration)
 
-    def set_servo_target(
-        self,
-        joint: str,
-        position: float,
-        velocity: float,
-        start: float | Fraction | None = None,
-        duration: float | None = None,
-    ) -> None:
-        """As `command_servo`, without checks: to repeat a run with values that were checked before."""
+    def set_target(self, joint, position, velocity, start=None, duration=None):
+        """As `command_servo`, for finite values that were checked before."""
+        self._servo(joint)
+        self._command(TARGET, joint, (position, velocity), start, duration)
+
+    def _command(self, kind, name, values, start, duration, source="", axes="body", point=None):
+        """Take a command with checked values, from a time in s on and for a duration in s; see `_interval`."""
         begin, end = self._interval(start, duration)
-        self._schedule.command_servo(self._servo(joint), float(position), float(velocity), begin, end)
+        values = tuple(map(float, values))
+        self._insert(Command(kind, name, values, 0, None, source, axes, point), begin, AFTER if end is None else end)
 
     def _servo(self, joint):
         """Number of the servo of a joint. Raises ValueError for a joint without one."""
-        check_name(joint, self.layout.servos, "joint {} has no servo")
-        return self.layout.servos[joint]
+        check_name(joint, self._layout.servos, "joint {} has no servo")
+        return self._layout.servos[joint]
 
     def command_motion(
         self,
@@ -162,7 +254,7 @@ class Inputs:
         """
         planned = self._planned(joint, times, positions, velocities, accelerations, start)
         for instant, row in planned:
-            self._schedule.command_motion(self._drive(joint), row, instant)
+            self._insert(Command(MOTION, joint, tuple(row.tolist()), 0), instant, AFTER)
 
     def check_motion(self, joint, times, positions, velocities=None, accelerations=None, start=None):
         """Raise the errors of `command_motion` without commanding anything."""
@@ -191,42 +283,32 @@ class Inputs:
         if not all(before < later for before, later in zip(instants, instants[1:])):
             raise ValueError("times must be at least 1 ns apart")
         origins = [instant.time for instant in instants]
-        motion = self._schedule.motion_at(number, begin)
+        motion = self.schedule.motion_at(number, begin)
         if not np.isfinite(motion[0]):
-            motion = row_at(self.layout.motions[joint], begin.time)
+            motion = row_at(self._layout.motions[joint], begin.time)
         with np.errstate(over="ignore", invalid="ignore"):
             rows = through(at(motion, begin.time), origins, *points)
-            self.layout.limits[joint].check_motion(rows, *points[:2])
+            self._layout.limits[joint].check_motion(rows, *points[:2])
         return list(zip(instants, rows))
-
-    def prescribe(self, joint: str, motion: ArrayLike, start: float | Fraction | None = None) -> None:
-        """Command a motion (7,) of a driven joint without checks of limits: see AppliedMotion.
-
-        Raises ValueError for a joint that is not driven, or an invalid motion.
-        """
-        row = finite(f"a motion must be {COLUMNS} finite numbers", motion, (COLUMNS,))
-        begin, _ = self._interval(start, None)
-        self._schedule.command_motion(self._drive(joint), row, begin)
 
     def check_jump(self, joint, position):
         """Raise BeyondLimits for a wanted position to which the servo of a joint cannot jump now."""
         number = self._servo(joint)
-        if servos(self.scene.forces)[number].stiffness > 0.0:
-            before = float(self._work.wanted[number, 0])
-            self.layout.limits[joint].check_jump(before, position)
+        if servos(self._layout.scene.forces)[number].stiffness > 0.0:
+            before = float(self.wanted[number, 0])
+            self._layout.limits[joint].check_jump(before, position)
 
     def _drive(self, joint):
         """Number of a driven joint. Raises ValueError for a joint that is not driven."""
-        names = tuple(self.layout.motions)
-        check_name(joint, names, "joint {} is not driven")
-        return names.index(joint)
+        check_name(joint, self._drives, "joint {} is not driven")
+        return self._drives.index(joint)
 
     def _interval(self, start, duration):
         """Instants at which a command starts and ends (None: never). Raises ValueError."""
         for name, value in (("start", start), ("duration", duration)):
             if value is not None and not is_finite(value):
                 raise ValueError(f"{name} must be finite, or None, {got(value)}")
-        begin, end = self._grid.boundary(self.steps), None
+        begin, end = self._present(), None
         if start is not None:
             begin = max(begin, self._grid.instant(_exact_or_float(start)))
         if duration is not None:
@@ -240,103 +322,69 @@ class Inputs:
     @property
     def commanded_motions(self) -> tuple[str, ...]:
         """Driven joints with a commanded motion, which acts or starts later."""
-        names = enumerate(self.layout.motions)
-        return tuple(name for number, name in names if self._schedule.motions_of(number))
+        commands = (entry.command for entry in (*self.schedule.acting, *self.schedule.waiting))
+        commanded = {command.name for command in commands if command.kind == MOTION}
+        return tuple(name for name in self._drives if name in commanded)
 
     @property
     def input_count(self) -> int:
         """Number of wrenches, and of commands of joints, that act now or start later."""
-        return len(self._schedule)
+        return len(self.schedule)
 
     @property
-    def wrench_sources(self):
+    def wrench_sources(self) -> set[str]:
         """Names of the sources of wrenches and efforts that act now or start later."""
-        return self._schedule.sources
+        return self.schedule.sources
+
+    @property
+    def has_wrenches(self) -> bool:
+        """Whether a wrench or an effort acts."""
+        return any(self.schedule.total[axes].any() for axes in (BODY, IN_WORLD, LEVERS))
+
+    @property
+    def targets(self):
+        """{joint: (position, velocity)} wanted by all servos."""
+        return {joint: tuple(self.wanted[number].tolist()) for joint, number in self._layout.servos.items()}
+
+    @property
+    def motions(self):
+        """{joint: motion (7,)} of the driven joints with a commanded motion that acts."""
+        rows = zip(self._drives, self.commanded.tolist())
+        return {joint: tuple(row) for joint, row in rows if np.isfinite(row[0])}
 
     def clear_wrenches(self, source: str = "api") -> None:
         """End all wrenches and efforts of a source, also those that start later."""
-        self._schedule.clear(source)
+        if source in self.schedule.sources:
+            self._insert(Command(CLEAR, "", (), 0, None, source), self._present(), AFTER)
 
-    def drain_applied(self) -> list[AppliedWrench | AppliedTarget | AppliedMotion]:
-        """Return the changes of total wrenches, of servos and of motions since the last call.
+    def drain_applied(self) -> list[Command]:
+        """Return the inputs since the last call: commands, and new wanted values and motions where they start.
 
-        There is one total in body axes, one in world axes, and three pairs of forces if forces in world
-        axes act at points; see AppliedWrench. If `change.repeat(simulation)`
-        applies the changes again, the run is bit-identical (test/core/test_wrenches.py).
+        If `command.repeat(simulation)` gives them to another simulation of the same scene, the run is bit-identical
+        (test/core/test_wrenches.py).
         """
-        applied, self._applied = self._applied, []
-        return applied
+        found, self.log = self.log or [], []
+        return found
 
-    def acting(self):
-        """[AppliedWrench, AppliedTarget or AppliedMotion] of the inputs that act from now on."""
-        now = self._grid.boundary(self.steps)
-        return [self._applied_at(now, *key) for key in self._acting_numbers()]
+    def update(self, instant):
+        """Set the totals that act from an Instant on."""
+        self.apply(instant, self.schedule.update(instant))
 
-    def _acting_numbers(self):
-        """[(number, axes)] of the nonzero total wrenches, all servos, and commanded motions."""
-        acting = {
-            (int(i), axes)
-            for axes in (AXES if self._schedule else ())
-            for i in np.flatnonzero(self._schedule.total[axes].any(axis=1))
-        }
-        commanded = np.isfinite(self._schedule.total[DRIVE][:, 0])
-        acting |= {(int(i), DRIVE) for i in np.flatnonzero(commanded)}
-        return sorted(acting | {(i, SERVO) for i in self.layout.servos.values()})
-
-    def acting_now(self):
-        """[[body or joint, axes, *wrench]] of the acting inputs, JSON types; see Layout.names_of_inputs."""
-        names = self.layout.names_of_inputs
-        return [
-            [names[axes][number], axes, *self._schedule.total[axes][number].tolist()]
-            for number, axes in self._acting_numbers()
-        ]
-
-    def remember_acting(self, acting):
-        """Restore the acting inputs that `acting_now` returned.
-
-        They act until replaced, by a wrench whose source is the name of its axes, or by wanted values of
-        the servo. Raises ValueError, KeyError, TypeError for an invalid list.
-        """
-        names = self.layout.names_of_inputs
-        for name, axes, *wrench in acting:
-            total = self._schedule.total[axes]
-            if len(wrench) != total.shape[1] or not np.isfinite(wrench).all():
-                raise ValueError(f"not a wrench: {axes!r:.20}, {wrench!r:.60}")
-            number = names[axes].index(name)
-            self._schedule.act(number, wrench, axes)
-            self._set_input(number, wrench, axes)
-
-    def _set_input(self, number, total, axes):
-        """Set a total wrench, wanted values or a motion for the next steps."""
-        if axes == SERVO:
-            self._work.wanted[number] = total
-        elif axes == DRIVE:
-            self._commanded[number] = total
-        else:
-            set_wrench(self._external, number, total, axes)
-
-    def _change_wrenches(self, instant, changed):
-        """Apply the total wrenches, or wanted values, of [(body, axes)] from an Instant on."""
-        for body, axes in changed:
-            total = self._schedule.total[axes][body]
-            self._set_input(body, total, axes)
-            self._applied.append(self._applied_at(instant, body, axes))
-
-    def _applied_at(self, instant, body, axes):
-        """AppliedWrench, AppliedTarget or AppliedMotion of a total at an Instant."""
-        time, time_ns = instant.time, self._grid.time_ns(instant)
-        total = self._schedule.total[axes][body].tolist()
-        name = self.layout.names_of_inputs[axes][body]
-        if axes == SERVO:
-            return AppliedTarget(time, time_ns, name, *total)
-        if axes == DRIVE:
-            return AppliedMotion(time, time_ns, name, tuple(total))
-        return AppliedWrench(time, time_ns, name, tuple(total), axes)
-
-    def _instants_inside(self):
-        """Instants inside the next step at which a wrench may start or end."""
-        instants = self._timetable.inside(self.steps)
-        return {*instants, *self._schedule.inside(self.steps)} if self._schedule else instants
+    def apply(self, instant, changed):
+        """Let the totals [(number, axes)] of the schedule act from an Instant on."""
+        for number, axes in changed:
+            total = self.schedule.total[axes][number]
+            if axes == SERVO:
+                self.wanted[number] = total
+            elif axes == DRIVE:
+                self.commanded[number] = total
+            else:
+                set_wrench(self.external, number, total, axes)
+                continue
+            if self.log is not None:
+                kind, names = (TARGET, self._servos) if axes == SERVO else (MOTION, self._drives)
+                values = tuple(total.tolist())
+                self.log.append(Command(kind, names[number], values, self._grid.mark(instant)))
 
 
 def _exact_or_float(seconds):

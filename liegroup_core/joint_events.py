@@ -40,12 +40,14 @@ def has_impacts(scene: Scene) -> bool:
 
 
 class JointEvents:
-    """Events of an Engine: base class that uses its `scene`, `layout`, `sample` and `_switching`.
+    """Events of an Engine at joints with stops or friction; there are none without a Switching.
 
-    Without stops and friction `_switching` is None, and there are no events.
+    parts : number of parts into which every step up to an event, of a stop, friction or an input, is divided
     """
 
-    _parts = 1  # see `divide_events`
+    def __init__(self, layout, switching):
+        self._layout, self._switching = layout, switching
+        self.parts = 1
 
     @property
     def event_count(self) -> int:
@@ -60,7 +62,7 @@ class JointEvents:
         if self._switching is None:
             return []
         events, self._switching.events[:] = self._switching.events[:], []
-        return [event._replace(joint=self.layout.switches[event.joint].name) for event in events]
+        return [event._replace(joint=self._layout.switches[event.joint].name) for event in events]
 
     @property
     def lost_rebound(self):
@@ -77,14 +79,14 @@ class JointEvents:
         impacts, self._switching.impacts = self._switching.impacts or [], []
         found = []
         for time, pose, impulses in impacts:
-            array = self.layout.reactions.of_impact(pose, impulses)
-            names = self.layout.reactions.names
+            array = self._layout.reactions.of_impact(pose, impulses)
+            names = self._layout.reactions.names
             found.append(Impact(time, round(time * 1e9), array, names))
         return found
 
-    def divide_events(self, parts: int) -> None:
-        """Divide every step up to an event, of a stop, friction or an input, into `parts` parts."""
-        self._parts = parts
+    def divide(self, parts):
+        """Divide every step up to an event into `parts` parts."""
+        self.parts = parts
         if self._switching is not None:
             self._switching.parts = parts
 
@@ -96,17 +98,7 @@ class JointEvents:
         if self._switching is None:
             return []
         instants, self._switching.instants = self._switching.instants or [], []
-        names = [switch.name for switch in self.layout.switches]
+        names = [switch.name for switch in self._layout.switches]
         return [
             instant._replace(events=[e._replace(joint=names[e.joint]) for e in instant.events]) for instant in instants
         ]
-
-    def take_modes(self, other: "JointEvents") -> None:
-        """Continue with the modes of the joints of another engine, which is at the same state."""
-        if self._switching is not None:
-            self._switching.adopt(other._switching)
-
-    @property
-    def modes(self) -> dict[str, str]:
-        """As Sample.modes."""
-        return self.sample().modes

@@ -11,9 +11,7 @@ import numpy as np
 from liegroup_core.dynamics.usual_pivot import with_usual_pivot
 from liegroup_core.errors import SceneError
 from liegroup_core.forces import kinds
-from liegroup_core.forces.external import AXES
 from liegroup_core.forces.joint_effort import unit_wrenches
-from liegroup_core.forces.schedule import DRIVE, SERVO
 from liegroup_core.joints.coupling import COUPLED
 from liegroup_core.joints.limits import limits_of
 from liegroup_core.joints.motion import COLUMNS
@@ -232,12 +230,6 @@ class Layout:
     def limits(self):
         """{joint: CommandLimits} of commands to the joints with one coordinate, including screws."""
         return {j.name: limits_of(j, self.size) for j in self.scene.joints if j.type in COUPLED}
-
-    @cached_property
-    def names_of_inputs(self):
-        """{axes: names}: of bodies for wrenches in AXES, of joints for the others."""
-        joints = {SERVO: tuple(self.servos), DRIVE: tuple(self.motions)}
-        return dict.fromkeys(AXES, self.body_names) | joints
 
     @cached_property
     def wanted(self):

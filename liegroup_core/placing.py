@@ -5,7 +5,7 @@ import numpy as np
 
 from liegroup_core.events.switching import BEYOND
 from liegroup_core.fields.arguments import check_name, finite, got, is_finite, mapping
-from liegroup_core.forces.schedule import DRIVE
+from liegroup_core.forces.commands import MOTION, Command, Commands
 from liegroup_core.joints.coupling import COUPLED, gap, turns
 from liegroup_core.joints.motion import at, uniform
 from liegroup_core.scene.centres import pose_matrix
@@ -19,127 +19,133 @@ from .errors import SceneError
 MOVED = 1e-9  # relative change of a driven joint's coordinate or rate above which `place` has moved it
 
 
-class Placing:
-    """Setting of states: base class of Engine."""
+def place(engine, poses=None, twists=None, joints=None) -> None:
+    """Set poses and twists of bodies, and joint coordinates; all other bodies follow.
 
-    def place(self, poses=None, twists=None, joints=None) -> None:
-        """Set poses and twists of bodies, and joint coordinates; all other bodies follow.
+    poses  : {body: (4, 4)} homogeneous poses of body frames
+    twists : {body: (6,)} omega rad/s, v m/s; body axes, v of the body frame's origin
+    joints : {joint: (position, velocity)} of revolute, prismatic and screw joints, rad and rad/s,
+             or m and m/s; None for one that is not set. Positions may exceed 2 pi
+    Given values are kept exactly. Joints that are not given keep their coordinates and
+    velocities if `joints` are given and no loop prevents it. Otherwise the other values are the
+    nearest that satisfy all joints. Bodies without a path of joints to a given one are not changed. Step
+    count and time continue. The wrenches of `apply_wrench` are cleared. A driven joint keeps its
+    velocity unless the given values prevent it; if it is moved, it continues at its new velocity.
+    Raises SceneError with the joint, and its residual or its stop, if the joints do not allow it,
+    ValueError for an unknown body or joint, NaN or a matrix that is not a rotation. The state is then
+    unchanged.
+    """
+    poses = mapping("poses must be {body: pose}", poses)
+    twists = mapping("twists must be {body: twist}", twists)
+    joints = mapping("joints must be {joint: (position, velocity)}", joints)
+    index = {name: i for i, name in enumerate(engine.layout.body_names)}
+    for body in (*poses, *twists):
+        check_name(body, index, "unknown body {}")
+    com = engine.layout.offsets.com
+    centred_poses, centred_twists = {}, {}
+    for body, given in poses.items():
+        pose = finite(f"expected a finite pose (4, 4) of {body}", given, (4, 4))
+        position = pose[:3, 3] + pose[:3, :3] @ com[index[body]]
+        centred_poses[body] = np.concatenate([pose[:3, :3].ravel(), position])
+    for body, given in twists.items():
+        twist = finite(f"expected a finite twist (6,) of {body}", given, (6,))
+        twist[3:] += np.cross(twist[:3], com[index[body]])
+        centred_twists[body] = twist
+    known = [joint.name for joint in engine.scene.joints if joint.type in COUPLED]
+    for joint, values in joints.items():
+        check_name(joint, known, "joint {} is not a joint with one coordinate")
+        if not (
+            isinstance(values, (tuple, list, np.ndarray))
+            and len(values) == 2
+            and all(value is None or is_finite(value) for value in values)
+        ):
+            raise ValueError(f"position and velocity of {joint} must be finite, {got(values)}")
+    counted = [joint for joint, _ in engine.scene.unwrapped]
+    angles = dict(zip(counted, engine._work.angle.tolist()))
+    motions = engine.layout.motions_at(engine.time, engine.inputs.commanded)
+    driven = {name: at(motion, engine.time)[1] for name, motion in zip(engine.layout.motions, motions)}
+    *state, angles = rearranged(
+        engine.layout.centred, *engine.state(), centred_poses, centred_twists, joints, angles, driven
+    )
+    _refuse_beyond_stops(engine, *state, joints)
+    commanded, before = engine.inputs.commanded.copy(), engine.inputs.commands
+    present = engine.sample()
+    engine.set_state(*state, engine.steps, np.array([angles[joint] for joint in counted]))
+    _keep_turns(engine, present, joints)
+    engine.inputs.commands = _motions_after(engine, commanded, before, joints)
+    engine.inputs.update(engine._present())
 
-        poses  : {body: (4, 4)} homogeneous poses of body frames
-        twists : {body: (6,)} omega rad/s, v m/s; body axes, v of the body frame's origin
-        joints : {joint: (position, velocity)} of revolute, prismatic and screw joints, rad and rad/s,
-                 or m and m/s; None for one that is not set. Positions may exceed 2 pi
-        Given values are kept exactly. Joints that are not given keep their coordinates and
-        velocities if `joints` are given and no loop prevents it. Otherwise the other values are the
-        nearest that satisfy all joints. Bodies without a path of joints to a given one are not changed. Step
-        count and time continue. The wrenches of `apply_wrench` are cleared. A driven joint keeps its
-        velocity unless the given values prevent it; if it is moved, it continues at its new velocity.
-        Raises SceneError with the joint, and its residual or its stop, if the joints do not allow it,
-        ValueError for an unknown body or joint, NaN or a matrix that is not a rotation. The state is then
-        unchanged.
-        """
-        poses = mapping("poses must be {body: pose}", poses)
-        twists = mapping("twists must be {body: twist}", twists)
-        joints = mapping("joints must be {joint: (position, velocity)}", joints)
-        for body in (*poses, *twists):
-            check_name(body, self._body, "unknown body {}")
-        com = self.layout.offsets.com
-        centred_poses, centred_twists = {}, {}
-        for body, given in poses.items():
-            pose = finite(f"expected a finite pose (4, 4) of {body}", given, (4, 4))
-            position = pose[:3, 3] + pose[:3, :3] @ com[self._body[body]]
-            centred_poses[body] = np.concatenate([pose[:3, :3].ravel(), position])
-        for body, given in twists.items():
-            twist = finite(f"expected a finite twist (6,) of {body}", given, (6,))
-            twist[3:] += np.cross(twist[:3], com[self._body[body]])
-            centred_twists[body] = twist
-        known = [joint.name for joint in self.scene.joints if joint.type in COUPLED]
-        for joint, values in joints.items():
-            check_name(joint, known, "joint {} is not a joint with one coordinate")
-            if not (
-                isinstance(values, (tuple, list, np.ndarray))
-                and len(values) == 2
-                and all(value is None or is_finite(value) for value in values)
-            ):
-                raise ValueError(f"position and velocity of {joint} must be finite, {got(values)}")
-        counted = [joint for joint, _ in self.scene.unwrapped]
-        angles = dict(zip(counted, self._work.angle.tolist()))
-        motions = self.layout.motions_at(self.time, self._commanded)
-        driven = {name: at(motion, self.time)[1] for name, motion in zip(self.layout.motions, motions)}
-        *state, angles = rearranged(
-            self.layout.centred, *self.state(), centred_poses, centred_twists, joints, angles, driven
-        )
-        self._refuse_beyond_stops(*state, joints)
-        commanded, before = self._commanded.copy(), self._schedule
-        present = self.sample()
-        self.set_state(*state, self.steps, np.array([angles[joint] for joint in counted]))
-        self._keep_turns(present, joints)
-        for number, motion in enumerate(self._motions_after(commanded, joints)):
-            if motion is None:
-                self._schedule.resume(before.motions_of(number))
-            else:
-                self._schedule.act(number, motion, DRIVE)
-        if len(commanded):
-            self._schedule.update(self._grid.boundary(self.steps))
-            self._commanded[:] = self._schedule.total[DRIVE]
 
-    def _keep_turns(self, before, joints):
-        """Unwrap the angles of joints with stops or friction: near given ones, or those of an earlier Sample.
+def _keep_turns(engine, before, joints):
+    """Unwrap the angles of joints with stops or friction: near given ones, or those of an earlier Sample.
 
-        joints : {joint: (position, velocity)} that were given, with their whole turns
-        """
-        if self._switching is None:
-            return
-        now, were = self.sample().joint_coordinates, before.joint_coordinates
-        near = before.switching[:, 3].copy()
-        for k, switch in enumerate(self.layout.switches):
-            given, _ = joints.get(switch.name, (None, None))
-            if given is not None:
-                near[k] = given
-            elif switch.name in self.layout.coordinates.counted:
-                near[k] += now[switch.name][0] - were[switch.name][0]
-        self._switching.expect(near)
+    joints : {joint: (position, velocity)} that were given, with their whole turns
+    """
+    if engine._switching is None:
+        return
+    now, were = engine.sample().joint_coordinates, before.joint_coordinates
+    near = before.switching[:, 3].copy()
+    for k, switch in enumerate(engine.layout.switches):
+        given, _ = joints.get(switch.name, (None, None))
+        if given is not None:
+            near[k] = given
+        elif switch.name in engine.layout.coordinates.counted:
+            near[k] += now[switch.name][0] - were[switch.name][0]
+    engine._switching.expect(near)
 
-    def _refuse_beyond_stops(self, pose, twist, joints):
-        """Raise SceneError if a rigid stop does not allow a state, or a coordinate that was given."""
-        for switch, q in switch_coordinates(self.layout.centred, self._start_of(pose, twist), self.layout.joint_frames):
-            limits, (given, _) = switch.limits, joints.get(switch.name, (None, None))
-            if limits is None or limits.stiffness is not None:
-                continue
-            q = q if given is None else given
-            if limits.excess(q) > BEYOND:
-                unit = unit_of(switch, self.scene)
-                what = "joint" if switch.coupling is None else "coupling"
-                raise SceneError(
-                    f"{what} {switch.name} would be beyond its stop: its position {q:.9g} {unit} is not "
-                    f"between {limits.least:g} and {limits.largest:g}; set a state between the stops"
-                )
 
-    def _start_of(self, pose, twist):
-        """{name: (pose (4, 4), twist (6,))} of the bodies and the world, at a state of `state()`."""
-        start = {WORLD: (np.eye(4), np.zeros(6))}
-        for body, *of_body in zip(self.layout.centred.bodies, pose, twist):
-            start[body.name] = pose_matrix(of_body[0]), of_body[1]
-        return start
+def _refuse_beyond_stops(engine, pose, twist, joints):
+    """Raise SceneError if a rigid stop does not allow a state, or a coordinate that was given."""
+    layout = engine.layout
+    for switch, q in switch_coordinates(layout.centred, _start_of(engine, pose, twist), layout.joint_frames):
+        limits, (given, _) = switch.limits, joints.get(switch.name, (None, None))
+        if limits is None or limits.stiffness is not None:
+            continue
+        q = q if given is None else given
+        if limits.excess(q) > BEYOND:
+            unit = unit_of(switch, engine.scene)
+            what = "joint" if switch.coupling is None else "coupling"
+            raise SceneError(
+                f"{what} {switch.name} would be beyond its stop: its position {q:.9g} {unit} is not "
+                f"between {limits.least:g} and {limits.largest:g}; set a state between the stops"
+            )
 
-    def _joint_states(self, pose, twist, wanted):
-        """(joint of the scene, (position, velocity)) of joints for which `wanted` is true, at a `state()`."""
-        start = self._start_of(pose, twist)
-        for joint, frames in zip(self.layout.centred.joints, self.layout.joint_frames):
-            if wanted(joint):
-                yield joint, joint_state(start, joint, *frames)
 
-    def _motions_after(self, commanded, joints):
-        """Motions, at constant rate, of the driven joints that a new state moves; None for the others.
+def _start_of(engine, pose, twist):
+    """{name: (pose (4, 4), twist (6,))} of the bodies and the world, at a state of `state()`."""
+    start = {WORLD: (np.eye(4), np.zeros(6))}
+    for body, *of_body in zip(engine.layout.centred.bodies, pose, twist):
+        start[body.name] = pose_matrix(of_body[0]), of_body[1]
+    return start
 
-        joints : {joint: (position, velocity)} that were given, with their whole turns
-        """
-        driven = self._joint_states(*self.state(), lambda joint: joint.driven)
-        motions = self.layout.motions_at(self.time, commanded)  # in the order of the joints, too
-        for (joint, (q, v)), motion in zip(driven, motions):
-            was = at(motion, self.time)
-            near, _ = joints.get(joint.name, (None, None))
-            near = was[0] if near is None else near
-            off = near + gap(q, near, 1.0, 0.0, turns(joint)) - was[0]
-            kept = max(abs(off), abs(v - was[1])) <= MOVED * (1.0 + abs(was[0]) + abs(v))
-            yield None if kept else uniform(self.time, was[0] + off, v)
+
+def _joint_states(engine, pose, twist, wanted):
+    """(joint of the scene, (position, velocity)) of joints for which `wanted` is true, at a `state()`."""
+    start = _start_of(engine, pose, twist)
+    for joint, frames in zip(engine.layout.centred.joints, engine.layout.joint_frames):
+        if wanted(joint):
+            yield joint, joint_state(start, joint, *frames)
+
+
+def _motions_after(engine, commanded, before, joints):
+    """Commands after a new state: those of driven joints that it does not move, constant rates of the others.
+
+    commanded : (d, 7) motions before
+    before    : Commands before
+    joints    : {joint: (position, velocity)} that were given, with their whole turns
+    """
+    acting, waiting = [], []
+    driven = _joint_states(engine, *engine.state(), lambda joint: joint.driven)
+    motions = engine.layout.motions_at(engine.time, commanded)  # in the order of the joints, too
+    for (joint, (q, v)), motion in zip(driven, motions):
+        was = at(motion, engine.time)
+        near, _ = joints.get(joint.name, (None, None))
+        near = was[0] if near is None else near
+        off = near + gap(q, near, 1.0, 0.0, turns(joint)) - was[0]
+        if max(abs(off), abs(v - was[1])) > MOVED * (1.0 + abs(was[0]) + abs(v)):
+            row = uniform(engine.time, was[0] + off, v)
+            acting.append(Command(MOTION, joint.name, tuple(map(float, row)), engine.time_ns))
+            continue
+        for part, commands in ((acting, before.acting), (waiting, before.waiting)):
+            part += [c for c in commands if c.kind == MOTION and c.name == joint.name]
+    return Commands(tuple(acting), tuple(waiting))

@@ -43,7 +43,6 @@ from liegroup_core.compiling import SameTypes
 from liegroup_core.engine import BAUMGARTE_STEPS, Engine
 from liegroup_core.error_estimate import UNPREDICTABLE, ErrorEstimate
 from liegroup_core.errors import SimulationError
-from liegroup_core.forces.schedule import DRIVE, SERVO
 from liegroup_core.methods.added_inertia import AddedInertia
 from liegroup_core.methods.table import METHODS
 from liegroup_core.observables.distances import distances
@@ -63,17 +62,21 @@ CONTROLLED, STIFF, BY_WORK = (4.0 / 3.0, 0.5), (1.43, 0.5), (1.7, 0.4)
 # With an accuracy the companion rounds away this number of bits of its state: its round-off is 64 times as large,
 # its tolerances are 70 times as large.
 BITS = 6
-_KEPT = ("_set_at", "_start", "_next", "_block", "_substeps", "_alive", "_failed")
 
 
 class RunningError:
-    """Estimate of the global error of an Engine; `follow` keeps it up to date.
+    """Estimate of the global error of an Engine; `update` keeps it up to date.
 
-    engine  : Engine, whose state `follow` reads
+    engine  : Engine, whose state `update` reads
     by_work : checkpoints follow the number of substeps, and all meetings are checkpoints
 
     estimate : ErrorEstimate
     """
+
+    KEPT = (
+        *("_set_at", "_start", "_next", "_block", "_substeps", "_alive", "_failed"),
+        *("_origin", "estimate", "_companion"),
+    )
 
     def __init__(self, engine, by_work=False):
         self.engine = engine
@@ -125,26 +128,27 @@ class RunningError:
             layout=engine.layout,
             **options,
         )
-        companion.divide_events(PARTS)
+        companion.events.divide(PARTS)
+        companion.inputs.log = None  # nothing reads it
         return companion
 
     def restart(self):
         """Clear the estimate, because the state was set."""
         self._set_at = self.engine.steps
-        self._start, self._next = None, 0  # steps at which the companion started, and meets next
+        self._start, self._next = -1, 0  # steps at which the companion started (-1: not yet), and meets next
         self._block = self._substeps = 0  # steps to the next checkpoint, substeps at the last one
         self._alive, self._failed = True, False
         self.estimate.restart(self.engine.time)
-        self._seen_at = -1
+        self.restored()
 
     def next_stop(self, steps, end):
-        """First step after `steps` at which `follow` must be called on the way to step `end`.
+        """First step after `steps` at which `update` must be called on the way to step `end`.
 
         The next checkpoint, otherwise the last meeting before the end.
         """
         if not self._alive:
             return end
-        if self._start is None:
+        if not self.begun:
             return min(end, (steps // self.ours + 1) * self.ours)
         if self._next <= end:
             return self._next
@@ -161,20 +165,14 @@ class RunningError:
             period = min(4 * period, MEETINGS * self.ours)
         return self._start + (done // period + 1) * period
 
-    def changed(self, changes):
-        """Pass changes of inputs to the companion: [AppliedWrench, AppliedTarget or AppliedMotion]."""
-        if self._start is not None and self._alive:
-            for change in changes:
-                change.repeat(self._companion)
-
-    def follow(self):
+    def update(self):
         """Advance the companion to the present step if they can meet, and estimate the error."""
         engine = self.engine
         steps = engine.steps
-        self._failed = self._failed or engine.lost_rebound > LOST_REBOUND
+        self._failed = self._failed or engine.events.lost_rebound > LOST_REBOUND
         if not self._alive or steps % self.ours:
             return
-        if self._start is None:
+        if not self.begun:
             self._begin(steps)
             return
         meeting = steps // self.ours * self._theirs
@@ -183,7 +181,6 @@ class RunningError:
         if not self._failed:
             try:
                 self._companion.advance_to(meeting)
-                self._companion.drain_applied()  # nothing else reads them
             except SimulationError:
                 self._failed = True
         if not self._failed and self._companion.steps < meeting:
@@ -193,6 +190,7 @@ class RunningError:
             return
         if self._failed:
             self._alive = False
+            self._lead()
             self.estimate.set_infinite()
             self._keep()
             return
@@ -219,8 +217,9 @@ class RunningError:
     def _begin(self, steps):
         """Start the companion at the state of the engine."""
         engine = self.engine
-        self._companion.follow(engine, steps // self.ours * self._theirs)
+        self._companion.start_from(engine, steps // self.ours * self._theirs)
         self._start, self._block, self._substeps = steps, self.ours, engine.substeps[0]
+        self._lead()
         self._origin[:] = engine._pose
         self._watch_motion()
         self._next = self._next_checkpoint(steps)
@@ -280,7 +279,7 @@ class RunningError:
     @property
     def begun(self):
         """Whether the companion has started from the state that was set."""
-        return self._start is not None
+        return self._start >= 0
 
     @property
     def companion(self):
@@ -299,73 +298,14 @@ class RunningError:
             return math.nan
         return self.estimate.largest_error(self._now()[1], self._growth())
 
-    def snapshot(self):
-        """Copy of the estimate and of its companion, for `restore`."""
-        kept = {name: getattr(self, name) for name in _KEPT}
-        parts = self._origin.copy(), self.estimate.snapshot(), self._companion.snapshot()
-        return kept | dict(zip(("origin", "estimate", "companion"), parts))
-
-    def restore(self, snapshot):
-        """Return to a snapshot, at the same state of the engine."""
-        for name in _KEPT:
-            setattr(self, name, snapshot[name])
-        self._origin[:] = snapshot["origin"]
+    def restored(self):
+        """Continue after `set_kept`, at the same state of the engine."""
         self._seen_at = -1
-        self.estimate.restore(snapshot["estimate"])
-        self._companion.restore(snapshot["companion"])
+        self._lead()
 
-    @property
-    def pending(self):
-        """Inputs of the companion, which may be some steps behind, as JSON types.
-
-        {"acting": see Engine.acting_now, "later": [[time in s, name, axes, *wrench]]}
-        """
-        companion, names = self._companion, self.engine.layout.names_of_inputs
-        return {
-            "acting": companion.acting_now(),
-            "later": [
-                [time, names[axes][number], axes, *wrench] for time, number, wrench, axes in companion._schedule.waiting
-            ],
-        }
-
-    def remember_pending(self, pending):
-        """Restore `pending`. Raises ValueError, KeyError, TypeError."""
-        self._companion.remember_acting(pending["acting"])
-        for time, name, axes, *wrench in pending["later"]:
-            if axes == SERVO:
-                self._companion.set_servo_target(name, *wrench, time)
-            elif axes == DRIVE:
-                self._companion.prescribe(name, wrench, time)
-            else:
-                self._companion.apply_wrench(name, wrench, time, source=axes, axes=axes)
-
-    def memory(self):
-        """Array from which `remember` restores the estimate."""
-        companion = self._companion
-        start = -1 if self._start is None else self._start
-        run = self._set_at, start, self._alive, self._failed
-        own = *run, self._next, self._block, self._substeps
-        parts = self._origin, *companion.state(), companion.sample().angles
-        return np.concatenate(
-            [
-                [*own, companion.steps],
-                *(part.ravel() for part in parts),
-                self.estimate.memory(),
-                np.frombuffer(companion.memory()),
-            ]
-        )
-
-    def remember(self, memory):
-        """Restore the estimate from `memory`, at the same state of the engine."""
-        n, k = len(self._seen), len(self._companion.sample().angles)
-        own, origin, pose, twist, angles, rest = np.split(memory, np.cumsum([8, 12 * n, 12 * n, 6 * n, k]))
-        self._origin[:] = origin.reshape(n, 12)
-        rest = self.estimate.remember(rest)
-        set_at, start, *alive, following, block, substeps, steps = map(int, own)
-        self._companion.set_state(pose.reshape(n, 12), twist.reshape(n, 6), steps, angles, rest.tobytes())
-        self._set_at, self._start = set_at, None if start < 0 else start
-        (self._alive, self._failed), self._next = map(bool, alive), following
-        self._block, self._substeps, self._seen_at = block, substeps, -1
+    def _lead(self):
+        """Pass new commands to the companion if it has started and goes on."""
+        self.engine.inputs.follower = self._companion.inputs if self.begun and self._alive else None
 
     def errors(self):
         """(n, 4) estimates of the errors of the bodies: m, rad, m/s, rad/s."""

@@ -7,18 +7,18 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
 from liegroup_core.accuracy import DEFAULT, LONGEST, METHOD, MINUTE, SMALLEST, AccuracyControl
 from liegroup_core.engine import Engine
 from liegroup_core.errors import SimulationError
-from liegroup_core.fields.arguments import got, is_count, is_like
+from liegroup_core.fields.arguments import got
+from liegroup_core.forces.instants import NEVER
 from liegroup_core.layout import make_layout
 from liegroup_core.methods.families import check_group, choose_group
 from liegroup_core.methods.table import is_positive
 from liegroup_core.observables.sample import Sample
 from liegroup_core.running_error import RunningError
 from liegroup_core.scene.description import Scene
+from liegroup_core.state import State, decoded, encoded, kept, set_kept
 from liegroup_core.stiffness import MOST_ATTEMPTS, STIFF, MethodChoice
 
 log = logging.getLogger("liegroup_core")
@@ -57,7 +57,7 @@ class Simulation(Engine):
     """
 
     _warned = False
-    _lost: str | None = None
+    _lost = ""
     _running: RunningError | None = None
     _control: AccuracyControl | None = None
     _choice: MethodChoice | None = None
@@ -82,6 +82,7 @@ class Simulation(Engine):
         if method is not None or not isinstance(scene, Scene):
             super().__init__(scene, method, step, group, stabilisation or "none", baumgarte_time, quiet, **options)
             self._running = RunningError(self) if estimate else None
+            self._keep()
             return
         accuracy = DEFAULT if accuracy is None else _checked(accuracy)
         horizon = MINUTE if horizon is None else horizon
@@ -106,6 +107,13 @@ class Simulation(Engine):
         self._running = RunningError(self, by_work=True)
         self._choice = MethodChoice(self._running)
         self._control = AccuracyControl(accuracy, float(horizon), self._tighten)
+        self._keep()
+
+    def _keep(self):
+        """Name the parts of the state; the choice of the method refers to the state of both engines."""
+        parts = ("_running", "_choice", "_control")
+        given = tuple(part for part in parts if getattr(self, part) is not None)
+        self.KEPT = (*Engine.KEPT, *(("_warned", "_lost") if given else ()), *given)
 
     def _tighten(self, part):
         for integrator in self._running.integrators:
@@ -213,109 +221,59 @@ class Simulation(Engine):
             sample.bound = wanted * self._running.size, wanted
         return sample
 
-    def memory(self) -> bytes:
-        """As Engine.memory; with an accuracy also the estimate of the error, which sets the steps."""
-        if self._control is None:
-            return super().memory()
-        return b"".join(part.tobytes() for part in self._own_memory()) + super().memory()
-
-    def _own_memory(self):
-        return self._control.memory(), self._choice.memory(), self._running.memory()
-
-    def _remember(self, memory):
-        if self._control is not None:
-            counts = [len(part) for part in self._own_memory()]
-            mine, memory = memory[: 8 * sum(counts)], memory[8 * sum(counts) :]
-            super()._remember(memory)
-            control, choice, running = np.split(np.frombuffer(mine), np.cumsum(counts)[:2])
-            self._running.remember(running)
-            self._choice.remember(choice)
-            self._control.remember(control)
-            return
-        super()._remember(memory)
-
     @functools.cached_property
     def _identity(self):
         """Properties that a snapshot must share with the simulation that restores it."""
         return {"scene": self.scene.text, **self.arguments}
 
-    @functools.cached_property
-    def _shapes(self):
-        """Snapshot with the shapes and sizes that the parts of all others must have."""
-        return self.snapshot()
+    def snapshot(self) -> State:
+        """Copy of the whole state, for `restore`: commands, error estimate and control of the steps included.
 
-    def snapshot(self) -> dict[str, Any]:
-        """As Engine.snapshot, with the error estimate and the control of the steps."""
-        parts = {"simulation": self._identity, "doubt": (self._warned, self._lost)}
-        if self._running is not None:
-            parts["estimate"] = self._running.snapshot()
-        if self._control is not None:
-            parts["control"] = self._control.memory(), self._choice.memory()
-        return super().snapshot() | parts
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """As Engine.restore. Raises ValueError for anything but a snapshot of this simulation.
-
-        Another Simulation of the same scene with the same arguments counts as this one.
+        A State is a value: it can be held, copied, compared and pickled.
         """
-        mine = self._identity
-        theirs = snapshot.get("simulation") if isinstance(snapshot, dict) else None
-        if not isinstance(theirs, dict):
-            raise ValueError(f"expected what `snapshot` of this simulation returned, {got(snapshot)}")
+        return State(self._identity, kept(self))
+
+    def restore(self, state: State) -> None:
+        """Return to a snapshot of this simulation, or of another one of the same scene with the same arguments.
+
+        The continuation is bit-identical. Raises ValueError for anything else; the state is then unchanged.
+        """
+        if not isinstance(state, State):
+            raise ValueError(f"expected what `snapshot` of this simulation returned, {got(state)}")
+        mine, theirs = self._identity, state.identity
         for what in (*mine, *theirs):
             if mine.get(what) != theirs.get(what):
                 values = "" if what == "scene" else f", {theirs.get(what)!r} instead of {mine.get(what)!r}"
                 raise ValueError(f"the snapshot is of a simulation with another {what}{values}")
-        for name, part in self._shapes.items():
-            if name not in snapshot or not is_like(snapshot[name], part):
-                raise ValueError(f"the snapshot is damaged: its part {name!r} is missing or wrong")
-        if not is_count(snapshot["state"][2]):
-            raise ValueError("the snapshot is damaged: it has no step count")
-        super().restore(snapshot)
-        self._warned, self._lost = snapshot["doubt"]
-        if self._running is not None:
-            self._running.restore(snapshot["estimate"])
-        if self._control is not None:
-            control, choice = snapshot["control"]
-            self._choice.remember(choice)
-            self._control.remember(control)
+        if state.parts.keys() != kept(self).keys():
+            raise ValueError("the snapshot must have the parts of this simulation")
+        self.restore_parts(encoded(state.parts))
 
-    @property
-    def pending(self):
-        """Inputs that belong to `memory`, as JSON types; {} if there are none, or with a method.
+    def restore_parts(self, data):
+        """Continue from the parts of a State as JSON types. Raises ValueError; the state is then unchanged.
 
-        {"engine": those that act, "companion": RunningError.pending}
+        With a method the estimate of the error may be missing, or be left out.
         """
-        if self._control is None:
-            return {}
-        mine, theirs = self.acting_now(), self._running.pending
-        return {"engine": mine, "companion": theirs} if mine or any(theirs.values()) else {}
+        before = kept(self)
+        needed = before if self._control is not None else kept(self, Engine.KEPT)
+        like = {name: part for name, part in before.items() if name in needed or name in data}
+        parts = decoded({name: data[name] for name in like if name in data}, like, "the snapshot")
+        if not 0 <= parts["steps"] < NEVER:
+            raise ValueError(f"the snapshot must have a number of steps from 0 to {NEVER - 1}, {got(parts['steps'])}")
+        try:
+            set_kept(self, parts)
+        except ValueError:  # a command to an unknown body or joint
+            set_kept(self, before)
+            raise
 
-    def remember_pending(self, pending):
-        """Restore `pending` after `set_state` with a memory. Raises ValueError, KeyError, TypeError."""
-        if pending and self._control is not None:
-            self.remember_acting(pending["engine"])
-            self._running.remember_pending(pending["companion"])
-
-    def set_state(self, pose, twist, steps=0, angles=None, memory=None) -> None:
-        """As Engine.set_state; without a memory the estimate of the error starts from zero."""
-        if memory is not None:
-            self._check_memory(memory)
-        super().set_state(pose, twist, steps, angles)
-        self._warned, self._lost = False, None
+    def _start_at(self, pose, twist, steps, angles):
+        super()._start_at(pose, twist, steps, angles)
+        self._warned, self._lost = False, ""
         if self._running is not None:
             self._running.restart()
         if self._control is not None:
             self._choice.restart()
             self._control.restart(self.time)
-        if memory is not None:
-            self._remember(memory)
-
-    def _change_wrenches(self, instant, changed):
-        count = len(self._applied)
-        super()._change_wrenches(instant, changed)
-        if self._running is not None:
-            self._running.changed(self._applied[count:])
 
     def halt(self) -> None:
         """As Engine.halt."""
@@ -334,7 +292,7 @@ class Simulation(Engine):
             super()._advance(steps, enough)
             return
         end = self.steps + steps
-        running.follow()
+        running.update()
         if self._choice is not None:
             self._choice.start()
         while True:
@@ -343,12 +301,12 @@ class Simulation(Engine):
             if self.steps < stop:
                 return
             count = running.estimate.checkpoints
-            running.follow()
+            running.update()
             if running.estimate.checkpoints > count:
                 if self._control is not None:
                     predictable = running.estimate.predictable_until == math.inf
-                    self._control.follow(self.time, running.largest, predictable, running.follows_tolerance)
-                    self._choice.follow()
+                    self._control.update(self.time, running.largest, predictable, running.follows_tolerance)
+                    self._choice.update()
                 self._look()
             if self.steps >= end or (enough is not None and enough()):
                 return
@@ -359,7 +317,7 @@ class Simulation(Engine):
         if not self._warned and self.accurate_until <= time:
             self._warned = True
             self._warn(self._excess)
-        if self._lost is None and self.predictable_until <= time:
+        if not self._lost and self.predictable_until <= time:
             advice = "" if self._control else "; use a smaller step, or an accuracy"
             what = f": from here on the computed motion may differ completely from the true one{advice}"
             self._lost = _text(time, self.largest_error, what)

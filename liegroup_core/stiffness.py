@@ -16,8 +16,6 @@ Cost counts evaluations of the accelerations, not time, so that a repeated run i
 
 import math
 
-import numpy as np
-
 from liegroup_core.errors import SimulationError
 from liegroup_core.methods.munthe_kaas.implicit import FREEDOMS_SQUARED
 from liegroup_core.methods.table import METHODS
@@ -39,6 +37,8 @@ MOST_ATTEMPTS = 1000  # in a trial
 
 class MethodChoice:
     """Sets the method of an engine and of its companion at checkpoints; see RunningError."""
+
+    KEPT = ("_waiting", "_wait", "_begun", "_steps", "_spent")
 
     def __init__(self, running):
         self._running = running
@@ -70,6 +70,11 @@ class MethodChoice:
         """Evaluations of the simulation and of its companion since the last checkpoint."""
         return [i.evaluations - before for i, before in zip(self._integrators, self._counted)]
 
+    @_spent.setter
+    def _spent(self, spent):
+        self._engine.method = self._names[self._integrators[0].chosen]
+        self._counted = [i.evaluations - before for i, before in zip(self._integrators, spent)]
+
     def start(self):
         """Try both if the start is expensive; call it when the companion may have started."""
         if not self._begun and self._running.begun:
@@ -78,7 +83,7 @@ class MethodChoice:
                 self._choose()
             self._count()
 
-    def follow(self):
+    def update(self):
         """Change the method if that pays; call it at a checkpoint."""
         steps, (ours, theirs) = self._companion.steps - self._steps, self._spent
         self._waiting -= theirs
@@ -131,15 +136,3 @@ class MethodChoice:
             self._companion.restore(kept)
             integrator.choose(chosen)
         return (self._spent[1] - before) / part if part > 0.0 else math.inf
-
-    def memory(self):
-        """Numbers from which `remember` restores the choice, at the same state."""
-        return np.array([self._waiting, self._wait, self._begun, self._steps, *self._spent])
-
-    def remember(self, memory):
-        """Restore the choice from `memory`, after the engines."""
-        self._waiting, self._wait, begun, steps, *spent = map(float, memory)
-        self._begun = bool(begun)
-        self._continue()
-        self._counted = [now - part for now, part in zip(self._counted, spent)]
-        self._steps = int(steps)

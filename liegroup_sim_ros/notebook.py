@@ -66,7 +66,7 @@ def show(
     """HTML report of a recording, or of the next seconds of a simulation: motion, plots, tables.
 
     what      : path or address of a recording, a Recording, or a Simulation. A Simulation is not
-                changed: a copy without applied wrenches continues from its current state
+                changed: a copy continues from its current state, with its wrenches and commands
     seconds   : simulated time to show; of a Simulation, required
     reference : False: skip the comparison with a reference integration
     height    : px, of the frame in a notebook cell
@@ -91,19 +91,14 @@ def _report(recording, reference, height):
 
 
 def _record(simulation, seconds, path):
-    """Record a copy of a simulation from its current state; returns the path.
-
-    A recording lacks wrenches that were applied before it. The copy has no wrenches, so its
-    re-simulation is bit-identical.
-    """
+    """Record a copy of a simulation from its current state, with its inputs; returns the path."""
     step = simulation.step
     every = max(1, round(1.0 / (FRAMES_PER_SECOND * step)))
     count = max(1, round(seconds / (every * step)))
     copy = make_simulation(
         simulation.scene, attachments.settings(simulation, every), estimate=simulation.sample().errors is not None
     )
-    copy.set_state(*simulation.state(), simulation.steps, simulation.sample().angles)
-    copy.take_modes(simulation)  # includes whole turns of joints with stops
+    copy.start_from(simulation, simulation.steps)
     started, stopped = time.monotonic(), None
     with LogFile(path, copy, every, count + 1) as file:
         file.sample(copy.sample())

@@ -71,10 +71,10 @@ class Switching(EventTimes):
         self._respond_at_stage()
         self._change_rates(self._model, self._work, self._no_changes, pose, twist)
 
-    def adopt(self, other):
-        """Continue with the modes of another Switching at the same state."""
-        self._work.held[:] = other._work.held
-        self._work.modes[:] = other._work.modes
+    @property
+    def memory(self):
+        """Arrays of the modes between calls."""
+        return self._work.held, self._work.modes
 
     def expect(self, coordinates):
         """Unwrap the angles of a state that was set to those nearest to these coordinates (k,), rad or m."""

@@ -9,8 +9,6 @@ import numpy as np
 
 from .values import shown
 
-SCALARS = int, float, str, np.generic, type(None)
-
 
 def is_finite(value):
     """True for a real number (not a bool) that is finite as a float."""
@@ -66,21 +64,3 @@ def mapping(what, given):
     if not isinstance(given, Mapping):
         raise ValueError(f"{what}, {got(given)}")
     return given
-
-
-def is_like(part, mine):
-    """True if nested dicts, lists, arrays and bytes have the same keys, shapes and sizes as `mine`.
-
-    Numbers, texts and None count as alike.
-    """
-    if isinstance(mine, SCALARS):
-        return isinstance(part, SCALARS)
-    if not isinstance(part, type(mine)):
-        return False
-    if isinstance(mine, np.ndarray):
-        return part.shape == mine.shape and part.dtype == mine.dtype
-    if isinstance(mine, dict):
-        return part.keys() == mine.keys() and all(map(is_like, map(part.get, mine), mine.values()))
-    if isinstance(mine, (tuple, list)):
-        return len(part) == len(mine) and all(map(is_like, part, mine))
-    return not isinstance(mine, bytes) or len(part) == len(mine)

@@ -8,16 +8,15 @@ Forces F_i in world axes at body-fixed points p_i have the torque
 
     sum p_i x R^T F_i = sum over k of e_k x R^T G_k ,   G_k = sum of p_ik F_i
 
-about the origin, in body axes. So each G_k acts as a pair of forces: G_k at the point 1 m along axis k
-of the body frame, and -G_k at the origin. All such forces on a body are exactly equivalent to their
-sum at the origin and these three pairs, at every attitude.
+about the origin, in body axes. The levers G = sum of p_i F_i^T (3, 3) therefore represent any number of such
+forces exactly, at every attitude.
 
 Columns of the array (n, COLUMNS) that the integrators receive:
     0..5    torque N m, force N in body axes, about the centre of mass
     6..11   torque N m, force N in world axes, about the origin of the body frame
     12..14  centre of mass in the body frame, m
     15      2 if any of 16..24 is not zero, else 1 if any of 6..11 is not zero
-    16..24  G_x, G_y, G_z in world axes, N, each at a lever of 1 m
+    16..24  levers G by rows, N m
 """
 
 import numpy as np
@@ -26,9 +25,6 @@ from liegroup_core.compiling import kernel
 from liegroup_core.lie.vec3 import add3, cross3, load3, load9, matmul3, store3, sub3, tmatvec3
 
 COLUMNS = 25
-# Pairs of forces in world axes, one per axis of the body frame.
-PAIRS = ("world_x", "world_y", "world_z")
-AXES = ("body", "world", *PAIRS)
 
 
 def no_wrenches(offsets):
@@ -39,22 +35,18 @@ def no_wrenches(offsets):
 
 
 def set_wrench(external, body, wrench, axes):
-    """Set the wrench (6,) on body number `body` in one of AXES.
-
-    For a pair, only the force of the wrench is used.
-    """
-    if axes != "body":
-        if axes == "world":
-            external[body, 6:12] = wrench
-        else:
-            column = 16 + 3 * PAIRS.index(axes)
-            external[body, column : column + 3] = wrench[3:6]
-        turning = external[body, 16:].any()
-        external[body, 15] = 2.0 if turning else float(external[body, 6:12].any())
-    else:
+    """Set the total in one of the axes of Schedule.total: "body", "world" (6,) or "levers" (9,) of a body."""
+    if not any(wrench):
+        wrench = (0.0,) * len(wrench)  # no negative zeros: equal totals have equal bits
+    if axes == "body":
         external[body, :6] = wrench
         if external[body, 12:15].any():  # otherwise the numbers stay bit-identical
             external[body, :3] -= _moment(external[body, 12:15], external[body, 3:6])
+        return
+    first = 6 if axes == "world" else 16
+    external[body, first : first + len(wrench)] = wrench
+    turning = external[body, 16:].any()
+    external[body, 15] = 2.0 if turning else float(external[body, 6:12].any())
 
 
 def _moment(point, force):
@@ -72,8 +64,8 @@ def external_wrench(external, pose, i):
         moment = sub3(tmatvec3(rot, load3(external, i, 6)), cross3(load3(external, i, 12), turned))
         torque, force = add3(torque, moment), add3(force, turned)
         if external[i, 15] == 2.0:
-            pairs = matmul3(load9(external, i, 16), rot)
-            torque = add3(torque, (pairs[5] - pairs[7], pairs[6] - pairs[2], pairs[1] - pairs[3]))
+            levers = matmul3(load9(external, i, 16), rot)
+            torque = add3(torque, (levers[5] - levers[7], levers[6] - levers[2], levers[1] - levers[3]))
     return torque, force
 
 
@@ -87,14 +79,14 @@ def set_external_wrenches(external, pose, wrench_out):
 
 
 def parts_of_wrench(wrench, axes, point):
-    """[(axes, wrench (6,))] equivalent to a wrench whose force acts at a point of the body.
+    """[(axes of Schedule.total, values)] equivalent to a wrench whose force acts at a point of the body.
 
     wrench : (6,) torque N m, force N, in "body" or "world" axes
-    point  : (3,) m, in the body frame
+    point  : (3,) m, in the body frame; None: its origin
     """
-    torque, force = wrench[:3], wrench[3:]
+    if point is None:
+        return [(axes, wrench)]
+    torque, force = np.array(wrench[:3]), np.array(wrench[3:])
     if axes == "body":
-        return [(axes, np.concatenate([torque + _moment(point, force), force]))]
-    pairs = zip(PAIRS, point)
-    turning = [(pair, np.concatenate([np.zeros(3), lever * force])) for pair, lever in pairs if lever]
-    return [(axes, wrench), *turning]
+        return [(axes, np.concatenate([torque + _moment(np.array(point), force), force]))]
+    return [(axes, wrench), ("levers", np.outer(point, force).ravel())]

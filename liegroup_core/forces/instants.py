@@ -85,6 +85,15 @@ class StepGrid:
         """Time in whole ns."""
         return _whole(instant.step * self._size + instant.offset, self._parts)
 
+    def mark(self, instant):
+        """Time of an Instant in ns, from which `marked` finds it in any grid: whole, if it is at a whole ns."""
+        time_ns = self.time_ns(instant)
+        return time_ns if abs(time_ns / NS - instant.time) <= ROUNDING * instant.time else instant.time * NS
+
+    def marked(self, time_ns):
+        """Instant of a time in ns, see `mark`."""
+        return self.instant(Fraction(time_ns, NS) if isinstance(time_ns, int) else time_ns / NS)
+
     def instant(self, time):
         """Instant of a time in s (float or exact Fraction): a step boundary within half a ns, else a whole ns."""
         if float(time) > LATEST:

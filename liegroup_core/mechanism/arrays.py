@@ -303,7 +303,6 @@ def make_relative_work(model, work, stages):
 
 
 def links_of(work):
-    """Arrays of a RelativeWork that hold the state: whether it is known, coordinates, rates, switch modes."""
+    """Arrays of a RelativeWork that hold the state: whether it is known, coordinates, rates."""
     n = len(work.pose) - len(work.relative)
-    switches = (work.held, work.modes) if len(work.modes) else ()
-    return work.known, work.pose[n:], work.twist[n:], *switches
+    return work.known, work.pose[n:], work.twist[n:]

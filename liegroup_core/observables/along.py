@@ -79,7 +79,7 @@ class Along:
         """
         self._angle, self._near = None, near
 
-    def follow(self, pose, twist):
+    def of(self, pose, twist):
         """Observables of the next k states.
 
         pose (k, n, 12), twist (k, n, 6) of the body frames, k > 0

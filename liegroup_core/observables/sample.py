@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from liegroup_core.dynamics.constraints import position_residuals
 from liegroup_core.forces import kinds
+from liegroup_core.forces.external import set_external_wrenches
 from liegroup_core.forces.timetable import acting_at, just_after
 from liegroup_core.joints import motion
 from liegroup_core.joints.kinds import TYPES
@@ -215,6 +216,18 @@ class Sample:
         of a tree of n bodies, errors are about n times those of a wrench: test/verification/test_reactions.py.
         """
         return self._by_joint(self._reactions[0])
+
+    @cached_property
+    def external_wrenches(self) -> NDArray[np.float64]:
+        """(n, 6) sum of the applied wrenches on each body: N m, N; body axes, about the origin of its frame.
+
+        Those of `apply_wrench` and `apply_effort`, at the end of the last step.
+        """
+        pose, found = self._state[0], np.zeros((len(self._state[0]), 6))
+        if self.external is not None:
+            set_external_wrenches(self.external, pose, found)
+            found[:, :3] += np.cross(self._layout.offsets.com, found[:, 3:])
+        return found
 
     @cached_property
     def force_efforts(self) -> dict[str, float]:

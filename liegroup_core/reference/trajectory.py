@@ -33,16 +33,17 @@ LOOKS, HOPELESS = 2000, 10_000_000
 # rows must stay above SINGULAR, those of redundant rows below it. Ten rods on revolute joints have
 # 1e-2.
 REDUNDANT, SINGULAR = 1e-8, 1e-6
-PAIRS = ("world_x", "world_y", "world_z")
 
 
-class WrenchChange(NamedTuple):
-    """Total external wrench in body axes, that in world axes, or a pair, on a body from `time` on."""
+class WrenchSpan(NamedTuple):
+    """Wrench on a body from one time to another; several of them add."""
 
-    time: float  # s
+    start: float  # s
+    end: float  # s, or infinity
     body: str
-    wrench: tuple  # (6,) torque N m, force N; about the body frame's origin
-    axes: str = "body"  # or "world", "world_x", "world_y", "world_z": see forces/schedule.py
+    wrench: tuple  # (6,) torque N m, force N
+    axes: str = "body"  # or "world"
+    point: tuple | None = None  # (3,) m, in the body frame, at which the force acts; None: its origin
 
 
 class ServoChange(NamedTuple):
@@ -106,8 +107,8 @@ def integrate(scene, pose, twist, times, changes=(), start=0.0, rtol=TIGHT):
     twist   : (n, 6) body-fixed, at `start`. Pose and twist are those of the frames at the centres of
               mass, as from Simulation.state
     times   : (k,) s, increasing, not before `start`
-    changes : WrenchChange, ServoChange and MotionChange in the order of their times; before the first
-              one no wrench acts, and wanted values and motions are those of the scene
+    changes : WrenchSpan, ServoChange and MotionChange; servos and motions in the order of their times. Before
+              the first of these wanted values and motions are those of the scene
     rtol    : relative and absolute tolerance of DOP853
     returns (Trajectory at `times`, its uncertainty as a Distance: the largest distance so far to
     a run with a tolerance ten times larger)
@@ -190,15 +191,18 @@ def _pieces(scene, system, offsets, changes, start, end):
     wanted, commanded, motions = {}, {}, resolve_drives(scene)
     index = {body.name: i for i, body in enumerate(scene.bodies)}
     pushes = [force for force in scene.forces if force.type == "applied_wrench"]
+    spans = [change for change in changes if isinstance(change, WrenchSpan)]
     # Sorted by time; changes at the same time keep their order.
     switches = sorted(
-        [(change.time, change) for change in changes]
+        [(change.time, change) for change in changes if not isinstance(change, WrenchSpan)]
+        + [(time, span) for span in spans for time in (span.start, span.end)]
         + [(time, None) for push in pushes for time in (push.start, push.end) if time is not None]
         + [(time, None) for rows in motions.values() for time in rows[1:, 0]],
         key=lambda switch: switch[0],
     )
     wrench = np.zeros((len(scene.bodies), 24))
     wrench[:, 12:15] = -offsets.com
+    on_body = [[] for _ in scene.bodies]  # spans that have begun and not ended
     pieces = []
     since = start
     for time, change in [*switches, (end, None)]:
@@ -210,7 +214,11 @@ def _pieces(scene, system, offsets, changes, start, end):
                 [push.start <= middle and (push.end is None or middle < push.end) for push in pushes], dtype=bool
             )
             driving = [commanded.get(scene.joints[j].name, row_at(rows, middle)) for j, rows in motions.items()]
-            pieces.append((since, until, system, wrench.copy(), acting, driving))
+            piece = since, until, system, wrench.copy(), acting, driving
+            if pieces and _is_same(pieces[-1], piece):
+                pieces[-1] = pieces[-1][0], *piece[1:]
+            else:
+                pieces.append(piece)
             since = until
         if isinstance(change, ServoChange):
             wanted[change.joint] = change.position, change.velocity
@@ -219,14 +227,34 @@ def _pieces(scene, system, offsets, changes, start, end):
             commanded[change.joint] = np.array(change.motion)
         elif change is not None:
             body = index[change.body]
-            if change.axes == "world":
-                wrench[body, 6:12] = change.wrench
-            elif change.axes in PAIRS:
-                column = 15 + 3 * PAIRS.index(change.axes)
-                wrench[body, column : column + 3] = change.wrench[3:]
+            # A span is found twice: where it starts, and where it ends.
+            if any(change is other for other in on_body[body]):
+                on_body[body] = [other for other in on_body[body] if other is not change]
             else:
-                wrench[body, :6] = offsets.wrench_at_centre(body, change.wrench)
+                on_body[body].append(change)
+            _set_row(wrench[body], body, on_body[body], offsets)
     return pieces
+
+
+def _is_same(piece, following):
+    """Whether nothing changes between two pieces."""
+    _, _, system, *arrays = piece
+    return system is following[2] and all(map(np.array_equal, arrays, following[3:]))
+
+
+def _set_row(row, body, spans, offsets):
+    """Set the loads (24,) of loads.add_loads on a body to the sum of the wrenches of spans."""
+    row[:12], row[15:] = 0.0, 0.0
+    for span in spans:
+        wrench = np.array(span.wrench, dtype=float)
+        if span.axes == "body":
+            if span.point is not None:
+                wrench[:3] += np.cross(span.point, wrench[3:])
+            row[:6] += offsets.wrench_at_centre(body, wrench)
+        else:
+            row[6:12] += wrench
+            if span.point is not None:
+                row[15:] += np.outer(span.point, wrench[3:]).ravel()
 
 
 def _rank(system, state):

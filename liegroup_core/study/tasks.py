@@ -39,7 +39,7 @@ class TasksError(LieGroupSimError):
     """Tasks cannot be distributed, or crash their workers; one line of text, exit code 2."""
 
 
-def run(function, items, scheduler=None, workers=None, follow=None):
+def run(function, items, scheduler=None, workers=None, expand=None):
     """Call function(item) for every item; yields (k, result) in order of completion.
 
     k         : number of the item
@@ -50,35 +50,35 @@ def run(function, items, scheduler=None, workers=None, follow=None):
     workers   : number of processes on this machine; None: one for each core. With one worker, the items
                 run in this process, one after the other. Worker processes import the main script, so
                 it needs `if __name__ == "__main__"`
-    follow    : function(k, result) that returns further items, which get the next numbers
+    expand    : function(k, result) that returns further items, which get the next numbers
     raises TasksError
     """
     items = list(items)
     workers = min(workers or os.cpu_count() or 1, len(items))
     if scheduler is not None:
         with _cluster(scheduler) as client:
-            yield from _on(client, function, items, follow)
+            yield from _on(client, function, items, expand)
     elif workers <= 1:
-        yield from _here(function, items, follow)
+        yield from _here(function, items, expand)
     else:
         with _Team(function, workers) as team:
-            yield from team.results(items, follow)
+            yield from team.results(items, expand)
 
 
-def _here(function, items, follow):
+def _here(function, items, expand):
     waiting, count = deque(enumerate(items)), len(items)
     while waiting:
         k, item = waiting.popleft()
         result = function(item)
-        if follow is not None:
-            for more in follow(k, result):
+        if expand is not None:
+            for more in expand(k, result):
                 # Next, not last: related items finish together.
                 waiting.appendleft((count, more))
                 count += 1
         yield k, result
 
 
-def _on(client, function, items, follow):
+def _on(client, function, items, expand):
     from dask.distributed import as_completed
     from distributed import CancelledError, KilledWorker
     from distributed.comm import CommClosedError
@@ -94,8 +94,8 @@ def _on(client, function, items, follow):
     try:
         for future in running:
             k, result = numbers[future.key], future.result()
-            if follow is not None:
-                for more in follow(k, result):
+            if expand is not None:
+                for more in expand(k, result):
                     running.add(submit(more))
             future.release()
             yield k, result
@@ -121,7 +121,7 @@ class _Team:
     def __enter__(self):
         return self
 
-    def results(self, items, follow):
+    def results(self, items, expand):
         """Yield (k, result) in order of completion."""
         self._waiting.extend(enumerate(items))
         count = len(self._waiting)
@@ -143,7 +143,7 @@ class _Team:
                     self._employ()
                     continue
                 k, _ = self._working.pop(pipe)
-                for more in () if follow is None else follow(k, result):
+                for more in () if expand is None else expand(k, result):
                     # Next, not last: related items finish together.
                     self._waiting.appendleft((count, more))
                     count += 1

@@ -76,7 +76,7 @@ def analyse(
     scene = scene_from_text(recording.scene_text, source=f"{recording.path}: scene.yaml")
     check_settings(recording, scene)
     layout = make_layout(scene)
-    motion = Motion(recording)
+    motion = Motion(recording, layout)
     limits = reference_seconds, reference_steps
     parts = _Parts(scene, recording, layout, motion, reference, *limits)
     done = 0
@@ -130,7 +130,7 @@ class _Parts:
         if reference:
             if not (
                 recording.initial_state.get("steps")
-                or any(len(track.stamp_ns) for track in recording.wrench.values())
+                or len(recording.inputs)
                 or any(event.name == "state" for event in recording.events)
             ):
                 self._exact = exact_solution(layout, *initial_state(recording)[:2])
@@ -144,7 +144,7 @@ class _Parts:
         if block.stretch is not self._stretch:
             self._stretch = block.stretch
             self._along.restart(self._starts.of(block.stretch)[2])
-        self._found = self._along.follow(block.pose, block.twist)
+        self._found = self._along.of(block.pose, block.twist)
         return self._found[3]
 
     def add(self, block):
@@ -247,7 +247,7 @@ def _run_figures(recording, motion):
         "events": events,
         "pushes": pushes,
         "push_count": len(intervals),
-        "wrench_changes": sum(len(track.stamp_ns) for track in recording.wrench.values()),
+        "wrench_commands": len(recording.inputs),
         "wrenches_refused": number(last.get("wrenches_refused")),
         "recorder_lost": number(last.get("recorder_lost")),
         "messages": recording.topics,

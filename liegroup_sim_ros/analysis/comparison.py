@@ -77,7 +77,7 @@ def differences(one, other):
         "first_difference_s": first,
         "difference": largest,
         "same_scene": one.scene_text == other.scene_text,
-        "same_wrenches": one.applied_wrench == other.applied_wrench
+        "same_wrenches": one.inputs == other.inputs
         and _same_track(one.servo_targets, other.servo_targets)
         and _same_track(one.motions, other.motions),
         "settings": {

@@ -11,7 +11,6 @@ import numpy as np
 
 from liegroup_core import SimulationError
 from liegroup_core.engine import BAUMGARTE_STEPS
-from liegroup_core.forces.external import AXES
 from liegroup_core.methods.table import METHODS
 from liegroup_sim_ros.playback.rerun import Work, make_simulation
 
@@ -75,34 +74,23 @@ def _windows(motion):
 
 
 def _advance(work, simulation, stretch, row, length):
-    """State (pose, twist) after `length` recorded steps from a sample, with constant external wrenches.
+    """State (pose, twist) after `length` recorded steps from a sample, with constant inputs.
 
     The start time, which the scene's applied wrenches depend on, is rounded to a multiple of the step.
     """
-    rung = simulation.step / stretch.step
+    rung, step = simulation.step / stretch.step, int(stretch.steps[row])
     n = len(stretch.bodies)
     pose = np.concatenate([stretch.rotation[row].reshape(n, 9), stretch.position[row]], axis=1)
     angles = stretch.angles[row] if stretch.angles.shape[1] else None
+    modes = stretch.modes_at(step)
     simulation.set_state(
-        *simulation.layout.offsets.to_centres(pose, stretch.twist[row]), round(stretch.steps[row] / rung), angles
+        *simulation.layout.offsets.to_centres(pose, stretch.twist[row]),
+        round(step / rung),
+        angles,
+        None if modes is None else modes[:, 3],
     )
-    before = stretch.change_steps <= stretch.steps[row]
-    for i, body in enumerate(stretch.bodies):
-        for number, axes in enumerate(AXES):
-            in_axes = stretch.change_axes == number
-            mine = np.flatnonzero(before & in_axes & (stretch.change_bodies == i))
-            if len(mine):
-                wrench = stretch.change_wrenches[mine[-1]]
-                simulation.apply_wrench(body, wrench, source=axes, axes=axes)
-    known = np.flatnonzero(stretch.target_steps <= stretch.steps[row])
-    if len(known):
-        for joint, target in zip(simulation.layout.servos, stretch.targets[known[-1]].tolist()):
-            simulation.set_servo_target(joint, *target)
-    known = np.flatnonzero(stretch.motion_steps <= stretch.steps[row])
-    if len(known):
-        for joint, motion in zip(simulation.layout.motions, stretch.motions[known[-1]]):
-            if np.isfinite(motion[0]):
-                simulation.prescribe(joint, motion)
+    for command in stretch.acting_at(step):
+        command._replace(start_ns=0, end_ns=None).repeat(simulation)
     work.advance(simulation, max(1, round(length / rung)))
     return simulation.state()
 

@@ -7,8 +7,8 @@ state of each stretch. A stretch is a part of the recording between resets or se
 
 import numpy as np
 
-from liegroup_core.forces.external import AXES
-from liegroup_core.reference import MotionChange, Reference, ServoChange, Trajectory, WrenchChange, distance
+from liegroup_core.forces.commands import WRENCH
+from liegroup_core.reference import MotionChange, Reference, ServoChange, Trajectory, WrenchSpan, distance
 from liegroup_core.reference.trajectory import MOST_STEPS
 from liegroup_sim_ros.numbers import counted, shown
 from liegroup_sim_ros.playback.rerun import Starts
@@ -97,6 +97,7 @@ class ReferenceError:
     def __init__(self, layout, recording, expected, seconds=np.inf, promise=None, estimate=None, steps=MOST_STEPS):
         self._scene, self._starts = layout.scene, Starts(recording, layout)
         self._servos, self._driven = tuple(layout.servos), tuple(layout.motions)
+        self._unit_efforts = layout.unit_efforts
         self._left, self._judged = seconds, 0.0
         self._steps = self._steps_left = steps
         self._stopped = None
@@ -117,18 +118,7 @@ class ReferenceError:
         if k == 0 or self._stopped:
             return
         if self._reference is None:
-            # Wrench changes after the end of the reference are not needed.
-            when = stretch.change_steps * stretch.step  # computed in the same way as sample times
-            upto = int(np.searchsorted(when, self._end, "right"))
-            changes = [
-                WrenchChange(time, stretch.bodies[body], tuple(wrench), AXES[axes])
-                for time, body, wrench, axes in zip(
-                    when[:upto].tolist(),
-                    stretch.change_bodies[:upto].tolist(),
-                    stretch.change_wrenches[:upto].tolist(),
-                    stretch.change_axes[:upto].tolist(),
-                )
-            ]
+            changes = self._wrenches(stretch)
             changes += self._targets(stretch) + self._motions(stretch)
             pose, twist, angles = self._starts.of(stretch)
             self._reference = Reference(
@@ -150,6 +140,22 @@ class ReferenceError:
         error = distance(Trajectory(times[:k], block.rotation[:k], block.position[:k], block.twist[:k]), exact)
         estimates = None if block.errors is None else block.errors[:k]
         self._errors.add(stretch, times[:k], block.log_times[:k], error, uncertainty, estimates)
+
+    def _wrenches(self, stretch):
+        """[WrenchSpan] of a stretch that start before the end of the reference."""
+        found = []
+        start, end, numbers = stretch.inputs.spans()
+        for first, last, k in zip(stretch.seconds_of(start), stretch.seconds_of(end), numbers.tolist()):
+            if first > self._end:
+                break
+            command = stretch.inputs[k]
+            if command.kind == WRENCH:
+                found.append(WrenchSpan(first, last, command.name, command.values, command.axes, command.point))
+                continue
+            for body, unit in self._unit_efforts[command.name]:
+                wrench = tuple((command.values[0] * unit).tolist())
+                found.append(WrenchSpan(first, last, stretch.bodies[body], wrench))
+        return found
 
     def _targets(self, stretch):
         """[ServoChange] of a stretch up to the end of the reference."""

@@ -5,6 +5,7 @@ It publishes the wrench at a fixed rate, and a zero wrench at the end, also afte
 the simulation applied the wrench. The duration is wall time.
 """
 
+import json
 import math
 import sys
 import time
@@ -83,14 +84,22 @@ def _push(args):
     from rclpy.duration import Duration
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.parameter_client import AsyncParameterClient
+    from std_msgs.msg import String
 
     name = "/" + args.node.strip("/")
     node = rclpy.create_node("liegroup_sim_push")
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     publisher = node.create_publisher(WrenchStamped, f"{name}/wrench", 10)
-    applied = []
-    node.create_subscription(WrenchStamped, f"{name}/applied_wrench", applied.append, 100)
+    applied = []  # (start in s, command) on this body
+
+    def listen(message):
+        entries = json.loads(message.data)
+        base_ns, own = entries["base_ns"], [c for c in entries["commands"] if c.get("name") == args.body]
+        if not entries["all"]:
+            applied.extend(((base_ns + command["start_ns"]) * 1e-9, command) for command in own)
+
+    node.create_subscription(String, f"{name}/inputs", listen, 100)
 
     def spin_until(done, seconds):
         """Spin until done() is true; returns False after the given number of seconds."""
@@ -111,7 +120,7 @@ def _push(args):
 
     # Wait for both directions, because otherwise the response would be missed.
     if not spin_until(
-        lambda: publisher.get_subscription_count() and node.count_publishers(f"{name}/applied_wrench"), DISCOVERY
+        lambda: publisher.get_subscription_count() and node.count_publishers(f"{name}/inputs"), DISCOVERY
     ):
         raise PushError(
             f"no simulation node {name} found within {DISCOVERY:g} s: check that it is "
@@ -142,8 +151,7 @@ def _push(args):
         publisher.wait_for_all_acked(Duration(seconds=ANSWER))
 
     def vanished():
-        ours = [m for m in applied if m.header.frame_id == frame]
-        return len(ours) > 1 and ours[-1].wrench == zero.wrench
+        return len(applied) > 1 and not any(applied[-1][1]["values"])
 
     spin_until(vanished, ANSWER)
     text = (
@@ -151,11 +159,10 @@ def _push(args):
         f"{args.body} of {name} for {seconds:.2f} s: {sent} messages, then a zero "
         "wrench\n"
     )
-    stamps = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in applied if m.header.frame_id == frame]
-    if not stamps:
+    if not applied:
         return text + "the simulation has not applied it: it may be paused; see its log"
     return text + (
-        f"applied from {stamps[0]:.9g} s to {stamps[-1]:.9g} s of simulated time"
+        f"applied from {applied[0][0]:.9g} s to {applied[-1][0]:.9g} s of simulated time"
         if vanished()
-        else f"applied from {stamps[0]:.9g} s of simulated time on"
+        else f"applied from {applied[0][0]:.9g} s of simulated time on"
     )

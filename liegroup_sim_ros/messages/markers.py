@@ -12,7 +12,6 @@ import math
 
 import numpy as np
 
-from liegroup_core.forces.external import PAIRS
 from liegroup_core.observables.along import quaternions
 from liegroup_core.robots.resources import find_resource
 
@@ -35,16 +34,12 @@ class Markers:
     layout      : Layout of the scene
     world_frame : frame id of the poses
     arrow_scale : m per N and per N m; may be changed
-    wrenches    : {(body, axes): (torque, force)} of the acting wrenches, with axes "body" or
-                  "world"; updated by the caller
     """
 
-    def __init__(self, layout, world_frame, arrow_scale, wrenches):
+    def __init__(self, layout, world_frame, arrow_scale):
         scene = layout.scene
         self.arrow_scale = arrow_scale
-        self._wrenches = wrenches
-        self._bodies = layout.body_names
-        place = {body: i for i, body in enumerate(self._bodies)}
+        place = {body: i for i, body in enumerate(layout.body_names)}
         solids = [solid(body) for body in scene.bodies]
         # Point masses have no size.
         largest = max(max(size) for _, size, _ in solids) or layout.size
@@ -83,27 +78,13 @@ class Markers:
         for place, quaternion in zip(rows[:, 9:].tolist(), quaternions(rows).tolist()):
             slots += time, (ADD,), (*place, *quaternion)
         places = np.hstack([sample.pose[:, 9:], sample.orientation]).tolist()
-        wrenches = [self._in_body_axes(body, turn) for body, turn in zip(self._bodies, sample.pose[:, :9])]
+        wrenches = sample.external_wrenches.tolist()
         for part in (slice(3, 6), slice(0, 3)):
             for wrench, pose in zip(wrenches, places):
                 vector = wrench[part]
                 tip = [self.arrow_scale * component for component in vector]
                 slots += (time, (ADD if any(vector) else DELETE,), pose, (0.0, 0.0, 0.0, *tip))
         return self._template.pack(*slots)
-
-    def _in_body_axes(self, body, turn):
-        """(6,) total wrench on a body whose rotation matrix has the rows `turn` (9,)."""
-        wrench = self._wrenches.get((body, "body"), (0.0,) * 6)
-        found = np.array(wrench)
-        for axes, lever in zip(("world", *PAIRS), (None, *np.eye(3))):
-            world = self._wrenches.get((body, axes))
-            if world is not None:
-                torque, force = np.reshape(world, (2, 3)) @ turn.reshape(3, 3)
-                if lever is None:
-                    found += np.concatenate([torque, force])
-                else:
-                    found[:3] += np.cross(lever, force)
-        return found.tolist()
 
     def encode_end(self, stamp_ns):
         """The serialized message that deletes all markers; viewers keep them otherwise."""

@@ -8,8 +8,8 @@ in samples.py and markers.py.
 
 from typing import NamedTuple
 
-from . import description, diagnostics, estimates, joint_modes
-from .codecs import ClockCodec, LogCodec, PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
+from . import description, diagnostics, estimates, inputs, joint_modes
+from .codecs import ClockCodec, LogCodec, PoseStampedCodec, TwistStampedCodec
 from .commands import ARRAY, JOINT_STATE
 
 
@@ -36,17 +36,8 @@ def twist(body):
     return Topic(f"~/{body}/twist", TwistStampedCodec.TYPE)
 
 
-def wrench_frame(frame, axes, world_frame):
-    """frame_id of a wrench about the origin of a body's frame, with components in these axes.
-
-    axes : of liegroup_core.forces.schedule.AppliedWrench: "body"; "world": the axes of the world,
-           followed by the frame of the body; "world_x", ...: the same with _x, ... after world_frame
-    """
-    return frame if axes == "body" else f"{world_frame}{axes[len('world') :]}/{frame}"
-
-
-# Late subscribers receive the acting wrenches; many wrenches may change at one step.
-APPLIED_WRENCH = Topic("~/applied_wrench", WrenchStampedCodec.TYPE, "transient_local", 1000)
+# Late subscribers receive the commands that act; many may arrive at one step.
+INPUTS = Topic("~/inputs", inputs.TYPE, "transient_local", 1000)
 # Each message has all servos: late subscribers need the last one only.
 SERVO_TARGETS = Topic("~/servo_targets", JOINT_STATE, "transient_local", 10)
 MOTIONS = Topic("~/motions", ARRAY, "transient_local", 10)  # each message has all driven joints

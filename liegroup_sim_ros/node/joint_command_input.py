@@ -81,7 +81,7 @@ class Target(NamedTuple):
 
     def apply(self, simulation, start, duration):
         """Command it to a Simulation from a time in s on (None: the next step), for a duration in s."""
-        simulation.set_servo_target(self.joint, self.position, self.velocity, start, duration)
+        simulation.inputs.set_target(self.joint, self.position, self.velocity, start, duration)
 
 
 class Motion(NamedTuple):

@@ -13,15 +13,14 @@ import time
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from liegroup_core.forces.external import AXES
+from liegroup_core.forces.commands import EFFORT, WRENCH
 from liegroup_core.forces.kinds import wanted_values
 from liegroup_core.joint_events import has_impacts
 from liegroup_core.joints.motion import FROM_SCENE
-from liegroup_sim_ros.messages import commands, description, diagnostics, estimates, joint_modes, topics
+from liegroup_sim_ros.messages import commands, description, diagnostics, estimates, inputs, joint_modes, topics
 from liegroup_sim_ros.messages import samples as sample_messages
-from liegroup_sim_ros.messages.codecs import ClockCodec, LogCodec, WrenchStampedCodec
+from liegroup_sim_ros.messages.codecs import ClockCodec, LogCodec
 from liegroup_sim_ros.messages.markers import Markers, markers
-from liegroup_sim_ros.messages.topics import wrench_frame
 
 from .parameters import ParameterError
 
@@ -107,7 +106,6 @@ class Outputs:
     timed                    : [(steps between messages, send(stamp_ns, sample))]
     attending                : functions of the stamp, called with the diagnostics, once a second
     clock_steps, state_steps : steps between messages of /clock and ~/state, 0: none
-    acting                   : {(body, axes): total wrench in these axes}, without zero wrenches
     targets                  : {joint: (position, velocity)} of the servos that were commanded
     motions                  : {joint: (7,)} of the driven joints that were commanded
     impulses                 : [(Stream, encoder)] of the joints, if they are published
@@ -117,22 +115,15 @@ class Outputs:
         self._node, self._figures, self._overrides = node, figures, overrides
         self._name = f"{node.get_fully_qualified_name()}: simulation"
         self._streams = []
-        self.timed, self.attending, self.acting = [], [], {}
+        self.timed, self.attending = [], []
         self.clock_steps = values.steps["clock_rate"]
         self.state_steps = values.steps["state_rate"]
         bodies, world_frame = layout.body_names, values.world_frame
-        self._frames = {body: values.frame_prefix + body for body in bodies}
         self._topics = {"pose": {}, "twist": {}}
         if values.steps["publish_rate"]:
             self._add_samples(bodies, values)
-        self._applied = self._stream(*topics.APPLIED_WRENCH)
-        self._sent = 0  # messages of ~/applied_wrench
-        self._sent_at = {}  # {key of `acting`: number of its last message}
-        self._encode_wrench = {
-            (body, axes): WrenchStampedCodec(wrench_frame(frame, axes, world_frame)).encode
-            for body, frame in self._frames.items()
-            for axes in AXES
-        }
+        self._inputs = self._stream(*topics.INPUTS)
+        self._sent = 0  # messages of ~/inputs since the last one with all commands
         self._servos, self.targets = layout.servos, {}
         if self._servos:
             self._targets = self._stream(*topics.SERVO_TARGETS)
@@ -163,7 +154,7 @@ class Outputs:
             self._clock = self._stream(*topics.CLOCK)
         if self.state_steps:
             self._state = self._stream(*topics.STATE)
-        self._markers = Markers(layout, world_frame, values.arrow_scale, self.acting)
+        self._markers = Markers(layout, world_frame, values.arrow_scale)
         optional = {name: make for name, (make, _) in sample_messages.OPTIONAL.items()}
         optional["tf_rate"] = functools.partial(sample_messages.transforms, which=values.tf_links)
         optional["marker_rate"] = lambda *_: markers(self._markers)
@@ -233,7 +224,7 @@ class Outputs:
         """Resolved names, as in a recording's settings."""
         return {
             **self._topics,
-            "applied_wrench": self._applied.topic,
+            "inputs": self._inputs.topic,
             **({"servo_targets": self._targets.topic} if self._servos else {}),
             **({"motions": self._motion_stream.topic} if self._driven else {}),
             **({"joint_modes": self._joint_modes.topic} if self._joint_modes else {}),
@@ -267,29 +258,25 @@ class Outputs:
         """Publish /clock."""
         self._clock.send(stamp_ns, ClockCodec.encode(stamp_ns))
 
-    def applied_wrench(self, stamp_ns, body, wrench, axes):
-        """Publish the total wrench (torque, force) on a body, in these axes, from this stamp on."""
-        key = body, axes
-        self.acting.pop(key, None)
-        self._sent += 1
-        if any(wrench):
-            self.acting[key] = wrench
-            self._sent_at[key] = self._sent
-        self._applied.send(stamp_ns, self._encode_wrench[key](stamp_ns, wrench))
-        self._keep_in_history(stamp_ns)
+    def inputs(self, stamp_ns, base_ns, commands, present):
+        """Publish Commands of wrenches and efforts, given at this stamp.
 
-    def _keep_in_history(self, stamp_ns):
-        """Publish the oldest acting wrench again before newer messages displace it.
-
-        Late subscribers receive the history of the topic, so it must contain every acting wrench.
-        The recording contains it already.
+        base_ns : stamp of step 0
+        present : function that returns the Commands that act or wait now
         """
-        key = next(iter(self.acting), None)
-        if key is not None and self._sent - self._sent_at[key] >= self._applied.depth // 2:
-            self._sent += 1
-            self._sent_at[key] = self._sent
-            self.acting[key] = wrench = self.acting.pop(key)
-            self._applied.publish(self._encode_wrench[key](stamp_ns, wrench))
+        self._inputs.send(stamp_ns, inputs.encode(base_ns, commands))
+        self._sent += 1
+        if self._sent >= self._inputs.depth // 2:
+            self.all_inputs(base_ns, present())
+
+    def all_inputs(self, base_ns, present):
+        """Publish the Commands that act or wait; a recording has them in its states.
+
+        Late subscribers receive the history of the topic, so it must always contain such a message.
+        """
+        commands = [c for part in present for c in part if c.kind in (WRENCH, EFFORT)]
+        self._inputs.publish(inputs.encode(base_ns, commands, everything=True))
+        self._sent = 0
 
     def servo_targets(self, stamp_ns, changed):
         """Publish the wanted values of all servos from this stamp on.
@@ -325,9 +312,7 @@ class Outputs:
             stream.send(stamp_ns, encode(stamp_ns, impulse))
 
     def record_acting(self, stamp_ns, sample):
-        """Record all acting inputs at the start of a new file, without publishing them."""
-        for key, wrench in self.acting.items():
-            self._applied.record(stamp_ns, self._encode_wrench[key](stamp_ns, wrench))
+        """Record wanted values, motions and modes at the start of a new file, without publishing them."""
         if self.targets:
             self._targets.record(stamp_ns, self._targets_now(stamp_ns))
         if self.motions:

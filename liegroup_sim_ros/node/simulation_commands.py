@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 from liegroup_core import Sample, SceneError
 from liegroup_core.errors import LieGroupSimError
-from liegroup_core.forces.schedule import AppliedWrench
 from liegroup_sim_ros.messages import events
 from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.recording import attachments
@@ -121,13 +120,7 @@ class SimulationCommands:
         self._real_time.restart()
         self._event(name, text)
         self._send_reports("begin")
-        acting = self._simulation.acting()
-        going_on = {(c.body, c.axes) for c in acting if isinstance(c, AppliedWrench)}
-        if self._output.motions:
-            self._output.prescribed(self.stamp_ns, {}, anew=True)
-        for body, axes in self._output.acting.keys() - going_on:
-            self._send_wrench(self.stamp_ns, body, (0.0,) * 6, axes)
-        self._send_changes(self.stamp_ns, acting)
+        self._send_present()
         self._send_outputs(everything=True)
         self._reference_energy = self._simulation.sample().energy
         if self.state == "faulted":

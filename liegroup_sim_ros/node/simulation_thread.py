@@ -18,7 +18,7 @@ from itertools import groupby
 from operator import attrgetter, itemgetter
 
 from liegroup_core import SimulationError
-from liegroup_core.forces.schedule import AppliedMotion, AppliedTarget
+from liegroup_core.forces.commands import MOTION, TARGET
 from liegroup_core.pacing import Pacer
 from liegroup_sim_ros.messages import events
 from liegroup_sim_ros.messages.joint_modes import JointReports
@@ -32,7 +32,7 @@ log = logging.getLogger("liegroup_core")
 
 DIAGNOSTICS_PERIOD = 1.0  # s of wall time
 HALTING = 0.05  # s between two attempts to halt the simulation
-_time_ns = attrgetter("time_ns")
+_start_ns = attrgetter("start_ns")
 IDLE_TICK = 0.01  # s of simulated time between two ticks if no output has a period
 
 
@@ -40,8 +40,8 @@ class SimulationServer(SimulationCommands, threading.Thread):
     """Thread that runs a simulation in real time.
 
     simulation : liegroup_core.Simulation; only this thread uses it from `start` to its end
-    output     : Outputs, or an object with the attributes timed, clock_steps, state_steps, acting,
-                 targets, motions, impulses and the methods clock, state, applied_wrench, servo_targets,
+    output     : Outputs, or an object with the attributes timed, clock_steps, state_steps, targets,
+                 motions, impulses and the methods clock, state, inputs, all_inputs, servo_targets,
                  prescribed, event, diagnostics; joint_modes if joints have stops or friction; impact
                  if impulses is not empty
     factor     : real-time factor, 0: as fast as possible
@@ -190,7 +190,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
         scene = self._simulation.scene.name
         steps = self._simulation.steps
         self._event("start", f"{scene} at step {steps}, {self.state}{self._origin}")
-        self._send_changes(self.stamp_ns, self._simulation.acting())
+        self._send_present()
         self._send_reports("begin")
         if self._output.impulses:
             self._simulation.drain_impacts()  # the simulation collects impacts from here on
@@ -256,6 +256,8 @@ class SimulationServer(SimulationCommands, threading.Thread):
     def _advance_to(self, tick, enough=lambda: False):
         """Advance to step `tick` and send its outputs, unless `enough()` before; returns False after a fault."""
         self._inbox.deliver(self._base_ns, tick * self._simulation.step)
+        if changes := self._send_commands():
+            self._send_changes(self.stamp_ns, changes)
         began, first = time.thread_time(), self._simulation.steps
         try:
             self._simulation.advance(tick - first, lambda: self._stopping or enough())
@@ -280,8 +282,8 @@ class SimulationServer(SimulationCommands, threading.Thread):
         """Send the outputs of the current step, in the order of their stamps."""
         steps = self._simulation.steps
         due = [
-            (time_ns, partial(self._send_changes, self._base_ns + time_ns, list(changes)))
-            for time_ns, changes in groupby(self._simulation.drain_applied(), _time_ns)
+            (round(time_ns), partial(self._send_changes, self._base_ns + round(time_ns), list(changes)))
+            for time_ns, changes in groupby(self._send_commands(), _start_ns)
         ]
         if self._reports is not None:
             due += [(r.time_ns, partial(self._send_report, r)) for r in self._reports.drain()]
@@ -347,25 +349,36 @@ class SimulationServer(SimulationCommands, threading.Thread):
     def _send_state(self, stamp_ns, sample):
         self._output.state(stamp_ns, self._figures(sample))
 
+    def _send_commands(self):
+        """Send the wrenches and efforts that were commanded since the last call; returns the other inputs."""
+        given = self._simulation.drain_applied()
+        commands = [command for command in given if command.kind not in (TARGET, MOTION)]
+        if commands:
+            self._output.inputs(self.stamp_ns, self._base_ns, commands, lambda: self._simulation.inputs.commands)
+            self._reference_energy = None
+        return [command for command in given if command.kind in (TARGET, MOTION)]
+
     def _send_changes(self, stamp_ns, changes):
-        """Send the wrenches, wanted values of servos, and motions that act from a stamp on."""
+        """Send the wanted values of servos and the motions that act from a stamp on."""
         targets, motions = {}, {}
         for change in changes:
-            if isinstance(change, AppliedTarget):
-                targets[change.joint] = change.position, change.velocity
-            elif isinstance(change, AppliedMotion):
-                motions[change.joint] = change.motion
-            else:
-                self._send_wrench(stamp_ns, change.body, change.wrench, change.axes)
+            (targets if change.kind == TARGET else motions)[change.name] = change.values
         if targets:
             self._output.servo_targets(stamp_ns, targets)
         if motions:
             self._output.prescribed(stamp_ns, motions)
-        if targets or motions:
-            self._reference_energy = None
+        self._reference_energy = None
 
-    def _send_wrench(self, stamp_ns, body, wrench, axes):
-        self._output.applied_wrench(stamp_ns, body, wrench, axes)
+    def _send_present(self):
+        """Send what acts in a state that was set."""
+        inputs = self._simulation.inputs
+        self._simulation.drain_applied()  # it is part of the state
+        self._output.all_inputs(self._base_ns, inputs.commands)
+        targets, motions = inputs.targets, inputs.motions
+        if targets:
+            self._output.servo_targets(self.stamp_ns, targets)
+        if motions or self._output.motions:
+            self._output.prescribed(self.stamp_ns, motions, anew=True)
         self._reference_energy = None
 
     def _event(self, name, text, failed=False):
@@ -380,7 +393,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
 
     def _figures(self, sample):
         """{name: number or text} for the diagnostics; each name ends with its unit."""
-        if self._output.acting:
+        if self._simulation.inputs.has_wrenches:
             drift = math.nan  # an applied wrench changes the energy
         else:
             if self._reference_energy is None:

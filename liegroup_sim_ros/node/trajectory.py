@@ -225,7 +225,7 @@ class Follower:
             if joint in self._driven:
                 self._simulation.command_motion(joint, [self._stopping], None, [0.0], start=time)
             else:
-                self._simulation.set_servo_target(joint, position, 0.0, time)
+                self._simulation.inputs.set_target(joint, position, 0.0, time)
         self._active = None
 
     def _feed(self, until):
@@ -239,7 +239,7 @@ class Follower:
             targets = self._active.at(self._active.seconds if ended else middle)
             for joint, target in zip(self._active.joints, targets):
                 if joint not in self._driven and time < self._ends.get(joint, math.inf):
-                    self._simulation.set_servo_target(joint, *target, time)
+                    self._simulation.inputs.set_target(joint, *target, time)
             self._sent += 1
             if ended:
                 self._active = None

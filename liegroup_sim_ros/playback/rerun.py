@@ -6,7 +6,8 @@ import numpy as np
 from liegroup_core import Simulation, SimulationError
 from liegroup_core.accuracy import METHOD
 from liegroup_core.errors import LieGroupSimError
-from liegroup_core.forces.external import AXES
+from liegroup_core.forces.commands import MOTION, TARGET, Command
+from liegroup_core.forces.instants import NS
 from liegroup_core.mechanism.body_model import initial_state as state_of_scene
 from liegroup_sim_ros.recording.attachments import restore
 from liegroup_sim_ros.recording.read import RecordingError
@@ -106,14 +107,19 @@ class Rerun:
             start = (recorded["steps"] if checkpoint else stretch.start) * self.ratio
             if start != round(start):
                 raise ReplayError(f"the start of the recording is not a whole number of steps of {simulation.step:g} s")
-            if recorded and "memory" in recorded and self._same_method:
-                restore(simulation, recorded)
-            else:
-                pose, twist, angles = self._starts.of(stretch)
-                simulation.set_state(pose, twist, round(start), angles)
+            pose, twist, angles = self._starts.of(stretch)
+            entries = {"pose": pose, "twist": twist, "angles": angles}
+            entries = (recorded or {}) | ({} if checkpoint else entries) | {"steps": round(start)}
+            restore(simulation, entries, self._same_method)
         except (ValueError, KeyError, TypeError, OverflowError) as error:
             raise ReplayError(f"invalid initial state in the recording: {error}") from None
-        self._stretch, self._next, self._next_target, self._next_motion = stretch, 0, 0, 0
+        # What was commanded up to a checkpoint is in its state, if that has commands.
+        since = start * simulation.step if checkpoint and "state" in checkpoint else -np.inf
+        self._stretch = stretch
+        self._next = stretch.inherited + self._number(self._given, since)
+        self._next_target, self._next_motion = (
+            self._number(times, since) for times in (stretch.target_times, stretch.motion_times)
+        )
         # A change of the accuracy at the stamp of a checkpoint comes after it.
         self._accuracies = [
             (step, accuracy)
@@ -136,34 +142,36 @@ class Rerun:
         self._work.advance(self.simulation, step - self.simulation.steps)
 
     def apply_changes(self, until):
-        """Apply the recorded changes of wrenches, servos and motions up to a time in s."""
-        stretch = self._stretch
-        upto = int(np.searchsorted(stretch.change_times, until, "right"))
+        """Give the recorded commands up to a time in s, and the wanted values and motions that act up to then."""
+        stretch, inputs = self._stretch, self._stretch.inputs
+        upto = stretch.inherited + int(np.searchsorted(self._given, until, "right"))
         for k in range(self._next, upto):
-            axes = AXES[stretch.change_axes[k]]
-            self.simulation.apply_wrench(
-                stretch.bodies[stretch.change_bodies[k]],
-                stretch.change_wrenches[k],
-                float(stretch.change_times[k]),
-                source=axes,
-                axes=axes,
-            )
+            inputs[k].repeat(self.simulation)
         self._next = max(self._next, upto)
         upto = int(np.searchsorted(stretch.target_times, until, "right"))
-        for time, targets in zip(
-            stretch.target_times[self._next_target : upto].tolist(), stretch.targets[self._next_target : upto].tolist()
-        ):
-            for joint, target in zip(self.simulation.layout.servos, targets):
-                self.simulation.set_servo_target(joint, *target, time)
+        for k in range(self._next_target, upto):
+            for joint, values in zip(self.simulation.layout.servos, stretch.targets[k].tolist()):
+                self._repeat(TARGET, joint, values, stretch.target_times[k])
         self._next_target = max(self._next_target, upto)
         upto = int(np.searchsorted(stretch.motion_times, until, "right"))
-        for time, motions in zip(
-            stretch.motion_times[self._next_motion : upto].tolist(), stretch.motions[self._next_motion : upto]
-        ):
-            for joint, motion in zip(self.simulation.layout.motions, motions):
-                if np.isfinite(motion[0]):
-                    self.simulation.prescribe(joint, motion, time)
+        for k in range(self._next_motion, upto):
+            for joint, values in zip(self.simulation.layout.motions, stretch.motions[k].tolist()):
+                if np.isfinite(values[0]):
+                    self._repeat(MOTION, joint, values, stretch.motion_times[k])
         self._next_motion = max(self._next_motion, upto)
+
+    def _repeat(self, kind, joint, values, time):
+        Command(kind, joint, tuple(values), round(float(time) * NS)).repeat(self.simulation)
+
+    @property
+    def _given(self):
+        """(m,) s since step 0 at which the commands of the stretch were given, without inherited ones."""
+        inputs = self._stretch.inputs
+        return (inputs.stamp_ns[self._stretch.inherited :] - inputs.base_ns) * 1e-9
+
+    @staticmethod
+    def _number(times, since):
+        return int(np.searchsorted(times, since, "left"))
 
 
 class Starts:

@@ -4,8 +4,6 @@
 docs/reference/recording.md describes every entry.
 """
 
-import base64
-import binascii
 import json
 import os
 import platform
@@ -15,6 +13,8 @@ from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
+from liegroup_core.forces.commands import Commands
+from liegroup_core.state import encoded
 from liegroup_core.study.machine import cpu_name
 from liegroup_sim_ros.version import __version__
 
@@ -41,42 +41,55 @@ def at_start(simulation, node, world_frame, sample_steps, topics, stamp_ns=0, **
 
 def state(simulation, stamp_ns):
     """Current state of a simulation as JSON types; `restore` is the inverse."""
-    pose, twist = simulation.state()
+    parts = dict(simulation.snapshot().parts)
     # JSON writes the shortest text that is read as the same float64: the state is exact.
     return {
         "bodies": list(simulation.layout.body_names),
-        "pose": pose.tolist(),
-        "twist": twist.tolist(),
-        "angles": simulation.sample().angles.tolist(),
-        "steps": simulation.steps,
+        "pose": parts.pop("pose").tolist(),
+        "twist": parts.pop("twist").tolist(),
+        "angles": parts.pop("angles").tolist(),
+        "steps": parts.pop("steps"),
         "stamp_ns": stamp_ns,
         "base_ns": stamp_ns - simulation.time_ns,
-        "memory": base64.b64encode(simulation.memory()).decode(),
-        **({"pending": simulation.pending} if simulation.pending else {}),
+        "state": encoded(parts),
     }
 
 
-def restore(simulation, entries):
-    """Set a simulation to the state in an initial_state.json.
+def restore(simulation, entries, exactly=True):
+    """Set a simulation to the state in an initial_state.json, with the commands that act and wait in it.
 
-    returns True if it continues bit-identically; False if the memory of its method is that of
-    another version, so that the method restarts from this state
+    exactly : False: for a simulation with another method or step; the step count of the simulation is
+              that of the entries
+    returns True if it continues bit-identically; False if the state is that of another version or
+    simulation, so that method and error estimate start anew
     raises ValueError, KeyError, TypeError for entries that are not a state of the simulation
     """
-    arguments = (
-        np.array(entries["pose"], dtype=float),
-        np.array(entries["twist"], dtype=float),
-        int(entries.get("steps", 0)),
-        entries.get("angles"),
-    )
-    try:
-        memory = base64.b64decode(entries.get("memory", ""), validate=True)
-        simulation.set_state(*arguments, memory=memory)
-        simulation.remember_pending(entries.get("pending"))
-        return True
-    except (binascii.Error, ValueError):
-        simulation.set_state(*arguments)
+    pose, twist = (np.array(entries[key], dtype=float) for key in ("pose", "twist"))
+    angles, parts = entries.get("angles"), entries.get("state")
+    simulation.set_state(pose, twist, int(entries.get("steps", 0)), angles)
+    if not isinstance(parts, dict):
         return False
+    if exactly:
+        given = {
+            "pose": pose,
+            "twist": twist,
+            "angles": np.array([] if angles is None else angles, dtype=float),
+            "steps": simulation.steps,
+        }
+        try:
+            simulation.restore_parts(encoded(given) | parts)
+            return True
+        except ValueError:
+            pass
+    simulation.take(commands_in(entries), parts.get("modes"))
+    return False
+
+
+def commands_in(entries):
+    """Commands in the entries of a state, or None for a reset. Raises ValueError."""
+    parts = (entries or {}).get("state")
+    given = parts.get("inputs") if isinstance(parts, dict) else None
+    return Commands() if given is None else Commands.from_json(given.get("commands"), "inputs of the state")
 
 
 def settings(simulation, sample_steps):

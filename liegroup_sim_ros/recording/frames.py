@@ -26,13 +26,15 @@ def data_frame(recording, what):
                 axis=1,
             )
         frame = pandas.concat(parts, axis=1)
-    elif what == "wrench":
-        changes = recording.applied_wrench
-        frame = pandas.DataFrame(
-            [change.wrench for change in changes], [c.stamp_ns * 1e-9 for c in changes], WRENCH, dtype=float
-        )
-        frame.insert(0, "body", [change.body for change in changes])
-        frame.insert(1, "axes", [change.axes for change in changes])
+    elif what == "inputs":
+        none = (np.nan,) * 3
+        rows = [
+            (c.kind, c.name, c.source, c.axes, *(*c.values, *none, *none)[:6], *(c.point or none), c.start_ns, c.end_ns)
+            for c in recording.inputs
+        ]
+        columns = ["kind", "name", "source", "axes", *WRENCH, "px", "py", "pz", "start", "end"]
+        frame = pandas.DataFrame(rows, recording.inputs.stamp_ns * 1e-9, columns)
+        frame[["start", "end"]] = frame[["start", "end"]].astype(float) * 1e-9
     elif what in ("joints", "servo_targets"):
         states = recording.joint_states if what == "joints" else recording.servo_targets
         parts = ("position", "velocity", "effort")[: 3 if what == "joints" else 2]
@@ -91,7 +93,7 @@ def data_frame(recording, what):
         )
     else:
         raise ValueError(
-            "what must be motion, wrench, joints, motions, servo_targets, joint_modes, reactions, "
+            "what must be motion, inputs, joints, motions, servo_targets, joint_modes, reactions, "
             f"impulses, errors or events, got {what!r}"
         )
     frame.index.name = "time_s"

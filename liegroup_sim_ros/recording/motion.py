@@ -5,16 +5,20 @@ Memory is bounded.
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 import scipy
 
-from liegroup_core.forces.external import AXES
+from liegroup_core.forces.commands import EFFORT, MOTION, TARGET, Command
 from liegroup_core.joints.motion import COLUMNS
 from liegroup_sim_ros.messages import events
 
+from .attachments import commands_in
 from .errors import RecordingError
+from .input_track import FOREVER, KINDS, InputTrack
+from .tracks import ModeTrack
 
 # Samples kept for plots: the limit for all bodies together, and the smallest limit per body.
 KEPT, LEAST_KEPT = 40_000, 2000
@@ -37,10 +41,12 @@ class Stretch:
     is_first: bool  # begins with the file
     start: int  # number of its first step
     state: dict | None  # state that was set, see attachments.state; None: that of the file or the scene
-    change_times: np.ndarray  # (m,) s since step 0, at which a total wrench on a body changes
-    change_bodies: np.ndarray  # (m,) index of the body
-    change_wrenches: np.ndarray  # (m, 6) the total in its axes
-    change_axes: np.ndarray  # (m,) index into AXES of liegroup_core/forces/external.py
+    inputs: InputTrack  # wrenches and efforts, those that act in its first state before the others
+    inherited: int  # number of these in its first state
+    efforts_on: dict  # {joint: names of the bodies on which an effort acts}
+    joint_modes: ModeTrack | None  # of the whole recording
+    servos: tuple  # joints, in the order of `targets`
+    driven: tuple  # joints, in the order of `motions`
     target_times: np.ndarray  # (p,) s since step 0, at which wanted values of servos change
     targets: np.ndarray  # (p, servos, 2) wanted positions and velocities, in the order of the layout
     motion_times: np.ndarray  # (q,) s since step 0, at which motions of driven joints change
@@ -70,10 +76,10 @@ class Stretch:
         """(k,) s of the recording."""
         return self.base_ns * 1e-9 + self.times
 
-    @property
-    def change_steps(self):
-        """(m,) change_times in steps; whole numbers within the rounding of stamps to ns."""
-        return self._in_steps(self.change_times)
+    def seconds_of(self, times_ns):
+        """[s] of times in ns since step 0, computed as those of samples if they are at a step; FOREVER is infinity."""
+        seconds = self._in_steps(times_ns * 1e-9) * self.step
+        return np.where(times_ns == FOREVER, np.inf, seconds).tolist()
 
     def _in_steps(self, times):
         steps = times / self.step
@@ -100,18 +106,48 @@ class Stretch:
 
         Steps have a fraction where a wrench starts or ends inside a step.
         """
-        mine = self.change_bodies == self.bodies.index(body)
-        steps = self.change_steps[mine]
-        acting, acts = [False] * len(AXES), []
-        for axes, nonzero in zip(self.change_axes[mine].tolist(), self.change_wrenches[mine].any(axis=1).tolist()):
-            acting[axes] = nonzero
-            acts.append(any(acting))
-        switches = np.flatnonzero(np.diff(np.array(acts, dtype=bool), prepend=False))
-        edges = steps[switches].astype(float)
-        if len(edges) % 2:
-            edges = np.append(edges, np.inf)
-        pairs = edges.reshape(-1, 2)
-        return pairs[pairs[:, 1] > pairs[:, 0]]
+        start, end, _ = self._spans
+        mine = [k for k, on in enumerate(self._pushed_bodies) if body in on]
+        if not mine:
+            return np.empty((0, 2))
+        start, end = self._in_steps(start[mine] * 1e-9), self._in_steps(end[mine] * 1e-9)
+        end[self._spans[1][mine] == FOREVER] = np.inf
+        reached = np.maximum.accumulate(end)
+        first = np.concatenate([[True], start[1:] > reached[:-1]])  # spans that do not meet an earlier one
+        last = np.concatenate([first[1:], [True]])
+        return np.column_stack([start[first], reached[last]])
+
+    def acting_at(self, step):
+        """[Command] of what acts at a step: wrenches, efforts, wanted values of servos and motions."""
+        start, end, numbers = self._spans
+        time = step * self.step
+        found = [self.inputs[k] for k in numbers[(start * 1e-9 <= time) & (time < end * 1e-9)].tolist()]
+        for kind, names, steps, values in (
+            (TARGET, self.servos, self.target_steps, self.targets),
+            (MOTION, self.driven, self.motion_steps, self.motions),
+        ):
+            known = np.flatnonzero(steps <= step)
+            if len(known):
+                rows = zip(names, values[known[-1]].tolist())
+                found += [Command(kind, name, tuple(row), 0) for name, row in rows if np.isfinite(row[0])]
+        return found
+
+    def modes_at(self, step):
+        """(k, 5) as Sample.switching; None without joints with stops or friction, or before the first message."""
+        stamp = self.base_ns + round(step * self.step * 1e9)
+        return None if self.joint_modes is None else self.joint_modes.switching(stamp)
+
+    @cached_property
+    def _spans(self):
+        return self.inputs.spans()
+
+    @cached_property
+    def _pushed_bodies(self):
+        """Names of the bodies on which each of the spans acts."""
+        return [
+            self.efforts_on.get(name, ()) if kind == EFFORT else (name,)
+            for kind, name in self.inputs.names(self._spans[2])
+        ]
 
     @property
     def pushed(self):
@@ -179,6 +215,8 @@ _KEPT = _Kept._fields
 class Motion:
     """All stretches of a recording, and the samples missing in it; `blocks` reads it once.
 
+    layout : Layout of the scene, which knows the joints of inputs; None: they are not looked at
+
     all              : all stretches, without samples
     stretches        : stretches with samples, as far as they are read
     samples          : number of complete samples: pose and twist of all bodies
@@ -188,8 +226,13 @@ class Motion:
                        the recording
     """
 
-    def __init__(self, recording):
+    def __init__(self, recording, layout=None):
         self._recording = recording
+        self._efforts_on, self._joints = {}, ((), ())
+        if layout is not None:
+            self._joints = tuple(layout.servos), tuple(layout.motions)
+            units = layout.unit_efforts.items()
+            self._efforts_on = {joint: [layout.body_names[i] for i, _ in on] for joint, on in units}
         self.stretches = []
         self.samples = self.missing = self.gaps = self.not_finite = 0
         self.first_not_finite = None
@@ -233,18 +276,8 @@ class Motion:
 
     def _stretch(self, begin, start, state, end, step, is_first):
         base = begin if is_first else begin - round(start * step * 1e9)
-        tracks = self._recording.wrench
-        stamps = [track.stamp_ns for track in tracks.values()] or [np.empty(0, dtype=np.int64)]
-        inside = [(s >= begin) & (s < end) for s in stamps]
-        when = np.concatenate([s[mask] for s, mask in zip(stamps, inside)])
-        which = np.repeat(np.arange(len(stamps)), [int(mask.sum()) for mask in inside])
-        wrench = np.concatenate(
-            [np.empty((0, 6))] + [track.wrench[mask] for track, mask in zip(tracks.values(), inside)]
-        )
-        axes = np.concatenate(
-            [np.empty(0, dtype=np.int8)] + [track.axes[mask] for track, mask in zip(tracks.values(), inside)]
-        )
-        order = np.argsort(when, kind="stable")
+        before = self._commands_in(self._recording.initial_state if is_first else state)
+        inputs = self._recording.inputs.between(begin, end, base, before)
         return Stretch(
             begin,
             base,
@@ -254,14 +287,23 @@ class Motion:
             is_first,
             start,
             state,
-            (when[order] - base) * 1e-9,
-            which[order],
-            wrench[order],
-            axes[order],
+            inputs,
+            len(before),
+            self._efforts_on,
+            self._recording.joint_modes,
+            *self._joints,
             *self._targets(begin, base, end),
             *self._motions(begin, base, end),
             *self._accuracies(begin, base, end, step),
         )
+
+    def _commands_in(self, state):
+        """Wrenches and efforts that act or wait in the entries of a state. Raises RecordingError."""
+        try:
+            commands = commands_in(state)
+        except ValueError as error:
+            raise RecordingError(f"{self._recording.path}: {error}") from None
+        return [c for part in commands for c in part if c.kind in KINDS]
 
     def _targets(self, begin, base, end):
         """Times in s at which wanted values of servos change, and these values."""

@@ -6,7 +6,7 @@ is read up to its last flush without repair; `complete` and `problem` report it.
 skipped and reported; `lost` counts missing messages by sequence number. No ROS is needed. Every
 failure is a RecordingError, one line of text.
 
-Events, wrenches and diagnostics are kept in memory. Poses, twists and estimated errors are loaded
+Events, inputs and diagnostics are kept in memory. Poses, twists and estimated errors are loaded
 on first access: 64, 56, and 8 + 32 n bytes a message of n bodies. `samples` returns them in pieces
 instead, in bounded memory.
 """
@@ -18,7 +18,6 @@ from pathlib import Path
 
 import numpy as np
 
-from liegroup_core.forces.external import AXES
 from liegroup_core.joints.motion import COLUMNS
 from liegroup_sim_ros.messages import estimates, joint_modes
 from liegroup_sim_ros.messages.codecs import PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
@@ -27,9 +26,9 @@ from liegroup_sim_ros.messages.commands import JOINT_STATE, JointStateDecoder
 from .addresses import is_remote
 from .errors import RecordingError
 from .frames import data_frame
+from .input_track import InputTrack
 from .read_file import Attachments, ErrorsWithPath, Scan, Source, decode, of_one_size
 from .tracks import (
-    AppliedWrench,
     ErrorTrack,
     Event,
     ImpulseTrack,
@@ -40,14 +39,13 @@ from .tracks import (
     ReactionTrack,
     Samples,
     TwistTrack,
-    WrenchTrack,
 )
 
 __all__ = [
-    "AppliedWrench",
     "ErrorTrack",
     "Event",
     "ImpulseTrack",
+    "InputTrack",
     "JointTrack",
     "ModeTrack",
     "PoseTrack",
@@ -56,7 +54,6 @@ __all__ = [
     "RecordingError",
     "Samples",
     "TwistTrack",
-    "WrenchTrack",
     "read_recording",
 ]
 
@@ -78,7 +75,7 @@ class Recording:
     initial_state: dict  # initial_state.json
     pacing: dict | None  # pacing.json; None if the run did not end normally
     bodies: tuple  # names, in the order of initial_state
-    wrench: dict  # {body: WrenchTrack}
+    inputs: InputTrack  # wrenches and efforts as they were commanded
     servo_targets: JointTrack | None  # wanted values of all servos from each stamp on
     motions: MotionTrack | None  # motions of all driven joints from each stamp on
     joint_modes: ModeTrack | None  # of the joints with stops or friction, from each stamp on
@@ -123,16 +120,6 @@ class Recording:
             return None
         stamps, values = track
         return ErrorTrack(stamps, values.reshape(len(stamps), len(self.bodies), 4))
-
-    @property
-    def applied_wrench(self) -> list[AppliedWrench]:
-        """Changes of the total wrenches on all bodies: [AppliedWrench] in the order of stamps."""
-        changes = [
-            AppliedWrench(stamp, body, tuple(wrench), AXES[axes])
-            for body, track in self.wrench.items()
-            for stamp, wrench, axes in zip(*(part.tolist() for part in track))
-        ]
-        return sorted(changes, key=lambda change: change.stamp_ns)
 
     @cached_property
     def _tracks(self):
@@ -317,8 +304,8 @@ class Recording:
         """pandas DataFrame with the time in s as index.
 
         what : "motion"  columns (body, quantity): x, y, z, qx, qy, qz, qw, wx, wy, wz, vx, vy, vz
-               "wrench"  columns body, axes, tx, ty, tz, fx, fy, fz: the total wrench in these axes
-                         from this time on
+               "inputs"  columns kind, name, source, axes, tx, ty, tz, fx, fy, fz, px, py, pz, start, end: wrenches
+                         and efforts (in tx) as they were given at this time; s; NaN: no point, no end
                "joints"  columns (joint, "position", "velocity" or "effort")
                "motions" columns (driven joint, "origin" or "c0" to "c5"): the commanded motion from
                          this time on, see liegroup_core/joints/motion.py; infinite origin: none
@@ -364,7 +351,7 @@ def read_recording(path: str | Path) -> Recording:
             initial_state=initial_state,
             pacing=pacing,
             bodies=bodies,
-            wrench=scan.wrenches(),
+            inputs=scan.inputs,
             servo_targets=_joint_track(scan.servo_targets),
             motions=_motion_track(scan.motions),
             joint_modes=_mode_track(scan.joint_modes),

@@ -6,18 +6,18 @@ from pathlib import Path
 
 import numpy as np
 
-from liegroup_core.forces.external import AXES
-from liegroup_sim_ros.messages import diagnostics, joint_modes
+from liegroup_sim_ros.messages import diagnostics, inputs, joint_modes
 from liegroup_sim_ros.messages.codecs import LogCodec, MessageError, WrenchStampedCodec, decode_rows
 from liegroup_sim_ros.messages.commands import JointStateDecoder, decode_motions
-from liegroup_sim_ros.messages.topics import wrench_frame
 
+from . import old_inputs
 from .addresses import fetch, is_remote
 from .checkpoints import stamp_of
 from .errors import AddressError, RecordingError
+from .input_track import KINDS, InputTrack
 from .mcap_records import RECORD, AttachmentPiece, Damaged, attachment_of
 from .read_mcap import McapStream
-from .tracks import Event, WrenchTrack
+from .tracks import Event
 
 MOST_EVENTS = 10**6  # limit of events and of diagnostics; a run has about one a second
 
@@ -142,10 +142,11 @@ class Scan:
         self.events, self.diagnostics = [], []
         self.last_ns = 0
         self._tallies = {}  # channel id -> _Tally
-        self._wrenches = {body: ([], [], []) for body in bodies}
+        self.inputs = InputTrack()
         prefix, world = settings.get("frame_prefix", ""), settings.get("world_frame", "world")
-        self._targets = {wrench_frame(prefix + body, axes, world): (body, axes) for body in bodies for axes in AXES}
-        events, figures, applied = (topics[key] for key in ("events", "diagnostics", "applied_wrench"))
+        self._frames = old_inputs.frames(bodies, prefix, world)
+        events, figures = topics["events"], topics["diagnostics"]
+        given, applied = topics.get("inputs"), topics.get("applied_wrench")
         targets = topics.get("servo_targets")
         self.servo_targets = []  # (stamp_ns, names, positions, velocities)
         self.motions = []  # (stamp_ns, names, numbers)
@@ -166,8 +167,10 @@ class Scan:
                     ]
                 elif channel.topic == figures:
                     self.diagnostics += [diagnostics.decode(messages.payload(k)) for k in index]
+                elif channel.topic == given:
+                    self._add_inputs(messages, index)
                 elif channel.topic == applied:
-                    self._add_wrenches(messages, index)
+                    self._add_totals(messages, index)
                 elif channel.topic == targets:
                     self.servo_targets += [decoder.decode(messages.payload(k)).complete()[:4] for k in index]
                 elif channel.topic == modes:
@@ -185,26 +188,28 @@ class Scan:
             for number, tally in self._tallies.items():
                 tally.written = source.stream.statistics.get(number, 0)
 
-    def _add_wrenches(self, messages, index):
-        for stamps, names, which, values in decode(WrenchStampedCodec, messages, index):
-            for k, frame in enumerate(names):
-                if frame not in self._targets:
-                    raise RecordingError(f"a wrench acts on {frame!r:.60}, which is not a body of the scene")
-                body, axes = self._targets[frame]
-                mine = which == k
-                for part, value in zip(
-                    self._wrenches[body], (stamps[mine], values[mine], np.full(mine.sum(), AXES.index(axes), np.int8))
-                ):
-                    part.append(value)
+    def _add_inputs(self, messages, index):
+        for k in index:
+            base_ns, commands = inputs.decode(messages.payload(k))
+            for command in commands:
+                if command.kind not in KINDS:
+                    raise RecordingError(f"its inputs contain a command of the kind {command.kind!r:.40}")
+                self._add(int(messages.log_time[k]), base_ns, command)
 
-    def wrenches(self):
-        none = np.empty(0, dtype=np.int64), np.empty((0, 6)), np.empty(0, dtype=np.int8)
-        tracks = {}
-        for body, parts in self._wrenches.items():
-            stamps, values, axes = (np.concatenate([e, *p]) for e, p in zip(none, parts))
-            order = np.argsort(stamps, kind="stable")
-            tracks[body] = WrenchTrack(stamps[order], values[order], axes[order])
-        return tracks
+    def _add_totals(self, messages, index):
+        """Add total wrenches of a recording up to version 0.2."""
+        for k in index:
+            stamp, frame, wrench = WrenchStampedCodec.decode_one(messages.payload(k))
+            if frame not in self._frames:
+                raise RecordingError(f"a wrench acts on {frame!r:.60}, which is not a body of the scene")
+            for command in old_inputs.commands(*self._frames[frame], wrench):
+                self._add(stamp, stamp, command)
+
+    def _add(self, stamp_ns, base_ns, command):
+        try:
+            self.inputs.add(stamp_ns, base_ns, command)
+        except OverflowError:
+            raise RecordingError("the stamps of its inputs are out of range") from None
 
     def counts(self):
         result = {}

@@ -43,16 +43,6 @@ class ErrorTrack(_ErrorTrack, _Timed):
     """Estimated errors of all bodies, as in Sample.errors."""
 
 
-class _WrenchTrack(NamedTuple):
-    stamp_ns: np.ndarray  # (m,) int64, ns
-    wrench: np.ndarray  # (m, 6) (torque, force), N m and N: the total in its axes from then on
-    axes: np.ndarray  # (m,) int8, index into AXES of liegroup_core/forces/external.py
-
-
-class WrenchTrack(_WrenchTrack, _Timed):
-    """Changes of the total wrenches on one body: in body axes, in world axes, or of a pair of forces."""
-
-
 class _ReactionTrack(NamedTuple):
     stamp_ns: np.ndarray  # (n,) int64, ns
     wrench: np.ndarray  # (n, 6) (torque, force), N m and N; NaN: undetermined
@@ -114,13 +104,6 @@ class Samples(NamedTuple):
     quaternion: np.ndarray  # (k, n, 4) x, y, z, w
     twist: np.ndarray  # (k, n, 6) (omega, v), body axes
     errors: np.ndarray | None = None  # (k, n, 4) as in ErrorTrack; None without an estimate
-
-
-class AppliedWrench(NamedTuple):
-    stamp_ns: int
-    body: str
-    wrench: tuple  # (6,) (torque, force): the total in these axes from stamp_ns on
-    axes: str  # "body" or "world"; "world_x", ...: see liegroup_core.forces.schedule.AppliedWrench
 
 
 class Event(NamedTuple):

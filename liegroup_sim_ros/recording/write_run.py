@@ -8,13 +8,16 @@ the run ended early, or None. Existing files are never overwritten.
 
 import json
 from functools import partial
-from operator import itemgetter
+from itertools import groupby
+from operator import attrgetter, itemgetter
 from pathlib import Path
 
 import numpy as np
 
+from liegroup_core.forces.commands import MOTION, TARGET
 from liegroup_core.joint_events import has_impacts
-from liegroup_sim_ros.messages import estimates, events, schemas, topics
+from liegroup_core.joints.motion import FROM_SCENE
+from liegroup_sim_ros.messages import commands, estimates, events, inputs, schemas, topics
 from liegroup_sim_ros.messages import samples as sample_messages
 from liegroup_sim_ros.messages.codecs import LogCodec
 from liegroup_sim_ros.messages.joint_modes import JointReports
@@ -140,6 +143,9 @@ class LogFile:
     def __init__(self, path, simulation, every, _samples, reactions=False):
         self.count, self.last_step = 0, -1
         self._simulation, self._told = simulation, set()  # events that are recorded once
+        self._stamp = simulation.time_ns  # of the last sample
+        self._values = simulation.inputs.targets | simulation.inputs.motions
+        simulation.drain_applied()  # what was commanded before is in the initial state
         try:
             on_request = sample_messages.reactions(simulation.layout, WORLD_FRAME) if reactions else []
         except ValueError as error:
@@ -159,7 +165,7 @@ class LogFile:
         names = {
             "pose": {b: pose.resolved(NODE) for b, (pose, _) in zip(bodies, pairs)},
             "twist": {b: twist.resolved(NODE) for b, (_, twist) in zip(bodies, pairs)},
-            "applied_wrench": topics.APPLIED_WRENCH.resolved(NODE),
+            "inputs": topics.INPUTS.resolved(NODE),
             "events": topics.EVENTS.resolved(NODE),
             "clock": None,
             "diagnostics": topics.DIAGNOSTICS.resolved(NODE),
@@ -173,8 +179,15 @@ class LogFile:
         if has_modes:
             names["joint_modes"] = topics.JOINT_MODES.resolved(NODE)
             with_samples.append(topics.JOINT_MODES)
+        of_inputs = [topics.INPUTS]
+        if layout.servos:
+            names["servo_targets"] = topics.SERVO_TARGETS.resolved(NODE)
+            of_inputs.append(topics.SERVO_TARGETS)
+        if layout.motions:
+            names["motions"] = topics.MOTIONS.resolved(NODE)
+            of_inputs.append(topics.MOTIONS)
         try:
-            types = [topic.type for topic in (*with_samples, topics.APPLIED_WRENCH, topics.EVENTS)]
+            types = [topic.type for topic in (*with_samples, *of_inputs, topics.EVENTS)]
             for message_type in [*types, *(message_type for _, message_type, _ in on_request)]:
                 schemas.definition(message_type)
                 schemas.type_hash(message_type)
@@ -192,7 +205,8 @@ class LogFile:
         self._encode_errors = estimates.encoder(bodies)
         self._channels = [tuple(map(self._channel, pair)) for pair in pairs]
         self._errors = self._channel(topics.ERRORS) if "errors" in names else None
-        self._channel(topics.APPLIED_WRENCH)
+        self._inputs = {topic: self._channel(topic) for topic in of_inputs}
+        self._encode_targets, self._encode_motions = commands.servo_targets(layout), commands.motions(layout)
         self._modes = self._channel(topics.JOINT_MODES) if has_modes else None
         self._on_request = [
             (self._channel(topics.Topic(name, message_type)), encode) for name, message_type, encode in on_request
@@ -204,6 +218,7 @@ class LogFile:
         self._events = self._channel(topics.EVENTS)
         self._event(simulation.time_ns, "start", f"{simulation.scene.name} at step {simulation.steps}, without a clock")
         self._report("begin")
+        self._write_targets(simulation.time_ns)
 
     def __enter__(self):
         return self
@@ -249,10 +264,33 @@ class LogFile:
         for (channel, encode), impulse in zip(self._impulses, impact.array):
             self._recorder.write(channel, impact.time_ns, encode(impact.time_ns, impulse))
 
+    def _write_inputs(self):
+        """Record the commands since the last sample, at its stamp, and what changed since, where it changed."""
+        given = self._simulation.drain_applied()
+        wrenches = [command for command in given if command.kind not in (TARGET, MOTION)]
+        if wrenches:
+            self._recorder.write(self._inputs[topics.INPUTS], self._stamp, inputs.encode(0, wrenches))
+        changes = [command for command in given if command.kind in (TARGET, MOTION)]
+        for time_ns, at_once in groupby(changes, attrgetter("start_ns")):
+            self._values |= {command.name: command.values for command in at_once}
+            self._write_targets(round(time_ns))
+
+    def _write_targets(self, stamp):
+        """Record the wanted values of all servos and the motions of all driven joints from a stamp on."""
+        layout, values = self._simulation.layout, self._values
+        if layout.servos:
+            targets = self._encode_targets(stamp, [values[joint] for joint in layout.servos])
+            self._recorder.write(self._inputs[topics.SERVO_TARGETS], stamp, targets)
+        if values.keys() & layout.motions.keys():
+            rows = [number for joint in layout.motions for number in values.get(joint, FROM_SCENE)]
+            self._recorder.write(self._inputs[topics.MOTIONS], stamp, self._encode_motions(rows))
+
     def sample(self, sample):
-        """Record poses, twists, estimated errors of all bodies, and events at joints."""
+        """Record poses, twists, estimated errors of all bodies, inputs, and events at joints."""
         self._check()
         stamp = sample.time_ns
+        self._write_inputs()
+        self._stamp = stamp
         self._report("drain")
         for name, text in events.reports(self._simulation):
             if name not in self._told:

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from liegroup_core import Simulation
 from liegroup_core.mechanism.symmetry import conserved_momentum, momentum_values
 from liegroup_core.observables.sample import Sample
-from liegroup_core.reference import WrenchChange, integrate
+from liegroup_core.reference import WrenchSpan, integrate
 from liegroup_core.scene import Body, Frame, Joint, Scene, scene_from_text
 from liegroup_core.scene.centres import PLACES, Offsets, at_centres_of_mass
 from liegroup_core.scene.description import FORCES, JOINTS
@@ -107,7 +107,7 @@ def test_wrenches_refer_to_the_origin_of_the_body_frame(name):
     close(public(other.sample()), public(one.sample()), 1e-10)
     # what is written down is what was commanded, to the bit
     applied = other.drain_applied()
-    assert [change.wrench for change in applied] == [(*torque, *force), (0.0,) * 6]
+    assert [command.values for command in applied] == [(*torque, *force)]
 
 
 def test_a_recorded_run_repeats_bit_for_bit():
@@ -123,8 +123,8 @@ def test_a_recorded_run_repeats_bit_for_bit():
     again = Simulation(scene_from_text(scene.text), method="rkmk4")
     again.advance(3)
     again.set_state(*start)
-    for change in first.drain_applied():
-        again.apply_wrench(change.body, change.wrench, change.time, source=change.axes, axes=change.axes)
+    for command in first.drain_applied():
+        command.repeat(again)
     again.advance(60 - again.steps)
     for mine, theirs in zip(
         (*again.state(), again.sample().pose, again.sample().twist),
@@ -153,7 +153,7 @@ def test_the_reference_integration_uses_the_same_body_frames(name):
     simulation.apply_wrench("b", (0.1, 0.2, 0.3, 1, -2, 0.5), start=0.02)
     simulation.advance(200)
     sample = simulation.sample()
-    changes = [WrenchChange(0.02, "b", (0.1, 0.2, 0.3, 1, -2, 0.5))]
+    changes = [WrenchSpan(0.02, np.inf, "b", (0.1, 0.2, 0.3, 1, -2, 0.5))]
     exact, _ = integrate(scene, *start, [0.0, 0.1], changes)
     n = len(scene.bodies)
     np.testing.assert_allclose(exact.position[1], sample.pose[:, 9:], atol=1e-8)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from liegroup_core import Simulation
-from liegroup_core.forces.schedule import AppliedTarget
+from liegroup_core.forces.commands import TARGET, Command
 from liegroup_core.joints.limits import SPEED, BeyondLimits
 from liegroup_core.joints.motion import extremes, peak_rate, through
 from liegroup_core.scene.load import scene_from_text
@@ -53,11 +53,11 @@ def test_a_motion_beyond_the_limits_is_refused(simulation, joint, points, text):
     From rest at 0 to 2 m and -1 m/s after 4 s, with s = t/4: 36 s^3 - 58 s^4 + 24 s^5 m,
     largest at s = 0.7811.
     """
-    before = simulation.snapshot()["external"].tobytes(), len(simulation.commanded_motions)
+    before = simulation.snapshot(), len(simulation.commanded_motions)
     with pytest.raises(BeyondLimits, match=text) as caught:
         simulation.command_motion(joint, *points)
     assert "\n" not in str(caught.value)
-    assert (simulation.snapshot()["external"].tobytes(), len(simulation.commanded_motions)) == before
+    assert (simulation.snapshot(), len(simulation.commanded_motions)) == before
 
 
 def test_what_is_within_the_limits_is_taken(simulation):
@@ -154,7 +154,7 @@ def test_a_servo_without_limits_of_position_does_not_jump_beyond_what_it_covers_
     with pytest.raises(BeyondLimits, match="from 4 to -0.1 rad"):
         simulation.command_servo("hinge", -0.1)
     simulation.command_servo("rail", 1e9, 1.0)
-    simulation.set_servo_target("hinge", 100.0, 0.0)  # as a run that is repeated had it
+    Command(TARGET, "hinge", (100.0, 0.0), 0).repeat(simulation)  # as a run that is repeated had it
 
 
 def test_efforts_and_servos_beyond_the_limits_are_refused():
@@ -178,6 +178,6 @@ def test_efforts_and_servos_beyond_the_limits_are_refused():
     simulation.place(joints={"hinge": (2.5, 9.0), "rail": (-1.0, None)})
     found = simulation.sample().joint_coordinates
     assert found["hinge"] == pytest.approx((2.5, 9.0)) and found["rail"][0] == pytest.approx(-1.0)
-    AppliedTarget(simulation.time, simulation.time_ns, "hinge", 2.5, 9.0).repeat(simulation)
+    Command(TARGET, "hinge", (2.5, 9.0), simulation.time_ns).repeat(simulation)
     simulation.advance(1)
-    assert simulation.drain_applied()[-1].position == 2.5
+    assert simulation.drain_applied()[-1].values[0] == 2.5

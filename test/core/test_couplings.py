@@ -202,9 +202,8 @@ def test_turns_are_counted_at_any_ratio():
     sample = simulation.sample()
     assert sample.angles[0] > 2 * math.pi * 40
     assert np.abs(relation(simulation)).max() < 1000 * 600 * EPS
-    pose, twist = simulation.state()
     again = Simulation(scene, "rkmk4", 0.01, stabilisation="projection")
-    again.set_state(pose, twist, simulation.steps, sample.angles, simulation.memory())
+    again.restore(simulation.snapshot())
     for run in (simulation, again):
         run.advance(100)
     assert again.state()[0].tobytes() == simulation.state()[0].tobytes()

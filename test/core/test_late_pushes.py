@@ -63,7 +63,7 @@ def test_floats_are_the_same_as_exact_times_and_these_resolve_nanoseconds_at_any
     velocity, companion = pushed(simulation, start, 1e6)
     assert max(abs(velocity - 1.0), abs(companion - 1.0)) <= IMPULSE
     changes = simulation.drain_applied()
-    assert [c.time_ns for c in changes] == [start * 10**9, (start + US) * 10**9]
+    assert [(c.start_ns, c.end_ns) for c in changes] == [(start * 10**9, (start + US) * 10**9)]
     again = Simulation(scene(), "rkmk4", 100.0)
     begin_before(again, start)
     for change in changes:

@@ -94,5 +94,5 @@ def test_a_run_with_reactions_is_bit_identical(name):
     without.advance(80)
     for one, other in zip(with_them.state(), without.state()):
         np.testing.assert_array_equal(one, other)
-    assert with_them.memory() == without.memory()
+    assert with_them.snapshot() == without.snapshot()
     assert with_them.drain_events() == without.drain_events()

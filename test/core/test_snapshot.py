@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Snapshots: a run that returns to one repeats its continuation bit for bit, wrenches included."""
 
+import copy
 import json
+import pickle
 
 import numpy as np
 import pytest
@@ -76,60 +78,88 @@ def test_unwrapped_angles_return():
 @pytest.mark.parametrize("steps", [24, 29, 31])
 @pytest.mark.parametrize("scene, options", CASES[:2] + CASES[3:4], ids=lambda v: "")
 def test_the_recorded_state_continues_bit_for_bit_at_any_step(scene, options, steps):
-    """As a re-simulation does it: state, memory and pending wrenches by JSON, then the totals."""
+    """By JSON, with wrenches that act, wait and end; and by pickle."""
     simulation = Simulation(load_scene(scene), quiet=True, **options)
     body, h = simulation.layout.body_names[-1], simulation.step
-    simulation.apply_wrench(body, PUSH, 5.3 * h, None, "a")
-    simulation.apply_wrench(body, PUSH, (steps - 1.5) * h, None, "b", "world")
+    simulation.apply_wrench(body, PUSH, 5.3 * h, 40.2 * h, "a")
+    simulation.apply_wrench(body, PUSH, (steps - 1.5) * h, None, "b", "world", (0.1, -0.2, 0.3))
+    simulation.apply_wrench(body, PUSH, (steps + 7.7) * h, 3.0 * h, "c")
     simulation.advance(steps)
-    entries = json.loads(json.dumps(attachments.state(simulation, 0)))
-    acting, (expected, *_) = simulation.acting(), trace(simulation)
-    other = Simulation(load_scene(scene), quiet=True, **options)
-    assert attachments.restore(other, entries)
-    for change in acting:
-        change.repeat(other)
-    found, *_ = trace(other)
-    assert [row[:3] for row in found] == [row[:3] for row in expected]
-
-
-@pytest.mark.parametrize("steps", [24, 30])
-def test_a_wrench_that_ends_at_the_recorded_state_ends_for_the_estimate_too(steps):
-    """The record has both totals at that stamp: the one that acts, and zero from then on."""
-    scene, options = CASES[0]
-    simulation = Simulation(load_scene(scene), quiet=True, **options)
-    body, h = simulation.layout.body_names[-1], simulation.step
-    simulation.apply_wrench(body, PUSH, 5.3 * h, None, "a")
-    simulation.advance(steps)
-    entries = json.loads(json.dumps(attachments.state(simulation, 0)))
-    simulation.clear_wrenches("a")
+    entries, state = json.loads(json.dumps(attachments.state(simulation, 0))), simulation.snapshot()
     expected = trace(simulation)
     other = Simulation(load_scene(scene), quiet=True, **options)
     assert attachments.restore(other, entries)
-    for wrench in (PUSH, [0.0] * 6):
-        other.apply_wrench(body, wrench, steps * h, source="body", axes="body")
+    assert other.snapshot() == state == pickle.loads(pickle.dumps(state)) == copy.deepcopy(state)
     assert trace(other) == expected
+    assert other.snapshot() == simulation.snapshot() != state
+
+
+def test_a_recorded_state_continues_with_another_method_and_step():
+    """Its wrenches, wanted values, and whole turns of joints with stops are those of the state."""
+    scene = scene_from_text(SERVO.replace("hinge, type", "hinge, friction: {coulomb: 0.01}, type"))
+    simulation = Simulation(scene, quiet=True, method="rkmk4", step=1e-3)
+    simulation.advance(500)
+    simulation.command_servo("hinge", 20.0, start=0.4)
+    simulation.apply_wrench("arm", PUSH, 0.52, 0.3, "c")
+    simulation.advance(30)
+    entries = json.loads(json.dumps(attachments.state(simulation, 0)))
+    other = Simulation(scene, "rkmk8", 5e-4, quiet=True)
+    assert not attachments.restore(other, entries | {"steps": 1060}, exactly=False)
+    assert other.inputs.commands == simulation.inputs.commands
+    mine, theirs = (each.sample() for each in (simulation, other))
+    assert mine.joint_coordinates["hinge"][0] > 2.0 * np.pi
+    assert mine.joint_coordinates["hinge"] == pytest.approx(theirs.joint_coordinates["hinge"], abs=1e-12)
+    assert mine.switching[0] == pytest.approx(theirs.switching[0], abs=1e-12)
+    simulation.advance(100)
+    other.advance(200)
+    assert np.abs(simulation.sample().pose - other.sample().pose).max() < 1e-7
+
+
+def test_a_command_that_was_cleared_has_ended_for_the_estimate_too():
+    """The companion is behind: it ends there, not where the companion is."""
+    scene, options = CASES[0]
+    first, second = (Simulation(load_scene(scene), quiet=True, **options) for _ in range(2))
+    body, h = first.layout.body_names[-1], first.step
+    first.apply_wrench(body, PUSH, 5.3 * h, None, "a")
+    first.apply_wrench(body, PUSH, 90 * h, None, "a")
+    first.advance(30)
+    first.clear_wrenches("a")
+    second.apply_wrench(body, PUSH, 5.3 * h, 24.7 * h, "a")
+    first.advance(80)
+    second.advance(110)
+    assert first.sample().pose.tobytes() == second.sample().pose.tobytes()
+    assert first.sample().errors.tobytes() == second.sample().errors.tobytes()
 
 
 @pytest.mark.parametrize(
     "change",
     [
-        lambda p: p["engine"][0].__setitem__(1, "sky"),
-        lambda p: p["engine"][0].__setitem__(0, "nobody"),
-        lambda p: p["engine"][0].pop(),
-        lambda p: p["engine"][0].__setitem__(2, "x"),
-        lambda p: p["companion"].pop("later"),
-        lambda p: p["companion"]["later"].append(3),
+        lambda c: c["acting"][0].__setitem__("axes", "sky"),
+        lambda c: c["acting"][0].__setitem__("name", "nobody"),
+        lambda c: c["acting"][0]["values"].pop(),
+        lambda c: c["acting"][0]["values"].__setitem__(2, "x"),
+        lambda c: c["acting"][0].__setitem__("start_ns", None),
+        lambda c: c["acting"][0].__setitem__("point", [1, 2]),
+        lambda c: c["acting"][0].__setitem__("kind", ["wrench"]),
+        lambda c: c["acting"][0].__setitem__("more", 1),
+        lambda c: c.pop("waiting"),
+        lambda c: c["waiting"].append(3),
     ],
 )
-def test_wrong_pending_wrenches_are_refused(change):
+def test_wrong_commands_in_a_state_are_refused(change):
+    """Of the simulation or its companion; the state is then that of the poses alone, or an error."""
     simulation = Simulation(load_scene("four_bar"), quiet=True, accuracy=1e-5, step=1e-3)
     simulation.apply_wrench("rocker", PUSH)
     simulation.advance(24)
-    pending = json.loads(json.dumps(simulation.pending))
-    simulation.remember_pending(pending)
-    change(pending)
-    with pytest.raises((ValueError, KeyError, TypeError)):
-        simulation.remember_pending(pending)
+    entries = json.loads(json.dumps(attachments.state(simulation, 0)))
+    other = Simulation(load_scene("four_bar"), quiet=True, accuracy=1e-5, step=1e-3)
+    assert attachments.restore(other, entries)
+    ours = json.loads(json.dumps(entries))
+    change(ours["state"]["inputs"]["commands"])
+    with pytest.raises(ValueError, match="state|nobody"):
+        attachments.restore(other, ours)
+    change(entries["state"]["running"]["companion"]["inputs"]["commands"])
+    assert not attachments.restore(other, entries)
 
 
 def test_all_method_families_are_covered():
@@ -152,17 +182,15 @@ def test_servos_and_efforts_return(options):
     simulation.advance(29)
     snapshot = simulation.snapshot()
     entries = json.loads(json.dumps(attachments.state(simulation, 0)))
-    acting, expected = simulation.acting(), trace(simulation)
-    assert len(acting) == 2 and acting[-1].position == 0.7
+    acting, expected = simulation.inputs.commands.acting, trace(simulation)
+    assert len(acting) == 2 and acting[0].values == (0.7, 0.1)
     simulation.command_servo("hinge", -2.0)
     simulation.advance(30)
     simulation.restore(snapshot)
     assert trace(simulation) == expected
     other = Simulation(scene_from_text(SERVO), quiet=True, **options)
     assert attachments.restore(other, entries)
-    for change in acting:
-        change.repeat(other)
-    assert [row[:3] for row in trace(other)[0]] == [row[:3] for row in expected[0]]
+    assert trace(other) == expected
 
 
 def test_only_a_snapshot_of_this_simulation_is_restored():
@@ -174,7 +202,7 @@ def test_only_a_snapshot_of_this_simulation_is_restored():
     simulation = made()
     simulation.advance(30)
     mine, before = simulation.snapshot(), simulation.state()
-    for wrong in (None, 3, {}, {"state": mine["state"]}, [mine], simulation.state(), "a"):
+    for wrong in (None, 3, {}, mine.parts, [mine], simulation.state(), "a"):
         with pytest.raises(ValueError, match="^expected what `snapshot` of this simulation returned"):
             simulation.restore(wrong)
     for other, said in (

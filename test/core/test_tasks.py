@@ -25,7 +25,7 @@ def test_results_can_add_new_items(workers):
     def halve(x):
         return x // 2
 
-    results = dict(tasks.run(halve, [8, 5], workers=workers, follow=lambda k, result: [result] if result else []))
+    results = dict(tasks.run(halve, [8, 5], workers=workers, expand=lambda k, result: [result] if result else []))
     # 8 leads to items 4, 2, 1 and 5 to items 2, 1: seven calls in any order.
     assert sorted(results) == list(range(7)) and (results[0], results[1]) == (4, 2)
     assert sorted(results.values()) == [0, 0, 1, 1, 2, 2, 4]
@@ -132,7 +132,7 @@ def test_a_killed_worker_without_a_task_is_replaced():
         return [parent] if len(items) < 3 and not items.append(k) else []
 
     parent, items = os.getpid(), []
-    found = dict(tasks.run(kill_others, [parent, None], workers=2, follow=follow))
+    found = dict(tasks.run(kill_others, [parent, None], workers=2, expand=follow))
     assert found == dict.fromkeys(range(5), True)
 
 

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Applied wrenches: schedule, and momentum after a known impulse."""
 
+import json
+
 import numpy as np
 import pytest
 
 from liegroup_core import Simulation, load_scene
-from liegroup_core.forces.instants import NEVER, StepGrid
-from liegroup_core.forces.schedule import WrenchSchedule
+from liegroup_core.forces.commands import WRENCH, Command
+from liegroup_core.forces.instants import AFTER, NEVER, StepGrid
+from liegroup_core.forces.schedule import Schedule
 
 PUSH = (1.0, 0.0, 0.0, 0.0, 2.0, 0.0)
 boundary = StepGrid(1e-3).boundary
@@ -14,8 +17,9 @@ boundary = StepGrid(1e-3).boundary
 
 def command(schedule, source, wrench, start, end=None):
     """Apply a wrench to body 0 from one step to another."""
-    end = None if end is None else boundary(end)
-    schedule.command(source, 0, wrench, boundary(start), end)
+    given = Command(WRENCH, "body", tuple(wrench), 0, None, source)
+    end = AFTER if end is None else boundary(end)
+    schedule.insert(given, (source, "", 0), (("body", 0, given.values),), boundary(start), end)
 
 
 def totals(schedule, steps):
@@ -27,14 +31,14 @@ def totals(schedule, steps):
 
 
 def test_a_wrench_acts_only_during_its_steps():
-    schedule = WrenchSchedule(1)
+    schedule = Schedule(1)
     command(schedule, "a", PUSH, 2, 5)
     acts = totals(schedule, 8).any(axis=1)
     assert acts.tolist() == [False, False, True, True, True, False, False, False]
 
 
 def test_a_source_replaces_its_wrench_and_sources_add():
-    schedule = WrenchSchedule(1)
+    schedule = Schedule(1)
     command(schedule, "a", PUSH, 0)
     command(schedule, "b", PUSH, 1, 4)
     command(schedule, "a", 3 * np.array(PUSH), 2)
@@ -42,19 +46,19 @@ def test_a_source_replaces_its_wrench_and_sources_add():
 
 
 def test_zero_ends_a_wrench_and_clear_ends_a_source():
-    schedule = WrenchSchedule(1)
+    schedule = Schedule(1)
     command(schedule, "a", PUSH, 0)
     command(schedule, "a", np.zeros(6), 2)
     command(schedule, "b", PUSH, 0)
     command(schedule, "b", PUSH, 100)
     assert totals(schedule, 4)[:, 0].tolist() == [2, 2, 1, 1]
-    schedule.clear("b")
+    schedule.clear("b", boundary(4))
     assert schedule.update(boundary(4)) == [(0, "body")]
     assert not schedule.total["body"].any() and schedule.next_change(4) == NEVER
 
 
 def test_the_later_of_two_commands_for_one_step_applies():
-    schedule = WrenchSchedule(1)
+    schedule = Schedule(1)
     command(schedule, "a", PUSH, 1)
     command(schedule, "a", 5 * np.array(PUSH), 1)
     assert totals(schedule, 2)[1, 0] == 5
@@ -94,7 +98,8 @@ def test_a_known_wrench_gives_the_closed_form_momentum(group, steps_at_once):
     simulation.advance(1000 - simulation.steps)
     momentum = simulation.sample().spatial_momentum
     assert np.abs(momentum - [0, 0, 0.25, 0, 0, 0.75]).max() <= 4e-13
-    assert [c.time_ns for c in simulation.drain_applied()] == [100_000_000, 350_000_000]
+    (given,) = simulation.drain_applied()
+    assert (given.start_ns, given.end_ns, given.source) == (100_000_000, 350_000_000, "api")
 
 
 def test_a_spinning_body_gains_the_same_linear_momentum():
@@ -123,10 +128,8 @@ def test_a_force_in_world_axes_keeps_its_direction_on_a_spinning_body(group):
     simulation.advance(800)
     change = simulation.sample().spatial_momentum[3:]
     assert np.abs(change - [0.5 * force, 0.0, 0.0]).max() <= 800 * 2.0 * 0.02**5 / 120
-    assert [c[1:] for c in simulation.drain_applied()] == [
-        (100_000, "body", (0, 0, 0, force, 0, 0), "world"),
-        (500_100_000, "body", (0,) * 6, "world"),
-    ]
+    wrench = (0, 0, 0, force, 0, 0)
+    assert simulation.drain_applied() == [Command(WRENCH, "body", wrench, 100_000, 500_100_000, "api", "world")]
 
 
 def test_wrenches_in_world_and_body_axes_of_two_sources_add():
@@ -138,9 +141,9 @@ def test_wrenches_in_world_and_body_axes_of_two_sources_add():
     simulation.apply_wrench("body", (0, 0, 3, 0, 0, 0), source="body")
     assert (simulation.input_count, simulation.wrench_sources) == (2, {"world", "body"})
     simulation.advance(1)
-    assert [(*c[2:],) for c in simulation.drain_applied()] == [
-        ("body", (0, 0, 3, 0, 0, 0), "body"),
-        ("body", (1, 0, 0, 0, 2, 0), "world"),
+    assert simulation.drain_applied() == [
+        Command(WRENCH, "body", (1, 0, 0, 0, 2, 0), 0, None, "world", "world"),
+        Command(WRENCH, "body", (0, 0, 3, 0, 0, 0), 0, None, "body"),
     ]
     momentum = simulation.sample().spatial_momentum
     assert np.abs(momentum / 1e-9 - (1, 0, 3, 0, 2, 0)).max() < 1e-12
@@ -150,7 +153,7 @@ def test_wrenches_in_world_and_body_axes_of_two_sources_add():
 
 @pytest.mark.parametrize("method", ["rkmk4", "rkmk54", "generalized_alpha", "constrained_rattle"])
 @pytest.mark.parametrize("at_once", [1, 13, 400])
-def test_the_recorded_changes_repeat_a_run_bit_by_bit(method, at_once):
+def test_the_commands_repeat_a_run_bit_by_bit(method, at_once):
     """Wrenches inside steps, that replace each other, that cancel, and that end unnoticed."""
 
     def pushes(simulation):
@@ -167,12 +170,11 @@ def test_the_recorded_changes_repeat_a_run_bit_by_bit(method, at_once):
     pushes(first)
     first.advance(400)
     second = Simulation(load_scene("heavy_top"), method=method, step=1e-3)
-    changes = first.drain_applied()
-    assert [c.time_ns for c in changes] == [
-        0, 50_123_400, 150_123_400, *[200_000_000] * 4, 230_400_000, *[300_200_000] * 4, 300_300_000, 300_310_000
-    ]  # fmt: skip
-    for change in changes:
-        second.apply_wrench(change.body, change.wrench, change.time_ns * 1e-9, source=change.axes, axes=change.axes)
+    commands = first.drain_applied()
+    assert [c.start_ns for c in commands] == [50_123_400, 0, 30_400_000, *[300_300_000] * 3, 200_000_000]
+    assert commands[-1].point == (0.1, -0.02, 0.3)
+    for command in commands:
+        Command.from_json(json.loads(json.dumps(command.as_json()))).repeat(second)
     for _ in range(400 // at_once):
         second.advance(at_once)
     second.advance(400 - second.steps)
@@ -206,13 +208,11 @@ def test_a_source_has_one_wrench_whatever_its_point(axes):
     pushed = force if axes == "world" else quarter @ force
     expected = [*np.cross(turned, pushed), *pushed]
     assert np.abs(simulation.sample().spatial_momentum / 1e-9 - expected).max() < 1e-6
-    assert {c.axes for c in simulation.drain_applied()} == (
-        {"body"} if axes == "body" else {"world", "world_x", "world_y", "world_z"}
-    )
+    assert [(c.axes, c.point) for c in simulation.drain_applied()] == [(axes, tuple(point.tolist()))]
     simulation.apply_wrench("body", [0, 0, 0, 0, 0, 5.0], axes="world")
     simulation.advance(1)
-    totals = {(c.axes, c.wrench) for c in simulation.acting()}
-    assert totals == {("world", (0, 0, 0, 0, 0, 5.0))}
+    (acting,) = simulation.inputs.commands.acting
+    assert acting.values == (0, 0, 0, 0, 0, 5.0) and acting.point is None
     assert simulation.sample().accelerations["body"][:3] == pytest.approx(0.0, abs=1e-7)
 
 
@@ -236,7 +236,7 @@ def test_a_snapshot_and_an_accuracy_keep_forces_at_points():
         (PUSH, (1, 2), "world", "three finite numbers, got"),
         (PUSH, (1, 2, np.nan), "body", "three finite numbers"),
         ((0, 0, 0, 1e200, 0, 0), (1e200, 0, 0), "world", "point times force"),
-        (PUSH, (1, 2, 3), "world_x", "omit point"),
+        (PUSH, (1, 2, 3), "world_x", "axes must be"),
     ],
 )
 def test_an_invalid_point_is_refused_and_changes_nothing(wrench, point, axes, text):

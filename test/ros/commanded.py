@@ -5,7 +5,6 @@ import json
 import signal
 
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import WrenchStamped
 from node_process import COMPILING, stamp_ns
 from sensor_msgs.msg import JointState
 
@@ -17,12 +16,12 @@ STEP = 1e-3  # s, of the node
 
 
 class Commanded:
-    """Running node with a publisher of commands; joint states and applied wrenches as they come."""
+    """Running node with a publisher of commands; joint states and given commands as they come."""
 
     def __init__(self, client, node):
         self.client, self.node = client, node
         self.states = client.listen(f"{node}/joint_states", JointState)
-        self.applied = client.listen(f"{node}/applied_wrench", WrenchStamped)
+        self.given = client.given(node)
         self.figures = client.listen(f"{node}/state", DiagnosticArray)
         self.publisher = client.node.create_publisher(JointState, f"{node}/joint_commands", 100)
         client.until(self.publisher.get_subscription_count, COMPILING, "the subscription")

@@ -13,14 +13,19 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import Log
 from rclpy.serialization import serialize_message
 
-from liegroup_sim_ros.messages.codecs import ClockCodec, PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
+from liegroup_core.forces.commands import WRENCH, Command
+from liegroup_sim_ros.messages import inputs
+from liegroup_sim_ros.messages.codecs import ClockCodec, PoseStampedCodec, TwistStampedCodec
 from liegroup_sim_ros.recording.write import Recorder
 
 BODIES = ("top", "arm_2")
+PUSH = Command(
+    WRENCH, "arm_2", (1.0, 2.0, 3.0, 4.0, 5.0, 6.5), 40_000_000, 90_000_000, "wind", "world", (0.0, 0.1, 0.2)
+)
 TOPICS = {
     "pose": {body: f"/sim_node/{body}/pose" for body in BODIES},
     "twist": {body: f"/sim_node/{body}/twist" for body in BODIES},
-    "applied_wrench": "/sim_node/applied_wrench",
+    "inputs": "/sim_node/inputs",
     "events": "/sim_node/events",
     "clock": "/clock",
     "diagnostics": "/diagnostics",
@@ -74,7 +79,7 @@ def record_run(path):
             for topic in topics.values():
                 channels[topic] = recorder.add_channel(topic, codec.TYPE)
         for name, msg_type, qos in (
-            ("applied_wrench", WrenchStampedCodec.TYPE, "reliable"),
+            ("inputs", inputs.TYPE, "transient_local"),
             ("events", "rcl_interfaces/msg/Log", "transient_local"),
             ("diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "reliable"),
             ("clock", ClockCodec.TYPE, "best_effort"),
@@ -91,7 +96,7 @@ def record_run(path):
                     PoseStampedCodec("world").encode(stamp_ns, random.normal(size=3), random.normal(size=4)),
                 )
                 write(TOPICS["twist"][body], stamp_ns, TwistStampedCodec(body).encode(stamp_ns, random.normal(size=6)))
-        write(TOPICS["applied_wrench"], END_NS, WrenchStampedCodec("arm_2").encode(END_NS, (1, 2, 3, 4, 5, 6.5)))
+        write(TOPICS["inputs"], END_NS, inputs.encode(START_NS, [PUSH]))
         write(TOPICS["diagnostics"], END_NS, diagnostics_message(END_NS, {"energy": "1.5", "lost": "0"}))
         write(TOPICS["events"], END_NS, log_message(END_NS, "stop", "done"))
         recorder.add_attachment("pacing.json", "application/json", json.dumps(PACING).encode())

@@ -4,8 +4,8 @@
 from example_run import diagnostics_message, log_message
 
 from liegroup_core import Simulation
-from liegroup_sim_ros.messages.codecs import PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
-from liegroup_sim_ros.messages.topics import wrench_frame
+from liegroup_sim_ros.messages import inputs
+from liegroup_sim_ros.messages.codecs import PoseStampedCodec, TwistStampedCodec
 from liegroup_sim_ros.recording import attachments
 from liegroup_sim_ros.recording.write import Recorder
 
@@ -59,7 +59,7 @@ def record(
     topics = {
         "pose": {b: f"/sim_node/{b}/pose" for b in bodies},
         "twist": {b: f"/sim_node/{b}/twist" for b in bodies},
-        "applied_wrench": "/sim_node/applied_wrench",
+        "inputs": "/sim_node/inputs",
         "events": "/sim_node/events",
         "clock": None,
         "diagnostics": "/diagnostics",
@@ -74,7 +74,7 @@ def record(
             for kind, c in (("pose", PoseStampedCodec), ("twist", TwistStampedCodec))
             for t in topics[kind].values()
         }
-        channel[topics["applied_wrench"]] = recorder.add_channel(topics["applied_wrench"], WrenchStampedCodec.TYPE)
+        channel[topics["inputs"]] = recorder.add_channel(topics["inputs"], inputs.TYPE)
         channel["/sim_node/events"] = recorder.add_channel(
             "/sim_node/events", "rcl_interfaces/msg/Log", "transient_local"
         )
@@ -105,14 +105,10 @@ def record(
         for k in range(1, steps + 1):
             if k - 1 in dict(pushes):
                 simulation.apply_wrench(*dict(pushes)[k - 1])
+            given = simulation.drain_applied()
+            if given:
+                write(topics["inputs"], base + simulation.time_ns, inputs.encode(base, given))
             simulation.advance()
-            for change in simulation.drain_applied():
-                stamp = base + change.time_ns
-                write(
-                    topics["applied_wrench"],
-                    stamp,
-                    WrenchStampedCodec(wrench_frame(change.body, change.axes, "world")).encode(stamp, change.wrench),
-                )
             if simulation.steps % per_sample == 0:
                 put_out()
             if k in (factors or {}):

@@ -5,6 +5,7 @@ Everything runs in one ROS domain that no other test run on this machine has.
 """
 
 import fcntl
+import json
 import math
 import os
 import signal
@@ -13,13 +14,17 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import rclpy
 from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
+
+from liegroup_core.forces.commands import Command
 
 # Two free bodies without gravity: a push has a closed form. `cube` tumbles, `puck` is at rest.
 SCENE = """
@@ -148,6 +153,12 @@ class Client:
         self.node.create_subscription(message_class, topic, messages.append, qos)
         return messages
 
+    def given(self, node, qos=200):
+        """Given of the commands of a node as they come."""
+        given = Given()
+        self.node.create_subscription(String, f"{node}/inputs", given.take, qos)
+        return given
+
     def until(self, condition, seconds=PATIENCE, what="what was waited for"):
         """Spin until condition() is true, and return that; fail after so many seconds."""
         end = time.monotonic() + seconds
@@ -211,6 +222,37 @@ class Client:
 
 def stamp_ns(stamp):
     return stamp.sec * 10**9 + stamp.nanosec
+
+
+class Order(NamedTuple):
+    """A command of ~/inputs with stamps in ns; end: None if it acts until it is replaced."""
+
+    kind: str
+    name: str
+    values: tuple
+    start: int
+    end: int | None
+    source: str
+    axes: str
+    point: tuple | None
+
+
+class Given(list):
+    """The Orders of a node as they come; `present`: those of the last message with all that act or wait."""
+
+    present = None
+
+    def take(self, message):
+        entries = json.loads(message.data)
+        base, commands = entries["base_ns"], map(Command.from_json, entries["commands"])
+        orders = [
+            Order(c.kind, c.name, c.values, base + c.start_ns, c.end_ns and base + c.end_ns, c.source, c.axes, c.point)
+            for c in commands
+        ]
+        if entries["all"]:
+            self.present = orders
+        else:
+            self.extend(orders)
 
 
 def values(message):

@@ -38,16 +38,21 @@ def random_recording(seed, folder):
 
 def _spoiler(chance, bodies):
     """Function (topic, data) -> data or None, of one of several kinds of damage."""
-    kind = chance.choice(("none", "estimates", "estimates", "numbers", "one number", "wrenches", "gaps"))
+    kind = chance.choice(("none", "estimates", "estimates", "numbers", "one number", "inputs", "gaps"))
     value = chance.choice((0.0, 0.0, 0.0, 0.0, *ODD))
 
     def spoil(topic, data):
         if kind == "gaps":
             return None if chance.random() < 0.2 else data
+        if kind == "inputs" and topic.endswith("/inputs"):
+            # Other digits in the text, of the same length.
+            return bytes(
+                chance.choice(b"0123456789") if byte in b"0123456789" and chance.random() < 0.1 else byte
+                for byte in data
+            )
         hit = {
             "estimates": topic.endswith("/errors"),
             "numbers": topic.endswith(("/pose", "/twist")) and chance.random() < 0.2,
-            "wrenches": topic.endswith("/applied_wrench"),
             "one number": topic.endswith(("/twist", "/errors")) and chance.random() < 0.05,
         }.get(kind, False)
         if not hit:

@@ -31,6 +31,7 @@ from liegroup_sim_ros.node.scene_run import PART_STEPS, SceneRun
 from liegroup_sim_ros.node.trajectory import Trajectory
 from liegroup_sim_ros.node.wrench_input import Push
 from liegroup_sim_ros.playback.resimulate import resimulate
+from liegroup_sim_ros.recording.attachments import commands_in
 from liegroup_sim_ros.recording.read import read_recording
 
 SOURCE = Path(__file__).resolve().parents[2]
@@ -92,7 +93,7 @@ def test_a_node_with_nothing_but_a_scene_keeps_its_accuracy_and_says_so(client, 
     names = [event.name for event in recording.events]
     assert names == ["start", "pause", "step", "resume", "reset", "stop"]
     assert recording.settings["method"] == METHOD and recording.settings["step"] == 0.01
-    assert len(recording.applied_wrench) >= 8
+    assert len(recording.inputs) >= 4
     found = analyse(recording).figures
     assert found["problems"] == [] and len(found["pushes"]) >= 4
     promise = found["promise"]
@@ -194,15 +195,8 @@ def test_parts_of_a_run_to_an_accuracy_repeat_alone(ros_node, tmp_path, monkeypa
     assert len(recordings) > 5
     assert PART_STEPS % run.simulation._running.ours == 0
     assert {each.initial_state["steps"] % PART_STEPS for each in recordings} == {0}
-    # A wrench that acts is repeated at the start of a part.
-    assert (
-        sum(
-            each.applied_wrench[0].stamp_ns == each.initial_state["stamp_ns"]
-            for each in recordings
-            if each.applied_wrench
-        )
-        > 0
-    )
+    # A wrench that acts is part of the state at the start of a part.
+    assert any(commands_in(each.initial_state).acting for each in recordings)
 
 
 ARM = """
@@ -243,6 +237,7 @@ def test_parts_with_joint_commands_repeat_alone(ros_node, tmp_path, monkeypatch)
         start = run.server.stamp_ns + 123_456_789
         run.server.follow(Trajectory(["hinge", "slide"], points, start))
         while run.server.stamp_ns < start + points[0].time_ns:
+            assert run.server.is_alive(), run.server.failure
             time.sleep(0.01)
         run.server.push([Target("slide", 0.05, 0.0, 0)], 0.3)
         run.server.call("reset").result(30.0)

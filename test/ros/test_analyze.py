@@ -119,7 +119,7 @@ def test_repetition_and_reference_use_the_recorded_wrenches(pushed_top, tmp_path
         load_scene("heavy_top"),
         1500,
         pushes=PUSHED.items(),
-        spoil=lambda topic, k, data: None if "wrench" in topic and k == 1 else data,
+        spoil=lambda topic, k, data: None if "inputs" in topic and k == 1 else data,
     )
     bad = figures_of(spoilt)
     assert bad["repeat"]["identical"] == 71  # up to 1.4 s, where the push should end

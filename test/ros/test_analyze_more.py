@@ -565,13 +565,14 @@ for name in ("rclpy", "rosgraph_msgs", "geometry_msgs", "rcl_interfaces", "diagn
     sys.modules[name] = None
 from liegroup_sim_ros.recording.read import read_recording
 recording = read_recording(sys.argv[1])
-pose, wrench = recording.pose["left"], recording.wrench["left"]
+pose = recording.pose["left"]
 frame = recording.to_pandas()
 assert frame["left"].shape == (11, 13) and frame.index.name == "time_s"
 assert (frame["left"][["x", "y", "z"]].to_numpy() == pose.position).all()
 assert (frame.index == pose.time).all() and frame["right"]["wz"].notna().all()
-changes = recording.to_pandas("wrench")
-assert changes.body.tolist() == ["left"] and changes.fz.tolist() == [2.0] == wrench.wrench[:, 5]
+given = recording.to_pandas("inputs")
+assert given.name.tolist() == ["left"] and given.fz.tolist() == [2.0] == [recording.inputs[0].values[5]]
+assert given.px.isna().all() and given.end.isna().all() and abs(given.start.iloc[0] - 0.04) < 1e-12
 assert recording.to_pandas("events").name.tolist() == ["start", "stop"]
 assert recording.joint_states is None and recording.to_pandas("joints").empty
 assert recording.errors is None and recording.to_pandas("errors").empty
@@ -607,7 +608,6 @@ def test_joint_states_are_read(tmp_path):
         "events": "/e",
         "diagnostics": "/d",
         "twist": {b: f"/{b}/twist" for b in bodies},
-        "applied_wrench": "/w",
         "clock": None,
     }
     ((_, kind, encode),) = sample_messages.joint_states(simulation.layout, "world")

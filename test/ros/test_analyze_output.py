@@ -239,7 +239,7 @@ def test_unwritable_output_and_invalid_scenes_give_one_line(tmp_path, capsys):
                 "/n",
                 "world",
                 10,
-                {"pose": {}, "twist": {}, "applied_wrench": "/a", "events": "/e", "clock": None, "diagnostics": "/d"},
+                {"pose": {}, "twist": {}, "events": "/e", "clock": None, "diagnostics": "/d"},
             )
             | {"scene.yaml": ("application/yaml", b"name: 3")}
         ),

@@ -87,7 +87,7 @@ def test_damage_never_gives_wrong_numbers(small, tmp_path, harm):
         assert found.items() <= everything.items()
         for name in ("settings", "initial_state", "scene_text"):
             assert getattr(recording, name) == getattr(good, name)
-        for name in ("applied_wrench", "events"):
+        for name in ("inputs", "events"):
             assert set(getattr(recording, name)) <= set(getattr(good, name))
         if (recording.topics, recording.pacing) != (good.topics, good.pacing):
             assert not recording.complete and str(file) in recording.problem
@@ -239,7 +239,7 @@ def fast(tmp_path_factory):
 
 def spun(recording, speed):
     """The recording with another initial twist."""
-    state = {name: entry for name, entry in recording.initial_state.items() if name != "memory"}
+    state = {name: entry for name, entry in recording.initial_state.items() if name != "state"}
     return dataclasses.replace(recording, initial_state=state | {"twist": [[speed] * 6]})
 
 

@@ -12,7 +12,7 @@ import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
-from node_process import COMPILING, PATIENCE, PUSH, NodeProcess, python, stamp_ns, values
+from node_process import COMPILING, PATIENCE, PUSH, NodeProcess, python, stamp_ns
 from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
@@ -34,7 +34,7 @@ class Shared:
         self.twist = client.listen(f"{NODE}/puck/twist", TwistStamped)
         self.cube_twist = client.listen(f"{NODE}/cube/twist", TwistStamped)
         self.clock = client.listen("/clock", Clock, QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT))
-        self.applied = client.listen(f"{NODE}/applied_wrench", WrenchStamped)
+        self.given = client.given(NODE)
         self.events = client.listen(
             f"{NODE}/events", Log, QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         )
@@ -76,7 +76,7 @@ def node(client, shared):
     assert client.call(f"{NODE}/resume").success
     count = len(shared.pose)
     client.until(lambda: len(shared.pose) > count + 5)
-    shared.applied.clear()
+    shared.given.clear()
     return shared
 
 
@@ -113,9 +113,10 @@ def test_a_wrench_from_another_process_gives_its_impulse(client, node):
     output, errors = push.communicate()
     assert push.returncode == 0, errors
     assert re.search(r"applied force .* to puck .* 15 messages, .*\napplied from \S+ s to \S+ s", output)
-    assert len(node.applied) == 2
-    (body, wrench, start), (_, zero, end) = map(values, node.applied)
-    assert (body, wrench, zero) == ("puck", (0.0, 0.0, 0.8, 3.0, 0.0, 0.0), (0.0,) * 6)
+    assert len(node.given) == 16
+    assert {(order.name, order.values) for order in node.given[:15]} == {("puck", (0.0, 0.0, 0.8, 3.0, 0.0, 0.0))}
+    assert node.given[15].values == (0.0,) * 6
+    start, end = node.given[0].start, node.given[15].start
     seconds = (end - start) * 1e-9
     client.until(lambda: node.now_ns() > end)
     twist = node.twist[-1].twist
@@ -143,10 +144,9 @@ def test_push_refuses_an_unknown_body(node):
 def test_a_wrench_ends_after_its_hold_time(client, node, hold, steps):
     assert client.set(NODE, wrench_hold=hold).successful
     node.push("puck", force=(0.0, 4.0, 0.0))
-    client.until(lambda: len(node.applied) == 2)
-    (_, wrench, start), (_, zero, end) = map(values, node.applied)
-    assert wrench == (0.0, 0.0, 0.0, 0.0, 4.0, 0.0) and not any(zero)
-    assert end - start == steps * STEP_NS
+    client.until(lambda: node.given)
+    ((_, _, wrench, start, end, *_),) = node.given
+    assert wrench == (0.0, 0.0, 0.0, 0.0, 4.0, 0.0) and end - start == steps * STEP_NS
     client.until(lambda: node.now_ns() > end)
     assert node.twist[-1].twist.linear.y == pytest.approx(4.0 / 2.0 * steps * 1e-3, rel=1e-12)
 
@@ -154,15 +154,15 @@ def test_a_wrench_ends_after_its_hold_time(client, node, hold, steps):
 def test_a_wrench_lasts_until_it_is_replaced(client, node):
     assert client.set(NODE, wrench_hold="until_replaced").successful
     node.push("puck", force=(1.0, 0.0, 0.0))
-    client.until(lambda: len(node.applied) == 1)
-    start = values(node.applied[0])[2]
+    client.until(lambda: node.given)
+    start = node.given[0].start
     client.until(lambda: node.now_ns() > start + 300 * STEP_NS)
-    assert len(node.applied) == 1
+    assert node.twist[-1].twist.linear.x > 0.149  # F t / m = 0.5 * 0.3
     node.push("puck", force=(-1.0, 0.0, 0.0))
-    client.until(lambda: len(node.applied) == 2)
+    client.until(lambda: len(node.given) == 2)
     node.push("puck")
-    client.until(lambda: len(node.applied) == 3)
-    assert [values(m)[1][3] for m in node.applied] == [1.0, -1.0, 0.0]
+    client.until(lambda: len(node.given) == 3)
+    assert [(order.values[3], order.end) for order in node.given] == [(1.0, None), (-1.0, None), (0.0, None)]
     assert client.set(NODE, wrench_hold="timeout").successful
 
 
@@ -170,11 +170,10 @@ def test_a_future_stamp_is_scheduled_and_a_past_stamp_applies_now(client, node):
     future = node.now_ns() + 333 * STEP_NS + 1234  # inside a step
     node.push("puck", force=(1.0, 0.0, 0.0), stamp_ns=future)
     node.push("cube", force=(1.0, 0.0, 0.0), stamp_ns=1)
-    client.until(lambda: len(node.applied) == 4)
-    applied = {(body, any(wrench)): stamp for body, wrench, stamp in map(values, node.applied)}
-    assert applied["puck", True] == future
-    assert applied["puck", False] == future + 100 * STEP_NS
-    assert applied["cube", True] < applied["puck", True] - 200 * STEP_NS
+    client.until(lambda: len(node.given) == 2)
+    starts = {order.name: (order.start, order.end) for order in node.given}
+    assert starts["puck"] == (future, future + 100 * STEP_NS)
+    assert starts["cube"][0] < future - 200 * STEP_NS
 
 
 @pytest.mark.parametrize(
@@ -195,7 +194,7 @@ def test_an_invalid_wrench_is_refused_counted_and_logged_once(client, node, reas
     for _ in range(3):
         node.push(body, force=force, stamp_ns=ahead)
     client.until(lambda: int(node.figures()[key]) == before + 3)
-    assert node.applied == []
+    assert node.given == []
     twist = node.twist[-1].twist
     assert [twist.linear.x, twist.linear.y, twist.angular.z] == [0.0] * 3
     said = [m.msg for m in node.logged[logged:] if m.msg.startswith("wrench refused")]
@@ -248,8 +247,8 @@ def test_reset_restores_the_state_and_time_continues(client, node):
     pose, twist = node.pose[-1].pose, node.twist[-1].twist
     assert (pose.position.x, pose.orientation.y, pose.orientation.w) == (0.0, 0.0, 1.0)
     assert (twist.linear.x, twist.angular.y) == (0.0, 0.0)
-    # The push is over, too, and that was said at the stamp of the reset.
-    assert values(node.applied[-1]) == ("puck", (0.0,) * 6, before + STEP_NS)
+    # The push is over, too, and that was said with the reset.
+    client.until(lambda: node.given.present == [])
     assert client.call(f"{NODE}/resume").success
     client.until(lambda: len(node.pose) > count + 30)
     stamps = np.array([stamp_ns(m.header.stamp) for m in node.pose])

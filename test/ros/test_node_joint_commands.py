@@ -6,7 +6,7 @@ import signal
 
 import pytest
 from commanded import STEP, Commanded, coordinates
-from node_process import NodeProcess, python, values
+from node_process import NodeProcess, python
 
 from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording.read import read_recording
@@ -70,7 +70,7 @@ def node(client, process):
     assert client.call(f"{NODE}/pause").success and client.call(f"{NODE}/reset").success
     assert client.set(NODE, command_timeout=0.0).successful
     client.spin(0.2)
-    node.applied.clear()
+    node.given.clear()
     return node
 
 
@@ -97,7 +97,7 @@ def test_a_command_acts_from_its_stamp(node):
     rate = 3.0 * 0.0504 - 2.0 * 0.0293
     angle = 3.0 * 0.0504 * (0.0252 + 0.0293) - 0.0293**2
     assert coordinates(state)[0] == pytest.approx((angle, rate), abs=1e-13)
-    assert [values(m)[2] - now for m in node.applied] == [20_300_000, 70_700_000]
+    assert [order.start - now for order in node.given] == [20_300_000, 70_700_000]
 
 
 def test_a_command_ends_after_the_timeout(client, node):
@@ -126,7 +126,7 @@ def test_wrong_commands_are_counted_and_change_nothing(client, node):
         client.until(lambda: node.steps(100) and node.figure(count) == known + 1, what=reason)
     assert node.figure("joint_commands_accepted") == before["accepted"]
     assert node.figure("joint_commands_refused") == before["refused"] + 8
-    assert not node.applied and not any(node.states[-1].velocity)
+    assert not node.given and not any(node.states[-1].velocity)
 
 
 def test_a_storm_of_commands_is_accepted_or_refused_one_by_one(client, node):
@@ -157,5 +157,5 @@ def test_the_recording_of_it_all_is_repeated_bit_by_bit(client, process):
     recording = read_recording(path)
     figures = resimulate(recording)
     assert figures["identical"] == figures["samples"] > 100 and figures["must_be_equal"]
-    assert {change.body for change in recording.applied_wrench} == {"wheel", "sledge"}
+    assert {command.kind for command in recording.inputs} == {"effort"}
     assert path.parent.joinpath("run.mcap").exists()

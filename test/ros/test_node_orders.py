@@ -21,6 +21,7 @@ REFUSALS = (
     "call ~/reset first",
     "the previous scene continues: no_such_scene",
     "stopped after",
+    "another scene is being loaded",
 )
 # Of each, some are taken and some are not: those of REFUSED.
 VALUES = {

@@ -28,16 +28,17 @@ def repeat(recording):
     )
     resets = [event.stamp_ns for event in recording.events if event.name == "reset"]
     stamps = recording.pose[recording.bodies[0]].stamp_ns.tolist()
-    changes = sorted(recording.applied_wrench)
+    given = list(zip(recording.inputs.stamp_ns.tolist(), recording.inputs))
     base_ns, repeated = 0, {body: ([], []) for body in recording.bodies}
     for stamp in stamps:
         if resets and stamp >= resets[0]:
             base_ns = resets.pop(0)
             simulation.reset()
-        while changes and changes[0].stamp_ns <= stamp:
-            change = changes.pop(0)
-            if change.stamp_ns >= base_ns:
-                simulation.apply_wrench(change.body, change.wrench, start=(change.stamp_ns - base_ns) * 1e-9)
+        while given and given[0][0] < stamp:
+            at, command = given.pop(0)
+            if at >= base_ns:
+                end = command.end_ns and command.end_ns - base_ns
+                command._replace(start_ns=command.start_ns - base_ns, end_ns=end).repeat(simulation)
         simulation.advance(round((stamp - base_ns) * 1e-9 / settings["step"]) - simulation.steps)
         sample = simulation.sample()
         for body, (poses, twists) in repeated.items():
@@ -81,7 +82,7 @@ def test_a_recording_with_wrenches_and_controls_repeats_bit_for_bit(client, scen
     assert recording.complete and recording.lost == {}
     assert [event.name for event in recording.events] == ["start", "pause", "step", "resume", "reset", "stop"]
     assert recording.settings["topics"]["pose"] == {"puck": f"{name}/puck/pose", "cube": f"{name}/cube/pose"}
-    assert len(recording.applied_wrench) >= 6
+    assert len(recording.inputs) >= 3
     samples = recording.pose["puck"].stamp_ns
     assert (np.diff(samples) > 0).all()
     assert recording.pacing["ticks"] > 0

@@ -277,7 +277,7 @@ def check_reactions(recording):
             stamp = block.stretch.base_ns + round(step * STEP * 1e9)
             sample = layout.sample(block.pose[k], block.twist[k], step * STEP)
             sample.switching = recording.joint_modes.switching(stamp)
-            if len(block.stretch.change_times):
+            if len(block.stretch.inputs):
                 continue  # efforts of commands are no part of it
             for joint, track in recording.reactions.items():
                 at = np.flatnonzero(track.stamp_ns == stamp)

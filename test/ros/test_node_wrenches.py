@@ -6,13 +6,13 @@ import signal
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
-from node_process import COMPILING, NodeProcess, python, stamp_ns, values
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from node_process import COMPILING, NodeProcess, python, stamp_ns
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from scipy.spatial.transform import Rotation
 from std_msgs.msg import String
 
-from liegroup_sim_ros.messages.topics import APPLIED_WRENCH
+from liegroup_sim_ros.messages.topics import INPUTS
 
 STEP_NS = 1_000_000
 NODE = "/pushed"
@@ -31,11 +31,11 @@ while True:
 
 
 class Pushed:
-    """Running node, publishers of wrenches, and the wrenches it reports as applied."""
+    """Running node, publishers of wrenches, and the commands that it reports."""
 
     def __init__(self, client):
         self.client = client
-        self.applied = client.listen(f"{NODE}/applied_wrench", WrenchStamped)
+        self.given = client.given(NODE)
         self.pose = client.listen(f"{NODE}/cube/pose", PoseStamped)
         self.twist = client.listen(f"{NODE}/cube/twist", TwistStamped)
         self.to = {
@@ -47,13 +47,16 @@ class Pushed:
         )
 
     def forces(self, body):
-        """x of the total force on a body at rest, in body and in world axes, at all its changes."""
-        totals, history = {}, []
-        for message in self.applied:
-            frame, wrench, _ = values(message)
-            if frame in (body, f"world/{body}"):
-                totals[frame] = wrench[3]
-                history.append(sum(totals.values()))
+        """x of the total force of all sources on a body at rest, in body and in world axes, after each command."""
+        acting, history = {}, []
+        for order in self.given:
+            if order.kind == "clear" and order.source in acting:
+                del acting[order.source]
+            elif order.name == body:
+                acting[order.source] = order.values[3]
+            else:
+                continue
+            history.append(sum(acting.values()))
         return history
 
     def until_forces(self, body, expected):
@@ -92,18 +95,16 @@ def node(client, process):
     pushed = process[1]
     assert client.call(f"{NODE}/reset").success and client.call(f"{NODE}/resume").success
     client.spin(0.1)
-    pushed.applied.clear()
+    pushed.given.clear()
     return pushed
 
 
 def test_a_late_subscriber_learns_what_acts(client, node):
     node.to["wrench/persistent"]("cube/late", force=(7.0, 0.0, 0.0))
     node.until_forces("cube", [7.0])
-    late = client.listen(
-        f"{NODE}/applied_wrench", WrenchStamped, QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    )
-    client.until(lambda: late and late[-1] == node.applied[-1], what="what acts")
-    assert values(late[-1])[:2] == ("cube", (0.0, 0.0, 0.0, 7.0, 0.0, 0.0))
+    late = client.given(NODE, QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+    client.until(lambda: late and late[-1] == node.given[-1], what="what acts")
+    assert late[-1][1:3] == ("cube", (0.0, 0.0, 0.0, 7.0, 0.0, 0.0))
     node.clear.publish(String(data="cube/late"))
     node.until_forces("cube", [7.0, 0.0])
 
@@ -113,20 +114,14 @@ def test_a_late_subscriber_learns_what_acts_behind_many_changes(client, node):
     node.to["wrench/persistent"]("cube/late", force=(7.0, 0.0, 0.0))
     node.until_forces("cube", [7.0])
     changes = 0
-    while len(node.forces("puck")) < APPLIED_WRENCH.depth + 100:
+    while len(node.forces("puck")) < INPUTS.depth + 100:
         changes += 1
-        assert changes < 10 * APPLIED_WRENCH.depth, "the changes do not arrive"
+        assert changes < 10 * INPUTS.depth, "the changes do not arrive"
         node.to["puck/wrench"]("puck", force=(changes * 1e-6, 0.0, 0.0))
         client.spin(0.004)
-    late = client.listen(
-        f"{NODE}/applied_wrench",
-        WrenchStamped,
-        QoSProfile(depth=APPLIED_WRENCH.depth, durability=DurabilityPolicy.TRANSIENT_LOCAL),
-    )
-    client.until(
-        lambda: [m for m in late if values(m)[:2] == ("cube", (0.0, 0.0, 0.0, 7.0, 0.0, 0.0))],
-        what="what acts on the cube",
-    )
+    late = client.given(NODE, QoSProfile(depth=INPUTS.depth, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+    acting = "cube", (0.0, 0.0, 0.0, 7.0, 0.0, 0.0)
+    client.until(lambda: acting in [order[1:3] for order in late.present or ()], what="what acts on the cube")
 
 
 def test_wrenches_of_different_sources_add(client, node):
@@ -189,29 +184,27 @@ def test_force_in_world_axes_keeps_its_direction(client, node):
     node.to["cube/wrench"]("world", force=force.tolist(), stamp_ns=1)
     client.spin(0.1)  # it has arrived before it is asked for steps
     assert client.call(f"{NODE}/step").success
-    client.until(lambda: node.applied)
+    client.until(lambda: node.given)
     node.stand_still()
     velocity = node.world_velocity() - before
     assert np.abs(velocity - force * 0.5 / 1.0).max() < 500 * 10 * 2.2e-16 * 8
-    frame, wrench, _ = values(node.applied[0])
-    assert (frame, wrench) == ("world/cube", (0, 0, 0, *force))
+    assert (node.given[0].name, node.given[0].axes, node.given[0].values) == ("cube", "world", (0, 0, 0, *force))
 
 
 def test_the_wrench_of_a_killed_publisher_ends(client, node):
     assert client.set(NODE, wrench_hold="timeout").successful
     commander = python(COMMANDER)
     try:
-        client.until(lambda: node.applied, what="a push")
-        client.spin(0.5)
-        assert len(node.applied) == 1  # 20 ms between messages, 100 ms of hold: no gap
+        client.until(lambda: len(node.given) > 20, what="pushes")
+        # 20 ms between messages, 100 ms of hold: no gap
+        assert all(after.start <= before.end for before, after in zip(node.given, node.given[1:]))
     finally:
         os.killpg(commander.pid, signal.SIGKILL)
         commander.communicate()
     client.spin(0.1)  # the poses that arrived while nobody read them
     died = stamp_ns(node.pose[-1].header.stamp)
-    client.until(lambda: len(node.applied) == 2, what="the end of the push")
-    body, wrench, end = values(node.applied[-1])
-    assert (body, any(wrench)) == ("puck", False)
     # 100 ms after the last message; ten periods more for those under way on a busy machine.
-    assert end - died < (100 + 10 * 10) * STEP_NS
+    assert node.given[-1].end - died < (100 + 10 * 10) * STEP_NS
+    client.until(lambda: stamp_ns(node.pose[-1].header.stamp) > node.given[-1].end + 200 * STEP_NS)
+    assert node.given[-1].start <= died + 10 * 10 * STEP_NS
     assert client.set(NODE, wrench_hold="until_replaced").successful

@@ -14,7 +14,8 @@ from rosbags.highlevel import AnyReader
 
 from liegroup_core import Simulation
 from liegroup_core.scene.load import scene_from_text
-from liegroup_sim_ros.messages.codecs import ClockCodec, PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
+from liegroup_sim_ros.messages import inputs
+from liegroup_sim_ros.messages.codecs import ClockCodec, PoseStampedCodec, TwistStampedCodec
 from liegroup_sim_ros.messages.schemas import qos_profile
 from liegroup_sim_ros.recording import attachments, bag_metadata
 from liegroup_sim_ros.recording.damaged_survey import survey
@@ -61,8 +62,7 @@ def same_bits(path):
     )
     assert attachments.restore(simulation, state)
     topics, base = settings["topics"], state["base_ns"]
-    wrenches = WrenchStampedCodec.decode([data for _, _, data in rows.get(topics["applied_wrench"], [])])
-    changes = list(zip(wrenches.stamp_ns.tolist(), wrenches.frame_id, wrenches.wrench.tolist()))
+    given = [(stamp, *inputs.decode(data)) for _, stamp, data in rows.get(topics["inputs"], [])]
     bodies = state["bodies"]
     poses = {b: rows[topics["pose"][b]] for b in bodies}
     twists = {b: rows[topics["twist"][b]] for b in bodies}
@@ -72,13 +72,13 @@ def same_bits(path):
         while resets and resets[0] <= stamp:
             base = resets.pop(0)
             simulation.reset()
-        while changes and changes[0][0] <= stamp:
-            at, frame, wrench = changes.pop(0)
-            axes = "world" if frame.startswith("world/") else "body"
+        while given and given[0][0] < stamp:
+            at, base_ns, commands = given.pop(0)
             if at < base:
                 continue  # what ended by the reset
-            simulation.advance(round((at - base) * 1e-9 / settings["step"]) - simulation.steps)
-            simulation.apply_wrench(frame.removeprefix("world/"), wrench, source=axes, axes=axes)
+            assert base_ns == base
+            for command in commands:
+                command.repeat(simulation)
         simulation.advance(round((stamp - base) * 1e-9 / settings["step"]) - simulation.steps)
         sample = simulation.sample()
         for b in bodies:

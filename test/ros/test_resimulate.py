@@ -107,7 +107,7 @@ def test_resimulation_is_bit_identical_with_every_method(ros_node, tmp_path, met
         assert figures["must_be_equal"] and figures["missing_samples"] == 0
         samples, resets = samples + figures["samples"], resets + figures["resets"]
     assert samples > 80 and resets <= 1
-    pushed = [change.body for recording in files for change in recording.applied_wrench if any(change.wrench)]
+    pushed = [command.name for recording in files for command in recording.inputs if any(command.values)]
     assert pushed.count("top") > 3 and "box" in pushed
 
 

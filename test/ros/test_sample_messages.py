@@ -35,6 +35,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from visualization_msgs.msg import Marker, MarkerArray
 
 from liegroup_core import load_scene
+from liegroup_core.forces.external import no_wrenches, set_wrench
 from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import scene_from_text
 from liegroup_core.simulation import Simulation
@@ -413,7 +414,7 @@ def test_names_of_every_length(layout, sample, length):
     ):
         for _, _, encode in topics(layout, world, prefix):
             as_ros_serializes(encode(STAMP, sample), message_class)
-    encoder = Markers(layout, world, 0.1, {})
+    encoder = Markers(layout, world, 0.1)
     as_ros_serializes(encoder.encode(STAMP, sample), MarkerArray)
     as_ros_serializes(encoder.encode_end(STAMP), MarkerArray)
     store = get_typestore(Stores.ROS2_JAZZY)
@@ -445,12 +446,16 @@ def test_transforms_are_what_an_independent_library_serializes(layout, sample):
 
 def test_markers(layout, sample):
     world = (0.0, 3.0, 0.0, 1.0, -2.0, 4.0)
-    wrenches = {
-        ("plain", "body"): (0.0, 0.0, 2.0, 3.0, 0.0, -1.0),
-        ("ball", "world"): world,
-        ("ball", "body"): (0.0, 0.0, 0.0, 5.0, 0.0, 0.0),
-    }
-    encoder = Markers(layout, "world", 0.1, wrenches)
+    sample = copy.copy(sample)
+    sample.__dict__.pop("external_wrenches", None)
+    sample.external = no_wrenches(layout.offsets)
+    for body, wrench, axes in (
+        ("plain", (0.0, 0.0, 2.0, 3.0, 0.0, -1.0), "body"),
+        ("ball", world, "world"),
+        ("ball", (0.0, 0.0, 0.0, 5.0, 0.0, 0.0), "body"),
+    ):
+        set_wrench(sample.external, layout.body_names.index(body), wrench, axes)
+    encoder = Markers(layout, "world", 0.1)
     message = as_ros_serializes(encoder.encode(STAMP, sample), MarkerArray)
     found = {(marker.ns, marker.id): marker for marker in message.markers}
     assert len(found) == len(message.markers) == 4 + 2 + 4 + 4

@@ -6,8 +6,8 @@ import signal
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
-from node_process import NodeProcess, stamp_ns, values
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from node_process import NodeProcess, stamp_ns
 from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
@@ -34,7 +34,7 @@ def test_a_restored_snapshot_continues_bit_for_bit_and_is_recorded(client, scene
     name = f"{NODE}_{case}"
     poses = client.listen(f"{name}/cube/pose", PoseStamped)
     twists = client.listen(f"{name}/puck/twist", TwistStamped)
-    applied = client.listen(f"{name}/applied_wrench", WrenchStamped)
+    given = client.given(name)
     events = client.listen(f"{name}/events", Log, QoSProfile(depth=50, durability=DurabilityPolicy.TRANSIENT_LOCAL))
     figures = client.listen("/diagnostics", DiagnosticArray)
     parameters = {"scene": scene, "start_paused": True, "record": tmp_path / "run.mcap"}
@@ -81,7 +81,7 @@ def test_a_restored_snapshot_continues_bit_for_bit_and_is_recorded(client, scene
         assert client.set(name, wrench_timeout=0.33).successful
         push("puck", force=(0.3, 0.0, 0.0))
         timed("cube", torque=(0.0, 0.2, 0.0), stamp_ns=123_456_789)
-        client.until(lambda: int(client.call(f"{name}/step").success) and applied)
+        client.until(lambda: int(client.call(f"{name}/step").success) and len(given) > 1)
         step(170 if case == "method" else 17)
         refused = client.call(f"{name}/restore_snapshot")
         assert not refused.success
@@ -93,14 +93,14 @@ def test_a_restored_snapshot_continues_bit_for_bit_and_is_recorded(client, scene
         expected = branch(start)
         for force in (7.0, None):
             last = stamp_ns(poses[-1].header.stamp)
+            given.present = None
             answer = call("restore_snapshot")
             assert answer.startswith("snapshot 'first' at ")
             start = now_ns(answer)
             assert start == last + (1_000_000 if case == "method" else STEP_NS)
             # What acts is published again.
-            client.until(lambda: stamp_ns(applied[-1].header.stamp) == start)
-            told = {values(m)[:2] for m in applied if stamp_ns(m.header.stamp) == start}
-            assert ("puck", (0.0, 0.0, 0.0, 0.3, 0.0, 0.0)) in told
+            client.until(lambda: given.present is not None and len(given.present) > 1)
+            assert ("puck", (0.0, 0.0, 0.0, 0.3, 0.0, 0.0)) in [order[1:3] for order in given.present]
             assert branch(start) == expected
             if force:  # another branch in between
                 other = client.pusher(name, "puck/wrench")

@@ -22,8 +22,9 @@ def heights(scene: Scene, seconds: float) -> NDArray[np.float64]:
         found.append(float(sample.positions[body][2]))
     if simulation.doubt is not None:
         print(simulation.doubt, sample.energy, sample.constraint_residual)
-    pose, twist = simulation.state()
-    simulation.set_state(pose, twist, simulation.steps, memory=simulation.memory())
+    state = simulation.snapshot()
+    simulation.set_state(state.pose, state.twist, state.steps)
+    simulation.restore(state)
     return np.array(found)
 
 

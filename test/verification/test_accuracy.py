@@ -12,7 +12,7 @@ from true_error import distance_at
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.accuracy import AccuracyControl
-from liegroup_core.reference import Reference, WrenchChange
+from liegroup_core.reference import Reference, WrenchSpan
 from liegroup_core.scene.library import four_bar_windows
 from liegroup_core.scene.load import scene_from_text
 
@@ -26,7 +26,7 @@ def pushed(name, **settings):
     body = simulation.scene.bodies[0].name
     wrench = (0.0, 0.0, 0.0, FORCE[name], 0.0, 0.0)
     simulation.apply_wrench(body, wrench, ON, OFF - ON, axes="world")
-    return simulation, [WrenchChange(ON, body, wrench, "world"), WrenchChange(OFF, body, (0.0,) * 6, "world")]
+    return simulation, [WrenchSpan(ON, OFF, body, wrench, "world")]
 
 
 def true_error(simulation, changes, times):
@@ -141,22 +141,21 @@ def test_steps_and_estimates_depend_on_states_and_wrenches_alone(name, at_once):
 
     one, other = run(150), run(at_once)
     assert one.state()[0].tobytes() == other.state()[0].tobytes()
-    assert one.substeps == other.substeps and one.memory() == other.memory()
+    assert one.substeps == other.substeps and one.snapshot() == other.snapshot()
     other.reset()
     assert not other.sample().errors.any()
 
 
 @pytest.mark.parametrize("name", ["heavy_top", "slider_crank"])
-def test_a_run_continues_to_the_bit_from_its_memory(name):
+def test_a_run_continues_to_the_bit_from_its_state(name):
     one, _ = pushed(name, accuracy=1e-7)
     one.advance(101)
     other = Simulation(one.scene, **one.arguments)
-    other.set_state(*one.state(), one.steps, one.sample().angles, one.memory())
+    other.restore(one.snapshot())
     assert other.sample().errors.tobytes() == one.sample().errors.tobytes()
     for simulation in (one, other):
         simulation.advance(200)
-    assert one.state()[0].tobytes() == other.state()[0].tobytes()
-    assert one.memory() == other.memory()
+    assert one.snapshot() == other.snapshot()
 
 
 def test_in_chaos_the_accuracy_ends_with_a_line_and_the_joints_stay_closed():
@@ -193,8 +192,7 @@ def test_in_chaos_the_line_says_what_a_finer_accuracy_would_give(name, accuracy)
     assert simulation.doubt.endswith(f"above the accuracy of {accuracy:.2g}: {why}")
     # A run that is continued from a recording says the same.
     other = Simulation(simulation.scene, **simulation.arguments)
-    state = *simulation.state(), simulation.steps, simulation.sample().angles
-    other.set_state(*state, simulation.memory())
+    other.restore(simulation.snapshot())
     assert (other.doubt, other.inaccurate_because) == (simulation.doubt, why)
 
 
@@ -233,7 +231,7 @@ def test_the_line_says_that_an_accuracy_ended_by_rounding(name, accuracy):
 def test_only_exponential_growth_is_called_so(estimate, said):
     control = AccuracyControl(1e-4, 60.0, lambda part: None)
     for k in range(1, 100):
-        control.follow(0.1 * k, estimate(0.1 * k), True, True)
+        control.update(0.1 * k, estimate(0.1 * k), True, True)
     assert control.ended < 10.0
     assert control.reason.startswith(said) and bool(control.reason) == bool(said)
 

@@ -154,7 +154,7 @@ def test_turns_belong_to_the_state():
     simulation.advance(700)
     middle = simulation.sample()
     assert middle.angles[0] > 2 * np.pi
-    other.set_state(*simulation.state(), steps=700, angles=middle.angles, memory=simulation.memory())
+    other.restore(simulation.snapshot())
     for run in (simulation, other):
         run.advance(500)
     assert simulation.state()[0].tobytes() == other.state()[0].tobytes()

@@ -3,10 +3,11 @@
 
 import numpy as np
 import pytest
+from given import reference_inputs
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.methods.table import METHODS
-from liegroup_core.reference import WrenchChange, integrate
+from liegroup_core.reference import WrenchSpan, integrate
 from liegroup_core.scene.description import Body, ConstantWrench, Frame, Joint, Scene
 
 WRENCH = (0.4, -0.3, 0.7, 3.0, -2.0, 4.0)
@@ -42,12 +43,13 @@ def error(scene, exact, axes, **options):
     simulation = Simulation(scene, **{"method": "rkmk4"} | options)
     simulation.apply_wrench("a", WRENCH, START, DURATION, axes=axes)
     simulation.advance(round(END / simulation.step))
-    assert [c.time for c in simulation.drain_applied()] == pytest.approx([START, START + DURATION], abs=1e-9)
+    (given,) = simulation.drain_applied()
+    assert (given.start, given.end_ns * 1e-9) == pytest.approx((START, START + DURATION), abs=1e-9)
     return np.abs(simulation.sample().pose[0, :9].reshape(3, 3) - exact.rotation[-1, 0]).max()
 
 
 def reference(scene, axes):
-    changes = [WrenchChange(START, "a", WRENCH, axes), WrenchChange(START + DURATION, "a", (0.0,) * 6, axes)]
+    changes = [WrenchSpan(START, START + DURATION, "a", WRENCH, axes)]
     exact, apart = integrate(scene, *Simulation(scene, method="rkmk4").state(), [0.0, END], changes)
     assert apart.attitude.max() < 1e-11
     return exact
@@ -112,8 +114,8 @@ def test_forces_in_world_axes_at_points_of_a_body_cost_no_order(method, group):
         errors.append(np.abs(turned - exact.rotation[-1, 0]).max())
     slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
     assert slope >= order - 0.5, (slope, errors)
-    # The reference repeats the drained totals, too.
-    changes = [WrenchChange(c.time, c.body, c.wrench, c.axes) for c in simulation.drain_applied()]
+    # The reference repeats the commands, too.
+    changes = reference_inputs(simulation.layout, simulation.drain_applied())
     again, _ = integrate(scene, *state, [0.0, END], changes)
     assert np.abs(again.rotation[-1] - exact.rotation[-1]).max() < 1e-11
 

@@ -135,7 +135,7 @@ def test_calls_may_be_divided_and_resumed_bit_identically(name, group, space):
     whole.advance(40)
     for count in (1, 2, 17):
         parts.advance(count)
-    resumed.set_state(*parts.state(), steps=20, memory=parts.memory())
+    resumed.restore(parts.snapshot())
     parts.advance(20)
     resumed.advance(20)
     for other in (parts, resumed):

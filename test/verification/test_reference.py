@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from liegroup_core.errors import SimulationError
 from liegroup_core.layout import make_layout
 from liegroup_core.mechanism.body_model import initial_state
-from liegroup_core.reference import Reference, Trajectory, WrenchChange, distance, integrate
+from liegroup_core.reference import Reference, Trajectory, WrenchSpan, distance, integrate
 from liegroup_core.reference.equations import joint_equations
 from liegroup_core.reference.system import build_system
 from liegroup_core.reference.trajectory import _to_state
@@ -102,7 +102,7 @@ def constant_push(joints=(), **values):
 def test_a_wrench_change_between_steps_is_integrated_exactly():
     """Force along body x without rotation: piecewise x = f t^2 / 2m, to round-off."""
     times = np.array([0.0, 0.1, 0.25, 0.3, 1.0])
-    changes = [WrenchChange(0.1, "a", (0, 0, 0, 4.0, 0, 0)), WrenchChange(0.3, "a", (0,) * 6)]
+    changes = [WrenchSpan(0.1, 0.3, "a", (0, 0, 0, 4.0, 0, 0))]
     trajectory, _ = follow(constant_push(), times, changes)
     assert trajectory.position[:, 0, 0] == pytest.approx([0.0, 0.0, 0.15**2, 0.2**2, 0.2**2 + 0.4 * 0.7], abs=1e-14)
     assert trajectory.twist[-1, 0] == pytest.approx([0, 0, 0, 0.4, 0, 0], abs=1e-14)
@@ -113,7 +113,7 @@ def test_a_wrench_in_body_axes_rotates_with_the_body():
     spin, a = 3.0, 2.0
     scene = constant_push(angular_velocity=(0, 0, spin))
     times = np.linspace(0.0, 2.0, 21)
-    trajectory, _ = follow(scene, times, [WrenchChange(0.0, "a", (0, 0, 0, 2.0 * a, 0, 0))])
+    trajectory, _ = follow(scene, times, [WrenchSpan(0.0, math.inf, "a", (0, 0, 0, 2.0 * a, 0, 0))])
     exact = a / spin**2 * np.stack([1.0 - np.cos(spin * times), spin * times - np.sin(spin * times)], axis=1)
     # Tolerance 1e-13 per step of some ten steps, over values up to 1.
     assert np.abs(trajectory.position[:, 0, :2] - exact).max() <= 5e-12
@@ -128,7 +128,7 @@ def test_a_body_on_a_revolute_joint_under_constant_torque():
     inertia = axis @ np.diag(scene.bodies[0].inertia) @ axis + 2.0 * arm @ arm
     times = np.linspace(0.0, 1.5, 7)
     # The hinge takes up all of a torque but its part along the axis; the force has moment arm * f.
-    trajectory, _ = follow(scene, times, [WrenchChange(0.0, "a", (*(0.7 * axis), 0, 0, 0))])
+    trajectory, _ = follow(scene, times, [WrenchSpan(0.0, math.inf, "a", (*(0.7 * axis), 0, 0, 0))])
     rate = 0.7 / inertia
     angles = np.arccos(np.clip((np.trace(trajectory.rotation[:, 0], axis1=1, axis2=2) - 1) / 2, -1.0, 1.0))
     assert trajectory.twist[:, 0, :3] @ axis == pytest.approx(rate * times, abs=1e-12)
@@ -301,7 +301,7 @@ def test_evaluation_in_pieces_is_bit_identical():
     scene = constant_push()
     layout = make_layout(scene)
     pose, twist = initial_state(layout.centred)
-    changes = [WrenchChange(0.35, "a", (0.1, 0.2, 0.0, 1.0, 0.0, 0.0))]
+    changes = [WrenchSpan(0.35, math.inf, "a", (0.1, 0.2, 0.0, 1.0, 0.0, 0.0))]
     times = np.linspace(0.0, 1.0, 41)
     whole, known = integrate(scene, pose, twist, times, changes)
     reference = Reference(scene, pose, twist, changes, end=1.0)
@@ -323,6 +323,6 @@ def test_invalid_arguments_are_refused():
     scene = constant_push()
     with pytest.raises(ValueError, match="times must increase"):
         follow(scene, [0.2, 0.1])
-    pushed = [WrenchChange(0.0, "a", (math.inf,) + (0.0,) * 5)]
+    pushed = [WrenchSpan(0.0, math.inf, "a", (math.inf,) + (0.0,) * 5)]
     with pytest.raises(SimulationError, match="not finite"):
         follow(scene, [1.0], pushed)

@@ -8,7 +8,7 @@ import pytest
 from true_error import distance_at
 
 from liegroup_core import Simulation, SimulationError, load_scene
-from liegroup_core.reference import Reference, WrenchChange
+from liegroup_core.reference import Reference, WrenchSpan
 from liegroup_core.scene.description import Body, Frame, Joint, LinearSpringDamper, Scene
 
 FORCE = {"heavy_top": 40.0, "four_bar": 5.0, "double_pendulum": 2.0, "free_body": 20.0}  # N
@@ -38,7 +38,7 @@ def pushed(scene, method, step, stabilisation):
     if scene.name == "four_bar":
         wrench = (0.0, 0.0, 0.0, FORCE[scene.name], 0.0, 0.0)
     simulation.apply_wrench(body, wrench, ON, OFF - ON, axes="world")
-    return simulation, [WrenchChange(ON, body, wrench, "world"), WrenchChange(OFF, body, (0.0,) * 6, "world")]
+    return simulation, [WrenchSpan(ON, OFF, body, wrench, "world")]
 
 
 @pytest.mark.parametrize("name, method, step, stabilisation", CASES)

@@ -25,7 +25,7 @@ from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.lie.so3 import so3_exp
 from liegroup_core.lie.vec3 import ZERO3, add3, axpy3, cross3, dot3, matmul3, matvec3, scale3, sub3, tmatvec3
 
-from .newton import GYROSCOPIC, follow, newton
+from .newton import GYROSCOPIC, continuation, newton
 from .newton import RATTLE as RATTLE_EQUATION
 
 RUNGE_KUTTA, STOERMER_VERLET, LIE_NEWMARK, RATTLE, AUSTIN = 0, 1, 2, 3, 4
@@ -158,10 +158,10 @@ def iterated_step(rule, inertia, inverse, h, guess, w, first, torque):
     """
     y = matvec3(inertia, w)
     if rule == LIE_MIDPOINT:
-        return follow(inertia, h, guess, ZERO3, y, ZERO3, scale3(0.5 * h, torque))
+        return continuation(inertia, h, guess, ZERO3, y, ZERO3, scale3(0.5 * h, torque))
     if rule == SIMO_WONG:
-        return follow(inertia, h, guess, ZERO3, y, scale3(h, torque), y)
-    return follow(inertia, h, guess, w, axpy3(0.5 * h, first, y), ZERO3, scale3(0.5 * h, torque))
+        return continuation(inertia, h, guess, ZERO3, y, scale3(h, torque), y)
+    return continuation(inertia, h, guess, w, axpy3(0.5 * h, first, y), ZERO3, scale3(0.5 * h, torque))
 
 
 @kernel

@@ -168,7 +168,7 @@ def newton(kind, inertia, h, start, v, a, b, c):
 
 
 @subroutine
-def follow(inertia, h, start, v, a, b, c):
+def continuation(inertia, h, start, v, a, b, c):
     """Solve an INCREMENT equation from an initial guess, or else by continuation in h.
 
     returns (x, converged). Rotations of much more than 1 rad have several solutions. Continuation

@@ -78,7 +78,7 @@ def find_truth(layout, horizon=None, tell=lambda text: None):
         motion, apart = found, exact.uncertainty(found)
     k, n = motion.position.shape[:2]
     poses = np.concatenate([motion.rotation.reshape(k, n, 9), motion.position], axis=2)
-    energy, kinetic, *_ = Along(layout).follow(poses, motion.twist)
+    energy, kinetic, *_ = Along(layout).of(poses, motion.twist)
     return Truth(
         horizon,
         kind,

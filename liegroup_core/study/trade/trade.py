@@ -107,7 +107,7 @@ class Trade:
         study = Study(self.scene.text, self.truth, source_digest())
         done = [len(climbs) - len(owners)]
 
-        def follow(k, cell):
+        def expand(k, cell):
             climb = owners[k]
             self._cells[_key(cell)] = cell
             self._store.keep_cell(self.truth.horizon, cell)
@@ -119,7 +119,7 @@ class Trade:
             owners.append(climb)
             return [(study, setting)]
 
-        for _, cell in run(measure, [(study, climb.setting) for climb in owners], scheduler, workers, follow):
+        for _, cell in run(measure, [(study, climb.setting) for climb in owners], scheduler, workers, expand):
             yield cell, (done[0], len(climbs))
 
     def to_accuracies(self, accuracies=WANTED):
