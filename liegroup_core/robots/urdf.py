@@ -3,6 +3,9 @@
 
 Source: the XML specification of URDF, http://wiki.ros.org/urdf/XML. Angles are in rad. The frame of a
 joint is the frame of its child link.
+
+Own code: urdf_parser_py and yourdfpy keep no line numbers and accept a mass that is nan and links of the
+same name; the latter takes a missing moment of inertia as 1.
 """
 
 import numpy as np

@@ -6,6 +6,9 @@ result is lost (test/core/test_tasks.py).
 
 Workers on this machine get their tasks through unnamed pipes, which no other process can open. Without
 TLS, anyone who can reach a port of Dask can execute code there.
+
+Own code: workers of concurrent.futures, loky and pebble share a pipe, so the run hangs if one is killed
+while it sends a result, and the first two also repeat the tasks of all other workers.
 """
 
 import logging
