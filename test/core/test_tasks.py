@@ -227,3 +227,29 @@ def test_a_missing_scheduler_is_a_one_line_error(monkeypatch):
     with pytest.raises(tasks.TasksError, match="no dask scheduler at tcp://127.0.0.1:9") as error:
         list(tasks.run(square, [1], scheduler="tcp://127.0.0.1:9"))
     assert "\n" not in str(error.value)
+
+
+def test_a_worker_killed_while_it_sends_its_result_loses_nothing(tmp_path):
+    """Workers that shared a pipe would wait for the rest of its message."""
+    died = tmp_path / "died"
+
+    def die_sending(x):
+        import sys
+        import threading
+
+        def kill():
+            while True:
+                for frame in sys._current_frames().values():
+                    while frame and frame.f_code.co_name != "_send":
+                        frame = frame.f_back
+                    if frame:
+                        os.kill(os.getpid(), signal.SIGKILL)
+
+        if x == 3 and not died.exists():
+            died.touch()
+            threading.Thread(target=kill, daemon=True).start()
+            return bytes(2**26)
+        return x
+
+    results = list(tasks.run(die_sending, range(8), workers=2))
+    assert died.exists() and sorted(results) == [(x, x) for x in range(8)]
