@@ -124,6 +124,8 @@ class Layout:
         """Reason why the scene needs relative coordinates, or ""."""
         if self.lack_of_inertia or self.scene.couplings:
             return self.lack_of_inertia or "it has couplings"
+        if any(joint.rotor for joint in self.scene.joints):
+            return "its joints have rotors"
         return "it has driven joints" if self.motions else self.needs_events
 
     @cached_property
@@ -296,8 +298,8 @@ def make_layout(scene):
             layout = Layout(described, centred, Offsets(described), *build_model(centred))
             if layout.scene.couplings or layout.motions:
                 refuse_cut_couplings(centred)
-            if layout.motions or layout.switches:
-                _ = layout.relative  # refuses driven joints that depend on others, and cut switches
+            if layout.needs_relative:
+                _ = layout.relative  # refuses driven joints that depend on others, cut switches and rotors
             if layout.lack_of_inertia:
                 refuse_freedoms_without_inertia(centred)
             return layout

@@ -44,6 +44,15 @@ def add_pair(model, work, b, component, value, out, stride):
 
 
 @kernel
+def add_rotors(model, work, rates, factor, out):
+    """Add the wrenches that the rotors of joints need for rates or accelerations, (f, 1) times a factor."""
+    for b in range(len(model.bodies)):
+        link = link_of(model, b)
+        if link["rotor"] > 0.0:
+            add_pair(model, work, b, 0, link["rotor"] * (factor * rates[link["freedom"], 0]), out, 1)
+
+
+@kernel
 def add_coupling(model, work, c, value, out, stride):
     """Add J^T of coupling c times a multiplier to wrenches; see `add_pair`."""
     coupling = model.couplings[c]

@@ -5,7 +5,7 @@ With the relative pose C_ba of parent a and child b, X = Ad(C_ba), and an accele
 world,
     Vdot_b = X Vdot_a + [V_b, S qdot] + S qddot
 from the world to the leaves, and from the leaves to the world
-    F_b = I Vdot_b - ad_V^T I V_b - W_b + sum of X^T F of its children ,   f_b = S^T F_b
+    F_b = I Vdot_b - ad_V^T I V_b - W_b + sum of X^T F of its children ,   f_b = S^T F_b + rotor qddot
 W_b are the applied wrenches minus J^T lambda of the cut joints. The links' own inertias enter, not sums of
 them, so the result keeps digits that articulated inertias may lose.
 
@@ -49,6 +49,8 @@ def inverse_dynamics(model, work, rates, force_out):
     for b in range(len(model.bodies) - 1, -1, -1):
         link, F = link_of(model, b), load(model, work.force, b)
         own_forces(model, link, F, force_out, link["freedom"])
+        if link["rotor"] > 0.0:
+            force_out[link["freedom"]] += link["rotor"] * rates[link["freedom"], 0]
         if link["parent"] != WORLD:
             F = wrench_at(model, relative(model, work, b), F)
             add_to(model, F, work.force, link["parent"])

@@ -5,7 +5,7 @@ from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.joints.elements import WORLD
 
 from .algebra import add, add_to, choice, link_of, load, offset, product, size, sub
-from .couplings import add_coupling, coupled_rate
+from .couplings import add_coupling, add_rotors, coupled_rate
 from .links import acceleration_of, bias_force, leave, momentum
 from .trees import spread, spread_response
 
@@ -34,11 +34,12 @@ def gather_forces(model, work):
 
 @kernel
 def gather_residual(model, work):
-    """u of all degrees of freedom for the residual of the equations of motion at work.moved.
+    """u of all degrees of freedom for the residual of the equations of motion at work.moved and work.total.
 
     work.force : J^T lambda of the cut joints (L, s); overwritten
     """
     add_own_forces(model, work)
+    add_rotors(model, work, work.total, 1.0, work.force)
     gather_forces(model, work)
 
 

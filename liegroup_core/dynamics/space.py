@@ -99,7 +99,9 @@ def pass_inertia(model, work, link, b):
     m, torque, force = table.eliminate(link, work, link["freedom"], m, torque, force)
     if link["parent"] == WORLD:
         return
-    short, torque, force = table.hand_on(link, work, b, m, torque, force)
+    short = False
+    if link["rotor"] == 0.0:
+        short, torque, force = table.hand_on(link, work, b, m, torque, force)
     rot, p = relative(model, work, b)
     if not short:
         dw, dv = times(m, load3(work.drift, b, 0), load3(work.drift, b, 3))

@@ -10,6 +10,7 @@ from liegroup_core.fields.frames import Frame
 from liegroup_core.fields.values import Described, Flag, Name, Number, Text
 
 from .motion import Motion
+from .rotor import Rotor, rotor_of_type
 from .stops import (
     Cone,
     CylinderFriction,
@@ -61,10 +62,13 @@ class JointBase(Described):
     friction: Annotated[Friction | CylinderFriction | None, friction_of_type] = Field(
         None, description="friction of the joint; see friction of a joint"
     )
+    rotor: Annotated[Rotor | None, rotor_of_type] = Field(
+        None, description="rotor that turns with the joint, through a gear; see rotor of a joint"
+    )
     data: dict[Name, Number] | None = Field(
         None,
         description="numbers by name, for example from a robot file; commands beyond lower, upper, velocity "
-        "and effort are refused; other names, such as friction and armature, have no effect",
+        "and effort are refused; other names have no effect",
     )
 
     @model_validator(mode="after")
@@ -77,6 +81,11 @@ class JointBase(Described):
     def switches(self):
         """[Switch]: coordinates of the joint with stops or friction."""
         return switches_of_joint(self)
+
+    @property
+    def rotor_inertia(self):
+        """Inertia of its rotor at the joint, kg m^2 or kg; 0 without one."""
+        return 0.0 if self.rotor is None else self.rotor.reflected
 
     @property
     def constrains(self):

@@ -50,6 +50,7 @@ LINK = np.dtype(
         ("body_point", "f8", (3,)),  # D: pose of `body` in the link
         ("aligned", "i8"),  # 1: T turns about x, and then about z
         ("pitch", "f8"),
+        ("rotor", "f8"),  # inertia of the rotor of its joint at the degree of freedom, kg m^2 or kg; 0: none
         ("mass", "f8"),  # m/rad, kg
         ("moment", "f8", (3,)),
         ("inertia", "f8", (6,)),  # m c; xx, xy, xz, yy, yz, zz about the origin
@@ -174,6 +175,7 @@ PLANE_LINK = np.dtype(
         ("parent", "i8"),
         ("freedom", "i8"),
         ("freedoms", "i8"),
+        ("rotor", "f8"),  # as in LINK
         ("mass", "f8"),  # kg
         ("moment_x", "f8"),
         ("moment_y", "f8"),  # m c, kg m

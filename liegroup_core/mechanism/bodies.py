@@ -32,6 +32,7 @@ class Model(Struct):
     gravity: np.ndarray            # (1, 3) m/s^2, world axes
     bodies: np.ndarray             # (n,) of BODY
     forces: Struct                 # Forces: the rows of every kind (forces/kinds.py)
+    rotors: np.ndarray             # of forces.rotors.ROW: rotors of joints
     motions: np.ndarray            # (d, 7) of each driven joint at the start: joints/motion.py
     elements: np.ndarray           # of joints.elements.ELEMENT
     row_residual: np.ndarray       # (rows,) which residuals are those of independent rows

@@ -3,6 +3,7 @@
 
 import numpy as np
 
+from liegroup_core.forces import rotors
 from liegroup_core.forces.kinds import make_forces
 from liegroup_core.joints.elements import ELEMENT, PAIR, WORLD
 from liegroup_core.joints.motion import COLUMNS
@@ -58,6 +59,7 @@ def build_model(scene):
         gravity=np.array([scene.gravity], dtype=float),
         bodies=bodies,
         forces=_forces(scene, index, frames),
+        rotors=rotors.rows(scene.joints, frames, index),
         motions=np.zeros((len(driven_joints(scene)), COLUMNS)),  # set before every step
         elements=elements,
         row_residual=np.array([elements[e]["row_start"] + r for e in solved for r in kept[e]], dtype=np.int64),

@@ -23,11 +23,18 @@ COUPLING_PART = Element(PAIR, ("coupling",), np.zeros((1, 6)))
 def coupled_links(scene, links):
     """[(ResolvedCoupling, indices of the links of both joints)] of couplings, then of driven joints.
 
-    Raises SceneError for a joint that is not in the spanning tree.
+    Raises SceneError for a joint that is not in the spanning tree, or has a rotor and is not.
     """
     of_joint = {link.joint: i for i, link in enumerate(links) if link.joint is not None}
     found = []
     driven = [j for j, joint in enumerate(scene.joints) if joint.driven]
+    for j, joint in enumerate(scene.joints):
+        if joint.rotor and j not in of_joint:
+            raise SceneError(
+                f'joints[{j}] "{joint.name}": it has a rotor, but closes a loop of joints with rotors, or its bodies '
+                "are welded; leave out the rotor of one joint of this loop",
+                ("joints", j, "rotor"),
+            )
     for j in driven:
         if j not in of_joint:
             raise SceneError(

@@ -20,14 +20,15 @@ FIRST_AXIS, SECOND_AXIS = np.eye(4)[:, [1, 2, 0, 3]], np.eye(4)[:, [2, 0, 1, 3]]
 class Link:
     """Link under construction: `placement` T in its parent, and poses of its bodies in it.
 
-    sign : 1 if its coordinate increases with that of the joint, -1 if it decreases
+    sign  : 1 if its coordinate increases with that of the joint, -1 if it decreases
+    rotor : inertia of the rotor of its joint, kg m^2 or kg
     """
 
     def __init__(self, joint, group, parent, placement, coordinates=OWN, pitch=0.0, in_plane=False):
         self.joint, self.group, self.parent, self.placement = joint, group, parent, placement
         self.coordinates, self.pitch, self.bodies = coordinates, pitch, {}
         self.components = (PLANE_COMPONENTS if in_plane else COMPONENTS)[group]
-        self.sign, self.aligned = 1.0, False
+        self.sign, self.aligned, self.rotor = 1.0, False, 0.0
 
     @property
     def turns(self):
@@ -85,6 +86,7 @@ def find_links(scene, frames, tree, normal, floating=FREE):
                 kind, in_plane = OF_JOINT[joint.type], normal is not None
                 pitch = getattr(joint, "pitch", 0.0)
                 links.append(Link(j, kind, parent, placement, pitch=pitch, in_plane=in_plane))
+                links[-1].rotor = joint.rotor_inertia
                 along = to_plane[2, links[-1].components[0] % 3]
                 links[-1].sign = -along if reverse else along
                 frame = welds[outer] @ F_out
@@ -184,6 +186,7 @@ def link_records(scene, links, index):
                 pose[:3, 3],
                 link.aligned,
                 link.pitch,
+                link.rotor,
                 mass,
                 moment,
                 inertia[np.triu_indices(3)],

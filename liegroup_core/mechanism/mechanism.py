@@ -98,6 +98,7 @@ def _plane_arrays(model, links, records, normal):
                 link.parent,
                 record["freedom"],
                 record["freedoms"],
+                record["rotor"],
                 record["mass"],
                 *record["moment"][:2],
                 record["inertia"][5],

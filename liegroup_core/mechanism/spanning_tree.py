@@ -2,9 +2,9 @@
 """Spanning tree of a mechanism: which bodies are one link, which joints are cut.
 
 Bodies that fixed joints weld are one link. The tree prefers joints with the most rows, which leaves the
-fewest rows for cut joints. Coupled and driven joints and those with stops or friction come first, because
-their rows and modes refer to joints of the tree. Among equals it prefers those nearest to the world, because
-short paths make loops cheap. Distance joints are always cut, because their motions are not a group.
+fewest rows for cut joints. Coupled and driven joints and those with stops, friction or rotors come first,
+because their rows, modes and inertias refer to joints of the tree. Among equals it prefers those nearest to
+the world, because short paths make loops cheap. Distance joints are always cut, because their motions are not a group.
 """
 
 from dataclasses import dataclass
@@ -90,7 +90,7 @@ def _grow(scene, of_group, depth, links, used, root):
     """Add all groups that joints connect to a root, by Prim's method."""
     frontier = list(of_group.get(root, ()))
     coupled = {name for entry in scene.couplings for name in (entry.joint, entry.other)}
-    coupled |= {joint.name for joint in scene.joints if joint.driven or joint.switches}
+    coupled |= {joint.name for joint in scene.joints if joint.driven or joint.switches or joint.rotor}
     while frontier:
         best, key = None, None
         for j, a, b in frontier:

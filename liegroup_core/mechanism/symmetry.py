@@ -80,7 +80,7 @@ def conserved_momentum(scene):
     Verified along independent integrations, with counterexamples: test/core/test_symmetry.py.
     """
     _, scene = ready(scene)
-    if scene.couplings or any(joint.driven or joint.switches for joint in scene.joints):
+    if scene.couplings or any(joint.driven or joint.switches or joint.rotor for joint in scene.joints):
         return ()
     model, *_ = build_model(scene)
     frames = resolve_frames(scene)

@@ -13,6 +13,7 @@ from liegroup_core.lie.vec3 import add3, vector3
 
 from . import about_z
 from .elimination import (
+    WITH_ROTOR,
     WITHOUT,
     accelerate_direction,
     is_held,
@@ -37,6 +38,7 @@ CALLED = {
     "vector3": vector3,
     "without_helix": without_helix,
     **{f"without_{k}": without for k, without in enumerate(WITHOUT)},
+    **{f"with_rotor_{k}": with_rotor for k, with_rotor in enumerate(WITH_ROTOR)},
 }
 Z = 5  # component of a translation along z
 AT_JOINT = 'return vector3(link["point"])'  # position of T X without a translation
@@ -77,7 +79,12 @@ def _eliminate(components, order, held, pitch):
         unless = f"if not is_held(work, f + {k}): " if held else ""
         without = f"without_{components[k]}(work"
         if pitch and k == 0:
-            without = 'without_helix(work, link["pitch"]'
+            without = 'without_helix(work, link["pitch"], link["rotor"]'
+        elif len(order) == 1:
+            rotor = f'with_rotor_{components[k]}(work, link["rotor"], f + {k}, m, torque, force)'
+            lines.append(
+                f'if link["rotor"] > 0.0:\n    {unless}m, torque, force = {rotor}\n    return m, torque, force'
+            )
         lines.append(f"{unless}m, torque, force = {without}, f + {k}, m, torque, force)")
     return "\n".join([*lines, "return m, torque, force"])
 
@@ -99,6 +106,8 @@ def _wrench_without(components, order, held, pitch, one):
     for position, k in enumerate(order):
         vector, c = _part(components[k], "w", "v")
         y, vanishes = f"{vector}[{c}]", [f"work.held[f + {k}] == 0.0"] * held
+        if len(order) == 1:
+            vanishes.append('link["rotor"] == 0.0')
         if pitch and k == 0:
             y, vanishes = f'{y} + link["pitch"] * v[2]', ['link["pitch"] == 0.0', *vanishes]
         lines.append(f"w, v = {one.format(k=k, position=position, y=y)}")

@@ -95,7 +95,7 @@ reduced = made("reduced", f"def reduced(m, U, inverse):\n    {_SCALED}\n    retu
 
 
 @kernel
-def without_helix(work, pitch, f, m, torque, force):
+def without_helix(work, pitch, rotor, f, m, torque, force):
     """Inertia and bias force without degree of freedom f, a rotation about z with a translation of pitch along z."""
     U = (
         m[2] + pitch * m[8],
@@ -106,11 +106,29 @@ def without_helix(work, pitch, f, m, torque, force):
         m[14] + pitch * m[20],
     )
     u = -(torque[2] + pitch * force[2])
-    inverse = inverse_of(U[2] + pitch * U[5])
+    inverse = inverse_of(U[2] + pitch * U[5] + rotor)
     store_freedom(work, f, U, inverse, u)
     share = u * inverse
     torque = axpy3(share, (U[0], U[1], U[2]), torque)
     return reduced(m, U, inverse), torque, axpy3(share, (U[3], U[4], U[5]), force)
+
+
+def _with_rotor(k):
+    """Kernel that eliminates component k of the twist, a degree of freedom f with a rotor.
+
+    With the rotor's inertia in D, row k of I does not vanish: the rotor resists an acceleration of the parent.
+    """
+    wrench = f"torque[{k}]" if k < 3 else f"force[{k - 3}]"
+    text = f"""
+        def with_rotor(work, rotor, f, m, torque, force):
+            U = {column(k)}
+            inverse, u = inverse_of(U[{k}] + rotor), -{wrench}
+            store_freedom(work, f, U, inverse, u)
+            share = u * inverse
+            torque = axpy3(share, (U[0], U[1], U[2]), torque)
+            return reduced(m, U, inverse), torque, axpy3(share, (U[3], U[4], U[5]), force)
+        """
+    return made("with_rotor", dedent(text), globals())
 
 
 def _without(k):
@@ -134,3 +152,4 @@ def _without(k):
 
 
 WITHOUT = tuple(map(_without, range(6)))
+WITH_ROTOR = tuple(map(_with_rotor, range(6)))

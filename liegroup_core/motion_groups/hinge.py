@@ -9,7 +9,7 @@ from liegroup_core.lie.vec3 import ZERO3, add_to3, load3, load9
 
 from . import about_z
 from .articulated import add_aligned_hinge_inertia, add_hinge_inertia
-from .in_plane import hand_on_whole, place, store_freedom
+from .in_plane import hand_on_whole, hand_on_with_rotor, place, store_freedom
 
 NAME = "SO(2)"
 JOINTS = {"revolute": "the frames share origin and z axis; the child rotates about z (hinge)"}
@@ -68,6 +68,9 @@ def plane_add_rates(link, S, V):
 @kernel
 def plane_hand_on(link, work, row, m, F):
     """Add the rest to the parent: without the rotation, a mass matrix M - U U^T / D and a force at the link."""
+    if link["rotor"] > 0.0:
+        hand_on_with_rotor(link, work, row, m, F, (m[0], m[1], m[2]))
+        return
     f, a = link["freedom"], link["parent"]
     inertia, inverse, u = work.inertia, work.freedoms[f, 6], work.freedoms[f, 7]
     if work.held[f] != 0.0:

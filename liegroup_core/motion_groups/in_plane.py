@@ -11,7 +11,7 @@ directly from the parent. A link with all degrees of freedom of the plane adds n
 
 from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.lie.se2 import se2_compose, se2_turned_mass, se2_wrench, turn2
-from liegroup_core.lie.vec3 import add_to3
+from liegroup_core.lie.vec3 import ZERO3, add_to3
 
 from .about_z import turn_of
 from .elimination import inverse_of
@@ -63,6 +63,23 @@ def hand_on_whole(work, a, row, m, F):
 
 
 @kernel
+def hand_on_with_rotor(link, work, row, m, F, U):
+    """Add the rest to the parent of a link whose degree of freedom has a rotor; U = I s in link axes.
+
+    The rotor's inertia is in D, so that no row of the rest vanishes.
+    """
+    f = link["freedom"]
+    inverse, u, V = work.freedoms[f, 6], work.freedoms[f, 7], ZERO3
+    if work.held[f] == 0.0:
+        V = se2_wrench(place(work.stage_pose, row), U)
+        a, b, c = inverse * U[0], inverse * U[1], inverse * U[2]
+        m = (m[0] - a * U[0], m[1] - a * U[1], m[2] - a * U[2], m[3] - b * U[1], m[4] - b * U[2], m[5] - c * U[2])
+        F = (F[0] + a * u, F[1] + b * u, F[2] + c * u)
+    store_freedom(work, f, V, inverse, u)
+    hand_on_whole(work, link["parent"], row, m, F)
+
+
+@kernel
 def accelerate_at(work, f, E):
     """Acceleration of freedom f, from E of the parent of its link."""
     U = work.freedoms
@@ -101,7 +118,7 @@ def functions_of(components):
         "rates_of": "\n".join(f"rates[row, {n}] = V[{c - 2}]" for n, c in enumerate(components)),
         "own_forces": "\n".join(f"out[f + {n}] = F[{c - 2}]" for n, c in enumerate(components)),
         "project_pose": f"c, s = {turn}\nplace_at(link, c, s, {x}, {y}, coordinates, row)",
-        "eliminate": f"begin_freedom(work, f, m[{3 * k}], F[{k}])\nreturn m, F",
+        "eliminate": f"begin_freedom(work, f, m[{3 * k}] + link['rotor'], F[{k}])\nreturn m, F",
         "accelerate": f"rate = accelerate_at(work, f, E)\nreturn {moved}",
         "leave": f"return leave_at(work, f, row, F, F[{k}])",
     }

@@ -5,7 +5,7 @@ from liegroup_core.compiling import kernel
 from liegroup_core.lie.se2 import se2_wrench, turn_back2
 from liegroup_core.lie.vec3 import ZERO3
 
-from .in_plane import hand_on_whole, place, place_at, store_freedom
+from .in_plane import hand_on_whole, hand_on_with_rotor, place, place_at, store_freedom
 
 NAME = "R"
 JOINTS = {"prismatic": "the frames share their axes; the child translates along z (slider)"}
@@ -44,6 +44,9 @@ def plane_add_rates(link, S, V):
 @kernel
 def plane_hand_on(link, work, row, m, F):
     """Add inertia and bias force without the translation along x to those of the parent."""
+    if link["rotor"] > 0.0:
+        hand_on_with_rotor(link, work, row, m, F, (m[1], m[3], m[4]))
+        return
     f, (ww, wx, wy, xx, xy, yy) = link["freedom"], m
     inverse, u, U = work.freedoms[f, 6], work.freedoms[f, 7], ZERO3
     if work.held[f] == 0.0:

@@ -4,16 +4,18 @@
 from liegroup_core.compiling import kernel
 from liegroup_core.forces import kinds
 from liegroup_core.forces.gravity import energy as gravity_energy
+from liegroup_core.forces.rotors import energy as rotor_energy
 from liegroup_core.lie.vec3 import add3, cross3, dot3, load3, load9, matrix3, matvec3, scale3
 
 
 @kernel
 def energy(model, angle, pose, twist):
-    """Kinetic plus potential energy of gravity and springs, J.
+    """Kinetic energy, of rotors too, plus potential energy of gravity and springs, J.
 
     angle : (k,) rad, unwrapped, of each torsional spring; pose (n, 12), twist (n, 6)
     """
     total = gravity_energy(model, pose) + kinds.energy(model.forces, angle, pose)
+    total += rotor_energy(model.rotors, pose, twist)
     for i in range(len(model.bodies)):
         w = load3(twist, i, 0)
         v = load3(twist, i, 3)

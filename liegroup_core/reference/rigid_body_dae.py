@@ -39,6 +39,8 @@ class System(NamedTuple):
     size: float  # m, characteristic length: scales rotations to displacements in A
     equations: Equations
     loads: Loads
+    rotors: Equations  # (r,) coordinates of the joints with a rotor: ANGLE or LEVEL
+    rotor_inertia: np.ndarray  # (r,) kg m^2 or kg
 
 
 @subroutine
@@ -55,6 +57,19 @@ def scaled_equations(system, state, angle, right_out):
         rows[r] *= scale
         right_out[r] = -scale * (gap[2, r] + 2.0 * DRIFT_DAMPING * gap[1, r] + DRIFT_DAMPING**2 * gap[0, r])
     return rows
+
+
+@subroutine
+def _add_rotors(system, state, mass, load):
+    """Add the rotors, I qddot^2 / 2 with qddot = J a + j, to the mass matrix and load for (rddot, size omegadot)."""
+    r, n = len(system.rotor_inertia), len(system.mass)
+    rows, gap = np.zeros((r, 6 * n)), np.zeros((3, r))
+    joint_equations(system.rotors, state, np.zeros(1), rows, gap)
+    for k in range(r):
+        for body in range(n):
+            rows[k, 6 * body + 3 : 6 * body + 6] /= system.size
+        mass += system.rotor_inertia[k] * np.outer(rows[k], rows[k])
+        load -= system.rotor_inertia[k] * gap[2, k] * rows[k]
 
 
 @subroutine
@@ -80,6 +95,8 @@ def _constrained_accelerations(system, rank, state, angle, force, acceleration_o
             load[6 * i + c] = force[i, c]
             load[6 * i + 3 + c] = force[i, 3 + c] / system.size
         mass[6 * i + 3 : 6 * i + 6, 6 * i + 3 : 6 * i + 6] = system.inertia[i] / system.size**2
+    if len(system.rotor_inertia) > 0:
+        _add_rotors(system, state, mass, load)
     if rank < 6 * n:
         reduced = free @ mass @ free.T
         a += free.T @ np.linalg.solve(reduced, free @ (load - mass @ a))

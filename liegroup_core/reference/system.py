@@ -62,6 +62,8 @@ def build_system(scene, pose, angles=None):
         size=float(np.linalg.norm(equations.point, axis=2).max(initial=0.0)) or 1.0,
         equations=equations,
         loads=_loads(scene, index, frames, turns, slides),
+        rotors=_rotors(scene, index, frames),
+        rotor_inertia=np.array([joint.rotor_inertia for joint in scene.joints if joint.rotor], dtype=float),
     )
     return system, start
 
@@ -149,6 +151,28 @@ def _equations(scene, index, frames, relative, couplings):
         values[:, 0] - ratio * values[:, 1],
         np.concatenate([np.full(len(scene.couplings), -1), drives]),
         np.zeros((3, len(drives))),
+    )
+
+
+def _rotors(scene, index, frames):
+    """Equations of the coordinates of the joints with a rotor; their values are not used."""
+    joints = [joint for joint in scene.joints if joint.rotor]
+    zeros, none = np.zeros(len(joints)), np.zeros(0, dtype=int)
+    turns = np.array([joint.type != "prismatic" for joint in joints], dtype=bool)
+    pairs = [frames[joint.name] for joint in joints]
+    return Equations(
+        np.where(turns, ANGLE, LEVEL),
+        _table([_ends(joint, index) for joint in joints], (2,), int),
+        _table([(F_a[:3, 3], F_b[:3, 3]) for F_a, F_b in pairs], (2, 3)),
+        _table([(F_a[:3, 2], F_b[:3, 2]) for F_a, F_b in pairs], (2, 3)),
+        zeros,
+        zeros,
+        np.where(turns, 0, -1),
+        none,
+        np.zeros(0),
+        np.zeros(0),
+        none,
+        np.zeros((3, 0)),
     )
 
 

@@ -6,6 +6,7 @@ from typing import NamedTuple, get_args
 from liegroup_core.fields.frames import Frame
 from liegroup_core.joints.coupling import Coupling
 from liegroup_core.joints.motion import Motion
+from liegroup_core.joints.rotor import Rotor
 from liegroup_core.joints.stops import Backlash, Cone, CylinderFriction, CylinderLimits, Friction, Limits
 
 from .description import FORCES, JOINTS, SENSORS, Body, Scene
@@ -22,6 +23,7 @@ PARTS = {
     "motion of a joint": (Motion,),
     "limits of a joint": (Limits, Cone, CylinderLimits),
     "friction of a joint": (Friction, CylinderFriction),
+    "rotor of a joint": (Rotor,),
     "couplings": (Coupling,),
     "backlash of a coupling": (Backlash,),
     "forces": FORCES,

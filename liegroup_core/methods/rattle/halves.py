@@ -38,6 +38,7 @@ from .arrays import HISTORY, MAX_REPEATS, STUCK, TOLERANCE, times_between
 from .free_bodies import first_half_of_bodies, loads_of_bodies, second_half_of_bodies
 from .links import (
     add_applied,
+    add_rotor_impulses,
     displace_links,
     move_coordinates,
     place_ends,
@@ -146,6 +147,7 @@ def _correct(model, work, memory, h, k, is_open):
     """
     if len(model.joints) > 0:
         add_multipliers(model, work)
+    add_rotor_impulses(model, work, memory, h)
     gather_forces(model, work)
     if len(model.joints) > 0:
         for r in range(len(work.bias)):

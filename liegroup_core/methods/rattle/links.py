@@ -3,6 +3,7 @@
 
 from liegroup_core.compiling import kernel
 from liegroup_core.dynamics.algebra import by_space, link_of, load, of_group, size, store
+from liegroup_core.dynamics.couplings import add_pair, add_rotors
 from liegroup_core.dynamics.links import momentum
 
 from . import plane_links, space_links
@@ -41,8 +42,18 @@ def set_momentum(model, work, memory, h):
 
 
 @kernel
+def add_rotor_impulses(model, work, memory, h):
+    """Add the impulses that rotors need, from the rates at the start to psi / h, to work.force."""
+    for b in range(len(model.bodies)):
+        link = link_of(model, b)
+        if link["rotor"] > 0.0:
+            change = memory.psi[link["freedom"], 0] / h - work.stage_twist[len(model.parts) + b, 0]
+            add_pair(model, work, b, 0, link["rotor"] * change, work.force, 1)
+
+
+@kernel
 def set_at_rest(model, work, memory, h):
-    """Set all links to rest under the impulses M V'+ + (h/2) Q+ as applied wrenches."""
+    """Set all links and rotors to rest under the impulses M V'+ + (h/2) Q+ as applied wrenches."""
     for b in range(len(model.bodies)):
         for c in range(work.drift.shape[1]):
             work.drift[b, c] = 0.0
@@ -51,3 +62,5 @@ def set_at_rest(model, work, memory, h):
             work.applied[b, c] = memory.impulse[b, c] + 0.5 * h * memory.load[b, c]
             # In a plane the bias forces are already set: replace them.
             work.force[b, c] = -work.applied[b, c]
+    add_rotors(model, work, memory.psi, 1.0 / h, work.applied)
+    add_rotors(model, work, memory.psi, -1.0 / h, work.force)

@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rotors of joints: closed forms, a real flywheel behind a gear, the reference integration, energy, reactions."""
+
+import numpy as np
+import pytest
+
+from liegroup_core import SceneError, Simulation
+from liegroup_core.methods.table import METHODS
+from liegroup_core.reference import integrate
+from liegroup_core.scene.load import scene_from_text
+
+# In space, and planar where the axes are parallel or in the plane.
+ARM = """
+name: arm
+gravity: [0, 0, -9.81]
+bodies:
+  - {{name: a, mass: 2.0, inertia: [0.05, 0.06, 0.02], position: [0.3, 0, 0], com: [0.02, 0.01, 0]}}
+  - {{name: b, mass: 1.0, inertia: [0.02, 0.03, 0.01], position: [0.8, 0.05, 0]}}
+joints:
+  - {{name: j1, type: revolute, parent: world, child: a, rotor: {{inertia: 1.0e-4, ratio: 50}},
+     parent_frame: {{position: [0, 0, 0], axis: [0, 1, {tilt}]}}}}
+  - {{name: j2, type: {kind}, parent: a, child: b, parent_frame: {{position: [0.25, 0, 0], axis: {axis}}},
+     rotor: {{inertia: 2.0e-4, ratio: -60}}{more}}}
+"""
+# {name: (tilt of the first axis, type, axis, more keys)} of the second joint
+SCENES = {
+    "hinges in a plane": (0, "revolute", [0, 1, 0], ""),
+    "hinges in space": (0.3, "revolute", [0, 1, 0.2], ""),
+    "slide in a plane": (0, "prismatic", [1, 0, 0.4], ""),
+    "slide in space": (0.3, "prismatic", [0.2, 1, 0.2], ""),
+    "screw": (0.2, "screw", [0, 1, 0.2], ", pitch: 0.05"),
+    "held by a wheel": (0.3, "revolute", [1, 0, 0.2], ""),
+}
+ON_JOINTS = [name for name, method in METHODS.items() if method.family != "rotation"]
+
+
+def made(name):
+    tilt, kind, axis, more = SCENES[name]
+    return scene_from_text(ARM.format(tilt=tilt, kind=kind, axis=axis, more=more))
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_reference_which_has_a_dense_mass_matrix_agrees_and_energy_is_kept(name):
+    """rkmk8 at 1 ms for 0.5 s: round-off of 500 steps, some 1e-13; the reference has a tolerance of 1e-13."""
+    scene = made(name)
+    simulation = Simulation(scene, "rkmk8", 1e-3, estimate=False)
+    start, energy = simulation.state(), simulation.energy()
+    exact, uncertainty = integrate(scene, *start, [0.0, 0.5])
+    simulation.advance(500)
+    sample = simulation.sample()
+    assert uncertainty.position.max() < 1e-11
+    assert np.abs(sample.pose[:, 9:] - exact.position[-1]).max() < 1e-11
+    assert np.abs(sample.twist - exact.twist[-1]).max() < 1e-10
+    assert abs(sample.energy - energy) < 1e-12
+    plain = Simulation(scene.remade(joints=[joint.remade(rotor=None) for joint in scene.joints]), "rkmk8", 1e-3)
+    plain.advance(500)
+    assert np.abs(plain.sample().pose - sample.pose).max() > 0.1  # the rotors matter
+
+
+@pytest.mark.parametrize("method", ON_JOINTS)
+def test_every_method_converges_to_that_motion_with_its_order(method):
+    """Errors after 0.2 s with two steps; the slope, where they are above round-off."""
+    scene, steps = made("hinges in space"), (8e-3, 4e-3)
+    truth = Simulation(scene, "rkmk853", 1e-3, estimate=False, rtol=1e-13, atol=1e-13)
+    truth.advance(200)
+    errors = []
+    for step in steps:
+        options = {"rtol": 1e-9, "atol": 1e-9} if METHODS[method].controlled else {}
+        simulation = Simulation(scene, method, step, estimate=False, **options)
+        simulation.advance(round(0.2 / step))
+        errors.append(np.abs(simulation.sample().pose - truth.sample().pose).max())
+    if METHODS[method].controlled:
+        assert max(errors) < 1e-7
+    elif errors[1] > 1e-12:
+        assert np.log2(errors[0] / errors[1]) > METHODS[method].order - 0.4, errors
+
+
+FLYWHEEL = """
+name: flywheel
+gravity: [0, 0, -9.81]
+bodies:
+  - {{name: arm, mass: 2.0, inertia: [0.05, 0.06, 0.02], position: [0.3, 0, 0]}}
+  - {{name: wheel, mass: 0.5, inertia: [2.0e-3, 3.0e-3, 2.0e-3], position: [-1, 0, 0]}}
+joints:
+  - {{name: hinge, type: {kind}, parent: world, child: arm, parent_frame: {{position: [0, 0, 0], axis: {axis}}}{rotor}}}
+  - {{name: shaft, type: revolute, parent: world, child: wheel,
+     parent_frame: {{position: [-1, 0, 0], axis: [0, 1, 0]}}}}
+{coupling}
+"""
+
+
+@pytest.mark.parametrize("kind, axis", [("revolute", [0, 1, 0]), ("prismatic", [0.3, 0, 1])])
+def test_a_rotor_is_a_flywheel_behind_a_gear(kind, axis):
+    """A wheel that a coupling with ratio 12 turns, beside a rotor with its inertia; 0.5 s, round-off of 500 steps."""
+    rotor = ", rotor: {inertia: 3.0e-3, ratio: 12}"
+    coupling = "couplings: [{name: gear, joint: shaft, other: hinge, ratio: 12}]"
+    geared = scene_from_text(FLYWHEEL.format(kind=kind, axis=axis, rotor="", coupling=coupling))
+    reflected = scene_from_text(FLYWHEEL.format(kind=kind, axis=axis, rotor=rotor, coupling=""))
+    found = []
+    for scene in (geared, reflected):
+        simulation = Simulation(scene, "rkmk8", 1e-3, estimate=False)
+        simulation.apply_effort("hinge", 3.0, 0.1, 0.3)
+        simulation.advance(500)
+        found.append(simulation.sample())
+    assert found[0].joint_coordinates["hinge"] == pytest.approx(found[1].joint_coordinates["hinge"], abs=1e-12)
+    assert abs(found[0].joint_coordinates["hinge"][0]) > 0.05
+
+
+@pytest.mark.parametrize("method", ON_JOINTS)
+def test_a_hinge_at_rest_accelerates_by_torque_over_inertia(method):
+    """tau / (I + c^2 I_r) for 0.1 s from rest about a principal axis: the angle is alpha t^2 / 2."""
+    text = """
+name: disc
+gravity: [0, 0, 0]
+bodies: [{name: disc, mass: 1, inertia: [0.1, 0.1, 0.2]}]
+joints: [{name: hinge, type: revolute, parent: world, child: disc, parent_frame: {axis: [0, 0, 1]},
+          rotor: {inertia: 2.0e-5, ratio: 100}}]
+"""
+    simulation = Simulation(scene_from_text(text), method, 1e-3, estimate=False)
+    simulation.apply_effort("hinge", 1.5)
+    simulation.advance(100)
+    alpha = 1.5 / (0.2 + 100**2 * 2.0e-5)
+    angle, rate = simulation.sample().joint_coordinates["hinge"]
+    assert rate == pytest.approx(alpha * 0.1, abs=1e-12)
+    # Euler's method keeps the rate of the start of each step.
+    assert angle == pytest.approx(alpha * (0.005 - (0.5e-4 if METHODS[method].order == 1 else 0.0)), abs=1e-12)
+    assert simulation.energy() == pytest.approx(0.5 * 0.4 * (alpha * 0.1) ** 2, rel=1e-12)
+    # The rotor's torque on the disc is part of what the joint transmits: of 1.5 N m half accelerate the rotor.
+    assert simulation.sample().reactions["hinge"][2] == pytest.approx(-0.75, abs=1e-12)
+    assert simulation.sample().transmitted["hinge"][2] == pytest.approx(0.75, abs=1e-12)
+
+
+def test_a_driven_joint_needs_the_effort_of_its_rotor_too():
+    text = ARM.format(tilt=0, kind="revolute", axis=[0, 1, 0], more="").replace(
+        "ratio: 50}", "ratio: 50}, driven: true"
+    )
+    simulation = Simulation(scene_from_text(text), "rkmk4", 1e-3, estimate=False)
+    simulation.command_motion("j1", [0.5], [0.4], [0.0], start=0.0)
+    simulation.advance(100)
+    plain = scene_from_text(text.replace("rotor: {inertia: 1.0e-4, ratio: 50}, driven", "driven"))
+    other = Simulation(plain, "rkmk4", 1e-3, estimate=False)
+    other.command_motion("j1", [0.5], [0.4], [0.0], start=0.0)
+    other.advance(100)
+    more = simulation.sample().drive_efforts["j1"] - other.sample().drive_efforts["j1"]
+    assert more == pytest.approx(0.25 * simulation.sample().prescribed["j1"][2], rel=1e-9)
+
+
+FOUR_BAR = """
+name: four_bar_of_hinges
+assemble: true
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: crank, mass: 1, inertia: [0.01, 0.02, 0.02], position: [0, 0, 0.25]}
+  - {name: coupler, mass: 2, inertia: [0.01, 0.1, 0.1], position: [0.5, 0, 0.5]}
+  - {name: rocker, mass: 1, inertia: [0.01, 0.02, 0.02], position: [1, 0, 0.25]}
+joints:
+  - {name: a, type: revolute, parent: world, child: crank, parent_frame: {position: [0, 0, 0], axis: [0, 1, 0]},
+     rate: 3}
+  - {name: b, type: revolute, parent: crank, child: coupler, parent_frame: {position: [0, 0, 0.25], axis: [0, 1, 0]}}
+  - {name: c, type: revolute, parent: coupler, child: rocker, parent_frame: {position: [0.5, 0, 0], axis: [0, 1, 0]}}
+  - {name: d, type: revolute, parent: world, child: rocker, parent_frame: {position: [1, 0, 0], axis: [0, 1, 0]}}
+"""
+
+
+def test_where_a_rotor_is_not_possible_one_line_says_so():
+    with pytest.raises(SceneError, match="a rotor needs a joint with one coordinate.*this one is spherical"):
+        scene_from_text(ARM.format(tilt=0, kind="spherical", axis=[0, 1, 0], more=""))
+    scene = made("hinges in space")
+    with pytest.raises(ValueError, match="its joints have rotors"):
+        Simulation(scene, "rkmk4", group="se3")
+    four_bar = scene_from_text(FOUR_BAR)
+    joints = [joint.remade(rotor={"inertia": 1e-3}) for joint in four_bar.joints]
+    with pytest.raises(SceneError, match="it has a rotor, but closes a loop of joints with rotors"):
+        Simulation(four_bar.remade(joints=joints), "rkmk4")
+    # All but one: the loop is cut at the other joint.
+    for k in range(len(joints)):
+        some = [four_bar.joints[j] if j == k else joints[j] for j in range(len(joints))]
+        simulation = Simulation(four_bar.remade(joints=some), "rkmk8", 1e-3, estimate=False)
+        energy = simulation.energy()
+        simulation.advance(200)
+        assert simulation.energy() == pytest.approx(energy, rel=1e-11)
