@@ -17,7 +17,7 @@ from liegroup_core.forces.timetable import Timetable
 from liegroup_core.inputs import Inputs
 from liegroup_core.joint_events import JointEvents
 from liegroup_core.layout import Layout, make_layout
-from liegroup_core.mechanism.bodies import COUNT, NOW, OFFSET, SINGULAR_SOLVES
+from liegroup_core.mechanism.bodies import COUNT, LARGEST_TURN, NOW, OFFSET, SINGULAR_SOLVES
 from liegroup_core.mechanism.body_model import initial_state
 from liegroup_core.methods.families import check_group, check_options, choose_group, make_integrator
 from liegroup_core.methods.table import METHODS, is_positive
@@ -227,6 +227,7 @@ class Engine:
     def _start_at(self, pose, twist, steps, angles):
         """Start again from a valid state; the engine takes over its arrays."""
         self._work.angle[:] = angles
+        self._work.report[LARGEST_TURN] = 0.0
         self._pose, self._twist, self.steps = pose, twist, steps
         self.inputs.clear()
         self._integrator.restart()
@@ -343,6 +344,10 @@ class Engine:
         if METHODS[self.method].controlled:
             self._integrator.limit_attempts()
 
+    def __repr__(self) -> str:
+        name, method, bodies = type(self).__name__, self.method, len(self.layout.body_names)
+        return f"{name}({self.scene.name!r}, bodies: {bodies}, {method}, t = {self.time:.9g} s, step {self.steps})"
+
     def advance(self, steps: int = 1, enough: Callable[[], bool] | None = None) -> None:
         """Take `steps` steps, an integer >= 0.
 
@@ -366,6 +371,7 @@ class Engine:
 
     def _advance(self, steps, enough=None):
         end = self.steps + steps
+        self._warnings.begin()
         while True:
             start = self._present()
             change = min(end, self._timetable.next_change(self.steps))
@@ -384,6 +390,7 @@ class Engine:
             if self._halted:
                 return
             self._checked(status)
+            self._warnings.give(self)
             if began:
                 self._block = _next_block(done, time.perf_counter() - began)
             if enough is not None and enough():

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Setting the state of an Engine by poses, twists or joint coordinates of some bodies and joints."""
 
+import math
+
 import numpy as np
 
 from liegroup_core.events.switching import BEYOND
@@ -32,8 +34,8 @@ def place(engine, poses=None, twists=None, joints=None) -> None:
     count and time continue. The wrenches of `apply_wrench` are cleared. A driven joint keeps its
     velocity unless the given values prevent it; if it is moved, it continues at its new velocity.
     Raises SceneError with the joint, and its residual or its stop, if the joints do not allow it,
-    ValueError for an unknown body or joint, NaN or a matrix that is not a rotation. The state is then
-    unchanged.
+    BeyondLimits, a ValueError, beyond the limits of commands (joints/limits.py), and ValueError for an
+    unknown body or joint, NaN or a matrix that is not a rotation. The state is then unchanged.
     """
     poses = mapping("poses must be {body: pose}", poses)
     twists = mapping("twists must be {body: twist}", twists)
@@ -59,7 +61,7 @@ def place(engine, poses=None, twists=None, joints=None) -> None:
             and len(values) == 2
             and all(value is None or is_finite(value) for value in values)
         ):
-            raise ValueError(f"position and velocity of {joint} must be finite, {got(values)}")
+            raise ValueError(f"{joint} must be (position, velocity), both finite or None, {got(values)}")
     counted = [joint for joint, _ in engine.scene.unwrapped]
     angles = dict(zip(counted, engine._work.angle.tolist()))
     motions = engine.layout.motions_at(engine.time, engine.inputs.commanded)
@@ -68,6 +70,7 @@ def place(engine, poses=None, twists=None, joints=None) -> None:
         engine.layout.centred, *engine.state(), centred_poses, centred_twists, joints, angles, driven
     )
     _refuse_beyond_stops(engine, *state, joints)
+    _refuse_beyond_limits(engine, *state, joints)
     commanded, before = engine.inputs.commanded.copy(), engine.inputs.commands
     present = engine.sample()
     engine.set_state(*state, engine.steps, np.array([angles[joint] for joint in counted]))
@@ -109,6 +112,26 @@ def _refuse_beyond_stops(engine, pose, twist, joints):
                 f"{what} {switch.name} would be beyond its stop: its position {q:.9g} {unit} is not "
                 f"between {limits.least:g} and {limits.largest:g}; set a state between the stops"
             )
+
+
+def _refuse_beyond_limits(engine, pose, twist, joints):
+    """Raise BeyondLimits if a joint leaves the limits of its commands, or a given value is beyond them."""
+    all_limits = engine.layout.limits
+    before = dict(_positions(engine, *engine.state()))
+    for joint, near in _positions(engine, pose, twist):
+        limits, (given, velocity) = all_limits[joint], joints.get(joint, (None, None))
+        if given is not None or not limits.holds(near) and limits.holds(before[joint]):
+            limits.check_position(near if given is None else given)
+        if velocity is not None:
+            limits.check_velocity(velocity)
+
+
+def _positions(engine, pose, twist):
+    """(joint, position in the turn nearest to its limits) of the joints with limits of commands, at a `state()`."""
+    for joint, (q, _) in _joint_states(engine, pose, twist, lambda joint: joint.name in engine.layout.limits):
+        limits = engine.layout.limits[joint.name]
+        middle = 0.5 * (limits.lower + limits.upper)
+        yield joint.name, middle + gap(q, middle, 1.0, 0.0, turns(joint)) if math.isfinite(middle) else q
 
 
 def _start_of(engine, pose, twist):

@@ -3,6 +3,9 @@
 
 import logging
 import math
+from time import thread_time
+
+import numpy as np
 
 from liegroup_core.joints.motion import at
 from liegroup_core.mechanism.bodies import LARGEST_TURN, SINGULAR_SOLVES, STEP_TURN
@@ -18,6 +21,7 @@ from .status import (
     MOST_EVENTS,
     NO_RATTLE_STEP,
     NOT_CONVERGED,
+    NOT_FINITE,
     ROTATION_TOO_LARGE,
     SUBSTEP_TOO_SMALL,
     TOO_MANY_SUBSTEPS,
@@ -27,7 +31,10 @@ from .status import (
 log = logging.getLogger("liegroup_core")
 
 # Statuses that fast motion may cause.
-FAST = {ROTATION_TOO_LARGE, NOT_CONVERGED, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS}
+FAST = {ROTATION_TOO_LARGE, TURNS_NOT_COUNTED, NOT_CONVERGED, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS, NOT_FINITE}
+PATIENCE = 0.5  # s of CPU time
+STEPS_OF_EVENT = 10  # steps of the method that find the time of an event, about
+FEW = 4  # substeps in a step
 # Steps after the last valid one at which a driven joint may be beyond the reach of its loop.
 STEPS_AHEAD = (1, 2, 4)
 
@@ -37,6 +44,11 @@ class Warnings:
 
     def __init__(self, quiet):
         self._quiet, self._given = quiet, set()
+        self._since = self._spent = 0.0  # s: time of the motion from which CPU time is counted, and that
+
+    def begin(self):
+        """Begin to count the CPU time of steps; call `give` after them."""
+        self._began = thread_time()
 
     def _is_new(self, name):
         """Whether to warn of `name` now."""
@@ -58,9 +70,16 @@ class Warnings:
                 if engine.layout.model.projects
                 else "If the mechanism only passes this configuration, use stabilisation projection. ",
             )
-        if switching is not None:
-            self._give_of_events(engine, switching.endless, switching.crowded)
-        if report[LARGEST_TURN] > LARGE_ROTATION**2 and self._is_new("turn"):
+        if switching is not None and switching.endless and self._is_new("endless"):
+            log.warning(
+                "At t = %.9g s impacts follow each other without end at %s: they are plastic until the end "
+                "of the step, which dissipates energy",
+                switching.endless[0],
+                _names_of_switches(engine, switching.endless[1]),
+            )
+        self._give_of_cost(engine)
+        controlled = METHODS[engine.method].controlled  # then tolerances limit substeps, whatever they turn
+        if not controlled and report[LARGEST_TURN] > LARGE_ROTATION**2 and self._is_new("turn"):
             turned = math.sqrt(report[LARGEST_TURN])
             log.warning(
                 "%s, step %g s: a body rotated by more than pi within one step (%.3g rad "
@@ -72,22 +91,40 @@ class Warnings:
                 LARGE_ROTATION / turned * engine.step,
             )
 
-    def _give_of_events(self, engine, endless, crowded):
-        if endless and self._is_new("endless"):
+    def _give_of_cost(self, engine):
+        """Warn of a run that is slower than real time, after PATIENCE s of CPU time."""
+        now = thread_time()
+        self._spent, self._began = self._spent + now - self._began, now
+        if self._spent < PATIENCE:
+            return
+        advanced = engine.time - self._since
+        if 0.0 <= advanced < self._spent and self._is_new("cost"):
             log.warning(
-                "At t = %.9g s impacts follow each other without end at %s: they are plastic until the end "
-                "of the step, which dissipates energy",
-                endless[0],
-                _names_of_switches(engine, endless[1]),
+                "A second of the motion takes %.2g s of CPU time at t = %.3g s: %s",
+                self._spent / max(advanced, engine.step),
+                engine.time,
+                _cause_of_cost(engine),
             )
-        if crowded and self._is_new("crowded"):
-            log.warning(
-                "At t = %.9g s events follow each other at intervals of %.2g s at %s: each of them is found, "
-                "so the run is slow. Widen the gap, reduce the restitution, or use a compliant stop",
-                crowded[0],
-                crowded[2],
-                _names_of_switches(engine, crowded[1]),
-            )
+        self._since, self._spent = engine.time, 0.0
+
+
+def _cause_of_cost(engine):
+    """What makes a run slow, and what helps."""
+    switching, steps = engine._switching, max(1, engine.steps)
+    accepted, attempted = engine.substeps
+    if switching is not None and switching.tally.sum() * STEPS_OF_EVENT > max(attempted, steps):
+        tally, names = switching.tally, [switch.name for switch in engine.layout.switches]
+        most = np.argsort(-tally, kind="stable")[:3]
+        shown = ", ".join(f"{names[k]} ({tally[k]})" for k in most if tally[k])
+        return (
+            f"{tally.sum()} events of stops and friction, most at {shown}; give these joints a wider "
+            "range, compliant stops or less restitution, or leave their limits and friction out"
+        )
+    stiff = [note for note in engine.scene.notes if note.startswith("stiff:")]
+    if attempted > FEW * steps:
+        text = f"a step of {engine.step:g} s has {attempted / steps:.3g} substeps; a coarser accuracy has fewer"
+        return "; ".join([text, *stiff])
+    return f"{len(engine.scene.bodies)} bodies with steps of {engine.step:g} s; larger steps cost less"
 
 
 def _names_of_switches(engine, numbers):
@@ -119,8 +156,6 @@ def explain(engine, status):
     if status & 0xFF == ROTATION_TOO_LARGE and engine.stabilisation != "projection":
         if engine.layout.drifts(engine.group):
             hint = ", or stabilisation projection near a singular configuration"
-    if status & 0xFF == ROTATION_TOO_LARGE:
-        hint += "".join(f"; {note}" for note in engine.scene.notes if note.startswith("stiff:"))
     if status & 0xFF == DEPENDENT_ROWS:
         joint = _joint_name(engine, status >> 8)
     if status & 0xFF == BEYOND_STOP:
@@ -132,12 +167,27 @@ def explain(engine, status):
     stopped = f"stopped at t = {engine.time:.9g} s (step {engine.steps}, h = {engine.step:g} s): "
     if engine.layout.motions and (text := _beyond_reach(engine)):
         return stopped + text
+    smaller, fewer = _advice(engine)
     text = MESSAGES[status & 0xFF].format(
-        joint=joint, force=force, body=body, angle=angle, hint=hint, events=MOST_EVENTS
+        joint=joint, force=force, body=body, angle=angle, hint=hint, events=MOST_EVENTS, smaller=smaller, fewer=fewer
     )
+    if status & 0xFF in FAST:
+        text += "".join(f"; {note}" for note in engine.scene.notes if note.startswith("stiff:"))
     if status & 0xFF in FAST and engine.layout.lack_of_inertia:
         text += f"; or a degree of freedom has no inertia at this pose, because {engine.layout.lack_of_inertia}"
     return stopped + text
+
+
+def _advice(engine):
+    """What helps against steps that are too large, and against too many substeps."""
+    if not METHODS[engine.method].controlled:
+        return "use a smaller step", ""
+    if getattr(engine._integrator, "passes", False):  # to an accuracy
+        return ("a force, a command or a speed is too large, or a body too light, for any step",) * 2
+    return (
+        "use smaller tolerances",
+        "use a smaller step, larger tolerances, or an accuracy or method radau5 if the scene is stiff",
+    )
 
 
 def _beyond_reach(engine):

@@ -32,28 +32,27 @@ MOST_EVENTS = 1000
 
 MESSAGES = {
     NOT_FINITE: "the state is no longer finite: the step is too large for this motion, or a "
-    "force is too large; use a smaller step",
+    "force is too large; {smaller}",
     ROTATION_TOO_LARGE: "a body would rotate by almost 2 pi within one step, beyond the method's "
-    "limit; use a smaller step{hint}",
+    "limit; {smaller}{hint}",
     DEPENDENT_ROWS: "the constraint equations of joint {joint} are redundant in this configuration "
     "(a singular configuration or a redundant joint)",
     TURNS_NOT_COUNTED: "the joint of {force} rotates by pi or more within one step, so its angle "
-    "cannot be unwrapped; use a smaller step",
+    "cannot be unwrapped; {smaller}",
     SUBSTEP_TOO_SMALL: "no substep meets the tolerance: a force is discontinuous, or the tolerance is "
     "below round-off; increase atol and rtol",
-    TOO_MANY_SUBSTEPS: "the tolerance requires too many substeps within one step; use a smaller step, "
-    "larger tolerances, or an accuracy or method radau5 if the scene is stiff",
+    TOO_MANY_SUBSTEPS: "the tolerance requires too many substeps within one step; {fewer}",
     NOT_CONVERGED: "Newton's method does not converge in an implicit step: the step is too large "
-    "for this motion, or the configuration is singular; use a smaller step{hint}",
+    "for this motion, or the configuration is singular; {smaller}{hint}",
     NOT_PROJECTED: "projection onto the constraints does not converge: the step is too large for "
-    "this motion; use a smaller step",
+    "this motion; {smaller}",
     DIVERGED: "a body rotates by more than 1000 rad within one step: the integration is "
-    "unstable, the step is too large for the forces; use a smaller step",
+    "unstable, the step is too large for the forces; {smaller}",
     BEYOND_STOP: "joint {joint} is beyond its stop: set a state between the stops",
     EVENTS_WITHOUT_END: "a step has more than {events} impacts or changes of friction, which do not end with "
     "these parameters of stops and friction; change the parameters",
     NO_FRICTION: "friction by load has no solution, or several, at this pose (Painleve's paradox): mu times "
     "radius is too large for the load that friction itself causes; reduce it",
     NO_RATTLE_STEP: "RATTLE has no solution for body {body}: it rotates by {angle:.3g} rad in a "
-    "step, and the limit is 1 rad; use a smaller step{hint}",
+    "step, and the limit is 1 rad; {smaller}{hint}",
 }

@@ -14,7 +14,9 @@ from .undisturbed import undisturbed
 log = logging.getLogger("liegroup_core")
 
 # Without Numba the decorators return the function itself, so that calls cost no more than Python's.
-_announced = True  # whether the log has said that the present warm_up compiles
+OFTEN = 5.0  # s between two messages about the progress of compiling
+_compiled = None  # kernels that the present warm_up has compiled; None: no warm_up takes place
+_told = 0.0  # s, time of the last message about it
 JIT = importlib.util.find_spec("numba") is not None and os.environ.get("NUMBA_DISABLE_JIT") != "1"
 
 
@@ -138,22 +140,33 @@ def _warn_of_plain_python():
 
 
 def compiles():
-    """Log that a kernel is compiled, at the first one of a warm_up."""
-    global _announced
-    if not _announced:
-        _announced = True
-        log.warning("first run of this kind of mechanism: compiling (about 10 s). The result is cached")
+    """Log that a kernel is compiled: at the first one of a warm_up, then every OFTEN seconds."""
+    global _compiled, _told
+    if _compiled is None:
+        return
+    if not _compiled:
+        log.warning(
+            "first run of this kind of mechanism: compiling about 20 kernels, 10 to 30 s, once: they are cached"
+        )
+        _told = time.perf_counter()
+    elif time.perf_counter() - _told >= OFTEN:
+        log.warning("compiling: %d kernels are done", _compiled)
+        _told = time.perf_counter()
+    _compiled += 1
 
 
 def warm_up(call):
-    """Run `call` once, so that its kernels are compiled or loaded; returns the duration in seconds.
+    """Run `call` once, so that its kernels are compiled or loaded.
 
     call : function without arguments that runs one small simulation
     """
     if backend.chosen().name == "python":
         _warn_of_plain_python()
-    global _announced
-    start, _announced = time.perf_counter(), False
-    call()
-    _announced = True
-    return time.perf_counter() - start
+    global _compiled
+    start, _compiled = time.perf_counter(), 0
+    try:
+        call()
+        if _compiled:
+            log.warning("compiled %d kernels in %.0f s", _compiled, time.perf_counter() - start)
+    finally:
+        _compiled = None

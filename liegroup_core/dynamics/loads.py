@@ -18,7 +18,7 @@ from liegroup_core.compiling import kernel
 from liegroup_core.lie.vec3 import ZERO3, axpy3, dot3, load3
 from liegroup_core.mechanism.arrays import RESTS, SLIP
 
-from .couplings import add_effort
+from .couplings import add_effort, add_rotors
 from .residuals import add_multipliers, add_own_forces, gather_forces
 
 # Columns of Work.loads.
@@ -34,17 +34,20 @@ NEARER = 0.95  # the second iteration must reduce the residual at least to this 
 def gather_lacking(model, work):
     """Write the wrenches that links need from their parents to work.force, efforts of held degrees of freedom to -u.
 
-    returns the sum of the magnitudes of the wrenches that single links need
+    returns the sum of the magnitudes of the terms: weights, and wrenches that single links need
     """
     for b in range(len(model.bodies)):
         for c in range(work.moved.shape[1]):
             work.force[b, c] = 0.0
     add_multipliers(model, work)
     add_own_forces(model, work)
-    total = 0.0
+    g = load3(model.gravity, 0, 0)
+    gravity, total = math.sqrt(dot3(g, g)), 0.0
     for b in range(len(model.bodies)):
+        total += model.bodies[b]["mass"] * gravity
         for c in range(work.moved.shape[1]):
             total += abs(work.force[b, c])
+    add_rotors(model, work, work.acceleration, 1.0, work.force)
     gather_forces(model, work)
     return total
 

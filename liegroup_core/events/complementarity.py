@@ -21,6 +21,7 @@ import scipy
 # Relative to the terms of w: a smaller w is zero, and x is at a bound if moving it there changes w by less.
 TOLERANCE = 1e-11
 DEPENDENT = 1e-10  # an entry depends on others if holding these leaves it less than this fraction of its mobility
+REDUNDANT = 1e-12  # remaining mobility, relative to that of the entry alone: below it, entries are redundant
 PATIENCE = 5  # rounds of block pivoting without fewer wrong entries
 FREE, LOW, HIGH = 0, -1, 1
 
@@ -31,8 +32,18 @@ def solve(A, b, lo, hi, fixed=0):
     A : (k, k) symmetric, positive semidefinite;  b : (k,);  lo <= 0 <= hi : (k,), may be infinite
     fixed : (k,) LOW or HIGH for entries that stay at this bound whatever their w, FREE for the others
     """
+    k, sizes = len(b), np.diagonal(A)
+    # With a diagonal near 1, Cholesky factors keep the digits of small entries beside large ones. Powers of 2 are
+    # exact.
+    scale = np.exp2(-np.rint(0.5 * np.log2(np.where(sizes > 0.0, sizes, 1.0))))
+    A, b, lo, hi = A * scale * scale[:, None], b * scale, lo / scale, hi / scale
+    x, w, at = _solve_scaled(A, b, lo, hi, np.broadcast_to(fixed, k))
+    return x * scale, w / scale, at
+
+
+def _solve_scaled(A, b, lo, hi, fixed):
+    """`solve` for a matrix whose diagonal has entries from 0.5 to 2, or 0 for an entry without mobility."""
     k = len(b)
-    fixed = np.broadcast_to(fixed, k)
     at = fixed.copy()
     # Entries with zero mobility go to the bound selected by the sign of b.
     still = (np.diagonal(A) <= 0.0) & (fixed == FREE)
@@ -40,14 +51,12 @@ def solve(A, b, lo, hi, fixed=0):
     at[still & (b < 0.0) & np.isfinite(hi)] = HIGH
     fixed = np.where(still, at, fixed)
     fewest, patience = k + 1, PATIENCE
-    mobility = np.maximum(np.diagonal(A), 1e-300)
     for _ in range(20 + 10 * k + 2 ** min(k, 10)):
         x, w = _with(A, b, lo, hi, at)
         tolerance = TOLERANCE * (np.abs(A) @ np.abs(x) + np.abs(b))
-        reach = tolerance / mobility
         to = at.copy()
-        to[(at == FREE) & (x < lo - reach)] = LOW
-        to[(at == FREE) & (x > hi + reach)] = HIGH
+        to[(at == FREE) & (x < lo - tolerance)] = LOW
+        to[(at == FREE) & (x > hi + tolerance)] = HIGH
         to[(at == LOW) & (w < -tolerance)] = FREE
         to[(at == HIGH) & (w > tolerance)] = FREE
         wrong = np.flatnonzero((to != at) & (fixed == FREE))
@@ -84,17 +93,26 @@ def _with(A, b, lo, hi, at):
     """(x, w) for an active set; x has the smallest norm if free entries are redundant."""
     x = np.where(at == LOW, lo, np.where(at == HIGH, hi, 0.0))
     free = np.flatnonzero(at == FREE)
-    right = -(b + A @ x)[free]
-    if len(free) == 1 and A[free[0], free[0]] > 0.0:
-        x[free] = right / A[free[0], free[0]]
-    elif len(free):
-        x[free] = np.linalg.lstsq(A[np.ix_(free, free)], right, rcond=1e-12)[0]
+    if len(free):
+        part, right = A[np.ix_(free, free)], -(b + A @ x)[free]
+        factor, failed = scipy.linalg.lapack.dpotrf(part, lower=1)
+        if failed or np.diagonal(factor).min() ** 2 <= REDUNDANT:
+            x[free] = np.linalg.lstsq(part, right, rcond=REDUNDANT)[0]
+        else:
+            x[free] = scipy.linalg.lapack.dpotrs(factor, right, lower=1)[0]
     w = A @ x + b
     w[free] = 0.0
     return x, w
 
 
 def _least_squares(A, b, lo, hi):
+    """(x, w) that minimises x A x / 2 + b x within the bounds; entries with equal bounds are there."""
+    x = np.where(lo == hi, lo, 0.0)
+    some = lo < hi
+    if not some.all():
+        if some.any():
+            x[some], _ = _least_squares(A[np.ix_(some, some)], (b + A @ x)[some], lo[some], hi[some])
+        return x, A @ x + b
     sizes, directions = np.linalg.eigh(A)
     kept = sizes > 1e-14 * sizes.max(initial=0.0)
     root = np.sqrt(sizes[kept])

@@ -10,8 +10,8 @@
 
 Each is one complementarity problem for all switches (complementarity.py). With equal restitution e kinetic
 energy never grows; if different ones would let it grow, the smallest holds for all. A rebound lower than
-SMALLEST_REBOUND, or LOW_REBOUND after many events in a step, becomes zero. So endless bouncing becomes
-contact.
+SMALLEST_REBOUND, or LOW_REBOUND after many events in a step, becomes zero, and so does the hop of a switch that the
+impulses of others let leave its stop. So endless bouncing becomes contact.
 
 Source: Brogliato, Nonsmooth Mechanics, 5.1; Acary and Brogliato, Numerical Methods for Nonsmooth
 Dynamical Systems, 8. Accuracy: test/verification/test_stops.py, test_friction.py.
@@ -30,7 +30,8 @@ from liegroup_core.status import NO_FRICTION, OK
 from .complementarity import FREE, HIGH, LOW, independent, solve
 from .kernels import change_rates, look, respond
 
-# rad, or relative to the characteristic length: lower rebounds become zero; the second after many events in a step.
+# rad, or relative to the characteristic length: a rebound that would stay below this height becomes zero.
+# LOW_REBOUND is the height after many events in one step.
 SMALLEST_REBOUND, LOW_REBOUND = 1e-10, 1e-8
 LAST_DIGITS = 1e-14  # round-off of a position, relative to the largest distance from the origin
 RETURNING = 1e-10  # relative to its terms: a smaller acceleration is zero
@@ -123,27 +124,27 @@ class ModeChanges:
                 self._work.twist[row, component] = self._work.now[k, 0] = 0.0
 
     def _impact(self, time, state, side, touching, rates, stays):
-        """Apply impulses at the stops in contact; `stays`: mask of those that stop motion in both directions.
+        """Apply impulses at the stops in contact; `stays`: mask of switches that stop in both directions.
 
         returns a status
         """
         model, work = self._model, self._work
         work.held[:], work.modes[:, RESTS] = 0.0, 0.0
-        work.modes[touching, SLIP] = 0.0
+        work.modes[touching | stays, SLIP] = 0.0
         status = self._look(model, work, *state)
         accelerations = work.now[:, 1].copy()
         if status == OK:
             status = self._respond_at_stage()
         if status != OK:
             return status
-        hit = np.flatnonzero(touching)
+        hit = np.flatnonzero(touching | stays)
         restitution = model.switches["restitution"][hit]
         towards = side[hit] * accelerations[hit]
         rebound = restitution * np.maximum(side[hit] * rates[hit], 0.0)
         if self.is_dense:
             self._note_lost(hit, rebound, towards)
             restitution[:] = 0.0
-        lowest = self._height(state[0], LOW_REBOUND if self.has_many else SMALLEST_REBOUND)[hit]
+        lowest = self._lowest(state[0])[hit]
         restitution[rebound**2 <= 2.0 * lowest * np.maximum(towards, 0.0)] = 0.0
         A = self._mobility[np.ix_(hit, hit)]
         lo = np.where((side[hit] > 0.0) | stays[hit], -np.inf, 0.0)
@@ -165,9 +166,35 @@ class ModeChanges:
             impulses[hit] = signs[hit] * p
             self.impacts.append((time, state[0].copy(), impulses))
         for k, impulse, loss in zip(hit, p, energy):
-            if impulse != 0.0:
+            if impulse != 0.0 and side[k] != 0.0:  # else its friction ends a slide
                 self.events.append(JointEvent(time, int(k), IMPACT, float(signs[k] * impulse), float(loss)))
         return self._look(model, work, *state)
+
+    def _merge_impacts(self, first, impacts):
+        """Add up the impulses of one instant: events from `first` on, and `impacts` from their number on."""
+        merged = {}
+        for event in self.events[first:]:
+            one = merged.get(event.joint)
+            merged[event.joint] = (
+                event
+                if one is None
+                else one._replace(impulse=one.impulse + event.impulse, energy=one.energy + event.energy)
+            )
+        self.events[first:] = merged.values()
+        if self.impacts is not None and len(self.impacts) > impacts + 1:
+            time, pose, impulses = self.impacts[impacts]
+            self.impacts[impacts:] = [(time, pose, impulses + sum(more for *_, more in self.impacts[impacts + 1 :]))]
+
+    def _end_soon(self, pose, side):
+        """Mask of the switches that leave their stops, or slide, for a way at which rebounds become zero."""
+        rates, accelerations = self._work.now.T
+        moves = (side * rates < -RESTING) | ((self._work.modes[:, SLIP] != 0.0) & (np.abs(rates) > RESTING))
+        slows = (rates * accelerations < 0.0) & (self._at_rest() == 0.0)
+        return moves & slows & (rates**2 <= 2.0 * self._lowest(pose) * np.abs(accelerations))
+
+    def _lowest(self, pose):
+        """(k,) height up to which rebounds become zero, rad or m."""
+        return self._height(pose, LOW_REBOUND if self.has_many else SMALLEST_REBOUND)
 
     def _note_lost(self, hit, rebound, towards):
         """Update `lost` for rebounds that become plastic; towards: accelerations towards their stops."""

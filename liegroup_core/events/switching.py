@@ -16,7 +16,7 @@ from liegroup_core.dynamics.switches import LOWER, RESTING, SLIDING, UPPER, mode
 from liegroup_core.joints.stops import WITHIN_A_TURN
 from liegroup_core.mechanism.arrays import BEGIN, COORDINATE, KNOWN, SIDE, SLIP, SPAN, WATCHED
 from liegroup_core.mechanism.bodies import COUNT, OFFSET
-from liegroup_core.status import BEYOND_STOP, EVENT, EVENTS_WITHOUT_END, MOST_EVENTS, OK
+from liegroup_core.status import BEYOND_STOP, EVENT, EVENTS_WITHOUT_END, MOST_EVENTS, OK, TOO_MANY_SUBSTEPS
 
 from .crossings import lowest
 from .mode_changes import IMPACT, JointEvent
@@ -26,9 +26,8 @@ BEYOND = 1e-9  # rad or m: a state that is set further beyond a stop is refused
 # Endless impacts of several contacts become plastic: after half of MOST_EVENTS in a step, if the last DENSE
 # are within this fraction of it.
 DENSE, SHORT = 50, 0.005
-# A warning follows if this many events are within this time in s: to compute them takes far longer.
-CROWD, CROWDED = 1000, 0.1
 MOST_KEPT = 100_000  # events kept until they are taken
+ATTEMPTED, MOST, PART = 2, 7, 10  # entries of control, see error_control.py
 
 STOP, LEAVE, STICK, SLIDE = "stop", "leave", "stick", "slip"
 
@@ -54,14 +53,14 @@ class Switching(EventTimes):
     instants : [JointInstant] since they were last taken; None: not recorded
     count   : number of events since the state was set
     endless : (time in s, switches) of the first impacts without end that became plastic, or None
-    crowded : (time in s, switches, mean interval in s) of the first CROWD events in the time CROWDED, or None
+    tally   : (k,) number of instants at which a guard of each switch was zero, since the state was set
     """
 
     def __init__(self, model, work, sizes, take, control):
         super().__init__(model, work, sizes, take, control)
         self.instants, self.count = None, 0
-        self.endless = self.crowded = self._inputs = None
-        self._crowd = 0, 0.0  # events and time from which on they are counted
+        self.endless = self._inputs = None
+        self.tally = np.zeros(len(work.guards), dtype=int)
         work.watch[WATCHED] = 1.0
 
     def touch(self, pose, twist, external):
@@ -84,8 +83,9 @@ class Switching(EventTimes):
         """Reset the modes after the state was set. Angles are unwrapped near 0, see `_meet_inputs`."""
         self._work.held[:] = 0.0
         self._work.modes[:] = 0.0
-        self.events, self.count, self._crowd, self.lost = [], 0, (0, 0.0), 0.0
-        self.endless = self.crowded = self._inputs = None
+        self.events, self.count, self.lost = [], 0, 0.0
+        self.endless = self._inputs = None
+        self.tally[:] = 0
         self.instants = None if self.instants is None else []
         self.impacts = None if self.impacts is None else []
 
@@ -171,7 +171,7 @@ class Switching(EventTimes):
 
     def _take_events(self, h, start, state):
         work = self._work
-        elapsed, times = 0.0, []
+        elapsed, times, begun = 0.0, [], self._control[ATTEMPTED]
         for _ in range(MOST_EVENTS):
             begin_of_substep, size = elapsed + work.watch[BEGIN], work.watch[SPAN]
             work.clock[COUNT], work.clock[OFFSET] = 0.0, start + begin_of_substep
@@ -189,22 +189,29 @@ class Switching(EventTimes):
                 status = self._switch(start + elapsed, state, crossed)
                 if status != OK:
                     return status
-                self._watch_crowd(start + elapsed, crossed)
+                self.tally += crossed.any(axis=1)
             if not elapsed < h * (1.0 - 1e-13):
                 return OK
             work.clock[COUNT], work.clock[OFFSET] = 0.0, start + elapsed
-            _, status = self._take(h - elapsed, 1, *state)
+            status = self._take_rest(h - elapsed, begun, state)
             if status != EVENT:
                 return status
         return EVENTS_WITHOUT_END
 
-    def _watch_crowd(self, time, crossed):
-        count, since = self._crowd
-        if self.count >= count + CROWD:
-            if time - since < CROWDED and self.crowded is None:
-                between = (time - since) / (self.count - count)
-                self.crowded = time, np.argwhere(crossed)[:, 0].tolist(), between
-            self._crowd = self.count, time
+    def _take_rest(self, h, begun, state):
+        """Take the rest of a step, with what is left of its attempts: an event is not a new step. Returns a status.
+
+        begun : attempts when its first event was found
+        """
+        control, most = self._control, self._control[MOST]
+        spent = control[ATTEMPTED] - begun
+        control[MOST] = max(0.0, most - spent)
+        _, status = self._take(h, 1, *state)
+        control[MOST] = most
+        if status == TOO_MANY_SUBSTEPS:
+            new = control[ATTEMPTED] - begun - spent
+            control[PART] = (spent + new) / (spent + new / control[PART])
+        return status
 
     def _switch(self, time, state, crossed):
         """Apply impulses and choose new modes at an event; crossed: mask of the guards that are zero.
@@ -216,7 +223,7 @@ class Switching(EventTimes):
         status = self._look(model, work, *state)
         if status != OK:
             return status
-        log = len(self.events)
+        log, impacts = len(self.events), len(self.impacts or ())
         modes, before = work.modes, (self._at_rest(), work.modes.copy())
         for k, c in np.argwhere(crossed[:, : UPPER + 1] & ~self._rigid[:, None]):
             side = -1.0 if c == LOWER else 1.0
@@ -236,17 +243,26 @@ class Switching(EventTimes):
         rates = self._rates() - drift
         # A switch that returns before it was clear of its stop never left it.
         stays = touching & crossed[:, : UPPER + 1].any(axis=1) & (side * rates <= 0.0)
-        if (touching & (side * rates > RESTING)).any() or stays.any():
-            status = self._impact(time, state, side, touching, rates, stays)
+        pressed = (before[0] != 0.0) | crossed[:, : UPPER + 1].any(axis=1)
+        while True:
+            if (touching & (side * rates > RESTING)).any() or stays.any():
+                status = self._impact(time, state, side, touching, rates, stays)
+                if status != OK:
+                    return status
+                rates = self._rates() - drift
+            resting = (np.abs(rates) <= RESTING) | (crossed[:, SLIDING] & self._is_slow(before, rates))
+            resting &= self._dry | touching
+            status = self._choose(state, side, resting, rates, crossed, pressed)
+            if status == OK:
+                status = self._look(model, work, *state)
             if status != OK:
                 return status
-            rates = self._rates() - drift
-        resting = (np.abs(rates) <= RESTING) | (crossed[:, SLIDING] & self._is_slow(before, rates))
-        resting &= self._dry | touching
-        pressed = (before[0] != 0.0) | crossed[:, : UPPER + 1].any(axis=1)
-        status = self._choose(state, side, resting, rates, crossed, pressed)
-        if status != OK:
-            return status
+            # The impulses of others may move a switch, but no further than a rebound that becomes zero.
+            ends = ~stays & self._end_soon(state[0], np.where(touching, side, 0.0))
+            if not ends.any():
+                break
+            stays, rates = stays | ends, self._rates() - drift
+        self._merge_impacts(log, impacts)
         self._note(time, before)
         self.count += len(self.events) - log
         if self.instants is not None:

@@ -53,8 +53,8 @@ def check_name(name, known, what):
     what : beginning of the message, with {} for the name
     """
     if not isinstance(name, str) or name not in known:
-        names = ", ".join(known) or "the scene has none"
-        raise ValueError(f"{what.format(shown(name))}; choose one of: {names}")
+        names = f"choose one of: {', '.join(known)}" if known else "the scene has none"
+        raise ValueError(f"{what.format(shown(name))}; {names}")
 
 
 def mapping(what, given):

@@ -10,7 +10,7 @@ A kind is a file with
     energy(rows, ...)       potential energy, J; omitted for forces without a potential
     power(rows, ...)        power of the part without a potential, W; omitted if there is none
 and its lines below: import, __all__, FORCES and Forces in the same order, add_wrenches, energy,
-power. A scene without forces of a kind has zero rows of this kind, so that all scenes share the same
+powers. A scene without forces of a kind has zero rows of this kind, so that all scenes share the same
 compiled code. test/contract/test_forces.py tests every kind. Gravity acts on all bodies and is separate
 (gravity.py).
 """
@@ -67,6 +67,7 @@ FORCES = (
     Drag,
     ConstantWrench,
 )
+POWERS = ("dampers", "motors", "servos", "drag", "wrenches")  # groups of kinds in `powers`
 KINDS = {cls.model_fields["type"].default: sys.modules[cls.__module__] for cls in FORCES}
 
 
@@ -177,19 +178,25 @@ def energy(forces, angle, pose):
 
 
 @kernel
-def power(forces, angle, acting, wanted, pose, twist):
-    """Power of the non-conservative forces, W: the rate of the mechanical energy."""
+def powers(forces, angle, acting, wanted, pose, twist):
+    """Powers of the non-conservative forces by POWERS, W."""
     return (
         spring_damper.power(forces.spring_damper, pose, twist)
         + torsional_spring_damper.power(forces.torsional_spring_damper, pose, twist)
-        + linear_spring_damper.power(forces.linear_spring_damper, pose, twist)
-        + motor.power(forces.motor, pose, twist)
-        + linear_motor.power(forces.linear_motor, pose, twist)
-        + servo.power(forces.servo, angle, wanted, pose, twist)
-        + linear_servo.power(forces.linear_servo, wanted, pose, twist)
-        + drag.power(forces.drag, twist)
-        + applied_wrench.power(forces.applied_wrench, acting, pose, twist)
+        + linear_spring_damper.power(forces.linear_spring_damper, pose, twist),
+        motor.power(forces.motor, pose, twist) + linear_motor.power(forces.linear_motor, pose, twist),
+        servo.power(forces.servo, angle, wanted, pose, twist)
+        + linear_servo.power(forces.linear_servo, wanted, pose, twist),
+        drag.power(forces.drag, twist),
+        applied_wrench.power(forces.applied_wrench, acting, pose, twist),
     )
+
+
+@kernel
+def power(forces, angle, acting, wanted, pose, twist):
+    """Power of the non-conservative forces, W: the rate of the mechanical energy."""
+    dampers, motors, servos, drags, wrenches = powers(forces, angle, acting, wanted, pose, twist)
+    return dampers + motors + servos + drags + wrenches
 
 
 @kernel

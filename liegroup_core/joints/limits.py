@@ -32,13 +32,14 @@ class CommandLimits(NamedTuple):
 
     def check_position(self, position):
         """Raises BeyondLimits."""
-        if not self._holds(position):
+        if not self.holds(position):
             raise BeyondLimits(
                 f"position {position:.6g} {self.unit} of joint {self.joint!r} is beyond its limits, "
                 f"{self.lower:.6g} to {self.upper:.6g} {self.unit}"
             )
 
-    def _holds(self, position):
+    def holds(self, position):
+        """Whether a position is within the limits, up to their digits."""
         slack = ROUNDING * max(1.0, abs(position))
         return self.lower - slack <= position <= self.upper + slack
 
@@ -86,7 +87,7 @@ class CommandLimits(NamedTuple):
         for end in positions:
             self.check_position(end)
         most = max(self.speed, abs(rate)) * (1.0 + ROUNDING)
-        returns = not self._holds(position)
+        returns = not self.holds(position)
         for row, after in zip(rows, rows[1:]):
             duration, end = after[0] - row[0], after[1]
             needed = peak_rate(row, duration, most)
@@ -97,7 +98,7 @@ class CommandLimits(NamedTuple):
                     "position, or more time"
                 )
             for between in () if returns else extremes(row, duration, self.lower, self.upper):
-                if not self._holds(between):
+                if not self.holds(between):
                     raise BeyondLimits(
                         f"joint {self.joint!r} would pass {between:.6g} {self.unit} on its way to "
                         f"{end:.6g} {self.unit}, beyond its limits, {self.lower:.6g} to {self.upper:.6g} "

@@ -13,7 +13,7 @@ from liegroup_core.scene.massless import invertible_inertia
 from .bodies import BODY, Model
 from .redundancy import kept_rows
 
-# Ratio of neighbouring masses or inertias from which iterative refinement is used.
+# Where masses or inertias of neighbours differ by this ratio or more, iterative refinement is used.
 LARGE_RATIO = 1e3
 # Ratios of a body's moments of inertia above which a solve takes one, two and three refinements. Measured relative
 # error: 1e-12 times the ratio for twelve rods with joint rows that mix principal rotations, a thousandth of that

@@ -14,7 +14,7 @@ from liegroup_core.motion_groups.table import FREEDOMS, OF_JOINT
 WORLD_NAME = "world"
 # Rows of the joints of a tree; a universal joint is two hinges.
 ROWS = {kind: 6 - FREEDOMS[code] for kind, code in OF_JOINT.items()} | {"universal": 4}
-COUPLED_FIRST = 6  # in place of the rows of a coupled joint
+COUPLED_FIRST = 7  # in place of the rows of a coupled joint; of one with stops or friction, 6
 
 
 @dataclass(frozen=True)
@@ -89,15 +89,16 @@ def _welded(scene):
 def _grow(scene, of_group, depth, links, used, root):
     """Add all groups that joints connect to a root, by Prim's method."""
     frontier = list(of_group.get(root, ()))
-    coupled = {name for entry in scene.couplings for name in (entry.joint, entry.other)}
-    coupled |= {joint.name for joint in scene.joints if joint.driven or joint.switches or joint.rotor}
+    first = {joint.name: COUPLED_FIRST - 1 for joint in scene.joints if joint.switches}
+    first |= {name: COUPLED_FIRST for entry in scene.couplings for name in (entry.joint, entry.other)}
+    first |= {joint.name: COUPLED_FIRST for joint in scene.joints if joint.driven or joint.rotor}
     while frontier:
         best, key = None, None
         for j, a, b in frontier:
             if (a in depth) == (b in depth):
                 continue
             joint = scene.joints[j]
-            rows = COUPLED_FIRST if joint.name in coupled else ROWS[joint.type]
+            rows = first.get(joint.name, ROWS[joint.type])
             found = (-rows, depth[a if a in depth else b], j)
             if key is None or found < key:
                 best, key = (j, a, b), found

@@ -21,7 +21,7 @@ def _links_of(links):
 
 
 def stop_rows(scene, links):
-    """[(joint, Element)] of the switches of joints that are not degrees of freedom of the tree, one row each."""
+    """[(joint, Element)]: a row for each stop or friction whose coordinate is no degree of freedom of the tree."""
     in_tree = _links_of(links)
     return [
         (switch.joint, COORDINATES[switch.kind])

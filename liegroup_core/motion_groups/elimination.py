@@ -30,7 +30,7 @@ def replaced(vector, k, value):
 
 
 def made(name, text, called):
-    """Kernel from a text. Under the name of this file the text counts as one of the sources."""
+    """Kernel compiled from a text; its cache key counts the text as a part of this file."""
     names = {"__name__": __name__} | called
     exec(compile(text, __file__, "exec"), names)
     return kernel(names[name])

@@ -11,16 +11,28 @@ from liegroup_core.lie.so3 import so3_to_quaternion
 from liegroup_core.lie.vec3 import load9
 from liegroup_core.observables.invariants import energy
 
+STORES = ("kinetic energy", "potential energy", "energy of springs")
+
 
 @kernel
-def _along(model, angle, pose, twist, energy_out, kinetic_out, residual_out, angle_out):
+def _along(model, angle, pose, twist, energy_out, parts_out, residual_out, angle_out):
     for k in range(len(pose)):
         kinds.count_turns(model.forces, pose[k], angle)
         total = energy(model, angle, pose[k], twist[k])
         energy_out[k] = total
-        kinetic_out[k] = total - (gravity_energy(model, pose[k]) + kinds.energy(model.forces, angle, pose[k]))
+        parts_out[k, 1] = gravity_energy(model, pose[k])
+        parts_out[k, 2] = kinds.energy(model.forces, angle, pose[k])
+        parts_out[k, 0] = total - (parts_out[k, 1] + parts_out[k, 2])
         position_residuals(model, pose[k], residual_out[k])
         angle_out[k] = angle
+
+
+@SameTypes
+@kernel
+def _powers(forces, angle, acting, wanted, pose, twist, out):
+    for k in range(len(pose)):
+        found = kinds.powers(forces, angle[k], acting, wanted, pose[k], twist[k])
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3], out[k, 4] = found
 
 
 @SameTypes
@@ -58,6 +70,18 @@ def rows(pose, twist):
     return out
 
 
+def powers(layout, angles, acting, wanted, pose, twist):
+    """(k, p) W of the non-conservative forces of a layout by kinds.POWERS, in k states with the same inputs.
+
+    angles (k, t) rad; acting, wanted as for kinds.powers; pose (k, n, 12), twist (k, n, 6) of the frames at the
+    centres of mass
+    """
+    out = np.zeros((len(pose), len(kinds.POWERS)))
+    given = [np.array(part, order="C") for part in (angles, acting, wanted, pose, twist)]
+    _powers(layout.model.forces, *given, out)
+    return out
+
+
 class Along:
     """Observables along a motion of the body frames of a layout, block by block.
 
@@ -83,7 +107,7 @@ class Along:
         """Observables of the next k states.
 
         pose (k, n, 12), twist (k, n, 6) of the body frames, k > 0
-        returns energy (k,) J, kinetic energy (k,) J, norm of each joint's position residual
+        returns energy (k,) J, its parts (k, 3) J by STORES, norm of each joint's position residual
         (k, joints) m and rad, angles (k, t) rad of the torsional springs
         """
         layout = self._layout
@@ -91,8 +115,8 @@ class Along:
         if self._angle is None:
             self._angle = layout.angles(pose[0], self._near)
         k = len(pose)
-        energies, kinetic = np.empty(k), np.empty(k)
+        energies, parts = np.empty(k), np.empty((k, len(STORES)))
         residual = np.zeros((k, len(layout.joint_of_row)))
         angles = np.empty((k, len(self._angle)))
-        _along(layout.model, self._angle, pose, twist, energies, kinetic, residual, angles)
-        return energies, kinetic, np.sqrt(residual**2 @ self._of_joint), angles
+        _along(layout.model, self._angle, pose, twist, energies, parts, residual, angles)
+        return energies, parts, np.sqrt(residual**2 @ self._of_joint), angles

@@ -21,6 +21,7 @@ from liegroup_core.dynamics.switches import set_modes
 from liegroup_core.errors import SimulationError
 from liegroup_core.forces.external import no_wrenches
 from liegroup_core.forces.kinds import limits
+from liegroup_core.joints import motion
 from liegroup_core.joints.kinds import TYPES, forbidden_rows
 from liegroup_core.joints.linkage import RANK_TOLERANCE, Linkage
 from liegroup_core.mechanism.arrays import make_relative_work
@@ -109,6 +110,11 @@ class Reactions:
         table = reaction_table(self._layout)
         table.hidden[:] = self.undetermined
         return table
+
+    @cached_property
+    def _open_table(self):
+        """ReactionTable that sets no component to NaN."""
+        return self._table.replace(hidden=np.zeros_like(self._table.hidden))
 
     @cached_property
     def _joint_wrenches(self):
@@ -223,6 +229,50 @@ class Reactions:
             raise SimulationError("the impulses cannot be computed: constraint rows are dependent")
         return out[: len(self.names)]
 
+    def powers(self, pose, twist, external, inputs):
+        """Powers of the joints on the bodies: of the drives, and of stops and friction; (k, 2) W in k states.
+
+        pose (k, n, 12), twist (k, n, 6), external : see `at`
+        inputs : k of its inputs; motions are those of the scene or commanded
+
+        Redundant constraints leave single wrenches undetermined, but not the sum of their powers. The power that
+        accelerates rotors is left out: their energy is kinetic energy.
+        """
+        turning = np.flatnonzero(self._model.bodies["rotor"])
+        rotors = self._model.bodies[turning]
+        wrenches, out = np.empty((len(pose), len(self.names), 6)), np.zeros((len(pose), 2))
+        for k, given in enumerate(inputs):
+            found, _, efforts = self.at(pose[k], twist[k], external, given, self._open_table)
+            wrenches[k] = found[: len(self.names)]
+            rates = [motion.at(row, given[-1])[1] for row in given[3]]
+            out[k, 0] = efforts @ rates if len(efforts) else 0.0
+            own = self._work.stage_twist[len(self._bodies) + turning, 0]
+            out[k, 1] = (rotors["rotor"] * own * self._work.acceleration[rotors["freedom"], 0]).sum()
+        out[:, 1] += np.einsum("kjc,kjc->k", wrenches, self._relative_twists(pose, twist)) - out[:, 0]
+        return out
+
+    @cached_property
+    def _ends(self):
+        """Indices of parents and children (J,), of the world n, and (J, 4, 4) frames in the children."""
+        places = {name: i for i, name in enumerate((*self._bodies, WORLD_NAME))}
+        ends = np.array([(places[joint.parent], places[joint.child]) for joint in self._scene.joints])
+        return *ends.T, np.array([frame for _, frame in self._layout.joint_frames])
+
+    def _relative_twists(self, pose, twist):
+        """(k, J, 6) of the joint frames in the children relative to the parents, in their axes."""
+        k, n = pose.shape[:2]
+        turn, at = pose[..., :9].reshape(k, n, 3, 3), pose[..., 9:]
+        spin, speed = (np.einsum("knij,knj->kni", turn, part) for part in (twist[..., :3], twist[..., 3:]))
+        # The world is the last body.
+        spin, speed, at = (np.concatenate([part, np.zeros((k, 1, 3))], axis=1) for part in (spin, speed, at))
+        parent, child, frames = self._ends
+        arm = np.einsum("kjab,jb->kja", turn[:, child], frames[:, :3, 3])
+        axes = np.einsum("kjab,jbc->kjac", turn[:, child], frames[:, :3, :3])
+        ahead, behind = speed[:, child] + np.cross(spin[:, child], arm), speed[:, parent]
+        behind = behind + np.cross(spin[:, parent], at[:, child] + arm - at[:, parent])
+        parts = spin[:, child] - spin[:, parent], ahead - behind
+        return np.concatenate([np.einsum("kjac,kja->kjc", axes, part) for part in parts], axis=2)
+
     def _places(self, pose):
         """{body: (4, 4)} poses of the frames at the centres of mass, and of the world."""
         places = dict(zip(self._bodies, map(pose_matrix, pose)))
@@ -233,8 +283,7 @@ class Reactions:
 
         Arguments as for `at`. For the norm, torques are divided by the linkage's characteristic length.
         """
-        table = self._table.replace(hidden=np.zeros_like(self._table.hidden))
-        wrenches = self.at(pose, *others, table)[0][: len(self.names)]
+        wrenches = self.at(pose, *others, self._open_table)[0][: len(self.names)]
         out, places = wrenches.copy(), self._places(pose)
         for group, _, linkage in self._groups:
             rows = _rows(linkage, places)

@@ -60,6 +60,10 @@ class Sample:
         for array in (pose, twist, self.pose, self.twist):
             array.flags.writeable = False
 
+    def __repr__(self) -> str:
+        bodies = ", ".join(f"{name} at {at.round(6).tolist()} m" for name, at in list(self.positions.items())[:3])
+        return f"Sample(t = {self.time:.9g} s, step {self.steps}: {bodies}{', ...' if len(self.pose) > 3 else ''})"
+
     @property
     def body_names(self) -> tuple[str, ...]:
         """Names of the bodies in the order of `pose` and `twist`."""

@@ -111,7 +111,9 @@ def test_the_extreme_positions_are_those_of_a_fine_grid(seed):
 
 def test_a_joint_beyond_its_limits_can_return(simulation):
     simulation.reset()
-    simulation.place(joints={"rail": (2.2, 0.5)})
+    simulation.place(joints={"rail": (2.0, 0.5)})
+    simulation.advance(400)
+    assert simulation.sample().joint_coordinates["rail"] == pytest.approx((2.2, 0.5), abs=1e-12)
     simulation.command_motion("rail", [2.0], [1.5], [0.0])
     simulation.advance(2000)
     assert simulation.sample().joint_coordinates["rail"] == pytest.approx((1.5, 0.0), abs=1e-12)
@@ -158,7 +160,7 @@ def test_a_servo_without_limits_of_position_does_not_jump_beyond_what_it_covers_
 
 
 def test_efforts_and_servos_beyond_the_limits_are_refused():
-    """A servo without stiffness has no position. A state may be set beyond them, a run repeated."""
+    """A servo without stiffness has no position. What a run recorded is repeated, beyond them too."""
     simulation = Simulation(scene_from_text(SERVOS), "rkmk4", 1e-3)
     for text, command, *arguments in (
         ("effort 10.1 N m of joint 'hinge'", simulation.apply_effort, "hinge", 10.1),
@@ -175,9 +177,10 @@ def test_efforts_and_servos_beyond_the_limits_are_refused():
     simulation.command_servo("hinge", 2.0, -4.0)
     simulation.command_servo("rail", 0.0, 3.0)
     simulation.advance(10)
-    simulation.place(joints={"hinge": (2.5, 9.0), "rail": (-1.0, None)})
-    found = simulation.sample().joint_coordinates
-    assert found["hinge"] == pytest.approx((2.5, 9.0)) and found["rail"][0] == pytest.approx(-1.0)
+    before = simulation.snapshot()
+    with pytest.raises(BeyondLimits, match="position 2.5 rad of joint 'hinge'"):
+        simulation.place(joints={"hinge": (2.5, 9.0), "rail": (1.0, None)})
+    assert simulation.snapshot() == before
     Command(TARGET, "hinge", (2.5, 9.0), simulation.time_ns).repeat(simulation)
     simulation.advance(1)
     assert simulation.drain_applied()[-1].values[0] == 2.5

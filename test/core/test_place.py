@@ -226,7 +226,7 @@ def test_a_loop_closes_about_a_joint_that_is_set():
     with pytest.raises(SceneError, match=r"contradict each other"):
         engine.place(joints={joint: (None, 1.0), other: (None, -9.0)})
     for values in ({"nothing": (1.0, None)}, {joint: (np.nan, None)}, {joint: (None, np.inf)}):
-        with pytest.raises(ValueError, match="is not a joint|must be finite"):
+        with pytest.raises(ValueError, match="is not a joint|both finite or None"):
             engine.place(joints=values)
     assert all(np.array_equal(a, b) for a, b in zip(before, engine.state()))
 
@@ -415,3 +415,33 @@ def test_joints_that_are_not_given_stay_in_their_turns(text):
     assert rotor_at(engine) == pytest.approx((28.5, 20.0), abs=1e-12)
     engine.advance(200)
     assert rotor_at(engine) == pytest.approx(after(2.0, 28.5), abs=3e-12)
+
+
+def test_limits_of_commands_hold_for_states_that_are_set():
+    """As for joint commands: given positions and velocities, and joints that poses would move beyond their limits."""
+    text = """
+name: lamp
+gravity: [0, 0, 0]
+bodies: [{name: arm, mass: 1, inertia: [0.1, 0.1, 0.1]}]
+joints: [{name: hinge, type: revolute, parent: world, child: arm, parent_frame: {axis: [0, 0, 1]},
+          child_frame: {axis: [0, 0, 1]},
+          data: {lower: 4.0, upper: 6.0, velocity: 2.0}}]
+"""
+    engine = Engine(scene_from_text(text.replace("data", "coordinate: 5.0, data") + "assemble: true\n"), "rkmk4", 1e-3)
+    turned = np.eye(4)
+    turned[:2, :2] = [[np.cos(2.0), -np.sin(2.0)], [np.sin(2.0), np.cos(2.0)]]
+    before = engine.state()
+    for given, words in (
+        ({"joints": {"hinge": (6.5, None)}}, "position 6.5 rad of joint 'hinge' is beyond its limits, 4 to 6 rad"),
+        ({"joints": {"hinge": (None, 3.0)}}, "velocity 3 rad/s of joint 'hinge' is beyond its limit of 2 rad/s"),
+        ({"poses": {"arm": turned}}, "is beyond its limits"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            engine.place(**given)
+        assert all(map(np.array_equal, engine.state(), before))
+    engine.place(joints={"hinge": (5.5, 1.5)})
+    turned[:2, :2] = [[np.cos(4.5), -np.sin(4.5)], [np.sin(4.5), np.cos(4.5)]]
+    engine.place(poses={"arm": turned})
+    # A joint that is beyond its limits already may be left there.
+    outside = Engine(scene_from_text(text), "rkmk4", 1e-3)
+    outside.place(twists={"arm": [0, 0, 1, 0, 0, 0]})

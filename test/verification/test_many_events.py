@@ -8,6 +8,8 @@ from scipy.spatial.transform import Rotation
 from stop_scenes import chain
 
 from liegroup_core.engine import Engine
+from liegroup_core.errors import SimulationError
+from liegroup_core.events import complementarity
 from liegroup_core.scene.centres import pose_matrix
 from liegroup_core.scene.load import scene_from_text
 
@@ -15,10 +17,10 @@ pytestmark = pytest.mark.slow
 
 
 def test_momentum_of_a_floating_chain():
-    """Stops and friction are inner forces: 150 events leave momentum and angular momentum as they are.
+    """Stops and friction are inner forces: 100 events leave momentum and angular momentum as they are.
 
     rkmk8 with 2 ms follows the motion between events to 1e-12. An impact solves for all rates at once,
-    with round-off of 1e-15 of the momenta of single bodies: 150 of them stay below 1e-10.
+    with round-off of 1e-15 of the momenta of single bodies: 100 of them stay below 1e-10.
     """
     engine = Engine(chain(3, 12, True), "rkmk8", 2e-3)
     start = engine.sample().spatial_momentum
@@ -29,7 +31,7 @@ def test_momentum_of_a_floating_chain():
         now = engine.energy()
         assert now <= energy + 1e-9
         energy = now
-    assert count >= 150
+    assert count >= 100
     assert engine.sample().spatial_momentum == pytest.approx(start, abs=1e-10)
 
 
@@ -54,7 +56,7 @@ def test_falling_robots(seed):
 
 
 def momentum_changes(engine):
-    """List that grows at every impact of an engine: pose of the first body, and the changes of linear
+    """List that grows at every impact of an engine: time, pose of the first body, and the changes of linear
     momentum and of angular momentum about the origin of the world, (6,).
     """
     switching, found = engine._switching, []
@@ -68,7 +70,9 @@ def momentum_changes(engine):
             R, I = at[:9].reshape(3, 3), body["inertia"].reshape(3, 3)
             linear = body["mass"] * R @ change[3:]
             total += np.concatenate([linear, R @ I @ change[:3] + np.cross(at[9:], linear)])
-        found.append((pose[0], total))
+        if found and found[-1][0] == time:  # impulses of one instant, at the same pose, are one impact
+            total += found.pop()[2]
+        found.append((time, pose[0], total))
         return status
 
     switching._impact = watched
@@ -92,7 +96,7 @@ def test_momentum_at_every_impact_of_a_falling_robot(seed):
         engine.advance(1)
         impacts = engine.drain_impacts()
         assert len(impacts) == len(changes)
-        for impact, (pose, change) in zip(impacts, changes):
+        for impact, (_, pose, change) in zip(impacts, changes):
             frame = pose_matrix(pose) @ base
             force = frame[:3, :3] @ impact.impulses["j0"][3:]
             torque = frame[:3, :3] @ impact.impulses["j0"][:3] + np.cross(frame[:3, 3], force)
@@ -116,7 +120,7 @@ def test_repeated_runs_and_parts_are_bit_equal():
     assert blocks.state()[0].tobytes() == end[0].tobytes()
     assert blocks.state()[1].tobytes() == end[1].tobytes()
     events = len(blocks.drain_events())
-    assert events == len(once.drain_events()) > 100
+    assert events == len(once.drain_events()) > 50
     once.restore(middle)
     once.advance(200)
     assert once.state()[0].tobytes() == end[0].tobytes()
@@ -211,3 +215,48 @@ couplings:
     assert impact.impulse == pytest.approx(-2.0 * (0.2 + 9.0 * 0.03), abs=1e-13)
     assert impact.energy == pytest.approx(-0.5 * 4.0 * (0.2 + 9.0 * 0.03), abs=1e-13)
     assert engine.state()[1] == pytest.approx(np.zeros((2, 6)), abs=1e-14)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_small_impulses_beside_large_ones_are_found_to_their_own_digits(seed, monkeypatch):
+    """Three groups of stops that hardly touch each other, mobilities over 8 and velocities over 16 decades.
+
+    Every row of the complementarity problem holds to 1e-9 of its own terms, after few rounds.
+    """
+    rng, k = np.random.default_rng(seed), 30
+    rounds, one_round = [], complementarity._with
+    monkeypatch.setattr(complementarity, "_with", lambda *given: rounds.append(1) or one_round(*given))
+    A = 1e-7 * rng.normal(size=(k, k))
+    A += A.T
+    for first in range(0, k, 10):
+        root = rng.normal(size=(10, 10))
+        A[first : first + 10, first : first + 10] = root @ root.T + 0.1 * np.eye(10)
+    sizes = 10.0 ** rng.uniform(-2, 2, k)
+    A *= sizes * sizes[:, None]
+    b = rng.normal(size=k) * sizes * np.repeat([1.0, 1e-8, 1e-16], 10)
+    x, w, at = complementarity.solve(A, b, np.zeros(k), np.full(k, np.inf))
+    terms = 1e-9 * (np.abs(A) @ np.abs(x) + np.abs(b))
+    assert (x >= 0.0).all() and (w >= -terms).all() and (np.abs(A @ x + b - w) <= terms).all()
+    assert (x[at == complementarity.LOW] == 0.0).all() and (w[at == complementarity.FREE] == 0.0).all()
+    assert len(rounds) <= 2 * k
+
+
+def test_attempts_are_those_of_the_whole_step():
+    """An impact is not the start of a step: else a trial of a method could take thousands of times its limit."""
+    body = {"name": "bob", "mass": 1, "inertia": [1, 1, 1], "position": [1, 0, 0]}
+    hinge = {"name": "hinge", "type": "revolute", "parent": "world", "child": "bob"}
+    hinge |= {"parent_frame": {"axis": [0, 1, 0]}, "limits": {"lower": -0.5, "upper": 0.5, "restitution": 0.9}}
+    scene = {"name": "bell", "gravity": [0, 0, -9.81], "bodies": [body], "joints": [hinge]}
+    engine = Engine(scene_from_text(yaml.safe_dump(scene)), "rkmk54", 2.0, rtol=1e-9, atol=1e-9)
+    start = engine.snapshot()
+    engine.advance(1)
+    attempts = engine.substeps[1]
+    assert engine.event_count == 2
+    engine.restore(start)
+    engine.limit_attempts(attempts)
+    engine.advance(1)
+    engine.restore(start)
+    engine.limit_attempts(2 * attempts // 3)  # more than in any part between two impacts
+    with pytest.raises(SimulationError, match="too many substeps"):
+        engine.advance(1)
+    assert engine.steps == 0 and 0.6 < engine._integrator.part < 1.0

@@ -3,8 +3,10 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from liegroup_core import SceneError, Simulation
+from liegroup_core.engine import Engine
 from liegroup_core.methods.table import METHODS
 from liegroup_core.reference import integrate
 from liegroup_core.scene.load import scene_from_text
@@ -143,6 +145,44 @@ def test_a_driven_joint_needs_the_effort_of_its_rotor_too():
     other.advance(100)
     more = simulation.sample().drive_efforts["j1"] - other.sample().drive_efforts["j1"]
     assert more == pytest.approx(0.25 * simulation.sample().prescribed["j1"][2], rel=1e-9)
+
+
+HELD = """
+name: held
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: a, mass: 2.0, inertia: [0.05, 0.06, 0.02], position: [0.3, 0, 0]}
+  - {name: b, mass: 1.0, inertia: [0.02, 0.03, 0.01], position: [0.8, 0, 0]}
+joints:
+  - {name: j1, type: revolute, parent: world, child: a, friction: {coulomb: 1.0, static: 13.0},
+     parent_frame: {position: [0, 0, 0], axis: [0, 1, 0]}}
+  - {name: j2, type: revolute, parent: a, child: b, parent_frame: {position: [0.2, 0, 0], axis: [0, 1, 0]},
+     rotor: {inertia: 2.0e-4, ratio: 40}}
+"""
+
+
+@pytest.mark.parametrize("space", ["auto", "space"])
+def test_friction_holds_a_link_beneath_a_rotor_until_its_torque_is_too_large(space):
+    """b swings like a pendulum with the rotor's inertia, and a breaks away; the times are accurate to 1e-11 s."""
+    g, length, mass, inertia, pivot = 9.81, 0.3, 1.0, 0.03, 0.5
+
+    def swing(_, state):
+        angle, rate = state
+        return [rate, mass * g * length * np.cos(angle) / (inertia + mass * length**2 + 40**2 * 2.0e-4)]
+
+    def breaks_away(t, state):
+        (angle, rate), (_, a) = state, swing(t, state)
+        c, s = length * np.cos(angle), length * np.sin(angle)
+        momentum = inertia * a + mass * (-s * (-s * a - c * rate**2) - (pivot + c) * (-c * a + s * rate**2))
+        return momentum - g * (2.0 * 0.3 + mass * (pivot + c)) + 13.0
+
+    breaks_away.terminal = True
+    found = solve_ivp(swing, (0.0, 1.0), [0.0, 0.0], "DOP853", rtol=1e-13, atol=1e-13, events=breaks_away)
+    engine = Engine(scene_from_text(HELD), "rkmk8", 1e-3, space=space)
+    engine.advance(600)
+    event = engine.drain_events()[0]
+    assert (event.joint, event.kind) == ("j1", "slip")
+    assert event.time == pytest.approx(found.t_events[0][0], abs=1e-10)
 
 
 FOUR_BAR = """

@@ -193,8 +193,8 @@ def _listening():
 
     class Listener(logging.Handler):
         def emit(self, record):
-            # The message about compiling is not a warning about the run.
-            if record.funcName != "compiles":
+            # Messages about compiling are not warnings about the run.
+            if record.module != "kernels":
                 said.append(record.getMessage())
 
     logger, listener = logging.getLogger("liegroup_core"), Listener(logging.WARNING)
