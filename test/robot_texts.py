@@ -281,6 +281,38 @@ MJCF_WITH_ALL_JOINTS = """<mujoco>
   </worldbody>
   <keyframe><key name="home" qpos="0.1 0.2 0.3  1 0 0 0  0.4 0.5  1 0 1 1 0 0 0"/></keyframe>
 </mujoco>"""
+MJCF_WITH_ACTUATORS = """<mujoco><compiler angle="radian"/><option gravity="0.3 0 -9.81"/><worldbody>
+  <body name="b1"><joint name="j1" axis="0 1 0" ref="0.3"/><geom type="box" size="0.2 0.1 0.05" pos="0.2 0 0" mass="2"/>
+    <body name="b2" pos="0.4 0 0"><joint name="j2" axis="0 0 1" actuatorfrcrange="-3 3"/>
+      <geom type="box" size="0.1 0.1 0.05" pos="0.1 0 0" mass="1"/>
+      <body name="b3" pos="0.2 0 0.1"><joint name="j3" type="slide" axis="1 0 1"/>
+        <geom type="box" size="0.1 0.05 0.05" mass="0.5"/>
+        <body name="b4" pos="0.1 0 0"><joint name="j4" axis="1 0 0" damping="0.1" armature="0.02"/>
+          <geom type="box" size="0.1 0.05 0.07" pos="0 0.1 0" mass="0.5"/>
+          <body name="b5" pos="0.1 0 0"><joint name="j5" axis="1 1 0"/>
+            <geom type="box" size="0.1 0.05 0.07" pos="0 0.1 0" mass="0.5"/></body></body></body></body></body>
+  <body name="f1" pos="0 1 0"><joint name="k1" axis="0 0 1" ref="0.2"/>
+    <geom type="box" size="0.1 0.05 0.07" pos="0 0.1 0" mass="0.5"/></body>
+  <body name="f2" pos="0 2 0"><joint name="k2" axis="0 0 1"/>
+    <geom type="box" size="0.1 0.05 0.07" pos="0 0.1 0" mass="0.5"/></body></worldbody>
+<equality><joint joint1="k2" joint2="k1" polycoef="0.1 -0.6 0 0 0"/></equality>
+<tendon><fixed name="split"><joint joint="k1" coef="0.5"/><joint joint="k2" coef="0.7"/></fixed>
+  <fixed name="one"><joint joint="j5" coef="-2"/></fixed>
+  <fixed name="two"><joint joint="j2" coef="1"/><joint joint="j5" coef="-2"/></fixed></tendon>
+<actuator>
+  <position name="p1" joint="j1" kp="20" dampratio="0.7" gear="1.5" ctrlrange="-1 1"/>
+  <position name="p2" joint="j2" kp="30" kv="2"/>
+  <velocity name="v3" joint="j3" kv="4" gear="-2" forcerange="-1.5 1.5"/>
+  <motor name="m3" joint="j3" gear="3" ctrlrange="-1 1" forcerange="-0.6 2"/>
+  <general name="g4" joint="j4" gear="2" gainprm="3 0.2 -0.1" gaintype="affine" biastype="affine"
+    biasprm="0.4 -3 -0.2" armature="0.01" damping="0.3"/>
+  <intvelocity name="i5" tendon="one" kp="5"/>
+  <general name="f5" joint="j5" dyntype="filterexact" dynprm="0.2" gainprm="2"/>
+  <position name="grip" tendon="split" kp="40" kv="1" gear="2"/>
+  <motor name="m1" joint="j1" ctrlrange="-2 3" gear="0.5"/>
+</actuator>
+<keyframe><key name="k" qpos="0.3 0 0 0 0 0.2 0.1" act="0.35 0.7"
+  ctrl="0.4 -0.3 0.2 -0.9 0.8 0 0.7 0.6 0.5"/></keyframe></mujoco>"""
 MIMIC_URDF = """<robot name="hand">
   <link name="base"/>{links}
   <joint name="drive" type="continuous"><parent link="base"/><child link="a"/><axis xyz="0 1 0"/></joint>

@@ -12,11 +12,15 @@ from .motion import motion_against, radau
 STEPS = 5e-5, 1e-5, 2e-6  # s, of MuJoCo's RK4
 
 
-def against_mujoco(path, scene, states):
-    """Largest relative difference of accelerations at random states."""
+def against_mujoco(path, scene, states, key=None):
+    """Largest relative difference of accelerations at random states, with the controls of a keyframe."""
     model = mujoco.MjModel.from_xml_path(str(path))
-    _as_imported(model)
+    _as_imported(model, scene)
+    # Springs with a range of lengths are stops, which act in a motion but not in a single pose.
+    model.tendon_stiffness[np.ptp(model.tendon_lengthspring, axis=1) > 0.0] = 0.0
     data = mujoco.MjData(model)
+    if key is not None:
+        mujoco.mj_resetDataKeyframe(model, data, model.key(key).id)
     rng, solve, worst = np.random.default_rng(7), Accelerations(scene), 0.0
     real = _bodies_of(model, scene)
     offsets = offsets_of(scene)
@@ -44,7 +48,7 @@ def _state(model, data, scene, real):
     real : see _bodies_of; massless links have no acceleration
     """
     mujoco.mj_rnePostConstraint(model, data)
-    held = {joint.child: joint for joint in scene.joints}
+    held = {joint.child: joint for joint in scene.joints if joint.type not in ("cable", "strut")}
     poses, twists, theirs = {"world": np.eye(4)}, {"world": np.zeros(6)}, {}
     for body in _parents_first(scene, held):
         name = body.name
@@ -72,7 +76,7 @@ def _arrays(scene, poses, twists):
 def motion_against_mujoco(path, scene, seconds=1.0):
     """Differences after a motion from random speeds: see motion.py."""
     model = mujoco.MjModel.from_xml_path(str(path))
-    _as_imported(model)
+    _as_imported(model, scene)
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
     data, real = mujoco.MjData(model), _bodies_of(model, scene)
     start = np.random.default_rng(3).uniform(-1.0, 1.0, model.nv)
@@ -145,18 +149,28 @@ def _number(model, label):
         return int(label.split("_")[1]) - 1
 
 
-def _as_imported(model):
+def _as_imported(model, scene):
     """Switch off those features of a MuJoCo model that an import omits."""
-    model.dof_armature[:] = 0.0
-    model.body_gravcomp[:] = 0.0
+    for note in scene.differences:
+        head, _, names = note.partition(", left out: ")
+        if "actuators" in head or "servos" in head:
+            for name in names.split(", "):
+                i = next(i for i in range(model.nu) if name in (model.actuator(i).name, f"actuator_{i}"))
+                model.actuator_gainprm[i] = model.actuator_biasprm[i] = 0.0
     model.opt.density = model.opt.viscosity = 0.0
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_ACTUATION
-    model.tendon_stiffness[:] = model.tendon_damping[:] = model.tendon_armature[:] = 0.0
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    for i in range(model.ntendon):
+        part = slice(model.tendon_adr[i], model.tendon_adr[i] + model.tendon_num[i])
+        if model.wrap_type[part].tolist() != [mujoco.mjtWrap.mjWRAP_SITE] * 2:
+            model.tendon_stiffness[i] = model.tendon_damping[i] = 0.0
+    model.tendon_armature[:] = model.tendon_stiffnesspoly[:] = model.tendon_dampingpoly[:] = 0.0
     model.jnt_stiffnesspoly[:] = model.dof_dampingpoly[:] = 0.0
     for j in range(model.njnt):
         if model.jnt_type[j] in (0, 1):  # free and ball joints
             model.jnt_stiffness[j] = 0.0
-            model.dof_damping[model.jnt_dofadr[j] :][: 6 if model.jnt_type[j] == 0 else 3] = 0.0
+            first = model.jnt_dofadr[j]
+            own = slice(first, first + (6 if model.jnt_type[j] == 0 else 3))
+            model.dof_damping[own] = model.dof_armature[own] = 0.0
 
 
 def _bodies_of(model, scene):

@@ -3,7 +3,8 @@
 
 The tree of a file is the nearest folder above it with a package.xml or a .git. Without one, it is the
 parent of the file's folder, because robots keep their meshes there. It is never a home folder or a folder
-above one. A server of requests reads below given folders only (`served_from`). `anywhere` permits all files.
+above one. xacro also reads the packages beside that of the file (resources.packages_around). A server of
+requests reads below given folders only (`served_from`). `anywhere` permits all files.
 """
 
 import os

@@ -28,6 +28,7 @@ from .access import outside, trees
 from .confined import Unconfined, confine
 from .description import refusal
 from .expressions import evaluate
+from .resources import find_package, packages_around
 
 SECONDS = 60
 BYTES = 2**30  # in memory; the largest models of dm_control take 0.5 GB
@@ -159,6 +160,12 @@ def _expand(folders, path, *arguments):
         names = substitution_args._DictWrapper(context["arg"], substitution_args._eval_dict)
         return str(evaluate(text, names, ()))
 
+    around = packages_around(path)
+
+    def find(name):
+        return str(find_package(name, path, around))
+
+    substitution_args._eval_find = substitution_args._eval_dict["find"] = find
     # These functions give access to the internals of objects.
     for name in REFLECTING:
         xacro._global_symbols["python"].pop(name, None)
@@ -260,7 +267,7 @@ def main(folders, tool, *arguments):
             return FORBIDDEN
         print(_place(error))
         print(_reason(error), file=sys.stderr)
-        return 1
+        return ADVISED if isinstance(_cause(error), SceneError) else 1
     return 0
 
 
@@ -273,11 +280,16 @@ def _forbidden(error):
     return None
 
 
+def _cause(error):
+    """Error that errors of xacro repeat, or contain."""
+    while getattr(error, "exc", None) is not None:
+        error = error.exc
+    return error
+
+
 def _reason(error):
     """Text of an error in one line. Errors of xacro repeat their cause, or contain only its type."""
-    cause = error
-    while getattr(cause, "exc", None) is not None:
-        cause = cause.exc
+    cause = _cause(error)
     text = " ".join(str(cause).split()) or type(cause).__name__
     around = " ".join(str(error).split()).replace(f"{type(cause)}: ", "")
     head, *rest = around.split(text)

@@ -5,6 +5,8 @@ A user may cut links outside the chains of interest, and lock joints. Joints tha
 joint are locked too. Links without mass at the end of a chain are held in place.
 """
 
+import numpy as np
+
 from liegroup_core.lie.groups import SE3
 
 from .description import ONE_COORDINATE, WORLD, listed
@@ -83,7 +85,9 @@ def locked_joints(robot, options, values, notes):
         if types[name] != "fixed":
             own = name in options.lock or name in robot.locked
             why = "" if own else ", because a locked joint drives it"
-            notes.append(f"locked: joint {name} at {values[name]:.6g}{why}")
+            value = values[name]
+            at = "its pose of the start" if isinstance(value, np.ndarray) else f"{value:.6g}"
+            notes.append(f"locked: joint {name} at {at}{why}")
     options.check_start(values)
     return still
 
@@ -105,13 +109,23 @@ def base_of(robot, options, notes):
     return "floating"
 
 
-def place_root(robot, base, pose, notes):
-    """Give the root link its pose of a group state; add a note if the link is fixed."""
-    name = robot.roots[0] if robot.roots else WORLD
-    if base == "floating" and name != WORLD:
-        robot.links[name].pose = robot.root_poses[pose]
-    else:
-        notes.append(f'left out: pose of the root link in group state "{pose}", because this link does not float')
+def place_links(robot, options, base, notes):
+    """Give floating links their pose and twist at the start; add a note if a root link of the pose is fixed.
+
+    Returns {link: its path in the additions} of the links that the user placed.
+    """
+    placed = options.placed_links(robot)
+    for name, state in robot.root_poses.get(options.pose, {}).items():
+        if base == "floating" and name in robot.links:
+            robot.links[name].pose, robot.links[name].twist = state
+        elif name in (WORLD, *robot.links) and name not in placed:
+            notes.append(
+                f'changes the motion: pose of the root link in "{options.pose}" left out, because it does not float'
+            )
+    for name, start in placed.items():
+        link = robot.links[name]
+        link.pose, link.twist = start.over(link.pose, link.twist)
+    return placed
 
 
 def grouped(robot, options, base, joints, lock, values, notes):

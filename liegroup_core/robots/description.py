@@ -6,6 +6,7 @@ axes of a universal joint are x of the parent's frame and y of the child's. At c
 frames of a joint coincide.
 """
 
+import difflib
 import math
 from dataclasses import dataclass, field
 
@@ -13,7 +14,7 @@ import numpy as np
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import suggestion
-from liegroup_core.lie.groups import SE3, SO3
+from liegroup_core.lie.groups import SE3, SO3, UNKNOWN_TURN, within_a_turn
 
 WORLD = "world"
 MISSING_MESHES = "missing mesh files"  # in notes
@@ -59,7 +60,10 @@ class Link:
     mass    : kg; 0 if the file gives no inertia
     com     : (3,) m, centre of mass in the frame of the link
     inertia : (3, 3) kg m^2 about the centre of mass, axes of the link
-    pose    : (4, 4) in the world when all joint coordinates are 0
+    pose    : (4, 4) in the world when all joint coordinates are 0; of a floating link at the start
+    twist   : (6,) of a floating link at the start, angular first, axes of the link, rad/s and m/s
+    lacks   : (line, text) if its inertia has no <mass> or no <inertia>
+    weight  : fraction of gravity that acts on it
     line    : line of the file; 0 if unknown
     """
 
@@ -69,7 +73,10 @@ class Link:
     com: np.ndarray = field(default_factory=lambda: np.zeros(3))
     inertia: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
     pose: np.ndarray = field(default_factory=lambda: np.eye(4))
+    twist: np.ndarray = field(default_factory=lambda: np.zeros(6))
     visuals: list = field(default_factory=list)
+    lacks: tuple | None = None
+    weight: float = 1.0
 
     @property
     def moves_nothing(self):
@@ -86,8 +93,10 @@ class RobotJoint:
     closes        : True for a joint outside of the file's tree
     damping       : N m s/rad or N s/m
     stiffness, rest  : of the spring: N m/rad or N/m, and the coordinate where its effort is 0
+    rotor         : {"inertia": kg m^2, "ratio": of the gear} of the rotor that turns with it; {} for none
     stop          : {"stiffness": N m/rad or N/m, "damping": N m s/rad or N s/m} of compliant stops
     coordinate, rate : start values that assembly keeps, rad or m, rad/s or m/s; None: free
+    efforts       : (least, largest) sum of the efforts of actuators, N m or N
     data          : {name: number} that the simulation does not use: lower, upper, ...
     """
 
@@ -104,9 +113,11 @@ class RobotJoint:
     damping: float = 0.0
     stiffness: float = 0.0
     rest: float = 0.0
+    rotor: dict = field(default_factory=dict)
     stop: dict = field(default_factory=dict)
     coordinate: float | None = None
     rate: float | None = None
+    efforts: tuple = (-math.inf, math.inf)
     data: dict = field(default_factory=dict)
 
     @property
@@ -116,8 +127,16 @@ class RobotJoint:
         return np.array([0.0, 0.0, turns, 0.0, 0.0, self.pitch * turns + slides])
 
     def motion(self, value):
-        """(4, 4) pose of the child's frame in the parent's at a coordinate, rad or m."""
-        return SE3.exp(value * self.direction)
+        """(4, 4) pose of the child's frame in the parent's at a coordinate, rad or m; or such a pose itself."""
+        return value if isinstance(value, np.ndarray) else SE3.exp(value * self.direction)
+
+    def turned(self, value):
+        """Whole turns in an angle, rad: a scene unwraps angles of forces and couplings from (-pi, pi]; 0 of a slide."""
+        return 0.0 if self.type == "prismatic" else value - within_a_turn(value, UNKNOWN_TURN)
+
+    def twist(self, value):
+        """(6,) twist of the child's frame relative to the parent's, own axes, at a velocity; or such a twist itself."""
+        return value if isinstance(value, np.ndarray) else value * self.direction
 
 
 @dataclass
@@ -167,8 +186,12 @@ class Robot:
     remarks  : {what: [names]}: decisions of the import
     left_out : {what: [names]}: omitted parts that do not change the motion
     changes  : {what: [names]}: omitted parts that change the motion
-    poses    : {name of a pose: {joint: coordinate}}; velocities: {its name: {joint: velocity}}
-    root_poses : {name of a pose: (4, 4)} of the first root link, used if it floats
+    start    : {joint: coordinate} at the start, unless a pose or a user gives another; start_velocity: its velocities
+    poses    : {name of a pose: {joint: coordinate}}; velocities: {its name: {joint: velocity}}; of joints with
+               several coordinates the (4, 4) pose of the child's frame in the parent's, and its (6,) twist
+    root_poses : {name of a pose: {root link: ((4, 4) pose, (6,) twist in its axes)}}, used if it floats
+    tendons  : [tendons.Tendon]
+    actuators: [actuators.Actuator];  commands: {name of a pose: {actuator: (control, activation)}}
     locked   : {joint: coordinate} of joints that do not move
     text     : URDF text of the robot, "" for other kinds
     """
@@ -180,12 +203,17 @@ class Robot:
     joints: list = field(default_factory=list)
     couplings: list = field(default_factory=list)
     sensors: list = field(default_factory=list)
+    tendons: list = field(default_factory=list)
+    actuators: list = field(default_factory=list)
+    commands: dict = field(default_factory=dict)
     roots: list = field(default_factory=list)
     free: bool = False
     gravity: tuple | None = None
     remarks: dict = field(default_factory=dict)
     left_out: dict = field(default_factory=dict)
     changes: dict = field(default_factory=dict)
+    start: dict = field(default_factory=dict)
+    start_velocity: dict = field(default_factory=dict)
     poses: dict = field(default_factory=dict)
     velocities: dict = field(default_factory=dict)
     root_poses: dict = field(default_factory=dict)
@@ -219,6 +247,10 @@ class Robot:
                 coordinates += own
         parts = {part_of(name) for name in part}
         return len(part) - 1, coordinates + COORDINATES["floating"] * (len(parts) - 1)
+
+    def joint(self, name):
+        """RobotJoint with this name, or None."""
+        return next((joint for joint in self.joints if joint.name == name), None)
 
     def error(self, line, message):
         """SceneError at a line of the file."""
@@ -263,6 +295,14 @@ class Robot:
         """Note a decision of the import about a part of the file."""
         self.remarks.setdefault(what, []).append(name)
 
+    def start_at(self, joint, value, rate=False):
+        """Set the coordinate of a RobotJoint at the start, or its velocity."""
+        if value and joint.type in ONE_COORDINATE:
+            (self.start_velocity if rate else self.start)[joint.name] = value
+            self.remark(f"start {'velocities' if rate else 'values'} of the file", f"{joint.name} = {value:.6g}")
+        elif value:
+            self.leave_out(f"start values of {joint.type} joints", joint.name, changes_motion=True)
+
     def leave_out(self, what, name, changes_motion=False):
         """Note a part of the file that the scene omits."""
         (self.changes if changes_motion else self.left_out).setdefault(what, []).append(name)
@@ -283,13 +323,22 @@ class Robot:
             drawn = element.tag == "origin" and parent is not None and parent.tag == "visual"
             for name in odd:
                 if "}" not in name:  # other tools use their own namespaces
-                    where = f"{name} in <{element.tag}> of line {element.sourceline}"
+                    options = children if name.startswith("<") else attributes
+                    hint = meant(name.strip("<>"), options)
+                    where = f"{name} in <{element.tag}> of line {element.sourceline}{hint}"
                     moves = (
                         element.tag in MOTION
                         or (element.tag == "origin" and not drawn)
                         or (element.tag == "joint" and name.startswith("<"))
+                        or (element.tag == "limit" and bool(hint))  # <limit> has parts without an effect, too
                     )
                     self.leave_out(f"unknown parts of the {self.kind} file", where, moves)
+
+
+def meant(word, options):
+    """Hint with the option that is most similar to a misspelt word, or ""."""
+    close = difflib.get_close_matches(word, options, n=1, cutoff=0.7)
+    return f" (did you mean {close[0]}?)" if close else ""
 
 
 def refusal(file, line, message, kind=SceneError):

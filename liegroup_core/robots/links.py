@@ -132,18 +132,19 @@ class Grouping:
         """True for a group with neither mass nor inertia."""
         return all(name != WORLD and self.robot.links[name].moves_nothing for name in group.links)
 
-    def place(self, values, velocities):
+    def place(self, values, velocities, first=()):
         """Set poses and twists of all groups at joint coordinates and velocities.
 
-        Floating parts keep the pose of their root link from the file, in any order of the links.
-        Returns the joints that close loops.
+        Floating parts keep the pose and twist of their root link, in any order of the links; or those of the
+        link in `first`. Returns the joints that close loops, and the links that kept their pose.
         """
         placed = {id(self.world)}
         of_group = {}
         for joint in self.moving:
             for name in (joint.parent, joint.child):
                 of_group.setdefault(id(self.of_link[name]), []).append(joint)
-        used, roots = set(), [name for name in self.robot.roots if name in self.of_link]
+        used, kept = set(), []
+        roots = [name for name in (*first, *self.robot.roots) if name in self.of_link]
         # Links are placed along the joints of the file's tree, never along a closing joint.
         for name in (WORLD, *roots, *(group.links[0] for group in self.groups)):
             root = self.of_link[name]
@@ -151,6 +152,8 @@ class Grouping:
                 if id(root) in placed:
                     continue
                 root.pose = self.robot.links[name].pose @ SE3.inverse(root.places[name])
+                root.twist = SE3.Ad(root.places[name]) @ self.robot.links[name].twist
+                kept.append(name)
                 placed.add(id(root))
             pending = [root]
             while pending:
@@ -162,7 +165,7 @@ class Grouping:
                         continue
                     F_a, F_b = self.frames(joint)
                     between = F_a @ joint.motion(values[joint.name]) @ SE3.inverse(F_b)
-                    own = SE3.Ad(F_b) @ joint.direction * velocities[joint.name]
+                    own = SE3.Ad(F_b) @ joint.twist(velocities[joint.name])
                     if a is group:
                         other.pose = a.pose @ between
                         other.twist = SE3.Ad(SE3.inverse(between)) @ a.twist + own
@@ -172,4 +175,4 @@ class Grouping:
                     placed.add(id(other))
                     used.add(joint.name)
                     pending.append(other)
-        return [joint for joint in self.moving if joint.name not in used]
+        return [joint for joint in self.moving if joint.name not in used], kept

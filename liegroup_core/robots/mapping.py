@@ -11,15 +11,18 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from liegroup_core.fields.values import NEGATIVE_ROUND_OFF, TRIANGLE_TOLERANCE
-from liegroup_core.lie.groups import UNKNOWN_TURN, within_a_turn
 
+from .actuators import add_drives
 from .additions import added_couplings, added_forces, added_joints
-from .chains import base_of, grouped, kept_joints, locked_joints, place_root
+from .chains import base_of, grouped, kept_joints, locked_joints, place_links
 from .description import MISSING_MESHES, ONE_COORDINATE, WORLD, frame_keys, listed
 from .names import scene_name, unique_names
+from .options import BEYOND, is_within
 from .resources import find_resource
+from .rotors import cut_rotors
 from .sensors import add_sensors, check_kept, kept_fixed_joints
 from .stiffness import stiffness_notes
+from .tendons import add_tendons
 
 # Mass of a link without mass between two joints, relative to the lightest body: its effect on
 # accelerations is below round-off.
@@ -65,13 +68,14 @@ def scene_parts(robot, options):
     joints = kept_joints(robot, options, notes)
     options.check_kept({joint.name for joint in joints})
     base = base_of(robot, options, notes)
-    if options.pose in robot.root_poses:
-        place_root(robot, base, options.pose, notes)
+    placed = place_links(robot, options, base, notes)
     lock = locked_joints(robot, options, values, notes) - kept_fixed_joints(robot, options)
     grouping = grouped(robot, options, base, joints, lock, values, notes)
-    closing = grouping.place(values, options.velocities(robot))
+    closing, kept = grouping.place(values, options.velocities(robot), placed)
+    options.check_placed(placed, kept)
+    cut_rotors(robot, grouping, closing)
     options.check_velocities({joint.name for joint in grouping.moving})
-    options.check_driven({joint.name: joint.type for joint in grouping.moving})
+    options.check_driven({joint.name: joint.type for joint in grouping.moving}, {joint.name for joint in robot.joints})
     check_kept(options, {joint.name for joint in grouping.moving})
     extra = added_joints(options, grouping)
     closing += extra
@@ -83,13 +87,24 @@ def scene_parts(robot, options):
     )
     used = _bodies(robot, grouping, parts, notes)
     # Assembly keeps the user's start values if there are loops.
-    given = (options.start, options.start_velocity) if closing else ({}, {})
+    given = (options.numbers, options.start_velocity) if closing else ({}, {})
+    for link, start in placed.items() if closing else ():
+        group = grouping.of_link[link]
+        body = next(each for each in parts.bodies if each["name"] == used[id(group)])
+        body["initial"] = "fixed"
+        if start.model_fields_set & {"angular_velocity", "linear_velocity"}:
+            body["angular_velocity"], body["linear_velocity"] = np.split(group.twist, 2)
     own = {entry.name for entry in (*options.couplings, *options.forces)}
-    taken = _joints(robot, grouping, parts, used, (extra, given, own))
+    taken = _joints(robot, grouping, parts, used, (extra, given, own), values)
     _drive(options, parts)
-    switches = options.with_switches(grouping.moving)
-    _switch(switches, parts)
+    names = {joint.name for joint in grouping.moving if joint.type in ONE_COORDINATE}
+    coupled = [entry for entry in robot.couplings if {entry.first, entry.second} <= names]
+    switches = options.with_switches(grouping.moving, values, coupled)
+    _switch(switches, parts, values)
     _couplings(robot, grouping, parts, values, taken)
+    _lift(robot, grouping, parts, used, taken)
+    add_drives(robot, options, parts, values, taken)
+    add_tendons(robot, options, grouping, parts, used, taken)
     for i, entry in enumerate(added_forces(options, grouping, parts)):
         parts.lines["forces", len(parts.forces)] = ("forces", i)
         parts.forces.append(entry)
@@ -97,7 +112,7 @@ def scene_parts(robot, options):
     parts.frames = {
         link: (used[id(group)], group.places[link]) for link, group in grouping.of_link.items() if link != WORLD
     }
-    notes += _outside_limits(grouping.moving, values)
+    notes += _outside_limits(grouping.moving, values, switches[0])
     if not closing:  # with loops, joints move more inertia than stiffness_notes computes
         notes += stiffness_notes(grouping)
     moving = {joint.name for joint in grouping.moving}
@@ -138,6 +153,7 @@ def _bodies(robot, grouping, parts, notes):
     body_of = {id(grouping.world): WORLD}
     for group, name, (mass, com, inertia) in zip(movable, names, masses):
         body_of[id(group)] = name
+        _check_complete(robot, group)
         number = len(parts.bodies)
         line = robot.links[group.links[0]].line
         body = {"name": name}
@@ -169,6 +185,16 @@ def _bodies(robot, grouping, parts, notes):
     return body_of
 
 
+def _check_complete(robot, group):
+    """Refuse a body without <mass> or without any <inertia>; a link without <inertia> merges as a point mass."""
+    links = [robot.links[name] for name in group.links]
+    for link in links:
+        if link.lacks and (not link.mass or not any(each.inertia.any() for each in links)):
+            raise robot.error(link.lacks[0], f"{link.lacks[1]}, and the link moves: give one, or fix it to the world")
+        if link.lacks:
+            robot.remark("without <inertia>, merged as a point mass", link.name)
+
+
 def _check_inertia(robot, group, line, inertia, body, notes):
     """Refuse a negative moment of inertia; add a note if no rigid body has these moments."""
     moments = np.linalg.eigvalsh(inertia)
@@ -193,11 +219,12 @@ def _check_inertia(robot, group, line, inertia, body, notes):
         )
 
 
-def _joints(robot, grouping, parts, body_of, added):
+def _joints(robot, grouping, parts, body_of, added, values):
     """Append the joints, and the forces of their springs and dampers. Returns all their names.
 
     added : (joints of the user, ({joint: coordinate}, {joint: velocity}) that assembly keeps, names of
             other entries)
+    values : {joint: coordinate at the start}
     """
     extra, (coordinates, rates), own_names = added
     moving = [*grouping.moving, *extra]
@@ -217,13 +244,15 @@ def _joints(robot, grouping, parts, body_of, added):
         if joint.length is not None:
             entry["length"] = joint.length
         entry["parent_frame"], entry["child_frame"] = frame_keys(F_a), frame_keys(F_b)
-        for key, values in (("coordinate", coordinates), ("rate", rates)):
-            value = values.get(joint.name, getattr(joint, key))
+        for key, given in (("coordinate", coordinates), ("rate", rates)):
+            value = given.get(joint.name, getattr(joint, key))
             if value is not None:
                 entry[key] = float(value)
-                if joint.name in values:
+                if joint.name in given:
                     of = "start" if key == "coordinate" else "start_velocity"
                     parts.lines["joints", number, key] = (of, joint.name)
+        if joint.rotor and joint.type in ONE_COORDINATE:
+            entry["rotor"] = dict(joint.rotor)
         if joint.data:
             entry["data"] = dict(joint.data)
         parts.joints.append(entry)
@@ -233,7 +262,7 @@ def _joints(robot, grouping, parts, body_of, added):
         parts.comments["joints", number] = (
             _from_line(robot, joint.line) if own < 0 else f"added between {joint.parent} and {joint.child}"
         )
-        _law(robot, parts, joint, name, taken)
+        _law(robot, parts, joint, name, taken, values.get(joint.name, 0.0))
     return taken
 
 
@@ -249,20 +278,26 @@ def _drive(options, parts):
                 parts.lines["joints", number, key] = ("driven", name)
 
 
-def _switch(switches, parts):
-    """Add stops and friction; switches: see Options.with_switches."""
+def _switch(switches, parts, values):
+    """Add stops and friction; switches: see Options.with_switches.
+
+    Assembly keeps the coordinate of a joint that starts at a stop, which it must not pass.
+    """
     for number, entry in enumerate(parts.joints):
         name = parts.names["joints", entry["name"]]
         for key, option, of in zip(("limits", "friction"), ("stops", "friction"), switches):
-            if name in of:
+            if of.get(name):
                 entry[key] = of[name]
                 parts.lines["joints", number, key] = (option, 0)
+        ends = [end for key, end in entry.get("limits", {}).items() if key in ("lower", "upper")]
+        if parts.assemble and any(abs(end - values[name]) <= BEYOND for end in ends):
+            entry.setdefault("coordinate", values[name])
 
 
 def _couplings(robot, grouping, parts, values, taken):
     """Append the couplings of joints that move; taken: names of joints and forces."""
     moving = {joint.name for joint in grouping.moving}
-    turns = {joint.name: joint.type != "prismatic" for joint in robot.joints}
+    joints = {joint.name: joint for joint in robot.joints}
     in_scene = {file: name for (kind, name), file in parts.names.items() if kind == "joints"}
     for coupling in robot.couplings:
         if not {coupling.first, coupling.second} <= moving:
@@ -275,15 +310,13 @@ def _couplings(robot, grouping, parts, values, taken):
         offset = coupling.offset
         if offset is None:
             offset = values[coupling.first] - coupling.ratio * second
-        # In a scene, the angle of the other joint is unwrapped from its initial value.
-        turned = second - within_a_turn(second, UNKNOWN_TURN) if turns[coupling.second] else 0.0
         parts.couplings.append(
             {
                 "name": name,
                 "joint": in_scene[coupling.first],
                 "other": in_scene[coupling.second],
                 "ratio": coupling.ratio,
-                "offset": offset + coupling.ratio * turned,
+                "offset": offset + coupling.ratio * joints[coupling.second].turned(second),
             }
         )
         parts.lines["couplings", number] = coupling.line
@@ -303,13 +336,13 @@ def exchanged(kind, F_a, F_b):
     return F_b @ reverse, F_a @ reverse
 
 
-def _law(robot, parts, joint, name, taken):
+def _law(robot, parts, joint, name, taken, start):
     """Append the spring and damper of a joint, or note that no force of a scene can model them."""
     if not joint.damping and not joint.stiffness:
         return
     kinds = {"revolute": "torsional", "screw": "torsional", "prismatic": "linear"}
     if joint.type not in kinds:
-        robot.leave_out(f"damping of {joint.type} joints", joint.name, changes_motion=True)
+        robot.leave_out(f"springs and damping of {joint.type} joints", joint.name, changes_motion=True)
         return
     (own,) = unique_names([f"{name}_{'spring' if joint.stiffness else 'damping'}"], taken)
     taken.add(own)
@@ -322,20 +355,43 @@ def _law(robot, parts, joint, name, taken):
         "damping": joint.damping,
     }
     if joint.stiffness:
-        entry["rest_angle" if kind == "torsional" else "rest_position"] = joint.rest
+        entry["rest_angle" if kind == "torsional" else "rest_position"] = joint.rest - joint.turned(start)
     parts.lines["forces", len(parts.forces)] = joint.line
     parts.comments["forces", len(parts.forces)] = _from_line(robot, joint.line)
     parts.forces.append(entry)
 
 
-def _outside_limits(joints, values):
-    """Notes on joints that start outside their limits; values: {joint: coordinate}."""
+def _lift(robot, grouping, parts, body_of, taken):
+    """Append forces against the weight of links on which gravity does not act, or acts in part."""
+    for name, group in grouping.of_link.items():
+        if group is grouping.world or robot.links[name].weight == 1.0:
+            continue
+        link, place = robot.links[name], group.places[name]
+        robot.remark("without gravity" if link.weight == 0.0 else "with a part of its weight", name)
+        (own,) = unique_names([f"{name}_without_gravity"], taken)
+        taken.add(own)
+        force = (link.weight - 1.0) * link.mass * np.array(parts.gravity)
+        entry = {"name": own, "type": "applied_wrench", "body": body_of[id(group)], "axes": "world"}
+        parts.lines["forces", len(parts.forces)] = link.line
+        parts.comments["forces", len(parts.forces)] = _from_line(robot, link.line)
+        parts.forces.append(entry | {"force": force, "point": place[:3, :3] @ link.com + place[:3, 3]})
+
+
+def _outside_limits(joints, values, stops):
+    """Notes on joints that start outside their limits; values: {joint: coordinate}, stops: of joints that have them."""
     found = []
     for joint in joints:
         lower, upper = joint.data.get("lower", -np.inf), joint.data.get("upper", np.inf)
-        if lower <= upper and not lower <= values[joint.name] <= upper:
+        if (
+            joint.type in ONE_COORDINATE
+            and lower <= upper
+            and not is_within(joint, values[joint.name])
+            and joint.name not in stops
+        ):
             found.append(f"{joint.name} at {values[joint.name]:.6g} (from {lower:.6g} to {upper:.6g})")
-    return [f"start outside the joint limits: {', '.join(found)}"] if found else []
+    if not found:
+        return []
+    return [f"changes the motion: start outside of the limits, which do not act: {', '.join(found)}; give start values"]
 
 
 def _left_out(robot, grouping, switches):
@@ -351,7 +407,6 @@ def _left_out(robot, grouping, switches):
     for keys, text, acting in (
         (("lower", "upper"), "joint limits are not enforced", stops),
         (("friction",), "joint friction is not simulated", friction),
-        (("armature",), "armature (rotor inertia) is not simulated", ()),
     ):
         names = [name for name, joint in moving.items() if set(keys) & joint.data.keys() and name not in acting]
         if names:

@@ -16,14 +16,17 @@ from liegroup_core.errors import SceneError
 from liegroup_core.fields.frames import rotation_z_to
 from liegroup_core.lie.groups import SO3
 
+from .actuators import FREE, Actuator
 from .apart import run_apart
 from .description import MISSING_MESHES, WORLD, Coupling, Link, Robot, RobotJoint, Visual, place, refusal
 from .mjcf_sensors import read_sensors
+from .tendons import Tendon, linear_relation
 from .xml import Reader
 
 TYPES = {"ball": "spherical", "slide": "prismatic", "hinge": "revolute"}
 # A tendon of fixed length between two sites is a rod without mass.
 CLOSING = {"connect": "spherical", "weld": "fixed", "tendon": "distance"}
+ACTUATORS = ("motor", "position", "velocity", "intvelocity", "general", "damper", "cylinder")
 VISUALS = {"box", "sphere", "cylinder", "capsule"}
 
 
@@ -48,8 +51,9 @@ def robot_of_mjcf(root, path):
     _joints(robot, model, names, lines)
     _equalities(robot, model, names, lines)
     _shapes(robot, model, names)
-    _poses(robot, model)
-    _others(robot, model)
+    _poses(robot, model, names)
+    _actuators(robot, model, lines)
+    _others(robot, model, names, lines)
     read_sensors(robot, model, names, _rotation, lines)
     return robot
 
@@ -112,9 +116,8 @@ def _body(robot, model, body, name, names, lines):
         np.array(body["ipos"]),
         0.5 * (inertia + inertia.T),
         above @ place(body["pos"], _rotation(body["quat"])),
+        weight=1.0 - body["gravcomp"],
     )
-    if body["gravcomp"]:
-        robot.leave_out("gravity compensation", name, changes_motion=True)
     if body["mocap"]:
         robot.leave_out("mocap bodies, which stay in place", name)
 
@@ -149,7 +152,7 @@ def _free(robot, joint, name):
     """Record a free joint: the body floats, and no force of a scene acts in this joint."""
     robot.roots.append(name)
     if joint["damping"] or joint["stiffness"] or joint["friction"] or joint["armature"]:
-        robot.leave_out("damping, friction and armature of free joints", joint["label"], changes_motion=True)
+        robot.leave_out("springs, damping, friction and armature of free joints", joint["label"], changes_motion=True)
 
 
 def _joint(robot, joint, parent, child, placement, line):
@@ -161,6 +164,7 @@ def _joint(robot, joint, parent, child, placement, line):
         frame[:3, 3] = 0.0
     found = RobotJoint(joint["label"], TYPES[joint["type"]], parent, child, placement @ frame, frame, line)
     found.damping, found.stiffness = joint["damping"], joint["stiffness"]
+    found.efforts = tuple(joint["efforts"] or FREE)
     if joint["type"] != "ball":
         found.rest = joint["spring"] - joint["zero"]
     if joint["nonlinear"]:
@@ -170,9 +174,12 @@ def _joint(robot, joint, parent, child, placement, line):
             f"coordinate of joint {joint['label']} is 0 at its ref {joint['zero']:.6g} of the file",
             "qpos = coordinate + ref",
         )
-    for key in ("armature", "friction"):
-        if joint[key]:
-            found.data[key] = joint[key]
+    if joint["armature"] and joint["type"] == "ball":
+        robot.leave_out("armature of ball joints", joint["label"], changes_motion=True)
+    elif joint["armature"]:
+        found.rotor = {"inertia": joint["armature"]}
+    if joint["friction"]:
+        found.data["friction"] = joint["friction"]
     if joint["range"] is not None and joint["type"] == "ball":
         robot.leave_out(
             "limits of the rotation angle of ball joints, which differs from the angle of a cone",
@@ -200,8 +207,23 @@ def _equalities(robot, model, names, lines):
             )
         elif kind == "joint" and equality["second"] < 0:
             robot.locked[label[equality["first"]]] = data[0]
+        elif (relation := _relation(equality)) is not None:
+            first, second, ratio, offset = relation
+            if second is None:
+                robot.locked[label[first]] = offset
+            else:
+                robot.couplings.append(Coupling(name, label[first], label[second], ratio, offset, line))
         else:
-            robot.leave_out(f"equality constraints of {kind}s", name, changes_motion=True)
+            what = "of a quadratic law or more" if kind == "joint" else ""
+            robot.leave_out(f"equality constraints of {kind}s {what}".strip(), name, changes_motion=True)
+
+
+def _relation(equality):
+    """Linear relation of coordinates, see tendons.linear_relation, that an equality of fixed tendons prescribes."""
+    terms = {}
+    for joint, share in equality.get("terms", ()):
+        terms[joint] = terms.get(joint, 0.0) + share
+    return linear_relation(terms, equality["data"][0])
 
 
 def _closing(robot, equality, names, line):
@@ -251,33 +273,74 @@ def _shapes(robot, model, names):
             robot.links[name].visuals.append(Visual(kind, size, pose))
 
 
-def _poses(robot, model):
-    """Add the keyframes as joint coordinates and velocities, without free and ball joints."""
-    single = [joint for joint in model["joints"] if joint["type"] in ("slide", "hinge")]
+def _poses(robot, model, names):
+    """Add the keyframes as joint coordinates and velocities.
+
+    Velocities of a free joint are in world axes, angular ones of free and ball joints in axes of the child.
+    """
     for key in model["keys"]:
-        robot.poses[key["name"]] = {joint["label"]: key["qpos"][joint["qpos"]] - joint["zero"] for joint in single}
-        robot.velocities[key["name"]] = {joint["label"]: key["qvel"][joint["dof"]] for joint in single}
+        if key["mocap"]:
+            robot.leave_out("poses of mocap bodies in keyframes", key["name"], changes_motion=True)
+        places, rates, free = (
+            kind.setdefault(key["name"], {}) for kind in (robot.poses, robot.velocities, robot.root_poses)
+        )
+        for joint in model["joints"]:
+            q, v, label = key["qpos"][joint["qpos"] :], key["qvel"][joint["dof"] :], joint["label"]
+            if joint["type"] == "free":
+                pose = place(q[:3], _rotation(q[3:7]))
+                free[names[joint["body"] - 1]] = pose, np.array([*v[3:6], *(pose[:3, :3].T @ v[:3])])
+            elif joint["type"] == "ball":
+                places[label], rates[label] = place(rotation=_rotation(q[:4])), np.array([*v[:3], 0.0, 0.0, 0.0])
+            else:
+                places[label], rates[label] = q[0] - joint["zero"], v[0]
 
 
-def _others(robot, model):
-    """Note the parts that a scene cannot model."""
+def _actuators(robot, model, lines):
+    """Actuators of hinges and slides, directly or by a fixed tendon, with their commands in keyframes."""
+    for each in model["actuators"]:
+        name, joints = each["name"], [(model["joints"][i], share) for i, share in each["shares"] or ()]
+        if joints and each["linear"]:
+            shares = {joint["label"]: share for joint, share in joints}
+            length = sum(share * joint["zero"] for joint, share in joints)
+            laws = np.array(each["bias"]), np.array(each["gain"])
+            ranges = (tuple(each[key] or FREE) for key in ("controls", "forces"))
+            line = next((lines[tag, name] for tag in ACTUATORS if (tag, name) in lines), 0)
+            robot.actuators.append(Actuator(name, line, shares, length, *laws, *ranges, each["dynamics"]))
+        elif each["acts"] or any(key["ctrl"][each["ctrl"]] for key in model["keys"]):
+            what = "actuators that are not affine, or not of joints with one coordinate"
+            robot.leave_out(what, name, changes_motion=True)
+        else:
+            robot.leave_out("actuators", name)
+    for key in model["keys"]:
+        robot.commands[key["name"]] = {
+            each["name"]: (key["ctrl"][each["ctrl"]], key["act"][each["act"]] if each["act"] >= 0 else 0.0)
+            for each in model["actuators"]
+        }
+
+
+def _others(robot, model, names, lines):
+    """Add straight tendons, and note the parts that a scene cannot model."""
     if model["fluid"]:
         robot.leave_out("forces of a fluid", "option density or viscosity", changes_motion=True)
     # A tendon that is imported as a joint has constant length, so its springs and limits do no work.
     rods = {each["tendon"] for each in model["equalities"] if each["active"] and each.get("length")}
     for i, tendon in enumerate(model["tendons"]):
+        acts = tendon["stiffness"] or tendon["damping"] or tendon["range"]
         if i in rods:
             continue
-        if tendon["force"]:
-            robot.leave_out("tendons with forces or limits", tendon["name"], changes_motion=True)
-        else:
+        if not acts and not tendon["other"]:
             robot.leave_out("tendons", tendon["name"])
+            continue
+        if tendon["sites"] and acts:
+            ends = [(WORLD if s["body"] == 0 else names[s["body"] - 1], np.array(s["pos"])) for s in tendon["sites"]]
+            line = lines.get(("spatial", tendon["name"]), 0)
+            laws = (tendon[key] for key in ("rest", "stiffness", "damping", "range"))
+            robot.tendons.append(Tendon(tendon["name"], line, ends, *laws))
+            what = "friction, inertia and nonlinear laws of tendons"
+        else:
+            what = "tendons with forces or limits that are not straight between two points"
+        if tendon["other"] or not tendon["sites"]:
+            robot.leave_out(what, tendon["name"], changes_motion=True)
     for what in ("flexes", "plugins"):
         for name in model[what]:
             robot.leave_out(what, name, changes_motion=True)
-    for actuator in model["actuators"]:
-        if actuator["acts"]:
-            what = "actuators that act without a control signal, such as servos"
-            robot.leave_out(what, actuator["name"], changes_motion=True)
-        else:
-            robot.leave_out("actuators", actuator["name"])

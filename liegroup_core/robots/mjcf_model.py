@@ -10,37 +10,17 @@ from .mjcf_missing import compiled_without_files
 def arrays_of(path):
     """Dict of JSON types of the model of an MJCF file. Quaternions are w, x, y, z, as in MuJoCo."""
     model, without_file = _compiled(path)
-    off = model.opt.disableflags
+    _switch_off(model)
     return {
         "name": _text(model.names, 0),
-        "gravity": [0.0] * 3 if off & mujoco.mjtDisableBit.mjDSBL_GRAVITY else model.opt.gravity.tolist(),
+        "gravity": model.opt.gravity.tolist(),
         "fluid": bool(model.opt.density or model.opt.viscosity),
         "bodies": [_body(model, i) for i in range(1, model.nbody)],
         "joints": [_joint(model, i) for i in range(model.njnt)],
         "equalities": [_equality(model, i) for i in range(model.neq)],
         "geoms": [_geom(model, i) | {"missing": without_file.get(i, "")} for i in range(model.ngeom)],
-        "tendons": [
-            {
-                "name": model.tendon(i).name or f"tendon_{i}",
-                "force": bool(
-                    model.tendon_stiffness[i]
-                    or model.tendon_damping[i]
-                    or model.tendon_frictionloss[i]
-                    or model.tendon_limited[i]
-                    or model.tendon_armature[i]
-                ),
-            }
-            for i in range(model.ntendon)
-        ],
-        "actuators": [
-            {
-                "name": model.actuator(i).name or f"actuator_{i}",
-                "acts": bool(
-                    model.actuator_biastype[i] != mujoco.mjtBias.mjBIAS_NONE and model.actuator_biasprm[i].any()
-                ),
-            }
-            for i in range(model.nu)
-        ],
+        "tendons": [_tendon(model, i) for i in range(model.ntendon)],
+        "actuators": [_actuator(model, i) for i in range(len(model.actuator_trntype)) if not _is_off(model, i)],
         "sensors": [_sensor(model, i) for i in range(model.nsensor)],
         "flexes": [f"flex_{i}" for i in range(model.nflex)],
         "plugins": [f"plugin_{i}" for i in range(model.nplugin)],
@@ -49,6 +29,9 @@ def arrays_of(path):
                 "name": model.key(i).name or f"key_{i}",
                 "qpos": model.key_qpos[i].tolist(),
                 "qvel": model.key_qvel[i].tolist(),
+                "ctrl": model.key_ctrl[i].tolist(),
+                "act": model.key_act[i].tolist(),
+                "mocap": _moves_mocap(model, i),
             }
             for i in range(model.nkey)
         ],
@@ -86,8 +69,162 @@ def _body(model, i):
     }
 
 
+def _switch_off(model):
+    """Set what the flags of the file switch off to zero."""
+    kinds, flags = mujoco.mjtDisableBit, int(model.opt.disableflags)
+    parts = {
+        kinds.mjDSBL_SPRING: (model.jnt_stiffness, model.jnt_stiffnesspoly, model.tendon_stiffness),
+        kinds.mjDSBL_DAMPER: (
+            model.dof_damping,
+            model.dof_dampingpoly,
+            model.tendon_damping,
+            model.actuator_damping,
+            model.actuator_dampingpoly,
+        ),
+        kinds.mjDSBL_FRICTIONLOSS: (model.dof_frictionloss, model.tendon_frictionloss),
+        kinds.mjDSBL_LIMIT: (model.jnt_limited, model.tendon_limited),
+        kinds.mjDSBL_EQUALITY: (model.eq_active0,),
+        kinds.mjDSBL_CONTACT: (model.geom_contype, model.geom_conaffinity),
+        kinds.mjDSBL_GRAVITY: (model.opt.gravity, model.body_gravcomp),
+        kinds.mjDSBL_CLAMPCTRL: (model.actuator_ctrllimited,),
+    }
+    constraints = (kinds.mjDSBL_FRICTIONLOSS, kinds.mjDSBL_LIMIT, kinds.mjDSBL_EQUALITY, kinds.mjDSBL_CONTACT)
+    for flag, arrays in parts.items():
+        if flags & flag or (flags & kinds.mjDSBL_CONSTRAINT and flag in constraints):
+            for array in arrays:
+                array[:] = 0
+    if flags & (kinds.mjDSBL_CONTACT | kinds.mjDSBL_CONSTRAINT):
+        model.pair_geom1[:] = model.pair_geom2[:] = -1
+    if flags & kinds.mjDSBL_SPRING and flags & kinds.mjDSBL_DAMPER:  # then MuJoCo has no passive forces
+        model.body_gravcomp[:] = model.opt.density = model.opt.viscosity = 0.0
+
+
+def _is_off(model, i):
+    """Whether the file switches an actuator off."""
+    group = int(model.actuator_group[i])
+    return bool(
+        model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ACTUATION
+        or (0 <= group < 31 and int(model.opt.disableactuator) >> group & 1)
+    )
+
+
+def _gear(model, i):
+    return float(model.actuator_gear[model.actuator_outadr[i], 0])
+
+
+def _actuator(model, i):
+    """Actuator; shares: [[joint, change of its length by the coordinate]], None if this is not constant."""
+    gains, biases, dynamics = mujoco.mjtGain, mujoco.mjtBias, mujoco.mjtDyn
+    gain, bias = gains(int(model.actuator_gaintype[i])), biases(int(model.actuator_biastype[i]))
+    at, dynamic = int(model.actuator_ctrladr[i]), int(model.actuator_dyntype[i])
+    known = {
+        dynamics.mjDYN_NONE: "none",
+        dynamics.mjDYN_INTEGRATOR: "integrator",
+        dynamics.mjDYN_FILTER: "filter",
+        dynamics.mjDYN_FILTEREXACT: "filter",
+    }
+    gain_terms = {gains.mjGAIN_FIXED: 1, gains.mjGAIN_AFFINE: 3}.get(gain, 0)
+    bias_terms = 3 * (bias == biases.mjBIAS_AFFINE)
+    shares, forces = _shares(model, i), model.actuator_forcerange[i] if model.actuator_forcelimited[i] else None
+    tendon = int(model.actuator_trnid[i, 0])
+    if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_TENDON and model.tendon_actfrclimited[tendon]:
+        own = (-np.inf, np.inf) if forces is None else forces
+        lower, upper = model.tendon_actfrcrange[tendon]
+        forces = np.clip(own, lower, upper)
+        if (
+            np.count_nonzero(
+                (model.actuator_trntype == model.actuator_trntype[i]) & (model.actuator_trnid[:, 0] == tendon)
+            )
+            > 1
+        ):
+            shares = None  # the range is that of their sum
+    return {
+        "name": model.actuator(i).name or f"actuator_{i}",
+        "shares": shares,
+        "linear": bool(
+            gain_terms
+            and bias in (biases.mjBIAS_NONE, biases.mjBIAS_AFFINE)
+            and dynamic in known
+            and model.actuator_plugin[i] < 0
+            and not model.actuator_delay[i]
+        ),
+        "dynamics": known.get(dynamic),
+        "gain": [float(model.actuator_gainprm[i, k]) if k < gain_terms else 0.0 for k in range(3)],
+        "bias": [float(model.actuator_biasprm[i, k]) if k < bias_terms else 0.0 for k in range(3)],
+        "controls": model.actuator_ctrlrange[at].tolist() if model.actuator_ctrllimited[at] else None,
+        "forces": None if forces is None else forces.tolist(),
+        # Muscles and other gains act on their own if they have a bias; others may.
+        "acts": bool(
+            (bias != biases.mjBIAS_NONE and model.actuator_biasprm[i].any())
+            or gain not in (gains.mjGAIN_FIXED, gains.mjGAIN_AFFINE, gains.mjGAIN_MUSCLE)
+            or model.actuator_plugin[i] >= 0
+        ),
+        "ctrl": at,
+        "act": int(model.actuator_actadr[i]),
+    }
+
+
+def _shares(model, i):
+    kinds, kind, target = mujoco.mjtTrn, int(model.actuator_trntype[i]), int(model.actuator_trnid[i, 0])
+    gear = _gear(model, i)
+    if kind in (kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT):
+        found = [[target, gear]]
+    elif kind == kinds.mjTRN_TENDON:
+        found = [[joint, gear * share] for joint, share in _coefficients(model, target) or ()]
+    else:
+        return None
+    return found if all(model.jnt_type[joint] in (2, 3) for joint, _ in found) else None
+
+
+def _tendon(model, i):
+    """Tendon; sites: its two ends if it is straight; other: it has forces beside spring, damping and limits."""
+    driver = int(model.tendon_actuatorid[i])
+    return {
+        "name": model.tendon(i).name or f"tendon_{i}",
+        "sites": _ends(model, i),
+        "stiffness": float(model.tendon_stiffness[i]),
+        "damping": float(model.tendon_damping[i]),
+        "rest": model.tendon_lengthspring[i].tolist(),
+        "range": model.tendon_range[i].tolist() if model.tendon_limited[i] else None,
+        "other": bool(
+            model.tendon_frictionloss[i]
+            or model.tendon_armature[i]
+            or model.tendon_springyield[i]
+            or model.tendon_stiffnesspoly[i].any()
+            or model.tendon_dampingpoly[i].any()
+            or (driver >= 0 and (model.actuator_armature[driver] or model.actuator_damping[driver]))
+        ),
+    }
+
+
+def _ends(model, i):
+    """Both sites of a tendon that is straight, else None."""
+    part = slice(model.tendon_adr[i], model.tendon_adr[i] + model.tendon_num[i])
+    if model.wrap_type[part].tolist() != [mujoco.mjtWrap.mjWRAP_SITE] * 2:
+        return None
+    return [_site(model, site) for site in model.wrap_objid[part]]
+
+
+def _coefficients(model, i):
+    """[[joint, coefficient]] of a fixed tendon; None of a spatial one."""
+    part = slice(model.tendon_adr[i], model.tendon_adr[i] + model.tendon_num[i])
+    if set(model.wrap_type[part].tolist()) != {int(mujoco.mjtWrap.mjWRAP_JOINT)}:
+        return None
+    shares = {}
+    for joint, share in zip(model.wrap_objid[part].tolist(), model.wrap_prm[part].tolist()):
+        shares[joint] = shares.get(joint, 0.0) + share
+    return [list(each) for each in shares.items()]
+
+
 def _joint(model, i):
     dof, at, kind = model.jnt_dofadr[i], model.jnt_qposadr[i], int(model.jnt_type[i])
+    driver = int(model.jnt_actuatorid[i])  # the actuator whose damping and armature act at this joint
+    nonlinear = np.any(model.jnt_stiffnesspoly[i]) or np.any(model.dof_dampingpoly[dof])
+    damping, armature = float(model.dof_damping[dof]), float(model.dof_armature[dof])
+    if driver >= 0:
+        nonlinear |= np.any(model.actuator_dampingpoly[driver])
+        damping += _gear(model, driver) ** 2 * float(model.actuator_damping[driver])
+        armature += _gear(model, driver) ** 2 * float(model.actuator_armature[driver])
     return {
         "name": model.joint(i).name,
         "type": ("free", "ball", "slide", "hinge")[kind],
@@ -99,9 +236,10 @@ def _joint(model, i):
         "zero": float(model.qpos0[at]),
         "spring": float(model.qpos_spring[at]),
         "stiffness": float(model.jnt_stiffness[i]),
-        "damping": float(model.dof_damping[dof]),
-        "nonlinear": bool(np.any(model.jnt_stiffnesspoly[i]) or np.any(model.dof_dampingpoly[dof])),
-        "armature": float(model.dof_armature[dof]),
+        "damping": damping,
+        "nonlinear": bool(nonlinear or model.jnt_springyield[i]),
+        "armature": armature,
+        "efforts": model.jnt_actfrcrange[i].tolist() if model.jnt_actfrclimited[i] else None,
         "friction": float(model.dof_frictionloss[dof]),
         "range": model.jnt_range[i].tolist() if model.jnt_limited[i] else None,
     }
@@ -120,14 +258,27 @@ def _equality(model, i):
     }
     if kind in ("connect", "weld") and model.eq_objtype[i] == mujoco.mjtObj.mjOBJ_SITE:
         found["sites"] = [_site(model, site) for site in (first, second)]
-    if kind == "tendon" and second < 0:
-        start, count = model.tendon_adr[first], model.tendon_num[first]
-        if model.wrap_type[start : start + count].tolist() == [mujoco.mjtWrap.mjWRAP_SITE] * 2:
-            found["tendon"] = int(first)
-            found["sites"] = [_site(model, site) for site in model.wrap_objid[start : start + 2]]
-            # The constraint prescribes the length relative to that in the pose of the file.
-            found["length"] = float(model.tendon_length0[first] + model.eq_data[i][0])
+    if kind == "tendon" and second < 0 and _ends(model, first):
+        found["tendon"], found["sites"] = int(first), _ends(model, first)
+        # The constraint prescribes the length relative to that in the pose of the file.
+        found["length"] = float(model.tendon_length0[first] + model.eq_data[i][0])
+    elif kind == "tendon":
+        parts = [(1.0, _coefficients(model, first))]
+        if second >= 0:
+            parts.append((-found["data"][1], _coefficients(model, second)))
+        if all(part is not None for _, part in parts) and not (second >= 0 and any(found["data"][2:5])):
+            found["terms"] = [[joint, factor * share] for factor, part in parts for joint, share in part]
     return found
+
+
+def _moves_mocap(model, key):
+    """Whether a keyframe moves a mocap body."""
+    for body in np.flatnonzero(model.body_mocapid >= 0):
+        at = model.body_mocapid[body]
+        pose = *model.key_mpos[key].reshape(-1, 3)[at], *model.key_mquat[key].reshape(-1, 4)[at]
+        if not np.allclose(pose, [*model.body_pos[body], *model.body_quat[body]]):
+            return True
+    return False
 
 
 def _sensor(model, i):
@@ -160,5 +311,7 @@ def _geom(model, i):
         "size": model.geom_size[i].tolist(),
         "pos": model.geom_pos[i].tolist(),
         "quat": model.geom_quat[i].tolist(),
-        "collides": bool(model.geom_contype[i] or model.geom_conaffinity[i]),
+        "collides": bool(
+            model.geom_contype[i] or model.geom_conaffinity[i] or i in model.pair_geom1 or i in model.pair_geom2
+        ),
     }

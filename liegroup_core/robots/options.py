@@ -1,15 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Additions of a user to a robot: start values, locked joints, closing joints, forces."""
 
+import math
 from dataclasses import dataclass, field
+
+import numpy as np
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import suggestion
 
 from .description import ONE_COORDINATE
+from .starts import FORBIDDEN, Start
 
 BASES = ("fixed", "floating")
 ALL = "all"  # instead of the names of joints
+BEYOND = 1e-9  # rad or m, of a limit: round-off
+MANY = 100  # couplings, above which chains of them are followed only in the order of the file
 
 
 @dataclass
@@ -18,13 +24,14 @@ class Options:
 
     base      : fixed or floating root links; None: default of the format
     pose      : name of a pose of the file (keyframe, group state)
-    start     : {joint: coordinate}, rad or m; replaces 0 or the value of the pose
+    start     : {joint: coordinate, rad or m, or link or joint: Start}; replaces 0 or the value of the pose
     start_velocity : {joint: velocity}, rad/s or m/s; replaces 0 or the value of the pose
     lock      : {joint: coordinate} of locked joints
     keep      : fixed joints that are not merged
     driven    : {joint: joints.motion.Motion, or None for its start velocity} of driven joints
-    stops     : joints whose limits are rigid stops, or ALL for all joints that are not driven
+    stops     : joints whose limits are stops; ALL for all that are not driven and start within their limits
     friction  : joints whose dry friction acts, or ALL
+    actuators : whether the actuators of the file act
     only      : links whose chains to the root are kept; empty: all
     joints    : [joint of a scene], between links; its frames are in the frames of the links
     couplings : [coupling of a scene, with names of joints of the robot]
@@ -44,8 +51,9 @@ class Options:
     lock: dict = field(default_factory=dict)
     keep: list = field(default_factory=list)
     driven: dict = field(default_factory=dict)
-    stops: list = field(default_factory=list)
-    friction: list = field(default_factory=list)
+    stops: list = field(default_factory=lambda: [ALL])
+    friction: list = field(default_factory=lambda: [ALL])
+    actuators: bool = True
     only: list = field(default_factory=list)
     joints: list = field(default_factory=list)
     couplings: list = field(default_factory=list)
@@ -72,7 +80,7 @@ class Options:
     def coordinates(self, robot):
         """{joint: coordinate at the start}; refuses unknown joints and joints without exactly one coordinate."""
         types = {joint.name: joint.type for joint in robot.joints}
-        values = dict.fromkeys(types, 0.0)
+        values = dict.fromkeys(types, 0.0) | robot.start
         if self.srdf is not None and self.pose is None:
             known = ", ".join(sorted(robot.poses)[:12]) or "none"
             raise self.error(("srdf",), f"srdf needs a pose: give one of its group states ({known})")
@@ -80,37 +88,95 @@ class Options:
             if self.pose not in robot.poses:
                 raise self.unknown(("pose",), "pose", self.pose, robot.poses)
             values |= {name: value for name, value in robot.poses[self.pose].items() if name in types}
-        given = robot.locked | self._given("start", types) | self._given("lock", types)
-        known = given.keys() | robot.poses.get(self.pose, {}).keys()
-        return _followed(robot.couplings, values | given, known)
+        several = {name: state[0] for name, state in self._several(robot, types).items()}
+        given = robot.locked | self._given("start", types) | several | self._given("lock", types)
+        of_pose = robot.start | robot.poses.get(self.pose, {})
+        found = _followed(robot.couplings, values | given, given, of_pose.keys() - given.keys())
+        coupled = {name for each in robot.couplings for name in (each.first, each.second)} & of_pose.keys()
+        for name in sorted(coupled - given.keys()):
+            if abs(found[name] - of_pose[name]) > BEYOND * (1.0 + abs(found[name])):
+                robot.remark(f'coordinates that a coupling moves in the pose "{self.pose}"', name)
+        return found
 
     def velocities(self, robot):
         """{joint: velocity at the start}; refuses unknown joints and joints without exactly one coordinate."""
         types = {joint.name: joint.type for joint in robot.joints}
-        values = dict.fromkeys(types, 0.0)
+        values = dict.fromkeys(types, 0.0) | robot.start_velocity
         values |= {name: value for name, value in robot.velocities.get(self.pose, {}).items() if name in types}
-        given = self._given("start_velocity", types)
-        known = given.keys() | robot.velocities.get(self.pose, {}).keys()
-        return _followed(robot.couplings, values | given, known, rates=True)
+        several = {name: state[1] for name, state in self._several(robot, types).items()}
+        given = self._given("start_velocity", types) | several
+        of_pose = (robot.start_velocity.keys() | robot.velocities.get(self.pose, {}).keys()) - given.keys()
+        return _followed(robot.couplings, values | given, given, of_pose, rates=True)
 
     def _given(self, key, types):
         """{joint: number} of one of the additions."""
         values = {}
-        for name, value in getattr(self, key).items():
+        for name, value in (self.numbers if key == "start" else getattr(self, key)).items():
             if name not in types:
                 raise self.unknown((key, name), f"{key}: joint", name, types)
             if value and types[name] not in ONE_COORDINATE:
                 raise self.error(
                     (key, name),
                     f'{key}: joint "{name}" is {types[name]}: only joints with one coordinate '
-                    f"({', '.join(ONE_COORDINATE)}) take a value",
+                    f"({', '.join(ONE_COORDINATE)}) take a value; start takes a mapping such as "
+                    "{rotation_vector: [0.1, 0, 0]} for others",
                 )
             values[name] = float(value)
         return values
 
+    @property
+    def numbers(self):
+        """The part of `start` for joints with one coordinate."""
+        return {name: value for name, value in self.start.items() if not isinstance(value, Start)}
+
+    def _several(self, robot, types):
+        """{joint: ((4, 4), (6,))}: start of the joints with several coordinates that have a Start."""
+        found = {}
+        for name, start in self.start.items():
+            kind = types.get(name)
+            if kind not in FORBIDDEN or not isinstance(start, Start):
+                continue
+            if name in self.lock:
+                raise self.error(("start", name), f'start: joint "{name}" is locked: omit one of the two')
+            pose = robot.poses.get(self.pose, {}).get(name, np.eye(4))
+            twist = robot.velocities.get(self.pose, {}).get(name, np.zeros(6))
+            pose, twist = found[name] = start.over(pose, twist)
+            wrong = FORBIDDEN[kind](pose[:3, :3], pose[:3, 3], twist[:3], twist[3:])
+            if np.abs(wrong).max() > BEYOND * (1.0 + np.abs(pose[:3, 3]).max() + np.abs(twist).max()):
+                raise self.error(
+                    ("start", name),
+                    f'start: joint "{name}" is {kind} and does not allow this: correct its position, rotation '
+                    "or velocities, which are those of its child frame in its parent frame",
+                )
+        return found
+
+    def placed_links(self, robot):
+        """{link: Start} of the links that a Start places; refuses unknown names, and joints with one coordinate."""
+        types = {joint.name: joint.type for joint in robot.joints}
+        found = {k: v for k, v in self.start.items() if isinstance(v, Start) and types.get(k) not in FORBIDDEN}
+        for name in found:
+            if name in robot.links:
+                continue
+            if name not in types:
+                raise self.unknown(("start", name), "start: joint or link", name, types.keys() | robot.links.keys())
+            child = next(joint.child for joint in robot.joints if joint.name == name)
+            what = f'place its child link "{child}"' if types[name] == "floating" else "give it a number"
+            raise self.error(("start", name), f'start: joint "{name}" is {types[name]}: {what}')
+        return found
+
+    def check_placed(self, placed, kept):
+        """Refuse a Start of a link that does not float, or the second one of a floating part."""
+        for name in placed:
+            if name not in kept:
+                raise self.error(
+                    ("start", name),
+                    f'start: link "{name}" does not float, or another link with a start holds it: give base: floating '
+                    "(--base floating), or values for joints",
+                )
+
     def check_kept(self, kept):
         """Refuse a start value of a joint that is cut; kept: names of joints."""
-        for name in self.start:
+        for name in self.numbers:
             if name not in kept:
                 raise self.error(
                     ("start", name), f'start: joint "{name}" is cut: keep its links with only, or omit its value'
@@ -121,16 +187,18 @@ class Options:
 
         values : {joint: coordinate at the start}
         """
-        for name, value in self.start.items():
+        for name, value in self.numbers.items():
             if abs(value - values[name]) > 1e-9 * (1.0 + abs(value)):
                 raise self.error(
                     ("start", name),
                     f'start: joint "{name}" is {value:g}, but it is locked at {values[name]:g}: omit one of the two',
                 )
 
-    def check_driven(self, moving):
-        """Refuse driven joints that do not move or cannot be driven; moving : {joint: type}."""
+    def check_driven(self, moving, joints):
+        """Refuse driven joints that do not move or cannot be driven; moving : {joint: type}, joints : all names."""
         for name in self.driven:
+            if name not in moving and name in joints:
+                raise self.error(("driven", name), f'driven: joint "{name}" does not move: it is fixed, locked or cut')
             if name not in moving:
                 raise self.unknown(("driven", name), "driven: moving joint", name, moving)
             if moving[name] not in ONE_COORDINATE:
@@ -140,19 +208,22 @@ class Options:
                     f"({', '.join(ONE_COORDINATE)}) can be driven",
                 )
 
-    def with_switches(self, moving):
+    def with_switches(self, moving, values, couplings=()):
         """({joint: its limits}, {joint: its friction}) as keys of a scene; refuses joints that have none.
 
-        moving : [RobotJoint] that move
+        The keys are {} for a coupled joint whose limits or friction act on the joint that it follows.
+
+        moving : [RobotJoint] that move;  values : {joint: coordinate at the start};  couplings : of them
         """
         found = {"stops": {}, "friction": {}}
         for joint in moving:
             lower, upper = (joint.data.get(key) for key in ("lower", "upper"))
             if joint.type in ONE_COORDINATE and joint.name not in self.driven:
-                if (lower is not None or upper is not None) and lower != upper:
+                if _is_range(lower, upper):
                     stops = {"lower": lower, "upper": upper}
                     stops = {k: v for k, v in stops.items() if v is not None} | joint.stop
-                    found["stops"][joint.name] = stops
+                    if joint.name in self.stops or is_within(joint, values[joint.name]):
+                        found["stops"][joint.name] = stops
                 if joint.data.get("friction", 0.0) > 0.0:
                     found["friction"][joint.name] = {"coulomb": joint.data["friction"]}
         for key, known in found.items():
@@ -170,7 +241,36 @@ class Options:
                 )
             if ALL not in names:
                 found[key] = {name: known[name] for name in names}
+        for coupling in couplings * len(couplings) if len(couplings) < MANY else couplings:
+            self._move_to_leader(coupling, values, found["stops"], found["friction"])
         return found["stops"], found["friction"]
+
+    def _move_to_leader(self, coupling, values, stops, friction):
+        """Replace limits and friction of a coupled joint by the same ones of the joint that it follows.
+
+        Two stops, or two joints at rest, would act at once on one motion. Joints that the user named keep theirs.
+        """
+        first, second, ratio = coupling.first, coupling.second, coupling.ratio
+        if not ratio or first == second or second in self.driven:
+            return
+        rigid = [name not in self.stops and "stiffness" not in stops.get(name, {}) for name in (first, second)]
+        if stops.get(first) and all(rigid):
+            offset = values[first] - ratio * values[second] if coupling.offset is None else coupling.offset
+            ends = {key: (stops[first][key] - offset) / ratio for key in ("lower", "upper") if key in stops[first]}
+            if ratio < 0.0:
+                ends = {"upper" if key == "lower" else "lower": value for key, value in ends.items()}
+            own = stops.get(second, {})
+            lower = max(ends.get("lower", -math.inf), own.get("lower", -math.inf))
+            upper = min(ends.get("upper", math.inf), own.get("upper", math.inf))
+            # Round-off of the file's numbers must not exclude the start.
+            lower, upper = min(lower, values[second]), max(upper, values[second])
+            if lower < upper:
+                stops[first] = {}
+                stops[second] = {k: v for k, v in (("lower", lower), ("upper", upper)) if math.isfinite(v)}
+        if friction.get(first) and not {first, second} & set(self.friction):
+            more = abs(ratio) * friction[first]["coulomb"]
+            friction[first] = {}
+            friction[second] = {"coulomb": friction.get(second, {}).get("coulomb", 0.0) + more}
 
     def check_velocities(self, moving):
         """Refuse a velocity of a joint that does not move."""
@@ -182,25 +282,38 @@ class Options:
                 )
 
 
-def _followed(couplings, values, given, rates=False):
+def _is_range(lower, upper):
+    """Whether limits, None for none, leave a joint a range."""
+    return (lower is not None or upper is not None) and (lower is None or upper is None or lower < upper)
+
+
+def is_within(joint, value):
+    """Whether a coordinate of a RobotJoint is within its limits, up to round-off."""
+    lower, upper = (joint.data.get(key) for key in ("lower", "upper"))
+    return (lower is None or value >= lower - BEYOND) and (upper is None or value <= upper + BEYOND)
+
+
+def _followed(couplings, values, given, of_pose, rates=False):
     """Values of joints, with coupled values computed from the given ones or from the coupling's `second`.
 
     values : {joint: coordinate, or velocity if `rates`}; given : names of joints that keep their value
+    of_pose : names of joints that keep it unless a coupling with another value contradicts it
     """
     left = [entry for entry in couplings if {entry.first, entry.second} <= values.keys()]
     left = [entry for entry in left if rates or entry.offset is not None]
-    known = set(given)
+    known, fixed = {*given, *of_pose}, set(given)
     while left:
-        # First couplings with a known joint, then couplings whose `second` follows no other joint.
+        # First couplings with a fixed joint, then with a known one; of these, those whose `second` follows no other.
         firsts = {entry.first for entry in left}
-        entry = next(
-            (e for e in left if {e.first, e.second} & known), next((e for e in left if e.second not in firsts), left[0])
-        )
+        ready = [e for e in left if {e.first, e.second} & fixed]
+        ready = ready or [e for e in left if {e.first, e.second} & known] or left
+        entry = next((e for e in ready if e.second not in firsts), ready[0])
         left.remove(entry)
         offset = 0.0 if rates else entry.offset
-        if entry.first not in known:
+        if entry.first not in known or (entry.second in known and entry.first not in fixed):
             values[entry.first] = entry.ratio * values[entry.second] + offset
-        elif entry.second not in known and entry.ratio:
+        elif entry.second not in fixed and entry.ratio:
             values[entry.second] = (values[entry.first] - offset) / entry.ratio
         known |= {entry.first, entry.second}
+        fixed |= {entry.first, entry.second}
     return values

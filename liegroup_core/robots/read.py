@@ -8,9 +8,11 @@ import numpy as np
 
 from liegroup_core.lie.groups import SO3
 
+from .access import is_permitted, trees
 from .apart import run_apart
-from .description import listed, place, refusal
+from .description import WORLD, listed, place, refusal
 from .mjcf import robot_of_mjcf
+from .resources import packages_around
 from .sdf import robot_of_sdf
 from .urdf import robot_of_urdf
 from .xml import Reader, read_xml, root_tag
@@ -45,7 +47,8 @@ def _read(path, arguments):
     if root.tag == "robot":
         if Path(path).suffix == ".xacro" or any("xacro}" in each.tag for each in root.iter()):
             given = [f"{name}:={value}" for name, value in arguments.items()]
-            text = run_apart("xacro", path, given)
+            near = [folder for folder in packages_around(path).values() if is_permitted(folder)]
+            text = run_apart("xacro", path, given, [*trees(path), *near])
             # Line numbers refer to the expanded text.
             file = f"{path} (expanded)"
             return robot_of_urdf(read_xml(file, text), file, text)
@@ -91,9 +94,10 @@ def _add_group_states(robot, path):
                 values[name] = reader.number(joint, text, f'value of joint "{name}"')
                 unknown += [name] if name not in types else []
             elif name in virtual or (name not in types and count == 7):
-                robot.root_poses[pose] = _pose_of_root(reader, joint, name, text)
+                link = robot.roots[0] if robot.roots else WORLD
+                robot.root_poses[pose] = {link: (_pose_of_root(reader, joint, name, text), np.zeros(6))}
             else:
-                robot.leave_out("values of several coordinates", f"{name} in {pose}")
+                robot.leave_out("values of several coordinates", f"{name} in {pose}", changes_motion=True)
         if unknown:
             raise refusal(
                 path, 0, f'group state "{pose}": the robot has no joint {listed(sorted(set(unknown)))}: correct it'

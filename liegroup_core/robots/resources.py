@@ -2,6 +2,8 @@
 """Files of package:// and model:// addresses. Only local folders are searched."""
 
 import os
+import re
+from contextlib import suppress
 from pathlib import Path
 
 from liegroup_core.errors import SceneError
@@ -11,6 +13,8 @@ from .access import MODEL_PATHS, holds_home, permit, search_folders
 from .xml import read_xml
 
 MARKS = ("package.xml", "model.config")  # one of them is in the folder of a package or model
+_NAME = re.compile(r"<name>\s*([^<\s]+)\s*</name>")  # in a package.xml; reading a workspace takes 20 us a package
+LONGEST_HEAD = 2**16  # characters of a package.xml with its name
 LATEST_SDF = (1, 12)  # latest version that the import supports
 
 
@@ -77,13 +81,40 @@ def _above(rest, file):
         return None
     for folder in Path(file).resolve().parents:
         if holds_home(folder):
-            return None
+            break
         if folder.name == package and (folder / inner).is_file():
             return folder / inner
         beside = folder / package
         if (beside / inner).is_file() and any((beside / mark).is_file() for mark in MARKS):
             return beside / inner
-    return None
+    found = packages_around(file).get(package)
+    return found / inner if found and (found / inner).is_file() else None
+
+
+def find_package(name, file, around):
+    """Folder of a package in the search paths, around a file (packages_around) or above it. Raises SceneError."""
+    above = (folder for folder in Path(file).resolve().parents if folder.name == name and not holds_home(folder))
+    found = None if _leaves(name, "") else _package(name, "") or around.get(name) or next(above, None)
+    if found is None:
+        raise SceneError(f"{_missing('package://', name)}, or put it beside the package of this file")
+    return found
+
+
+def packages_around(file):
+    """{name: folder} of packages with a package.xml: those above a file, and those beside one of them."""
+    found = {}
+    for folder in Path(file).resolve().parents:
+        if holds_home(folder):
+            break
+        manifests = [folder / MARKS[0]]
+        if manifests[0].is_file() and not holds_home(folder.parent):
+            manifests += sorted(folder.parent.glob(f"*/{MARKS[0]}"))
+        for manifest in filter(Path.is_file, manifests):
+            with suppress(OSError), manifest.open(encoding="utf-8", errors="replace") as text:
+                for name in _NAME.findall(text.read(LONGEST_HEAD))[:1]:
+                    found.setdefault(name, manifest.parent)
+            found.setdefault(manifest.parent.name, manifest.parent)
+    return found
 
 
 def _package(name, rest):

@@ -14,12 +14,15 @@ from liegroup_core.fields.frames import rotation_z_to
 from liegroup_core.lie.groups import SE3
 
 from .access import permit
-from .description import WORLD, Coupling, Robot, RobotJoint
+from .controllers import add_servos
+from .description import WORLD, Coupling, Link, Robot, RobotJoint, place
+from .omitted import omit
 from .resources import LATEST_SDF, find_resource, model_file, resolve
+from .rotors import add_rotor
 from .sdf_frames import Model, text_of
-from .sdf_links import read_link, value_of
+from .sdf_links import read_link
 from .sdf_sensors import joint_sensor
-from .xml import Reader, read_xml
+from .xml import Reader, read_xml, value_of
 
 TYPES = {
     "revolute": "revolute",
@@ -50,6 +53,7 @@ KNOWN = {
     "mimic": ("multiplier offset reference", "joint axis"),
 }
 KNOWN["axis2"] = KNOWN["axis"]
+AXES, LAWS = ("axis", "axis2"), ("limit", "dynamics", "mimic")
 PARTS_OF_WORLDS = ("model", "include", "frame", "joint", "gravity")
 PARTS = ("link", "joint", "frame", "model", "pose", "static", "include")
 
@@ -76,7 +80,7 @@ def robot_of_sdf(root, path):
     top = root if world is None else world
     if world is not None:
         robot.name = world.get("name") or "world"
-        gravity = world.find("gravity")
+        gravity = next(world.iterfind("gravity"), world.find("physics/gravity"))  # in <physics> up to version 1.4
         if gravity is not None:
             robot.gravity = tuple(reader.numbers(gravity, gravity.text, 3, "<gravity>"))
     _include(loader, top, 0)
@@ -87,7 +91,7 @@ def robot_of_sdf(root, path):
         robot.name = models[0].get("name") or "model"
     for element in top:
         if world is not None and element.tag not in PARTS_OF_WORLDS:
-            robot.leave_out(f"{element.tag} of the world", element.get("name") or "unnamed")
+            omit(robot, element, f"{element.tag} of the world", element.get("name") or "unnamed")
     robot.leave_out_unknown(root, KNOWN)
     space = Model(reader, top, "", is_world=True)
     _nest(loader, space, 0)
@@ -189,8 +193,10 @@ def _model(loader, model, pose):
             robot.joints.append(RobotJoint(f"{name}_static", "fixed", WORLD, name, robot.links[name].pose, np.eye(4)))
     _joints(loader, model, pose)
     for part in model.element:
+        if part.tag == "plugin" and add_servos(reader, robot, part, model.full):
+            continue
         if part.tag not in PARTS:
-            robot.leave_out(part.tag, part.get("name") or model.name or robot.name)
+            omit(robot, part, part.tag, part.get("name") or model.name or robot.name)
 
 
 def _joints(loader, model, pose):
@@ -221,26 +227,61 @@ def _joint(loader, model, element, model_pose):
     if ends[0] == ends[1]:
         raise reader.error(element, f'joint "{name}" has "{ends[0]}" as parent and as child')
     X = model_pose @ model.pose(element.get("name"), element)
-    axes = [_axis(loader, model, element, key) for key in ("axis", "axis2")]
-    turn = np.eye(4)
-    if TYPES[kind] == "universal":
-        if abs(axes[0] @ axes[1]) > 1e-9:
-            raise reader.error(
-                element, f'joint "{name}" has axes that are not perpendicular: put a link between two revolute joints'
-            )
-        turn[:3, :3] = np.column_stack([axes[0], axes[1], np.cross(axes[0], axes[1])])
+    joint = _placed(robot, element, name, TYPES[kind], ends, X)
+    at, joints = joint.child_frame, [joint]
+    if kind not in ("fixed", "ball"):
+        add_rotor(reader, robot, element, joint, lambda part: part.text)
+    if joint.type == "universal":
+        joints = _universal(loader, model, element, joint, X)
     elif kind not in ("fixed", "ball"):
-        turn[:3, :3] = rotation_z_to(axes[0])
-    frames = [(np.eye(4) if end == WORLD else SE3.inverse(robot.links[end].pose)) @ X @ turn for end in ends]
-    joint = RobotJoint(name, TYPES[kind], *ends, *frames, element.sourceline)
+        _turn(joint, rotation_z_to(_axis(loader, model, element, "axis")))
+        _law(reader, robot, model, element, joint, "axis")
+    elif kind == "ball" and any(element.find(f"{key}/{part}") is not None for key in AXES for part in LAWS):
+        robot.leave_out("limits and dynamics of ball joints", name, changes_motion=True)
     if kind == "screw":
         joint.pitch = _pitch(reader, element, name)
-    _law(reader, robot, model, element, joint)
     for part in element.iterfind("sensor"):
-        joint_sensor(reader, robot, part, joint, frames[1] @ SE3.inverse(turn))
+        joint_sensor(reader, robot, part, joints[-1], at @ model.place_in(element, part))
     for part in element.iterfind("physics"):
         robot.leave_out("physics of joints", part.get("name") or name)
-    robot.joints.append(joint)
+    robot.joints += joints
+
+
+def _placed(robot, element, name, kind, ends, X):
+    """RobotJoint between two links; X : (4, 4) pose of both frames in the world."""
+    frames = [(np.eye(4) if end == WORLD else SE3.inverse(robot.links[end].pose)) @ X for end in ends]
+    return RobotJoint(name, kind, *ends, *frames, element.sourceline)
+
+
+def _turn(joint, R):
+    """Rotate both frames of a RobotJoint by R (3, 3)."""
+    turn = place(rotation=R)
+    joint.parent_frame, joint.child_frame = joint.parent_frame @ turn, joint.child_frame @ turn
+
+
+def _universal(loader, model, element, joint, X):
+    """[RobotJoint] of a universal joint with both frames at X: itself, or two hinges with a massless link between them.
+
+    It is two hinges if an axis has limits, friction, a spring or another law, or if the angle of the axes is not right.
+    """
+    reader, robot, name, cross = loader.reader, loader.robot, joint.name, f"{joint.name}::cross"
+    axes = [_axis(loader, model, element, key) for key in AXES]
+    if np.linalg.norm(np.cross(*axes)) < 1e-6:
+        raise reader.error(element, f'joint "{name}" has parallel axes: make it a revolute joint')
+    robot.links[cross] = Link(cross, element.sourceline, pose=X)
+    hinges = []
+    for key, axis, pair in zip(AXES, axes, ((joint.parent, cross), (cross, joint.child))):
+        hinges.append(_placed(robot, element, f"{name}::{key}", "revolute", pair, X))
+        _turn(hinges[-1], rotation_z_to(axis))
+        _law(reader, robot, model, element, hinges[-1], key)
+    acts = any(hinge.damping or hinge.stiffness or hinge.name in robot.start for hinge in hinges)
+    acts |= any({"lower", "upper", "friction"} & hinge.data.keys() for hinge in hinges)
+    acts |= any(element.find(f"{key}/mimic") is not None for key in AXES)
+    if acts or abs(axes[0] @ axes[1]) > 1e-9:
+        return hinges
+    del robot.links[cross]
+    _turn(joint, np.column_stack([*axes, np.cross(*axes)]))
+    return [joint]
 
 
 def _axis(loader, model, element, key):
@@ -276,44 +317,35 @@ def _pitch(reader, element, name):
     raise reader.error(element, f'joint "{name}" has no <screw_thread_pitch>: give one, in m per turn')
 
 
-def _law(reader, robot, model, element, joint):
-    """Damping, springs and limits of a joint."""
-    if joint.type in ("fixed", "spherical"):
+def _law(reader, robot, model, element, joint, key):
+    """Damping, spring and limits of a joint with one coordinate, from <axis> or <axis2>."""
+    axis = element.find(key)
+    if axis is None:
         return
-    for key in ("axis", "axis2"):
-        axis = element.find(key)
-        if axis is None:
-            continue
-        dynamics, limit = axis.find("dynamics"), axis.find("limit")
-        if text_of(axis, "initial_position") is not None:
-            robot.leave_out("initial_position of joints", joint.name, changes_motion=True)
-        if axis.find("mimic") is not None and key == "axis":
-            _mimic(reader, robot, model, axis.find("mimic"), joint)
-        damping, stiffness, friction = (
-            0.0 if dynamics is None else value_of(reader, dynamics, part, 0.0)
-            for part in ("damping", "spring_stiffness", "friction")
-        )
-        if min(damping, stiffness, friction) < 0.0:
-            raise reader.error(dynamics, f'damping, friction and stiffness of "{joint.name}" must not be negative')
-        if joint.type == "universal":
-            if damping or stiffness:
-                robot.leave_out("springs and dampers of universal joints", joint.name, changes_motion=True)
-            continue
-        if key == "axis2":
-            continue
-        joint.damping, joint.stiffness = damping, stiffness
-        if stiffness:
-            joint.rest = value_of(reader, dynamics, "spring_reference", 0.0)
-        if friction:
-            joint.data["friction"] = friction
-        if limit is not None:
-            for part in ("lower", "upper", "velocity", "effort"):
-                value = text_of(limit, part)
-                number = math.inf if value is None else _limit(reader, limit, value, part)
-                # The format writes 1e16 and inf for no limit, and -1 for no effort or velocity.
-                if abs(number) < 1e15 and (part in ("lower", "upper") or number >= 0.0):
-                    joint.data[part] = number
-            joint.stop = _stop(reader, limit)
+    dynamics, limit = axis.find("dynamics"), axis.find("limit")
+    if axis.find("initial_position") is not None:
+        robot.start_at(joint, value_of(reader, axis, "initial_position", 0.0))
+    if axis.find("mimic") is not None:
+        _mimic(reader, robot, model, axis.find("mimic"), joint)
+    damping, stiffness, friction = (
+        0.0 if dynamics is None else value_of(reader, dynamics, part, 0.0)
+        for part in ("damping", "spring_stiffness", "friction")
+    )
+    if min(damping, stiffness, friction) < 0.0:
+        raise reader.error(dynamics, f'damping, friction and stiffness of "{joint.name}" must not be negative')
+    joint.damping, joint.stiffness = damping, stiffness
+    if stiffness:
+        joint.rest = value_of(reader, dynamics, "spring_reference", 0.0)
+    if friction:
+        joint.data["friction"] = friction
+    if limit is not None:
+        for part in ("lower", "upper", "velocity", "effort"):
+            value = text_of(limit, part)
+            number = math.inf if value is None else _limit(reader, limit, value, part)
+            # The format writes 1e16 and inf for no limit, and -1 for no effort or velocity.
+            if abs(number) < 1e15 and (part in ("lower", "upper") or number >= 0.0):
+                joint.data[part] = number
+        joint.stop = _stop(reader, limit)
 
 
 def _stop(reader, limit):

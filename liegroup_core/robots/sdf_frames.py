@@ -61,6 +61,14 @@ class Model:
             model = model.outer
         return found
 
+    def place_in(self, element, part):
+        """(4, 4) pose of a part of a link or joint, such as a sensor, in the frame of this element."""
+        raw, base = read_pose(self.reader, part)
+        name = element.get("name")
+        if base in (None, name):
+            return raw
+        return SE3.inverse(self.pose(name, part)) @ self.pose(base, part) @ raw
+
     def placed(self):
         """(4, 4) pose of this nested model in the enclosing model."""
         return self.outer._pose(self.element.get("name"), self.element)

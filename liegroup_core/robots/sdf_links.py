@@ -9,15 +9,14 @@ import math
 
 import numpy as np
 
-from liegroup_core.lie.groups import SE3
-
 from .description import Link, Visual
 from .links import combined
+from .omitted import OF_GRAVITY, omit
 from .sdf_frames import read_pose, text_of
 from .sdf_sensors import link_sensor
+from .xml import value_of
 
-# Parts of a link that do not influence its motion.
-OF_LINKS = ("pose", "inertial", "visual", "collision", "gravity")
+OF_LINKS = ("pose", "inertial", "visual", "collision", "sensor", *OF_GRAVITY)  # that are read
 WATER = 1000.0  # kg/m^3, the format's density of a shape
 
 
@@ -45,42 +44,23 @@ def read_link(reader, robot, model, element):
         link.com = pose[:3, 3]
         if inertial.get("auto") in ("true", "1"):
             _fill(reader, robot, model, element, link)
-        if inertial.find("fluid_added_mass") is not None:
-            robot.leave_out("fluid_added_mass", name, changes_motion=True)
+        for part in inertial.iterfind("fluid_added_mass"):
+            omit(robot, part, "fluid_added_mass of links", name)
     for visual in element.iterfind("visual"):
-        visuals = _visuals(reader, visual, _place(reader, model, element, visual))
+        visuals = _visuals(reader, visual, model.place_in(element, visual))
         link.visuals += visuals
         if not visuals:
             robot.leave_out("visuals that are not drawn", visual.get("name") or name)
     for _ in element.iterfind("collision"):
         robot.leave_out("collision", name, changes_motion=True)
-    if text_of(element, "gravity") in ("false", "0"):
-        robot.leave_out("links without gravity", name, changes_motion=True)
-    if text_of(element, "kinematic") in ("true", "1"):
-        robot.leave_out("kinematic links", name, changes_motion=True)
-    for part in element.iterfind("velocity_decay"):
-        if any(value_of(reader, part, key, 0.0) for key in ("linear", "angular")):
-            robot.leave_out("velocity_decay of links", name, changes_motion=True)
+    if any(text_of(element, key) in ("false", "0") for key in OF_GRAVITY):
+        link.weight = 0.0
     for part in element.iterfind("sensor"):
-        link_sensor(reader, robot, part, name, _place(reader, model, element, part))
+        link_sensor(reader, robot, part, name, model.place_in(element, part))
     for part in element:
-        if part.tag not in (*OF_LINKS, "kinematic", "velocity_decay", "sensor"):
-            robot.leave_out(f"{part.tag} of links", part.get("name") or name)
+        if part.tag not in OF_LINKS:
+            omit(robot, part, f"{part.tag} of links", part.get("name") or name)
     return link
-
-
-def value_of(reader, element, key, default):
-    """Number of a child element."""
-    found = element.find(key)
-    return float(default) if found is None else reader.number(found, found.text, f"<{key}>")
-
-
-def _place(reader, model, element, part):
-    """(4, 4) pose of a part of a link in the frame of the link."""
-    pose, base = read_pose(reader, part)
-    if base in (None, element.get("name")):
-        return pose
-    return SE3.inverse(model.pose(element.get("name"), part)) @ model.pose(base, part) @ pose
 
 
 def _fill(reader, robot, model, element, link):
@@ -97,7 +77,7 @@ def _fill(reader, robot, model, element, link):
                 f'inertia of link "{link.name}" is automatic, which is not supported for this shape: write '
                 "its <mass> and <inertia>, and remove auto",
             )
-        pose = _place(reader, model, element, collision)
+        pose = model.place_in(element, collision)
         mass = value_of(reader, collision, "density", density) * filled[0]
         R = pose[:3, :3]
         shapes.append((mass, pose[:3, 3], R @ np.diag(mass * np.array(filled[1])) @ R.T))

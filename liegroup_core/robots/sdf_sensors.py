@@ -10,7 +10,7 @@ import numpy as np
 from liegroup_core.lie.groups import SE3
 
 from .description import RobotSensor, place
-from .sdf_frames import read_pose, text_of
+from .sdf_frames import text_of
 
 AXES = "xyz"
 NOISES = "noise of sensors that a scene does not have"
@@ -35,10 +35,10 @@ def link_sensor(reader, robot, element, link, pose):
     robot.sensors.append(RobotSensor(name, "imu", element.sourceline, link, None, pose, values))
 
 
-def joint_sensor(reader, robot, element, joint, at):
+def joint_sensor(reader, robot, element, joint, pose):
     """Append a force_torque sensor in a RobotJoint; other sensors are left out.
 
-    at : (4, 4) joint frame of the file in the frame of the child
+    pose : (4, 4) of the sensor in the frame of the child; the torque is about its origin, whatever its axes are
     """
     name = element.get("name") or f"{joint.name}_sensor"
     if element.get("type") != "force_torque":
@@ -51,7 +51,7 @@ def joint_sensor(reader, robot, element, joint, at):
     )
     R = np.eye(3) if axes == "child" else None
     if axes == "sensor":
-        R = at[:3, :3] @ read_pose(reader, element)[0][:3, :3]
+        R = pose[:3, :3]
     elif axes == "parent" and joint.type == "fixed":
         R = (joint.child_frame @ SE3.inverse(joint.parent_frame))[:3, :3]
     if R is None or direction not in ("child_to_parent", "parent_to_child"):
@@ -69,7 +69,7 @@ def joint_sensor(reader, robot, element, joint, at):
             robot.leave_out(NOISES, name)
     robot.sensors.append(
         RobotSensor(
-            name, "force_torque", element.sourceline, joint=joint.name, frame=place(at[:3, 3], R), values=values
+            name, "force_torque", element.sourceline, joint=joint.name, frame=place(pose[:3, 3], R), values=values
         )
     )
 

@@ -8,12 +8,19 @@ Own code: urdf_parser_py and yourdfpy keep no line numbers and accept a mass tha
 same name; the latter takes a missing moment of inertia as 1.
 """
 
+import math
+
 import numpy as np
+from lxml import etree
 
 from liegroup_core.fields.frames import rotation_z_to
+from liegroup_core.lie.groups import SE3
 
-from .description import WORLD, Coupling, Link, Robot, RobotJoint, Visual, place
-from .sdf_frames import read_pose
+from .controllers import add_servos
+from .description import WORLD, Coupling, Link, Robot, RobotJoint, Visual, meant, place
+from .omitted import ACTING, PARTS, omit
+from .rotors import OF_ROTOR, add_rotor
+from .sdf_frames import read_pose, text_of
 from .sdf_sensors import joint_sensor, link_sensor
 from .xml import Reader
 
@@ -26,6 +33,8 @@ JOINTS = {
     "planar": "planar",
     "floating": "floating",
 }
+# {type of a <drake:joint>: type in a scene}
+OF_DRAKE = {"ball": "spherical", "universal": "universal", "planar": "planar", "screw": "screw"}
 # {element: (children, attributes)} that are read, or that have no effect.
 KNOWN = {
     "inertial": ("origin mass inertia", ""),
@@ -41,6 +50,10 @@ KNOWN = {
     "limit": ("", "lower upper effort velocity acceleration jerk"),
     "mimic": ("", "joint multiplier offset"),
 }
+# {element of <gazebo>: texts with which gravity does not act on the link}
+GRAVITY = {"turnGravityOff": ("true", "1"), "gravity": ("false", "0")}
+NO_EFFECT = ("implicitSpringDamper", "provideFeedback", "preserveFixedJoint", "disableFixedJointLumping")
+SPRING = {"springStiffness": "stiffness", "springReference": "rest"}  # elements of <gazebo>, for a joint
 LIMITS = ("lower", "upper", "velocity", "effort")
 
 
@@ -58,12 +71,13 @@ def robot_of_urdf(root, file, text):
                     f'link "{link.name}" is defined twice, first on line {robot.links[link.name].line}: keep one',
                 )
             robot.links[link.name] = link
-        elif element.tag == "joint":
+        elif element.tag == "joint" or _is_drake(element, "joint"):
             joints.append(element)
-        elif element.tag != "material" and "}" not in element.tag:
-            name = element.get("name") or element.get("reference") or "unnamed"
-            if element.tag != "gazebo" or any(part.tag != "sensor" for part in element):
-                robot.leave_out(element.tag, name)
+        elif element.prefix == "drake":
+            own = etree.QName(element).localname
+            robot.leave_out(f"drake:{own}", element.get("name") or "unnamed", not own.startswith("collision"))
+        elif element.tag not in ("material", "gazebo", "transmission") and "}" not in element.tag:
+            robot.leave_out(element.tag, element.get("name") or "unnamed")
     if not robot.links:
         raise reader.error(root, "has no <link>: give the description of a robot")
     for element in root:
@@ -78,25 +92,92 @@ def robot_of_urdf(root, file, text):
             )
         lines[joint.name] = joint.line
         robot.joints.append(joint)
-    for element in root.iterfind("gazebo"):
-        _sensors(reader, robot, element)
+    for element in root.iterfind("transmission"):
+        _rotor(reader, robot, element)
     _couplings(reader, robot, joints)
     robot.check_couplings()
     _place_links(robot)
+    for element in root.iterfind("gazebo"):
+        _gazebo(reader, robot, element)
+    for element in root.iterfind("ros2_control/joint"):
+        _start(reader, robot, element)
     return robot
 
 
-def _sensors(reader, robot, element):
-    """Sensors of a <gazebo> element, which refers to a link or a joint."""
+def _gazebo(reader, robot, element):
+    """Read sensors, springs and gravity of a <gazebo> element, which refers to a link, a joint or the robot."""
     name = element.get("reference")
-    joint = next((joint for joint in robot.joints if joint.name == name), None)
-    for sensor in element.iterfind("sensor"):
-        if name in robot.links:
-            link_sensor(reader, robot, sensor, name, read_pose(reader, sensor)[0])
-        elif joint is not None:
-            joint_sensor(reader, robot, sensor, joint, np.eye(4))
+    link, joint = robot.links.get(name), robot.joint(name)
+    label, left = name or "unnamed", False
+    for part in element:
+        if part.tag == "sensor" and link is not None:
+            link_sensor(reader, robot, part, name, _place_in(reader, robot, name, part))
+        elif part.tag == "sensor" and joint is not None:
+            joint_sensor(reader, robot, part, joint, _place_in(reader, robot, joint.child, part))
+        elif part.tag == "sensor":
+            robot.leave_out("sensor", part.get("name") or label)
+        elif link is not None and part.tag in GRAVITY:
+            link.weight = 0.0 if text_of(element, part.tag) in GRAVITY[part.tag] else link.weight
+        elif joint is not None and part.tag in SPRING:
+            setattr(joint, SPRING[part.tag], reader.number(part, part.text, f"<{part.tag}>"))
+        elif part.tag == "plugin" and add_servos(reader, robot, part, str):
+            continue
+        elif part.tag in ("plugin", *ACTING, *PARTS):
+            omit(robot, part, f"{part.tag} of <gazebo>", label)
         else:
-            robot.leave_out("sensor", sensor.get("name") or name or "unnamed")
+            left |= part.tag not in NO_EFFECT
+    if left:
+        robot.leave_out("gazebo", label)
+    if joint is not None and joint.stiffness < 0.0:
+        raise reader.error(element, f'<springStiffness> of joint "{name}" must not be negative')
+
+
+def _start(reader, robot, element):
+    """Start values of a joint of <ros2_control>."""
+    joint = robot.joint(element.get("name"))
+    if joint is None or any(coupling.first == joint.name for coupling in robot.couplings):
+        return
+    for interface in element.iterfind("state_interface"):
+        kind = interface.get("name")
+        for part in interface.iterfind("param[@name='initial_value']"):
+            if kind in ("position", "velocity"):
+                robot.start_at(joint, reader.number(part, part.text, f"initial_value of {kind}"), kind == "velocity")
+    for part in element.iterfind("param[@name='mimic']"):
+        robot.leave_out("mimic of <ros2_control>", f"{joint.name} ({part.text})", changes_motion=True)
+
+
+def _place_in(reader, robot, link, sensor):
+    """(4, 4) pose of a sensor in the frame of a link, with all joint coordinates 0."""
+    pose, base = read_pose(reader, sensor)
+    # The frame of a joint is that of its child.
+    base = next((joint.child for joint in robot.joints if joint.name == base), base)
+    if base in (None, link):
+        return pose
+    if base not in robot.links:
+        raise reader.unknown(sensor, "frame", base, robot.links)
+    return SE3.inverse(robot.links[link].pose) @ robot.links[base].pose @ pose
+
+
+def _rotor(reader, robot, element):
+    """Rotor of a <transmission>, in the extensions of Drake: drake:rotor_inertia and drake:gear_ratio."""
+    actuator, end, name = element.find("actuator"), element.find("joint"), element.get("name") or "unnamed"
+    of_drake = [] if actuator is None else [part for part in actuator if part.prefix == "drake"]
+    for part in of_drake:
+        own = etree.QName(part).localname
+        if own not in OF_ROTOR:
+            where = f"<drake:{own}> in <actuator> of line {part.sourceline}{meant(own, OF_ROTOR)}"
+            robot.leave_out("unknown parts of the URDF file", where, changes_motion=True)
+    joint = None if end is None else robot.joint(end.get("name"))
+    if joint is None:
+        what = "transmission without a known joint" if of_drake else "transmission"
+        robot.leave_out(what, name, changes_motion=bool(of_drake))
+        return
+    if of_drake:
+        add_rotor(reader, robot, actuator, joint, lambda part: part.get("value"))
+        if element.find(".//mechanicalReduction") is not None and "ratio" not in joint.rotor:
+            robot.leave_out("mechanicalReduction beside a rotor without <drake:gear_ratio>", name, changes_motion=True)
+    if not joint.rotor:
+        robot.leave_out("transmission", name, changes_motion=bool(of_drake))
 
 
 def _link(reader, robot, element):
@@ -106,17 +187,18 @@ def _link(reader, robot, element):
     inertial = element.find("inertial")
     if inertial is not None and link.name != WORLD:
         mass, inertia = inertial.find("mass"), inertial.find("inertia")
-        for part, what in ((mass, "mass"), (inertia, "inertia")):
+        for part, what in ((inertia, "inertia"), (mass, "mass")):
             if part is None:
-                raise reader.error(inertial, f'<inertial> of link "{link.name}" has no <{what}>')
-        link.mass = reader.attribute(mass, "value")
+                link.lacks = inertial.sourceline, f'<inertial> of link "{link.name}" has no <{what}>'
+        link.mass = 0.0 if mass is None else reader.attribute(mass, "value")
         if link.mass < 0.0:
             raise reader.error(mass, f'mass of link "{link.name}" must not be negative, got {link.mass:g}')
-        xx, yy, zz = (reader.attribute(inertia, key) for key in ("ixx", "iyy", "izz"))
-        xy, xz, yz = (reader.attribute(inertia, key, 0.0) for key in ("ixy", "ixz", "iyz"))
         origin = _origin(reader, inertial)
         R = origin[:3, :3]
-        link.inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        if inertia is not None:
+            xx, yy, zz = (reader.attribute(inertia, key) for key in ("ixx", "iyy", "izz"))
+            xy, xz, yz = (reader.attribute(inertia, key, 0.0) for key in ("ixy", "ixz", "iyz"))
+            link.inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         if not np.array_equal(R, np.eye(3)):
             link.inertia = R @ link.inertia @ R.T
         link.com = origin[:3, 3]
@@ -129,7 +211,7 @@ def _link(reader, robot, element):
         robot.leave_out("collision", link.name, changes_motion=True)
     for child in element:
         if child.tag not in ("inertial", "visual", "collision", "material"):
-            robot.leave_out(f"{child.tag} of links", link.name)
+            omit(robot, child, f"{child.tag} of links", link.name)
     return link
 
 
@@ -165,9 +247,9 @@ def _visuals(reader, visual):
 
 def _joint(reader, robot, element):
     name = reader.name(element)
-    kind = element.get("type", "")
-    if kind not in JOINTS:
-        raise reader.error(element, f'joint "{name}" has the type {kind!r:.40}; choose one of: {", ".join(JOINTS)}')
+    kind, kinds = element.get("type", ""), OF_DRAKE if _is_drake(element, "joint") else JOINTS
+    if kind not in kinds:
+        raise reader.error(element, f'joint "{name}" has the type {kind!r:.40}; choose one of: {", ".join(kinds)}')
     ends = []
     for end in ("parent", "child"):
         part = element.find(end)
@@ -180,15 +262,28 @@ def _joint(reader, robot, element):
     if ends[0] == ends[1]:
         raise reader.error(element, f'joint "{name}" has "{ends[0]}" as parent and as child')
     turn = np.eye(4)
-    if kind not in ("fixed", "floating"):
+    if kind not in ("fixed", "floating", "ball", "universal"):
         axis = element.find("axis")
         vector = np.array([1.0, 0.0, 0.0]) if axis is None else reader.vector(axis, "xyz", (1.0, 0.0, 0.0))
         turn = place(
             rotation=rotation_z_to(reader.direction(element if axis is None else axis, vector, f'axis of "{name}"'))
         )
-    joint = RobotJoint(name, JOINTS[kind], *ends, _origin(reader, element) @ turn, turn, element.sourceline)
+    joint = RobotJoint(name, kinds[kind], *ends, _origin(reader, element) @ turn, turn, element.sourceline)
+    for part in element if kinds is OF_DRAKE else ():
+        if _is_drake(part, "screw_thread_pitch"):
+            joint.pitch = reader.attribute(part, "value") / (2.0 * math.pi)  # m per turn
+        elif part.tag not in KNOWN["joint"][0].split():
+            where = f"<{etree.QName(part).localname}> in <drake:joint> of line {part.sourceline}"
+            robot.leave_out("unknown parts of the URDF file", where, changes_motion=True)
+    if kind == "screw" and not joint.pitch:
+        raise reader.error(element, f'joint "{name}" has no <drake:screw_thread_pitch>: give one, in m per turn')
     _law(reader, robot, element, joint, kind)
     return joint
+
+
+def _is_drake(element, name):
+    """Whether an element is `name` in the extensions of Drake."""
+    return element.prefix == "drake" and etree.QName(element).localname == name
 
 
 def _law(reader, robot, element, joint, kind):
@@ -197,7 +292,11 @@ def _law(reader, robot, element, joint, kind):
     if joint.type in ("fixed", "floating"):
         return
     if dynamics is not None:
-        joint.damping = reader.attribute(dynamics, "damping", 0.0)
+        damping = dynamics.get("damping", "").split() if kind == "planar" else ()
+        if len(damping) == 3:  # of Drake: of both displacements and the rotation
+            joint.damping = max(abs(reader.numbers(dynamics, dynamics.get("damping"), 3, "damping")))
+        else:
+            joint.damping = reader.attribute(dynamics, "damping", 0.0)
         friction = reader.attribute(dynamics, "friction", 0.0)
         for value, what in ((joint.damping, "damping"), (friction, "friction")):
             if value < 0.0:

@@ -3,6 +3,7 @@
 
 import math
 import os
+import re
 
 import numpy as np
 from lxml import etree
@@ -13,6 +14,10 @@ from .description import place, refusal, rotation_of_rpy
 
 LARGEST_FILE = 64 * 2**20  # bytes; descriptions of large robots have 1 MB
 LONGEST_NAME = 1000  # characters, also of the address of a mesh
+# Prefixes of elements and attributes, declared ones, and the start of the first element.
+_PREFIX = re.compile(rb"[<\s]/?([A-Za-z_][\w.-]*):[A-Za-z_][\w.-]*(?=[\s=/>])")
+_DECLARED = re.compile(rb"\sxmlns:([A-Za-z_][\w.-]*)\s*=")
+_ROOT = re.compile(rb"\A(?:\xef\xbb\xbf|\s|<\?.*?\?>|<!--.*?-->|<!DOCTYPE[^>]*>)*<[A-Za-z_][\w.:-]*", re.DOTALL)
 MOST_PARTS = 500_000  # elements and attributes; a parsed one takes some 200 bytes
 
 
@@ -89,6 +94,22 @@ class Reader:
         return self.error(element, f"{what} {name!r:.60} does not exist; {hint}")
 
 
+def value_of(reader, element, key, default):
+    """Number of a child element."""
+    found = element.find(key)
+    return float(default) if found is None else reader.number(found, found.text, f"<{key}>")
+
+
+def _with_prefixes(content):
+    """The bytes with a declaration of each prefix that has none, as readers that know no namespaces expect it."""
+    used = set(_PREFIX.findall(content)) - set(_DECLARED.findall(content)) - {b"xml", b"xmlns"}
+    root = _ROOT.search(content) if used else None
+    if root is None:
+        return content
+    given = b"".join(b' xmlns:%s="%s"' % (prefix, prefix) for prefix in sorted(used))
+    return content[: root.end()] + given + content[root.end() :]
+
+
 def read_xml(path, text=None):
     """Root element of an XML file, or of `text` instead of the file's content. Raises SceneError.
 
@@ -104,6 +125,7 @@ def read_xml(path, text=None):
         raise refusal(path, 0, f"is larger than {LARGEST_FILE >> 20} MiB: give a robot file")
     if content.count(b"<") - content.count(b"</") + content.count(b"=") > MOST_PARTS:
         raise refusal(path, 0, f"has more than {MOST_PARTS} elements and attributes: give a robot file")
+    content = _with_prefixes(content)
     parser = etree.XMLParser(
         resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False, remove_comments=True, remove_pis=True
     )

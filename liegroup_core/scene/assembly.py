@@ -294,10 +294,14 @@ def cannot_close(linkage, poses):
                 ("couplings", i),
             )
     k = int(np.argmax(sizes))
-    (gap, tilt), j = gaps[k], linkage.numbers[k]
+    (gap, tilt), j, joint = gaps[k], linkage.numbers[k], linkage.joints[k]
+    wanted, length = getattr(joint, "length", None), ""
+    if wanted is not None:
+        apart = np.linalg.norm(linkage.relative(k, poses)[:3, 3])
+        length = f": its length is {wanted:.6g} m, the nearest possible one {apart:.6g} m"
     return SceneError(
-        f'joints[{j}] "{linkage.joints[k].name}": cannot be assembled, the remaining '
-        f"constraint violation is {gap:.3g} m and {tilt:.3g} rad; check the lengths, "
+        f'joints[{j}] "{joint.name}": cannot be assembled, the remaining '
+        f"constraint violation is {gap:.3g} m and {tilt:.3g} rad{length}; check the lengths, "
         "start from poses closer to the assembled ones, or fix fewer bodies",
         ("joints", j),
     )

@@ -254,8 +254,8 @@ def _check_stops(scene, start):
     if not switches_of(scene):
         return
     for switch, q in switch_coordinates(scene, start, resolve_frames(scene)):
-        if switch.limits is None:
-            continue
+        if switch.limits is None or (switch.kind == DISTANCE and switch.limits.stiffness is not None):
+            continue  # a compliant cable or strut may bear load at the start
         q = switch.limits.at_start(q) if switch.is_angle else q
         off = switch.limits.excess(q)
         if off > TOLERANCE * (1.0 + abs(q)):

@@ -8,6 +8,7 @@ from liegroup_core.joints.coupling import Coupling
 from liegroup_core.joints.motion import Motion
 from liegroup_core.joints.rotor import Rotor
 from liegroup_core.joints.stops import Backlash, Cone, CylinderFriction, CylinderLimits, Friction, Limits
+from liegroup_core.robots.starts import Start
 
 from .description import FORCES, JOINTS, SENSORS, Body, Scene
 from .robot_file import RobotFile
@@ -29,6 +30,7 @@ PARTS = {
     "forces": FORCES,
     "sensors": SENSORS,
     "file beside a robot": (RobotFile,),
+    "start of a link": (Start,),
 }
 
 

@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field, WithJsonSchema
 
 from liegroup_core.errors import SceneError
-from liegroup_core.fields.values import Described, Name, Number, Text, Vector3
+from liegroup_core.fields.values import Described, Flag, Name, Number, Text, Vector3
 from liegroup_core.joints.coupling import Coupling
 from liegroup_core.joints.motion import Motion
 from liegroup_core.robots.chains import base_of
@@ -23,6 +23,7 @@ from liegroup_core.robots.mapping import scene_parts
 from liegroup_core.robots.options import BASES, Options
 from liegroup_core.robots.read import read_robot
 from liegroup_core.robots.resources import beside
+from liegroup_core.robots.starts import Start
 from liegroup_core.robots.text import scene_text
 
 from .description import FORCES, JOINTS, SENSORS, entries_of, list_of
@@ -39,6 +40,19 @@ def _mapped(value):
 
 # {joint: number}; a key without a value is an empty mapping.
 ByJoint = Annotated[dict[str, Number], BeforeValidator(_mapped)]
+
+
+def _start(value):
+    """Start of a mapping of keys to values, for links and joints with several coordinates."""
+    return Start.model_validate(value) if isinstance(value, Mapping) else value
+
+
+# {joint: number, or link or joint: Start}
+Starts = Annotated[
+    dict[str, Annotated[Number | Start, BeforeValidator(_start)]],
+    BeforeValidator(_mapped),
+    WithJsonSchema({"type": "object"}),
+]
 
 
 def _motions(value):
@@ -89,7 +103,11 @@ class RobotFile(Described):
     )
     srdf: Text | None = Field(None, description="path of an SRDF file with group states, relative to this file")
     xacro: Arguments = Field({}, description="arguments of a xacro file, by name")
-    start: ByJoint = Field({}, description="joint coordinates at the start, rad or m")
+    start: Starts = Field(
+        {},
+        description="joint coordinates at the start, rad or m; for a floating link, or a joint with several "
+        "coordinates, a mapping: see start of a link",
+    )
     start_velocity: ByJoint = Field(
         {}, description="joint velocities at the start, rad/s or m/s; default: 0, or those of the keyframe"
     )
@@ -99,8 +117,11 @@ class RobotFile(Described):
         description="fixed joints that are not merged, so that their reactions are known; fixed joints "
         "with a force_torque sensor are never merged",
     )
-    stops: list_of(Text) = Field((), description="joints whose limits are rigid stops, or all; see stops and friction")
-    friction: list_of(Text) = Field((), description="joints whose dry friction acts, or all; see stops and friction")
+    stops: list_of(Text) = Field(
+        ("all",), description="joints whose limits are stops; default: all that start within them; []: none"
+    )
+    friction: list_of(Text) = Field(("all",), description="joints whose dry friction acts; default: all; []: none")
+    actuators: Flag = Field(True, description="false: the servos and motors of an MJCF file do not act")
     driven: Annotated[dict[str, Motion | None], BeforeValidator(_motions)] = Field(
         {}, description="driven joints, each with its motion, or without a value to keep its velocity at the start"
     )
@@ -202,6 +223,7 @@ def robot_beside(root, source):
         keep=list(given.keep),
         stops=list(given.stops),
         friction=list(given.friction),
+        actuators=given.actuators,
         driven=given.driven,
         only=list(given.only),
         joints=list(given.joints),

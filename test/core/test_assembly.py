@@ -330,6 +330,28 @@ def test_an_impossible_loop_is_refused_with_joint_and_gap():
         assembled(bar_between(1.5, position=(0.25, 0, 0), initial="fixed"))
 
 
+def test_a_rod_that_is_too_short_says_which_length_is_possible():
+    """Two cranks of 0.25 m whose pivots are 1 m apart: their ends come to 0.5 m."""
+    crank = (
+        "{{name: {0}, type: revolute, parent: world, child: {1}, parent_frame: {{position: [{2}, 0, 0]}}, "
+        "child_frame: {{}}}}"
+    )
+    text = """
+name: short
+assemble: true
+gravity: [0, 0, 0]
+bodies: [{name: left, mass: 1, inertia: [1, 1, 1]}, {name: right, mass: 1, inertia: [1, 1, 1]}]
+joints:
+  - CRANK0
+  - CRANK1
+  - {name: rod, type: distance, parent: left, child: right, length: 0.3,
+     parent_frame: {position: [0, 0.25, 0]}, child_frame: {position: [0, 0.25, 0]}}
+"""
+    text = text.replace("CRANK0", crank.format("a", "left", 0)).replace("CRANK1", crank.format("b", "right", 1))
+    with pytest.raises(SceneError, match=r'"rod": .*: its length is 0\.3 m, the nearest possible one 0\.5 m'):
+        scene_from_text(text)
+
+
 def test_an_assembly_error_names_the_line_in_the_file():
     text = load_scene("four_bar").text.replace("{position: [1.0, 0.0, 0.0]}", "{position: [5.0, 0.0, 0.0]}")
     with pytest.raises(SceneError) as caught:

@@ -24,5 +24,5 @@ def test_all_code_blocks_of_the_python_page_run(tmp_path, monkeypatch, capsys):
     # The same second of the same pendulum: rkmk4 at 1 ms is off by 1e-9 or so.
     runs = [names[name].sample().positions["arm"] for name in ("exact", "adaptive", "product")]
     assert np.ptp(runs, axis=0).max() < 1e-7
-    assert load_scene("pendulum.yaml").bodies == names["pendulum"].bodies
+    assert load_scene("rod.yaml").bodies == names["pendulum"].bodies
     assert names["facts"]["degrees_of_freedom"] == 3

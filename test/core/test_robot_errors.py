@@ -17,6 +17,7 @@ from liegroup_core import SceneError, Simulation, load_scene
 from liegroup_core.joints.kinds import Joint
 from liegroup_core.layout import make_layout
 from liegroup_core.robots import apart
+from liegroup_core.robots.access import served_from
 from liegroup_core.robots.options import Options
 from liegroup_core.scene.load import scene_from_robot, scene_from_text
 
@@ -204,6 +205,36 @@ XACRO_WITH_ARGUMENTS = (
         '<xacro:arg name="length" default="0.5"/><xacro:property name="length" value="$(arg length)"/>')
     .replace('<mass value="1"/>', '<mass value="$(arg m)"/>')
 )  # fmt: skip
+
+
+def test_xacro_finds_the_packages_around_a_file(tmp_path, monkeypatch):
+    """The folder of the package by its name or its package.xml, packages beside it, AMENT_PREFIX_PATH first."""
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    part = '<robot xmlns:xacro="http://ros.org"><xacro:property name="length" value="{}"/></robot>'
+    files = {"arm_src": 0.5, "other_src": 0.8, "installed/share/other": 1.0}
+    for folder, length in files.items():
+        (tmp_path / folder / "urdf").mkdir(parents=True)
+        (tmp_path / folder / "urdf" / "part.xacro").write_text(part.format(length))
+    for folder, name in (("arm_src", "arm"), ("other_src", "other")):
+        (tmp_path / folder / "package.xml").write_text(f"<package><name>{name}</name></package>")
+    path = tmp_path / "arm_src" / "urdf" / "two.urdf.xacro"
+
+    def length(package):
+        line = f'<xacro:include filename="$(find {package})/urdf/part.xacro"/>'
+        path.write_text(XACRO.replace('<xacro:property name="length" value="0.5"/>', line))
+        return 2 * load_scene(path).bodies[0].com[0]
+
+    assert [length(name) for name in ("arm", "arm_src", "other", "other_src")] == [0.5, 0.5, 0.8, 0.8]
+    with pytest.raises(SceneError, match=r"xacro:2: xacro: the package 'none' is not found: source its workspace"):
+        length("none")
+    with served_from([tmp_path / "arm_src"]):
+        assert length("arm") == 0.5
+        with pytest.raises(SceneError, match="xacro: .*part.xacro is not read|package 'other' is not found"):
+            length("other")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "installed"))
+    assert length("other") == 1.0
+    (tmp_path / "arm_src" / "package.xml").unlink()
+    assert length("arm_src") == 0.5
 
 
 def test_arguments_of_xacro(tmp_path):
@@ -448,6 +479,33 @@ def test_a_moving_end_needs_mass(tmp_path):
     assert refusal(path).startswith(f'{path}:2: link "a" at the end of joint "j" has no mass')
 
 
+BARE = """<robot name="r"><link name="base"><inertial><mass value="9"/></inertial></link>
+<link name="a"><inertial><mass value="2"/><inertia ixx="0.1" iyy="0.2" izz="0.25"/></inertial></link>
+<link name="load">
+<inertial><origin xyz="0 0.3 0.1" rpy="0.4 0 0"/><mass value="0.5"/></inertial></link>
+<joint name="j" type="continuous"><parent link="base"/><child link="a"/></joint>
+<joint name="k" type="{}"><parent link="a"/><child link="load"/><origin xyz="0.2 0 0"/></joint></robot>"""
+
+
+def test_links_without_inertia_are_fixed_to_the_world_or_merged(tmp_path):
+    """Of the base nothing counts; the load is a point mass, which the parallel axis theorem adds."""
+    path = tmp_path / "bare.urdf"
+    path.write_text(BARE.format("fixed"))
+    scene = load_scene(path)
+    (body,) = scene.bodies
+    com = 0.2 * np.array([0.2, 0.3, 0.1])
+    d = np.array([0.2, 0.3, 0.1])  # reduced mass 2 * 0.5 / 2.5 at the distance of both centres
+    inertia = np.diag([0.1, 0.2, 0.25]) + 0.4 * (d @ d * np.eye(3) - np.outer(d, d))
+    assert body.mass == 2.5 and body.com == pytest.approx(com, abs=1e-15)
+    assert body.inertia == pytest.approx(inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]], abs=1e-15)
+    assert "without <inertia>, merged as a point mass: load" in scene.notes
+    path.write_text(BARE.format("continuous"))
+    text = f'{path}:4: <inertial> of link "load" has no <inertia>, and the link moves: give one, or fix it to the world'
+    assert refusal(path) == text
+    path.write_text(BARE.format("fixed").replace('<mass value="0.5"/>', '<inertia ixx="1" iyy="1" izz="1"/>'))
+    assert refusal(path) == text.replace("<inertia>", "<mass>")
+
+
 def test_what_is_cut_does_not_change_the_base(tmp_path):
     path = tmp_path / "five_bar.urdf"
     path.write_text(five_bar_urdf())
@@ -459,9 +517,10 @@ def test_misspelt_parts_of_urdf_are_noted(tmp_path):
     path = urdf(tmp_path, DAMPING, '<dynamic damping="4"/>')
     scene = load_scene(path)
     found = [note for note in scene.notes if "unknown parts" in note]
+    line = ARM_URDF.count(chr(10), 0, ARM_URDF.index('<joint name="extend')) + 1
     assert found == [
         "changes the motion: unknown parts of the URDF file, left out: <dynamic> in <joint> of line "
-        f"{ARM_URDF.count(chr(10), 0, ARM_URDF.index('<joint name=' + chr(34) + 'extend')) + 1}"
+        f"{line} (did you mean dynamics?)"
     ], found
     assert found[0] in scene.differences
 
@@ -475,6 +534,7 @@ def test_misspelt_parts_of_urdf_are_noted(tmp_path):
         ('<origin xyz="0.5 0 0"/> <axis', '<origin xyz="0.5 0 0" rpj="1"/> <axis', "rpj in <origin>", True),
         ('<origin xyz="0.5 0 0"/> <geom', '<origin xyz="0.5 0 0" rpj="1"/> <geom', "rpj in <origin>", False),
         ('<limit effort="1"/>', '<limit effort="1" current="3"/>', "current in <limit>", False),
+        ('<limit effort="1"/>', '<limit efort="1"/>', "efort in <limit> of line 6 (did you mean effort?)", True),
     ],
 )
 def test_unknown_parts_that_define_the_motion_change_it(tmp_path, old, new, part, changes):
@@ -527,8 +587,10 @@ def test_a_start_outside_the_limits_is_noted(tmp_path):
         (-1.25, 1.5, ["shoulder at -1.25 (from -1 to 2), extend at 1.5 (from -1 to 1)"]),
     ):
         scene = scene_from_robot(path, Options(start={"shoulder": shoulder, "extend": extend}))
-        head = "start outside the joint limits: "
-        assert [note.removeprefix(head) for note in scene.notes if note.startswith(head)] == expected
+        head, tail = "changes the motion: start outside of the limits, which do not act: ", "; give start values"
+        notes = [note.removeprefix(head).removesuffix(tail) for note in scene.notes if note.startswith(head)]
+        assert notes == expected
+        assert [joint.limits is None for joint in scene.joints] == [shoulder in (2.5, -1.25), extend == 1.5]
 
 
 def test_damping_of_a_light_link_is_noted_with_its_time(tmp_path):

@@ -7,8 +7,10 @@ from robot_texts import ARM_SDF, ARM_URDF, bar
 from scipy.integrate import solve_ivp
 
 from liegroup_core import SceneError, Simulation, load_scene
+from liegroup_core.robots.omitted import passive
 from liegroup_core.robots.options import Options
 from liegroup_core.robots.read import read_robot
+from liegroup_core.robots.resources import find_resource
 from liegroup_core.scene.load import scene_from_robot
 
 INERTIAL = "<inertial><mass>2</mass><inertia><ixx>0.1</ixx><iyy>0.2</iyy><izz>0.25</izz></inertia></inertial>"
@@ -126,6 +128,15 @@ def test_package_addresses(tmp_path, monkeypatch):
     (share / "arm.urdf").write_text(ARM_URDF)
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
     assert load_scene("package://my_robot/arm.urdf").bodies[0].name == "upper"
+    monkeypatch.delenv("AMENT_PREFIX_PATH")
+    other = tmp_path / "share" / "other_src"
+    other.mkdir()
+    for folder, name in ((share, "robot"), (other, "other")):
+        (folder / "package.xml").write_text(f"<package><name> {name} </name></package>")
+        (folder / "part.stl").write_text("")
+    for name, folder in (("my_robot", share), ("robot", share), ("other", other), ("other_src", other), ("none", None)):
+        found = find_resource(f"package://{name}/part.stl", share / "arm.urdf")
+        assert found == (folder and folder / "part.stl")
 
 
 FOUR_BAR = """<mujoco><option gravity="0 -9.81 0"/><worldbody>
@@ -253,7 +264,7 @@ def test_a_group_state_has_the_pose_of_a_floating_root_link(virtual, tmp_path):
     assert root.position == pytest.approx((1, 2, 3), abs=1e-15)
     assert root.quaternion == pytest.approx((0, 0, 0.6, 0.8), abs=1e-15)
     path.write_text("robot: two.urdf\nsrdf: two.srdf\npose: up\n")
-    note = 'left out: pose of the root link in group state "up", because this link does not float'
+    note = 'changes the motion: pose of the root link in "up" left out, because it does not float'
     assert note in load_scene(path).notes
 
 
@@ -375,10 +386,10 @@ def test_what_sdf_has_and_a_scene_has_not_is_noted(tmp_path):
     path.write_text(UNUSUAL)
     notes = load_scene(path).notes
     for what in (
-        "changes the motion: fluid_added_mass, left out: a",
-        "changes the motion: kinematic links, left out: a",
+        "changes the motion: fluid_added_mass of links, left out: a",
+        "changes the motion: kinematic of links, left out: a",
         "changes the motion: velocity_decay of links, left out: a",
-        "changes the motion: initial_position of joints, left out: j",
+        "start values of the file: j = 0.4",
         "left out: 1 visuals that are not drawn (ground)",
         "left out: 1 sensor of joints (touch)",
         "left out: 1 physics of joints (j)",
@@ -389,16 +400,317 @@ def test_what_sdf_has_and_a_scene_has_not_is_noted(tmp_path):
         assert what in notes, (what, notes)
 
 
-def test_a_servo_of_mjcf_changes_the_motion(tmp_path):
-    path = tmp_path / "servo.xml"
-    path.write_text(
-        '<mujoco><worldbody><body><joint name="j"/><geom size="0.1"/></body></worldbody>'
-        '<actuator><position name="servo" joint="j" kp="100"/><motor name="free" joint="j"/>'
-        "</actuator></mujoco>"
+ACTING = """<world name="w"><wind><linear_velocity>5 0 0</linear_velocity></wind>
+<plugin filename="gz-sim-buoyancy-system" name="gz::sim::systems::Buoyancy"/>
+<plugin filename="gz-sim-physics-system" name="gz::sim::systems::Physics"/><scene/>
+<model name="m"><enable_wind>1</enable_wind><plugin filename="gz-sim-joint-position-controller-system" name="hold"/>
+<link name="a">{}<enable_wind>0</enable_wind><velocity_decay><linear>0</linear></velocity_decay></link>
+<joint name="j" type="revolute"><parent>world</parent><child>a</child><axis><xyz>1 0 0</xyz></axis></joint>
+</model></world>"""
+ON_GAZEBO = """<gazebo><plugin filename="libgazebo_ros2_control.so" name="ros"/><static>0</static>
+<plugin filename="libhydrodynamics.so" name="water"/></gazebo>
+<gazebo reference="a"><mu1>1</mu1><dampingFactor>0.1</dampingFactor><selfCollide>1</selfCollide></gazebo>"""
+
+
+def test_what_acts_is_noted_as_a_change_of_the_motion_in_each_format(tmp_path):
+    assert [*load_scene(sdf(tmp_path, ACTING.format(INERTIAL))).notes] == [
+        "changes the motion: wind of the world, left out: unnamed",
+        "changes the motion: plugins that may act on bodies or joints, left out: gz::sim::systems::Buoyancy, hold",
+        "changes the motion: enable_wind, left out: w",
+        "left out: 1 plugin (gz::sim::systems::Physics)",
+        "left out: 1 scene of the world (unnamed)",
+    ]
+    path = tmp_path / "swing.urdf"
+    in_link = '<link name="a"><kinematic>1</kinematic><gravity>0</gravity>'  # of no reader of URDF
+    path.write_text(SWING.format(more=ON_GAZEBO).replace('<link name="a">', in_link))
+    assert [*load_scene(path).notes] == [
+        "fixed to the world: base",
+        "merged into a: b",
+        "changes the motion: kinematic of links, left out: a",
+        "changes the motion: gravity of links, left out: a",
+        "changes the motion: plugins that may act on bodies or joints, left out: water",
+        "changes the motion: dampingFactor of <gazebo>, left out: a",
+        "left out: 1 plugin (ros)",
+        "left out: 1 gazebo (a)",
+    ]
+
+
+HOLD = """<plugin filename="gz-sim-joint-position-controller-system" name="gz::sim::systems::JointPositionController">
+<joint_name>j</joint_name><p_gain>10</p_gain><d_gain>0.5</d_gain>{}</plugin>"""
+HELD = """<model name="m">{}<link name="a"><inertial><mass>2</mass><inertia><ixx>0.3</ixx></inertia></inertial></link>
+<joint name="j" type="revolute"><parent>world</parent><child>a</child><axis><xyz>1 0 0</xyz></axis></joint></model>"""
+
+
+@pytest.mark.parametrize(
+    "more, effort",
+    [
+        ("<i_gain>0</i_gain>", 10.0 * (0.0 - 0.4) - 0.5 * 1.5),
+        ("<i_gain>0</i_gain><initial_position>1</initial_position>", 10.0 * (1.0 - 0.4) - 0.5 * 1.5),
+        ("<i_gain>0</i_gain><cmd_max>2</cmd_max><cmd_min>-2</cmd_min>", -2.0),
+        ("", None),  # the default integral gain is 0.1
+        ("<i_gain>0</i_gain><cmd_max>2</cmd_max>", None),
+        ("<i_gain>0</i_gain><use_velocity_commands>true</use_velocity_commands>", None),
+    ],
+)
+@pytest.mark.parametrize("kind", ["sdf", "urdf"])
+def test_a_position_controller_of_gazebo_is_a_servo_if_it_equals_one(kind, more, effort, tmp_path):
+    path = sdf(tmp_path, HELD.format(HOLD.format(more)))
+    if kind == "urdf":
+        path = tmp_path / "hold.urdf"
+        path.write_text(f"""<robot name="m"><link name="base"/><link name="a"><inertial><mass value="2"/>
+<inertia ixx="0.3" iyy="1" izz="1"/></inertial></link><joint name="j" type="continuous"><parent link="base"/>
+<child link="a"/></joint><gazebo>{HOLD.format(more)}</gazebo></robot>""")
+    at = {"start": {"j": 0.4}, "start_velocity": {"j": 1.5}}
+    scene = scene_from_robot(path, Options(**at))
+    noted = [note for note in scene.notes if note.startswith("changes the motion: plugins")]
+    assert len(noted) == (effort is None) and len(scene.forces) == (effort is not None)
+    sample = Simulation(scene, "rkmk4", 1e-3, estimate=False, quiet=True).sample()
+    # The axis passes through the centre of mass.
+    assert sample.accelerations["a"][0] == pytest.approx((effort or 0.0) / 0.3, rel=1e-12)
+    assert not scene_from_robot(path, Options(driven={"j": None})).forces
+
+
+@pytest.mark.parametrize(
+    "file, acts",
+    [
+        ("gz-sim-imu-system", False),
+        ("libgazebo_ros_joint_state_publisher.so", False),
+        ("gz_ros2_control-system", False),
+        ("ignition::gazebo::systems::UserCommands", False),
+        ("libSimulationForces.so", True),  # no imu
+        ("gz-sim-joint-trajectory-controller-system", True),
+        ("gz-sim-multicopter-control-system", True),
+        ("libmimic_joint_plugin.so", True),
+    ],
+)
+def test_a_plugin_acts_unless_its_name_says_that_it_measures_or_waits(file, acts):
+    assert passive(file) is not acts
+
+
+SWING = """<robot name="swing"><link name="base"/>
+<link name="a"><inertial><origin xyz="0.1 0.3 0"/><mass value="2"/>
+  <inertia ixx="0.1" iyy="0.2" izz="0.25" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="b"><inertial><origin xyz="0 0.05 0"/><mass value="0.7"/>
+  <inertia ixx="0.01" iyy="0.02" izz="0.025" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="c"><inertial><origin xyz="0.2 0 0"/><mass value="1.1"/>
+  <inertia ixx="0.01" iyy="0.02" izz="0.025" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="j" type="continuous"><parent link="base"/><child link="a"/><axis xyz="1 0.2 0"/></joint>
+<joint name="f" type="fixed"><parent link="a"/><child link="b"/><origin xyz="0 0.6 0"/></joint>
+<joint name="k" type="continuous"><parent link="b"/><child link="c"/><origin xyz="0 0.1 0"/></joint>{more}</robot>"""
+
+
+@pytest.mark.parametrize("off", [(), ("a",), ("b",), ("a", "b"), ("c",), ("a", "b", "c")])
+def test_links_without_gravity_and_springs_of_gazebo_have_mujocos_accelerations(off, tmp_path):
+    """MuJoCo has the same as gravcomp and stiffness; `b` is merged into `a` here, and a body of its own there."""
+    mujoco = pytest.importorskip("mujoco")
+    tags = ("<turnGravityOff>true</turnGravityOff>", "<gravity>0</gravity>", "<turnGravityOff>1</turnGravityOff>")
+    more = "".join(f'<gazebo reference="{name}">{tag}</gazebo>' for name, tag in zip(off, tags))
+    more += """<gazebo reference="k"><springStiffness>4</springStiffness><springReference>0.2</springReference>
+<implicitSpringDamper>1</implicitSpringDamper></gazebo><ros2_control name="hw" type="system">
+<joint name="j"><state_interface name="position"><param name="initial_value">0.4</param></state_interface>
+<state_interface name="velocity"><param name="initial_value">-1.5</param></state_interface></joint></ros2_control>"""
+    path = tmp_path / "swing.urdf"
+    path.write_text(SWING.format(more=more))
+    scene = load_scene(path)
+    assert "start values of the file: j = 0.4" in scene.notes
+    assert not any("changes the motion" in note for note in scene.notes)
+    sample = Simulation(scene, "rkmk4", 1e-3, estimate=False, quiet=True).sample()
+    head = '<robot name="swing">'
+    whole = f'{head}<mujoco><compiler fusestatic="false"/></mujoco>'
+    spec = mujoco.MjSpec.from_string(SWING.format(more="").replace(head, whole))
+    for body in spec.bodies:
+        body.gravcomp = body.name in off
+    model = spec.compile()
+    model.jnt_stiffness[1], model.qpos_spring[1] = 4.0, 0.2
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = (0.4, 0.0), (-1.5, 0.0)
+    mujoco.mj_forward(model, data)
+    turns = [sample.accelerations[name][:3] for name in ("a", "c")]
+    # The second axis is x of both links, the first one is fixed in the world.
+    axis = np.array([1.0, 0.2, 0.0]) / np.hypot(1.0, 0.2)
+    assert turns[0] @ axis == pytest.approx(data.qacc[0], rel=1e-9)
+    assert turns[1][0] - turns[0][0] == pytest.approx(data.qacc[1], rel=1e-9)
+
+
+DRAKE = """<robot name="d" xmlns:drake="http://drake.mit.edu"><link name="base"/>
+<link name="a"><inertial><origin xyz="0.1 0 -0.2"/><mass value="1"/>
+<inertia ixx="0.01" iyy="0.02" izz="0.025" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<drake:joint name="j" type="{}"><parent link="base"/><child link="a"/><origin xyz="0 0 1" rpy="0.3 0.2 0.1"/>
+<axis xyz="0 0.6 0.8"/>{}</drake:joint></robot>"""
+IN_MUJOCO = {
+    "ball": '<joint type="ball"/>',
+    "universal": '<joint axis="1 0 0"/><joint axis="0 1 0"/>',
+    # The x and y axes of the plane may be any: these are perpendicular to its normal.
+    "planar": '<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 0.8 -0.6"/><joint axis="0 0.6 0.8"/>',
+}
+
+
+@pytest.mark.parametrize("kind", IN_MUJOCO)
+def test_joints_of_drake_have_mujocos_accelerations(kind, tmp_path):
+    mujoco = pytest.importorskip("mujoco")
+    path = tmp_path / "drake.urdf"
+    path.write_text(DRAKE.format(kind, "<dynamics damping='0 0 0'/>" if kind == "planar" else ""))
+    sample = Simulation(load_scene(path), "rkmk4", 1e-3, estimate=False, quiet=True).sample()
+    model = mujoco.MjModel.from_xml_string(f"""<mujoco><compiler angle="radian" eulerseq="XYZ"/><worldbody>
+<body name="a" pos="0 0 1" euler="0.3 0.2 0.1">{IN_MUJOCO[kind]}<inertial pos="0.1 0 -0.2" mass="1"
+diaginertia="0.01 0.02 0.025"/></body></worldbody></mujoco>""")
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    mujoco.mj_rnePostConstraint(model, data)
+    found = np.zeros(6)
+    mujoco.mj_objectAcceleration(model, data, mujoco.mjtObj.mjOBJ_XBODY, 1, found, 1)
+    found[3:] += sample.poses["a"][:3, :3].T @ [0, 0, -9.81]
+    assert sample.accelerations["a"] == pytest.approx(found, rel=1e-9, abs=1e-9)
+
+
+def test_a_screw_of_drake_has_its_pitch_in_m_per_turn(tmp_path):
+    path = tmp_path / "drake.urdf"
+    path.write_text(DRAKE.format("screw", '<drake:screw_thread_pitch value="0.005"/>'))
+    (joint,) = load_scene(path).joints
+    assert (joint.type, joint.pitch) == ("screw", pytest.approx(0.005 / (2 * np.pi), rel=1e-15))
+    path.write_text(DRAKE.format("screw", ""))
+    with pytest.raises(SceneError, match=r'drake.urdf:4: joint "j" has no <drake:screw_thread_pitch>'):
+        load_scene(path)
+    path.write_text(DRAKE.format("curvilinear", ""))
+    with pytest.raises(
+        SceneError, match=r"drake.urdf:4: .*'curvilinear'; choose one of: ball, universal, planar, screw"
+    ):
+        load_scene(path)
+
+
+def test_what_drake_has_and_a_scene_has_not_is_noted(tmp_path):
+    """Transmissions whose rotor acts are not left out."""
+    path = tmp_path / "drake.urdf"
+    more = """<drake:linear_bushing_rpy name="bush"/><drake:collision_filter_group name="g"/>
+<joint name="k" type="continuous"><parent link="a"/><child link="b"/></joint>{}</robot>""".format(
+        "".join(
+            f'<transmission name="{name}"><joint name="k"/><actuator name="m">{part}</actuator></transmission>'
+            for name, part in (
+                ("plain", ""),
+                ("geared", '<drake:rotor_inertia value="0.1"/><drake:gearratio value="10"/>'),
+                ("reduced", '<drake:rotor_inertia value="0.1"/><mechanicalReduction>10</mechanicalReduction>'),
+            )
+        )
     )
-    notes = load_scene(path).notes
-    assert "left out: 1 actuators (free)" in notes
-    assert any(note.startswith("changes the motion") and "servo" in note for note in notes)
+    text = DRAKE.format("ball", '<dynamics damping="0.1"/><drake:damping value="0.1"/>')
+    text = text.replace(
+        "<drake:joint",
+        text[text.index('<link name="a"') : text.index("<drake:joint")].replace('name="a"', 'name="b"')
+        + "<drake:joint",
+    )
+    path.write_text(text.replace("</robot>", more))
+    scene = load_scene(path)
+    assert scene.joints[1].rotor.inertia == 0.1
+    assert [note for note in scene.notes if "left out" in note] == [
+        "changes the motion: drake:linear_bushing_rpy, left out: bush",
+        "changes the motion: unknown parts of the URDF file, left out: <damping> in <drake:joint> of line 7, "
+        "<drake:gearratio> in <actuator> of line 8 (did you mean gear_ratio?)",
+        "changes the motion: mechanicalReduction beside a rotor without <drake:gear_ratio>, left out: reduced",
+        "changes the motion: springs and damping of spherical joints, left out: j",
+        "left out: 1 drake:collision_filter_group (g)",
+        "left out: 1 transmission (plain)",
+    ]
+
+
+def test_gravity_of_links_of_sdf(tmp_path):
+    """A free link without gravity keeps its velocity; the other one falls."""
+    links = "".join(
+        f'<link name="{name}"><pose>{x} 0 0 0 0 0</pose>{INERTIAL}<gravity>{on}</gravity></link>'
+        for name, x, on in (("a", 0, "false"), ("b", 1, "true"))
+    )
+    scene = load_scene(sdf(tmp_path, f'<model name="m">{links}</model>'))
+    assert "without gravity: a" in scene.notes
+    accelerations = Simulation(scene, "rkmk4", 1e-3, estimate=False, quiet=True).sample().accelerations
+    assert accelerations["a"] == pytest.approx(np.zeros(6), abs=1e-14)
+    assert accelerations["b"] == pytest.approx([0, 0, 0, 0, 0, -9.81], abs=1e-14)
+
+
+DRIVEN = """<mujoco><option><flag contact="disable" {flag}/></option><worldbody>
+<body><joint name="j"/><geom size="0.1"/><site name="s"/>
+<body pos="0.3 0 0"><joint name="i"/><geom size="0.1"/></body></body>
+<body pos="0 1 0"><joint name="b" type="ball"/><geom size="0.1" pos="0.2 0 0"/></body></worldbody>
+<tendon><fixed name="t"><joint joint="i" coef="1"/><joint joint="j" coef="2"/></fixed></tendon>
+<actuator>{actuators}</actuator><keyframe><key name="k" {key}/></keyframe></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    "actuators, forces, data, notes",
+    [
+        (
+            '<position name="p" joint="j" kp="100" ctrlrange="-1 0.5" forcerange="-5 5"/>',
+            [("p", 100.0, 0.0, 5.0)],
+            {"lower": -1.0, "upper": 0.5},
+            ["actuators as servos: p of j"],
+        ),
+        ('<velocity name="p" joint="j" kv="3" ctrlrange="-2 1"/>', [("p", 0.0, 3.0, None)], {"velocity": 2.0}, []),
+        (
+            '<motor name="p" joint="j" gear="2" ctrlrange="-1 3" forcerange="-2.5 2"/>',
+            [],
+            {"effort": 4.0},
+            ["actuators whose commands are efforts of joints: p of j"],
+        ),
+        (
+            '<position name="p" joint="j" forcerange="-1 5"/>',
+            [],
+            None,
+            ["changes the motion: servos with several or unequal limits of their force, left out: p"],
+        ),
+        (
+            '<position name="p" joint="j" forcerange="-5 5"/><velocity name="v" joint="j"/>',
+            [],
+            None,
+            ["changes the motion: servos with several or unequal limits of their force, left out: p, v"],
+        ),
+        (
+            '<general name="p" joint="j" biastype="affine" biasprm="0 5 0"/>',
+            [],
+            None,
+            ["changes the motion: actuators that push away from their target, left out: p"],
+        ),
+        (
+            '<position name="p" tendon="t"/>',
+            [],
+            None,
+            ["changes the motion: servos of tendons with several joints that are not coupled, left out: p"],
+        ),
+        (
+            '<general name="p" site="s" gear="1 0 0 0 0 0" biastype="affine" biasprm="1 0 0"/>',
+            [],
+            None,
+            ["changes the motion: actuators that are not affine, or not of joints with one coordinate, left out: p"],
+        ),
+        ('<motor name="p" joint="b"/>', [], None, ["left out: 1 actuators (p)"]),
+    ],
+)
+def test_actuators_of_mjcf(actuators, forces, data, notes, tmp_path):
+    """(stiffness, damping, limit) of servos, the range of commands, and what is said."""
+    path = tmp_path / "driven.xml"
+    path.write_text(DRIVEN.format(flag="", actuators=actuators, key=""))
+    scene = load_scene(path)
+    assert [(each.name, each.stiffness, each.damping, each.effort_limit) for each in scene.forces] == forces
+    assert scene.joints[0].data == data
+    assert set(notes) <= set(scene.notes) and bool(scene.differences) == any("changes" in note for note in notes)
+    path.write_text(DRIVEN.format(flag='actuation="disable"', actuators=actuators, key=""))
+    off = load_scene(path)
+    assert not off.forces and not off.differences
+
+
+def test_a_servo_of_the_user_replaces_that_of_the_file(tmp_path):
+    """Also a prescribed motion; and an activation that a keyframe moves is said."""
+    path, beside = tmp_path / "driven.xml", tmp_path / "own.yaml"
+    servo = '<position name="p" joint="j" kp="100"/><intvelocity name="v" joint="i"/>'
+    path.write_text(DRIVEN.format(flag="", actuators=servo, key='ctrl="0.1 0.2"'))
+    beside.write_text("robot: driven.xml\npose: k\nforces:\n  - {name: p, type: servo, joint: j, stiffness: 2}\n")
+    scene = load_scene(beside)
+    assert [(each.name, each.stiffness) for each in scene.forces] == [("p", 2.0)]
+    assert "actuators replaced by a servo or a motion that you gave: p" in scene.notes
+    what = "changes the motion: actuators whose activation changes at the start, left out: v"
+    assert scene.differences == [what]
+    beside.write_text("robot: driven.xml\nactuators: false\n")
+    assert load_scene(beside).differences == ["changes the motion: actuators, left out: p, v"]
+    beside.write_text("robot: driven.xml\ndriven: {j: }\n")
+    scene = load_scene(beside)
+    assert [each.joint for each in scene.forces] == ["i"] and not scene.differences
 
 
 @pytest.mark.parametrize(("version", "noted"), [("1.12", False), ("1.13", True), ("2.0", True)])
@@ -456,7 +768,71 @@ def test_stops_of_sdf_are_compliant_if_they_are_not_its_defaults(stop, expected,
     limits = joint.limits
     assert (limits.lower, limits.upper) == (-0.3, 0.6)
     assert (limits.stiffness, limits.damping) == expected
-    assert load_scene(path).joints[0].limits is None
+    assert load_scene(path).joints[0].limits == limits
+
+
+CARDAN = """<model name="m"><link name="a"><inertial><pose>0.1 0 -0.3 0 0 0</pose><mass>1</mass>
+<inertia><ixx>.01</ixx><iyy>.02</iyy><izz>.025</izz></inertia></inertial></link>
+<joint name="uj" type="{type}"><parent>world</parent><child>a</child>
+<axis><xyz>1 0 0</xyz>{first}</axis><axis2><xyz>{second} 1 0</xyz>{last}</axis2></joint></model>"""
+SPRING = "<dynamics><damping>0.3</damping><spring_stiffness>2</spring_stiffness></dynamics>"
+
+
+@pytest.mark.parametrize("kind, second", [("universal", 0.0), ("revolute2", 0.0), ("universal", 0.4)])
+def test_axes_of_a_universal_joint_have_laws_of_their_own(kind, second, tmp_path):
+    """MuJoCo has two hinges of one body."""
+    mujoco = pytest.importorskip("mujoco")
+    last = "<dynamics><damping>0.1</damping><friction>0.05</friction></dynamics><limit><lower>-0.2</lower></limit>"
+    text = CARDAN.format(type=kind, first=SPRING, second=second, last=last)
+    options = Options(start={"uj::axis": 0.5, "uj::axis2": 0.3}, start_velocity={"uj::axis": 1.0, "uj::axis2": -2.0})
+    scene = scene_from_robot(sdf(tmp_path, text), options)
+    first, other = scene.joints
+    assert (first.limits, first.friction) == (None, None)
+    assert (other.limits.lower, other.limits.upper, other.friction.coulomb) == (-0.2, None, 0.05)
+    sample = Simulation(scene, "rkmk4", 1e-3, estimate=False, quiet=True).sample()
+    model = mujoco.MjModel.from_xml_string(f"""<mujoco><worldbody><body name="a"><joint axis="1 0 0" stiffness="2"
+damping="0.3"/><joint axis="{second} 1 0" damping="0.1"/><inertial pos="0.1 0 -0.3" mass="1"
+diaginertia=".01 .02 .025"/></body></worldbody></mujoco>""")
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:], data.qfrc_applied[1] = (0.5, 0.3), (1.0, -2.0), 0.05  # sliding friction
+    mujoco.mj_forward(model, data)
+    mujoco.mj_rnePostConstraint(model, data)
+    found = np.zeros(6)
+    mujoco.mj_objectAcceleration(model, data, mujoco.mjtObj.mjOBJ_XBODY, 1, found, 1)
+    found[3:] += sample.poses["a"][:3, :3].T @ [0, 0, -9.81]
+    # MuJoCo's linear acceleration is that of the origin, which is on both axes: 0.
+    assert sample.accelerations["a"] == pytest.approx(found, rel=1e-9, abs=1e-9)
+
+
+def test_a_universal_joint_stays_within_its_limits(tmp_path):
+    """It moves as with far limits until it is at a stop, and passes none."""
+    start = {"start_velocity": {"uj::axis": 2.0, "uj::axis2": 1.0}}
+    turned = []
+    for most in ((0.3, 0.2), (3.0, 3.0)):
+        first, last = (f"<limit><lower>-{each}</lower><upper>{each}</upper></limit>" for each in most)
+        path = sdf(tmp_path, CARDAN.format(type="universal", first=first, second=0, last=last))
+        simulation = Simulation(scene_from_robot(path, Options(**start)), "rkmk4", 1e-3, estimate=False, quiet=True)
+        turned.append([])
+        for _ in range(100):
+            simulation.advance(10)
+            coordinates = simulation.sample().joint_coordinates
+            turned[-1].append([coordinates[f"uj__{key}"][0] for key in ("axis", "axis2")])
+    turned, free = map(np.abs, turned)
+    # Steps of 1 ms are accurate to 1e-9.
+    assert (free.max(axis=0) > [0.3, 0.2]).all() and (turned.max(axis=0) < np.array([0.3, 0.2]) + 1e-9).all()
+    before = np.argmax((free > [0.3, 0.2]).any(axis=1))
+    assert before > 5 and turned[:before] == pytest.approx(free[:before], abs=1e-9)
+
+
+def test_axes_that_a_joint_cannot_use_are_refused_or_noted(tmp_path):
+    text = CARDAN.format(type="universal", first="", second=0, last="").replace("0 1 0", "1 0 0")
+    with pytest.raises(SceneError, match=r'model.sdf:3: joint "uj" has parallel axes'):
+        load_scene(sdf(tmp_path, text))
+    usual = "<initial_position>0</initial_position><limit><lower>-1e16</lower></limit><dynamics/>"
+    (joint,) = load_scene(sdf(tmp_path, CARDAN.format(type="universal", first=usual, second=0, last=""))).joints
+    assert (joint.name, joint.type) == ("uj", "universal")
+    notes = load_scene(sdf(tmp_path, CARDAN.format(type="ball", first=SPRING, second=0, last=""))).notes
+    assert "changes the motion: limits and dynamics of ball joints, left out: uj" in notes
 
 
 def test_a_limit_of_a_ball_joint_of_mjcf_is_no_cone(tmp_path):
@@ -473,3 +849,155 @@ def test_a_limit_of_a_ball_joint_of_mjcf_is_no_cone(tmp_path):
         "changes the motion: limits of the rotation angle of ball joints, which differs from the angle of a "
         "cone, left out: s" in scene.notes
     )
+
+
+def test_springs_and_servos_act_from_the_start_of_a_joint_beyond_half_a_turn(tmp_path):
+    """A scene counts their angle from (-pi, pi]: 4 rad are 4 - 2 pi."""
+    path = tmp_path / "wound.xml"
+    path.write_text(
+        """<mujoco><compiler angle="radian"/><worldbody><body><joint name="j" stiffness="2" springref="0.5"/>
+        <geom size="0.1" pos="0.3 0 0"/></body></worldbody><actuator><position joint="j" kp="3"/></actuator>
+        <keyframe><key name="k" qpos="4" ctrl="5"/></keyframe></mujoco>"""
+    )
+    spring, servo = scene_from_robot(path, Options(pose="k")).forces
+    angle = 4.0 - 2.0 * np.pi
+    assert spring.stiffness * (spring.rest_angle - angle) == pytest.approx(2.0 * (0.5 - 4.0), rel=1e-14)
+    assert servo.stiffness * (servo.position - angle) == pytest.approx(3.0 * (5.0 - 4.0), rel=1e-14)
+
+
+TENDONS = """<mujoco><worldbody><site name="w" pos="0.2 0 1.2"/>
+<body name="a"><joint name="ja" axis="0 1 0"/><geom size="0.1" pos="0.2 0 0"/><site name="sa" pos="0.4 0.1 0"/>
+  <body name="b" pos="0.5 0 0"><joint name="jb" axis="0 1 1"/><geom size="0.1" pos="0.2 0 0"/>
+    <site name="sb" pos="0.1 0.3 0.1"/></body></body>
+<body name="c" pos="0 1 0"><joint name="jc" axis="0 1 0" ref="20"/><geom size="0.1" pos="0.2 0 0"/>
+  <site name="sc" pos="0.1 0.1 0.1"/></body></worldbody>
+<tendon>{}</tendon><equality>{}</equality></mujoco>"""
+
+
+def test_straight_tendons_move_as_in_mujoco(tmp_path):
+    """A spring, one that only pulls beyond 0.95 m, and one that acts beyond 1.037 and 1.05 m; 1 s with rkmk4.
+
+    MuJoCo's RK4 with 2e-5 s crosses the kinks of the laws inside a step: errors of about stiffness speed step^3 /
+    inertia, 1e-11.
+    """
+    mujoco = pytest.importorskip("mujoco")
+    text = TENDONS.format(
+        '<spatial name="ja" stiffness="30" damping="2" springlength="0.9"><site site="sa"/><site site="w"/></spatial>'
+        '<spatial stiffness="50" damping="1" springlength="0 0.95"><site site="sb"/><site site="sc"/></spatial>'
+        '<spatial stiffness="40" springlength="1.037 1.05"><site site="sa"/><site site="sc"/></spatial>',
+        "",
+    )
+    path = tmp_path / "pulled.xml"
+    path.write_text(text)
+    scene = load_scene(path)
+    assert [joint.type for joint in scene.joints] == ["revolute"] * 3 + ["cable", "cable", "strut"]
+    assert not [note for note in scene.differences if "collision" not in note]
+    model = mujoco.MjModel.from_xml_path(str(path))
+    model.opt.integrator, model.opt.timestep = mujoco.mjtIntegrator.mjINT_RK4, 2e-5
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    data, simulation, lengths = mujoco.MjData(model), Simulation(scene, "rkmk4", 2e-4), []
+    for _ in range(10):
+        simulation.advance(500)
+        for _ in range(5000):
+            mujoco.mj_step(model, data)
+        mujoco.mj_kinematics(model, data)
+        lengths.append(data.ten_length.copy())
+        for name, pose in simulation.sample().poses.items():
+            assert pose[:3, 3] == pytest.approx(data.body(name).xpos, abs=1e-9)
+            assert pose[:3, :3].ravel() == pytest.approx(data.body(name).xmat, abs=1e-9)
+    lengths = np.array(lengths)
+    assert lengths[:, 1].min() < 0.95 < lengths[:, 1].max()
+    assert lengths[:, 2].min() < 1.037 and 1.05 < lengths[:, 2].max()
+
+
+def test_limits_and_equalities_of_tendons(tmp_path):
+    """Limits are a cable and a strut. Lengths count from the pose of the file; 3 joints are no coupling."""
+    path = tmp_path / "coupled.xml"
+    path.write_text(
+        TENDONS.format(
+            '<spatial name="l" range="0.3 3"><site site="sa"/><site site="sc"/></spatial>'
+            '<fixed name="t"><joint joint="ja" coef="1"/><joint joint="jc" coef="-2"/></fixed>'
+            '<fixed name="u"><joint joint="jb" coef="2"/></fixed><fixed name="v"><joint joint="jc" coef="3"/></fixed>'
+            '<fixed name="x"><joint joint="ja" coef="1"/><joint joint="jb" coef="1"/><joint joint="jc" coef="-2"/>'
+            "</fixed>",
+            '<tendon tendon1="t" polycoef="0.3 0 0 0 0"/><tendon tendon1="u" tendon2="v" polycoef="0.1 0.5 0 0 0"/>'
+            '<tendon name="three" tendon1="x"/>',
+        )
+    )
+    scene = load_scene(path)
+    # ja - 2 jc = 0.3 ,   2 jb = 0.1 + 0.5 * 3 jc
+    found = [(each.joint, each.other, each.ratio, each.offset) for each in scene.couplings]
+    assert found == [("ja", "jc", 2.0, 0.3), ("jb", "jc", 0.75, 0.05)]
+    assert [(joint.type, joint.length) for joint in scene.joints[3:]] == [("cable", 3.0), ("strut", 0.3)]
+    assert "changes the motion: equality constraints of tendons, left out: three" in scene.notes
+    without = scene_from_robot(path, Options(stops=[]))
+    assert len(without.joints) == 3 and "changes the motion: limits of tendons, left out: l" in without.notes
+
+
+HINGE = """<mujoco><option><flag {flag}/></option><worldbody><geom name="ground" size="1" contype="0" conaffinity="0"/>
+<body name="m" mocap="true"/><body name="a" pos="0 0 1"><joint name="j" stiffness="2" damping="1" range="-30 30"
+frictionloss="0.1"/><geom name="g" size="0.1" pos="0.3 0 0" {solid}/></body></worldbody>
+<contact><pair geom1="ground" geom2="g"/></contact><keyframe><key mpos="0 0 {height}"/></keyframe></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    "flag, height, changes, acting",
+    [
+        ("", 0, ["no contact"], ["limits", "friction", "stiffness", "damping"]),
+        ('contact="disable"', 0, [], ["limits", "friction", "stiffness", "damping"]),
+        ('constraint="disable"', 0, [], ["stiffness", "damping"]),
+        ('contact="disable" spring="disable"', 2, ["poses of mocap bodies"], ["limits", "friction", "damping"]),
+        ('contact="disable" damper="disable" limit="disable"', 0, [], ["friction", "stiffness"]),
+        ('contact="disable" frictionloss="disable"', 0, [], ["limits", "stiffness", "damping"]),
+    ],
+)
+def test_flags_and_contact_pairs_of_mjcf(flag, height, changes, acting, tmp_path):
+    """What a flag switches off has no effect and no note; a contact pair acts on shapes that collide with no other."""
+    path = tmp_path / "flags.xml"
+    path.write_text(HINGE.format(flag=flag, height=height, solid='contype="0" conaffinity="0"'))
+    scene = load_scene(path)
+    assert len(scene.differences) == len(changes)
+    assert all(what in note for what, note in zip(changes, scene.differences))
+    (joint,), springs = scene.joints, scene.forces
+    found = [key for key in ("limits", "friction") if getattr(joint, key)]
+    found += [key for key in ("stiffness", "damping") if any(getattr(spring, key) for spring in springs)]
+    assert found == acting
+
+
+def test_a_weld_of_mjcf_may_close_a_loop_of_joints_with_rotors(tmp_path):
+    """A scene cuts one of them, which loses its rotor: the smallest, with a note."""
+    joint = '<joint name="j_{0}" axis="0 1 0" armature="{2}" range="-170 170"/><geom size="0.05"/>'
+    bar = f'<body name="{{0}}" pos="{{1}}">{joint}'
+    bars = bar.format("a", "0 0 0", 0.3) + bar.format("b", "0.4 0 0", 0.1) + bar.format("c", "0 0 0.4", 0.2)
+    path = tmp_path / "welded.xml"
+    path.write_text(
+        f"""<mujoco><worldbody><body name="target" mocap="true" pos="0.2 0 0.4"/>{bars}
+        {bar.format("d", "-0.2 0 0", 0.2)}</body></body></body></body></worldbody>
+        <equality><weld body1="target" body2="d"/></equality></mujoco>"""
+    )
+    scene = load_scene(path)
+    assert [joint.name for joint in scene.joints if joint.rotor] == ["j_a", "j_c", "j_d"]
+    assert "changes the motion: rotors of loops in which all joints have one, left out: j_b" in scene.notes
+    simulation = Simulation(scene, "rkmk4", 1e-3)
+    start = simulation.energy()
+    simulation.advance(100)
+    assert simulation.energy() == pytest.approx(start, abs=1e-9)
+
+
+def test_gravity_compensation_of_mjcf(tmp_path):
+    """A part of the weight, none of it, and more than all: MuJoCo's accelerations, to round-off."""
+    mujoco = pytest.importorskip("mujoco")
+    path = tmp_path / "lifted.xml"
+    path.write_text("""<mujoco><worldbody><body name="a" gravcomp="0.3"><joint axis="0 1 0"/>
+<geom size="0.1" pos="0.2 0 0"/><body name="b" pos="0.5 0 0" gravcomp="1"><joint axis="0 1 0.2"/>
+<geom size="0.1" pos="0.2 0 0.1"/></body></body><body name="c" gravcomp="1.5"><freejoint/><geom size="0.1"/></body>
+</worldbody></mujoco>""")
+    scene = load_scene(path)
+    assert {"without gravity: b", "with a part of its weight: a, c"} <= set(scene.notes)
+    found = Simulation(scene, "rkmk4", 1e-3, estimate=False, quiet=True).sample().accelerations
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert found["a"][1] == pytest.approx(data.qacc[0], rel=1e-12)
+    assert found["c"][3:] == pytest.approx(data.qacc[2:5], rel=1e-12, abs=1e-12)
+    assert found["b"][:3] - found["a"][:3] == pytest.approx(data.qacc[1] * np.array([0, 1, 0.2]) / np.hypot(1, 0.2))

@@ -134,40 +134,97 @@ SDF = """<sdf version="1.9"><model name="arm"><static>false</static>
 <link name="upper"><inertial><mass>2</mass></inertial></link>
 <link name="tool"><pose>0.4 0 0 0.1 0.2 0.3</pose><inertial><pose>0.05 0 0.01 0 0 0</pose><mass>0.3</mass>
   <inertia><ixx>0.0004</ixx><iyy>0.0004</iyy><izz>0.0004</izz></inertia></inertial>
-  <sensor name="imu" type="imu"><pose>0 0 0.1 0 0 0</pose></sensor></link>
+  <sensor name="imu" type="imu"><pose relative_to="mark">0 0 0.1 0 0 0</pose></sensor></link>
+<frame name="mark" attached_to="tool"><pose>0.2 0 0 {turn} 0 0</pose></frame>
 <joint name="shoulder" type="revolute"><parent>world</parent><child>upper</child>
   <axis><xyz>0 1 0</xyz></axis></joint>
 <joint name="wrist" type="fixed"><pose>0.01 0.02 0.03 0.5 0 0</pose><parent>upper</parent><child>tool</child>
-  <sensor name="cell" type="force_torque"><pose>0 0 0 0 0.7 0</pose><force_torque>
+  <sensor name="cell" type="force_torque"><pose{base}>0.04 -0.05 0.06 0 0.7 0</pose><force_torque>
   <frame>{frame}</frame><measure_direction>{direction}</measure_direction>{more}</force_torque></sensor></joint>
 </model></sdf>"""
+OF_CELL = {"base": "", "frame": "child", "direction": "child_to_parent", "more": "", "turn": 0.9}
+# {attribute of the sensor's <pose>: (rotation (3, 3), position (3,)) in the tool of the frame that it names}
+JOINT_IN_TOOL = SO3.exp([0.5, 0, 0]), np.array([0.01, 0.02, 0.03])
+BASES = {
+    "": JOINT_IN_TOOL,
+    ' relative_to="wrist"': JOINT_IN_TOOL,
+    ' relative_to="tool"': (np.eye(3), np.zeros(3)),
+    ' relative_to="mark"': (SO3.exp([0.9, 0, 0]), np.array([0.2, 0, 0])),
+}
 
 
 @pytest.mark.parametrize("frame", ["child", "parent", "sensor"])
 @pytest.mark.parametrize("direction, sign", [("child_to_parent", -1.0), ("parent_to_child", 1.0)])
-def test_a_force_torque_sensor_of_sdf_has_its_axes_its_point_and_its_sign(tmp_path, frame, direction, sign):
-    """The torque is about the origin of the joint, in all axes."""
+@pytest.mark.parametrize("base", BASES)
+def test_a_force_torque_sensor_of_sdf_has_its_axes_its_point_and_its_sign(tmp_path, base, frame, direction, sign):
+    """The torque is about the origin of the sensor, in all axes."""
     path = tmp_path / "arm.sdf"
-    path.write_text(SDF.format(frame=frame, direction=direction, more=""))
+    path.write_text(SDF.format(**OF_CELL | {"base": base, "frame": frame, "direction": direction}))
     sample = sampled(load_scene(path))
     wrench = tool_wrench(sample)
-    torque = wrench[:3] - np.cross([0.01, 0.02, 0.03], wrench[3:])
+    R, p = BASES[base]
+    torque = wrench[:3] - np.cross(p + R @ [0.04, -0.05, 0.06], wrench[3:])
     to_child = {
         "child": np.eye(3),
         "parent": sample.poses["tool"][:3, :3].T @ sample.poses["upper"][:3, :3],
-        "sensor": SO3.exp([0.5, 0, 0]) @ SO3.exp([0, 0.7, 0]),
+        "sensor": R @ SO3.exp([0, 0.7, 0]),
     }[frame]
     expected = sign * np.concatenate([to_child.T @ torque, to_child.T @ wrench[3:]])
     assert sample.sensors["cell"] == pytest.approx(expected, rel=1e-11, abs=1e-12)
 
 
+def test_placed_sensors_of_sdf_and_urdf_show_what_mujoco_shows(tmp_path):
+    """An arm that turns at 2 rad/s: the accelerometer has centripetal and Euler terms."""
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string("""<mujoco><compiler angle="radian" eulerseq="XYZ"/><worldbody>
+<body name="upper"><joint name="shoulder" axis="0 1 0"/><inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/>
+<body name="tool" pos="0.4 0 0" euler="0.1 0.2 0.3"><inertial pos="0.05 0 0.01" mass="0.3"
+  diaginertia="0.0004 0.0004 0.0004"/>
+<body name="mark" pos="0.2 0 0" euler="0.9 0 0"><site name="imu" pos="0 0 0.1"/>
+  <site name="cell" pos="0.04 -0.05 0.06" euler="0 0.7 0"/></body>
+<site name="at_cell"/></body></body></worldbody><sensor><gyro site="imu"/><accelerometer site="imu"/>
+<torque site="at_cell"/><force site="at_cell"/></sensor></mujoco>""")
+    data = mujoco.MjData(model)
+    data.qvel[:] = 2.0
+    mujoco.mj_forward(model, data)
+    # The cell is a site of the mark, which carries nothing: the wrench moves from the tool's origin to it.
+    gyro, acceleration, torque, force = data.sensordata.reshape(4, 3)
+    tool = data.body("tool").xmat.reshape(3, 3)
+    cell = tool.T @ (data.site("cell").xpos - data.body("tool").xpos)
+    to_cell = data.site("cell").xmat.reshape(3, 3).T @ tool
+    expected = {"imu": [*gyro, *acceleration], "cell": [*to_cell @ (torque - np.cross(cell, force)), *to_cell @ force]}
+    sensors = """<sensor name="imu" type="imu"><pose relative_to="mark">0 0 0.1 0 0 0</pose></sensor>"""
+    urdf = f"""<robot name="arm"><link name="base"/>
+<link name="upper"><inertial><mass value="2"/><inertia ixx="1" iyy="1" izz="1"/></inertial></link>
+<link name="tool"><inertial><origin xyz="0.05 0 0.01"/><mass value="0.3"/>
+  <inertia ixx="0.0004" iyy="0.0004" izz="0.0004"/></inertial></link><link name="mark"/>
+<joint name="shoulder" type="continuous"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/></joint>
+<joint name="wrist" type="fixed"><parent link="upper"/><child link="tool"/>
+  <origin xyz="0.4 0 0" rpy="0.1 0.2 0.3"/></joint>
+<joint name="marked" type="fixed"><parent link="tool"/><child link="mark"/>
+  <origin xyz="0.2 0 0" rpy="0.9 0 0"/></joint>
+<gazebo reference="tool">{sensors}</gazebo><gazebo reference="wrist"><sensor name="cell" type="force_torque">
+<pose relative_to="marked">0.04 -0.05 0.06 0 0.7 0</pose><force_torque><frame>sensor</frame>
+<measure_direction>parent_to_child</measure_direction></force_torque></sensor></gazebo></robot>"""
+    of_cell = {"base": ' relative_to="mark"', "frame": "sensor", "direction": "parent_to_child"}
+    for name, text in (("arm.sdf", SDF.format(**OF_CELL | of_cell)), ("arm.urdf", urdf)):
+        path = tmp_path / name
+        path.write_text(text)
+        values = sampled(scene_of(path, Options(start_velocity={"shoulder": 2.0}))).sensors
+        assert values["imu"][4:] == pytest.approx(expected["imu"], rel=1e-10, abs=1e-10), name
+        assert values["cell"] == pytest.approx(expected["cell"], rel=1e-10, abs=1e-10), name
+    path.write_text(urdf.replace('relative_to="marked"', 'relative_to="markd"'))
+    with pytest.raises(SceneError, match="arm.urdf:10: frame 'markd' does not exist; did you mean"):
+        load_scene(path)
+
+
 def test_what_a_sensor_of_sdf_has_and_a_scene_has_not_is_noted(tmp_path):
     path = tmp_path / "arm.sdf"
     quantized = '<force><x><noise type="gaussian_quantized"><stddev>1</stddev></noise></x></force>'
-    path.write_text(SDF.format(frame="child", direction="child_to_parent", more=quantized))
+    path.write_text(SDF.format(**OF_CELL | {"more": quantized}))
     scene = load_scene(path)
     assert "left out: 1 noise of sensors that a scene does not have (cell)" in scene.notes
-    path.write_text(SDF.format(frame="moon", direction="child_to_parent", more=""))
+    path.write_text(SDF.format(**OF_CELL | {"frame": "moon"}))
     scene = load_scene(path)
     assert [sensor.name for sensor in scene.sensors] == ["imu"]
     assert any("force_torque sensors with moon axes" in note for note in scene.notes)

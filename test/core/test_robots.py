@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Robot files as scenes: the same mechanism in URDF, SDF and MJCF, and random URDF trees."""
 
+import math
 import sys
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from robot_texts import (
     ARM_MJCF,
     ARM_SDF,
     ARM_URDF,
+    MJCF_WITH_ACTUATORS,
     MJCF_WITH_ALL_JOINTS,
     five_bar_urdf,
     mimic_urdf,
@@ -25,6 +27,7 @@ from liegroup_core.describe import describe
 from liegroup_core.joints.kinds import Joint
 from liegroup_core.layout import make_layout
 from liegroup_core.robots.options import Options
+from liegroup_core.robots.starts import Start
 from liegroup_core.scene import scene_from_text
 from liegroup_core.scene.load import scene_from_robot
 
@@ -134,8 +137,14 @@ def test_notes_name_what_was_merged_and_left_out(tmp_path):
     assert "fixed to the world: base" in text
     assert "held in place: tip at the end of joint tip_joint" in text
     assert "changes the motion: no contact, 1 collision shape of base" in text
+    assert "limits" not in text and "friction" not in text
+    assert [(joint.limits.lower, joint.limits.upper) for joint in scene.joints] == [(-1.0, 2.0), (-1.0, 1.0)]
+    assert [joint.friction and joint.friction.coulomb for joint in scene.joints] == [0.1, None]
+    without = scene_from_robot(arm_in(tmp_path, "urdf"), Options(stops=[], friction=[]))
+    text = "\n".join(without.notes)
     assert "changes the motion: joint limits are not enforced: shoulder, extend" in text
     assert "changes the motion: joint friction is not simulated: shoulder" in text
+    assert not any(joint.limits or joint.friction for joint in without.joints)
     assert "left out: 1 transmission (drive)" in text
     assert scene.joints[0].data == {"friction": 0.1, "lower": -1.0, "upper": 2.0, "effort": 10.0, "velocity": 3.0}
 
@@ -155,19 +164,29 @@ def test_the_text_of_a_robot_reads_back_bit_identical(tmp_path):
 def test_random_urdf_trees_have_mujocos_accelerations(seed, tmp_path):
     path = tmp_path / "random.urdf"
     path.write_text(random_urdf(np.random.default_rng(seed), 8))
-    scene = load_scene(path)
+    scene = scene_from_robot(path, Options(stops=[], friction=[]))
     assert peers().against_mujoco(path, scene, 10) < 1e-12
 
 
 def test_joints_of_mjcf_have_mujocos_accelerations(tmp_path):
     path = tmp_path / "all.xml"
     path.write_text(MJCF_WITH_ALL_JOINTS)
-    scene = load_scene(path)
+    scene = scene_from_robot(path, Options(stops=[], friction=[]))
     assert peers().against_mujoco(path, scene, 20) < 1e-12
+    assert [joint.name for joint in scene.joints if joint.rotor] == ["wrist"]
     text = "\n".join(scene.notes)
-    assert "armature (rotor inertia) is not simulated: wrist" in text
     assert "joint friction is not simulated: twist" in text
     assert "without mass: cart_x between joints" in text
+
+
+@pytest.mark.parametrize("key", [None, "k"])
+def test_actuators_have_mujocos_accelerations(key, tmp_path):
+    """Servos and motors with gears, limits and commands; also through tendons, of coupled joints, too."""
+    path = tmp_path / "driven.xml"
+    path.write_text(MJCF_WITH_ACTUATORS)
+    scene = scene_from_robot(path, Options(pose=key))
+    assert not [note for note in scene.differences if "collision" not in note]
+    assert peers().against_mujoco(path, scene, 20, key) < 1e-12
 
 
 def coordinates(scene):
@@ -218,10 +237,13 @@ def test_start_velocities_of_trees(tmp_path):
         scene_from_robot(urdf, Options(start_velocity={"elbow": 1.0}))
 
 
-def test_a_keyframe_has_mujocos_velocities(tmp_path):
+def test_a_keyframe_is_mujocos_state(tmp_path):
+    """Also ball and free joints."""
     mujoco = pytest.importorskip("mujoco")
-    speeds = "0.5 -0.4 0.9  0 0 0  1.1 -0.7  0 0 0 0 0 0"  # of ball and free joints: none
-    text = MJCF_WITH_ALL_JOINTS.replace('qpos="0.1 0.2 0.3  1', f'qvel="{speeds}" qpos="0.1 0.2 0.3  1')
+    values = "0.5 -0.4 0.9  0.3 -0.2 0.8  1.1 -0.7  0.4 0.5 -0.6 0.7 -0.8 0.9"
+    key = f'qvel="{values}" qpos="0.1 0.2 0.3  0.8 0 -0.48 0.36  0.4 0.5  1 2 1 0.6 0.64 0 0.48"'
+    text = MJCF_WITH_ALL_JOINTS.replace('qpos="0.1 0.2 0.3  1 0 0 0  0.4 0.5  1 0 1 1 0 0 0"', key)
+    assert key in text
     path = tmp_path / "all.xml"
     path.write_text(text)
     scene = scene_from_robot(path, Options(pose="home"))
@@ -236,6 +258,116 @@ def test_a_keyframe_has_mujocos_velocities(tmp_path):
             number = model.body(name).id
             mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, number, expected, 1)
             assert body.twist == pytest.approx(expected, abs=1e-14)
+            assert body.pose[:3, 3] == pytest.approx(data.xpos[number], abs=1e-14)
+            assert body.pose[:3, :3].ravel() == pytest.approx(data.xmat[number], abs=1e-14)
+
+
+TURN = [0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5)]  # x, y, z, w
+
+
+def test_starts_of_floating_links_and_of_joints_with_several_coordinates(tmp_path):
+    """In a file beside the robot, and with the option --start; keys that are not given stay."""
+    (tmp_path / "all.xml").write_text(MJCF_WITH_ALL_JOINTS)
+    beside = tmp_path / "placed.yaml"
+    beside.write_text(
+        f"robot: all.xml\nstart:\n  ball_free: {{quaternion: {TURN}, linear_velocity: [1, 0, 0]}}\n"
+        "  ball: {rotation_vector: [0, 0, 0.3], angular_velocity: [0, 0, 2]}\n  x: 0.5\n"
+    )
+    scene = load_scene(beside)
+    bodies = {body.name: body for body in scene.bodies}
+    free = bodies["ball_free"]
+    assert free.position == (1.0, 0.0, 1.0) and free.quaternion == pytest.approx(TURN, abs=1e-15)
+    assert free.twist.tolist() == [0, 0, 0, 1, 0, 0]
+    # The ball is 0.1 m above the origin of the arm, and its axes are those of the cart.
+    arm = bodies["arm"]
+    assert arm.position == pytest.approx((0.7, 0, 0.1), abs=1e-15)
+    assert arm.pose[:2, 0] == pytest.approx((np.cos(0.3), np.sin(0.3)), abs=1e-15)
+    assert arm.twist == pytest.approx([0, 0, 2, 0, 0, 0], abs=1e-15)
+    urdf = arm_in(tmp_path, "urdf")
+    start = Start(position=[0, 0, 2], angular_velocity=[0, 0, 1])
+    upper = scene_from_robot(urdf, Options(base="floating", start={"base": start, "shoulder": 0.3})).bodies
+    fixed = scene_from_robot(urdf, Options(start={"shoulder": 0.3})).bodies
+    for body, other in zip(upper, fixed):
+        assert body.pose[:3, :3] == pytest.approx(other.pose[:3, :3], abs=1e-15)
+        assert np.subtract(body.position, other.position) == pytest.approx([0, 0, 2], abs=1e-15)
+        omega = other.pose[:3, :3].T @ [0, 0, 1]
+        v = other.pose[:3, :3].T @ np.cross([0, 0, 1], other.position)
+        assert body.twist == pytest.approx([*omega, *v], abs=1e-15)
+
+
+PLANAR_URDF = """<robot name="r"><link name="w"/><link name="a"><inertial><mass value="1"/>
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="j" type="planar"><parent link="w"/><child link="a"/>
+<origin xyz="1 2 3" rpy="0.2 0.3 0.4"/><axis xyz="0 1 0"/></joint></robot>"""
+UNIVERSAL_SDF = """<sdf version="1.9"><model name="m"><link name="a"><pose>1 2 3 0.2 0.3 0.4</pose>
+<inertial><mass>1</mass></inertial></link>
+<joint name="j" type="universal"><parent>world</parent><child>a</child><axis><xyz>0 1 0</xyz></axis>
+<axis2><xyz>0 0 1</xyz></axis2></joint></model></sdf>"""
+
+
+@pytest.mark.parametrize(
+    "text, good, bad",
+    [
+        (
+            PLANAR_URDF,
+            dict(
+                position=[0.1, -0.2, 0],
+                rotation_vector=[0, 0, 2],
+                angular_velocity=[0, 0, 3],
+                linear_velocity=[1, 2, 0],
+            ),
+            [dict(position=[0, 0, 0.1]), dict(rotation_vector=[0.1, 0, 0]), dict(linear_velocity=[0, 0, 1])],
+        ),
+        (
+            UNIVERSAL_SDF,  # the turn by 0.5 about x, then by 0.3 about y, at 2 and -1 rad/s
+            dict(
+                quaternion=[
+                    np.sin(0.25) * np.cos(0.15),
+                    np.cos(0.25) * np.sin(0.15),
+                    np.sin(0.25) * np.sin(0.15),
+                    np.cos(0.25) * np.cos(0.15),
+                ],
+                angular_velocity=[2 * np.cos(0.3), -1, 2 * np.sin(0.3)],
+            ),
+            [dict(rotation_vector=[0, 0, 0.1]), dict(angular_velocity=[0, 0, 1]), dict(position=[1, 0, 0])],
+        ),
+    ],
+)
+def test_starts_satisfy_the_type_of_their_joint(text, good, bad, tmp_path):
+    """A scene that loads satisfies its joints at the start, poses and velocities."""
+    path = tmp_path / ("r.urdf" if "robot" in text else "r.sdf")
+    path.write_text(text)
+    still = scene_from_robot(path).bodies[0]
+    start = Start(**good)
+    body = scene_from_robot(path, Options(start={"j": start})).bodies[0]
+    assert np.linalg.norm(body.twist) > 2.0
+    turn = still.pose[:3, :3].T @ body.pose[:3, :3]
+    assert np.trace(turn) == pytest.approx(np.trace(start.rotation), abs=1e-14)
+    for wrong in bad:
+        with pytest.raises(SceneError, match='joint "j" is (planar|universal) and does not allow this'):
+            scene_from_robot(path, Options(start={"j": Start(**wrong)}))
+
+
+@pytest.mark.parametrize(
+    "start, message",
+    [
+        ("ball: {position: [0, 0, 1]}", 'placed.yaml:2: start: joint "ball" is spherical and does not allow this'),
+        ("ball: 0.3", 'placed.yaml:2: start: joint "ball" is spherical: only joints with one coordinate'),
+        ("turn: {position: [0, 0, 1]}", 'placed.yaml:2: start: joint "turn" is revolute: give it a number'),
+        ("arm: {position: [0, 0, 1]}", 'placed.yaml:2: start: link "arm" does not float'),
+        ("trunk: {position: [0, 0, 1]}", "placed.yaml:2: start: joint or link 'trunk' is not in the robot"),
+        ("ball_free: {velocity: [0, 0, 1]}", "placed.yaml:2: start.ball_free: unknown key 'velocity'"),
+        ("ball_free: {position: [0, 0]}", "placed.yaml:2: start.ball_free.position must have 3 numbers"),
+        ("ball: {quaternion: [0, 0, 0, 1]}, lock: {ball: 0}", 'placed.yaml:2: start: joint "ball" is locked'),
+    ],
+)
+def test_wrong_starts_get_one_line(start, message, tmp_path):
+    (tmp_path / "all.xml").write_text(MJCF_WITH_ALL_JOINTS)
+    start, _, rest = start.partition(", lock")
+    (tmp_path / "placed.yaml").write_text(f"robot: all.xml\nstart: {{{start}}}\n{'lock' * bool(rest)}{rest}\n")
+    with pytest.raises(SceneError) as error:
+        load_scene(tmp_path / "placed.yaml")
+    assert message in str(error.value) and "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize(
@@ -403,6 +535,15 @@ def test_a_scissor_lift_from_urdf_and_closing_joints(tmp_path):
     assert angles == pytest.approx([angles[0]] * 3, abs=1e-8) and angles[0] < 0.5
 
 
+def test_a_joint_of_a_loop_that_starts_at_its_stop_stays_there():
+    """The lift of the docs has rounded numbers: assembly moves the other joints by micrometres."""
+    scene = load_scene(Path(__file__).parents[2] / "docs" / "robots" / "scissor_lift.yaml")
+    slide = next(joint for joint in scene.joints if joint.name == "slide")
+    assert slide.limits.lower == 0.0
+    moved = Simulation(scene, "rkmk4", 1e-3, estimate=False, quiet=True).sample().joint_coordinates
+    assert abs(moved["slide"][0]) < 1e-12 and 1e-7 < abs(moved["cross0"][0]) < 1e-5
+
+
 EQUALITY_MJCF = """<mujoco><worldbody>
   <body name="a"><joint name="turn" type="hinge" axis="0 1 0" ref="10"/>
     <geom type="box" size="0.2 0.1 0.05" pos="0.2 0 0" mass="1"/>
@@ -434,6 +575,10 @@ def test_mimic_joints_are_couplings(tmp_path):
     near = simulation.sample().joint_coordinates["near"][0]
     wound = 2 * np.pi * round((-5.0 - near) / (2 * np.pi))
     assert far == pytest.approx(0.05 * (near + wound), abs=1e-13)
+    # The limits of a follower are those of its leader: far = 0.05 (-1.3 drive + 0.2), and no note denies it.
+    limits = {joint.name: joint.limits for joint in load_scene(path).joints}
+    assert limits["drive"].upper == pytest.approx((1 / 0.05 + 0.2) / 1.3) and limits["far"] is None
+    assert not any("limits are not enforced" in note for note in load_scene(path).notes)
     locked = scene_from_robot(path, Options(lock={"near": 0.5}, base="floating"))
     assert not locked.joints and not locked.couplings
 
@@ -559,3 +704,38 @@ def test_a_root_link_called_world_does_not_float(tmp_path):
     notes = [note for note in scene_from_robot(path, Options(base="floating")).notes if "base" in note]
     assert len(notes) == 1 and "the root link is called world" in notes[0]
     assert not any("base" in note for note in load_scene(path).notes)
+
+
+def test_a_keyframe_that_violates_couplings_yields_to_them(tmp_path):
+    """Numbers of a keyframe are rounded, or come from MuJoCo's soft constraints; start values are kept."""
+    path = tmp_path / "geared.xml"
+    key = '<keyframe><key name="k" qpos="0.2 0.03 0.5" qvel="1 2 3"/></keyframe></mujoco>'
+    path.write_text(EQUALITY_MJCF.replace("</mujoco>", key))
+    ref = np.radians(10)
+    for start, turn in (({}, 0.2 - ref), ({"turn": 0.4}, 0.4), ({"wheel": 0.8}, (0.1 - 0.2) / 0.3)):
+        scene = scene_from_robot(path, Options(pose="k", start=start))
+        slip = 0.1 - 0.3 * turn
+        expected = {"turn": turn, "slip": slip, "wheel": 4 * slip}
+        assert coordinates(scene) == pytest.approx(expected, abs=1e-14)
+        assert rates(scene) == pytest.approx({"turn": 1.0, "slip": -0.3, "wheel": -1.2}, abs=1e-14)
+        note = 'coordinates that a coupling moves in the pose "k": '
+        assert any(each.startswith(note) and "slip" in each for each in scene.notes)
+
+
+def test_assembly_keeps_the_start_of_a_floating_link(tmp_path):
+    """A rod of 1 m from the world to the thigh closes a loop: only the hip moves."""
+    (tmp_path / "leg.xml").write_text(
+        """<mujoco><worldbody><body name="trunk" pos="0 0 0.4"><freejoint/><geom size="0.1"/>
+        <body name="thigh" pos="0.2 0 0"><joint name="hip" axis="0 1 0"/><geom size="0.1" pos="0 0 -0.1"/></body></body>
+        </worldbody><keyframe><key name="k" qpos="0 0 1 1 0 0 0 0.5" qvel="1 0 0 0 0 0 2"/></keyframe></mujoco>"""
+    )
+    beside = tmp_path / "held.yaml"
+    beside.write_text(
+        "robot: leg.xml\npose: k\nstart: {trunk: {position: [0, 0, 1.1], linear_velocity: [0, 0, 0]}}\njoints:\n"
+        "  - {name: rod, type: distance, parent: world, child: thigh, parent_frame: {},\n"
+        "     child_frame: {position: [0, 0, -0.3]}, length: 1.0}\n"
+    )
+    trunk, thigh = load_scene(beside).bodies
+    assert trunk.position == (0.0, 0.0, 1.1) and not trunk.twist.any()
+    tip = thigh.pose @ [0, 0, -0.3, 1]
+    assert np.linalg.norm(tip[:3]) == pytest.approx(1.0, abs=1e-12) and thigh.twist == pytest.approx(0.0, abs=1e-12)
