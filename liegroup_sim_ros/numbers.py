@@ -21,7 +21,7 @@ def shown(value, unit=""):
 def counted(number, noun):
     """A number of things as text: 1 body, 2 bodies."""
     if number != 1:
-        noun = f"{noun[:-1]}ies" if noun.endswith("y") else f"{noun}s"
+        noun = f"{noun[:-1]}ies" if noun.endswith("y") else f"{noun}es" if noun.endswith("s") else f"{noun}s"
     return f"{number:.0f} {noun}"
 
 

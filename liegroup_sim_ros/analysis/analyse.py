@@ -8,8 +8,12 @@ run.
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
 
 from liegroup_core import SimulationError
+from liegroup_core.forces.commands import EFFORT
 from liegroup_core.forces.kinds import count_of_angles
 from liegroup_core.layout import make_layout
 from liegroup_core.observables.along import Along
@@ -23,14 +27,16 @@ from liegroup_sim_ros.recording.check import check_settings
 from liegroup_sim_ros.recording.motion import Motion
 from liegroup_sim_ros.recording.read import RecordingError
 
+from .balance import Balance
 from .estimate import Estimate
 from .invariants import Energy, Joints, Momentum
 from .joint_events import joint_events
+from .joint_motion import joint_motion
 from .local_error import local_error
 from .promise import Promise
 from .reference import ReferenceError, exact_error
 from .timing import number, timing_figures
-from .verdict import find_problems, verdict
+from .verdict import find_problems, find_warnings, verdict
 
 # Default simulated time that the reference integration covers, s.
 REFERENCE_SECONDS = 60.0
@@ -39,7 +45,7 @@ REFERENCE_SECONDS = 60.0
 REFERENCE_STEPS = 200_000
 # Maximum number of steps and substeps of the re-simulation, and its increase per sample: some minutes.
 REPEAT_STEPS, REPEAT_STEPS_PER_SAMPLE = 5_000_000, 1000
-MOST_PUSHES = 1000  # largest number of intervals with an applied wrench in the figures
+MOST_PUSHES = 1000  # largest number of intervals with an applied wrench or effort in the figures
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,9 +58,22 @@ class Analysis:
 
     figures: dict
     curves: dict
-    scene: object
+    layout: object
     recording: object
     motion: object
+
+    @property
+    def scene(self):
+        """Scene of the recording."""
+        return self.layout.scene
+
+    @cached_property
+    def joint_motion(self):
+        """Curves of the joints, see joint_motion.joint_motion; (times, {}) if they cannot be computed."""
+        try:
+            return joint_motion(self.layout, self.motion)
+        except _NO_RESULT:
+            return np.empty(0), {}
 
 
 def analyse(
@@ -95,8 +114,9 @@ def analyse(
         parts.finish(figures, curves)
         curves["joint_events"] = marks
     figures["problems"] = find_problems(figures)
+    figures["warnings"] = find_warnings(figures, recording.events)
     figures["verdict"] = verdict(figures)
-    return Analysis(figures, curves, scene, recording, motion)
+    return Analysis(figures, curves, layout, recording, motion)
 
 
 class _Parts:
@@ -116,6 +136,7 @@ class _Parts:
             )
         self._energy, self._joints = Energy(layout, expected), Joints(layout, expected)
         self._momentum = Momentum(scene, expected)
+        self._balance = _Guarded(lambda: Balance(layout, recording, expected))
         self._guarded = {
             "repeat": _Guarded(
                 lambda: Repeat(
@@ -125,8 +146,8 @@ class _Parts:
                 )
             )
         }
-        self._exact, self._estimate = None, Estimate()
-        self._promise = Promise(recording.settings.get("promise") if reference else None)
+        self._promise, self._estimated = (Promise(recording.settings.get("promise")) for _ in range(2))
+        self._exact, self._estimate = None, Estimate(self._estimated)
         if reference:
             if not (
                 recording.initial_state.get("steps")
@@ -148,8 +169,9 @@ class _Parts:
         return self._found[3]
 
     def add(self, block):
-        energies, kinetic, residual, _ = self._found
-        self._energy.add(block, energies, kinetic)
+        energies, stored, residual, angles = self._found
+        self._energy.add(block, energies, stored[:, 0])
+        self._balance.add(block, stored, angles)
         self._momentum.add(block)
         self._joints.add(block, residual)
         self._estimate.add(block)
@@ -157,7 +179,9 @@ class _Parts:
             part.add(block)
 
     def finish(self, figures, curves):
-        figures["energy"], curves["energy"] = self._energy.figures(self._motion)
+        figures["energy"] = self._energy.figures(self._motion)
+        found = self._balance.figures()
+        figures["balance"], curves["balance"] = found if isinstance(found, tuple) else (found, None)
         figures["momentum"], curves["momentum"] = self._momentum.figures(self._motion)
         figures["joints"], figures["joint_samples"], curves["joints"] = self._joints.figures()
         figures["mechanism_size"] = self._layout.size
@@ -171,7 +195,9 @@ class _Parts:
         elif "reference" in self._guarded:
             found = self._guarded["reference"].figures()
             figures["reference"], curves["reference"] = found if isinstance(found, tuple) else (found, None)
-        figures["promise"] = self._promise.figures()
+        by_reference = "failed" not in figures.get("reference", {"failed": None})
+        checked, by = (self._promise, "reference") if by_reference else (self._estimated, "estimate")
+        figures["promise"] = checked.figures(by)
         figures["estimate"] = self._estimate.figures()
         try:
             figures["local"] = local_error(self._scene, self._recording, self._motion, self._layout)
@@ -202,8 +228,8 @@ class _Guarded:
                 self._failure = _failed(error)
         return None
 
-    def add(self, block):
-        self._try(lambda: self._part.add(block))
+    def add(self, *arguments):
+        self._try(lambda: self._part.add(*arguments))
 
     def figures(self):
         result = self._try(lambda: self._part.figures())
@@ -217,11 +243,11 @@ def _run_figures(recording, motion):
     intervals = [(stretch, push) for stretch in motion.stretches for push in stretch.pushed]
     pushes = [
         {
-            "body": body,
+            "joint" if kind == EFFORT else "body": name,
             "from_s": stretch.base_ns * 1e-9 + first * stretch.step,
             "to_s": stretch.base_ns * 1e-9 + end * stretch.step if math.isfinite(end) else None,
         }
-        for stretch, (first, end, body) in intervals[:MOST_PUSHES]
+        for stretch, (first, end, kind, name) in intervals[:MOST_PUSHES]
     ]
     events = {}
     for event in recording.events:

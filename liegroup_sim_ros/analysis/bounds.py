@@ -3,6 +3,8 @@
 
 import math
 
+from .estimate import error_of
+
 
 def find_exceeded(found, max_error=None, max_drift=None):
     """Messages on bounds that recordings exceed, or that cannot be checked."""
@@ -12,20 +14,18 @@ def find_exceeded(found, max_error=None, max_drift=None):
             continue
         log = figures["log"]
         if max_error is not None:
-            reference = figures.get("reference", {"failed": "there is no reference"})
-            if "failed" in reference:
-                exceeded.append(f"{log}: its error is unknown: {reference['failed']}")
-            else:
+            errors, why = error_of(figures)
+            if errors is None:
+                exceeded.append(f"{log}: its error is unknown: {why}")
+            elif why is None:
                 exceeded += [
-                    f"{log}: {text}"
-                    for name in ("position", "angle")
-                    if (text := _too_large(reference[name], max_error))
+                    f"{log}: {text}" for name in ("position", "angle") if (text := _too_large(errors[name], max_error))
                 ]
-                if reference.get("stopped"):
-                    exceeded.append(f"{log}: {reference['stopped']}")
+                if errors.get("stopped"):
+                    exceeded.append(f"{log}: {errors['stopped']}")
             exceeded += [
                 f"{log}: recorded estimate of the error {entry['max']:.3g} {entry['unit']} exceeds {max_error:g}"
-                for entry in _estimates(figures)
+                for entry in (_estimates(figures) if errors else [])
                 if not entry["max"] <= max_error
             ]
         if max_drift is not None:

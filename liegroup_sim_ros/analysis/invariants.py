@@ -7,6 +7,8 @@ from liegroup_core.mechanism.symmetry import conserved_momentum, momentum_values
 
 from .drift import MOST_POINTS, Drift, thinned
 
+SHOWN = 4  # names of forces or joints in a text
+
 
 class Energy:
     """Energy drift in J: the largest change within intervals without an applied wrench.
@@ -20,10 +22,10 @@ class Energy:
         self._bodies = layout.body_names
         forces = [force.name for force in layout.scene.forces if not force.is_conservative]
         self._doing_work = [
-            f"{what}: {', '.join(names)}"
+            f"{what}: {', '.join(names[:SHOWN])}" + (f" and {len(names) - SHOWN} more" if len(names) > SHOWN else "")
             for what, names in (
                 ("non-conservative forces", forces),
-                ("driven joints", layout.motions),
+                ("driven joints", list(layout.motions)),
                 ("stops and friction", [switch.name for switch in layout.switches]),
             )
             if names
@@ -38,7 +40,7 @@ class Energy:
             self._drift.add(block, energies[:, None])
 
     def figures(self, motion):
-        """(figures, [(times, change)] per interval)."""
+        """Figures, the entry "energy" of config/analysis.schema.json."""
         drift = self._drift
         drift.close()
         kept = drift.intervals > 0
@@ -53,7 +55,7 @@ class Energy:
             "intervals": drift.intervals,
             "seconds": drift.seconds,
             "left_out": "; ".join(self._doing_work) if self._doing_work else _pushed_text(motion, self._bodies),
-        }, drift.curves[0]
+        }
 
 
 class Momentum:

@@ -2,14 +2,24 @@
 """Check of the accuracy for which a run controlled its error (liegroup_core.accuracy).
 
 The run guarantees an error of at most accuracy * max(1, t / horizon), also with applied wrenches, until it
-reports that its estimate exceeds this. Later errors are reported but do not violate the guarantee. A reset
-starts the run again. Runs that continue a snapshot or an earlier part of a recording are not checked,
-because the guarantee refers to the start of the run, but errors there to the recorded state.
+reports that its estimate exceeds this, or takes a coarser accuracy to keep real time. Later errors are reported
+but do not violate the guarantee. An accuracy that is requested holds from then on. Without a reference solution,
+the recorded estimate is checked. A reset starts the run again. Runs that continue a snapshot or an earlier part
+of a recording are not checked, because the guarantee refers to the start of the run, but errors there to the
+recorded state.
 """
 
 import numpy as np
 
 from liegroup_sim_ros.numbers import counted
+
+MOST_CHANGES = 3  # largest number of requested accuracies in a text
+
+
+def periods(promise, stretch):
+    """[(s since step 0, accuracy)] from which on each accuracy was in force in a stretch."""
+    changes = [(step * stretch.step, accuracy) for step, accuracy in stretch.accuracies]
+    return [(stretch.start * stretch.step, promise["accuracy"]), *changes]
 
 
 class Promise:
@@ -24,6 +34,7 @@ class Promise:
         self._part = self._known_part = self._sure_part = 0.0  # relative to the allowed error
         self._seconds, self._unchecked = {}, {}  # {first stamp of a stretch: s}
         self._beyond = False
+        self._changes = {}  # {first stamp of a stretch: [(s of the recording, accuracy)]} requested
 
     def add(self, stretch, times, error, uncertainty):
         """Add error and uncertainty, two Distances at k times in s since the start of a stretch."""
@@ -44,7 +55,16 @@ class Promise:
         if not inside.any():
             return
         error, known = error[inside], known[inside]
-        allowed = self._promise["accuracy"] * np.maximum(1.0, times[inside] / self._promise["horizon"])
+        first, *later = periods(self._promise, stretch)
+        accuracy = np.full(len(times), first[1])
+        for since, value in later:
+            accuracy[times > since + 0.5 * stretch.step] = value
+        self._changes[stretch.begin_ns] = [
+            (stretch.base_ns * 1e-9 + since, value)
+            for since, value in later
+            if since < stretch.inaccurate_from - 0.5 * stretch.step
+        ]
+        allowed = accuracy[inside] * np.maximum(1.0, times[inside] / self._promise["horizon"])
         self._inside = max(self._inside, float(error.max()))
         self._known = max(self._known, float(known.max()))
         self._part = max(self._part, float((error / allowed).max()))
@@ -52,8 +72,11 @@ class Promise:
         self._sure_part = max(self._sure_part, float(((error - known) / allowed).max()))
         self._seconds[stretch.begin_ns] = float(times[inside].max())
 
-    def figures(self):
-        """Result of the check, see config/analysis.schema.json; None for a run with a method."""
+    def figures(self, by):
+        """Result of the check, see config/analysis.schema.json; None for a run with a method.
+
+        by : what the errors are from, "reference" or "estimate"
+        """
         if self._promise is None:
             return None
         kept = None
@@ -63,7 +86,11 @@ class Promise:
             elif self._sure_part > 1.0:
                 kept = False
         return {
+            "by": by,
             "accuracy": float(self._promise["accuracy"]),
+            "changes": [
+                {"from_s": since, "accuracy": accuracy} for part in self._changes.values() for since, accuracy in part
+            ],
             "horizon": float(self._promise["horizon"]),
             "length": float(self._promise["length"]),
             "seconds": sum(self._seconds.values()) if self._seconds else None,
@@ -80,13 +107,22 @@ class Promise:
 def promise_text(found):
     """Text with the result of the check; found : as returned by Promise.figures."""
     accuracy = f"the accuracy of {found['accuracy']:g} in {found['horizon']:g} s"
+    texts = [f"{change['accuracy']:g} from {change['from_s']:.4g} s on" for change in found["changes"]]
+    if texts:
+        more = len(texts) - MOST_CHANGES
+        texts = [*texts[:MOST_CHANGES], f"{more} more"] if more > 0 else texts
+        accuracy += f" ({', '.join(texts)}, as requested)"
     if found["seconds"] is None:
-        return f"{accuracy} cannot be checked: there is no reference from the start of the run"
+        return f"{accuracy} cannot be checked: there is no {found['by']} from the start of the run"
     error = f"below {found['uncertainty']:.3g}" if found["error"] <= found["uncertainty"] else f"{found['error']:.3g}"
-    verdicts = {True: "is kept", False: "is not kept", None: "cannot be checked with this reference"}
+    verdicts = {
+        True: f"is kept{found['by'] == 'estimate' and ' by this estimate' or ''}",
+        False: "is not kept",
+        None: f"cannot be checked with this {found['by']}",
+    }
     verdict, seconds = verdicts[found["kept"]], f"{found['seconds']:.4g} s"
     span = (
-        f"in {seconds} after the start and {counted(found['restarts'], 'restart')}"
+        f"in {seconds} that follow the start and {counted(found['restarts'], 'reset')}"
         if found["restarts"]
         else f"in the first {seconds}"
     )

@@ -93,6 +93,12 @@ def _mean_factor(requests, motion):
     return sum(span for span, _ in parts) / sum(span / factor for span, factor in parts)
 
 
+def is_paced(timing):
+    """Whether a run followed the wall clock, as timing_figures says."""
+    followed = timing["factor_changes"] or timing["factor_wanted"] not in (None, FASTEST)
+    return bool(followed and timing.get("real_time_factor"))
+
+
 def number(text):
     """Float of a number or numeric text from a recording, else None."""
     try:

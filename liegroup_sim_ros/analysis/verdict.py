@@ -4,13 +4,17 @@
 import math
 
 from liegroup_core.pacing import SLOW
+from liegroup_sim_ros.messages.events import is_requested
 from liegroup_sim_ros.numbers import counted, error_text, shown
 from liegroup_sim_ros.playback.resimulate import difference_cause
 
+from .estimate import error_of
 from .promise import promise_text
-from .timing import requested_text
+from .timing import is_paced, requested_text
 
-OPEN = 1e-3  # relative to the characteristic length; a larger constraint violation makes the motion invalid
+# Relative to the characteristic length, and of the energies to the largest of them: a larger violation makes
+# the motion invalid.
+OPEN = 1e-3
 
 
 def find_problems(figures):
@@ -34,6 +38,7 @@ def find_problems(figures):
         )
     problems += [f"the run stopped with an error: {text}" for text in figures["faults"]]
     problems += _open_joints(figures)
+    problems += _energy_problems(figures)
     problems += _replay_problems(figures)
     promise = figures.get("promise")
     if promise and promise["kept"] is False:
@@ -49,11 +54,34 @@ def find_problems(figures):
             "without catching up"
         )
     # An infinite estimate means that the error is unknown, not that the run is wrong.
-    computed = {name: entry for name, entry in figures.items() if name != "estimate"}
+    computed = {name: entry for name, entry in figures.items() if name not in ("estimate", "promise")}
     wrong = [name for name, value in _numbers(computed) if not math.isfinite(value)]
     if wrong:
         problems.append("not a number: " + ", ".join(wrong[:5]))
     return problems
+
+
+# Events of a run that reports a loss of accuracy or of real time.
+_REPORTED = ("inaccurate", "unpredictable", "accuracy", "slow")
+
+
+def find_warnings(figures, events):
+    """Limits of the result that are no problems of the run, one sentence each.
+
+    events : of the recording
+    """
+    warnings = []
+    for name in _REPORTED:
+        texts = [event.text for event in events if event.name == name and not is_requested(event.text)]
+        more = f" (and {len(texts) - 1} more)" if len(texts) > 1 else ""
+        warnings += [f"the run reported: {text}{more}" for text in texts[:1]]
+    timing, (errors, why) = figures["timing"], error_of(figures)
+    if timing.get("overruns"):
+        of = "" if timing.get("ticks") is None else f" of {counted(timing['ticks'], 'tick')}"
+        warnings.append(f"{counted(timing['overruns'], 'deadline miss')}{of}")
+    if errors is None and "reference" in figures:
+        warnings.append(f"the error is unknown: {why}")
+    return warnings
 
 
 def _open_joints(figures):
@@ -70,8 +98,24 @@ def _open_joints(figures):
     ]
 
 
+def _energy_problems(figures):
+    """Problem text if the energy balance fails by more than the error of the work, and much; a list."""
+    balance = figures.get("balance", {})
+    if not balance.get("quadrature_J"):  # no work is done: the drift of the energy says the same
+        return []
+    sizes = [abs(entry[key]) for entry in balance["stored"] for key in ("start_J", "end_J")]
+    largest = max(figures["energy"]["largest_kinetic_J"], *sizes, *map(abs, balance["work_J"].values()))
+    if not balance["largest_J"] > balance["quadrature_J"] + OPEN * largest:
+        return []
+    return [
+        f"the energy does not add up by {shown(balance['largest_J'], 'J')}, above "
+        f"the estimated error of the work of {shown(balance['quadrature_J'], 'J')}: the motion is wrong, or "
+        "the samples are too far apart for the work"
+    ]
+
+
 def _replay_problems(figures):
-    repeat, reference = figures.get("repeat", {}), figures.get("reference", {})
+    repeat = figures.get("repeat", {})
     problems = []
     if "failed" in repeat:
         problems.append(f"re-simulation is not possible: {repeat['failed']}")
@@ -79,10 +123,8 @@ def _replay_problems(figures):
         at = repeat["first_difference"]
         where = f"{at['body']} differs from {shown(at['at_s'], 's')} on" if at else f"it {repeat['stopped']}"
         problems.append(f"re-simulation is not bit-identical: {where}; {difference_cause(repeat['platform'])}")
-    if "failed" in reference:
-        problems.append(f"no reference integration: {reference['failed']}")
-    if reference.get("stopped"):
-        problems.append(reference["stopped"])
+    if figures.get("reference", {}).get("stopped"):
+        problems.append(figures["reference"]["stopped"])
     return problems
 
 
@@ -110,16 +152,20 @@ def verdict(figures):
         f"at {shown(figures['step'] * 1e3, 'ms')}"
     )
     statements = []
-    reference = figures.get("reference")
-    if reference and "failed" not in reference:
-        part = (
-            ""
-            if reference["seconds"] >= figures["sim_seconds"] * (1.0 - 1e-9)
-            else f" in the first {shown(reference['seconds'], 's')}"
-        )
-        statements.append(
-            f"error at most {error_text(reference['position'])} and {error_text(reference['angle'])}{part}"
-        )
+    errors, why = error_of(figures)
+    if errors:
+        texts = f"{error_text(errors['position'])} and {error_text(errors['angle'])}"
+        if why:
+            statements += [
+                f"estimated error at most {texts}, recorded with the run",
+                f"no independent reference: {why}",
+            ]
+        elif errors["seconds"] >= figures["sim_seconds"] * (1.0 - 1e-9):
+            statements.append(f"error at most {texts}")
+        else:
+            statements.append(f"error at most {texts} in the first {shown(errors['seconds'], 's')}")
+    elif "estimate" in figures:
+        statements.append("error unknown")
     if figures.get("promise"):
         statements.append(promise_text(figures["promise"]))
     if figures.get("joints"):
@@ -130,6 +176,6 @@ def verdict(figures):
     repeat = figures.get("repeat", {})
     if repeat and repeat.get("identical") == repeat.get("samples"):
         statements.append("re-simulation bit-identical")
-    if figures["timing"].get("real_time_factor"):
+    if is_paced(figures["timing"]):
         statements.append(f"real-time factor {figures['timing']['real_time_factor']:.3f}")
     return f"{head}: {'; '.join(statements) or 'nothing could be checked'}."

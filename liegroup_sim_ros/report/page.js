@@ -46,6 +46,46 @@ function drawPlane(element, plot, go) {
   }
 }
 
+// Buttons that show or hide curves by name in all plots of a group.
+function drawPicker(root, planes, plots) {
+  const mine = planes.filter((_, k) => plots[k].pick === root.dataset.pick);
+  const shown = new Map();                // name -> first trace
+  plots.filter(plot => plot.pick === root.dataset.pick).forEach(plot => plot.data.forEach(trace => {
+    if ("visible" in trace && !shown.has(trace.name)) shown.set(trace.name, trace);
+  }));
+  const set = (names, on) => {
+    for (const plane of mine) {
+      const found = [...plane.data.keys()].filter(k => names.includes(plane.data[k].name));
+      // `drawn` draws the data of the page again when the theme changes.
+      found.forEach(k => { plots[planes.indexOf(plane)].data[k].visible = on; });
+      if (found.length) Plotly.restyle(plane, {visible: on}, found);
+    }
+    for (const button of buttons) if (names.includes(button.dataset.name)) button.ariaPressed = on;
+  };
+  const chip = text => {
+    const button = root.querySelector(".chips").appendChild(document.createElement("button"));
+    button.type = "button";
+    button.append(text);
+    return button;
+  };
+  const buttons = [...shown].map(([name, trace]) => {
+    const button = chip(""), line = button.appendChild(document.createElement("i"));
+    const text = document.createElement("textarea");
+    text.innerHTML = name;                // names have escaped markup
+    button.append(text.value);
+    button.dataset.name = name;
+    button.ariaPressed = trace.visible;
+    line.style.borderTopColor = `var(${trace.line.color})`;
+    line.style.borderTopStyle = {dash: "dashed", dot: "dotted"}[trace.line.dash] || "solid";
+    button.addEventListener("click", () => set([name], button.ariaPressed !== "true"));
+    return button;
+  });
+  if (buttons.length > 1) {
+    chip("all").addEventListener("click", () => set([...shown.keys()], true));
+    chip("none").addEventListener("click", () => set([...shown.keys()], false));
+  }
+}
+
 // Solids of size 1 about their centre: [vertices, triangles].
 function makeSolid(kind) {
   const points = [], faces = [];
@@ -213,11 +253,17 @@ function camera({x, y, z}, width, height) {
   const flat = Math.hypot(to[0], to[1]), right = [-to[1] / flat, to[0] / flat, 0];
   const up = [to[1] * right[2] - to[2] * right[1], to[2] * right[0] - to[0] * right[2],
               to[0] * right[1] - to[1] * right[0]];
-  const reach = along => box.reduce((sum, edge, i) => sum + Math.abs(along[i]) * edge / 2, 0);
+  const dot = (a, b) => a.reduce((sum, part, i) => sum + part * b[i], 0);
+  const corners = [...Array(8).keys()].map(k => box.map((edge, i) => (k >> i & 1 ? .5 : -.5) * edge));
   const slope = Math.tan(Math.PI / 8);        // plotly's field of view is 45 degrees high
-  const distance = .7 * reach(to) + 1.05 * Math.max(reach(up) / slope,
-                                               1.2 * reach(right) / slope / (width / height));
-  return {eye: {x: distance * to[0], y: distance * to[1], z: distance * to[2]}, center: {x: 0, y: 0, z: -.06}};
+  // Fractions of the card that the box may fill; the rest is for the labels of its axes.
+  const across = (1 - 110 / width) * slope * width / height, rise = (1 - 60 / height) * slope;
+  // Each corner at depth d - to.c must be within the fractions of its depth.
+  const distance = Math.max(...corners.map(c => dot(to, c) + Math.max(Math.abs(dot(right, c)) / across,
+                                                                      Math.abs(dot(up, c)) / rise)));
+  const low = 28 / height * distance * slope;         // raises the picture by 14 px: labels are below the box
+  const point = along => ({x: along[0], y: along[1], z: along[2]}), centre = up.map(part => -low * part);
+  return {eye: point(centre.map((part, i) => part + distance * to[i])), center: point(centre)};
 }
 
 function curve(path, name, colour, width) {
@@ -233,8 +279,8 @@ function drawView(root, view, planes) {
     name => root.querySelector(name));
   const count = motion.times.length, start = motion.times[0], end = motion.times[count - 1];
   const paths = motion.paths(), moving = [0, 1, 2].map(k => paths.length + k);
-  const scene = motion.axes(), height = narrow() ? 340 : 440;
-  scene.camera = camera(scene.aspectratio, plot.clientWidth, height);
+  const scene = motion.axes(), height = narrow() ? 340 : 400;
+  scene.camera = camera(scene.aspectratio, plot.clientWidth, height - view.layout.margin.t);
   const state = {frame: 0, time: start, playing: false, motion, plot, shown: ""};
 
   function draw() {
@@ -253,7 +299,7 @@ function drawView(root, view, planes) {
       {type: "scatter3d", mode: "markers", x: x[2], y: y[2], z: z[2], showlegend: false,
        text: view.joints.map(joint => joint.name), hoverinfo: "text",
        marker: {size: 3.5, color: "--text"}}];
-    data.forEach((trace, i) => { if (i >= 12) trace.showlegend = false; });
+    data.forEach((trace, i) => { if (i >= (narrow() ? 6 : 9)) trace.showlegend = false; });
     return Plotly.react(plot, themed(data), themed({...view.layout, scene,
       height, uirevision: 1, modebar: MODEBAR,
       showlegend: paths.length > 1}), {
@@ -314,6 +360,7 @@ function open(root) {
   const planes = [...root.querySelectorAll(".plane")];
   let go = () => {};
   planes.forEach((plane, k) => drawPlane(plane, part.plots[k], part.view && (t => go(t))));
+  for (const picker of root.querySelectorAll(".picker")) drawPicker(picker, planes, part.plots);
   if (view) go = drawView(view, part.view, planes);
 }
 

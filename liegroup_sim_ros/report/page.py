@@ -15,7 +15,17 @@ from importlib.resources import files
 from liegroup_sim_ros.numbers import NO_NUMBER, counted
 
 from .plots import difference_plot, make_plots
-from .summary import OVERVIEW, comparison_rows, headline, overview, sections, short_names
+from .summary import (
+    BALANCE_HEAD,
+    BALANCE_TITLE,
+    OVERVIEW,
+    balance_rows,
+    comparison_rows,
+    headline,
+    overview,
+    sections,
+    short_names,
+)
 from .view import make_view, speeds
 
 MOST_PARTS = 20  # largest number of recordings with plots in a report; further ones have tables only
@@ -27,15 +37,16 @@ NUMBER = re.compile(
 )
 
 
-def page_part(analysis, plots=True, shapes=None):
+def page_part(analysis, plots=True, shapes=None, bodies=False):
     """Content of the page for one Analysis: JSON types, except NaN and infinity.
 
     shapes : {body: triangles} for the 3D view, see shapes.robot_shapes
+    bodies : whether to plot the positions of the bodies
     """
     recording = analysis.recording
     return {
         "figures": analysis.figures,
-        "plots": make_plots(analysis) if plots else [],
+        "plots": make_plots(analysis, bodies) if plots else [],
         "view": make_view(analysis, shapes) if plots and analysis.motion.stretches else None,
         "description": analysis.scene.description.strip(),
         "events": "\n".join(
@@ -62,7 +73,7 @@ def make_page(parts, comparison=None, exceeded=(), bounds=()):
         plots = difference_plot(comparison[1])
         data.append({"plots": [plot for *_, plot in plots], "view": None})
         rows = _rows("Comparison with the other recording", comparison_rows(comparison[0]))
-        drawn = "".join(plot_card(title, remark) for title, remark, _ in plots)
+        drawn = _plot_cards(plots)
         body += (
             f"<h2>Compared with {escape(comparison[0]['logs'][1])}</h2>"
             f'<div class="cards" data-part="{len(parts)}">{drawn}{rows}</div>'
@@ -112,10 +123,12 @@ def _one(part, number, exceeded=(), bounds=()):
     """Page of one recording."""
     figures = part["figures"]
     problems = [*exceeded, *figures["problems"]]
+    state = _state(len(problems), len(figures["warnings"]))
     return (
-        f"<header><h1>{escape(figures['scene'])}</h1>{_state(len(problems))}</header>"
+        f"<header><h1>{escape(figures['scene'])}</h1>{state}</header>"
         f'<p class="verdict">{unbroken(figures["verdict"])}</p>'
-        + _problems(problems)
+        + _list("bad", problems)
+        + _list("warn", figures["warnings"])
         + _bounds(bounds, exceeded)
         + _tiles(figures)
         + (f'<p class="soft">{escape(part["description"])}</p>' if part["description"] else "")
@@ -129,23 +142,28 @@ def _several(parts, exceeded, bounds):
     found = [part["figures"] for part in parts]
     names = short_names(found)
     problems_of = [figures.get("problems", [figures.get("failed")]) for figures in found]
-    bad, count = (sum(map(kind, problems_of)) for kind in (bool, len))
-    verdict = f"Problems in {bad} of {len(parts)} recordings." if bad else "No problems found."
+    warnings_of = [figures.get("warnings", []) for figures in found]
+    (bad, count), (doubtful, more) = (
+        [sum(map(kind, texts)) for kind in (bool, len)] for texts in (problems_of, warnings_of)
+    )
+    of = f"of {len(parts)} recordings"
+    verdict = f"Problems in {bad} {of}. " if bad else "No problems found. "
+    verdict += f"Warnings in {doubtful} {of}." if doubtful else ""
     lines = "".join(
         f'<tr><td data-what="recording"><a href="#log{k}">{escape(name)}</a></td>'
         + "".join(
             f'<td data-what="{what}"{_alarm(value)}>{escape(value)}</td>'
             for what, value in zip(OVERVIEW, overview(figures))
         )
-        + f'<td data-what="problems" class="{"bad" if problems else "good"}">'
-        f"{len(problems) or 'none'}</td></tr>"
-        for k, (name, figures, problems) in enumerate(zip(names, found, problems_of))
+        + f'<td data-what="problems" class="{_grade(problems, warnings)}">'
+        f"{len(problems) or (counted(len(warnings), 'warning') if warnings else 'none')}</td></tr>"
+        for k, (name, figures, problems, warnings) in enumerate(zip(names, found, problems_of, warnings_of))
     )
     heads = "".join(f"<th>{what}</th>" for what in ("recording", *OVERVIEW, "problems"))
     body = (
-        f"<header><h1>{len(parts)} recordings</h1>{_state(count + len(exceeded))}</header>"
+        f"<header><h1>{len(parts)} recordings</h1>{_state(count + len(exceeded), more)}</header>"
         f'<p class="verdict">{verdict}</p>'
-        + _problems(_listed(found, names, problems_of, exceeded))
+        + _list("bad", _listed(found, names, problems_of, exceeded))
         + _bounds(bounds, exceeded)
         + f'<section class="card"><table class="logs"><thead><tr>{heads}</tr></thead>'
         f"<tbody>{lines}</tbody></table></section>"
@@ -153,10 +171,11 @@ def _several(parts, exceeded, bounds):
     for k, (part, name) in enumerate(zip(parts, names)):
         figures = part["figures"]
         inside = (
-            _problems([figures["failed"]])
+            _list("bad", [figures["failed"]])
             if "failed" in figures
             else f'<p class="verdict">{unbroken(figures["verdict"])}</p>'
-            + _problems(figures["problems"])
+            + _list("bad", figures["problems"])
+            + _list("warn", figures["warnings"])
             + _tiles(figures)
             + _plots(part)
             + _tables(part)
@@ -180,9 +199,24 @@ def _listed(found, names, problems_of, exceeded):
 
 
 def _plots(part):
-    return (_view(part["view"], bool(part["plots"])) if part["view"] else "") + (
-        '<div class="cards">' + "".join(plot_card(title, remark) for title, remark, _ in part["plots"]) + "</div>"
-    )
+    view = _view(part["view"], bool(part["plots"])) if part["view"] else ""
+    balance = part["figures"].get("balance", {})
+    energies = table(BALANCE_TITLE, BALANCE_HEAD, balance_rows(balance)) if "stored" in balance else ""
+    return f'<div class="cards">{view}{energies}{_plot_cards(part["plots"])}</div>'
+
+
+def _plot_cards(plots):
+    """HTML of plots, with an element before those of a group into which page.js draws its selector."""
+    cards, group = "", None
+    for title, remark, plot in plots:
+        if plot.get("pick") not in (None, group):
+            group = plot["pick"]
+            cards += (
+                f'<section class="card picker" data-pick="{group}"><h3>{group}</h3>'
+                '<p class="remark">click to show or hide</p><div class="chips"></div></section>'
+            )
+        cards += plot_card(title, remark)
+    return cards
 
 
 def _tables(part):
@@ -256,16 +290,38 @@ def _tiles(figures):
     return f'<div class="tiles">{tiles}</div>'
 
 
-def _state(problems):
+def table(title, heads, rows):
+    """HTML of a table with heads, in a card of its own."""
     return (
-        '<span class="state good">✓ no problem found</span>'
-        if not problems
-        else f'<span class="state bad">✗ {counted(problems, "problem")}</span>'
+        f'<section class="card"><h3>{escape(title)}</h3>'
+        '<table class="logs"><thead><tr>'
+        + "".join(f"<th>{escape(head)}</th>" for head in heads)
+        + "</tr></thead><tbody>"
+        + "".join(
+            "<tr>"
+            + "".join(
+                f'<td data-what="{escape(head)}"><span>{unbroken(cell)}</span></td>' for head, cell in zip(heads, row)
+            )
+            + "</tr>"
+            for row in rows
+        )
+        + "</tbody></table></section>"
     )
 
 
-def _problems(problems):
-    return '<ul class="bad">' + "".join(f"<li>{escape(text)}</li>" for text in problems) + "</ul>" if problems else ""
+def _grade(problems, warnings):
+    return "bad" if problems else "warn" if warnings else "good"
+
+
+def _state(problems, warnings):
+    """HTML of the verdict: numbers of problems and of warnings."""
+    counts = [counted(count, noun) for count, noun in ((problems, "problem"), (warnings, "warning")) if count]
+    grade, sign = _grade(problems, warnings), "✗" if problems else "!" if warnings else "✓"
+    return f'<span class="state {grade}">{sign} {", ".join(counts) or "no problem found"}</span>'
+
+
+def _list(grade, texts):
+    return f'<ul class="{grade}">' + "".join(f"<li>{escape(text)}</li>" for text in texts) + "</ul>" if texts else ""
 
 
 def _bounds(bounds, exceeded):

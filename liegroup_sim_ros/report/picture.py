@@ -19,6 +19,9 @@ COLOURS = {
     "--violet": "#7049c0",
     "--red": "#d63a3a",
     "--grey": "#6b7480",
+    "--teal": "#1394a8",
+    "--pink": "#c2468f",
+    "--olive": "#8a8418",
 }
 STYLES = {"solid": "-", "dot": ":", "dash": "--"}
 
@@ -55,15 +58,18 @@ def _plane(axes, title, plot):
     layout = plot["layout"]
     axes.set_title(title, fontsize=8.5)
     log = layout["yaxis"].get("type") == "log"
-    for trace in plot["data"]:
+    traces = [trace for trace in plot["data"] if trace.get("visible", True)]
+    for trace in traces:
         line = trace["line"]
         y = [math.nan if v is None or log and v <= 0.0 else v for v in trace["y"]]
+        alone = [k for k, size in enumerate(trace.get("marker", {}).get("size", ())) if size]
         axes.plot(
             [math.nan if v is None else v for v in trace["x"]],
             y,
             lw=0.9,
             color=COLOURS[line["color"]],
             ls=STYLES[line["dash"]],
+            **({"marker": ".", "markevery": alone} if alone else {}),
             label=_label(trace["name"]),
         )
     if log:
@@ -71,16 +77,19 @@ def _plane(axes, title, plot):
         if "range" in layout["yaxis"]:
             axes.set_ylim(*(10.0**edge for edge in layout["yaxis"]["range"]))
     for shape in layout["shapes"]:
-        if shape["xref"] == "paper":
-            axes.axhline(shape["y0"], color=COLOURS["--grey"], lw=0.7, ls=":")
-        else:
+        if shape["type"] == "rect":
             axes.axvspan(shape["x0"], shape["x1"], color=COLOURS["--red"], alpha=0.18, lw=0)
+            continue
+        ends = [shape["x0"], shape["x1"]], [shape["y0"], shape["y1"]]
+        whole = {("paper", "y"): axes.get_yaxis_transform, ("x", "paper"): axes.get_xaxis_transform}
+        into = whole.get((shape["xref"], shape["yref"]), lambda: axes.transData)()
+        axes.plot(*ends, transform=into, color=COLOURS[shape["line"]["color"]], lw=0.7, ls=":")
     axes.set_xlabel("time / s", fontsize=8)
     axes.set_ylabel(layout["yaxis"]["title"]["text"], fontsize=8)
     axes.tick_params(labelsize=7)
     axes.grid(True, lw=0.3)
     axes.yaxis.get_offset_text().set_fontsize(7)
-    if len(plot["data"]) > 1 or len(plot["data"][0]["name"]) > SHORT:
+    if len(traces) > 1 or len(traces[0]["name"]) > SHORT:
         axes.legend(fontsize=6, frameon=False)
 
 

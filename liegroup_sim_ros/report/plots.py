@@ -9,7 +9,12 @@ from html import escape
 
 import numpy as np
 
+from liegroup_core.observables.along import STORES
+from liegroup_sim_ros.analysis.balance import WORKS
 from liegroup_sim_ros.analysis.estimate import LEAST, MOST
+from liegroup_sim_ros.analysis.joint_motion import MOST_TIMES
+from liegroup_sim_ros.analysis.promise import periods
+from liegroup_sim_ros.numbers import shown
 
 BINS = 1000  # number of bins of a curve; the minimum and the maximum of each bin are drawn
 PATH_POINTS = 4000
@@ -17,44 +22,59 @@ HEIGHT = 340  # px
 # A log axis omits at most the fraction FEW of its smallest values, if they are below ODD times the others.
 FEW, ODD = 0.02, 1e-2
 COLOURS = ("--blue", "--orange", "--green", "--violet", "--red", "--grey")
+MOST_RESTARTS = 200  # largest number of them that are marked
+MANY_COLOURS = ("--blue", "--orange", "--green", "--violet", "--teal", "--pink", "--olive")
+DASHES = ("solid", "dash", "dot")
+MOST_CHOSEN = 6  # curves of many that are visible at first
+TURNS = "angles are shown from -pi to pi, unless the joint"
+# Title, remark, column of joint_motion, unit, and unit of the positions of its joints (None: of all).
+JOINT_PLOTS = (
+    ("Joint angles", f"{TURNS} has a spring, servo, coupling or drive", 0, "rad", "rad"),
+    ("Joint displacements", "along the axes", 0, "m", "m"),
+    ("Joint angular velocities", "rates of the angles", 1, "rad/s", "rad"),
+    ("Joint velocities", "rates of the displacements", 1, "m/s", "m"),
+    ("Joint torques", "motors, servos, drives, springs, dampers and commands at the joint", 2, "N m", "rad"),
+    ("Joint forces", "motors, servos, drives, springs, dampers and commands at the joint", 2, "N", "m"),
+    ("Joint powers", "effort times velocity", 3, "W", None),
+)
 
 
-def make_plots(analysis):
-    """[(title, remark, plot)] for all curves over time."""
+def make_plots(analysis, bodies=False):
+    """[(title, remark, plot)] for all curves over time.
+
+    bodies : whether to plot the positions of the bodies
+    """
     figures, curves = analysis.figures, analysis.curves
     plots = []
     if not curves:
         return plots
     marks = curves.get("joint_events")
-    bands = _push_bands(figures, analysis.motion) + _event_lines(marks)
-    if curves.get("reference"):
-        kind = figures["reference"]["kind"]
-        source = "the reference integration" if kind == "integration" else "the exact solution"
-        estimate = "; dashed: estimate recorded with the run" if figures.get("estimate") else ""
-        plots.append(
-            (
-                "Error",
-                f"distance from {source}, largest of all bodies; dotted: reference uncertainty{estimate}",
-                _plane(_error_traces(curves["reference"]), bands, "m, rad", log=True),
-            )
-        )
-        ratios = _coverage_traces(curves["reference"])
+    restarts = np.array([stretch.begin_ns * 1e-9 for stretch in analysis.motion.stretches[1:]][:MOST_RESTARTS])
+    bands = _push_bands(figures, analysis.motion) + _event_lines(marks, "--grey") + _event_lines(restarts, "--violet")
+    plots += _joint_plots(analysis, bands) + (_body_plots(analysis, bands) if bodies else [])
+    if curves["balance"]:
+        plots += _energy_plots(figures["balance"], curves["balance"], bands)
+    remark, traces = _errors(analysis)
+    if traces:
+        lines = []
+        if promise := figures.get("promise"):
+            for (since, accuracy), until in _accuracies(promise, analysis.motion):
+                for value, colour in ((accuracy * promise["length"], "--blue"), (accuracy, "--orange")):
+                    lines.append((value, colour, since, until))
+            remark += f"; horizontal: accuracy requested for the first {promise['horizon']:g} s"
+        plots.append(("Error", remark, _with_lines(_plane(traces, bands, "m, rad", log=True), lines)))
+        ratios = _coverage_traces(curves.get("reference") or [])
         if ratios:
             plots.append(
                 (
                     "Coverage",
                     f"estimate / error, where the error exceeds the uncertainty; lines at {LEAST:g} and {MOST:g}",
-                    _ratio_plane(ratios, bands),
+                    _with_lines(
+                        _plane(ratios, bands, "estimate / error", log=True),
+                        [(value, "--grey", None, None) for value in (LEAST, MOST)],
+                    ),
                 )
             )
-    if curves["energy"]:
-        plots.append(
-            (
-                "Energy",
-                "change since the start of each interval without applied wrenches",
-                _plane(_interval_traces([("energy", curves["energy"])]), bands, "J"),
-            )
-        )
     conserved = [
         (f"{entry['component']}, {entry['unit']}", part)
         for entry, part in zip(figures["momentum"], curves["momentum"])
@@ -72,7 +92,7 @@ def make_plots(analysis):
                 ),
             )
         )
-    if curves["joints"]:
+    if any((residual > 0.0).any() for _, residual in curves["joints"]):
         plots.append(
             (
                 "Constraint residuals",
@@ -88,22 +108,55 @@ def make_plots(analysis):
     late = _lateness_traces(analysis.recording.diagnostics)
     if late:
         plots.append(("Scheduling latency", "of all ticks since the start", _plane(late, bands, "µs", log=True)))
-    if marks is not None and len(marks):
-        for *_, plot in plots:
-            plot["data"].append(_event_entry(figures, marks))
+    entries = [_event_entry(figures, marks)] if marks is not None and len(marks) else []
+    if len(restarts):
+        entries.append(_line("resets and set states", [math.nan], [math.nan], "--violet"))
+    for *_, plot in plots:
+        plot["data"] += entries
     return plots
 
 
-def _error_traces(parts):
+ERRORS = (
+    ("position, m", "--blue", "solid"),
+    ("attitude, rad", "--orange", "solid"),
+    ("position, uncertainty", "--blue", "dot"),
+    ("attitude, uncertainty", "--orange", "dot"),
+    ("position, estimate", "--blue", "dash"),
+    ("attitude, estimate", "--orange", "dash"),
+)
+
+
+def _errors(analysis):
+    """(remark, traces) of the errors against the reference, or else of the recorded estimates."""
+    figures, parts = analysis.figures, analysis.curves.get("reference")
+    if parts:
+        kind = figures["reference"]["kind"]
+        source = "the reference integration" if kind == "integration" else "the exact solution"
+        estimate = "; dashed: estimate recorded with the run" if figures["estimate"] else ""
+        return f"distance from {source}, largest of all bodies; dotted: reference uncertainty{estimate}", _error_traces(
+            parts, ERRORS
+        )
+    if not figures["estimate"]:
+        return "", []
+    parts = [(s.log_times, *s.errors.max(axis=1).T[:2]) for s in analysis.motion.stretches]
+    return "estimate recorded with the run, largest of all bodies", _error_traces(parts, ERRORS[4:])
+
+
+def _accuracies(promise, motion):
+    """[((from, accuracy), to)] in s of the recording; ends are None if the accuracy never changes."""
+    if not promise["changes"]:
+        return [((None, promise["accuracy"]), None)]
+    found = []
+    for stretch in motion.stretches:
+        base = stretch.base_ns * 1e-9
+        parts = [(base + since, accuracy) for since, accuracy in periods(promise, stretch)]
+        ends = [*(since for since, _ in parts[1:]), float(stretch.log_times[-1])]
+        found += zip(parts, ends)
+    return found[:MOST_RESTARTS]
+
+
+def _error_traces(parts, names):
     times = _joined([part[0] for part in parts])
-    names = (
-        ("position, m", "--blue", "solid"),
-        ("attitude, rad", "--orange", "solid"),
-        ("position, uncertainty", "--blue", "dot"),
-        ("attitude, uncertainty", "--orange", "dot"),
-        ("position, estimate", "--blue", "dash"),
-        ("attitude, estimate", "--orange", "dash"),
-    )
     return [
         _line(name, times, _joined([part[k + 1] for part in parts]), colour, dash)
         for k, (name, colour, dash) in enumerate(names[: len(parts[0]) - 1])
@@ -127,25 +180,99 @@ def _coverage_traces(parts):
     return traces
 
 
-def _ratio_plane(traces, bands):
-    """Plot of `_coverage_traces` with lines at the bounds of an estimate that covers the error."""
-    lines = [
+def _with_lines(plot, lines):
+    """Plot with a log axis and horizontal lines, [(value, colour, from s, to s)]; None: over the whole width."""
+    layout, dash = plot["layout"], "longdash"
+    layout["shapes"] = layout["shapes"] + [
         {
             "type": "line",
-            "xref": "paper",
+            "xref": "paper" if since is None else "x",
             "yref": "y",
-            "x0": 0,
-            "x1": 1,
+            "x0": 0 if since is None else since,
+            "x1": 1 if since is None else until,
             "y0": value,
             "y1": value,
-            "line": {"color": "--grey", "width": 1, "dash": "dot"},
+            "line": {"color": colour, "width": 1.5, "dash": dash},
         }
-        for value in (LEAST, MOST)
+        for value, colour, since, until in lines
     ]
-    plot = _plane(traces, bands + lines, "estimate / error", log=True)
-    ends = [math.log10(0.5 * LEAST), math.log10(2.0 * MOST), *_logarithms(traces)]
-    plot["layout"]["yaxis"]["range"] = [min(ends), max(ends)]
+    if lines:
+        before = layout["yaxis"].get("range") or _logarithms(plot["data"]) or [0.0]
+        ends = [*before, *(math.log10(factor * value) for value, *_ in lines for factor in (0.5, 2.0))]
+        layout["yaxis"]["range"] = [min(ends), max(ends)]
     return plot
+
+
+def _joint_plots(analysis, bands):
+    """Plots of the joints with one coordinate, by quantity and unit."""
+    times, joints = analysis.joint_motion
+    units = analysis.layout.coordinates.units
+    kinds = {unit: [name for name in joints if units[name] == unit] for unit in ("rad", "m")}
+    # Of each kind, joints with an effort first.
+    chosen = [
+        name
+        for names in kinds.values()
+        for name in _chosen({n: joints[n][:, 0] for n in names}, {n: np.isfinite(joints[n][:, 2]).any() for n in names})
+    ]
+    looks, plots = _looks(joints), []
+    for title, remark, k, unit, kind in JOINT_PLOTS:
+        curves = {name: joints[name][:, k] for name in kinds.get(kind, joints) if np.isfinite(joints[name][:, k]).any()}
+        if curves:
+            traces = _many_traces(times, curves, looks, chosen, jump=np.pi if unit == "rad" else np.inf)
+            plots.append((title, remark, {**_plane(traces, bands, unit), "pick": "Joints"}))
+    return plots
+
+
+def _body_plots(analysis, bands):
+    """Plots of the positions of the body frames."""
+    stretches, names = analysis.motion.stretches, analysis.layout.body_names
+    every = max(1, sum(len(s.steps) for s in stretches) // MOST_TIMES)
+    times = _joined([s.log_times[::every] for s in stretches])
+    places = _joined([s.position[::every] for s in stretches])
+    chosen, looks = _chosen({name: places[:, n] for n, name in enumerate(names)}), _looks(names)
+    plots = []
+    for k, axis in enumerate("xyz"):
+        traces = _many_traces(times, {name: places[:, n, k] for n, name in enumerate(names)}, looks, chosen)
+        plot = {**_plane(traces, bands, f"{axis} / m"), "pick": "Bodies"}
+        plots.append((f"Body positions, {axis}", "origins of the body frames, world axes", plot))
+    return plots
+
+
+def _many_traces(times, curves, looks, chosen, jump=np.inf):
+    """Traces that the page lets the user choose; no legend has them. They have gaps at larger jumps."""
+    traces = []
+    for name, y in curves.items():
+        gaps = np.flatnonzero(np.abs(np.diff(y)) > jump) + 1
+        line = _line(name, np.insert(times, gaps, np.nan), np.insert(y, gaps, np.nan), *looks[name], digits=5)
+        traces.append({**line, "visible": name in chosen, "showlegend": False})
+    return traces
+
+
+def _chosen(curves, first=None):
+    """Names of the MOST_CHOSEN curves that are visible at first: those in `first`, then those with large ranges."""
+    spans = {name: np.nanmax(y, 0) - np.nanmin(y, 0) for name, y in curves.items() if np.isfinite(y).any()}
+    return sorted(spans, key=lambda name: (not (first and first[name]), -np.max(spans[name])))[:MOST_CHOSEN]
+
+
+def _looks(names):
+    """{name: (colour, dash)} that distinguish many curves."""
+    return {
+        name: (MANY_COLOURS[k % len(MANY_COLOURS)], DASHES[k // len(MANY_COLOURS) % len(DASHES)])
+        for k, name in enumerate(names)
+    }
+
+
+def _energy_plots(balance, parts, bands):
+    """Plots of the energy balance: changes of its terms, and what does not add up."""
+    times = _joined([part[0] for part in parts])
+    stored, works, remainder = (_joined([part[k] for part in parts]) for k in (1, 2, 3))
+    named = dict(zip((*STORES, *(f"work of {name}" for name in WORKS)), (*stored.T, *works.T)))
+    looks = _looks(named)
+    traces = [_line(name, times, y, *looks[name]) for name, y in named.items() if np.nanmax(abs(y)) > 0.0]
+    error = f"; estimated error of the work {shown(balance['quadrature_J'], 'J')}" if balance["quadrature_J"] else ""
+    plots = [("Energy", "change since the start", _plane(traces, bands, "J"))] if len(traces) > 1 else []
+    remark = f"change of the energy minus the work done{error}"
+    return [*plots, ("Energy error", remark, _plane([_line("error", times, remainder, "--blue")], bands, "J"))]
 
 
 def _interval_traces(named):
@@ -221,9 +348,9 @@ def _plane(traces, bands, unit, log=False):
                 **axis,
                 "title": {"text": unit, "standoff": 8},
                 **(
-                    {"type": "log", "exponentformat": "power", **_decades(traces)}
+                    {"type": "log", "exponentformat": "power", "nticks": 7, **_range(traces)}
                     if log
-                    else {"exponentformat": "power"}
+                    else {"exponentformat": "power", **_range_of_one_value(traces)}
                 ),
             },
             "shapes": bands,
@@ -240,17 +367,18 @@ def _logarithms(traces):
     return [math.log10(v) for trace in traces for v in trace["y"] if v is not None and v > 0.0]
 
 
-def _decades(traces):
-    """(decades between grid lines, range) of a log axis with at most seven grid lines."""
-    found, values = {}, _logarithms(traces)
-    if not values:
-        return {"dtick": 1}
-    low, high = min(values), max(values)
-    usual = float(np.quantile(values, FEW)) + math.log10(ODD)
-    if low < usual:  # prevent an accidental difference of 1e-40 from stretching the axis
-        low = usual
-        found["range"] = [low, high + 0.2]
-    return {"dtick": max(1, math.ceil((high - low) / 7.0)), **found}
+def _range(traces):
+    """Range of a log axis, if it is not that of the curves."""
+    values = _logarithms(traces)
+    usual = float(np.quantile(values, FEW)) + math.log10(ODD) if values else 0.0
+    # Prevent an accidental difference of 1e-40 from stretching the axis.
+    return {"range": [usual, max(values) + 0.2]} if values and min(values) < usual else {}
+
+
+def _range_of_one_value(traces):
+    """Range of an axis if all curves have the same value, around which plotly.js would show round-off."""
+    values = {v for trace in traces for v in trace["y"] if v}
+    return {"range": sorted((0.0, 2.0 * values.pop()))} if len(values) == 1 else {}
 
 
 def _push_bands(figures, motion):
@@ -273,7 +401,7 @@ def _push_bands(figures, motion):
     ]
 
 
-def _event_lines(times):
+def _event_lines(times, colour):
     return [
         {
             "type": "line",
@@ -284,8 +412,8 @@ def _event_lines(times):
             "y0": 0,
             "y1": 1,
             "layer": "below",
-            "opacity": 0.5,
-            "line": {"color": "--grey", "width": 0.8},
+            "opacity": 0.3,
+            "line": {"color": colour, "width": 0.8},
         }
         for time in ([] if times is None else times.tolist())
     ]
@@ -298,17 +426,19 @@ def _event_entry(figures, times):
     return _line(f"events at joints{some}", [math.nan], [math.nan], "--grey")
 
 
-def _line(name, x, y, colour, dash="solid"):
+def _line(name, x, y, colour, dash="solid", digits=7):
     """Trace of a curve. Long curves are reduced to minimum, maximum and a gap of each bin."""
     if len(x) > 2 * BINS:
         pick = _extremes(y)
         x, y = x[pick], y[pick]
+    known = np.isfinite(np.concatenate([[np.nan], y, [np.nan]]))
+    alone = known[1:-1] & ~known[:-2] & ~known[2:]  # a line of one sample is invisible
     return {
         "type": "scatter",
-        "mode": "lines",
+        **({"mode": "lines+markers", "marker": {"size": (5 * alone).tolist()}} if alone.any() else {"mode": "lines"}),
         "name": label(name),
         "x": _plain(x),
-        "y": _plain(y),
+        "y": _plain(y, digits),
         "line": {"color": colour, "width": 1.6, "dash": dash},
         "connectgaps": False,
         "hovertemplate": "%{y:.3g}",
@@ -335,6 +465,6 @@ def _joined(parts):
     return np.concatenate([piece for part in parts for piece in (part, gap)][:-1])
 
 
-def _plain(values):
-    """Numbers for JSON with seven digits; a gap is null."""
-    return [float(f"{value:.7g}") if math.isfinite(value) else None for value in values]
+def _plain(values, digits=7):
+    """Numbers for JSON; a gap is null."""
+    return [float(f"{value:.{digits}g}") if math.isfinite(value) else None for value in values]

@@ -6,11 +6,14 @@ and for missing mesh files, the view draws boxes that have the bodies' inertias.
 separate process, robots/apart.py.
 """
 
+import base64
 import json
 import os
 import tempfile
 from importlib.util import find_spec
 from pathlib import Path
+
+import numpy as np
 
 from liegroup_core.errors import SceneError
 from liegroup_core.robots.apart import run_apart
@@ -53,6 +56,12 @@ def robot_shapes(robot):
         return {}, [f"visuals are drawn as boxes: {str(error).partition(': ')[2]}"]
     failed |= {names[path]: text for path, text in found["failed"].items()}
     return found["shapes"], list(_remarks(found, missing, failed))
+
+
+def decoded(shape):
+    """Points (k, 3) in m, in the body's frame, and faces (m, 3) of a shape."""
+    points, faces = (base64.b64decode(shape[key]) for key in ("points", "faces"))
+    return np.frombuffer(points, "<f4").reshape(-1, 3), np.frombuffer(faces, "<i4").reshape(-1, 3)
 
 
 def _file(address, file):

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results of an analysis as text: rows of the tables, headline and overview."""
 
-from liegroup_sim_ros.analysis.timing import requested_text
+from liegroup_sim_ros.analysis.estimate import error_of
+from liegroup_sim_ros.analysis.timing import is_paced, requested_text
 from liegroup_sim_ros.numbers import GROUPS, counted, error_text, shown
 
 MOST_JOINTS = 8  # number of joints in the table; the JSON document has all
@@ -21,25 +22,31 @@ OVERVIEW = ("position", "attitude", "energy", "joints", "bit-identical", "droppe
 def headline(figures):
     """Most important figures: [(name, value, remark)]."""
     rows = []
-    reference = figures.get("reference")
-    if reference and "failed" not in reference:
-        known = "the reference uncertainty"
+    errors, why = error_of(figures)
+    if errors:
         rows += [
             (
                 text,
                 shown(max(entry["max"], entry["uncertainty"]), entry["unit"]),
-                known
+                "largest estimate, recorded with the run"
+                if why
+                else "the reference uncertainty"
                 if entry["max"] <= entry["uncertainty"]
                 else f"maximum, uncertainty {shown(entry['uncertainty'], entry['unit'])}",
             )
             for name, text in (("position", "position error"), ("angle", "attitude error"))
-            for entry in [reference[name]]
+            for entry in [errors[name]]
         ]
+    elif "estimate" in figures:
+        rows.append(("error", "unknown", why))
     if figures.get("joints"):
         name, worst = max(figures["joints"].items(), key=lambda item: item[1]["largest"])
         rows.append(("constraint residual", shown(worst["largest"], worst["unit"]), f"maximum: {name}"))
     if figures.get("energy") and figures["energy"]["relative_drift"] is not None:
         rows.append(("energy drift", shown(figures["energy"]["relative_drift"]), "of the largest kinetic energy"))
+    elif figures.get("balance", {}).get("quadrature_J"):
+        remark = f"largest; estimated error of the work {shown(figures['balance']['quadrature_J'], 'J')}"
+        rows.append(("energy does not add up by", shown(figures["balance"]["largest_J"], "J"), remark))
     repeat = figures.get("repeat", {})
     if "identical" in repeat:
         same = repeat["identical"] == repeat["samples"]
@@ -50,7 +57,7 @@ def headline(figures):
                 f"identical in {repeat['identical']} of {counted(repeat['samples'], 'sample')}",
             )
         )
-    if figures["timing"].get("real_time_factor"):
+    if is_paced(figures["timing"]):
         rows.append(
             ("real-time factor", f"{figures['timing']['real_time_factor']:.3f}", requested_text(figures["timing"]))
         )
@@ -77,6 +84,8 @@ def sections(figures):
         tables.append(("Error of one step, by step halving", _local_rows(local)))
     if "energy" in figures:
         tables.append(("Conserved quantities and constraints", _conserved_rows(figures)))
+    if "failed" in figures.get("balance", {}):
+        tables.append((BALANCE_TITLE, [("unknown", "-", figures["balance"]["failed"])]))
     if figures.get("joint_events"):
         tables.append(("Stops and friction", _joint_event_rows(figures["joint_events"])))
     repeat = figures.get("repeat", {})
@@ -101,7 +110,8 @@ def sections(figures):
 def _run_rows(figures):
     pushes = figures["pushes"]
     shown_pushes = "; ".join(
-        f"{p['body']} {p['from_s']:.3f} s to " + (f"{p['to_s']:.3f} s" if p["to_s"] is not None else "the end")
+        f"{p.get('body') or 'joint ' + p['joint']} {p['from_s']:.3f} s to "
+        + (f"{p['to_s']:.3f} s" if p["to_s"] is not None else "the end")
         for p in pushes[:4]
     )
     count = figures["push_count"]
@@ -126,7 +136,7 @@ def _run_rows(figures):
             + (f", {counted(figures['resets'], 'reset')}" if figures["resets"] else ""),
         ),
         (
-            "applied wrenches",
+            "wrenches and efforts",
             str(count),
             shown_pushes + more + (f"; {counted(refused, 'wrench message')} refused" if refused else ""),
         ),
@@ -146,8 +156,8 @@ def _error_rows(figures):
 
 
 def _estimate_rows(figures):
-    reference = figures.get("reference", {"failed": "compared with no reference"})
-    nothing = reference.get("failed", "no error above the reference uncertainty to compare with")
+    compared = "failed" not in figures.get("reference", {"failed": None})
+    nothing = "no error above the reference uncertainty to compare with" if compared else ""
     return [
         (
             text,
@@ -266,15 +276,37 @@ def _event_count(entry):
     return sum(entry[kind] for kind in NOUNS)
 
 
+BALANCE_TITLE, BALANCE_HEAD = "Energy balance", ("", "start", "end", "change")
+
+
+def balance_rows(balance):
+    """Rows of the energy balance, a text for each of BALANCE_HEAD; balance : entry of the figures."""
+
+    def row(name, *values):
+        return (name, *("" if value is None else f"{value:.6g} J" if value else "0 J" for value in values))
+
+    rows = [
+        row(entry["name"], start, end, end - start)
+        for entry in balance["stored"]
+        for start, end in [(entry["start_J"], entry["end_J"])]
+        if start or end
+    ]
+    rows += [row(f"work of {name}", None, None, work) for name, work in balance["work_J"].items() if work]
+    if balance["set_J"]:
+        rows.append(row("resets and states that were set", None, None, balance["set_J"]))
+    rows.append(row("does not add up by", None, None, balance["remainder_J"]))
+    rows.append(row("largest during the run", None, None, balance["largest_J"]))
+    if balance["quadrature_J"]:
+        rows.append(row("estimated error of the work", None, None, balance["quadrature_J"]))
+    return rows
+
+
 def _timing_rows(timing):
     late, ticks = timing["lateness_us"], timing.get("ticks")
     no_clock = "the run was not in real time"
+    paced = is_paced(timing)
     return [
-        (
-            "real-time factor",
-            "-" if timing.get("real_time_factor") is None else f"{timing['real_time_factor']:.4f}",
-            requested_text(timing),
-        ),
+        ("real-time factor", f"{timing['real_time_factor']:.4f}" if paced else "-", requested_text(timing)),
         (
             "scheduling latency",
             _microseconds(late["p50"]),
@@ -321,14 +353,14 @@ def short_names(found):
 
 
 def overview(figures):
-    """Row of the overview of several recordings: a text for each of OVERVIEW."""
+    """Row of the overview of several recordings: a text for each of OVERVIEW; ~ marks recorded estimates."""
     if "failed" in figures:
         return ["-"] * len(OVERVIEW)
-    reference = figures.get("reference") or {"failed": ""}
+    errors, why = error_of(figures)
     errors = (
-        ["-", "-"]
-        if "failed" in reference
-        else [error_text(reference[name]).partition(" (")[0] for name in ("position", "angle")]
+        [("~" if why else "") + error_text(errors[name]).partition(" (")[0] for name in ("position", "angle")]
+        if errors
+        else ["-", "-"]
     )
     joints = [joint["largest"] for joint in figures.get("joints", {}).values()]
     repeat = figures.get("repeat", {})

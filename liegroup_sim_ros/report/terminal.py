@@ -6,7 +6,16 @@ from rich.text import Text
 
 from liegroup_sim_ros.numbers import NO_NUMBER, counted, shown
 
-from .summary import OVERVIEW, comparison_rows, overview, sections, short_names
+from .summary import (
+    BALANCE_HEAD,
+    BALANCE_TITLE,
+    OVERVIEW,
+    balance_rows,
+    comparison_rows,
+    overview,
+    sections,
+    short_names,
+)
 
 
 def print_table(figures, console):
@@ -14,6 +23,8 @@ def print_table(figures, console):
     console.print(Text(figures["verdict"], style="bold"))
     for problem in figures["problems"]:
         console.print(Text(f"! {problem}", style="bold red"))
+    for warning in figures["warnings"]:
+        console.print(Text(f"! {warning}", style="yellow"))
     for title, rows in sections(figures):
         table = Table(
             box=None,
@@ -31,6 +42,9 @@ def print_table(figures, console):
             table.add_row(Text(what), Text(value, style=style), Text(remark))
         console.print()
         console.print(table)
+    if "stored" in figures.get("balance", {}):
+        console.print()
+        console.print(plain_table(BALANCE_TITLE, BALANCE_HEAD, balance_rows(figures["balance"])))
 
 
 def print_overview(analyses, console):

@@ -3,9 +3,11 @@
 
 from html import escape
 
+import numpy as np
+
 from liegroup_core.accuracy import DEFAULT
 
-from .page import frame, plot_card, unbroken
+from .page import frame, plot_card, table, unbroken
 from .plots import BASE, COLOURS, label
 from .trade_figures import (
     ACCURACY_HEAD,
@@ -24,6 +26,7 @@ from .trade_figures import (
 DASHES = ("solid", "dash", "dot", "longdashdot")  # with 6 colours, enough combinations for all methods
 SYMBOLS = ("circle", "square", "triangle-up", "diamond", "triangle-down", "cross")
 HEIGHT = 560  # px
+CLOSE = np.array([0.15, 0.05])  # of the width and the height of the plot: labels of closer stars would overlap
 MARKS = ("o", "s", "^", "D", "v", "P")
 LINES = ("-", "--", ":", "-.")
 TO_ACCURACY = "to an accuracy"
@@ -47,12 +50,23 @@ def accuracy_text(entry):
     return f"accuracy {entry['accuracy']:g}" + (", the default" if entry["accuracy"] == DEFAULT else "")
 
 
-def _at_places(part):
-    """[((cost, error), entries)] of the simulations to an accuracy; entries with equal errors share a point."""
-    known, places = part["reference"]["known"], {}
-    for entry in part["to_accuracy"]:
-        places.setdefault(entry["error"], []).append(entry)
-    return [((entries[0]["cost_us"] * 1e-6, max(error, known)), entries) for error, entries in places.items()]
+def _stars(part):
+    """[((cost, error), label)] of the simulations to an accuracy, by cost; the last of close stars has all labels."""
+    known = part["reference"]["known"]
+
+    def place(entry):
+        return entry["cost_us"] * 1e-6, max(entry["error"], known)
+
+    stars = sorted((place(entry), f"{entry['accuracy']:g}") for entry in part["to_accuracy"])
+    every = [*(at for at, _ in stars), *(place(cell) for _, cells in curves(part) for cell in cells)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logarithms = np.log10(np.array(every).reshape(-1, 2))
+    shown = logarithms[np.isfinite(logarithms).all(axis=1)]
+    for k in range(len(stars) - 1):
+        (at, text), (after, more) = stars[k : k + 2]
+        if (np.abs(logarithms[k + 1] - logarithms[k]) < CLOSE * np.ptp(shown, axis=0)).all():
+            stars[k : k + 2] = (at, ""), (after, f"{text}, {more}")
+    return stars
 
 
 def make_plot(part):
@@ -90,13 +104,16 @@ def make_plot(part):
     traces.append(
         {
             "type": "scatter",
-            "mode": "markers",
+            "mode": "markers+text",
             "name": TO_ACCURACY,
-            "x": [entry["cost_us"] * 1e-6 for entry in part["to_accuracy"]],
-            "y": [max(entry["error"], known) for entry in part["to_accuracy"]],
-            "text": [accuracy_text(entry) for entry in part["to_accuracy"]],
+            "x": [x for (x, _), _ in _stars(part)],
+            "y": [y for (_, y), _ in _stars(part)],
+            "text": [text for _, text in _stars(part)],
+            "textposition": "top right",
+            "cliponaxis": False,
+            "hovertext": [accuracy_text(e) for e in sorted(part["to_accuracy"], key=lambda e: e["cost_us"])],
             "marker": {"color": "--text", "size": 12, "symbol": "star"},
-            "hovertemplate": "%{text}<br>error %{y:.3g}, %{x:.3g} s per s",
+            "hovertemplate": "%{hovertext}<br>error %{y:.3g}, %{x:.3g} s per s",
         }
     )
     axis = {
@@ -149,41 +166,28 @@ def make_page(parts):
             f'{escape(_processor(part))}.</p><div class="cards" data-part="{k}">'
             + plot_card(
                 "Work and precision",
-                "Pareto front of each method; red: real time on one core; grey: reference uncertainty",
+                "Pareto front of each method; stars: requested accuracy; red: real time on one core; grey: "
+                "reference uncertainty",
             )
             + "</div>"
-            + _table(
-                f"Cheapest configuration for each accuracy, with a margin of {part['margin']:g}",
-                CHEAPEST_HEAD,
-                cheapest_rows(part),
-            )
-            + _table(ACCURACY_TITLE, ACCURACY_HEAD, accuracy_rows(part))
-            + _table(FRONT_TITLE, FRONT_HEAD, front_rows(part))
+            + "".join(f'<div class="cards">{table(*each)}</div>' for each in _tables(part))
         )
     title = f"{', '.join((part['scene'] for part in parts))}: accuracy against cost"
     return frame(title, body, [{"plots": [make_plot(part)], "view": None} for part in parts])
 
 
+def _tables(part):
+    """[(title, heads, rows)] of a scene."""
+    cheapest = f"Cheapest configuration for each accuracy, with a margin of {part['margin']:g}"
+    return [
+        (cheapest, CHEAPEST_HEAD, cheapest_rows(part)),
+        (ACCURACY_TITLE, ACCURACY_HEAD, accuracy_rows(part)),
+        (FRONT_TITLE, FRONT_HEAD, front_rows(part)),
+    ]
+
+
 def _processor(part):
     return ", ".join(sorted({cell["cpu"] for cell in part["cells"]}))
-
-
-def _table(title, heads, rows):
-    return (
-        f'<div class="cards"><section class="card"><h3>{escape(title)}</h3>'
-        '<table class="logs"><thead><tr>'
-        + "".join(f"<th>{escape(head)}</th>" for head in heads)
-        + "</tr></thead><tbody>"
-        + "".join(
-            "<tr>"
-            + "".join(
-                f'<td data-what="{escape(head)}"><span>{unbroken(cell)}</span></td>' for head, cell in zip(heads, row)
-            )
-            + "</tr>"
-            for row in rows
-        )
-        + "</tbody></table></section></div>"
-    )
 
 
 def write_picture(part, path):
@@ -215,9 +219,8 @@ def write_picture(part, path):
             ls=LINES[k // len(inks) % len(LINES)],
             label=method,
         )
-    for place, entries in _at_places(part):
+    for place, text in _stars(part):
         axes.plot(*place, "*", ms=8, color="black")
-        text = "\n".join(map(accuracy_text, entries))
         axes.annotate(text, place, (4, 3), textcoords="offset points", fontsize=5.5)
     axes.axvline(1.0, color=INKS["--red"], lw=0.8, ls=":")
     axes.axhline(known, color=INKS["--grey"], lw=0.8, ls=":")

@@ -7,16 +7,13 @@ import math
 import numpy as np
 import scipy
 
-from liegroup_core.layout import make_layout
 from liegroup_sim_ros.messages.markers import CUBE, CYLINDER, THINNEST, solid
 
-from .plots import BASE, label
+from .plots import BASE, MANY_COLOURS, label
 
 # Limits on the number of poses of all bodies and of frames. More would make the page large, fewer the motion jerky.
 MOST_PLACES, MOST_FRAMES, LEAST_FRAMES = 15_000, 3000, 200
 MOST_PUSHES = 1000
-# Red marks bodies with an applied wrench, grey the links between joints and bodies.
-COLOURS = ("--blue", "--orange", "--green", "--violet", "--teal", "--pink", "--olive")
 
 
 def make_view(analysis, shapes=None):
@@ -28,7 +25,7 @@ def make_view(analysis, shapes=None):
     breaks        : last frames before a reset
     """
     scene, stretches = analysis.scene, analysis.motion.stretches
-    layout = make_layout(scene)
+    layout = analysis.layout
     index = {body.name: i for i, body in enumerate(scene.bodies)}
     solids = [solid(body) for body in scene.bodies]
     thinnest = THINNEST * max(max(size) for _, size, _ in solids)
@@ -40,7 +37,7 @@ def make_view(analysis, shapes=None):
             "at": local[:3, 3].tolist(),
             "turn": local[:3, :3].ravel().tolist(),
             "com": [float(x) for x in body.com],
-            "colour": COLOURS[i % len(COLOURS)],
+            "colour": MANY_COLOURS[i % len(MANY_COLOURS)],
         }
         for i, (body, (kind, size, local)) in enumerate(zip(scene.bodies, solids))
     ]
@@ -73,7 +70,7 @@ def make_view(analysis, shapes=None):
             stretch.base_ns * 1e-9 + end * stretch.step if math.isfinite(end) else None,
         ]
         for stretch in stretches
-        for first, end, body in stretch.pushed
+        for first, end, body in sorted((*pair, name) for name in index for pair in stretch.pushes_on(name).tolist())
     ]
     seconds = float(times[-1] - times[0])
     return {

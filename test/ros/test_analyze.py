@@ -6,6 +6,7 @@ What it says about the chapter's heavy top is held against numbers of an indepen
 
 import dataclasses
 import json
+import math
 
 import numpy as np
 import pytest
@@ -150,6 +151,7 @@ def test_every_reset_starts_a_new_interval(tmp_path):
             pushes=[
                 (100, ("top", (0, 0, 5.0, 0, 0, 0))),
                 (200, ("top", (0,) * 6)),
+                (400, ("top", (0, 0, 5.0, 0, 0, 0))),
                 (600, ("top", (0, 0, 5.0, 0, 0, 0))),
             ],
         )
@@ -157,8 +159,11 @@ def test_every_reset_starts_a_new_interval(tmp_path):
     assert figures["resets"] == 2 and figures["problems"] == []
     assert figures["repeat"]["identical"] == figures["repeat"]["samples"] == 31 + 26 + 35
     assert figures["reference"]["angle"]["max"] < 1e-4
-    assert [push["to_s"] is None for push in figures["pushes"]] == [False, True]
-    assert figures["energy"]["intervals"] == 4  # 2 + 1 + 1, the last up to the push
+    # Resets come one step after steps 300 and 555: at 0.602 s and at 1.114 s.
+    assert [push["from_s"] for push in figures["pushes"]] == pytest.approx([0.2, 0.802, 1.204])
+    assert [push["to_s"] or math.inf for push in figures["pushes"]] == pytest.approx([0.4, 1.114, math.inf])
+    assert "1.09 s with an applied wrench" in figures["energy"]["left_out"]  # 0.2 + 0.3 + 0.59, up to last samples
+    assert figures["energy"]["intervals"] == 4  # 2 + 1 + 1, the last two up to a push
     assert figures["sim_seconds"] == pytest.approx(0.6 + 0.5 + 0.68)
 
 

@@ -27,12 +27,13 @@ from liegroup_sim_ros.analysis.bounds import find_exceeded
 from liegroup_sim_ros.analysis.comparison import compare
 from liegroup_sim_ros.analysis.drift import Drift, thinned
 from liegroup_sim_ros.analysis.estimate import Estimate
+from liegroup_sim_ros.analysis.promise import Promise
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.numbers import error_text
 from liegroup_sim_ros.recording import read, write_run
 from liegroup_sim_ros.recording.read import RecordingError, read_recording
 from liegroup_sim_ros.report.plots import make_plots
-from liegroup_sim_ros.report.summary import sections
+from liegroup_sim_ros.report.summary import headline, overview, sections
 
 SCHEMA = Path(__file__).resolve().parents[2] / "config" / "analysis.schema.json"
 FREE = """
@@ -226,7 +227,8 @@ def test_a_violated_or_unjudged_limit_fails_the_command(logs, tmp_path, capsys, 
     alone = record(tmp_path / "d.mcap", scene_from_text(driven), 50)
     assert main(["analyze", str(alone), "--max-drift", "1"]) == 1
     assert "there is no drift to check" in capsys.readouterr().err
-    assert main(["analyze", log, "--no-reference", "--max-error", "1"]) == 2
+    assert main(["analyze", log, "--no-reference", "--max-error", "1"]) == 1
+    assert "unknown: the comparison with a reference was not requested; no est" in capsys.readouterr().err
     assert main(["analyze", log, log, "--compare", log]) == 2
     for nothing, said in ((tmp_path / "*.none", "no file matches"), (tmp_path.parent, "the folder has no *.mcap file")):
         assert main(["analyze", str(nothing)]) == 2
@@ -302,13 +304,14 @@ def test_recorded_estimates_are_compared_with_the_error(tmp_path, text, factor, 
 
 
 def test_only_known_estimates_and_errors_above_the_uncertainty_count():
-    estimate, zero = Estimate(), np.zeros((6, 2))
+    estimate, zero = Estimate(Promise(None)), np.zeros((6, 2))
     error = np.array([[1.0, 0.1]] * 6)
     estimates = np.ones((6, 2, 4)) * np.array([0.4, 0.5, 10.0, 10.1, np.nan, np.inf])[:, None, None]
     uncertainty = np.zeros((6, 2))
     estimate.compare(estimates, Distance(error, zero, error, zero, error), Distance(*[uncertainty] * 5))
     estimate.compare(estimates, Distance(*[error] * 5), Distance(*[error] * 5))
-    block = SimpleNamespace(errors=estimates[:5], steps=np.arange(5), stretch=SimpleNamespace(start=0))
+    steps = np.arange(5)
+    block = SimpleNamespace(errors=estimates[:5], steps=steps, times=steps, stretch=SimpleNamespace(start=0))
     estimate.add(block)
     figures = estimate.figures()
     assert figures["position"] == {
@@ -343,6 +346,60 @@ def test_a_recorded_estimate_above_the_limit_fails_the_command(tmp_path, capsys)
     assert find_exceeded([{**figures, "estimate": None}], 1.0) == []
 
 
+STOPPED = """
+name: stopped
+gravity: [0, 0, -9.81]
+bodies: [{name: bob, mass: 1.0, inertia: [0.1, 0.1, 0.1]}]
+joints: [{name: slide, type: prismatic, parent: world, child: bob, child_frame: {}, limits: {lower: -1.0}}]
+"""
+NO_STOPS = "the reference integration has no stops and no friction (slide)"
+
+
+@pytest.mark.parametrize("options, why", [([], NO_STOPS), (["--no-reference"], "the comparison with a reference was")])
+@pytest.mark.parametrize(
+    "largest, kept, unknown",
+    [
+        (2e-5, True, None),
+        (2e-3, False, None),
+        (np.inf, None, "the recorded estimate is infinite"),
+        (np.nan, None, "the run ended before its first estimate"),
+    ],
+)
+def test_without_a_reference_the_recorded_estimate_takes_its_place(
+    tmp_path, capsys, options, why, largest, kept, unknown
+):
+    """Planted in every sample after the start: in the verdict, its tile, plot and table, and in the bound."""
+
+    def planted(sample):
+        if sample.time > 0.0:
+            sample.errors[:] = (largest, 0.5 * largest, 0.0, 0.0)
+        return sample
+
+    scene, files = scene_from_text(STOPPED), [tmp_path / name for name in ("a.mcap", "a.json", "a.html")]
+    run(files[0], scene, method=None, step=1e-2, every=5, spoil=planted, accuracy=1e-4)
+    given = ["analyze", str(files[0]), "--json", str(files[1]), "--html", str(files[2]), *options]
+    assert main([*given, "--max-error", "1e-4"]) == (not kept)
+    out, error = (" ".join(text.split()) for text in capsys.readouterr())
+    assert (unknown or ("" if kept else "recorded estimate of the error 0.002 m exceeds 0.0001")) in error
+    (figures,) = checked(files[1])["logs"]
+    assert out.count(why) == (not unknown or not options)
+    assert figures["warnings"] == ([f"the error is unknown: {why}; {unknown}"] if unknown and not options else [])
+    analysis = analyse(read_recording(files[0]), reference=not options)
+    promise, tiles = figures["promise"], {name: value for name, value, _ in headline(analysis.figures)}
+    plots = {title: plot for title, _, plot in make_plots(analysis)}
+    if unknown:
+        assert tiles["error"] == "unknown" and "error unknown" in figures["verdict"] and promise["kept"] is None
+        return
+    assert promise["kept"] is kept and promise["by"] == "estimate" and promise["seconds"] == 1.0
+    assert promise["error"] == pytest.approx(max(largest / promise["length"], 0.5 * largest))
+    assert tiles["position error"] == f"{largest:g} m" and tiles["attitude error"] == f"{0.5 * largest:g} rad"
+    assert f"estimated error at most {largest:g} m and {0.5 * largest:g} rad" in figures["verdict"]
+    assert [max(trace["y"]) for trace in plots["Error"]["data"][:2]] == [largest, 0.5 * largest]
+    assert overview(analysis.figures)[:2] == [f"~{largest:g} m", f"~{0.5 * largest:g} rad"]
+    lines = [shape["y0"] for shape in plots["Error"]["layout"]["shapes"] if shape["y0"]]
+    assert lines == pytest.approx([1e-4 * promise["length"], 1e-4][: len(lines)]) and lines
+
+
 def test_estimates_of_a_later_part_are_not_compared(tmp_path):
     """They count from the start of the run, the error from the start of the part."""
     simulation = Simulation(load_scene("heavy_top"), step=2e-3, estimate=True)
@@ -374,6 +431,21 @@ def test_the_coverage_is_the_estimate_divided_by_the_error(tmp_path):
                 assert ratio == pytest.approx(parts[2] / parts[0], rel=1e-5) and parts[0] >= parts[1]
                 known += 1
     assert known > 20
+
+
+def test_efforts_are_listed_by_joint(tmp_path):
+    """The effort at a joint acts on two bodies, but is one."""
+    simulation = Simulation(load_scene("double_pendulum"), "rkmk4", 1e-2, estimate=False)
+    simulation.apply_effort("elbow", 1.0, start=0.1)
+    with write_run.LogFile(tmp_path / "a.mcap", simulation, 1, 0) as file:
+        for _ in range(20):
+            file.sample(simulation.sample())
+            simulation.advance()
+        file.finish(simulation, None, False, 1.0)
+    figures = analyse(read_recording(tmp_path / "a.mcap")).figures
+    assert figures["pushes"] == [{"joint": "elbow", "from_s": 0.1, "to_s": None}] and figures["push_count"] == 1
+    (row,) = [row for row in dict(sections(figures))["Run"] if row[0] == "wrenches and efforts"]
+    assert row[1:] == ("1", "joint elbow 0.100 s to the end")
 
 
 def test_missing_estimates_are_nan(tmp_path, monkeypatch):

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 from browser import CHROMIUM, Browser
-from made_run import PAIR, record
+from made_run import PACING, PAIR, record
 
 from liegroup_core import load_scene
 from liegroup_core.fields import values
@@ -36,7 +36,8 @@ def pages(tmp_path_factory):
     scene = load_scene("double_pendulum")
     second = scene.bodies[1].name
     pushes = [(200, (second, (0, 0, 0, 0, 5.0, 0))), (300, (second, (0,) * 6))]
-    one = record(folder / "one.mcap", scene, 1000, 1e-3, pushes=pushes)
+    on_time = PACING | {"overruns": 0}
+    one = record(folder / "one.mcap", scene, 1000, 1e-3, pushes=pushes, pacing=on_time)
     other = record(folder / "other.mcap", scene, 1000, 1e-3)
     (folder / "bad.mcap").write_bytes(b"no log")
     assert main(["analyze", str(one), "--html", str(folder / "one.html")]) == 0
@@ -110,6 +111,46 @@ def test_slider_and_plots_control_the_animation(browser, pages, capsys):
     assert browser.run("views[0].playing") is False and browser.errors == []
 
 
+def test_joints_are_chosen_and_axes_have_numbers(browser, pages):
+    """A button hides a joint in all its plots, also after a change of the theme; every axis has tick labels."""
+    opened(browser, pages / "one.html")
+    shown = (
+        "[...document.querySelectorAll('.plane')].filter(p => p.data.some(t => t.name === 'elbow')).map("
+        "p => p.data.filter(t => t._input ? t._input.visible : t.visible).map(t => t.name))"
+    )
+    assert browser.run(shown) == [["shoulder", "elbow"]] * 2  # positions and velocities
+    press = "[...document.querySelectorAll('.chips button')].find(b => b.textContent === '{}').click()"
+    browser.run(press.format("elbow"))
+    assert browser.run(shown) == [["shoulder"]] * 2
+    browser.look(1280, 900, dark=True)
+    browser.run("new Promise(done => setTimeout(done, 300))")
+    assert browser.run(shown) == [["shoulder"]] * 2
+    browser.run(press.format("all"))
+    assert browser.run(shown) == [["shoulder", "elbow"]] * 2
+    assert browser.run("[...document.querySelectorAll('.chips button')].map(b => b.ariaPressed)")[:2] == ["true"] * 2
+    labels = browser.run(
+        "[...document.querySelectorAll('.plane')].map(p => ['x', 'y'].map(a => "
+        "[...p.querySelectorAll(`.${a}tick text`)].filter(t => t.textContent).length))"
+    )
+    assert len(labels) >= 7 and min(min(pair) for pair in labels) >= 2
+
+
+def test_the_motion_fills_its_card(browser, pages):
+    """The box of the axes, seen by a pinhole camera with plotly's field of view of 45 degrees, in a wide window."""
+    opened(browser, pages / "one.html")
+    scene = browser.run(
+        "(s => ({eye: s.camera.eye, centre: s.camera.center, box: s.aspectratio}))(views[0].plot.layout.scene)"
+    )
+    eye, centre, box = (np.array([part[axis] for axis in "xyz"]) for part in scene.values())
+    width, height = browser.run("(p => [p.clientWidth, p.clientHeight])(views[0].plot)")
+    to = (centre - eye) / np.linalg.norm(centre - eye)
+    right = np.cross(to, [0.0, 0.0, 1.0]) / np.linalg.norm(np.cross(to, [0.0, 0.0, 1.0]))
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * box - eye
+    seen = [corners @ side / (corners @ to) / np.tan(np.pi / 8) for side in (right, np.cross(right, to))]
+    across, up = np.abs(seen[0]).max() * height / width, np.abs(seen[1]).max()
+    assert max(across, up) <= 1.0 and max(across, up) > 0.75  # the rest is for the labels
+
+
 def turned(quaternion, vector):
     axis, w = np.array(quaternion[:3]), quaternion[3]
     return vector + 2.0 * np.cross(axis, np.cross(axis, vector) + w * np.array(vector))
@@ -150,6 +191,19 @@ def test_layout_on_a_phone(browser, pages):
     before = browser.run("scrollY")
     browser.drag(x, y, -150)
     assert browser.run("scrollY") > before + 100
+
+
+def test_the_verdict_is_green_yellow_or_red(browser, pages):
+    """The run of one.mcap missed no deadline, that of other.mcap two, and bad.mcap cannot be read."""
+    grades = []
+    for page in ("one", "many"):
+        browser.open(pages / f"{page}.html")
+        grades.append(browser.run("document.querySelector('.state').className"))
+    assert grades == ["state good", "state bad"]
+    assert main(["analyze", str(pages / "other.mcap"), "--html", str(pages / "other.html"), "--no-reference"]) == 0
+    browser.open(pages / "other.html")
+    assert browser.run("document.querySelector('.state').className") == "state warn"
+    assert browser.run("document.querySelector('ul.warn').textContent") == "2 deadline misses of 100 ticks"
 
 
 def test_light_and_dark_themes(browser, pages):

@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Energy balance of a run: what is stored, what work was done, and what does not add up.
+
+    kinetic + potential energy + energy of springs - (work of forces and joints + energy of impacts) = constant
+
+The energies are those of the recorded states, the energies of impacts are recorded. Work is the integral of the
+powers at the samples, by quintic splines between the times at which an input or a mode of a joint changes. The
+error of this quadrature is estimated by its difference from that with every second sample, summed over the times
+between samples. The remainder contains both errors, that of the motion and that of the quadrature.
+"""
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from liegroup_core.forces import kinds
+from liegroup_core.forces.external import set_external_wrenches
+from liegroup_core.observables.along import STORES, powers
+from liegroup_sim_ros.messages.joint_modes import ENERGY
+
+from .acting import Acting
+
+WORKS = (*kinds.POWERS, "driven joints", "stops and friction", "impacts")
+WRENCHES, DRIVES, IMPACTS = kinds.POWERS.index("wrenches"), len(kinds.POWERS), len(WORKS) - 1
+MOST_POINTS = 2000  # of a curve
+DEGREE = 5
+AT_CHANGE = 1e-9  # s: stamps are rounded to ns
+
+
+class Balance:
+    """Energy balance, block by block."""
+
+    def __init__(self, layout, recording, expected):
+        self._layout, self._step = layout, recording.settings["step"]
+        self._acting = Acting(layout, self._step)
+        self._has_forces = any(not force.is_conservative for force in layout.scene.forces)
+        self._has_joints = bool(layout.motions or layout.switches)
+        self._every = -(-expected // MOST_POINTS)
+        self._stretch = self._first = None
+        self._work, self._set = np.zeros(len(WORKS)), 0.0
+        self._largest, self._at, self._error, self._taken = 0.0, None, 0.0, 0
+        self._curves = {}
+
+    def add(self, block, stored, angles):
+        """Add a Block with its energies (k, 3) by STORES, J, and the angles (k, t) of its torsional springs, rad."""
+        state = block.times, block.pose, block.twist, angles
+        if block.stretch is not self._stretch:
+            if self._first is None:
+                self._first = self._last = stored[0]
+            self._set += float(stored[0].sum() - self._last.sum())
+            self._stretch, self._changes = block.stretch, self._acting.changes(block.stretch)
+            self._does_work = self._has_forces or self._has_joints or len(block.stretch.inputs) > 0
+            works = self._works(*state, fresh=True)
+        else:
+            works = self._works(*(np.concatenate([old, new]) for old, new in zip(self._before, state)))[1:]
+        self._before, self._last = tuple(part[-1:] for part in state), stored[-1]
+        self._work = works[-1]
+        remainder = stored.sum(axis=1) - works.sum(axis=1) - self._first.sum() - self._set
+        worst = int(np.abs(remainder).argmax())
+        if not abs(remainder[worst]) <= abs(self._largest):  # True also for NaN
+            self._largest, self._at = float(remainder[worst]), float(block.log_times[worst])
+        self._remainder = float(remainder[-1])
+        rows = slice(-self._taken % self._every, None, self._every)
+        self._taken += len(works)
+        columns = block.log_times, stored - self._first, works, remainder
+        self._curves.setdefault(id(block.stretch), []).append(tuple(part[rows] for part in columns))
+
+    def _works(self, times, pose, twist, angles, fresh=False):
+        """(k, w) J of work by WORKS at k samples, since the start of the run; fresh : a stretch begins with them."""
+        out = np.tile(self._work, (len(times), 1))
+        if not self._does_work:
+            return out
+        pose, twist = self._layout.offsets.to_centres(pose, twist)
+        done, changes = self._work.copy(), self._changes
+        inner = changes[(changes > times[0]) & (changes < times[-1])]
+        for a, b in zip([times[0], *inner], [*inner, times[-1]]):
+            first, end = np.searchsorted(times, [a - AT_CHANGE, b + AT_CHANGE])
+            # With fewer than two samples inside, those around are better than none.
+            around = end - first < 2
+            rows = slice(max(0, first - around), end + around)
+            found = self._powers(0.5 * (a + b), times[rows], pose[rows], twist[rows], angles[rows])
+            work, error = _integrals(times[rows], found, a, b)
+            out[first:end, :IMPACTS] = done[:IMPACTS] + work(times[first:end])
+            done[:IMPACTS] += work(b)
+            self._error += float(error.sum())
+        track = self._stretch.joint_modes
+        if track is not None:
+            total = np.concatenate([[0.0], np.cumsum(track.values[:, :, ENERGY].sum(axis=1))])
+            when = (track.stamp_ns - self._stretch.base_ns) * 1e-9
+            # The first sample of a stretch is that before an impact at its time, others are those after it.
+            since = times[0] + (-AT_CHANGE if fresh else AT_CHANGE)
+            before, *until = total[np.searchsorted(when, [since, *(times + AT_CHANGE)], "right")]
+            out[:, IMPACTS] += np.array(until) - before
+        return out
+
+    def _powers(self, time, times, pose, twist, angles):
+        """(k, w - 1) W at k states, with the inputs at a time in s since step 0."""
+        layout, given = self._layout, self._acting.at(self._stretch, time)
+        out = np.zeros((len(times), IMPACTS))
+        if self._has_forces:
+            out[:, :DRIVES] = powers(layout, angles, given.acting, given.wanted, pose, twist)
+        if len(self._stretch.inputs):
+            wrench = np.empty(twist.shape[1:])
+            for k, state in enumerate(pose):
+                set_external_wrenches(given.external, state, wrench)
+                out[k, WRENCHES] += np.vdot(wrench, twist[k])
+        if self._has_joints:
+            inputs = [(angle, *given[2:], at) for angle, at in zip(angles, times.tolist())]
+            found = layout.reactions.powers(pose, twist, given.external, inputs)
+            out[:, DRIVES:IMPACTS] = found if layout.switches else found * (1.0, 0.0)  # no round-off as work
+        return out
+
+    def figures(self):
+        """(figures, [(times, change of energies (k, 3), works (k, w), remainder (k,))] per stretch), J."""
+        stored = [
+            {"name": name, "start_J": start, "end_J": end}
+            for name, start, end in zip(STORES, self._first.tolist(), self._last.tolist())
+        ]
+        return {
+            "stored": stored,
+            "work_J": dict(zip(WORKS, self._work.tolist())),
+            "set_J": self._set,
+            "remainder_J": self._remainder,
+            "largest_J": abs(self._largest),
+            "largest_at_s": self._at,
+            "quadrature_J": self._error,
+        }, [tuple(np.concatenate(part) for part in zip(*parts)) for parts in self._curves.values()]
+
+
+def _integrals(times, values, a, b):
+    """(function of times: integral of values (k, w) from a on, estimate of its error at b (w,)); k > 1."""
+    fine, rows = _integral(times, values, a), np.append(np.arange(0, len(times) - 1, 2), len(times) - 1)
+    if len(times) == 2:
+        rows = rows[:1]
+    apart = fine(times) - _integral(times[rows], values[rows], a)(times)
+    return fine, np.abs(np.diff(apart, axis=0)).sum(axis=0)
+
+
+def _integral(times, values, start):
+    """Function of times: integral from a start, of the polynomial or quintic spline through the values (k, w)."""
+    if len(times) > DEGREE + 1:
+        total = make_interp_spline(times, values, DEGREE).antiderivative()
+        return lambda at: total(at) - total(start)
+    unit, powers_of = times[-1] - times[0] or 1.0, np.arange(len(times))
+    scaled = ((times - start) / unit)[:, None] ** powers_of
+    coefficients = np.linalg.solve(scaled, values) * (unit / (powers_of + 1.0))[:, None]
+    return lambda at: (np.asarray((at - start) / unit)[..., None] ** (powers_of + 1.0)) @ coefficients

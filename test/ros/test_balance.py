@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Energy balance and curves of the joints in an analysis, against closed forms."""
+
+import math
+
+import numpy as np
+import pytest
+
+from liegroup_core import Simulation
+from liegroup_core.scene.load import scene_from_text
+from liegroup_sim_ros.analysis.analyse import analyse
+from liegroup_sim_ros.recording import read
+from liegroup_sim_ros.recording.read import read_recording
+from liegroup_sim_ros.recording.write_run import LogFile
+from liegroup_sim_ros.report.plots import JOINT_PLOTS, make_plots
+from liegroup_sim_ros.report.summary import balance_rows
+
+MASS, SPEED, G, END = 2.0, 1.0, 9.81, 3.0  # kg, m/s, m/s^2, s
+K, C = 8.0, 0.4  # N/m, N s/m
+SLIDE = """
+name: slide
+gravity: [{gravity}, 0, 0]
+bodies:
+  - {{name: block, mass: 2.0, inertia: [0.1, 0.2, 0.3], linear_velocity: [{speed}, 0, 0]}}
+joints:
+  - {{name: rail, type: prismatic, parent: world, child: block, parent_frame: {{axis: [1, 0, 0]}},
+     child_frame: {{axis: [1, 0, 0]}}{joint}}}
+{more}
+"""
+FORCE = "forces:\n  - {{name: acts, type: {}}}"
+
+
+def oscillation(time):
+    """(position, velocity) of a damped oscillator from rest position with SPEED."""
+    decay, wave = C / (2.0 * MASS), math.sqrt(K / MASS - (C / (2.0 * MASS)) ** 2)
+    x = SPEED / wave * np.exp(-decay * time) * np.sin(wave * time)
+    return x, np.exp(-decay * time) * SPEED * np.cos(wave * time) - decay * x
+
+
+def kinetic(speed):
+    return 0.5 * MASS * speed**2
+
+
+LAST, LAST_SPEED = oscillation(END)
+# Work by closed forms: (term, gravity, joint, force, command, J).
+CASES = {
+    "damper": (
+        "dampers",
+        {"more": FORCE.format(f"linear_spring_damper, joint: rail, stiffness: {K}, damping: {C}")},
+        kinetic(LAST_SPEED) + 0.5 * K * LAST**2 - kinetic(SPEED),
+    ),
+    "servo": (
+        "servos",
+        {"more": FORCE.format(f"linear_servo, joint: rail, stiffness: {K}, damping: {C}")},
+        kinetic(LAST_SPEED) - kinetic(SPEED),
+    ),
+    "motor": (
+        "motors",
+        {"more": FORCE.format("linear_motor, joint: rail, force: 3.0")},
+        3.0 * (SPEED * END + 0.5 * 3.0 / MASS * END**2),
+    ),
+    "drag": (
+        "drag",
+        {"more": FORCE.format("drag, body: block, linear: 0.4")},
+        kinetic(SPEED * math.exp(-0.4 / MASS * END)) - kinetic(SPEED),
+    ),
+    "wrench of the scene": (
+        "wrenches",
+        {"more": FORCE.format("applied_wrench, body: block, force: [3, 0, 0], start: 0.1234, end: 1.2345")},
+        kinetic(SPEED + 3.0 / MASS * 1.1111) - kinetic(SPEED),
+    ),
+    "commanded wrench": (
+        "wrenches",
+        {"wrench": dict(wrench=(0, 0, 0, 3.0, 0, 0), start=0.1234, duration=1.1111, axes="world", point=(0, 0.1, 0))},
+        kinetic(SPEED + 3.0 / MASS * 1.1111) - kinetic(SPEED),
+    ),
+    "drive against gravity": ("driven joints", {"gravity": -G, "joint": ", driven: true"}, MASS * G * SPEED * END),
+    "friction": (
+        "stops and friction",
+        {"joint": ", friction: {coulomb: 0.8, static: 0.9}"},  # at rest after 2.5 s
+        -kinetic(SPEED),
+    ),
+    "friction with a rotor": (  # that adds 1 kg; at rest after 3.75 s
+        "stops and friction",
+        {"joint": ", friction: {coulomb: 0.8, static: 0.9}, rotor: {inertia: 0.01, ratio: 10}"},
+        -0.8 * (SPEED * END - 0.5 * 0.8 / (MASS + 1.0) * END**2),
+    ),
+    "impact": ("impacts", {"joint": ", limits: {upper: 0.5123, restitution: 0.6}"}, -(1.0 - 0.36) * kinetic(SPEED)),
+}
+
+
+def analysed(path, scene, wrench=None, seconds=END, faster_from=math.inf):
+    """Analysis of a run that is recorded every 10 ms; from a time in s on, a tenth is added to the twists."""
+    simulation = Simulation(scene, "rkmk8", 1e-3, estimate=False)
+    if wrench:
+        simulation.apply_wrench("block", **wrench)
+    with LogFile(path, simulation, 10, 0) as file:
+        file.sample(simulation.sample())
+        for _ in range(round(seconds * 100)):
+            simulation.advance(10)
+            sample = simulation.sample()
+            sample.twist = sample.twist * (1.1 if sample.time > faster_from else 1.0)
+            file.sample(sample)
+        file.finish(simulation, None, False, 1.0)
+    return analyse(read_recording(path), reference=False)
+
+
+@pytest.mark.parametrize("piece", [read.PIECE, 1])
+@pytest.mark.parametrize("case", CASES)
+def test_work_is_that_of_the_closed_form(tmp_path, monkeypatch, case, piece):
+    """One term each; the others are zero, and the balance closes, also if the samples come in several blocks."""
+    monkeypatch.setattr(read, "PIECE", piece)
+    term, given, expected = CASES[case]
+    given = {"gravity": 0, "joint": "", "more": "", "speed": SPEED} | given
+    wrench = given.pop("wrench", None)
+    figures = analysed(tmp_path / "a.mcap", scene_from_text(SLIDE.format(**given)), wrench).figures
+    balance = figures["balance"]
+    work = balance["work_J"]
+    # A sine of w = 4 rad/s (the power of an oscillation of 2 rad/s) sampled every h = 10 ms has, between
+    # quintic splines, relative errors of (w h)^6 = 4e-9; energies are of the order of 1 to 60 J.
+    error = 1e-8
+    assert work[term] == pytest.approx(expected, abs=error)
+    assert all(value == pytest.approx(0.0, abs=1e-12) for name, value in work.items() if name != term)
+    assert abs(balance["remainder_J"]) <= error and not any("add up" in text for text in figures["problems"])
+    change = sum(entry["end_J"] - entry["start_J"] for entry in balance["stored"])
+    assert change - sum(work.values()) == pytest.approx(balance["remainder_J"], abs=1e-12)
+    assert ("does not add up by", "", "", f"{balance['remainder_J']:.6g} J") in balance_rows(balance) or (
+        balance["remainder_J"] == 0.0
+    )
+
+
+def test_energy_that_no_work_explains_is_a_problem(tmp_path):
+    """A block with drag gets a tenth more speed at 1.5 s, so its energy jumps by 21 %."""
+    scene = scene_from_text(SLIDE.format(gravity=0, joint="", speed=SPEED, **CASES["drag"][1]))
+    figures = analysed(tmp_path / "a.mcap", scene, faster_from=1.5).figures
+    jump = 0.21 * kinetic(SPEED * math.exp(-0.4 / MASS * 1.51))
+    # The work between the samples around the jump is known to about its power, 0.4 N s/m v^2, times 10 ms.
+    assert figures["balance"]["largest_J"] == pytest.approx(jump, abs=0.4 * SPEED**2 * 0.01)
+    assert 0.0 < figures["balance"]["quadrature_J"] < 0.1 * jump
+    (text,) = [text for text in figures["problems"] if "the energy does not add up by" in text]
+    assert f"by {figures['balance']['largest_J']:.3g} J, above the estimated error of the work" in text
+
+
+def test_the_balance_of_a_conservative_scene_is_its_energy_drift(tmp_path):
+    """Both are the change of the recorded energy."""
+    text = SLIDE.format(
+        gravity=0, joint="", speed=1, more=FORCE.format(f"linear_spring_damper, joint: rail, stiffness: {K}")
+    )
+    figures = analysed(tmp_path / "a.mcap", scene_from_text(text)).figures
+    assert figures["balance"]["remainder_J"] == pytest.approx(figures["energy"]["final_J"], rel=1e-12)
+    assert figures["balance"]["largest_J"] == pytest.approx(figures["energy"]["drift_J"], rel=1e-12)
+    assert figures["balance"]["quadrature_J"] == 0.0
+
+
+def test_curves_of_a_joint_are_those_of_the_closed_form(tmp_path):
+    """Position, velocity, effort and power of a servo that oscillates; units on the axes."""
+    more = FORCE.format(f"linear_servo, joint: rail, stiffness: {K}, damping: {C}")
+    scene = scene_from_text(SLIDE.format(gravity=0, joint="", speed=SPEED, more=more))
+    analysis = analysed(tmp_path / "a.mcap", scene)
+    times, joints = analysis.joint_motion
+    x, v = oscillation(times)
+    effort = -K * x - C * v
+    assert joints["rail"] == pytest.approx(np.stack([x, v, effort, effort * v], axis=1), abs=1e-9)
+    drawn = {
+        title: (plot["layout"]["yaxis"]["title"]["text"], plot["data"][0]["y"])
+        for title, _, plot in make_plots(analysis, bodies=True)
+        if "pick" in plot
+    }
+    axes = "m", "m/s", "N", "W"
+    assert [drawn[f"Joint {name}"][0] for name in ("displacements", "velocities", "forces", "powers")] == [*axes]
+    assert drawn["Body positions, x"][1] == pytest.approx(x.tolist(), abs=1e-4)
+
+
+def test_many_joints_are_drawn_a_few_at_a_time_and_angles_without_jumps(tmp_path):
+    """Of 40 hinges that turn at different rates the six fastest are visible; a full turn is a gap."""
+    bodies = "".join(
+        f"  - {{name: b{k}, mass: 1.0, inertia: [0.1, 0.1, 0.1], angular_velocity: [0, 0, {0.1 * k}]}}\n"
+        for k in range(40)
+    )
+    joints = "".join(
+        f"  - {{name: j{k}, type: revolute, parent: world, child: b{k}, child_frame: {{}}}}\n" for k in range(40)
+    )
+    scene = scene_from_text(f"name: many\ngravity: [0, 0, 0]\nbodies:\n{bodies}joints:\n{joints}")
+    plots = {title: plot for title, _, plot in make_plots(analysed(tmp_path / "a.mcap", scene))}
+    assert not {"Joint torques", "Joint forces"} & set(plots)
+    traces = plots["Joint angles"]["data"]
+    assert len(traces) == 40 and not any(trace["showlegend"] for trace in traces)
+    assert len([trace["name"] for trace in traces if trace["visible"]]) == 6
+    assert len({title for title, *_ in JOINT_PLOTS}) == len(JOINT_PLOTS)
+    fastest = traces[39]["y"]  # 3.9 rad/s for 3 s: from 0 to pi, and from -pi on
+    assert fastest.count(None) == 2 and max(abs(y) for y in fastest if y is not None) <= math.pi
