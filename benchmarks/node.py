@@ -19,12 +19,14 @@ import tempfile
 import time
 from pathlib import Path
 
-os.environ.update(ROS_DOMAIN_ID=str(random.randint(1, 100)), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+os.environ.setdefault("ROS_DOMAIN_ID", str(random.randint(1, 100)))
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 import rclpy  # noqa: E402  (reads the domain from the environment)
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from geometry_msgs.msg import TwistStamped, WrenchStamped  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rosgraph_msgs.msg import Clock  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 
 from liegroup_core.scene.library import chain  # noqa: E402
@@ -39,10 +41,14 @@ PUCK = (
     "  - {name: wheel, mass: 1, inertia: [1, 1, 1]}\njoints:\n"
     "  - {name: axle, type: revolute, parent: world, child: wheel, child_frame: {}}\n"
 )
-MANY = "name: many\ngravity: [0, 0, -9.81]\nbodies:\n" + "".join(
-    f"  - {{name: b{i}, mass: 1, inertia: [1, 2, 3], position: [{i}, 0, 0], angular_velocity: [1, 2, 3]}}\n"
-    for i in range(20)
-)
+
+
+def many(count):
+    """Scene of free bodies."""
+    return "name: many\ngravity: [0, 0, -9.81]\nbodies:\n" + "".join(
+        f"  - {{name: b{i}, mass: 1, inertia: [1, 2, 3], position: [{i}, 0, 0], angular_velocity: [1, 2, 3]}}\n"
+        for i in range(count)
+    )
 
 
 class Process:
@@ -67,7 +73,10 @@ class Process:
     def end(self):
         """Exit code after SIGINT."""
         self._process.send_signal(signal.SIGINT)
-        return self._process.wait(30.0)
+        try:
+            return self._process.wait(30.0)
+        except subprocess.TimeoutExpired:
+            raise SystemExit("node.py: a process did not end within 30 s") from None
 
     def answer(self):
         """JSON printed by the process at its end."""
@@ -171,9 +180,9 @@ def line(name, pacing, rate, cpu):
 def real_time(listener, folder, seconds):
     print("\nin real time                 rate/s  late p50      p99       max   CPU %   rt factor   (lateness in us)")
     paced(listener, folder, seconds, "heavy top", {"scene": "heavy_top", **at(1000.0)})
-    many = folder / "many.yaml"
-    many.write_text(MANY)
-    paced(listener, folder, seconds, "20 bodies", {"scene": many, **at(500.0)})
+    scene = folder / "many.yaml"
+    scene.write_text(many(20))
+    paced(listener, folder, seconds, "20 bodies", {"scene": scene, **at(500.0)})
     with Process(BARE, "paced", seconds) as bare:
         answer = bare.answer()
     line("bare loop, ready bytes", answer, answer["ticks"] / answer["wall_seconds"], answer["cpu"])
@@ -184,7 +193,7 @@ def holds(listener, folder, seconds, kind, links):
     scene, path = folder / f"{kind}{links}.yaml", folder / f"{kind}{links}.mcap"
     # Long links fall slowly: the free end of short ones is too fast for steps of 1 ms.
     scene.write_text(chain(links, kind, length=10.0).text)
-    with simulation(scene=scene, record=path, body_wrenches=False) as node:
+    with simulation(scene=scene, record=path) as node:
         listener.figures()  # of this node, the previous one has ended
         cpu = node.cpu()
         listener.spin(seconds)
@@ -213,7 +222,7 @@ def kept(listener, folder, seconds):
     paced(listener, folder, seconds, "no estimate", {**fixed, "estimate": False}, push=True)
     large = folder / "large.yaml"
     large.write_text(chain(600, "spherical", length=10.0).text)
-    slow = {"scene": large, "body_wrenches": False, "publish_rate": 10.0}
+    slow = {"scene": large, "publish_rate": 10.0}
     paced(listener, folder, seconds, "600 links, 1e-9", {**slow, "accuracy": 1e-9})
     fixed = {**slow, "method": "rkmk4", "step": 1e-2, "estimate": False}
     paced(listener, folder, seconds, "600 links, rkmk4", fixed)
@@ -221,7 +230,7 @@ def kept(listener, folder, seconds):
 
 def largest(listener, folder, seconds):
     print(
-        "\nlargest chain at 100 Hz, every body's pose and twist published and recorded\n"
+        "\nlargest chain at 100 Hz, poses and twists of all bodies published and recorded\n"
         "joints          links       rt factor  late p99   CPU %   (steps of 1 ms)"
     )
     for kind in ("spherical", "revolute"):
@@ -330,7 +339,13 @@ def round_trip(listener, folder, count):
 def cost_of(listener, path, seconds, scene, bodies):
     """CPU us per published message, of the whole process with steps and recording."""
     with simulation(
-        scene=scene, publish_rate=1000.0, clock_rate=1000.0, state_rate=0.0, real_time_factor=0.0, record=path
+        scene=scene,
+        publish_rate=1000.0,
+        clock_rate=1000.0,
+        state_rate=0.0,
+        marker_rate=0.0,
+        real_time_factor=0.0,
+        record=path,
     ) as node:
         first, cpu = listener.figures(), node.cpu()
         listener.spin(seconds)
@@ -341,11 +356,11 @@ def cost_of(listener, path, seconds, scene, bodies):
 
 
 def cost(listener, folder, seconds):
-    many = folder / "many.yaml"
-    many.write_text(MANY)
+    scene = folder / "many.yaml"
+    scene.write_text(many(20))
     costs = {
         "node, heavy top": cost_of(listener, folder / "c1.mcap", seconds, "heavy_top", 1),
-        "node, 20 bodies": cost_of(listener, folder / "c20.mcap", seconds, many, 20),
+        "node, 20 bodies": cost_of(listener, folder / "c20.mcap", seconds, scene, 20),
     }
     bare = {}
     for name in ("objects", "bytes"):
@@ -354,6 +369,47 @@ def cost(listener, folder, seconds):
     print("\nCPU per message, flat out        us   of objects    of bytes")
     for name, cpu in (*costs.items(), ("bare: objects built", bare["objects"]), ("bare: ready bytes", bare["bytes"])):
         print(f"{name:<26} {cpu:8.2f} {cpu / bare['objects']:12.2f} {cpu / bare['bytes']:11.2f}")
+
+
+def started(listener, parameters):
+    """(running node, s from its start to its first /clock)."""
+    clock = []
+    subscription = listener.node.create_subscription(Clock, "/clock", clock.append, 10)
+    start = time.monotonic()
+    node = simulation(**parameters)
+    listener.until(lambda: clock)
+    listener.node.destroy_subscription(subscription)
+    return node, time.monotonic() - start
+
+
+def bodies(listener, folder, seconds):
+    """Start and CPU against the number of free bodies, with arrays or topics of every body; then other defaults."""
+    print(
+        "\nstart and CPU                    start s   CPU %   end s   memory MB   (medians of 3 runs, poses at 100 Hz)"
+    )
+    cases = []
+    for count in (1, 10, 20, 40, 100, 200, 400):
+        scene = folder / f"many{count}.yaml"
+        scene.write_text(many(count))
+        cases += [(f"{count} bodies, {own}", {"scene": scene, "body_topics": own}) for own in ("none", "all")]
+    robot = Path(__file__).parent.parent / "docs" / "robots" / "stewart.sdf"
+    none = {"joint_state_rate": 0.0, "marker_rate": 0.0}
+    for name, scene in (("heavy top", "heavy_top"), ("stewart.sdf", robot), ("400 bodies", folder / "many400.yaml")):
+        cases += [(name, {"scene": scene}), (f"{name}, no joints, markers", {"scene": scene, **none})]
+    rows = {name: [] for name, _ in cases}
+    for name, parameters in cases * 3:
+        node, start = started(listener, parameters)
+        with node:
+            listener.spin(2.0)  # until all topics are found
+            cpu = node.cpu()
+            listener.spin(seconds)
+            cpu, end = node.cpu() - cpu, time.monotonic()
+            memory = node.memory()
+            node.end()
+        rows[name].append((start, 100.0 * cpu / seconds, time.monotonic() - end, memory))
+        if len(rows[name]) == 3:
+            start, cpu, end, memory = map(statistics.median, zip(*rows[name]))
+            print(f"{name:<32} {start:7.2f} {cpu:7.1f} {end:7.2f} {memory:11.0f}", flush=True)
 
 
 def storm(listener, folder, seconds):
@@ -390,7 +446,10 @@ def main():
     """Run all parts, or the named ones."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
-        "parts", nargs="*", metavar="PART", help="real_time, kept, largest, round_trip, cost or storm (default: all)"
+        "parts",
+        nargs="*",
+        metavar="PART",
+        help="real_time, kept, largest, bodies, round_trip, cost or storm (default: all)",
     )
     parser.add_argument("--long", action="store_true", help="60 and 30 s instead of 5 and 5 s")
     args = parser.parse_args()
@@ -398,6 +457,7 @@ def main():
         real_time: (60.0, 5.0),
         kept: (60.0, 5.0),
         largest: (10.0, 4.0),
+        bodies: (10.0, 4.0),
         round_trip: (2000, 200),
         cost: (30.0, 4.0),
         storm: (30.0, 5.0),

@@ -3,7 +3,12 @@
 
 ros2 launch liegroup_sim_ros sim.launch.py scene:=heavy_top record:=/tmp/run.mcap
 ros2 launch liegroup_sim_ros sim.launch.py preset:=show rviz:=true
+
+Every parameter of the node is an argument, too; an unknown argument of the command line is refused.
 """
+
+import difflib
+import sys
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
@@ -13,17 +18,12 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 from launch import LaunchDescription
+from liegroup_sim_ros.node.parameters import TABLE
 
 PACKAGE = "liegroup_sim_ros"
 
 ARGUMENTS = {
-    "scene": ("", "path of a scene file, or name of an example scene; empty: the scene of the preset"),
-    "record": ("", "recording file (*.mcap) or existing folder; empty: as in the preset"),
-    "frame_prefix": ("", "prefix of the body frame names, such as robot1/; empty: as in the preset"),
-    "accuracy": ("", "largest error, such as 1e-6; empty: as in the preset"),
-    "accuracy_horizon": ("", "time in which the error may grow by the accuracy, s; empty: as in the preset"),
-    "method": ("", "integration method instead of an accuracy, such as rkmk8; empty: as in the preset"),
-    "step": ("", "step size, s; empty: as in the preset"),
+    **{entry.name: ("", f"{entry.text}; empty: as in the preset") for entry in TABLE},
     "preset": ("default", "name of the file in config/ with the other parameters, such as show"),
     "namespace": ("", "namespace of the node"),
     "clock_topic": ("/clock", "topic of the clock; a second simulation needs another name"),
@@ -33,19 +33,35 @@ ARGUMENTS = {
 }
 # Topics in config/scene.rviz, relative to the node.
 SHOWN = ("markers", "crank/pose_with_covariance", "rod/pose_with_covariance", "slider/pose_with_covariance")
-# Arguments that are parameters of the node; a value that is not empty overrides the preset.
-TEXTS = ("scene", "record", "frame_prefix", "method")
-NUMBERS = ("accuracy", "accuracy_horizon", "step")
+
+
+def _refuse_unknown(_):
+    """Refuse unknown arguments of the command line; launch files that include this one may have others."""
+    if not any(argument.endswith("sim.launch.py") for argument in sys.argv):
+        return []
+    known = [*ARGUMENTS, "params_file"]
+    for name in (argument.partition(":=")[0] for argument in sys.argv if ":=" in argument):
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            raise RuntimeError(f"unknown argument {name!r}" + (f"; did you mean {near[0]}?" if near else "; see -s"))
+    return []
+
+
+def _parameter(name, kind, text):
+    """Value of a parameter; a text that looks like a number stays a text."""
+    try:
+        value = {"true": True, "false": False}[text.lower()] if kind is bool else kind(text)
+    except (KeyError, ValueError):
+        raise RuntimeError(f"argument {name}: expected a value of type {kind.__name__}, got {text!r}") from None
+    return ParameterValue(value, value_type=kind)
 
 
 def _simulation(context):
-    """The simulation node."""
-    # A text that looks like a number stays a text.
+    """The simulation node; a parameter that is not empty overrides the preset."""
     overrides = {
-        name: ParameterValue(kind(text), value_type=kind)
-        for names, kind in ((TEXTS, str), (NUMBERS, float))
-        for name in names
-        if (text := LaunchConfiguration(name).perform(context))
+        entry.name: _parameter(entry.name, type(entry.default), text)
+        for entry in TABLE
+        if (text := LaunchConfiguration(entry.name).perform(context))
     }
     return [
         Node(
@@ -103,6 +119,7 @@ def generate_launch_description():
             DeclareLaunchArgument(
                 "params_file", default_value=preset, description="parameter file that replaces the preset"
             ),
+            OpaqueFunction(function=_refuse_unknown),
             OpaqueFunction(function=_simulation),
             OpaqueFunction(function=_viewers),
         ]

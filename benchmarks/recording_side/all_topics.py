@@ -18,7 +18,7 @@ import rclpy  # noqa: E402  (reads the domain from the environment)
 from geometry_msgs.msg import WrenchStamped  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
-RATES = ["odometry", "velocity", "pose_array", "joint_state", "marker", "state"]
+RATES = ["odometry", "velocity", "joint_state", "marker", "state"]
 if importlib.util.find_spec("tf2_msgs"):
     RATES.append("tf")
 node = subprocess.Popen(

@@ -6,10 +6,7 @@ The array has m, rad, m/s, rad/s of every body (n, 4), as in Sample.errors; see 
 
 import math
 
-import numpy as np
-
 from . import matrices
-from .codecs import MessageError
 
 TYPE = matrices.TYPE
 UNITS = "m", "rad", "m/s", "rad/s"  # of the columns
@@ -39,23 +36,6 @@ def variances(sample, body):
     return [square if square < UNKNOWN else UNKNOWN for square in squares]
 
 
-def decode_rows(rows, body_names):
-    """(m, 4 n) numbers of messages of one size, given as rows (m, size) uint8.
-
-    Raises MessageError, also for messages about other bodies.
-    """
-    count = len(UNITS) * len(body_names)
-    at = rows.shape[1] - 8 * count  # in messages of ROS the numbers come last
-    if at >= 0 and (rows[:, :at] == rows[:1, :at]).all():
-        order = ">" if rows[0, 1] == 0 else "<"
-        values = np.ascontiguousarray(rows[:, at:]).view(f"{order}f8").astype(float)
-        if values[0].tobytes() == np.array(_decode(rows[0].tobytes(), body_names)).tobytes():
-            return values
-    return np.array([_decode(row.tobytes(), body_names) for row in rows])
-
-
-def _decode(payload, body_names):
-    bodies, units, values = matrices.decode(payload)
-    if bodies != tuple(body_names) or units != UNITS:
-        raise MessageError(f"{TYPE}: estimated errors of other bodies, or in other units")
-    return values
+def decode_rows(rows, names, _world_frame=None):
+    """(m, 4 n) numbers of messages of one size, given as rows (m, size) uint8. Raises MessageError."""
+    return matrices.decode_rows(rows, names, UNITS)

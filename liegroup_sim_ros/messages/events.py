@@ -9,6 +9,7 @@ import json
 
 # Share of a core; a run that takes less can keep real time.
 BUSY = 0.7
+_REQUESTED = ", as requested"
 
 
 def accuracy(value, time, before, share, share_of_messages):
@@ -17,6 +18,16 @@ def accuracy(value, time, before, share, share_of_messages):
         f"{value:g} is the accuracy from t = {time:.6g} s on: {before:g} takes "
         f"{_percent(share)} of a core in real time, messages {_percent(share_of_messages)}"
     )
+
+
+def accuracy_requested(value, time):
+    """The accuracy is another one, as requested."""
+    return f"{value!r} is the accuracy from t = {time:.6g} s on{_REQUESTED}"
+
+
+def is_requested(text):
+    """Whether a change of the accuracy with this text was requested."""
+    return text.endswith(_REQUESTED)
 
 
 def accuracy_returns(value, time, coarser, before, after, share_of_messages):

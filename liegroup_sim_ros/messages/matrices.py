@@ -4,6 +4,8 @@
 Both dimensions are labelled. The message has no stamp; in a recording its log time is the stamp.
 """
 
+import numpy as np
+
 from liegroup_sim_ros.numbers import counted
 
 from .cdr import Template
@@ -45,3 +47,34 @@ def decode(payload):
     if list(map(len, labels)) != shape or len(values) != shape[0] * shape[1]:
         raise MessageError(f"{TYPE}: {counted(len(values), 'number')} in the shape {shape}")
     return *labels, values
+
+
+def decode_rows(rows, bodies, units):
+    """(m, n k) numbers of messages of one size about n bodies with k units, given as rows (m, size) uint8.
+
+    Raises MessageError, also for messages about other bodies or in other units.
+    """
+
+    def numbers(payload):
+        *labels, values = decode(payload)
+        if labels != [tuple(bodies), tuple(units)]:
+            raise MessageError(f"{TYPE}: values of other bodies, or in other units")
+        return values
+
+    return last_numbers(rows, len(bodies) * len(units), numbers)
+
+
+def last_numbers(rows, count, numbers, changing=slice(0)):
+    """(m, count) float64 values at the end of messages of one size, given as rows (m, size) uint8.
+
+    numbers  : function payload -> its numbers, which raises MessageError; called for the first message only, if
+               the heads of the others are the same
+    changing : bytes that may differ in these heads
+    """
+    at = rows.shape[1] - 8 * count  # in messages of ROS the values come last
+    heads = np.delete(rows[:, : max(at, 0)], changing, axis=1)
+    if at >= 0 and (heads == heads[:1]).all():
+        values = np.ascontiguousarray(rows[:, at:]).view(">f8" if rows[0, 1] == 0 else "<f8").astype(float)
+        if values[0].tobytes() == np.array(numbers(rows[0].tobytes())).tobytes():
+            return values
+    return np.array([numbers(row.tobytes()) for row in rows])

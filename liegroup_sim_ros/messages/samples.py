@@ -16,6 +16,7 @@ from liegroup_core.observables.along import quaternions
 from liegroup_core.scene.consistency import resolve_frames
 from liegroup_core.scene.names import WORLD
 
+from . import arrays, topics
 from .cdr import Template, stamp
 from .codecs import PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec, pack_stamp
 from .commands import joint_labels
@@ -28,21 +29,32 @@ REACTION = "_reaction"  # ending of the frame ids of reactions
 _POSE, _BODY = 7 * 8, 13 * 8  # bytes of a pose, and of a body, in Sample.rows
 
 
-def poses_and_twists(body_names, world_frame, frame_prefix=""):
-    """Function (stamp_ns, sample) -> serialized [(PoseStamped, TwistStamped)] of all bodies."""
+def motion(bodies, own, world_frame, frame_prefix=""):
+    """([Topic], function (stamp_ns, sample) -> their serialized messages): poses and twists of all bodies.
+
+    own : those with topics of their own; unless these are all, two topics have all bodies, see arrays.py
+    """
     encode_pose = PoseStampedCodec(world_frame).encode_packed
-    encoders = [TwistStampedCodec(frame_prefix + body).encode_packed for body in body_names]
-    places = [(k * _BODY, k * _BODY + _POSE, (k + 1) * _BODY) for k in range(len(body_names))]
+    pose_array, twist_array = arrays.pose_encoder(len(bodies), world_frame), arrays.twist_encoder(bodies)
+    has_arrays = len(own) < len(bodies)
+    of_own = [
+        (TwistStampedCodec(frame_prefix + body).encode_packed, k * _BODY, k * _BODY + _POSE, (k + 1) * _BODY)
+        for k, body in enumerate(bodies)
+        if body in own
+    ]
 
     def encode(stamp_ns, sample):
         # Bytes of all bodies at once: packing single numbers costs several times more.
-        time, rows = pack_stamp(stamp_ns), sample.rows.tobytes()
-        return [
-            (encode_pose(time, rows[first:middle]), encode_twist(time, rows[middle:end]))
-            for encode_twist, (first, middle, end) in zip(encoders, places)
-        ]
+        time, found, numbers = pack_stamp(stamp_ns), [], sample.rows
+        rows = numbers.tobytes()
+        if has_arrays:
+            found = [pose_array(time, numbers[:, :7].tobytes()), twist_array(numbers[:, 7:].tobytes())]
+        for encode_twist, first, middle, end in of_own:
+            found += encode_pose(time, rows[first:middle]), encode_twist(time, rows[middle:end])
+        return found
 
-    return encode
+    of_all = [topics.POSES, topics.TWISTS] if has_arrays else []
+    return [*of_all, *(kind(body) for body in bodies if body in own for kind in (topics.pose, topics.twist))], encode
 
 
 def odometry(layout, world_frame, frame_prefix=""):
@@ -93,37 +105,21 @@ def velocities(layout, world_frame, frame_prefix=""):
     return [(f"~/{body}/velocity", "geometry_msgs/msg/VelocityStamped", of_body(body)) for body in layout.body_names]
 
 
-def pose_array(layout, world_frame, frame_prefix=""):
-    """geometry_msgs/PoseArray of all bodies, in the order of the scene."""
-    bodies = layout.body_names
-    template = Template()
-    template.header(world_frame)
-    template.put("I", len(bodies))
-    template.slot(f"{7 * len(bodies)}d")
-    return [
-        (
-            "~/poses",
-            "geometry_msgs/msg/PoseArray",
-            lambda stamp_ns, sample: template.pack(
-                stamp(stamp_ns), [number for body in bodies for number in _pose(sample, body)]
-            ),
-        )
-    ]
-
-
 def joint_states(layout, world_frame, frame_prefix=""):
-    """sensor_msgs/JointState of the joints with one angle or displacement.
+    """sensor_msgs/JointState of the joints with one angle or displacement; [] if there are none.
 
     Joints of a robot have the names in its file; joints that do not move are included, with velocity 0.
     Efforts are those of servos and of acting commands.
 
     NaN means no effort, as in ros2_control's joint_state_broadcaster. An empty sequence at the end of
     the message does not work, because readers accept different padding there: rosbags accepts at most
-    3 bytes more than ROS sends, pybag-sdk needs up to 4.
+    3 bytes more than ROS sends, pybag-sdk needs up to 4. Without joints there is no topic for the same reason.
     """
     names, robot = layout.coordinates.names, layout.scene.robot
     still = {} if robot is None else robot.still
     labels = [*joint_labels(names, robot), *still]
+    if not labels:
+        return []
     template = Template()
     template.header("")
     template.put("I", len(labels))
@@ -276,7 +272,6 @@ OPTIONAL = {
     "odometry_rate": (odometry, "~/BODY/odometry"),
     "pose_with_covariance_rate": (poses_with_covariance, "~/BODY/pose_with_covariance"),
     "velocity_rate": (velocities, "~/BODY/velocity"),
-    "pose_array_rate": (pose_array, "~/poses"),
     "joint_state_rate": (joint_states, "~/joint_states"),
     "tf_rate": (transforms, "/tf"),
     "reaction_rate": (reactions, "~/JOINT/wrench"),

@@ -8,7 +8,7 @@ in samples.py and markers.py.
 
 from typing import NamedTuple
 
-from . import description, diagnostics, estimates, inputs, joint_modes
+from . import arrays, description, diagnostics, estimates, inputs, joint_modes, matrices
 from .codecs import ClockCodec, LogCodec, PoseStampedCodec, TwistStampedCodec
 from .commands import ARRAY, JOINT_STATE
 
@@ -34,6 +34,34 @@ def pose(body):
 def twist(body):
     """Body twist of a body."""
     return Topic(f"~/{body}/twist", TwistStampedCodec.TYPE)
+
+
+# All bodies, in the order of BODIES: one text with their names, separated by spaces.
+POSES = Topic("~/poses", arrays.TYPE)
+TWISTS = Topic("~/twists", matrices.TYPE)
+BODIES = Topic("~/bodies", description.TYPE, "transient_local", 1)
+SCENE = Topic("~/scene", description.TYPE, "transient_local", 1)  # its text, as in a recording
+# Bodies that all have topics of their own by default. From here on these would take more CPU time than the rest of the
+# node: 14 instead of 7 % of a core at 100 Hz, see the part `bodies` of benchmarks/node.py.
+MOST_OWN = 100
+
+
+def own_by_default(bodies):
+    """Those of the bodies that have topics of their own by default: all, or none in a large scene."""
+    return bodies if len(bodies) <= MOST_OWN else ()
+
+
+def of_motion(bodies, own, resolve):
+    """{"pose": {body: resolved topic}, "twist": {body: resolved topic}} for the settings of a recording.
+
+    own     : bodies with topics of their own; unless these are all, ~/poses and ~/twists have all bodies
+    resolve : function Topic -> resolved name
+    """
+    of_all = len(own) < len(bodies)
+    return {
+        "pose": {body: resolve(POSES if of_all else pose(body)) for body in bodies},
+        "twist": {body: resolve(TWISTS if of_all else twist(body)) for body in bodies},
+    }
 
 
 # Late subscribers receive the commands that act; many may arrive at one step.

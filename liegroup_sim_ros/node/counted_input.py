@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Counts of accepted and refused messages, and checks that all inputs of the node share. Imports no ROS."""
 
+import time
+
 from liegroup_core.fields.values import LARGEST_NUMBER
 
 # A stamp further ahead indicates a publisher that does not use simulated time.
@@ -8,6 +10,7 @@ FARTHEST = 3600 * 10**9  # ns
 # Largest number of commands that act now or start later. Bounds the memory of the node.
 MOST = 10_000
 LONGEST_NAME = 64  # characters of a name that are shown
+QUIET = 10.0  # s of wall time between two log lines for refusals with one reason
 
 
 _is_below = LARGEST_NUMBER.__ge__
@@ -22,13 +25,13 @@ class Refusal(Exception):
     """A message is refused.
 
     reason : key of its counter
-    first  : True for the first refusal with this reason
+    is_told : True for the first refusal with this reason in QUIET s: it is logged
     """
 
-    def __init__(self, what, reason, text, first):
-        super().__init__(f"{what} refused: {text} (logged once; /diagnostics has the count)")
+    def __init__(self, what, reason, text, is_told):
+        super().__init__(f"{what} refused: {text} (logged every {QUIET:g} s; /diagnostics has the count)")
         self.reason = reason
-        self.first = first
+        self.is_told = is_told
 
 
 class CountedInput:
@@ -44,12 +47,16 @@ class CountedInput:
         self._what, self._counted = what, counted
         self.accepted = 0
         self.refused = dict.fromkeys(reasons, 0)
+        self._told = {}  # {reason: s of wall time of its last log line}
 
     def refuse(self, reason, text):
-        """Count and raise a Refusal; text : function that returns its text, called once per reason."""
+        """Count and raise a Refusal; text : function that returns its text, called if it is logged."""
         self.refused[reason] += 1
-        first = self.refused[reason] == 1
-        raise Refusal(self._what, reason, text() if first else reason, first)
+        now = time.monotonic()
+        is_told = now - self._told.get(reason, -QUIET) >= QUIET
+        if is_told:
+            self._told[reason] = now
+        raise Refusal(self._what, reason, text() if is_told else reason, is_told)
 
     def refuse_far_stamp(self, start_ns, now_ns, target):
         """Refuse a stamp too far ahead. Raises Refusal."""

@@ -235,13 +235,7 @@ class JointCommandInput(JointInput):
             is_driven = name in self.driven
             if name not in self.servos and not is_driven:
                 kind = "velocity" if math.isnan(position) else "position"
-                self.refuse(
-                    "no_servo",
-                    lambda: (
-                        f"{name} has no servo and is not driven, so it takes no {kind}: change the "
-                        f"scene, or command an effort and leave {kind} empty or NaN"
-                    ),
-                )
+                self.no_servo(name, f"has no servo and is not driven, so it takes no {kind}, only an effort")
             if math.isnan(position) and not is_driven and self.servos[name]:
                 self.refuse(
                     "no_position",

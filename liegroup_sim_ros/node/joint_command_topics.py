@@ -81,7 +81,7 @@ class JointCommandTopics:
         try:
             read(argument)
         except Refusal as refusal:
-            if refusal.first:
+            if refusal.is_told:
                 self._node.get_logger().warning(str(refusal))
 
     def _refuse_command(self, text):

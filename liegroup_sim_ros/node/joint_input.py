@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Base class of inputs with joint names: joints of a scene, checks of names and limits. Imports no ROS."""
 
+import functools
 from typing import NamedTuple
 
+from liegroup_core.fields.values import suggestion
 from liegroup_core.forces.kinds import servos
 from liegroup_core.joints.limits import BeyondLimits
 from liegroup_sim_ros.messages.commands import joint_labels
@@ -55,27 +57,32 @@ class JointInput(CountedInput):
         labels = joint_labels([servo.joint for servo in found], scene.robot)
         self.servos = {label: servo.stiffness > 0.0 for label, servo in zip(labels, found)}
         self.driven = {name for name, joint in self.joints.items() if joint in layout.motions}
+        shown = dict(zip(names, joint_labels(names, scene.robot)))
+        self._leaders = {shown[c.joint]: shown.get(c.other, c.other) for c in scene.couplings if c.joint in shown}
 
     @property
     def follows(self):
         """Whether any joint can follow a trajectory: it is driven, or has a servo with stiffness."""
         return any(self.servos.values()) or bool(self.driven)
 
+    def no_servo(self, name, text):
+        """Refuse a position or velocity for a joint without a servo; text : what it lacks. Raises Refusal."""
+        leader = self._leaders.get(name)
+        advice = f"it follows {leader}: command that joint" if leader else "change the scene"
+        self.refuse("no_servo", lambda: f"{name} {text}: {advice}")
+
     def check_names(self, names):
         """Refuse unknown and repeated names, and joints without one coordinate. Raises Refusal."""
         for name in names:
             if name in self.joints:
                 continue
-            listed = ", ".join(self.joints)
+            hint = functools.partial(suggestion, name[:LONGEST_NAME], list(self.joints))
             if name in self._others:
                 self.refuse(
                     "no_coordinate",
-                    lambda: (
-                        f"joint {name!r:.{LONGEST_NAME}} is fixed, or has more than one coordinate; "
-                        f"choose from: {listed:.200}"
-                    ),
+                    lambda: f"joint {name!r:.{LONGEST_NAME}} is fixed, or has more than one coordinate; {hint()}",
                 )
-            self.refuse("unknown_joint", lambda: f"unknown joint {name!r:.{LONGEST_NAME}}; choose from: {listed:.200}")
+            self.refuse("unknown_joint", lambda: f"unknown joint {name!r:.{LONGEST_NAME}}; {hint()}")
         if len(set(names)) < len(names):
             self.refuse("repeated_joint", lambda: "a joint occurs twice; give each joint once")
 

@@ -8,8 +8,10 @@ Topics, services and parameters: docs/reference/node.md. The simulation runs in 
 import contextlib
 import logging
 import os
+import subprocess
 import sys
 import traceback
+from importlib.util import find_spec
 
 import rclpy
 from rclpy.exceptions import NameValidationException, ParameterException
@@ -24,7 +26,7 @@ from liegroup_sim_ros.recording.write import RecorderError
 
 from . import own_services, standard_services
 from .answers import AnsweringNode
-from .parameters import ParameterError, read_parameters, watch_parameters
+from .parameters import RATES, ParameterError, read_parameters, steps_of, watch_parameters
 from .scene_run import ATTENTION, Interrupted, SceneRun, begin_simulation, make_simulation, served_folders
 from .standard_codes import FAILED, Refused
 
@@ -40,6 +42,7 @@ WRONG_INPUT = (ParameterError, SceneError, RecorderError, ParameterException, Na
 # Longest time that a thread waits for the interpreter lock, s. Python's default of 5 ms would delay
 # a tick whenever a callback runs.
 SWITCH = 1e-4
+TYPES_PERIOD = 2.0  # s between two looks at the types of topics in other nodes
 EXIT_OK, EXIT_DEFECT, EXIT_WRONG_INPUT = 0, 1, 2
 EXIT_UNRECORDED = 1  # the recording failed or was removed
 
@@ -101,7 +104,9 @@ class SimNode(AnsweringNode):
         self.create_service(Trigger, "~/reload", self._serve_reload)
         own_services.offer(self)
         standard_services.offer(self, values.world_frame)
-        watch_parameters(self, self._set_parameter)
+        watch_parameters(self, self._prepare_parameter, self._set_parameter)
+        self._other_types = set()  # topics that another node has with another type, as far as that was logged
+        self.create_timer(TYPES_PERIOD, self._tell_other_types)
         self.scene_run.start()
 
     def _command(self, name, parameter):
@@ -154,10 +159,36 @@ class SimNode(AnsweringNode):
         """Set the parameter `scene`: ~/reload loads this path from now on."""
         self.set_parameters([Parameter("scene", value=path)])
 
+    def _tell_other_types(self):
+        """Warn once of each topic of this node that another node has with another type: the two never meet."""
+        here = None
+        for topic, types in self.get_topic_names_and_types():
+            if len(types) > 1 and topic not in self._other_types:
+                here = here or {each.topic_name: each.msg_type for each in (*self.publishers, *self.subscriptions)}
+                if topic in here:
+                    self._other_types.add(topic)
+                    own = "{0}/msg/{1}".format(here[topic].__module__.partition(".")[0], here[topic].__name__)
+                    others = ", ".join(sorted(set(types) - {own}))
+                    self.get_logger().warning(f"{topic}: another node has it as {others}, this one as {own}")
+
+    def _prepare_parameter(self, name, value):
+        run = self.scene_run
+        if name == "publish_rate" and run.recorder is not None:
+            raise ParameterError("parameter publish_rate: cannot change while the node records: start with it")
+        if name == "accuracy" and run.simulation.promise is None:
+            raise ParameterError("parameter accuracy: this run has a method, not an accuracy")
+        if name in RATES and value:
+            run.outputs.prepare(name)
+
     def _set_parameter(self, name, value):
         setattr(self._values, name, value)
         call = self.scene_run.server.call
-        if name == "real_time_factor":
+        if name in RATES:
+            self._values.steps[name] = steps_of(name, value, self._values.step)
+            call("plan_outputs")
+        elif name == "accuracy":
+            call("accuracy", value)
+        elif name == "real_time_factor":
             call("speed", value)
         elif name == "command_jump":
             call("watch", value > 0.0)
@@ -187,9 +218,12 @@ def run(args, signals):
             raise ParameterError(f"unknown argument {left[0]!r}; give parameters as --ros-args -p NAME:=VALUE")
         sys.setswitchinterval(SWITCH)
         node = SimNode(signals)
+        page = _page(node)
         try:
             code = _spin(node, signals)
         finally:
+            if page is not None:
+                page.terminate()
             node.is_recorded &= node.scene_run.close()
         return code if node.is_recorded else code or EXIT_UNRECORDED
     except Interrupted:
@@ -200,6 +234,16 @@ def run(args, signals):
         return EXIT_WRONG_INPUT
     finally:
         rclpy.try_shutdown()
+
+
+def _page(node):
+    """Process of the page for the browser, if the parameter `view` asks for it. Raises ParameterError."""
+    if not node.get_parameter("view").value:
+        return None
+    if find_spec("viser") is None:
+        raise ParameterError("parameter view: needs the package viser: pip install 'liegroup_sim_ros[view]'")
+    command = [sys.executable, "-P", "-m", "liegroup_sim_ros.commands.main", "view"]
+    return subprocess.Popen([*command, "--node", node.get_fully_qualified_name()], stdin=subprocess.DEVNULL)
 
 
 def _spin(node, signals):

@@ -7,11 +7,8 @@ rate 0 is not created, and nothing is computed for it.
 
 import contextlib
 import functools
-import importlib
+import logging
 import time
-
-from rclpy.duration import Duration
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from liegroup_core.forces.commands import EFFORT, WRENCH
 from liegroup_core.forces.kinds import wanted_values
@@ -22,60 +19,41 @@ from liegroup_sim_ros.messages import samples as sample_messages
 from liegroup_sim_ros.messages.codecs import ClockCodec, LogCodec
 from liegroup_sim_ros.messages.markers import Markers, markers
 
-from .parameters import ParameterError
+from .errors import ParameterError
+
+log = logging.getLogger("liegroup_core")
 
 # Longest time to wait at the end for acknowledgements of the last messages of all topics, s. Subscribers
 # acknowledge a topic with fewer messages than its depth only at the next heartbeat of DDS, seconds later.
 LAST_WORDS = 0.5
+FOR_VIEWERS = ("marker_rate", "tf_rate")  # rates of topics that need not answer inputs at once
 
 
 class Stream:
-    """One topic: its publisher and, when recording, its channel.
+    """One topic of a recording; a node's subclass publishes it, too.
 
-    overrides    : QosOverrides
+    topic        : resolved name
     message_type : such as "geometry_msgs/msg/PoseStamped"
     qos          : as in schemas.qos_profile
     depth        : messages that the topic keeps
     """
 
-    def __init__(self, node, overrides, topic, message_type, qos="reliable", depth=10):
-        profile = QoSProfile(depth=depth)
-        if qos == "transient_local":
-            profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
-        package, _, name = message_type.split("/")
-        message_class = getattr(importlib.import_module(f"{package}.msg"), name)
-        self._node = node
-        self._publisher = node.create_publisher(
-            message_class, topic, profile, qos_overriding_options=overrides.options(node, topic, "publisher")
-        )
-        # Publisher.publish would enter this context for every message, which doubles the time.
-        self._handle = self._publisher.handle
-        self._handle.__enter__()
-        self._publish = self._handle.publish_raw
-        best_effort = profile.reliability == ReliabilityPolicy.BEST_EFFORT
-        self._type, self._qos = message_type, "best_effort" if best_effort else qos
-        self.depth = profile.depth
+    def __init__(self, topic, message_type, qos="reliable", depth=10):
+        self.topic, self._type, self._qos, self.depth = topic, message_type, qos, depth
         self._write = self._channel = None
 
-    @property
-    def topic(self):
-        """Resolved name of the topic."""
-        return self._publisher.topic_name
-
     def record_to(self, recorder):
-        """Record all messages that are published from now on."""
+        """Record all messages that are sent from now on."""
         self._channel = recorder.add_channel(self.topic, self._type, self._qos, self.depth)
         self._write = recorder.write
 
     def send(self, stamp_ns, data):
         """Publish and record a serialized message."""
-        self._publish(data)
-        if self._write is not None:
-            self._write(self._channel, stamp_ns, data)
+        self.publish(data)
+        self.record(stamp_ns, data)
 
     def publish(self, data):
         """Publish a serialized message, without recording it."""
-        self._publish(data)
 
     def record(self, stamp_ns, data):
         """Record a serialized message, without publishing it."""
@@ -84,44 +62,58 @@ class Stream:
 
     def wait(self, seconds):
         """Wait until all reliable subscribers have all messages, at most for `seconds`."""
-        with contextlib.suppress(RuntimeError):  # not supported by some middlewares
-            self._publisher.wait_for_all_acked(Duration(seconds=seconds))
 
     def close(self):
-        """Destroy the publisher."""
-        self._handle.__exit__(None, None, None)
-        self._node.destroy_publisher(self._publisher)
+        """End the topic."""
+
+
+class Streams:
+    """Topics of a recording; a node's subclass publishes them, too.
+
+    name : fully qualified name of the node
+    """
+
+    def __init__(self, name):
+        self.name = name
+
+    def make(self, topic, message_type, qos="reliable", depth=10):
+        """Stream of a topic, as in topics.Topic."""
+        return Stream(self.resolved(topic), message_type, qos, depth)
+
+    def resolved(self, topic):
+        """Fully qualified name of a topic."""
+        return topics.Topic(topic, "").resolved(self.name)
+
+    def report(self, text):
+        """Log a failure."""
+        log.error(text)
 
 
 class Outputs:
-    """All published topics of a simulation; SimulationServer calls its methods.
+    """All topics of a simulation; SimulationServer calls its methods.
 
-    node      : rclpy Node
+    streams   : Streams
     layout    : Layout of the scene
+    own       : bodies with topics of their own
     values    : parameters
     figures   : function that returns {name: number or text}, added to the diagnostics
-    overrides : QosOverrides
     Raises ParameterError for a topic whose message type is not installed.
 
-    timed                    : [(steps between messages, send(stamp_ns, sample))]
+    before, after            : functions (stamp_ns, sample), called with the samples, before or after all messages
     attending                : functions of the stamp, called with the diagnostics, once a second
-    clock_steps, state_steps : steps between messages of /clock and ~/state, 0: none
     targets                  : {joint: (position, velocity)} of the servos that were commanded
     motions                  : {joint: (7,)} of the driven joints that were commanded
     impulses                 : [(Stream, encoder)] of the joints, if they are published
     """
 
-    def __init__(self, node, layout, values, figures, overrides):
-        self._node, self._figures, self._overrides = node, figures, overrides
-        self._name = f"{node.get_fully_qualified_name()}: simulation"
-        self._streams = []
-        self.timed, self.attending = [], []
-        self.clock_steps = values.steps["clock_rate"]
-        self.state_steps = values.steps["state_rate"]
-        bodies, world_frame = layout.body_names, values.world_frame
-        self._topics = {"pose": {}, "twist": {}}
-        if values.steps["publish_rate"]:
-            self._add_samples(bodies, values)
+    def __init__(self, streams, layout, own, values, figures):
+        self._made, self._figures = streams, figures
+        self._name = f"{streams.name}: simulation"
+        self._layout, self._own, self._values, self._recorder = layout, own, values, None
+        self._streams, self._static = [], []
+        self.before, self.after, self.attending = [], [], []
+        self._senders = {}  # {rate: its functions (stamp_ns, sample)}
+        self._topics = topics.of_motion(layout.body_names, own, lambda topic: streams.resolved(topic.name))
         self._inputs = self._stream(*topics.INPUTS)
         self._sent = 0  # messages of ~/inputs since the last one with all commands
         self._servos, self.targets = layout.servos, {}
@@ -139,86 +131,121 @@ class Outputs:
             self._joint_modes = self._stream(*topics.JOINT_MODES)
             self._encode_modes = joint_modes.encoder(layout)
         self.impulses = []
-        if values.steps["reaction_rate"] and has_impacts(layout.scene):
+        self._events = self._stream(*topics.EVENTS)
+        # For listeners only; the recording contains the scene.
+        self._texts = []
+        for topic, text in (
+            (topics.DESCRIPTION, description.robot_description(layout.scene)),
+            (topics.BODIES, " ".join(layout.body_names)),
+            (topics.SCENE, layout.scene.text),
+        ):
+            self._texts.append(streams.make(*topic))
+            self._texts[-1].publish(description.encoded(text))
+        self._diagnostics = self._stream(*topics.DIAGNOSTICS)
+        self._clock = self._state = self._marker_stream = None
+        self._markers = Markers(layout, values.world_frame, values.arrow_scale)
+        for name, steps in values.steps.items():
+            if steps:
+                self.prepare(name)
+
+    def prepare(self, name):
+        """Create the topics of a rate, once. Raises ParameterError."""
+        if name in self._senders:
+            return
+        layout, values = self._layout, self._values
+        if name == "publish_rate":
+            senders = self._samples()
+        elif name == "clock_rate":
+            self._clock, senders = self._stream(*topics.CLOCK), []
+        elif name == "state_rate":
+            self._state, senders = self._stream(*topics.STATE), []
+        else:
+            optional = {name: make for name, (make, _) in sample_messages.OPTIONAL.items()}
+            optional["tf_rate"] = functools.partial(sample_messages.transforms, which=values.tf_links)
+            optional["marker_rate"] = lambda *_: markers(self._markers)
+            try:
+                entries = optional[name](layout, values.world_frame, values.frame_prefix)
+            except ValueError as error:
+                raise ParameterError(f"parameter {name}: {error}") from None
+            if "/BODY/" in sample_messages.OPTIONAL.get(name, ("", ""))[1]:
+                entries = [each for body, each in zip(layout.body_names, entries) if body in self._own]
+                if not entries:
+                    raise ParameterError(f"parameter {name}: no body has topics of its own: name some in body_topics")
+            senders = [self._optional(name, *entry) for entry in entries]
+        if name == "reaction_rate" and has_impacts(layout.scene):
             self.impulses = [
                 (self._stream(topic, message_type, depth=topics.IMPULSES_KEPT), encode)
                 for topic, message_type, encode in sample_messages.impulses(layout, values.frame_prefix)
             ]
-        self._events = self._stream(*topics.EVENTS)
-        # For viewers only; the recording contains the scene.
-        self._description = Stream(node, overrides, *topics.DESCRIPTION)
-        self._description.publish(description.encoded(description.robot_description(layout.scene)))
-        self._diagnostics = self._stream(*topics.DIAGNOSTICS)
-        self._clock = self._state = self._marker_stream = None
-        if self.clock_steps:
-            self._clock = self._stream(*topics.CLOCK)
-        if self.state_steps:
-            self._state = self._stream(*topics.STATE)
-        self._markers = Markers(layout, world_frame, values.arrow_scale)
-        optional = {name: make for name, (make, _) in sample_messages.OPTIONAL.items()}
-        optional["tf_rate"] = functools.partial(sample_messages.transforms, which=values.tf_links)
-        optional["marker_rate"] = lambda *_: markers(self._markers)
-        for name, make in optional.items():
-            if values.steps[name]:
-                try:
-                    entries = make(layout, world_frame, values.frame_prefix)
-                except ValueError as error:
-                    raise ParameterError(f"parameter {name}: {error}") from None
-                self._add_optional(name, entries, values.steps[name])
-        self._static = []
-        if values.steps["reaction_rate"] or values.steps["sensor_rate"]:
-            layout.reactions.warm_up()
+        if name in ("reaction_rate", "sensor_rate") or name == "joint_state_rate" and layout.motions:
+            layout.reactions.warm_up()  # efforts of driven joints are reactions
+        if name in ("reaction_rate", "sensor_rate") and not self._static:
             with contextlib.suppress(ImportError):  # wrenches need no tf2_msgs
-                self._static.append(Stream(node, overrides, *topics.STATIC_TRANSFORMS))
-                frames = sample_messages.fixed_frames(layout, values.frame_prefix)
-                self._static[0].publish(frames)
+                self._static.append(self._made.make(*topics.STATIC_TRANSFORMS))
+                self._static[0].publish(sample_messages.fixed_frames(layout, values.frame_prefix))
+        self._senders[name] = senders
+
+    @property
+    def timed(self):
+        """[(steps between calls, function (stamp_ns, sample))] at the present rates, in the order of the calls."""
+        steps = self._values.steps
+        of_rates = [(name, send) for name, senders in self._senders.items() for send in senders]
+        samples = [[("publish_rate", each) for each in part] for part in (self.before, self.after)]
+        return [(steps[name], send) for name, send in (*samples[0], *of_rates, *samples[1]) if steps[name]]
+
+    @property
+    def sample_steps(self):
+        """Steps between two messages of the fastest topic with states, except those for viewers."""
+        steps = self._values.steps
+        of_states = [steps[name] for name, sends in self._senders.items() if sends and name not in FOR_VIEWERS]
+        return min(filter(None, of_states), default=1)
+
+    @property
+    def clock_steps(self):
+        """Steps between messages of /clock, 0: none."""
+        return self._values.steps["clock_rate"]
+
+    @property
+    def state_steps(self):
+        """Steps between messages of ~/state, 0: none."""
+        return self._values.steps["state_rate"]
 
     def _stream(self, *arguments, **options):
-        self._streams.append(Stream(self._node, self._overrides, *arguments, **options))
-        return self._streams[-1]
+        stream = self._made.make(*arguments, **options)
+        if self._recorder is not None:
+            stream.record_to(self._recorder)
+        self._streams.append(stream)
+        return stream
 
-    def _add_samples(self, bodies, values):
-        encode = sample_messages.poses_and_twists(bodies, values.world_frame, values.frame_prefix)
-        table, steps = [], values.steps["publish_rate"]
-        for body in bodies:
-            pose = self._stream(*topics.pose(body))
-            twist = self._stream(*topics.twist(body))
-            self._topics["pose"][body], self._topics["twist"][body] = pose.topic, twist.topic
-            table.append((pose.send, twist.send))
+    def _samples(self):
+        values, bodies = self._values, self._layout.body_names
+        found, encode = sample_messages.motion(bodies, self._own, values.world_frame, values.frame_prefix)
+        sends = [self._stream(*topic).send for topic in found]
 
         def send(stamp_ns, sample):
-            for (send_pose, send_twist), (pose, twist) in zip(table, encode(stamp_ns, sample)):
-                send_pose(stamp_ns, pose)
-                send_twist(stamp_ns, twist)
+            for send_one, data in zip(sends, encode(stamp_ns, sample)):
+                send_one(stamp_ns, data)
 
-        self.timed.append((steps, send))
-        if values.estimate:
-            errors, encode_errors = self._stream(*topics.ERRORS), estimates.encoder(bodies)
-            self._topics["errors"] = errors.topic
-            self.timed.append((steps, lambda stamp_ns, sample: errors.send(stamp_ns, encode_errors(sample))))
+        if not values.estimate:
+            return [send]
+        errors, encode_errors = self._stream(*topics.ERRORS), estimates.encoder(bodies)
+        self._topics["errors"] = errors.topic
+        return [send, lambda stamp_ns, sample: errors.send(stamp_ns, encode_errors(sample))]
 
-    def _add_optional(self, parameter, entries, steps):
-        for topic, message_type, encode in entries:
-            # For viewers that start while the simulation is paused.
-            qos = "transient_local" if parameter == "marker_rate" else "reliable"
-            try:
-                stream = self._stream(topic, message_type, qos=qos)
-            except ImportError:
-                package = message_type.partition("/")[0]
-                raise ParameterError(
-                    f"parameter {parameter}: {package} is not installed; set the rate to 0, or "
-                    f"install it (apt: ros-jazzy-{package.replace('_', '-')})"
-                ) from None
-            self.timed.append(
-                (
-                    steps,
-                    lambda stamp_ns, sample, stream=stream, encode=encode: stream.send(
-                        stamp_ns, encode(stamp_ns, sample)
-                    ),
-                )
-            )
-            if parameter == "marker_rate":
-                self._marker_stream = stream
+    def _optional(self, parameter, topic, message_type, encode):
+        # For viewers that start while the simulation is paused.
+        qos = "transient_local" if parameter == "marker_rate" else "reliable"
+        try:
+            stream = self._stream(topic, message_type, qos=qos)
+        except ImportError:
+            package = message_type.partition("/")[0]
+            raise ParameterError(
+                f"parameter {parameter}: {package} is not installed; set the rate to 0, or "
+                f"install it (apt: ros-jazzy-{package.replace('_', '-')})"
+            ) from None
+        if parameter == "marker_rate":
+            self._marker_stream = stream
+        return lambda stamp_ns, sample: stream.send(stamp_ns, encode(stamp_ns, sample))
 
     def topics(self):
         """Resolved names, as in a recording's settings."""
@@ -239,6 +266,7 @@ class Outputs:
 
     def record_to(self, recorder):
         """Record all topics from now on."""
+        self._recorder = recorder
         for stream in self._streams:
             stream.record_to(recorder)
 
@@ -251,7 +279,7 @@ class Outputs:
             end = time.monotonic() + LAST_WORDS
             for stream in self._streams:
                 stream.wait(max(0.0, end - time.monotonic()))
-        for stream in (*self._streams, *self._static, self._description):
+        for stream in (*self._streams, *self._static, *self._texts):
             stream.close()
 
     def clock(self, stamp_ns):
@@ -323,7 +351,7 @@ class Outputs:
     def event(self, stamp_ns, name, text, failed=False, is_logged=False):
         """Publish an event of the run; log it as well if it is a failure and not logged yet."""
         if failed and not is_logged:
-            self._node.get_logger().error(text)
+            self._made.report(text)
         self._events.send(stamp_ns, LogCodec.encode(stamp_ns, LogCodec.ERROR if failed else LogCodec.INFO, name, text))
 
     def state(self, stamp_ns, figures):

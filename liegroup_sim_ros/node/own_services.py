@@ -9,7 +9,7 @@ import numpy as np
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import parameter_value_to_python
 
-from liegroup_core.fields.values import LARGEST_NUMBER
+from liegroup_core.fields.values import LARGEST_NUMBER, suggestion
 from liegroup_core.joints.coupling import COUPLED
 from liegroup_core.lie.groups import SO3
 from liegroup_sim_ros.messages.commands import joint_labels
@@ -107,20 +107,24 @@ def _values(request):
 
 def _body(node, name):
     """Name of a body in the scene, from its own name or the name of its link in a robot."""
+    return _known(node, name, {})
+
+
+def _known(node, name, others):
+    """What a name stands for: a body, by its own name or its link's, or one of `others`."""
     scene = node.scene_run.simulation.scene
-    names = [body.name for body in scene.bodies]
+    bodies = {body.name: body.name for body in scene.bodies}
     links = {} if scene.robot is None else {link: body for body, link in scene.robot.links.items()}
-    if name in names:
-        return name
-    if not isinstance(name, str) or name not in links:
-        raise Wrong(f"unknown body {_shown(name)}; choose one of: {', '.join(names)}")
-    return links[name]
+    known = bodies | links | others | bodies  # bodies are listed first, and win
+    if not isinstance(name, str) or name not in known:
+        raise Wrong(f"unknown body {_shown(name)}; {suggestion(_shown(name), list(known))}")
+    return known[name]
 
 
 def _body_or_link(node, name):
     """(body, (4, 4) pose in the body frame) of a body, or of a link that is merged into it."""
-    merged = merged_links(node.scene_run.simulation.scene)
-    return merged[name] if isinstance(name, str) and name in merged else (_body(node, name), np.eye(4))
+    found = _known(node, name, merged_links(node.scene_run.simulation.scene))
+    return (found, np.eye(4)) if isinstance(found, str) else found
 
 
 def _joint(node, name):
@@ -129,8 +133,8 @@ def _joint(node, name):
     joints = [joint.name for joint in scene.joints if joint.type in COUPLED]
     known = dict(zip(joint_labels(joints, scene.robot), joints))
     if name not in known:
-        names = ", ".join(known) or "the scene has none"
-        raise Wrong(f"{_shown(name)} is not a joint with one coordinate; choose one of: {names}")
+        hint = suggestion(_shown(name), list(known)) if known else "the scene has none"
+        raise Wrong(f"{_shown(name)} is not a joint with one coordinate; {hint}")
     return known[name]
 
 

@@ -44,7 +44,8 @@ def preset_text():
         value = entry.default if entry.name != "scene" else "heavy_top"
         meaning = entry.text + (f"; one of {', '.join(entry.choices)}" if entry.choices else "")
         text += textwrap.indent(textwrap.fill(meaning, 90), "    # ") + "\n"
-        text += f"    {yaml.safe_dump({entry.name: value}, width=1000)}"
+        # A value in the file would be refused where the package is missing.
+        text += f"    {'# ' * bool(entry.package)}{yaml.safe_dump({entry.name: value}, width=1000)}"
     return text
 
 

@@ -6,7 +6,9 @@ what is wrong and what to do. An integer is accepted for a floating-point parame
 """
 
 import difflib
+import logging
 import math
+from importlib.util import find_spec
 from types import SimpleNamespace
 from typing import NamedTuple
 
@@ -15,11 +17,13 @@ from rclpy.parameter import Parameter
 
 from liegroup_core.accuracy import DEFAULT, LONGEST, MINUTE, SMALLEST
 from liegroup_core.engine import STABILISATIONS, STEP
-from liegroup_core.errors import LieGroupSimError
+from liegroup_core.fields.values import suggestion
 from liegroup_core.methods.table import CONFIGURATION_GROUPS, METHODS
 from liegroup_core.simulation import STEPS, default_steps
 from liegroup_sim_ros.messages.samples import OPTIONAL, TF_LINKS
+from liegroup_sim_ros.messages.topics import MOST_OWN, own_by_default
 
+from .errors import ParameterError
 from .joint_command_input import INTERFACES
 
 QOS_PREFIX = "qos_overrides."
@@ -34,10 +38,6 @@ MOST_PARTS = 10  # largest number of steps in the shortest period, if whole step
 AUTO = "auto"  # a method or stabilisation that an accuracy chooses
 
 
-class ParameterError(LieGroupSimError):
-    """Invalid parameter; one line of text, exit code 2."""
-
-
 class Entry(NamedTuple):
     """One parameter. Its type is that of its default."""
 
@@ -50,19 +50,30 @@ class Entry(NamedTuple):
     high: float | None = None
     above: bool = False  # True: the value must be greater than `low`
     is_topic_rate: bool = False  # True: messages are sent at whole steps, see Values.steps
+    package: str = ""  # without this package the default is 0
+
+    @property
+    def usual(self):
+        """Default on this machine."""
+        return self.default if not self.package or find_spec(self.package) else 0.0
 
 
-def _rate(name, default, topics, remark=""):
+def _rate(name, default, topics, remark="", package=""):
     return Entry(
         name,
         default,
         f"rate of {topics} in Hz of simulated time; 0: not published{remark}",
+        read_only=False,
         low=0.0,
         high=1e5,
         is_topic_rate=True,
+        package=package,
     )
 
 
+# Rate of topics for viewers in Hz, as robot_state_publisher has by default: nearly smooth, and a divisor of 100 Hz, so
+# that it requires no other step.
+VIEWED = 20.0
 TABLE = (
     Entry(
         "scene",
@@ -83,6 +94,7 @@ TABLE = (
         "largest error in the first accuracy_horizon seconds: of positions relative to the mechanism's "
         "size, of attitudes in rad. It may grow by as much in each further horizon. If real time "
         "requires it, the node makes the accuracy coarser and sends an event",
+        read_only=False,
         low=SMALLEST,
         high=1.0,
     ),
@@ -182,12 +194,24 @@ TABLE = (
         high=1e9,
     ),
     Entry("record_metadata", False, "write a metadata.yaml that makes the folder a rosbag2 bag"),
+    Entry("view", False, "open a page in the browser that shows this node, see `liegroup_sim view`"),
     Entry("world_frame", "world", "frame id of the poses"),
     Entry("frame_prefix", "", "prefix of the frame ids of all bodies, such as robot1/; world_frame has no prefix"),
-    _rate("publish_rate", 100.0, "~/BODY/pose and ~/BODY/twist", "; recordings require it"),
+    _rate("publish_rate", 100.0, "poses, twists and ~/errors", "; recordings require it"),
+    Entry(
+        "body_topics",
+        AUTO,
+        "bodies with topics of their own, such as ~/BODY/pose, ~/BODY/twist and ~/BODY/wrench: all, none, or names "
+        f"separated by commas or spaces; auto: all if the scene has at most {MOST_OWN} bodies, else none. Unless all "
+        "have, ~/poses and ~/twists have all bodies. ~/reload uses a new value",
+        read_only=False,
+    ),
     _rate("clock_rate", 100.0, "/clock"),
     _rate("state_rate", 10.0, "~/state"),
-    *(_rate(name, 0.0, topic) for name, (_, topic) in OPTIONAL.items()),
+    _rate("joint_state_rate", VIEWED, "~/joint_states"),
+    _rate("tf_rate", VIEWED, "/tf", "; by default only if tf2_msgs is installed", "tf2_msgs"),
+    _rate("marker_rate", VIEWED, "~/markers"),
+    *(_rate(name, 0.0, topic) for name, (_, topic) in OPTIONAL.items() if name not in ("joint_state_rate", "tf_rate")),
     Entry(
         "tf_links",
         TF_LINKS[0],
@@ -195,7 +219,6 @@ TABLE = (
         "robot_state_publisher that publishes the others",
         choices=TF_LINKS,
     ),
-    _rate("marker_rate", 0.0, "~/markers"),
     Entry(
         "arrow_scale",
         0.01,
@@ -267,9 +290,10 @@ TABLE = (
         low=1e-5,
         high=1e3,
     ),
-    Entry("body_wrenches", True, "subscribe to a topic ~/BODY/wrench for every body"),
 )
 _ENTRIES = {entry.name: entry for entry in TABLE}
+RATES = tuple(entry.name for entry in TABLE if entry.is_topic_rate)
+log = logging.getLogger("liegroup_core")
 _TYPE_NAMES = {str: "a text", bool: "true or false", int: "a whole number", float: "a number"}
 # Declared by rclpy itself. This node publishes simulated time, so it cannot subscribe to it: use_sim_time
 # from a launch file is ignored at start, and a later change is refused.
@@ -314,7 +338,7 @@ def read_parameters(node):
             raise ParameterError(f"parameter {name}: unknown; {hint}")
     values = SimpleNamespace()
     for entry in TABLE:
-        value = check(entry.name, overrides.get(entry.name, entry.default))
+        value = check(entry.name, overrides.get(entry.name, entry.usual))
         node.declare_parameter(entry.name, value, _descriptor(entry), ignore_override=True)
         setattr(values, entry.name, value)
     if values.continue_from:
@@ -344,44 +368,40 @@ def read_parameters(node):
     return values
 
 
+def bodies_of(text, bodies):
+    """Those of the bodies to which the parameter body_topics gives topics of their own. Raises ParameterError."""
+    if text in (AUTO, "all", "none"):
+        return {AUTO: own_by_default(bodies), "all": bodies, "none": ()}[text]
+    names = text.replace(",", " ").split()
+    for name in names:
+        if name not in bodies:
+            hint = suggestion(name, [AUTO, "all", "none", *bodies])
+            raise ParameterError(f"parameter body_topics: the scene has no body {name!r:.{LONGEST_SHOWN}}; {hint}")
+    return tuple(body for body in bodies if body in names)
+
+
 def set_step(values, step):
-    """Set `.step` and with it `.steps` of the values. Raises ParameterError."""
-    values.steps = {
-        name: _whole_steps(name, getattr(values, name), step) for name, entry in _ENTRIES.items() if entry.is_topic_rate
-    }
+    """Set `.step` and with it `.steps` of the values, and log the rates that are not those of whole steps."""
+    values.steps = {name: steps_of(name, getattr(values, name), step) for name in RATES}
     values.step = step
 
 
 def fitting_steps(values):
-    """Step sizes for an accuracy, long to short, that divide the periods of all rates."""
-    periods = [
-        1.0 / getattr(values, name) for name, entry in _ENTRIES.items() if entry.is_topic_rate and getattr(values, name)
-    ]
-    shortest = min(periods, default=STEPS[0])
+    """Step sizes for an accuracy, long to short; they divide the shortest period, and the others if possible."""
+    rates = [getattr(values, name) for name in RATES if getattr(values, name)]
+    shortest = 1.0 / max(rates, default=1.0 / STEPS[0])
     parts = (shortest / k for k in range(1, MOST_PARTS + 1))
-    longest = next((part for part in parts if _fits(values, part)), None)
-    if longest is None:
-        raise ParameterError(
-            "parameter step: no suitable step divides the periods of all rates; choose rates that "
-            "are multiples of each other"
-        )
+    longest = next((part for part in parts if all(_is_whole(1.0 / (rate * part)) for rate in rates)), shortest)
     # In the order of the default steps, each once.
     usual = default_steps(values.accuracy_horizon)
     return list(dict.fromkeys(longest / math.ceil(longest / s * (1.0 - 1e-9)) for s in usual))
 
 
-def _fits(values, step):
-    try:
-        for name, entry in _ENTRIES.items():
-            if entry.is_topic_rate:
-                _whole_steps(name, getattr(values, name), step)
-    except ParameterError:
-        return False
-    return True
+def watch_parameters(node, prepare, changed):
+    """Check parameters that are set while the node runs, call prepare(name, value), then changed(name, value).
 
-
-def watch_parameters(node, changed):
-    """Check parameters that are set while the node runs, then call changed(name, value)."""
+    prepare raises ParameterError if the node cannot take a value; `changed` follows when it has taken all.
+    """
 
     def convert(parameters):
         return [
@@ -400,6 +420,7 @@ def watch_parameters(node, changed):
                     )
                 if parameter.name in _ENTRIES:
                     check(parameter.name, parameter.value)
+                    prepare(parameter.name, parameter.value)
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -419,20 +440,22 @@ def allowed_values(entry):
     return _listed(entry.choices) or (_range(entry) if entry.low is not None else _TYPE_NAMES[type(entry.default)])
 
 
-def _whole_steps(name, rate, step):
-    """Steps in one period of `rate`. Raises ParameterError if that is not a whole number."""
+def steps_of(name, rate, step):
+    """Steps in one period of a rate, the nearest whole number; 0 without messages."""
     if rate == 0.0:
         return 0
     steps = 1.0 / (rate * step)
     whole = max(1, round(steps))
-    if abs(steps - whole) > 1e-6 * whole:  # far above round-off, far below one step in any recording
-        nearest = sorted({1.0 / (max(1, n) * step) for n in (math.floor(steps), math.ceil(steps))})
-        raise ParameterError(
-            f"parameter {name}: {rate:g} Hz is one message every {steps:.6g} steps of "
-            f"{step:g} s; this must be a whole number, use "
-            f"{' or '.join((f'{r:.9g}' for r in nearest))}"
+    if not _is_whole(steps):
+        log.warning(
+            "%s: %g Hz becomes %.6g Hz, a message every %d steps of %g s", name, rate, 1.0 / (whole * step), whole, step
         )
     return whole
+
+
+def _is_whole(steps):
+    whole = max(1, round(steps))
+    return abs(steps - whole) <= 1e-6 * whole  # far above round-off, far below one step in any recording
 
 
 def _check_qos(name, value):

@@ -21,9 +21,10 @@ from . import standard_services
 from .answers import begin
 from .joint_command_topics import JointCommandTopics
 from .outputs import Outputs
-from .parameters import AUTO, ParameterError, fitting_steps, set_step
+from .parameters import AUTO, ParameterError, bodies_of, fitting_steps, set_step
 from .qos import QosOverrides
 from .simulation_thread import SimulationServer
+from .streams import NodeStreams
 from .wrench_topics import WrenchTopics
 
 log = logging.getLogger("liegroup_core")
@@ -76,13 +77,14 @@ class SceneRun:
                 f"got {values.frame_prefix!r}"
             )
         qos = QosOverrides(values.qos)
-        self.outputs = Outputs(node, layout, values, self._figures, qos)
+        own = bodies_of(values.body_topics, layout.body_names)
+        self.outputs = Outputs(NodeStreams(node, qos), layout, own, values, self._figures)
         if path and (values.record_split_size or values.record_split_duration):
             # Before the samples: the first sample of a file is its initial state.
-            self.outputs.timed.insert(0, (self._sample_steps, self._divide_if_due))
+            self.outputs.before.append(self._divide_if_due)
         self._is_failure_told = False
         if path:
-            self.outputs.timed.append((self._sample_steps, self._add_checkpoint))
+            self.outputs.after.append(self._add_checkpoint)
             self.outputs.attending.append(self._tell_failure)
         base_ns = start_ns - simulation.time_ns
         self.server = SimulationServer(
@@ -96,7 +98,7 @@ class SceneRun:
             values.motion_time,
             values.command_jump > 0.0,
         )
-        self.wrenches = WrenchTopics(node, layout, values, simulation.step, self.server, qos)
+        self.wrenches = WrenchTopics(node, layout, own, values, simulation.step, self.server, qos)
         try:
             self.commands = JointCommandTopics(node, layout, values, self.server, qos)
         except ParameterError:

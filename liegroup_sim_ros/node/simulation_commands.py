@@ -26,8 +26,12 @@ COMMANDS = {
     "place": "_place",
     "save": "_save",
     "restore": "_restore",
+    "present": "_present",
+    "set": "_set",
     "speed": "_speed",
     "watch": "_watch",
+    "accuracy": "_accuracy",
+    "plan_outputs": "_plan_outputs",
     "clear": "_clear",
     "sample": "_sample",
     "hold": "_hold",
@@ -88,8 +92,7 @@ class SimulationCommands:
         self._refuse_if_faulted()
         if name not in self._snapshots and len(self._snapshots) >= MOST_SNAPSHOTS:
             raise CommandError(f"there are {MOST_SNAPSHOTS} snapshots already: save under the name of one of them")
-        self._inbox.deliver(self._base_ns, self._simulation.time)
-        self._snapshots[name] = self._simulation.snapshot(), self._inbox.snapshot()
+        self._snapshots[name] = self._present()[1:]
         self._event("save", f"{name}, step {self._simulation.steps}")
         return f"saved {name!r} at {self._seconds():.9g} s, step {self._simulation.steps}"
 
@@ -98,11 +101,18 @@ class SimulationCommands:
         if snapshot is None:
             known = ", ".join(sorted(self._snapshots)) or "none, call ~/save_snapshot first"
             raise CommandError(f"unknown snapshot {name!r}; saved are: {known}")
+        return self._set(snapshot, f"snapshot {name}", f"snapshot {name!r}")
+
+    def _present(self):
+        """(stamp in ns, state, followed trajectories), of which `_set` takes the last two."""
+        self._inbox.deliver(self._base_ns, self._simulation.time)
+        return self.stamp_ns, self._simulation.snapshot(), self._inbox.snapshot()
+
+    def _set(self, snapshot, reason, shown=None):
         state, followed = snapshot
         self._simulation.restore(state)
         entries = attachments.state(self._simulation, self._next_stamp())
-        text = events.state(f"snapshot {name}", entries)
-        result = self._restart("state", text, f"snapshot {name!r}")
+        result = self._restart("state", events.state(reason, entries), shown or reason)
         self._inbox.restore(followed)
         return result
 
@@ -161,6 +171,26 @@ class SimulationCommands:
             self.pacer.start(self._seconds())
         self._event("speed", f"real-time factor {factor:g}")
         return f"real-time factor {factor:g}"
+
+    def _plan_outputs(self):
+        self._plan()
+        if self._output.impulses:
+            self._simulation.drain_impacts()  # the simulation collects impacts from here on
+        return "the rates of the topics have changed"
+
+    def _accuracy(self, accuracy):
+        if self.stamp_ns != self._stamp(self._simulation.steps):
+            self._send_outputs()  # a recording repeats the change at the stamp of its event
+        try:
+            self._simulation.set_accuracy(accuracy)
+        except ValueError as error:
+            raise CommandError(str(error)) from None
+        if self._simulation.accurate_until == math.inf:
+            self._said.discard("inaccurate")
+        text = events.accuracy_requested(accuracy, self._simulation.time)
+        self._real_time.forget()
+        self._event("accuracy", text)
+        return text
 
     def _watch(self, watching):
         self._watching = watching

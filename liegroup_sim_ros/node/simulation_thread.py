@@ -71,20 +71,12 @@ class SimulationServer(SimulationCommands, threading.Thread):
         super().__init__(name="simulation", daemon=True)
         self._simulation = simulation
         self._output = output
-        self._timed = [*output.timed, *([(output.state_steps, self._send_state)] if output.state_steps else [])]
-        self._sent_ns = [None] * len(self._timed)  # stamp of the last message of each
-        periods = {steps for steps, _ in self._timed} | {output.clock_steps} - {0}
-        # A period that is a multiple of another one needs no ticks of its own.
-        self._periods = [
-            period for period in periods if not any(period % other == 0 for other in periods - {period})
-        ] or [max(1, round(IDLE_TICK / simulation.step))]
         self._wake = threading.Event()
         self._lock = threading.Lock()
         self._commands = []  # (Future, bound method, arguments)
         self._inbox = Inbox(simulation, follow_period, motion_time, self._wake.set)
-        # Steps between two samples; stamp in s from which inputs act that no sample shows yet.
-        self._sample_steps = min([steps for steps, _ in output.timed], default=1)
-        self._unseen = None
+        self._unseen = None  # stamp in s from which inputs act that no sample shows yet
+        self._plan()
         self._stopping = False
         self._snapshots = {}
         self._base_ns = base_ns
@@ -110,12 +102,13 @@ class SimulationServer(SimulationCommands, threading.Thread):
 
         Commands: "pause", "resume", "reset", "step" (count), "speed" (factor), "clear" (prefix of
         sources), "watch" (whether `positions` are kept), "place" (poses, twists, joints, reason; see
-        Engine.place), "save" and "restore" (name of a snapshot), "sample", "hold". The result is one
-        line of text, with two exceptions: "sample" returns a Moment, and "hold" returns whether the
-        simulation was running. "hold" is a pause
-        that also works after a fault. A "step" in several parts is "advance" (count, s of wall time) for
-        each of them, then "stepped" (steps of all). The exception of the Future is CommandError. The
-        Future is cancelled if the thread ends first.
+        Engine.place), "save" and "restore" (name of a snapshot), "set" (a state of "present", reason), "accuracy"
+        (a number), "plan_outputs" (after a change of their rates), "sample", "present", "hold". The result is one
+        line of text, with three exceptions: "sample" returns a Moment, "present" the stamp and the state, and
+        "hold" whether the simulation was running. "hold" is a pause that also
+        works after a fault. A "step" in several parts is "advance" (count, s of wall time) for each of them,
+        then "stepped" (steps of all). The exception of the Future is CommandError. The Future is cancelled if
+        the thread ends first.
         """
         future = Future()
         method = getattr(self, COMMANDS[command])
@@ -185,6 +178,18 @@ class SimulationServer(SimulationCommands, threading.Thread):
                 self._stopping = True
                 for future, _, _ in self._commands:
                     future.cancel()
+
+    def _plan(self):
+        """Take over the periods of the outputs."""
+        output = self._output
+        self._timed = [*output.timed, *([(output.state_steps, self._send_state)] if output.state_steps else [])]
+        self._sent_ns = [None] * len(self._timed)  # stamp of the last message of each
+        periods = {steps for steps, _ in self._timed} | {output.clock_steps} - {0}
+        # A period that is a multiple of another one needs no ticks of its own.
+        self._periods = [
+            period for period in periods if not any(period % other == 0 for other in periods - {period})
+        ] or [max(1, round(IDLE_TICK / self._simulation.step))]
+        self._sample_steps = output.sample_steps
 
     def _begin(self):
         scene = self._simulation.scene.name

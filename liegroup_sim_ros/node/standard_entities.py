@@ -4,6 +4,7 @@
 import numpy as np
 
 from liegroup_core import SimulationError
+from liegroup_core.fields.values import suggestion
 from liegroup_core.lie.groups import SO3
 
 from .counted_input import bounded
@@ -124,7 +125,7 @@ def _matcher(expression):
 def _check_name(moment, body):
     names = moment.sample.body_names
     if body not in names:
-        raise Refused(NOT_FOUND, f"unknown entity {body!r:.60}; choose one of: {', '.join(names)}")
+        raise Refused(NOT_FOUND, f"unknown entity {body!r:.60}; {suggestion(body[:60], list(names))}")
 
 
 def _listed(sets):

@@ -29,7 +29,7 @@ from .standard_codes import (
 )
 
 SCHEMES = ("", "file", "package", "model")
-MOST_BODIES = 200  # of a scene that a request loads; creating the topics of a body takes some ms
+MOST_BODIES = 200  # of a scene that a request loads
 MOST_WORLDS, MOST_SOURCES = 1000, 100  # of a request, or of a folder
 HEAD = 64 * 2**10  # bytes at the start of a scene file in which its description is searched
 DESCRIPTION = re.compile(r"^description:.*(?:\n(?:[ \t].*)?$)*", re.MULTILINE)  # with its indented lines
@@ -128,7 +128,7 @@ def _refuse_assets(scene, request):
 def _available(sources, folders, skips):
     """[(path, description)] of the example scenes and of the worlds in the sources.
 
-    folders : from which sources may be read, with subfolders; skips : skip unreadable sources
+    folders : sources may be read from these folders and their subfolders; skips : skip unreadable sources
     """
     found = list(example_scenes().values())
     with served_from(folders):

@@ -54,9 +54,7 @@ class TrajectoryInput(JointInput):
         self.check_names(names)
         for name in names:
             if not (self.servos.get(name, False) or name in self.driven):
-                self.refuse(
-                    "no_servo", lambda: f"{name} has no servo with a stiffness and is not driven: change the scene"
-                )
+                self.no_servo(name, "has no servo with a stiffness and is not driven")
         if not (names and points):
             self.refuse("no_points", lambda: "it has no joints or no points")
         for k, point in enumerate(points):

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from liegroup_core.fields.values import suggestion
 from liegroup_sim_ros.messages.codecs import MessageError, WrenchStampedCodec
 
 from .counted_input import LONGEST_NAME, CountedInput, bounded
@@ -84,11 +85,10 @@ class WrenchInput(CountedInput):
         if body is not None and target != body and f"{frame_id}/".startswith(f"{self._world_frame}/"):
             axes, target, name = "world", body, frame_id[len(self._world_frame) + 1 :]
         if not frame_id.partition("/")[0]:
-            self.refuse("no_frame", lambda: "frame_id is empty; it must be one of: " + self._frames(body))
+            self.refuse("no_frame", lambda: "frame_id is empty; " + self._frames(body))
         if target is None or body not in (None, target):
             self.refuse(
-                "unknown_frame",
-                lambda: f"unknown frame_id {frame_id[:LONGEST_NAME]!r}; it must be one of: {self._frames(body)}",
+                "unknown_frame", lambda: f"unknown frame_id {frame_id[:LONGEST_NAME]!r}; {self._frames(body, frame_id)}"
             )
         if len(name) > LONGEST_NAME:
             self.refuse(
@@ -117,8 +117,8 @@ class WrenchInput(CountedInput):
         self.refuse(
             "unknown_frame",
             lambda: (
-                f"~/wrench/clear: unknown body {text[:LONGEST_NAME]!r}; it must be empty (all "
-                f"bodies), or one of: {self._frames(None)}"
+                f"~/wrench/clear: unknown body {text[:LONGEST_NAME]!r}; give none for all bodies, or "
+                f"{self._frames(None, text)}"
             ),
         )
 
@@ -144,8 +144,7 @@ class WrenchInput(CountedInput):
         torque, force = (place[:3, :3] @ np.array(part) for part in (wrench[:3], wrench[3:]))
         return (*(torque + np.cross(place[:3, 3], force)).tolist(), *force.tolist())
 
-    def _frames(self, body):
-        if body is not None:
-            return f"{self._prefix}{body}, {self._world_frame}"
-        shown = ", ".join(f"{self._prefix}{name}" for name in list(self._bodies)[:8])
-        return shown if len(self._bodies) <= 8 else f"{shown}, ... ({len(self._bodies)} bodies)"
+    def _frames(self, body, wrong=""):
+        names = [body] if body else dict.fromkeys((*self._bodies, *self._named, *self._merged))
+        frames = [f"{self._prefix}{name}" for name in names] + [self._world_frame] * bool(body)
+        return suggestion(wrong[:LONGEST_NAME], frames)

@@ -20,22 +20,22 @@ class WrenchTopics:
 
     node   : rclpy Node
     layout : Layout of the scene
+    own    : bodies with topics of their own
     values : parameters; wrench_hold and wrench_timeout are read for every message
     step   : s, of the simulation
     server : SimulationServer
     qos    : QosOverrides
     """
 
-    def __init__(self, node, layout, values, step, server, qos):
-        bodies = layout.body_names
+    def __init__(self, node, layout, own, values, step, server, qos):
         self._node, self._values, self._step, self._server = node, values, step, server
         links = link_of_body(layout.scene)
         merged = merged_links(layout.scene)
-        self.input = WrenchInput(bodies, values.world_frame, values.frame_prefix, links, merged)
+        self.input = WrenchInput(layout.body_names, values.world_frame, values.frame_prefix, links, merged)
         self._qos, self._subscriptions = qos, []
         self._subscribe("~/wrench", "wrench")
         self._subscribe("~/wrench/persistent", "persistent")
-        for body in bodies if values.body_wrenches else ():
+        for body in own:
             self._subscribe(f"~/{body}/wrench", "body", body)
         self._subscriptions.append(node.create_subscription(String, "~/wrench/clear", self._clear, DEPTH))
 
@@ -76,7 +76,7 @@ class WrenchTopics:
         self._server.clear(source_prefix("persistent", target if message.data else ""))
 
     def _log(self, refusal):
-        if refusal.first:
+        if refusal.is_told:
             self._node.get_logger().warning(str(refusal))
 
     def figures(self):

@@ -102,16 +102,31 @@ class Stretch:
         return (self.last_step - self.first_step) * self.step
 
     def pushes_on(self, body):
-        """(p, 2) first and end step of the intervals with a wrench; the last may be infinite.
+        """(p, 2) first and end step of the intervals in which a wrench or an effort acts on a body.
 
-        Steps have a fraction where a wrench starts or ends inside a step.
+        They end with the stretch; that of the last stretch may be infinite. Steps have a fraction where a wrench
+        starts or ends inside a step.
         """
+        return self._intervals(
+            [
+                k
+                for k, (kind, name) in enumerate(self._pushing)
+                if body in (self.efforts_on.get(name, ()) if kind == EFFORT else (name,))
+            ]
+        )
+
+    def _intervals(self, mine):
+        """(p, 2) first and end step of the intervals in which any of the spans with these numbers acts."""
         start, end, _ = self._spans
-        mine = [k for k, on in enumerate(self._pushed_bodies) if body in on]
-        if not mine:
-            return np.empty((0, 2))
         start, end = self._in_steps(start[mine] * 1e-9), self._in_steps(end[mine] * 1e-9)
         end[self._spans[1][mine] == FOREVER] = np.inf
+        begun, over = self.start, np.inf
+        if self.end_ns < np.inf:
+            over = self._in_steps((self.end_ns - self.base_ns) * 1e-9)
+        start, end = np.maximum(start, begun), np.minimum(end, over)
+        start, end = start[start < end], end[start < end]
+        if not len(start):
+            return np.empty((0, 2))
         reached = np.maximum.accumulate(end)
         first = np.concatenate([[True], start[1:] > reached[:-1]])  # spans that do not meet an earlier one
         last = np.concatenate([first[1:], [True]])
@@ -142,17 +157,17 @@ class Stretch:
         return self.inputs.spans()
 
     @cached_property
-    def _pushed_bodies(self):
-        """Names of the bodies on which each of the spans acts."""
-        return [
-            self.efforts_on.get(name, ()) if kind == EFFORT else (name,)
-            for kind, name in self.inputs.names(self._spans[2])
-        ]
+    def _pushing(self):
+        """[(kind, name of a body or joint)] of the spans."""
+        return self.inputs.names(self._spans[2])
 
     @property
     def pushed(self):
-        """((first step, end step, body), ...) intervals with a wrench, in the order of time."""
-        return tuple(sorted((*pair, body) for body in self.bodies for pair in self.pushes_on(body).tolist()))
+        """[(first step, end step, kind, name)] intervals with a wrench on a body or an effort at a joint, by time."""
+        numbers = {}
+        for k, each in enumerate(self._pushing):
+            numbers.setdefault(each, []).append(k)
+        return sorted((*pair, *each) for each, mine in numbers.items() for pair in self._intervals(mine).tolist())
 
     def free(self, bodies):
         """(m, 2) first and last step of intervals in which no wrench acts on any of the bodies.
@@ -323,7 +338,7 @@ class Motion:
         return (track.stamp_ns[inside] - base) * 1e-9, track.motion[inside]
 
     def _accuracies(self, begin, base, end, step):
-        """Changes of the accuracy, and the first time in s at which it was not kept."""
+        """Changes of the accuracy, and the first time in s at which it was not kept, or changed without a request."""
         changes, ended = [], np.inf
         for event in self._recording.events:
             if not begin <= event.stamp_ns < end:
@@ -339,7 +354,7 @@ class Motion:
                 ) from None
             if event.name == "accuracy":
                 changes.append((round(since / step), number))
-                number = since
+                number = np.inf if events.is_requested(event.text) else since
             ended = min(ended, number)
         return changes, ended
 

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from liegroup_core.joints.motion import COLUMNS
-from liegroup_sim_ros.messages import estimates, joint_modes
+from liegroup_sim_ros.messages import arrays, estimates, joint_modes, matrices
 from liegroup_sim_ros.messages.codecs import PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec
 from liegroup_sim_ros.messages.commands import JOINT_STATE, JointStateDecoder
 
@@ -63,6 +63,13 @@ IMPULSE = "/impulse"  # ending of the topics of impulses at impacts
 OF_BODY = "_reaction"  # before these endings, if the joint has the name of a body
 # Numbers in a piece of `samples`, and the largest offset between two topics of a file in samples.
 PIECE, MOST_APART = 200_000, 100_000
+NUMBERS = {"pose": 7, "twist": 6, "errors": 4}  # of one body
+# Decoders of messages about several bodies: (rows, names, world frame) -> numbers.
+SEVERAL = {
+    ("pose", arrays.TYPE): arrays.decode_poses,
+    ("twist", matrices.TYPE): arrays.decode_twists,
+    ("errors", matrices.TYPE): estimates.decode_rows,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,18 +123,15 @@ class Recording:
     def errors(self) -> ErrorTrack | None:
         """ErrorTrack, loaded on first access; None if the run had no estimate."""
         track = self._tracks["errors"].get(None)
-        if track is None:
-            return None
-        stamps, values = track
-        return ErrorTrack(stamps, values.reshape(len(stamps), len(self.bodies), 4))
+        return track and ErrorTrack(*track)
 
     @cached_property
     def _tracks(self):
         wanted = self._motion_topics()
         rows = {topic: self.topics.get(topic, 0) for topic in wanted}
         tracks = {
-            topic: (np.empty(rows[topic], dtype=np.int64), np.empty((rows[topic], self._width(kind))))
-            for topic, (kind, _) in wanted.items()
+            topic: (np.empty(rows[topic], dtype=np.int64), np.empty((rows[topic], *_shape(*of))))
+            for topic, of in wanted.items()
         }
         done = dict.fromkeys(wanted, 0)
         for topic, stamps, values in self._decoded(wanted):
@@ -135,8 +139,10 @@ class Recording:
             tracks[topic][0][at], tracks[topic][1][at] = stamps, values
             done[topic] += len(stamps)
         result = {"pose": {}, "twist": {}, "errors": {}}
-        for topic, (kind, body) in wanted.items():
-            result[kind][body] = tracks[topic]
+        for topic, (kind, index) in wanted.items():
+            stamps, values = tracks[topic]
+            parts = {None: values} if kind == "errors" else {self.bodies[i]: values[:, k] for k, i in enumerate(index)}
+            result[kind] |= {body: (stamps, part) for body, part in parts.items()}
         return result
 
     @cached_property
@@ -214,7 +220,7 @@ class Recording:
         tracks = {
             topic: (np.concatenate(stamps), np.concatenate(values))
             if stamps
-            else (np.empty(0, dtype=np.int64), np.empty((0, self._width(wanted[topic][0]))))
+            else (np.empty(0, dtype=np.int64), np.empty((0, *_shape(*wanted[topic]))))
             for topic, (stamps, values) in waiting.items()
         }
         motion = [stamps for topic, (stamps, _) in tracks.items() if wanted[topic][0] != "errors"]
@@ -234,17 +240,17 @@ class Recording:
             np.empty((k, n, 6)),
             np.full((k, n, 4), np.nan) if len(tracks) > len(motion) else None,
         )
-        for topic, (kind, body) in wanted.items():
+        for topic, (kind, index) in wanted.items():
             stamps, values = tracks[topic]
             if kind == "errors":
                 _, rows, places = np.intersect1d(stamps, common, True, return_indices=True)
-                samples.errors[places] = values[rows].reshape(-1, n, 4)
+                samples.errors[places] = values[rows]
             else:
-                rows, i = values[np.searchsorted(stamps, common)], self.bodies.index(body)
+                rows = values[np.searchsorted(stamps, common)]
                 if kind == "pose":
-                    samples.position[:, i], samples.quaternion[:, i] = rows[:, :3], rows[:, 3:]
+                    samples.position[:, index], samples.quaternion[:, index] = rows[..., :3], rows[..., 3:]
                 else:
-                    samples.twist[:, i] = rows
+                    samples.twist[:, index] = rows
             left = np.searchsorted(stamps, upto, "right")
             waiting[topic][:] = [stamps[left:]], [values[left:]]
             counts[topic] = len(stamps) - left
@@ -252,52 +258,44 @@ class Recording:
             yield samples
 
     def _motion_topics(self):
-        """{topic: (kind, body)} in the order of the bodies, then the errors of all of them."""
-        topics = self.settings["topics"]
-        found = {topics[kind][body]: (kind, body) for body in self.bodies for kind in ("pose", "twist")}
+        """{topic: (kind, indices of its bodies)} in the order of the bodies, then the errors of all of them."""
+        topics, found = self.settings["topics"], {}
+        for i, body in enumerate(self.bodies):
+            for kind in ("pose", "twist"):
+                found.setdefault(topics[kind][body], (kind, []))[1].append(i)
         errors = topics.get("errors")
-        return found | {errors: ("errors", None)} if self.topics.get(errors) else found
-
-    def _width(self, kind):
-        """Numbers in a message."""
-        return {"pose": 7, "twist": 6, "errors": 4 * len(self.bodies)}[kind]
+        return found | {errors: ("errors", range(len(self.bodies)))} if self.topics.get(errors) else found
 
     def _decoded(self, wanted):
-        """(topic, stamps, values) of the poses, twists and errors in each chunk."""
+        """(topic, stamps, values (k, bodies, numbers)) of the poses, twists and errors in each chunk."""
         last = {}
         with ErrorsWithPath(self.path):
-            world, prefix = (
-                self.settings.get(key, default) for key, default in (("world_frame", "world"), ("frame_prefix", ""))
-            )
-            frames = {
-                topic: prefix + body if kind == "twist" else world
-                for topic, (kind, body) in wanted.items()
-                if kind != "errors"
-            }
             for messages, channels in self._source.messages(self.channels):
                 for channel, index in channels:
                     if channel.topic not in wanted:
                         continue
-                    for stamps, values in self._values(
-                        wanted[channel.topic][0], channel.topic, frames.get(channel.topic), messages, index
-                    ):
+                    for stamps, values in self._values(channel, *wanted[channel.topic], messages, index):
                         before = last.get(channel.topic, stamps[0] - 1)
                         if stamps[0] <= before or (np.diff(stamps) <= 0).any():
                             raise RecordingError(f"the stamps of {channel.topic} do not increase")
                         last[channel.topic] = stamps[-1]
-                        yield channel.topic, stamps, values
+                        yield channel.topic, stamps, values.reshape(-1, *_shape(*wanted[channel.topic]))
 
-    def _values(self, kind, topic, frame, messages, index):
-        """(stamps, values) for runs of messages of one topic."""
-        if kind == "errors":
+    def _values(self, channel, kind, bodies, messages, index):
+        """(stamps, values) for runs of messages of one topic about the bodies with these indices."""
+        world, names = self.settings.get("world_frame", "world"), [self.bodies[i] for i in bodies]
+        several = SEVERAL.get((kind, channel.type))
+        if several is not None:
             for part in of_one_size(messages, index):
-                rows = estimates.decode_rows(messages.rows(part), self.bodies)
-                yield messages.log_time[part], rows
+                yield messages.log_time[part], several(messages.rows(part), names, world)
             return
+        if kind == "errors" or len(names) > 1:
+            raise RecordingError(f"{channel.topic} has messages of the type {channel.type!r:.60}")
         codec = PoseStampedCodec if kind == "pose" else TwistStampedCodec
-        for stamps, names, _, values in decode(codec, messages, index):
-            if names != [frame]:
-                raise RecordingError(f"{topic} is in frame {names[0]!r:.60}, not in {frame!r:.60}")
+        frame = world if kind == "pose" else self.settings.get("frame_prefix", "") + names[0]
+        for stamps, frames, _, values in decode(codec, messages, index):
+            if frames != [frame]:
+                raise RecordingError(f"{channel.topic} is in frame {frames[0]!r:.60}, not in {frame!r:.60}")
             yield stamps, values
 
     def to_pandas(self, what: str = "motion"):
@@ -322,6 +320,11 @@ class Recording:
         return data_frame(self, what)
 
 
+def _shape(kind, index):
+    """Shape of the values in a message about some bodies."""
+    return len(index), NUMBERS[kind]
+
+
 def read_recording(path: str | Path) -> Recording:
     """Recording of a *.mcap file, a path or an fsspec URL. Raises RecordingError."""
     path = str(path) if is_remote(path) else Path(path)
@@ -335,12 +338,12 @@ def read_recording(path: str | Path) -> Recording:
         initial_state = names.json("initial_state.json")
         pacing = names.json("pacing.json") if "pacing.json" in attachments else None
         bodies, topics = tuple(initial_state["bodies"]), settings["topics"]
-        of_bodies = [topics[kind][body] for body in bodies for kind in ("pose", "twist")]
-        if len(set(bodies)) < len(bodies) or not all(isinstance(t, str) for t in of_bodies):
+        kinds = [[topics[kind][body] for body in bodies] for kind in ("pose", "twist")]
+        if len(set(bodies)) < len(bodies) or not all(isinstance(t, str) for of_kind in kinds for t in of_kind):
             raise RecordingError("its settings lack the topics of a body")
-        errors = topics.get("errors")
-        if errors is not None and (not isinstance(errors, str) or errors in of_bodies):
-            raise RecordingError("its settings have no separate topic for the estimated errors")
+        of_kind = [*map(set, kinds), set() if topics.get("errors") is None else {topics["errors"]}]
+        if len(set.union(*of_kind)) < sum(map(len, of_kind)):
+            raise RecordingError("its settings have no separate topics for poses, twists and estimated errors")
         scene_text = names["scene.yaml"].decode()
         scan = Scan(source, settings, bodies)
         problem = scan.problem(source, attachments)

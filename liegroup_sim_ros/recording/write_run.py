@@ -161,16 +161,16 @@ class LogFile:
         if layout.motions or layout.scene.sensors:
             layout.reactions.warm_up()  # for the efforts of driven joints, and force-torque sensors
         bodies = layout.body_names
-        pairs = [(topics.pose(body), topics.twist(body)) for body in bodies]
+        own = topics.own_by_default(bodies)
+        with_samples, self._encode = sample_messages.motion(bodies, own, WORLD_FRAME)
         names = {
-            "pose": {b: pose.resolved(NODE) for b, (pose, _) in zip(bodies, pairs)},
-            "twist": {b: twist.resolved(NODE) for b, (_, twist) in zip(bodies, pairs)},
+            **topics.of_motion(bodies, own, lambda topic: topic.resolved(NODE)),
             "inputs": topics.INPUTS.resolved(NODE),
             "events": topics.EVENTS.resolved(NODE),
             "clock": None,
             "diagnostics": topics.DIAGNOSTICS.resolved(NODE),
         }
-        with_samples = [*sum(pairs, ())]
+        motion = [*with_samples]
         if has_estimate(simulation):
             names["errors"] = topics.ERRORS.resolved(NODE)
             with_samples.append(topics.ERRORS)
@@ -201,9 +201,8 @@ class LogFile:
         except RecorderError as error:
             raise OutputError(str(error)) from None
         self._checkpoints = Checkpoints(self._recorder, simulation)
-        self._encode = sample_messages.poses_and_twists(bodies, WORLD_FRAME)
         self._encode_errors = estimates.encoder(bodies)
-        self._channels = [tuple(map(self._channel, pair)) for pair in pairs]
+        self._channels = [self._channel(topic) for topic in motion]
         self._errors = self._channel(topics.ERRORS) if "errors" in names else None
         self._inputs = {topic: self._channel(topic) for topic in of_inputs}
         self._encode_targets, self._encode_motions = commands.servo_targets(layout), commands.motions(layout)
@@ -296,9 +295,8 @@ class LogFile:
             if name not in self._told:
                 self._told.add(name)
                 self._event(stamp, name, text)
-        for channels, messages in zip(self._channels, self._encode(stamp, sample)):
-            for channel, message in zip(channels, messages):
-                self._recorder.write(channel, stamp, message)
+        for channel, message in zip(self._channels, self._encode(stamp, sample)):
+            self._recorder.write(channel, stamp, message)
         if self._errors is not None:
             self._recorder.write(self._errors, stamp, self._encode_errors(sample))
         for channel, encode in self._on_request:

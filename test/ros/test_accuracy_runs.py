@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs to an accuracy: of the node over DDS and in this process, and of `liegroup_sim run`."""
 
+import dataclasses
 import json
 import math
 import re
@@ -33,6 +34,7 @@ from liegroup_sim_ros.node.wrench_input import Push
 from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording.attachments import commands_in
 from liegroup_sim_ros.recording.read import read_recording
+from liegroup_sim_ros.report.plots import make_plots
 
 SOURCE = Path(__file__).resolve().parents[2]
 LATE = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -136,13 +138,15 @@ def test_a_node_says_when_its_motion_cannot_be_known_any_more(client, tmp_path):
         assert -1e-9 <= told[name].stamp_ns * 1e-9 - since < 0.11
     found = analyse(recording, reference_seconds=told["inaccurate"].stamp_ns * 1e-9 + 1.0).figures
     assert found["promise"]["kept"] is True and found["promise"]["beyond"] is True
+    for name in ("inaccurate", "unpredictable"):
+        assert f"the run reported: {told[name].text}" in found["warnings"]
     assert found["promise"]["seconds"] == pytest.approx(simulation.accurate_until, rel=1e-9)
     assert "Then the run itself reports a larger error" in found["verdict"]
 
 
 def scene_run(ros_node, scene, before=None, **parameters):
     """SceneRun of the node's own parts, in this process."""
-    values = SimpleNamespace(**{entry.name: entry.default for entry in TABLE} | parameters, qos=[])
+    values = SimpleNamespace(**{entry.name: entry.usual for entry in TABLE} | parameters, qos=[])
     values.record = str(values.record)
     simulation = Simulation(
         load_scene(scene), step=fitting_steps(values), accuracy=values.accuracy, horizon=values.accuracy_horizon
@@ -346,7 +350,7 @@ def test_restarts_do_not_end_an_accuracy(ros_node, tmp_path):
     before = recording.events[1].stamp_ns * 1e-9  # the pause
     assert promise["seconds"] == pytest.approx(before + 1.5 + 0.7)
     assert "larger error" not in figures["verdict"]
-    assert "after the start and 2 restarts (0.4 s that continue an" in figures["verdict"]
+    assert "that follow the start and 2 resets (0.4 s that continue an" in figures["verdict"]
 
 
 def test_the_accuracy_is_raised_at_most_to_a_tenth(ros_node, tmp_path, monkeypatch):
@@ -459,6 +463,35 @@ def test_a_run_reports_that_its_error_exceeds_the_accuracy(tmp_path):
     found = analyse(recording).figures["promise"]
     assert found["kept"] is True and found["beyond"] is True
     assert since - 0.1 <= found["seconds"] <= since + 1e-9
+
+
+@pytest.mark.parametrize(
+    "first, text, kept, seconds, warned",
+    [
+        (1e-2, events_of_runs.accuracy_requested(1e-6, 0.3), False, 0.6, False),
+        (1e-6, events_of_runs.accuracy_requested(1e-2, 0.01), True, 0.6, False),
+        (1e-2, events_of_runs.accuracy_requested(1e-3, 0.3), True, 0.6, False),
+        (1e-2, events_of_runs.accuracy(1e-1, 0.3, 1e-2, 0.9, 0.1), True, 0.3, True),
+    ],
+)
+def test_each_period_is_judged_by_its_accuracy(tmp_path, first, text, kept, seconds, warned):
+    """The error of this run is from 1e-6 to 1e-3 after 0.02 s. Real time ends a guarantee, a request does not."""
+    promise = {"accuracy": first, "horizon": 60.0, "length": 0.5}
+    log = record(tmp_path / "a.mcap", load_scene("heavy_top"), 60, step=1e-2, per_sample=1, promise=promise)
+    recording = read_recording(log)
+    asked = float(text.partition("t = ")[2].split()[0])
+    event = recording.events[0]._replace(name="accuracy", text=text, stamp_ns=round(asked * 1e9))
+    found = analyse(dataclasses.replace(recording, events=[*recording.events[:1], event, *recording.events[1:]]))
+    promise = found.figures["promise"]
+    assert promise["kept"] is kept and promise["seconds"] == pytest.approx(seconds) and promise["beyond"] is warned
+    assert ["as requested" not in text, bool(promise["changes"])] == [warned, not warned]
+    assert any("is the accuracy" in each for each in found.figures["warnings"]) is warned
+    assert ("the run itself reports" in found.figures["verdict"]) is warned
+    (error,) = [plot for title, _, plot in make_plots(found) if title == "Error"]
+    ends = {(line["x0"], line["x1"], line["y0"]) for line in error["layout"]["shapes"] if line["line"]["width"] == 1.5}
+    if not warned:
+        later = float(text.split()[0])
+        assert {(0.0, asked, first), (asked, 0.6, later), (0.0, asked, 0.5 * first)} <= ends and len(ends) == 4
 
 
 @pytest.mark.parametrize("push, kept, seconds", [(None, False, 0.6), (25, False, 0.6), (0, False, 0.6)])

@@ -24,7 +24,7 @@ SCRIPT = "\n".join(re.findall(r"^```python\n(.*?)^```$", PAGE, re.MULTILINE | re
 
 
 def test_the_page_contains_commands_and_python_code():
-    assert len(COMMANDS) == 6 and SCRIPT.count("import rclpy\n") == 1
+    assert len(COMMANDS) == 5 and SCRIPT.count("import rclpy\n") == 1
 
 
 @pytest.mark.parametrize("command", COMMANDS)

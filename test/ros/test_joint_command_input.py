@@ -125,7 +125,7 @@ def test_refusals_are_one_line(layout, changed, reason):
     reader = JointCommandInput(layout, 0.02)
     with pytest.raises(Refusal) as caught:
         reader.read(message(**fields), NOW, more["held"], more["lasting"])
-    assert caught.value.reason == reason and caught.value.first
+    assert caught.value.reason == reason and caught.value.is_told
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 300
     assert reader.accepted == 0 and reader.refused[reason] == 1
 

@@ -11,12 +11,18 @@ import yaml
 from geometry_msgs.msg import PoseStamped
 from mcap.reader import make_reader
 from node_process import COMPILING, NodeProcess, stamp_ns
-from rclpy.qos import ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from visualization_msgs.msg import MarkerArray
 
 from liegroup_core import Simulation
 from liegroup_core.compiling import compiled
 from liegroup_core.scene.load import scene_from_text
+from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.messages.codecs import PoseStampedCodec, TwistStampedCodec
+from liegroup_sim_ros.recording.motion import Motion
 from liegroup_sim_ros.recording.read import read_recording
 
 
@@ -161,6 +167,11 @@ def test_a_signal_during_compilation_ends_the_node(scene, tmp_path):
         ({"scene": "''"}, "parameter scene: is empty"),
         ({"scene": ""}, "Couldn't parse parameter override rule: '-p scene:='"),
         ({"scene": "no_such_scene.yaml"}, "no_such_scene"),
+        (
+            {"body_topics": "puck, cub"},
+            "parameter body_topics: the scene has no body 'cub'; did you mean \"cube\"? choose",
+        ),
+        ({"body_topics": "none", "odometry_rate": 10.0}, "parameter odometry_rate: no body has topics of its own"),
         ({"method": "euler"}, "parameter method: must be auto, rkmk1"),
         ({"scene": "four_bar", "method": "rattle"}, "method rattle cannot integrate this scene: it requires"),
         ({"frame_prefix": "/left/"}, "parameter frame_prefix: must not start with a slash"),
@@ -180,13 +191,7 @@ def test_a_signal_during_compilation_ends_the_node(scene, tmp_path):
         ),
         ({"estimate": "false"}, "parameter estimate: must be true with an accuracy; or choose"),
         ({"estimate": "false", "accuracy": 1e-6}, "parameter estimate: must be true with an accuracy; or choose"),
-        (
-            {"publish_rate": 100.0, "clock_rate": 33.3},
-            "parameter step: no suitable step divides the periods of all rates",
-        ),
-        ({"step": 0.004}, "100 Hz is one message every 2.5 steps of 0.004 s"),
         ({"step": "fast"}, "parameter step: must be a number, got 'fast'"),
-        ({"method": "rkmk4", "publish_rate": 300.0}, "300 Hz is one message every 3.33333 steps of 0.001 s"),
         ({"wrench_hold": "forever"}, "must be one_step, timeout or until_replaced"),
         ({"record": "/proc/no/folder.mcap"}, "cannot record to /proc/no/folder.mcap"),
     ],
@@ -236,3 +241,36 @@ def test_two_nodes_in_two_namespaces(client, scene):
         for process in both:
             os.killpg(process.process.pid, signal.SIGINT)
         assert [process.wait()[0] for process in both] == [0, 0]
+
+
+def test_rates_and_accuracy_change_while_the_node_runs_and_its_recording_repeats(client, tmp_path):
+    path = tmp_path / "run.mcap"
+    with NodeProcess({"scene": "double_pendulum", "joint_state_rate": 0.0, "record": path}) as process:
+        markers = client.listen("/sim_node/markers", MarkerArray, QoSProfile(depth=10))
+        joints = client.listen("/sim_node/joint_states", JointState)
+        clock = client.listen("/clock", Clock)
+        client.node.create_publisher(String, "/sim_node/wrench", 1)
+        client.until(lambda: len(clock) > 20 and len(markers) > 2)
+        stamps = [stamp_ns(message.markers[0].header.stamp) for message in markers]
+        assert set(np.diff(stamps)) == {50_000_000} and not joints  # 20 Hz by default
+        assert client.set("/sim_node", joint_state_rate=30.0, marker_rate=50.0).successful
+        client.until(lambda: len(joints) > 5)
+        assert (
+            stamp_ns(markers[-1].markers[0].header.stamp) - stamp_ns(markers[-2].markers[0].header.stamp) == 20_000_000
+        )
+        assert client.set("/sim_node", clock_rate=0.0, marker_rate=0.0, joint_state_rate=0.0).successful
+        client.spin(0.3)
+        seen = len(markers), len(joints), len(clock)
+        client.spin(0.3)
+        assert (len(markers), len(joints), len(clock)) == seen
+        assert client.set("/sim_node", accuracy=1.25e-7).successful
+        refused = client.set("/sim_node", publish_rate=50.0).reason
+        assert refused == "parameter publish_rate: cannot change while the node records: start with it"
+        client.spin(2.5)
+        process.send(signal.SIGINT)
+        code, errors = process.wait()
+    other = "another node has it as std_msgs/msg/String, this one as geometry_msgs/msg/WrenchStamped"
+    assert code == 0 and errors.count(other) == 1
+    recording = read_recording(path)
+    assert [accuracy for _, accuracy in Motion(recording).all[0].accuracies] == [1.25e-7]
+    assert main(["replay", str(path), "--resimulate"]) == 0

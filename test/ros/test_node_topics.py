@@ -28,11 +28,15 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import Float64MultiArray, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import scene_from_text
+from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.messages.samples import OPTIONAL
+from liegroup_sim_ros.messages.topics import MOST_OWN
+from liegroup_sim_ros.playback.branch import Branches
 from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording.read import read_recording
 
@@ -44,7 +48,6 @@ PERIODS = {
     "odometry_rate": 20,
     "pose_with_covariance_rate": 100,
     "velocity_rate": 25,
-    "pose_array_rate": 50,
     "joint_state_rate": 4,
     "reaction_rate": 200,
     "sensor_rate": 250,
@@ -81,13 +84,13 @@ class Shown:
             "odometry_rate": client.listen(f"{NODE}/lower/odometry", Odometry),
             "pose_with_covariance_rate": client.listen(f"{NODE}/lower/pose_with_covariance", PoseWithCovarianceStamped),
             "velocity_rate": client.listen(f"{NODE}/lower/velocity", VelocityStamped),
-            "pose_array_rate": client.listen(f"{NODE}/poses", PoseArray),
             "joint_state_rate": client.listen(f"{NODE}/joint_states", JointState),
             "sensor_rate": client.listen(f"{NODE}/imu/imu", Imu),
             "reaction_rate": client.listen(f"{NODE}/elbow/wrench", WrenchStamped),
             "marker_rate": client.listen(f"{NODE}/markers", MarkerArray),
             "state_rate": client.listen(f"{NODE}/state", DiagnosticArray),
         }
+        self.poses = client.listen(f"{NODE}/poses", PoseArray)
         self.twist = client.listen(f"{NODE}/lower/twist", TwistStamped)
         self.clock = client.listen("/clock", Clock)
         self.events = client.listen(
@@ -118,6 +121,7 @@ def node(client, folder):
             "arrow_scale": 0.1,
             "world_frame": "map",
             "frame_prefix": PREFIX,
+            "body_topics": "lower",
             **rates,
         },
         remap=[f"__node:={NODE[1:]}"],
@@ -143,6 +147,7 @@ def test_every_optional_topic_is_in_these_tests_and_in_the_reference():
     for rate, (_, topic) in OPTIONAL.items():
         assert rate in PERIODS or rate == "tf_rate"  # tf2_msgs may be missing
         assert f"* `{topic}`" in page
+    assert f"more than {MOST_OWN} bodies" in page
 
 
 def test_topics_agree_at_the_same_stamp(client, node):
@@ -155,7 +160,6 @@ def test_topics_agree_at_the_same_stamp(client, node):
                     "odometry_rate",
                     "pose_with_covariance_rate",
                     "velocity_rate",
-                    "pose_array_rate",
                     "joint_state_rate",
                     "marker_rate",
                 )
@@ -163,7 +167,7 @@ def test_topics_agree_at_the_same_stamp(client, node):
         ) & {stamp_ns(m.header.stamp) for m in node.twist}
 
     stamp = max(client.until(common))
-    pose, odometry, with_covariance, velocity, poses, joints, markers = (
+    pose, odometry, with_covariance, velocity, joints, markers = (
         next(m for m in messages if stamp_of(m) == stamp)
         for messages in (
             node.messages[name]
@@ -172,13 +176,13 @@ def test_topics_agree_at_the_same_stamp(client, node):
                 "odometry_rate",
                 "pose_with_covariance_rate",
                 "velocity_rate",
-                "pose_array_rate",
                 "joint_state_rate",
                 "marker_rate",
             )
         )
     )
     twist_stamped = next(m for m in node.twist if stamp_ns(m.header.stamp) == stamp)
+    poses = next(m for m in node.poses if stamp_of(m) == stamp)
     twist, lower = twist_stamped.twist, f"{PREFIX}lower"
     assert odometry.pose.pose == pose.pose == poses.poses[1]
     assert with_covariance.pose == odometry.pose
@@ -215,7 +219,7 @@ def test_reactions_are_those_of_the_same_state(client, node):
     stamps = set(node.stamps("publish_rate")) & {stamp_ns(m.header.stamp) for m in node.twist}
     message = next(m for m in node.messages["reaction_rate"] if stamp_of(m) in stamps)
     assert message.header.frame_id == f"{PREFIX}elbow_reaction"
-    poses = next(m for m in node.messages["pose_array_rate"] if stamp_of(m) == stamp_of(message)).poses
+    poses = next(m for m in node.poses if stamp_of(m) == stamp_of(message)).poses
     joints = next(m for m in node.messages["joint_state_rate"] if stamp_of(m) == stamp_of(message))
     layout = make_layout(scene_from_text(ARM))
     rate, pose, twist = 0.0, np.zeros((2, 12)), np.zeros((2, 6))
@@ -284,7 +288,8 @@ def test_state_contains_the_values_of_the_diagnostics(node):
 
 def test_topics_without_a_rate_are_not_published(client, node):
     names = dict(client.node.get_topic_names_and_types())
-    assert f"{NODE}/poses" in names and "/tf" not in names
+    assert {f"{NODE}/poses", f"{NODE}/lower/pose", f"{NODE}/lower/wrench"} <= names.keys()
+    assert not {"/tf", f"{NODE}/upper/pose", f"{NODE}/upper/wrench"} & names.keys()
 
 
 def test_use_sim_time_is_refused(client, node):
@@ -314,15 +319,19 @@ def test_reload_starts_a_new_scene_with_new_topics_and_a_new_file(client, node, 
     refused = client.call(f"{NODE}/reload")
     assert not refused.success and "no_such_scene" in refused.message
     (folder / "run_part2.mcap").touch()  # in the way of the next part
-    assert client.set(NODE, scene=str(scene)).successful
+    assert client.set(NODE, scene=str(scene), body_topics="all").successful
     refused = client.call(f"{NODE}/reload")
     assert not refused.success and "already exists" in refused.message
     (folder / "run_part2.mcap").unlink()
+    assert client.set(NODE, body_topics="lower").successful
     count = len(node.messages["publish_rate"])
     client.until(lambda: len(node.messages["publish_rate"]) > count + 5)  # goes on
     assert client.set(NODE, scene=str(scene)).successful
     poses = client.listen(f"{NODE}/puck/pose", PoseStamped)
     given = client.given(NODE)
+    refused = client.call(f"{NODE}/reload")
+    assert not refused.success and "body_topics: the scene has no body 'lower'" in refused.message
+    assert client.set(NODE, body_topics="auto").successful
     assert client.call(f"{NODE}/reload").success
     client.until(lambda: len(poses) > 5)
     last = node.stamps("publish_rate")[-1]
@@ -368,10 +377,11 @@ def test_everything_published_is_recorded(client, node, folder):
             stamps.setdefault(channel.topic, []).append(message.log_time)
     for topic, name in (
         ("lower/pose", "publish_rate"),
-        ("upper/odometry", "odometry_rate"),
-        ("upper/pose_with_covariance", "pose_with_covariance_rate"),
-        ("upper/velocity", "velocity_rate"),
-        ("poses", "pose_array_rate"),
+        ("lower/odometry", "odometry_rate"),
+        ("lower/pose_with_covariance", "pose_with_covariance_rate"),
+        ("lower/velocity", "velocity_rate"),
+        ("poses", "publish_rate"),
+        ("twists", "publish_rate"),
         ("joint_states", "joint_state_rate"),
         ("markers", "marker_rate"),
         ("state", "state_rate"),
@@ -380,10 +390,75 @@ def test_everything_published_is_recorded(client, node, folder):
 
 
 @pytest.mark.skipif(importlib.util.find_spec("tf2_msgs") is not None, reason="tf2_msgs is installed here")
+def test_tf_is_published_by_default_where_its_message_type_is_installed(client, scene):
+    """Else the node starts without a word about it, and refuses a rate."""
+    with NodeProcess({"scene": scene}) as process:
+        poses = client.listen("/sim_node/puck/pose", PoseStamped)
+        client.until(lambda: len(poses) > 5, COMPILING)
+        is_installed = importlib.util.find_spec("tf2_msgs") is not None
+        assert ("/tf" in dict(client.node.get_topic_names_and_types())) == is_installed
+        answer = client.set("/sim_node", tf_rate=20.0)
+        assert answer.successful == is_installed and ("tf2_msgs is not installed" in answer.reason) != is_installed
+        process.send(signal.SIGINT)
+        code, errors = process.wait()
+    assert code == 0 and "tf2_msgs" not in errors
+
+
 def test_a_topic_with_a_missing_message_type_is_refused_in_one_line(scene):
     with NodeProcess({"scene": scene, "tf_rate": 10.0}) as process:
         code, errors = process.wait()
     assert code == 2 and errors.splitlines()[-1].startswith("sim_node: parameter tf_rate: tf2_msgs is not installed")
+
+
+def test_a_large_scene_has_two_topics_for_all_bodies(client, tmp_path):
+    """A free body moves as its velocities say; wrenches, analysis, re-simulation and branches need no other topics."""
+    count, name, path = MOST_OWN + 20, "/large", tmp_path / "run.mcap"
+    (tmp_path / "large.yaml").write_text(
+        "name: large\ngravity: [0, 0, 0]\nbodies:\n"
+        + "".join(
+            f"  - {{name: b{k}, mass: 2, inertia: [1, 1, 1], position: [{k}, 0, 0], linear_velocity: [0, {k}, 0]}}\n"
+            for k in range(count)
+        )
+    )
+    with NodeProcess({"scene": tmp_path / "large.yaml", "record": path}, remap=["__node:=large"]) as process:
+        poses = client.listen(f"{name}/poses", PoseArray)
+        twists = client.listen(f"{name}/twists", Float64MultiArray)
+        latched = client.listen(
+            f"{name}/bodies", String, QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        )
+        client.until(lambda: len(poses) > 10 and len(twists) > 10 and latched, COMPILING)
+        names = dict(client.node.get_topic_names_and_types())
+        assert not [topic for topic in names if topic.startswith(f"{name}/b") and topic != f"{name}/bodies"]
+        bodies = twists[-1].layout.dim[0].label.split(" ")
+        assert bodies == [f"b{k}" for k in range(count)]
+        assert latched[-1].data.split() == bodies
+        seconds = stamp_of(poses[-1]) * 1e-9
+        for k, pose in enumerate(poses[-1].poses):
+            assert (pose.position.x, pose.position.y) == pytest.approx((k, k * seconds), abs=1e-12 * count)
+        push = python(PUSH, "push", "b3", "--force", 0, 0, 1, "--duration", 0.1, "--node", name)
+        client.until(lambda: push.poll() is not None, what="end of the push")
+        assert push.returncode == 0, push.communicate()[1]
+        before = len(twists)
+        client.until(lambda: len(twists) > before + 20)
+        moved = np.reshape(twists[-1].data, (count, 6))[:, 2]
+        assert np.flatnonzero(moved).tolist() == [3]
+        process.send(signal.SIGINT)
+        assert process.wait()[0] == 0
+    recording = read_recording(path)
+    assert recording.complete and recording.lost == {} and recording.bodies == tuple(bodies)
+    same = resimulate(recording)
+    assert same["identical"] == same["samples"] > 20
+    assert analyse(recording).figures["missing_samples"] == 0
+    # The message is the recorded one, and a branch goes through the same states.
+    last, stamp = poses[-1].poses, stamp_of(poses[-1])
+    branch, at_ns = Branches(recording).at(stamp * 1e-9, True)
+    sample = branch.sample()
+    assert at_ns == stamp
+    for body, pose in zip(bodies, last, strict=True):
+        track, (place, turn) = recording.pose[body], (pose.position, pose.orientation)
+        (row,) = np.flatnonzero(track.stamp_ns == stamp)
+        assert [place.x, place.y, place.z] == track.position[row].tolist() == sample.positions[body].tolist()
+        assert [turn.x, turn.y, turn.z, turn.w] == track.quaternion[row].tolist() == sample.quaternions[body].tolist()
 
 
 def test_recording_without_pose_topics_is_refused(scene, tmp_path):

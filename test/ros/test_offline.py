@@ -16,6 +16,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from liegroup_core import Simulation, load_scene
 from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.commands.main import main
+from liegroup_sim_ros.messages import topics
 from liegroup_sim_ros.messages.codecs import LogCodec, WrenchStampedCodec
 from liegroup_sim_ros.messages.sensors import sensors
 from liegroup_sim_ros.numbers import counted
@@ -32,7 +33,7 @@ def test_a_csv_table_has_the_exact_numbers(tmp_path, capsys):
     assert "the file already exists" in capsys.readouterr().err
     with open(path, encoding="utf-8", newline="") as file:
         header, *rows = csv.reader(file)
-    assert len(rows) == 11 and len(set(header)) == len(header) == 1 + 2 * 13 + 2 * 2 + 2
+    assert len(rows) == 96 and len(set(header)) == len(header) == 1 + 2 * 13 + 2 * 2 + 2
     found = [dict(zip(header, map(float, row))) for row in rows]
     simulation = Simulation(load_scene("double_pendulum"), "rkmk4", 1e-3)
     for row in found:
@@ -96,7 +97,7 @@ def test_a_run_that_is_too_short_for_an_estimate_says_from_when_on_there_is_one(
         return capsys.readouterr().out
 
     first = re.search(r"; the error is not estimated before t = (\S+) s\n", said("0.02"))[1]
-    assert "estimated error" in said(first)
+    assert "estimated error at the end" in said(first)
 
 
 @pytest.mark.parametrize(
@@ -184,7 +185,7 @@ def test_npz_arrays_equal_those_of_the_simulation(tmp_path, capsys):
 def test_an_offline_recording_is_analysed_like_one_of_the_node(tmp_path, more):
     """Simulating it again from the settings in the file is bit-identical."""
     path = tmp_path / "a.mcap"
-    assert main(["run", "heavy_top", "--duration", "0.5", "--out", str(path), *more]) == 0
+    assert main(["run", "heavy_top", "--duration", "0.5", "--every", "10", "--out", str(path), *more]) == 0
     recording = read_recording(path)
     assert recording.complete and recording.lost == {}
     assert [event.name for event in recording.events] == ["start", "stop"]
@@ -196,6 +197,30 @@ def test_an_offline_recording_is_analysed_like_one_of_the_node(tmp_path, more):
     assert set(repeat["largest_difference"].values()) == {0.0}
     assert analysis.figures["sim_seconds"] == pytest.approx(0.5)
     assert main(["analyze", str(path), "--no-reference", "--html", str(tmp_path / "a.html")]) == 0
+
+
+def test_a_recording_with_arrays_has_the_same_motion(tmp_path, monkeypatch):
+    """Poses and twists of all bodies in two topics, as in large scenes, or in two topics for each body."""
+    given = ["run", "four_bar", "--method", "rkmk4", "--step", "0.002", "--duration", "0.5", "--out"]
+    assert main([*given, str(tmp_path / "own.mcap")]) == 0
+    monkeypatch.setattr(topics, "MOST_OWN", 2)
+    assert main([*given, str(tmp_path / "all.mcap")]) == 0
+    own, arrays = (read_recording(tmp_path / f"{name}.mcap") for name in ("own", "all"))
+    names = {topic.rpartition("/")[2] for topic in arrays.topics}
+    assert {"poses", "twists", "errors"} <= names and not {"pose", "twist"} & names
+    assert arrays.complete and own.bodies == arrays.bodies
+    for body in own.bodies:
+        for kind in ("pose", "twist"):
+            for one, other in zip(getattr(own, kind)[body], getattr(arrays, kind)[body], strict=True):
+                assert len(one) == 251 and one.tobytes() == other.tobytes()
+    (one,), (other,) = own.samples(), arrays.samples()
+    assert all(np.array_equal(*pair, equal_nan=True) for pair in zip(one, other, strict=True))
+    assert own.to_pandas().equals(arrays.to_pandas())
+    figures = [analyse(recording).figures for recording in (own, arrays)]
+    same = ("bodies", "invariants", "reference", "estimate", "local_error", "problems", "samples")
+    assert len(figures[0].keys() & set(same)) > 3
+    assert all(figures[0].get(key) == figures[1].get(key) for key in same)
+    assert resimulate(arrays)["identical"] == 251
 
 
 @pytest.mark.parametrize("suffix", ["npz", "mcap"])

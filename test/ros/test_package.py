@@ -122,10 +122,17 @@ def test_the_displays_of_rviz_show_topics_of_the_preset():
 def test_layouts_show_only_topics_of_the_node():
     documented = (SOURCE / "docs" / "reference" / "node.md").read_text()
     foxglove = json.loads((SOURCE / "config" / "foxglove.json").read_text())["configById"]
-    shown = list(foxglove["3D!scene"]["topics"])
-    shown += [path["value"].partition(".")[0] for path in foxglove["Plot!joints"]["paths"]]
-    shown.append(foxglove["DiagnosticStatusPanel!figures"]["topicToRender"])
-    assert len(shown) == 4
+    shown = {
+        *foxglove["3D!scene"]["topics"],
+        *(path["value"].partition(".")[0] for path in foxglove["Plot!joints"]["paths"]),
+        foxglove["DiagnosticStatusPanel!figures"]["topicToRender"],
+    }
+    assert len(shown) == 3
+    preset = yaml.safe_load((SOURCE / "config" / "show.yaml").read_text())["/**"]["ros__parameters"]
+    joints = Simulation(load_scene(preset["scene"])).layout.coordinates.names
+    curves = [f"{value}[{k}]" for value in ("position", "velocity") for k in range(len(joints))]
+    paths = [path["value"] for path in foxglove["Plot!joints"]["paths"]]
+    assert paths == [f"/sim_node/joint_states.{curve}" for curve in curves]
     for topic in shown:
         assert f"`{topic.replace('/sim_node', '~')}`" in documented, topic
 
@@ -134,14 +141,12 @@ def test_the_launch_file_compiles_and_its_preset_exists():
     """`launch` has no wheel, so starting the node by it is tested only with a ROS installation."""
     text = (SOURCE / "launch" / "sim.launch.py").read_text()
     tree = ast.parse(text)
-    constants = {node.targets[0].id: ast.literal_eval(node.value) for node in tree.body if isinstance(node, ast.Assign)}
-    arguments, texts, numbers = (constants[name] for name in ("ARGUMENTS", "TEXTS", "NUMBERS"))
-    parameters = texts + numbers
+    (table,) = (node.value for node in tree.body if isinstance(node, ast.Assign) and node.targets[0].id == "ARGUMENTS")
+    arguments = {key.value: ast.literal_eval(value) for key, value in zip(table.keys, table.values) if key}
     assert (SOURCE / "config" / f"{arguments['preset'][0]}.yaml").exists()
     used = set(re.findall(r'LaunchConfiguration\("(\w+)"\)', text)) - {"params_file"}
-    assert used == set(arguments) - set(parameters) and set(parameters) < set(arguments)
-    kinds = {entry.name: type(entry.default) for entry in TABLE}
-    assert {kinds[name] for name in texts} == {str} and {kinds[name] for name in numbers} == {float}
+    assert used == set(arguments) and not used & {entry.name for entry in TABLE}
+    assert {type(entry.default) for entry in TABLE} <= {str, float, int, bool}
     (node,) = re.findall(r'package=PACKAGE,\s+executable="(\w+)",\s+name="(\w+)"', text)
     assert node == ("sim_node", "sim_node") and (SOURCE / "liegroup_sim_ros/node/entry.py").exists()
     remapped = re.findall(r'\("/(\w+)", LaunchConfiguration', text)

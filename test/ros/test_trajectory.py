@@ -159,7 +159,9 @@ def test_wanted_values_of_a_servo_beyond_its_limits_are_refused(rows, at_once, a
 
 def test_a_servo_joint_beyond_its_limits_can_return():
     simulation = Simulation(scene_from_text(LIMITED), "rkmk4", 1e-3, estimate=False)
-    simulation.place(joints={"pin": (2.6, 9.0)})
+    unlimited = Simulation(scene_from_text(SCENE), "rkmk4", 1e-3, estimate=False)
+    unlimited.place(joints={"pin": (2.6, 9.0)})
+    simulation.set_state(*unlimited.state())
     follower = Follower(simulation, 2e-3, 0.02)
     follower.follow(Trajectory(["pin"], points(((2.0,), (0.0,), (), 1.0))), 0.0)
     follower.command(0.01)
@@ -255,7 +257,7 @@ def test_refused_trajectories_are_one_line(layout, changed, reason):
     reader = TrajectoryInput(layout)
     with pytest.raises(Refusal) as caught:
         reader.read(message(**changed), NOW)
-    assert caught.value.reason == reason and caught.value.first
+    assert caught.value.reason == reason and caught.value.is_told
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 300
     assert reader.accepted == 0 and reader.refused[reason] == 1
 

@@ -85,7 +85,7 @@ def test_clear_ends_the_wrenches_of_a_body_a_source_or_all(target, ended):
 def test_refusals_are_one_line(changed, reason):
     with pytest.raises(Refusal) as caught:
         read(**changed)
-    assert caught.value.reason == reason and caught.value.first
+    assert caught.value.reason == reason and caught.value.is_told
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 300
 
 

@@ -1,0 +1,8 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Errors of the node."""
+
+from liegroup_core.errors import LieGroupSimError
+
+
+class ParameterError(LieGroupSimError):
+    """Invalid parameter; one line of text, exit code 2."""
