@@ -53,8 +53,11 @@ setup(
         # Visuals of a robot in the HTML report.
         "meshes": ["fast-simplification", "pycollada", "trimesh"],
         "remote": ["aiohttp", "fsspec"],
+        # The live page; av: videos of it.
+        "view": ["av", "viser>=1.1,<2"],
         "test": [
             "aiohttp",
+            "av",
             "dask",
             "distributed",
             "fast-simplification",
@@ -65,6 +68,7 @@ setup(
             "mpmath",
             "mujoco",
             "pandas",
+            "playwright",
             "pyarrow",
             "pybag-sdk",
             "pytest",
@@ -73,6 +77,7 @@ setup(
             "small-mcap",
             "trimesh",
             "urdf-parser-py",
+            "viser>=1.1,<2",
             "xacro",
             "yourdfpy",
         ],

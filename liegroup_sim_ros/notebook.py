@@ -85,6 +85,68 @@ def show(
     return _report(recording, reference, height)
 
 
+class Live:
+    """Live page of a simulation, a node or a recording; a notebook cell that ends with it displays it.
+
+    address : of the page
+    source  : what it shows, see liegroup_sim_ros.view.source
+    """
+
+    def __init__(self, page, height):
+        self._page, self.height = page, height
+        self.address = page.address
+
+    @property
+    def source(self):
+        """Present source of the page."""
+        return self._page.source
+
+    def _repr_html_(self) -> str:
+        return f'<iframe src="{escape(self.address, quote=True)}" width="100%" height="{self.height}"></iframe>'
+
+    def __repr__(self) -> str:
+        return f"Live page: {self.address}"
+
+    def close(self) -> None:
+        """End the page and its simulation."""
+        source = self._page.source
+        self._page.stop()
+        source.close()
+
+
+def live(
+    what: str | PathLike[str] | Engine, paused: bool = False, record: str = "", height: int = 700, port: int = 8090
+) -> Live:
+    """Live page of a simulation: it runs in real time, and the mouse pulls at it.
+
+    what   : a Simulation, of which a copy continues from its present state; path of a recording; or name of a
+             running node, such as "/sim_node"
+    record : path of a recording (*.mcap) of the simulation
+    raises LieGroupSimError: viser is not installed, or `what` is not found
+    """
+    from liegroup_sim_ros.view.local import Local
+    from liegroup_sim_ros.view.page import Page
+    from liegroup_sim_ros.view.recorded import Recorded
+
+    if isinstance(what, Engine):
+        copy = make_simulation(what.scene, attachments.settings(what, 1), estimate=what.sample().errors is not None)
+        copy.start_from(what, what.steps)
+        source = Local(copy, what.scene.name, record, what.time_ns, paused)
+    elif str(what).startswith("/") and not Path(what).exists():
+        from liegroup_sim_ros.view.remote import Remote
+
+        source = Remote(str(what))
+    else:
+        source = Recorded(str(what))
+    try:
+        page = Page(source, port=port)
+    except Exception:
+        source.close()
+        raise
+    page.start()
+    return Live(page, height)
+
+
 def _report(recording, reference, height):
     analysis = analyse(recording, reference)
     return Shown(make_page([page_part(analysis)]), analysis.figures["verdict"], height)

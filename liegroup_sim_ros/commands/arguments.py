@@ -2,6 +2,8 @@
 """Argument parser with errors of one line, and types of arguments."""
 
 import argparse
+import os
+import sys
 
 
 class Parser(argparse.ArgumentParser):
@@ -28,3 +30,8 @@ def count(text):
     if not (text.isdecimal() and int(text) > 0):
         raise argparse.ArgumentTypeError(f"must be a whole number of 1 or more, got {text!r}")
     return int(text)
+
+
+def has_display():
+    """Whether a browser can open: a text browser would take the terminal."""
+    return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

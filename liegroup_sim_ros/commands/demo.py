@@ -14,6 +14,7 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 
 from rich.console import Console
@@ -21,6 +22,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from liegroup_core.errors import LieGroupSimError
 from liegroup_sim_ros.signals import Signals
+
+from .arguments import has_display
 
 SCENE, BODY = "heavy_top", "top"
 PUBLISH_RATE = 500.0  # Hz
@@ -96,6 +99,8 @@ def _simulate(seconds, log, output, console, check):
     """Run the node for some seconds of simulated time, with a force in between."""
     os.environ.update(ROS_DOMAIN_ID=str(random.randint(1, 100)), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
     parameters = {"scene": SCENE, "publish_rate": PUBLISH_RATE, "record": log}
+    if find_spec("viser") is not None and has_display():
+        parameters["view"] = "true"
     arguments = [part for name, value in parameters.items() for part in ("-p", f"{name}:={value}")]
     console.print("$ sim_node --ros-args " + shlex.join(arguments), style="dim", highlight=False, soft_wrap=True)
     processes = []

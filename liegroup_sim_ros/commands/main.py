@@ -41,10 +41,11 @@ COMMANDS = {
     "info": "show the contents of a recording and whether it is complete",
     "recover": "repair a truncated or damaged recording",
     "push": "apply a wrench to a body of a running simulation",
+    "view": "show a scene, a running node or a recording in the browser, live",
     "figures": "draw Figs. 6.2 and 6.4 to 6.9 of the chapter",
 }
 # Subcommands that read scenes and robots.
-READERS = ("import", "describe", "trade", "extremes", "sweep", "run", "analyze")
+READERS = ("import", "describe", "trade", "extremes", "sweep", "run", "view", "analyze")
 FULL = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)  # stdout is redirected to a file that cannot grow
 EXIT_WRONG_INPUT, EXIT_INTERRUPTED, EXIT_UNREAD = 2, 130, 141
 

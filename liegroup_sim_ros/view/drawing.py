@@ -1,0 +1,280 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A mechanism in the page's 3-D view: bodies, joints, springs, wrenches, traces and error halos.
+
+Names of nodes are numbers: a name of a file may contain anything.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from liegroup_core.scene.centres import PLACES
+from liegroup_core.scene.names import WORLD
+from liegroup_sim_ros.messages.markers import CUBE, SPHERE, THINNEST, solid
+from liegroup_sim_ros.report.shapes import decoded
+
+from .server import mover
+
+COLOURS = (
+    (76, 120, 168),
+    (245, 133, 24),
+    (84, 162, 75),
+    (228, 87, 86),
+    (114, 183, 178),
+    (178, 121, 162),
+    (238, 202, 59),
+    (157, 117, 93),
+)
+JOINT, SPRING, TRACE, HALO, GHOST = (230, 160, 30), (120, 120, 120), (150, 60, 160), (220, 40, 40), (150, 150, 150)
+FORCE, TORQUE, PULL, GRAVITY, REACTION = (200, 30, 30), (130, 30, 180), (20, 120, 20), (60, 60, 60), (30, 90, 200)
+PART = 0.035  # size of a joint relative to the mechanism
+LONGEST = 2.0  # of an arrow, relative to the mechanism
+MOST_TRACE = 400  # points of a trace
+# Shapes of joints: those that turn about an axis, those that slide along it, others.
+TURNS, SLIDES = ("revolute", "screw", "cylindrical", "universal"), ("prismatic", "cylindrical")
+# Changes of a body that are not sent, relative to the mechanism, and of a quaternion.
+UNSEEN = 1e-6
+CHANGE = 0.05  # of the radius of a halo
+
+
+class Look(NamedTuple):
+    """What is drawn besides the bodies."""
+
+    joints: bool = True
+    frames: bool = False
+    wrenches: bool = True
+    reactions: bool = False
+    gravity: bool = False
+    trace: bool = False
+    halo: bool = True
+    magnification: float = 1e6  # of the halo
+
+
+class Drawing:
+    """Nodes of one mechanism.
+
+    server : ViserServer
+    layout : Layout of its scene
+    shapes : {body: triangles} of report.shapes; other bodies are drawn as solids with their inertia
+    ghost  : True: pale, without joints, for a motion beside another one
+    bodies : [handles of the shapes of each body], for callbacks of the mouse
+    """
+
+    def __init__(self, server, layout, shapes, ghost=False):
+        self._server, self._layout, self.size = server, layout, extent(layout)
+        scene, api = layout.scene, server.scene
+        self._root = "/ghost" if ghost else "/mechanism"
+        self._frames, self.bodies, self._rows = [], [], None
+        with server.atomic():
+            for i, body in enumerate(scene.bodies):
+                name = f"{self._root}/{i}"
+                self._frames.append(
+                    api.add_frame(name, show_axes=False, axes_length=0.2 * self.size, axes_radius=0.006 * self.size)
+                )
+                colour = GHOST if ghost else COLOURS[i % len(COLOURS)]
+                self.bodies.append([self._shape(f"{name}/shape", body, shapes.get(body.name), colour, ghost)])
+            framed = [] if ghost else [k for k, joint in enumerate(scene.joints) if not hasattr(joint, "child_point")]
+            self._joints = [self._joint(k, scene.joints[k]) for k in framed]
+            self._halos = (
+                []
+                if ghost
+                else [
+                    api.add_icosphere(f"{self._root}/{i}/halo", 1.0, HALO, subdivisions=2, opacity=0.25, visible=False,
+                                      cast_shadow=False, receive_shadow=False, position=body.com)
+                    for i, body in enumerate(scene.bodies)
+                ]
+            )  # fmt: skip
+        self._movers = [mover(server, handle) for handle in self._frames]
+        self._springs = [] if ghost else list(self._lines(scene))
+        self._handles, self._largest, self._trace = {}, {}, []
+        self._look, self._radii = None, np.zeros(len(self._frames))
+
+    def remove(self):
+        """Delete all nodes."""
+        for handle in (*self._frames, *self._handles.values()):
+            handle.remove()
+
+    def _shape(self, name, body, triangles, colour, ghost):
+        api, common = self._server.scene, {"opacity": 0.3 if ghost else None, "cast_shadow": not ghost}
+        if triangles is not None:
+            points, faces = decoded(triangles)
+            return api.add_mesh_simple(name, points, faces, color=colour, side="double", **common)
+        kind, size, local = solid(body)
+        size = np.maximum(size, THINNEST * self.size)
+        place = {"wxyz": _wxyz(local[:3, :3]), "position": local[:3, 3]}
+        if kind == CUBE:
+            return api.add_box(name, colour, tuple(size), **place, **common)
+        if kind == SPHERE:
+            return api.add_icosphere(name, 0.5 * size[0], colour, **place, **common)
+        return api.add_cylinder(name, 0.5 * size[0], size[2], colour, **place, **common)
+
+    def _joint(self, k, joint):
+        """Node of a joint on its child: a cylinder about an axis, a box along it, else a sphere."""
+        names, api = self._layout.body_names, self._server.scene
+        child = names.index(joint.child)
+        local, size = self._layout.joint_frames[k][1], PART * self.size
+        place = {"position": local[:3, 3] + self._layout.offsets.com[child], "wxyz": _wxyz(local[:3, :3])}
+        name = f"{self._root}/{child}/joint{k}"
+        if joint.type in SLIDES:
+            return api.add_box(name, JOINT, (0.6 * size, 0.6 * size, 3.0 * size), **place)
+        if joint.type in TURNS:
+            return api.add_cylinder(name, 0.4 * size, 2.4 * size, JOINT, **place)
+        return api.add_icosphere(name, 0.6 * size, JOINT, subdivisions=2, **place)
+
+    def _lines(self, scene):
+        """[(body or None, point), (body or None, point)] of springs, cables and distance joints."""
+        index = {body.name: i for i, body in enumerate(scene.bodies)} | {WORLD: None}
+        for link in (*scene.forces, *scene.joints):
+            if all(getattr(link, key, None) is not None for key in ("parent_point", "child_point")):
+                yield [
+                    (index[getattr(link, PLACES[key])], np.array(getattr(link, key), dtype=float))
+                    for key in ("parent_point", "child_point")
+                ]
+
+    def hide(self, is_hidden):
+        """Hide or show all bodies."""
+        for handle in self._frames:
+            _set(handle, "visible", not is_hidden)
+
+    def show(self, frame, look, pull=None):
+        """Move everything to a Frame.
+
+        pull : (start, tip) m, of the spring of the mouse, or None
+        """
+        rows = frame.sample.rows[:, :7]
+        with self._server.atomic():
+            before = np.full_like(rows, np.inf) if self._rows is None else self._rows
+            changed = np.abs(rows - before)
+            moved = changed[:, :3].max(axis=1) > UNSEEN * self.size
+            turned = changed[:, 3:].max(axis=1) > UNSEEN
+            values = rows[:, [0, 1, 2, 6, 3, 4, 5]].tolist()
+            for i in np.flatnonzero(moved):
+                self._movers[i][0](values[i][:3])
+            for i in np.flatnonzero(turned):
+                self._movers[i][1](values[i][3:])
+            self._rows = rows.copy()
+            if self._halos:
+                self._show_more(frame, look, pull)
+
+    def _show_more(self, frame, look, pull):
+        sample, place = frame.sample, self._rows[:, :3]
+        turns = sample.pose[:, :9].reshape(-1, 3, 3)
+        if look != self._look:
+            self._look = look
+            for handle in self._joints:
+                handle.visible = look.joints
+            for handle in self._frames:
+                handle.show_axes = look.frames
+        errors = np.zeros(len(place)) if sample.errors is None or not look.halo else sample.errors[:, 0]
+        self._show_halos(np.minimum(look.magnification * errors, 3.0 * self.size))
+        centres = place + np.einsum("nij,nj->ni", turns, self._layout.offsets.com)
+        self._show_lines("springs", self._ends(place, turns), SPRING)
+        wrenches = sample.external_wrenches
+        world = np.einsum("nij,nkj->nki", turns, wrenches.reshape(-1, 2, 3))
+        self._arrows("forces", place, world[:, 1], FORCE, look.wrenches)
+        self._arrows("torques", place, world[:, 0], TORQUE, look.wrenches)
+        weights = np.array([body.mass for body in self._layout.scene.bodies])[:, None]
+        self._arrows("gravity", centres, weights * np.array(self._layout.scene.gravity), GRAVITY, look.gravity)
+        starts, forces = self._reactions(sample) if look.reactions else (np.empty((0, 3)), np.empty((0, 3)))
+        self._arrows("reactions", starts, forces, REACTION, look.reactions)
+        self._show_lines("pull", np.empty((0, 2, 3)) if pull is None else np.array([pull]), PULL, 5.0)
+        if look.trace:
+            if not self._trace or np.abs(self._trace[-1] - centres).max() > 0.002 * self.size:
+                self._trace = [*self._trace[1 - MOST_TRACE :], centres]
+            points = np.array(self._trace)
+            lines = np.stack([points[:-1], points[1:]], axis=2).reshape(-1, 2, 3)
+        else:
+            self._trace, lines = [], np.empty((0, 2, 3))
+        self._show_lines("trace", lines, TRACE)
+
+    def _show_halos(self, radii):
+        """Show spheres of these radii (n,), m; a change below CHANGE is not seen."""
+        radii = np.where(radii > UNSEEN * self.size, radii, 0.0)  # not of an unknown error, NaN, either
+        for i in np.flatnonzero(np.abs(radii - self._radii) > CHANGE * self._radii):
+            halo = self._halos[i]
+            _set(halo, "visible", bool(radii[i] > 0.0))
+            if radii[i] > 0.0:
+                halo.scale = float(radii[i])
+            self._radii[i] = radii[i]
+
+    def forget_trace(self):
+        """Start new traces: the motion jumped."""
+        self._trace = []
+
+    def _ends(self, place, turns):
+        ends = [[p if i is None else place[i] + turns[i] @ p for i, p in line] for line in self._springs]
+        return np.array(ends).reshape(-1, 2, 3)
+
+    def _reactions(self, sample):
+        """Points (m, 3) and forces (m, 3), world axes, of the reactions on the children of joints."""
+        starts, forces = [], []
+        names = list(self._layout.body_names)
+        for joint, frames in zip(self._layout.scene.joints, self._layout.joint_frames):
+            wrench = sample.reactions.get(joint.name)
+            if wrench is None or not np.isfinite(wrench[3:]).all():
+                continue
+            child = names.index(joint.child)
+            turn = sample.pose[child, :9].reshape(3, 3)
+            starts.append(self._rows[child, :3] + turn @ (frames[1][:3, 3] + self._layout.offsets.com[child]))
+            forces.append(turn @ frames[1][:3, :3] @ wrench[3:])
+        return np.array(starts).reshape(-1, 3), np.array(forces).reshape(-1, 3)
+
+    def _arrows(self, name, starts, vectors, colour, is_shown):
+        """Arrows whose longest is LONGEST / 4 of the mechanism at the largest vector so far."""
+        length = np.linalg.norm(vectors, axis=1)
+        some = length > 0.0
+        if not is_shown or not some.any():
+            if name in self._handles:
+                _set(self._handles[name], "visible", False)
+            return
+        largest = self._largest[name] = max(self._largest.get(name, 0.0), length.max())
+        tips = starts + vectors * (0.25 * LONGEST * self.size / largest)
+        points = np.stack([starts[some], tips[some]], axis=1).astype(np.float32)
+        handle = self._handles.get(name)
+        if handle is None or len(handle.points) != len(points):
+            size = self.size
+            self._handles[name] = self._server.scene.add_arrows(
+                f"{self._root}/{name}", points, colour, shaft_radius=0.008 * size, head_radius=0.02 * size,
+                head_length=0.05 * size,
+            )  # fmt: skip
+            return
+        handle.points = points
+        _set(handle, "visible", True)
+
+    def _show_lines(self, name, lines, colour, width=3.0):
+        handle = self._handles.get(name)
+        if not len(lines):
+            if handle is not None:
+                _set(handle, "visible", False)
+            return
+        lines = lines.astype(np.float32)
+        if handle is None or len(handle.points) != len(lines):
+            self._handles[name] = self._server.scene.add_line_segments(
+                f"{self._root}/{name}", lines, colour, thickness=width, thickness_units="screen"
+            )
+            return
+        handle.points = lines
+        _set(handle, "visible", True)
+
+
+def extent(layout):
+    """Size of the mechanism at its start, m: of the box about its bodies, at least their own size."""
+    scene = layout.scene
+    corners = []
+    for body in scene.bodies:
+        _, size, local = solid(body)
+        at = np.array(body.position) + body.rotation @ local[:3, 3]
+        half = 0.5 * np.linalg.norm(size)
+        corners += [at - half, at + half]
+    corners = np.array(corners)
+    return float(np.linalg.norm(corners.max(axis=0) - corners.min(axis=0))) or layout.size
+
+
+def _set(handle, name, value):
+    if getattr(handle, name) != value:
+        setattr(handle, name, value)
+
+
+def _wxyz(turn):
+    return Rotation.from_matrix(turn).as_quat()[[3, 0, 1, 2]]

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Source of a page: a simulation in this process, without ROS, with the simulation thread of the node.
+
+A recording has the topics of a node, and is read, analysed and repeated like one of a node.
+"""
+
+import threading
+from concurrent.futures import TimeoutError as Late
+from types import SimpleNamespace
+
+from liegroup_sim_ros.node.joint_command_input import JointEffort, Motion, Target
+from liegroup_sim_ros.node.outputs import Outputs, Streams
+from liegroup_sim_ros.node.simulation_thread import SimulationServer
+from liegroup_sim_ros.node.wrench_input import Push
+from liegroup_sim_ros.recording import attachments
+from liegroup_sim_ros.recording.checkpoints import Checkpoints
+from liegroup_sim_ros.recording.write import Recorder
+
+from .server import ViewError
+from .source import Frame, Source, Status
+
+NAME = "/view"  # of the node in a recording
+SOURCE = "view"  # of wrenches and efforts
+RATE = 100.0  # Hz, of frames that are recorded
+ANSWER = 5.0  # s, longest time for a command
+MOVING = 0.02  # s, in which a driven joint reaches a commanded value
+MARKS, MOST_MARKS = 0.25, 400  # s between two states to which one can go back; then every second one goes
+
+
+class _Outputs(Outputs):
+    """Outputs that tell the page of events."""
+
+    tell = staticmethod(lambda *_: None)
+
+    def event(self, stamp_ns, name, text, failed=False, is_logged=False):
+        """Record an event of the run."""
+        super().event(stamp_ns, name, text, failed, is_logged)
+        self.tell(stamp_ns * 1e-9, name, text)
+
+
+class Local(Source):
+    """A Simulation that runs in real time.
+
+    record   : path of a recording, "" for none
+    start_ns : stamp of its present state
+    Raises RecorderError for a file that cannot be written
+    """
+
+    takes = frozenset(
+        ("pause", "resume", "step", "reset", "speed", "accuracy", "place", "save", "restore", "push")
+        + ("effort", "servo", "driven", "back")
+    )
+
+    def __init__(self, simulation, title, record="", start_ns=0, paused=False, factor=1.0):
+        super().__init__(simulation.layout, title)
+        sample = simulation.sample()
+        self._simulation, self._newest = simulation, Frame(start_ns * 1e-9, sample, sample.bound)
+        every = max(1, round(1.0 / (RATE * simulation.step)))
+        with_errors = sample.errors is not None
+        values = SimpleNamespace(
+            steps={"publish_rate": every, "state_rate": 0, "clock_rate": 0},
+            world_frame="world",
+            frame_prefix="",
+            arrow_scale=1.0,
+            estimate=with_errors,
+            tf_links="all",
+        )
+        outputs = _Outputs(Streams(NAME), self.layout, self.layout.body_names, values, dict)
+        outputs.tell = self.tell
+        outputs.after.append(self._keep)
+        self.server = SimulationServer(
+            simulation, outputs, factor, paused, start_ns - simulation.time_ns, motion_time=MOVING
+        )
+        self._recorder = None
+        if record:
+            state = "paused" if paused else "running"
+            start = attachments.at_start(simulation, NAME, "world", every, outputs.topics(), start_ns, state=state)
+            self._recorder = Recorder(record, start, continues=False)
+            checkpoints = Checkpoints(self._recorder, simulation)
+            outputs.after.append(lambda stamp_ns, _: checkpoints.add_if_due(stamp_ns))
+            outputs.record_to(self._recorder)
+        self._marks, self._marked, self._marking = [], -MARKS, threading.Lock()
+        self._every = MARKS
+        self.server.start()
+
+    def _keep(self, stamp_ns, sample):
+        """Keep the newest sample, in the simulation thread."""
+        self._newest = Frame(stamp_ns * 1e-9, sample, sample.bound)
+
+    def frame(self):
+        """Newest Frame."""
+        found = self._newest
+        if found is not None and found.time - self._marked >= self._every:
+            self._marked = found.time
+            self.server.call("present").add_done_callback(self._mark)
+        return found
+
+    def _mark(self, future):
+        if future.cancelled() or future.exception() is not None:
+            return
+        with self._marking:
+            if len(self._marks) >= MOST_MARKS:
+                self._marks, self._every = self._marks[::2], 2.0 * self._every
+            self._marks.append(future.result())
+
+    def status(self):
+        """Status."""
+        server = self.server
+        if server.failure is not None:
+            return Status("faulted", None, None, f"the simulation thread ended: {server.failure}")
+        factor = server._real_time.factor if server.state == "running" else 0.0
+        lost = self._recorder.failure if self._recorder is not None and self._recorder.failure else ""
+        return Status(server.state, factor, None, lost)
+
+    def ask(self, command, *arguments):
+        """Carry out a command of `takes`; returns one line of text. Raises LieGroupSimError."""
+        if command == "place":
+            joints = {joint: (position, None) for joint, position in arguments[0].items()}
+            arguments = {}, {}, joints, " and ".join(f"{joint}/position" for joint in joints)
+        elif command in ("effort", "servo", "driven"):
+            return self._command(command, *arguments)
+        elif command == "back":
+            return self._back(*arguments)
+        return self._answer(command, *arguments)
+
+    def _answer(self, command, *arguments):
+        try:
+            return self.server.call(command, *arguments).result(ANSWER)
+        except Late:
+            raise ViewError(f"{command}: no answer within {ANSWER:g} s; a step takes long") from None
+
+    def _command(self, kind, joint, value):
+        command = {
+            "effort": lambda: JointEffort(f"{SOURCE}/{joint}", joint, value, 0),
+            "servo": lambda: Target(joint, value, 0.0, 0),
+            "driven": lambda: Motion(joint, value, 0.0, MOVING, 0),
+        }[kind]()
+        try:
+            command.check(self.server)
+        except ValueError as error:
+            raise ViewError(str(error)) from None
+        self.server.push([command], None, self._refused)
+        return f"{joint}: {kind} {value:g}"
+
+    def _refused(self, text):
+        self.tell(self.server.stamp_ns * 1e-9, "refused", text)
+
+    def push(self, body, wrench, seconds, point):
+        """Apply a wrench (torque, force) in world axes at a point of a body for a simulated time."""
+        push = Push(f"{SOURCE}/{body}", body, tuple(map(float, wrench)), "world", 0, tuple(map(float, point)))
+        self.server.push([push], seconds, self._refused)
+
+    def release(self, body):
+        """End the wrench of `push`."""
+        self.server.clear(f"{SOURCE}/{body}")
+
+    def _back(self, time_s):
+        """Return to the last state that was kept before a time; returns (time of that state, time it has now)."""
+        with self._marking:
+            found = [mark for mark in self._marks if mark[0] * 1e-9 <= time_s + 1e-9]
+        if not found:
+            raise ViewError("no state was kept before this time")
+        stamp_ns, *state = found[-1]
+        self._answer("set", state, f"state at {stamp_ns * 1e-9:.6g} s")
+        return stamp_ns * 1e-9, self.server.stamp_ns * 1e-9
+
+    def close(self):
+        """End the simulation and its recording."""
+        self.server.stop()
+        if self._recorder is not None:
+            self._recorder.add_attachment("pacing.json", *attachments.as_json(self.server.pacer.report()))
+            self._recorder.close()

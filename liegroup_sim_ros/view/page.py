@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page: draws the frames of a source, shows its figures, and passes on what the user commands."""
+
+import logging
+import math
+import threading
+import time
+
+import numpy as np
+
+from liegroup_core.errors import LieGroupSimError
+from liegroup_sim_ros.report.shapes import robot_shapes
+
+from .drawing import Drawing, Look, extent
+from .hand import Hand
+from .panel import Panel
+from .server import close_server, open_server
+
+log = logging.getLogger("liegroup_core")
+
+FRAMES, FIGURES = 30.0, 5.0  # Hz, at which motion and figures are drawn
+ALOFT = (1.1, -1.3, 0.7)  # direction from the mechanism to the camera at the start
+FAR = 0.65  # distance of the camera, relative to the mechanism: half of the viewing angle is 37 degrees
+FLOOR = 4.0  # size of the grid, relative to the mechanism
+
+
+class Page:
+    """Page of a Source, in threads of its own from `start` on.
+
+    host, port : of the server, see server.open_server
+    beside     : Source drawn as a ghost at the same time, and the curve of its distance, or None
+
+    address    : of the page
+    Raises ViewError
+    """
+
+    def __init__(self, source, host="127.0.0.1", port=8090, beside=None):
+        self.source, self.beside = source, beside
+        self._server, self.address = open_server(host, port, source.title)
+        try:
+            self._make(beside)
+        except Exception:
+            close_server(self._server)
+            raise
+
+    def _make(self, beside):
+        source = self.source
+        self._doing, self._stopping = threading.Lock(), threading.Event()
+        self.look, self.ghost_shift, self._ghost, self._ghost_history = Look(), 0.0, None, None
+        self.cursor, self.playing, self.play_speed = None, not source.is_live, 1.0  # cursor: s, None: the newest frame
+        robot = source.layout.scene.robot
+        self._shapes, remarks = ({}, []) if robot is None else robot_shapes(robot)
+        for remark in remarks:
+            source.tell(0.0, "shapes", remark)
+        self._drawing = Drawing(self._server, source.layout, self._shapes)
+        frame = source.frame()
+        if frame is not None and frame.bound:
+            # A halo of a tenth to the whole of the mechanism's size is the requested accuracy.
+            power = math.floor(math.log10(self._drawing.size / frame.bound[0]))
+            self.look = self.look._replace(magnification=10.0**power)
+        self._set_the_scene()
+        self._hand = Hand(self, source.layout) if "push" in source.takes else None
+        if self._hand:
+            self._hand.take_hold(self._drawing)
+        self._panel = Panel(self, self._server.gui)
+        if beside is not None:
+            self.haunt(beside.history, 0.0)
+        self._thread = threading.Thread(target=self._run, name="page", daemon=True)
+
+    def start(self):
+        """Draw from now on."""
+        self._thread.start()
+
+    def stop(self):
+        """End the page; the source continues."""
+        self._stopping.set()
+        if self._thread.is_alive():
+            self._thread.join(5.0)
+        if self._hand:
+            self._hand.let_go()
+        close_server(self._server)
+
+    def clients(self):
+        """Handles of the pages that are open."""
+        return list(self._server.get_clients().values())
+
+    def attempt(self, action, *arguments):
+        """Carry out an action of the user; a refusal is shown. Returns whether it succeeded."""
+        try:
+            text = action(*arguments)
+        except (LieGroupSimError, ValueError) as error:
+            self.say(str(error), failed=True)
+            return False
+        if isinstance(text, str) and text:
+            self.say(text)
+        return True
+
+    def say(self, text, failed=False):
+        """Show one line, and keep it among the events."""
+        self._panel.note(text, failed)
+        if failed:
+            for client in self.clients():
+                client.add_notification("Refused", text[:300], color="red", auto_close_seconds=8.0)
+
+    def haunt(self, history, shift):
+        """Draw another motion as a ghost; shift: s, from its time to that of the source. None ends it."""
+        with self._doing:
+            if self._ghost is not None:
+                self._ghost.remove()
+            self._ghost_history, self.ghost_shift, self._ghost = history, shift, None
+            if history is not None:
+                self._ghost = Drawing(self._server, self.source.layout, self._shapes, ghost=True)
+
+    def other(self, frame):
+        """Frame of the ghost at the time of a frame, or None."""
+        history = self._ghost_history
+        if history is None or not history.times:
+            return None
+        at = frame.time - self.ghost_shift
+        return history.at(at) if history.times[0] - 1e-9 <= at <= history.times[-1] + 1e-9 else None
+
+    def exchange(self, source):
+        """Continue with another source of the same scene, a branch."""
+        before, self.source = self.source, source
+        self.cursor, self.playing = None, False
+        if self._hand is None and "push" in source.takes:
+            self._hand = Hand(self, source.layout)
+            self._hand.take_hold(self._drawing)
+        if before.is_live:
+            before.close()
+        self._panel.rebuild()
+
+    def seen(self):
+        """The Frame that is shown, or None before the first one."""
+        if self.cursor is None:
+            return self.source.frame()
+        return self.source.history.at(self.cursor) if self.source.history.times else None
+
+    def _run(self):
+        next_frame, next_figures, shown, before = time.monotonic(), 0.0, None, time.monotonic()
+        while not self._stopping.wait(max(0.0, next_frame - time.monotonic())):
+            now = time.monotonic()
+            next_frame = max(next_frame + 1.0 / FRAMES, now)
+            try:
+                self._play(now - before)
+                frame = self.source.frame()
+                if self.source.is_live and frame is not None:
+                    self.source.history.add(frame)
+                frame = self.seen()
+                if frame is not None and (frame is not shown or self._panel.has_changed):
+                    self._panel.has_changed = False
+                    self._draw(frame, shown)
+                    shown = frame
+                if now >= next_figures:
+                    next_figures = now + 1.0 / FIGURES
+                    self._panel.update(frame)
+                if self._hand:
+                    self._hand.hold(frame)
+            except Exception:  # a page that fails must not end what it shows
+                if self._stopping.is_set():
+                    return
+                log.exception("the page could not draw a frame")
+                next_frame = now + 1.0
+            before = now
+
+    def _play(self, seconds):
+        """Move the cursor of a recording, or of a live source that is looked back at."""
+        if not self.playing or self.source.history.times == []:
+            return
+        first, last = self.source.history.span()
+        at = (first if self.cursor is None else self.cursor) + seconds * self.play_speed
+        if at > last:
+            at, self.playing = (first, True) if self._panel.repeats else (last, False)
+        self.cursor = at
+
+    def _draw(self, frame, before):
+        if before is not None and abs(frame.time - before.time) > 1.0:
+            self._drawing.forget_trace()
+        frame = self.source.dressed(frame)
+        with self._doing:
+            self._drawing.show(frame, self.look, self._hand.line(frame) if self._hand else None)
+            if self._ghost is not None:
+                other = self.other(frame)
+                self._ghost.hide(other is None)
+                if other is not None:
+                    self._ghost.show(other, self.look)
+
+    def _set_the_scene(self):
+        """Ground, direction of up, camera."""
+        layout, server = self.source.layout, self._server
+        size = extent(layout)
+        gravity = np.array(layout.scene.gravity)
+        up = -gravity / np.linalg.norm(gravity) if gravity.any() else np.array([0.0, 0.0, 1.0])
+        server.scene.set_up_direction(tuple(up))
+        places = np.array([body.position for body in layout.scene.bodies])
+        middle = 0.5 * (places.max(axis=0) + places.min(axis=0))
+        lowest = (places @ up).min() - 0.5 * size
+        cell = 10.0 ** math.floor(math.log10(size))
+        plane = {0: "yz", 1: "xz", 2: "xy"}[int(np.abs(up).argmax())]
+        ground = up * min(0.0, lowest) if abs(lowest) < 5.0 * size else up * lowest
+        server.scene.add_grid(
+            "/ground", FLOOR * size, FLOOR * size, plane=plane, cell_size=0.5 * cell, section_size=cell,
+            position=tuple(middle - up * (middle @ up) + ground), plane_opacity=0.0,
+        )  # fmt: skip
+        ahead = np.array(ALOFT) if plane == "xy" else np.roll(ALOFT, 1 if plane == "yz" else 2)
+        camera = server.initial_camera
+        camera.look_at, camera.position = tuple(middle), tuple(middle + FAR * size * ahead / np.linalg.norm(ahead))
+        camera.near, camera.far = 1e-3 * size, 1e3 * size

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Source of a page: a recording, with its whole time line."""
+
+import numpy as np
+
+from liegroup_core.layout import make_layout
+from liegroup_core.scene.load import scene_from_text
+from liegroup_sim_ros.analysis.acting import Acting
+from liegroup_sim_ros.playback.branch import Branches
+from liegroup_sim_ros.recording.check import check_settings
+from liegroup_sim_ros.recording.motion import Motion
+from liegroup_sim_ros.recording.read import read_recording
+
+from .local import Local
+from .server import ViewError
+from .source import Frame, Source, Status
+
+
+class Recorded(Source):
+    """A recording, by its path or address. Raises LieGroupSimError."""
+
+    is_live = False
+
+    def __init__(self, path):
+        self.recording = recording = read_recording(str(path))
+        scene = scene_from_text(recording.scene_text, source=f"{path}: scene.yaml")
+        check_settings(recording, scene)
+        super().__init__(make_layout(scene), f"{scene.name}, {path}")
+        motion = Motion(recording, self.layout)
+        for _ in motion.blocks():
+            pass
+        self._branches, self._owners, promise = None, {}, recording.settings.get("promise")
+        self._acting = Acting(self.layout, recording.settings["step"])
+        if not motion.stretches:
+            raise ViewError(f"{path}: it has no samples")
+        for stretch in motion.stretches:
+            for k, time in enumerate(stretch.log_times.tolist()):
+                self.history.add(self._frame(stretch, k, time, promise))
+        for event in recording.events:
+            self.tell(event.stamp_ns * 1e-9, event.name, event.text)
+
+    def _frame(self, stretch, k, time, promise):
+        pose = np.concatenate([stretch.rotation[k].reshape(-1, 9), stretch.position[k]], axis=1)
+        sample = self.layout.sample(pose, stretch.twist[k], float(stretch.times[k]), near=stretch.angles[k])
+        sample.errors = None if stretch.errors is None else stretch.errors[k]
+        self._owners[time] = stretch
+        bound = None
+        if promise:
+            allowed = promise["accuracy"] * max(1.0, sample.time / promise["horizon"])
+            bound = allowed * self.layout.size, allowed
+        return Frame(time, sample, bound)
+
+    def dressed(self, frame):
+        """The Frame with the wrenches and efforts that act."""
+        if frame.sample.external is None:
+            given = self._acting.at(self._owners[frame.time], frame.sample.time)
+            frame.sample.external, frame.sample.joint_efforts, frame.sample.wanted = (
+                given[0],
+                given.efforts,
+                given.wanted,
+            )
+            frame.sample.motions, frame.sample.switching = given.motions, given.modes
+        return frame
+
+    def frame(self):
+        """The first frame; a page shows those of the history."""
+        return self.history.frames[0]
+
+    def status(self):
+        """Status."""
+        return Status("recorded", None, None, self.recording.problem or "")
+
+    def branch(self, time):
+        """Simulation that continues from an instant, without the recorded inputs after it."""
+        self._branches = self._branches or Branches(self.recording)
+        simulation, stamp_ns = self._branches.at(time)
+        self._branches = None  # it belongs to the branch now
+        return Local(simulation, f"branch at {time:.6g} s", start_ns=stamp_ns, paused=True)

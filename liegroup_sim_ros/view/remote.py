@@ -1,0 +1,354 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Source of a page: a running node, by its topics and services alone, on this machine or another one."""
+
+import logging
+import math
+import threading
+import time
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from liegroup_core import Simulation
+from liegroup_core.errors import SceneError
+from liegroup_core.forces.commands import EFFORT, WRENCH, Commands
+from liegroup_core.forces.instants import StepGrid
+from liegroup_core.inputs import Inputs
+from liegroup_core.layout import make_layout
+from liegroup_core.scene.load import scene_from_text
+from liegroup_sim_ros.messages import arrays, estimates, inputs, topics
+from liegroup_sim_ros.messages.codecs import LogCodec, PoseStampedCodec, TwistStampedCodec
+from liegroup_sim_ros.messages.commands import joint_labels
+from liegroup_sim_ros.messages.diagnostics import decode as decode_figures
+
+from .local import Local
+from .server import ViewError
+from .source import Frame, Source, Status
+
+log = logging.getLogger("liegroup_core")
+
+DISCOVERY, ANSWER = 10.0, 3.0  # s
+WRENCH_NAME = "view"  # of the wrenches of the hand
+GRID = 1e-6  # s, of the times at which wrenches act; only drawing depends on it
+STATES = {"pause": "paused", "resume": "running", "fault": "faulted", "stop": "ended"}  # after an event
+TRIGGERS = {"pause": "pause", "resume": "resume", "step": "step", "reset": "reset"}
+
+
+class Remote(Source):
+    """The node with a name, such as /sim_node. Raises ViewError if it is not found or ROS is missing."""
+
+    takes = frozenset(
+        ("pause", "resume", "step", "reset", "speed", "accuracy", "place", "save", "restore", "push")
+        + ("effort", "servo", "driven")
+    )
+
+    def __init__(self, name):
+        try:
+            import rclpy
+            from rclpy.executors import SingleThreadedExecutor
+        except ImportError as error:
+            raise ViewError(f"ROS 2 is needed to view a node: {error}") from None
+
+        self._rclpy, self._name = rclpy, "/" + name.strip("/")
+        self._context = rclpy.Context()
+        self._context.init(args=[])
+        self._node = rclpy.create_node("liegroup_sim_view", context=self._context, use_global_arguments=False)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._spinning = threading.Thread(target=self._spin, name="view", daemon=True)
+        self._scene_text, self._found = None, threading.Event()
+        self._subscribe(topics.SCENE, self._take_scene)
+        self._ending = self._is_told = False
+        self._spinning.start()
+        try:
+            if not self._found.wait(DISCOVERY):
+                raise ViewError(
+                    f"no simulation node {self._name} found within {DISCOVERY:g} s: check that it is running with the "
+                    "same ROS_DOMAIN_ID, and give its name with --node"
+                )
+            try:
+                scene = scene_from_text(self._scene_text, source=f"{self._name}/scene")
+            except SceneError as error:
+                raise ViewError(f"the scene of {self._name} is not one of this version: {error}") from None
+            super().__init__(make_layout(scene), f"{scene.name}, {self._name}")
+            self._listen()
+        except BaseException:
+            self.close()
+            raise
+
+    def _spin(self):
+        while not self._ending and self._context.ok():
+            try:
+                self._executor.spin_once(timeout_sec=0.1)
+            except Exception as error:  # a message of another version ends nothing
+                if not self._ending and not self._is_told:
+                    self._is_told = True
+                    log.error("view: a message could not be read: %s: %s", type(error).__name__, error)
+
+    def _subscribe(self, topic, take):
+        """Subscribe to the serialized messages of a Topic."""
+        import importlib
+
+        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+        package, _, name = topic.type.split("/")
+        profile = QoSProfile(depth=max(topic.depth, 10), reliability=ReliabilityPolicy.BEST_EFFORT)
+        if topic.qos == "transient_local":
+            profile = QoSProfile(depth=topic.depth, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        kind = getattr(importlib.import_module(f"{package}.msg"), name)
+        self._node.create_subscription(kind, topic.resolved(self._name), take, profile, raw=True)
+
+    def _take_scene(self, payload):
+        from liegroup_sim_ros.messages.codecs import Fields
+
+        self._scene_text = Fields(topics.SCENE.type, payload).text()
+        self._found.set()
+
+    def _listen(self):
+        """Subscribe to everything that is shown."""
+        layout = self.layout
+        names = layout.body_names
+        self._state, self._figures = Status("running", None, None, ""), {}
+        self._newest, self._arrived, self._errors = None, 0.0, None
+        self._least, self._late = math.inf, 0.0  # s: smallest and present delay of a frame
+        self._pose = np.tile(np.array([1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0, 0, 0, 0]), (len(names), 1))
+        self._twist, self._stamps = np.zeros((len(names), 6)), [[-1, -1] for _ in names]
+        self._inputs = Inputs(layout, StepGrid(GRID), layout.wanted.copy(), None)
+        self._commands, self._acting, self._base_ns = {}, (), 0
+        self._services, self._parameters, self._publishers = {}, None, {}
+        known = dict(self._node.get_topic_names_and_types())
+        if topics.POSES.resolved(self._name) in known:
+            self._subscribe(topics.POSES, self._take_poses)
+            self._subscribe(topics.TWISTS, self._take_twists)
+        else:
+            for i, body in enumerate(names):
+                self._subscribe(topics.pose(body), lambda payload, i=i: self._take_pose(payload, i))
+                self._subscribe(topics.twist(body), lambda payload, i=i: self._take_twist(payload, i))
+        self._subscribe(topics.ERRORS, self._take_errors)
+        self._subscribe(topics.INPUTS, self._take_inputs)
+        self._subscribe(topics.EVENTS, self._take_event)
+        self._subscribe(topics.STATE, self._take_state)
+
+    def _take_pose(self, payload, i):
+        stamps, _, position, quaternion = PoseStampedCodec.decode([payload])
+        self._set_pose(i, np.concatenate([position[0], quaternion[0]]))
+        self._stamps[i][0] = int(stamps[0])
+        self._complete()
+
+    def _take_twist(self, payload, i):
+        stamps, _, values = TwistStampedCodec.decode([payload])
+        self._twist[i] = values[0]
+        self._stamps[i][1] = int(stamps[0])
+        self._complete()
+
+    def _set_pose(self, i, values):
+        self._pose[i, :9] = Rotation.from_quat(values[3:]).as_matrix().ravel()
+        self._pose[i, 9:] = values[:3]
+
+    def _take_poses(self, payload):
+        from liegroup_sim_ros.messages.codecs import Fields
+
+        fields = Fields(arrays.TYPE, payload)
+        stamp = fields.stamp_ns()
+        frame = fields.text()
+        rows = arrays.decode_poses(np.frombuffer(payload, np.uint8)[None], self.layout.body_names, frame)
+        for i, values in enumerate(rows.reshape(-1, 7)):
+            self._set_pose(i, values)
+        self._stamps = [[stamp, stamp] for _ in self._stamps]
+
+    def _take_twists(self, payload):
+        rows = arrays.decode_twists(np.frombuffer(payload, np.uint8)[None], self.layout.body_names, "")
+        self._twist[:] = rows.reshape(-1, 6)
+        self._complete()
+
+    def _complete(self):
+        """Keep a Frame if all bodies have the same stamp."""
+        stamp = self._stamps[0][0]
+        if any(one != stamp or other != stamp for one, other in self._stamps):
+            return
+        seconds = (stamp - self._base_ns) * 1e-9
+        near = None if self._newest is None else self._newest.sample.angles
+        sample = self.layout.sample(self._pose, self._twist, seconds, near=near)
+        sample.errors, sample.external = self._errors, self._external(stamp)
+        accuracy, bound = self._figures.get("accuracy"), None
+        if accuracy is not None:
+            allowed = accuracy * max(1.0, seconds / self._figures["accuracy_horizon_s"])
+            bound = allowed * self.layout.size, allowed
+        self._newest, self._arrived = Frame(stamp * 1e-9, sample, bound), time.monotonic()
+        late = self._arrived - stamp * 1e-9
+        self._least = min(self._least, late)
+        self._late = late - self._least
+
+    def _external(self, stamp):
+        time_ns = stamp - self._base_ns
+        acting = tuple(
+            command._replace(start_ns=0, end_ns=None)
+            for command in list(self._commands.values())
+            if command.start_ns <= time_ns and (command.end_ns is None or time_ns < command.end_ns)
+        )
+        if acting != self._acting:
+            self._inputs.commands, self._acting = Commands(acting), acting
+        return self._inputs.external.copy()
+
+    def _take_errors(self, payload):
+        rows = estimates.decode_rows(np.frombuffer(payload, np.uint8)[None], self.layout.body_names)
+        self._errors = rows.reshape(-1, 4)
+
+    def _take_inputs(self, payload):
+        self._base_ns, commands = inputs.decode(payload)
+        for command in commands:
+            if command.kind in (WRENCH, EFFORT):
+                self._commands[command.kind, command.source, command.name] = command
+        if len(self._commands) > 1000:
+            self._commands = dict(list(self._commands.items())[-500:])
+
+    def _take_event(self, payload):
+        stamp, _, name, text = LogCodec.decode_one(payload)
+        self.tell(stamp * 1e-9, name, text)
+        if name in STATES:  # ~/state is silent in pauses
+            self._figures["state"] = STATES[name]
+            self._least = math.inf  # wall and simulated time have another distance now
+
+    def _take_state(self, payload):
+        self._figures = _numbers(decode_figures(payload)[1])
+
+    def frame(self):
+        """Newest Frame."""
+        return self._newest
+
+    def status(self):
+        """Status."""
+        figures, silent = self._figures, time.monotonic() - self._arrived
+        state = figures.get("state", "running")
+        text = ""
+        if self._newest is not None and silent > 2.0 and state == "running":
+            text = f"no message for {silent:.0f} s"
+        return Status(state, figures.get("real_time_factor"), self._late, text)
+
+    def _call(self, service, kind, request):
+        """Response of a service. Raises ViewError."""
+        client = self._services.get(service)
+        if client is None:
+            client = self._services[service] = self._node.create_client(kind, f"{self._name}/{service}")
+        if not client.wait_for_service(timeout_sec=ANSWER):
+            raise ViewError(f"{self._name} has no service ~/{service}")
+        future, done = client.call_async(request), threading.Event()
+        future.add_done_callback(lambda _: done.set())
+        if not done.wait(ANSWER):
+            raise ViewError(f"{self._name} does not answer")
+        return future.result()
+
+    def ask(self, command, *arguments):
+        """Carry out a command of `takes`; returns one line of text. Raises ViewError."""
+        from std_srvs.srv import Trigger
+
+        if command in TRIGGERS:
+            answer = self._call(TRIGGERS[command], Trigger, Trigger.Request())
+            if not answer.success:
+                raise ViewError(answer.message)
+            return answer.message
+        if command == "speed":
+            return self._set(real_time_factor=float(arguments[0]))
+        if command == "accuracy":
+            return self._set(accuracy=float(arguments[0]))
+        if command in ("save", "restore"):
+            self._set(snapshot=str(arguments[0]))
+            answer = self._call(f"{command}_snapshot", Trigger, Trigger.Request())
+            if not answer.success:
+                raise ViewError(answer.message)
+            return answer.message
+        if command == "place":
+            return self._own("set_state", {f"{self._label(j)}/position": float(q) for j, q in arguments[0].items()})
+        return self._command(command, *arguments)
+
+    def _label(self, joint):
+        return joint_labels([joint], self.layout.scene.robot)[0]
+
+    def _set(self, **values):
+        from rcl_interfaces.srv import SetParameters
+        from rclpy.parameter import Parameter
+
+        request = SetParameters.Request()
+        request.parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        for result in self._call("set_parameters", SetParameters, request).results:
+            if not result.successful:
+                raise ViewError(result.reason)
+        return ", ".join(f"{name} {value}" for name, value in values.items())
+
+    def _own(self, service, values):
+        """Call ~/set_state or ~/apply_wrench."""
+        from rcl_interfaces.srv import SetParametersAtomically
+        from rclpy.parameter import Parameter
+
+        request = SetParametersAtomically.Request()
+        request.parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        result = self._call(service, SetParametersAtomically, request).result
+        if not result.successful:
+            raise ViewError(result.reason)
+        return result.reason
+
+    def _command(self, kind, joint, value):
+        from sensor_msgs.msg import JointState
+
+        publisher = self._publishers.get("joints")
+        if publisher is None:
+            publisher = self._node.create_publisher(JointState, f"{self._name}/joint_commands", 10)
+            self._publishers["joints"] = publisher
+            end = time.monotonic() + ANSWER
+            while not publisher.get_subscription_count() and time.monotonic() < end:
+                time.sleep(0.02)
+        message = JointState(name=[self._label(joint)])
+        setattr(message, "effort" if kind == "effort" else "position", [float(value)])
+        publisher.publish(message)
+        return f"{joint}: {kind} {value:g}"
+
+    def push(self, body, wrench, seconds, point):
+        """Apply a wrench (torque, force) in world axes at a point of a body for a simulated time."""
+        torque, force = ([float(x) for x in part] for part in (wrench[:3], wrench[3:]))
+        self._own(
+            "apply_wrench",
+            {
+                "body": body,
+                "force": force,
+                "torque": torque,
+                "point": [float(x) for x in point],
+                "axes": "world",
+                "duration": float(seconds),
+                "name": WRENCH_NAME,
+            },
+        )
+
+    def release(self, body):
+        """End the wrench of `push`: it lasts a moment only."""
+        self.push(body, [0.0] * 6, 1e-6, [0.0] * 3)
+
+    def branch(self, time_s):
+        """Simulation in this process from a pose and twist that were received, with the accuracy of the node."""
+        frame = self.history.at(time_s)
+        accuracy = self._figures.get("accuracy")
+        simulation = Simulation(self.layout.scene, quiet=True, **({"accuracy": accuracy} if accuracy else {}))
+        names = self.layout.body_names
+        try:
+            simulation.place(dict(zip(names, frame.sample.pose_matrices)), dict(zip(names, frame.sample.twist)))
+        except ValueError as error:
+            raise ViewError(str(error)) from None
+        return Local(simulation, f"branch at {time_s:.6g} s", start_ns=round(frame.time * 1e9), paused=True)
+
+    def close(self):
+        """Leave the node alone."""
+        self._ending = True
+        if self._spinning.is_alive():
+            self._spinning.join(2.0)
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+
+def _numbers(figures):
+    """{name: number or text} of a status without the units in its names."""
+    found = {}
+    for name, text in figures.items():
+        try:
+            found[name] = float(text)
+        except ValueError:
+            found[name] = text
+    return found

@@ -1,0 +1,358 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The live page: its guard, its sources, and what a real browser with a real mouse does with them."""
+
+import asyncio
+import math
+import shutil
+import threading
+import time
+import urllib.error
+import urllib.request
+from concurrent.futures import ThreadPoolExecutor
+from http.cookiejar import CookieJar
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from liegroup_core import Simulation, load_scene
+from liegroup_core.errors import LieGroupSimError
+from liegroup_core.scene.load import scene_from_text
+from liegroup_sim_ros.analysis import analyse
+from liegroup_sim_ros.commands.main import main
+from liegroup_sim_ros.playback.resimulate import resimulate
+from liegroup_sim_ros.recording import read_recording
+
+viser = pytest.importorskip("viser")
+from liegroup_sim_ros.view import server as servers  # noqa: E402
+from liegroup_sim_ros.view.hand import FREQUENCY, Grip, Hand  # noqa: E402
+from liegroup_sim_ros.view.local import Local  # noqa: E402
+from liegroup_sim_ros.view.page import Page  # noqa: E402
+from liegroup_sim_ros.view.recorded import Recorded  # noqa: E402
+from liegroup_sim_ros.view.server import close_server, open_server  # noqa: E402
+
+CHROMIUM = shutil.which("chromium")
+PATIENCE = 40.0  # s: a browser without a GPU on a busy machine
+DRAWS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+SIZE = {"width": 1280, "height": 800}  # of the picture
+BLOCK = """
+name: block
+gravity: [0, 0, 0]
+bodies:
+  - {name: box, mass: 2, inertia: [0.34, 0.33, 0.32]}
+"""
+BOX = "box"
+CODE = "<img src=x onerror=alert(1)>{x}"  # a text that a page must not take for code
+
+
+def until(done, what):
+    """Wait until done() is true."""
+    end = time.monotonic() + PATIENCE
+    while not done():
+        assert time.monotonic() < end, f"no {what} within {PATIENCE:g} s"
+        time.sleep(0.02)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    sync_api = pytest.importorskip("playwright.sync_api")
+    if CHROMIUM is None:
+        pytest.skip("chromium is not installed")
+    with sync_api.sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=DRAWS)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def opened(browser):
+    """Function (Source) -> (Page, the browser's page at it)."""
+    pages = []
+
+    def show(source, **options):
+        page = Page(source, port=8200, **options)
+        page.start()
+        shown = browser.new_page(viewport=SIZE)
+        pages.append((page, shown))
+        shown.errors = []
+        shown.on("pageerror", lambda error: shown.errors.append(str(error)))
+        shown.goto(page.address)
+        until(page.clients, "page")
+        return page, shown
+
+    yield show
+    for page, shown in pages:
+        assert shown.errors == []
+        shown.close()
+        page.stop()
+        page.source.close()
+
+
+def pixel(page):
+    """Place in the picture of the first body's origin."""
+    camera = page.clients()[0].camera
+    x, y, z = Rotation.from_quat(np.roll(camera.wxyz, -1)).as_matrix().T @ (
+        page.source.frame().sample.rows[0, :3] - camera.position
+    )
+    scale = 0.5 * SIZE["height"] / math.tan(0.5 * camera.fov)
+    return 0.5 * SIZE["width"] + scale * x / z, 0.5 * SIZE["height"] + scale * y / z
+
+
+def pull(page, shown, across=150, up=-80):
+    """Press the mouse on the first body and draw it aside; returns when a wrench acts."""
+    page.clients()[0].get_render(height=90, width=160, timeout=PATIENCE)  # the first picture takes seconds
+    for _ in range(5):
+        x, y = pixel(page)
+        shown.mouse.move(x, y)
+        shown.mouse.down()
+        for k in range(1, 6):
+            shown.mouse.move(x + across * k / 5, y + up * k / 5)
+            time.sleep(0.06)
+        for _ in range(60):
+            if page._hand.shown:
+                return
+            time.sleep(0.05)
+        shown.mouse.up()
+    raise AssertionError("the mouse did not pick the body")
+
+
+def test_a_scene_is_pulled_by_the_mouse_and_repeats_bit_by_bit(opened, tmp_path):
+    """A drag changes the motion as the recorded wrenches say; without them the block would be at rest."""
+    path = tmp_path / "pulled.mcap"
+    source = Local(Simulation(scene_from_text(BLOCK)), "block", str(path))
+    source.tell(0.0, "event", CODE)
+    page, shown = opened(source)
+    pull(page, shown)
+    until(lambda: source.frame().sample.positions[BOX][0:3].any(), "motion")
+    shown.mouse.up()
+    until(lambda: not page._hand.shown, "release")
+    time.sleep(0.5)
+    moved = np.linalg.norm(source.frame().sample.positions[BOX])
+    shown.get_by_role("button", name="Pause").click()
+    until(lambda: source.status().state == "paused", "pause")
+    time.sleep(0.2)
+    before = source.frame()
+    time.sleep(0.3)
+    assert source.frame().time == before.time and moved > 1e-3
+    shown.get_by_role("button", name="Step").click()
+    until(lambda: source.frame().time > before.time, "step")
+    shown.get_by_role("tab", name="Events").click()
+    shown.get_by_text("paused at step").first.wait_for()
+    assert shown.get_by_text(CODE).count() and not shown.locator("img[src=x]").count()
+    page.stop()
+    source.close()
+    recording = read_recording(path)
+    figures = resimulate(recording)
+    assert figures["identical"] == figures["samples"] > 50
+    commands = [recording.inputs[k] for k in range(len(recording.inputs))]
+    assert {command.source for command in commands} == {f"view/{BOX}"} and len(commands) > 3
+    assert analyse(recording, reference=False).figures["pushes"]
+
+
+def test_a_recording_plays_goes_back_and_branches(opened, tmp_path):
+    path = tmp_path / "run.mcap"
+    assert main(["run", "double_pendulum", "--duration", "20", "--out", str(path)]) == 0
+    page, shown = opened(Recorded(path))
+    until(lambda: page.cursor is not None and page.cursor > 0.2, "playing")
+    shown.get_by_role("button", name="Play / pause").click()
+    until(lambda: not page.playing, "pause")
+    at = page.cursor
+    recorded = page.source.history.at(at).sample
+    shown.get_by_role("button", name="Branch from here").click()
+    until(lambda: isinstance(page.source, Local) and page.source.frame() is not None, "branch")
+    branch = page.source
+    assert branch.status().state == "paused"
+    # The state itself is exact; a recorded attitude is a quaternion, which rounds.
+    assert np.abs(branch.frame().sample.rows - recorded.rows).max() < 1e-14 * np.abs(recorded.rows).max()
+    branch.ask(
+        "effort",
+        "shoulder" if "shoulder" in branch.layout.unit_efforts else next(iter(branch.layout.unit_efforts)),
+        5.0,
+    )
+    shown.get_by_role("button", name="Run").click()
+    until(lambda: branch.frame().time > at + 0.5, "motion of the branch")
+    frame = branch.frame()
+    assert page.other(frame) is not None and page._panel._distance(frame) > -3.0  # 5 N m for half a second
+    time.sleep(0.5)
+    shown.screenshot(path=tmp_path / "branch.png")
+
+
+def test_a_node_is_shown_pulled_and_paused(opened, client, tmp_path):
+    from node_process import COMPILING, ENVIRONMENT, NodeProcess
+
+    from liegroup_sim_ros.view.remote import Remote
+
+    scene, path = tmp_path / "block.yaml", tmp_path / "node.mcap"
+    scene.write_text(BLOCK)
+    with NodeProcess({"scene": scene, "record": path}), pytest.MonkeyPatch.context() as patch:
+        for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
+            patch.setenv(name, ENVIRONMENT[name])
+        client.until(path.exists, COMPILING, "recording")
+        source = Remote("/sim_node")
+        page, shown = opened(source)
+        until(lambda: source.frame() is not None, "frame")
+        pull(page, shown)
+        until(lambda: np.abs(source.frame().sample.positions["box"]).max() > 1e-3, "motion")
+        shown.mouse.up()
+        until(lambda: not page._hand.shown, "release")
+        shown.get_by_role("button", name="Pause").click()
+        until(lambda: source.status().state == "paused", "pause")
+        assert source.ask("resume").startswith("running")
+        with pytest.raises(LieGroupSimError, match="unknown"):
+            source.ask("restore", "nothing")
+    recording = read_recording(path)
+    figures = resimulate(recording)
+    assert figures["identical"] == figures["samples"]
+    assert {recording.inputs[k].source for k in range(len(recording.inputs))} == {"service/box/view"}
+
+
+def test_a_time_line_goes_back_and_the_motion_continues_from_there():
+    source = Local(Simulation(load_scene("double_pendulum")), "pendulum")
+    try:
+        until(lambda: (source.frame() or source).time > 1.0 if source.frame() else False, "second")
+        source.ask("pause")
+        until(lambda: source._marks, "state")
+        mark = source._marks[1]
+        kept, now = source.ask("back", mark[0] * 1e-9 + 0.1)
+        assert kept == mark[0] * 1e-9 and now > kept
+        pose = source.server.call("sample").result(5.0).sample.pose
+        twin = Simulation(load_scene("double_pendulum"))
+        twin.advance(round(kept / twin.step))
+        assert np.array_equal(pose, twin.sample().pose)
+        with pytest.raises(LieGroupSimError, match="no state was kept"):
+            source.ask("back", -1.0)
+        with pytest.raises(LieGroupSimError):
+            source.ask("place", {next(iter(source.layout.coordinates.names)): math.nan})
+    finally:
+        source.close()
+
+
+@pytest.mark.parametrize("name, body", [("double_pendulum", 1), ("four_bar", 1), ("heavy_top", 0), ("free_body", 0)])
+def test_the_hand_pulls_with_the_stated_frequency(name, body):
+    """The acceleration of the picked point along the most mobile direction is (2 pi f)^2 times the stretch."""
+
+    class Nowhere:
+        source, cursor = None, None
+
+    simulation = Simulation(load_scene(name))
+    hand, sample = Hand(Nowhere, simulation.layout), simulation.sample()
+    point = np.array([0.01, 0.02, 0.03])
+    pose, scene = sample.pose[body], simulation.scene
+    turn, label = pose[:9].reshape(3, 3), simulation.layout.body_names[body]
+    at = pose[9:] + turn @ point
+    # Response of the point to forces, by accelerations under wrenches that the engine applies.
+    response = np.empty((3, 3))
+    before = _acceleration(scene, label, point, np.zeros(3))
+    for k, unit in enumerate(np.eye(3)):
+        response[:, k] = _acceleration(scene, label, point, unit) - before
+    values, vectors = np.linalg.eigh(0.5 * (response + response.T))
+    stretch = 0.1 * vectors[:, -1]
+    rate = turn @ (sample.twist[body, 3:] + np.cross(sample.twist[body, :3], point))
+    omega = 2.0 * math.pi * FREQUENCY
+    force, torque = hand.wrench(sample, Grip(body, point, at + stretch, None, 0))
+    expected = (omega**2 * stretch - 1.4 * omega * rate) / values[-1]
+    assert force == pytest.approx(expected, rel=1e-6, abs=1e-9 * np.abs(expected).max()) and not torque.any()
+
+
+def _acceleration(scene, label, point, force):
+    """Acceleration of a point of a body under a force in world axes, world axes."""
+    simulation = Simulation(scene, "rkmk4", 1e-3)
+    if force.any():
+        simulation.apply_wrench(label, (0.0, 0.0, 0.0, *force), 0.0, 1.0, "test", "world", tuple(point))
+    simulation.layout.reactions.warm_up()
+    sample = simulation.sample()
+    if force.any():
+        from liegroup_core.forces.external import no_wrenches, set_wrench
+
+        turn = sample.pose[simulation.layout.body_names.index(label), :9].reshape(3, 3)
+        local = turn.T @ force
+        sample.external = no_wrenches(simulation.layout.offsets)
+        wrench = (*np.cross(point, local), *local)
+        set_wrench(sample.external, simulation.layout.body_names.index(label), wrench, "body")
+    body = simulation.layout.body_names.index(label)
+    turn, found = sample.pose[body, :9].reshape(3, 3), sample.accelerations[label]
+    return turn @ (found[3:] + np.cross(found[:3], point))
+
+
+def answer(address, **headers):
+    """Status of a request."""
+    try:
+        with urllib.request.urlopen(urllib.request.Request(address, headers=headers)) as response:
+            return response.status
+    except urllib.error.HTTPError as error:
+        return error.code
+
+
+def accepts(*arguments, **options):
+    """Result of `_socket`, in a thread of its own: the browser's library has an event loop in this one."""
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(lambda: asyncio.run(_socket(*arguments, **options))).result()
+
+
+async def _socket(address, origin, send=None):
+    """Whether a WebSocket is accepted from an origin; send: bytes that are sent then."""
+    import websockets
+
+    protocol = f"viser-v{viser.__version__}"
+    try:
+        async with websockets.connect(address.replace("http", "ws"), origin=origin, subprotocols=[protocol]) as found:
+            await found.recv()
+            if send is not None:
+                await found.send(send)
+                await asyncio.wait_for(found.wait_closed(), 5.0)
+            return True
+    except websockets.exceptions.InvalidStatus:
+        return False
+
+
+def test_the_page_is_for_this_machine_and_this_origin_only():
+    server, address = open_server("127.0.0.1", 8300, "x")
+    try:
+        port = server.get_port()
+        assert address == f"http://127.0.0.1:{port}" and answer(address) == 200
+        assert answer(address, Host="evil.example") == 403  # a name that points here
+        assert answer(f"{address}/../../etc/passwd") == 404
+        for origin, accepted in ((address, True), ("http://evil.example", False), (None, False), ("null", False)):
+            assert accepts(address, origin) is accepted
+        # Nonsense ends its own connection, nothing else.
+        assert accepts(address, address, send=b"\x00nonsense")
+        assert accepts(address, address)
+        kinds = {message.__name__ for message in server._websock_server._incoming_handlers}
+        assert "ShareUrlRequest" not in kinds  # no tunnel to the outside
+    finally:
+        close_server(server)
+
+
+def test_other_machines_need_the_token(monkeypatch):
+    monkeypatch.setattr(servers, "MOST_CLIENTS", 0)
+    server, address = open_server("0.0.0.0", 8300, "x")
+    try:
+        bare = address.partition("/?")[0]
+        assert answer(bare) == answer(f"{bare}/?token=guess") == 403
+        keeping = urllib.request.build_opener(urllib.request.HTTPCookieProcessor(CookieJar()))
+        with keeping.open(address) as response:
+            assert response.status == 200 and "token" not in response.url
+        assert not accepts(bare, bare)
+    finally:
+        close_server(server)
+
+
+def test_a_host_of_another_machine_is_refused_in_one_line(capsys):
+    assert main(["view", "free_body", "--host", "192.0.2.1", "--no-browser"]) == 2
+    assert "give an address of this machine" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "arguments, text",
+    [
+        ([], "give one scene"),
+        (["free_body", "heavy_top"], "give one scene"),
+        (["nothing.mcap"], "nothing.mcap"),
+        (["free_body", "--node", "/sim_node"], "not both"),
+        (["free_body", "--accuracy", "-1"], "accuracy"),
+    ],
+)
+def test_wrong_arguments_get_one_line(arguments, text, capsys):
+    assert main(["view", *arguments]) == 2
+    said = capsys.readouterr().err.strip()
+    assert text in said and "\n" not in said and threading.active_count() < 20
