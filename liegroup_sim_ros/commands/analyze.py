@@ -54,6 +54,9 @@ def add_arguments(parser):
         "recording, or the scene file that refers to it (meshes need trimesh)",
     )
     parser.add_argument(
+        "--bodies", action="store_true", help="also plot the positions of the bodies in the report of --html"
+    )
+    parser.add_argument(
         "--png",
         metavar="FILE",
         help="write the plots of one recording as an image: *.png, *.pdf or *.svg (needs matplotlib)",
@@ -63,7 +66,7 @@ def add_arguments(parser):
         "--max-error",
         type=not_negative,
         metavar="X",
-        help="fail if an error or its recorded estimate is larger: position in m, attitude in rad",
+        help="fail if an error or its recorded estimate is larger, or none is known: position in m, attitude in rad",
     )
     parser.add_argument(
         "--max-drift",
@@ -72,7 +75,11 @@ def add_arguments(parser):
         help="fail if a drift is larger: energy relative to the largest kinetic energy, "
         "momenta relative to the sum of the bodies' largest momenta",
     )
-    parser.add_argument("--no-reference", action="store_true", help="skip the comparison with a reference integration")
+    parser.add_argument(
+        "--no-reference",
+        action="store_true",
+        help="skip the comparison with a reference solution; the recorded estimate of the error remains",
+    )
     parser.add_argument(
         "--reference-seconds",
         type=not_negative,
@@ -117,10 +124,8 @@ def run(args):
         logs = expand(args.logs)
     except AddressError as error:
         raise AnalysisError(str(error)) from None
-    if args.no_reference and args.max_error is not None:
-        raise AnalysisError("--max-error requires the reference: remove --no-reference")
     many = len(logs) > 1 or args.scheduler
-    for option in ("compare", "png", "robot"):
+    for option in ("compare", "png", "robot", "bodies"):
         if many and getattr(args, option):
             raise AnalysisError(f"--{option} requires exactly one recording and no --scheduler")
     check_files(args.json, args.html, picture=args.png)
@@ -145,7 +150,7 @@ def run(args):
 
             write_file(args.png, lambda path: write_picture(analysis, path, comparison))
         if args.html:
-            parts = [page_part(analysis, shapes=_shapes(args.robot, analysis.scene))]
+            parts = [page_part(analysis, shapes=_shapes(args.robot, analysis.scene), bodies=args.bodies)]
     exceeded = find_exceeded(found, args.max_error, args.max_drift)
     if args.html:
         bounds = [

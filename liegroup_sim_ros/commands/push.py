@@ -84,6 +84,7 @@ def _push(args):
     from rclpy.duration import Duration
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.parameter_client import AsyncParameterClient
+    from rclpy.qos import DurabilityPolicy, QoSProfile
     from std_msgs.msg import String
 
     name = "/" + args.node.strip("/")
@@ -100,6 +101,9 @@ def _push(args):
             applied.extend(((base_ns + command["start_ns"]) * 1e-9, command) for command in own)
 
     node.create_subscription(String, f"{name}/inputs", listen, 100)
+    bodies = []
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    node.create_subscription(String, f"{name}/bodies", lambda message: bodies.extend(message.data.split()), latched)
 
     def spin_until(done, seconds):
         """Spin until done() is true; returns False after the given number of seconds."""
@@ -110,14 +114,6 @@ def _push(args):
             executor.spin_once(timeout_sec=min(left, 0.02))
         return True
 
-    def bodies():
-        prefix, suffix = f"{name}/", "/pose"
-        return sorted(
-            topic[len(prefix) : -len(suffix)]
-            for topic, _ in node.get_topic_names_and_types()
-            if topic.startswith(prefix) and topic.endswith(suffix)
-        )
-
     # Wait for both directions, because otherwise the response would be missed.
     if not spin_until(
         lambda: publisher.get_subscription_count() and node.count_publishers(f"{name}/inputs"), DISCOVERY
@@ -127,8 +123,10 @@ def _push(args):
             "running (a first start compiles for half a minute) with the same "
             "ROS_DOMAIN_ID, and give its name with --node"
         )
-    if not spin_until(lambda: args.body in bodies(), ANSWER):
-        raise PushError(f"{name} has no body {args.body!r}; it has: {', '.join(bodies())}")
+    if not spin_until(lambda: bodies, ANSWER):
+        raise PushError(f"{name} does not answer: it may be shutting down")
+    if args.body not in bodies:
+        raise PushError(f"{name} has no body {args.body!r}; it has: {', '.join(sorted(bodies))}")
     answer = AsyncParameterClient(node, name).get_parameters(["frame_prefix"])
     if not spin_until(answer.done, ANSWER):
         raise PushError(f"{name} does not answer: it may be shutting down")

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Options of subcommands that take a robot file: start values, locked joints, closed loops."""
 
-from liegroup_core.errors import LieGroupSimError
+from liegroup_core.errors import LieGroupSimError, SceneError
 from liegroup_core.joints.kinds import Joint
 from liegroup_core.robots.names import scene_name
-from liegroup_core.robots.options import BASES, Options
+from liegroup_core.robots.options import ALL, BASES, Options
+from liegroup_core.robots.starts import Start
 from liegroup_core.scene.load import scene_of
+from liegroup_core.scene.yaml_text import read_yaml
 
 # Types of joints that only need the frames of two links.
 CLOSING = ("spherical", "revolute", "prismatic", "cylindrical", "planar", "fixed", "universal")
@@ -30,16 +32,27 @@ def add_robot_options(parser):
     parser.add_argument("--pose", metavar="NAME", help="pose at the start: a keyframe (MJCF) or a group state (SRDF)")
     parser.add_argument("--srdf", metavar="FILE", help="SRDF file with group states for --pose")
     for name, each, text in (
-        ("start", "JOINT=VALUE", "joint coordinates at the start, rad or m"),
+        (
+            "start",
+            "JOINT=VALUE",
+            "joint coordinates at the start, rad or m; of a floating link, or a joint with several coordinates, "
+            "as 'trunk={position: [0, 0, 1], angular_velocity: [0, 0, 2]}'",
+        ),
         ("start-velocity", "JOINT=VALUE", "joint velocities at the start, rad/s or m/s"),
         ("lock", "JOINT=VALUE", "joints that do not move, at these coordinates"),
         ("only", "LINK", "keep these links and the chains that lead to them; cut the others"),
         ("keep", "JOINT", "fixed joints that are not merged, so that their reactions are known"),
-        ("stops", "JOINT", "joints whose limits are rigid stops, or all"),
-        ("friction", "JOINT", "joints whose dry friction acts, or all"),
+        ("stops", "JOINT", "joints whose limits are stops (default: all that start within them)"),
+        ("friction", "JOINT", "joints whose dry friction acts (default: all)"),
         ("drive", "JOINT", "driven joints; they keep their velocity at the start until a command"),
     ):
         parser.add_argument(f"--{name}", nargs="+", action="extend", default=[], metavar=each, help=text)
+    for name, what in (
+        ("stops", "limits are not stops"),
+        ("friction", "no dry friction acts"),
+        ("actuators", "the servos and motors of an MJCF file do not act"),
+    ):
+        parser.add_argument(f"--no-{name}", action="store_true", help=what)
     parser.add_argument(
         "--close",
         nargs=3,
@@ -64,8 +77,9 @@ def robot_scene(path, args, name=None):
         start_velocity=_values(args.start_velocity, "start-velocity"),
         lock=_values(args.lock, "lock"),
         keep=args.keep,
-        stops=args.stops,
-        friction=args.friction,
+        stops=[] if args.no_stops else args.stops or [ALL],
+        friction=[] if args.no_friction else args.friction or [ALL],
+        actuators=not args.no_actuators,
         driven=dict.fromkeys(args.drive),
         only=args.only,
         joints=[_closing(*entry) for entry in args.close],
@@ -95,6 +109,9 @@ def _values(entries, option):
         name, separator, text = entry.rpartition("=")
         if name in found:
             raise RobotError(f"--{option} gives {name} twice: keep one")
+        if option == "start" and text.startswith("{"):
+            found[name] = _start(name, text)
+            continue
         try:
             found[name] = float(text)
         except ValueError:
@@ -102,6 +119,14 @@ def _values(entries, option):
         if not separator or not abs(found.get(name, 0.0)) < 1e100:
             raise RobotError(f"--{option} {entry}: give JOINT=VALUE, in rad or m, rad/s or m/s")
     return found
+
+
+def _start(name, text):
+    """Start of a text such as {position: [0, 0, 1]}."""
+    try:
+        return Start(**read_yaml(text, "value").value)
+    except SceneError as error:
+        raise RobotError(f"--start {name}: {error}") from None
 
 
 def _closing(first, second, kind):

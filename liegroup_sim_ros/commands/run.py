@@ -32,6 +32,7 @@ from .robot_options import add_robot_options, robot_scene
 
 EXIT_STOPPED = EXIT_LOST = 1
 REDRAW = 0.1  # s between two updates
+DENSEST = 1000.0  # samples in a second of the motion, if --every is not given
 NOTE = 160  # maximum length of a printed note of the scene
 # Options that are passed on to Simulation if given.
 SETTINGS = (
@@ -69,7 +70,7 @@ def add_arguments(parser):
         "--every",
         type=int,
         metavar="STEPS",
-        help="steps between two samples; the last state is always included (default: 10 with a method, else 1)",
+        help="steps between samples; the last state is always included (default: 1, if a second then has 1000 at most)",
     )
     parser.add_argument(
         "--no-estimate",
@@ -182,11 +183,8 @@ def _run(args):
             raise RunError(f"{args.out}: the name must end in .npz, .csv or .mcap")
     if args.torques is not None and Path(args.torques).suffix != ".csv":
         raise RunError(f"{args.torques}: the name must end in .csv")
-    every = args.every
-    if every is None:
-        every = 10 if args.method else 1
-    if every < 1:
-        raise RunError(f"--every must be at least 1, got {every}")
+    if args.every is not None and args.every < 1:
+        raise RunError(f"--every must be at least 1, got {args.every}")
     scene = robot_scene(args.scene, args)
     console = Console(stderr=True)
     for note in scene.differences:
@@ -200,6 +198,7 @@ def _run(args):
     if args.reactions or args.torques:
         simulation.layout.reactions.warm_up()
     steps = whole_steps(args.duration, simulation.step)
+    every = args.every or max(1, math.ceil(1.0 / (DENSEST * simulation.step) - 1e-9))
     samples = 1 + -(-steps // every)
     started = time.monotonic()
     stopped, code = None, 0
@@ -256,7 +255,7 @@ def _error_of(simulation):
     if np.isnan(errors).any():
         return f"; the error is not estimated before t = {simulation.estimated_from:.9g} s"
     position, attitude = errors[:, :2].max(axis=0)
-    return f", estimated error {position:.2g} m, {attitude:.2g} rad"
+    return f", estimated error at the end {position:.2g} m, {attitude:.2g} rad"
 
 
 def _simulate(simulation, steps, every, write, console, signals):

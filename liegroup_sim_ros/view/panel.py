@@ -124,6 +124,8 @@ class Panel:
         self._joint = gui.add_dropdown("joint", tuple(names), initial_value=names[0]) if names else None
         self._position = self._plot("position", ("position",)) if names else None
         self._velocity = self._plot("velocity", ("velocity",)) if names else None
+        with_efforts = names and self._page.source.knows_efforts
+        self._effort = self._plot("effort of servo, drive and command", ("effort",)) if with_efforts else None
         self._apart = self._plot("log10 of the distance to the pale motion in m", ("distance",))
 
     def _plot(self, title, names):
@@ -284,6 +286,9 @@ class Panel:
             coordinates = lambda f: f.sample.joint_coordinates.get(joint, (np.nan, np.nan))  # noqa: E731
             self._draw(self._position, history, since, (lambda f: coordinates(f)[0],))
             self._draw(self._velocity, history, since, (lambda f: coordinates(f)[1],))
+            dressed = self._page.source.dressed
+            if self._effort is not None:
+                self._draw(self._effort, history, since, (lambda f: dressed(f).sample.all_efforts.get(joint, np.nan),))
         has_other = self._page._ghost is not None
         self._apart.visible = has_other
         if has_other:

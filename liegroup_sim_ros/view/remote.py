@@ -37,6 +37,7 @@ TRIGGERS = {"pause": "pause", "resume": "resume", "step": "step", "reset": "rese
 class Remote(Source):
     """The node with a name, such as /sim_node. Raises ViewError if it is not found or ROS is missing."""
 
+    knows_efforts = False  # the wanted values of servos arrive on a topic of their own
     takes = frozenset(
         ("pause", "resume", "step", "reset", "speed", "accuracy", "place", "save", "restore", "push")
         + ("effort", "servo", "driven")

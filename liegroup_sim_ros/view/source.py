@@ -47,10 +47,11 @@ class Source:
              "accuracy" (number), "place" ({joint: position}), "save" and "restore" (name of a snapshot), "effort",
              "servo" and "driven" (joint, value); and "push", if it takes wrenches
     is_live: whether frames arrive while it runs; else `history` is complete from the start
+    knows_efforts : whether the samples have what servos, drives and commands exert
     """
 
     takes = frozenset()
-    is_live = True
+    is_live = knows_efforts = True
 
     def __init__(self, layout, title):
         self.layout, self.title = layout, title
