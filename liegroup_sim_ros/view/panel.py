@@ -13,6 +13,7 @@ SMALLEST = 1e-17  # value whose logarithm stands for zero
 SECONDS = 20.0  # of the curves of a live source
 MOST_LINES = 60  # events that are shown
 MOST_JOINTS = 60  # joints with sliders
+MOST_POWER = 15  # of ten, by which a halo magnifies an error
 SPEEDS = ("0.01", "0.1", "0.5", "1", "2", "5", "10")
 BAD = "#c03030"
 LINE = "white-space:nowrap;overflow:hidden;text-overflow:ellipsis"
@@ -144,7 +145,6 @@ class Panel:
 
     def _joints(self, source):
         gui, layout = self._gui, source.layout
-        self._kinds = {}
         limits, servos = layout.limits, set(layout.servos)
         movable = (
             joint for joint in layout.coordinates.names if joint in limits and limits[joint][2] < limits[joint][3]
@@ -156,7 +156,7 @@ class Panel:
                 "Running, it commands the servo or the drive.</div>"
             )
         for joint in shown:
-            unit, low, high, _, most = limits[joint][1:]
+            unit, low, high = limits[joint][1:4]
             reach = ROUND if unit == "rad" else REACH * layout.size
             low, high = (low if math.isfinite(low) else -reach), (high if math.isfinite(high) else reach)
             kind = "driven" if joint in layout.motions else "servo" if joint in servos else "place"
@@ -196,9 +196,8 @@ class Panel:
         for field, label in labels.items():
             box = gui.add_checkbox(label, getattr(page.look, field))
             box.on_update(lambda _, f=field, b=box: self._look(**{f: b.value}))
-        power = gui.add_slider(
-            "halo: error times 10 to the power of", 0, 12, 1, round(math.log10(page.look.magnification))
-        )
+        present = min(max(round(math.log10(page.look.magnification)), 0), MOST_POWER)
+        power = gui.add_slider("halo: error times 10 to the power of", 0, MOST_POWER, 1, present)
         power.on_update(lambda _: self._look(magnification=10.0**power.value))
 
     def _look(self, **changed):
