@@ -30,7 +30,13 @@ log = logging.getLogger("liegroup_core")
 DISCOVERY, ANSWER = 10.0, 3.0  # s
 WRENCH_NAME = "view"  # of the wrenches of the hand
 GRID = 1e-6  # s, of the times at which wrenches act; only drawing depends on it
-STATES = {"pause": "paused", "resume": "running", "fault": "faulted", "stop": "ended"}  # after an event
+STATES = {
+    "start": "running",
+    "pause": "paused",
+    "resume": "running",
+    "fault": "faulted",
+    "stop": "ended",
+}  # after an event
 TRIGGERS = {"pause": "pause", "resume": "resume", "step": "step", "reset": "reset"}
 
 
@@ -111,6 +117,7 @@ class Remote(Source):
         names = layout.body_names
         self._state, self._figures = Status("running", None, None, ""), {}
         self._newest, self._arrived, self._errors = None, 0.0, None
+        self._changed_ns = -1  # stamp of the last event that changed the state
         self._least, self._late = math.inf, 0.0  # s: smallest and present delay of a frame
         self._pose = np.tile(np.array([1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0, 0, 0, 0]), (len(names), 1))
         self._twist, self._stamps = np.zeros((len(names), 6)), [[-1, -1] for _ in names]
@@ -206,12 +213,15 @@ class Remote(Source):
     def _take_event(self, payload):
         stamp, _, name, text = LogCodec.decode_one(payload)
         self.tell(stamp * 1e-9, name, text)
-        if name in STATES:  # ~/state is silent in pauses
-            self._figures["state"] = STATES[name]
+        state = "paused" if name == "start" and ", paused" in text else STATES.get(name)
+        if state is not None:  # ~/state is silent in pauses
+            self._figures, self._changed_ns = {**self._figures, "state": state}, stamp
             self._least = math.inf  # wall and simulated time have another distance now
 
     def _take_state(self, payload):
-        self._figures = _numbers(decode_figures(payload)[1])
+        stamp, figures = decode_figures(payload)
+        known = {"state": self._figures["state"]} if stamp <= self._changed_ns else {}  # an event has overtaken it
+        self._figures = {**_numbers(figures), **known}
 
     def frame(self):
         """Newest Frame."""
