@@ -129,8 +129,7 @@ def live(
     from liegroup_sim_ros.view.recorded import Recorded
 
     if isinstance(what, Engine):
-        copy = make_simulation(what.scene, attachments.settings(what, 1), estimate=what.sample().errors is not None)
-        copy.start_from(what, what.steps)
+        copy = _copied(what, 1)
         source = Local(copy, what.scene.name, record, what.time_ns, paused)
     elif str(what).startswith("/") and not Path(what).exists():
         from liegroup_sim_ros.view.remote import Remote
@@ -152,15 +151,20 @@ def _report(recording, reference, height):
     return Shown(make_page([page_part(analysis)]), analysis.figures["verdict"], height)
 
 
+def _copied(simulation, every):
+    """Simulation with the settings and the state of another one; every: steps between its samples."""
+    with_errors = simulation.sample().errors is not None
+    copy = make_simulation(simulation.scene, attachments.settings(simulation, every), estimate=with_errors)
+    copy.start_from(simulation, simulation.steps)
+    return copy
+
+
 def _record(simulation, seconds, path):
     """Record a copy of a simulation from its current state, with its inputs; returns the path."""
     step = simulation.step
     every = max(1, round(1.0 / (FRAMES_PER_SECOND * step)))
     count = max(1, round(seconds / (every * step)))
-    copy = make_simulation(
-        simulation.scene, attachments.settings(simulation, every), estimate=simulation.sample().errors is not None
-    )
-    copy.start_from(simulation, simulation.steps)
+    copy = _copied(simulation, every)
     started, stopped = time.monotonic(), None
     with LogFile(path, copy, every, count + 1) as file:
         file.sample(copy.sample())

@@ -12,6 +12,12 @@ from liegroup_core.inputs import Inputs
 from liegroup_core.observables.sample import NONE_ACT
 
 
+def sample_of(layout, stretch, k):
+    """Sample of the kept sample k of a Stretch, without what acts."""
+    pose = np.concatenate([stretch.rotation[k].reshape(-1, 9), stretch.position[k]], axis=1)
+    return layout.sample(pose, stretch.twist[k], float(stretch.times[k]), near=stretch.angles[k])
+
+
 class Given(NamedTuple):
     """Inputs at one time, see Sample."""
 
@@ -46,6 +52,12 @@ class Acting:
             layout.motions_at(just_after(time), inputs.commanded),
             layout.no_modes if modes is None else modes,
         )
+
+    def complete(self, sample, stretch):
+        """Give a Sample of a stretch what acts at its time."""
+        given = self.at(stretch, sample.time)
+        sample.external, sample.joint_efforts, sample.wanted = given.external, given.efforts, given.wanted
+        sample.motions, sample.switching = given.motions, given.modes
 
     def changes(self, stretch):
         """Sorted times in s since step 0 at which any input or mode of a stretch may change."""

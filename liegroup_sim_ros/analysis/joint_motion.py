@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from .acting import Acting
+from .acting import Acting, sample_of
 
 MOST_NUMBERS, LEAST_TIMES, MOST_TIMES = 24_000, 200, 1000  # of all curves; of one
 
@@ -33,12 +33,8 @@ def joint_motion(layout, motion):
 
 def _of_sample(layout, stretch, k, acting):
     """(joints, 4) at kept sample k of a stretch."""
-    pose = np.concatenate([stretch.rotation[k].reshape(-1, 9), stretch.position[k]], axis=1)
-    time = float(stretch.times[k])
-    sample = layout.sample(pose, stretch.twist[k], time, near=stretch.angles[k])
-    given = acting.at(stretch, time)
-    sample.external, sample.joint_efforts, sample.wanted = given.external, given.efforts, given.wanted
-    sample.motions, sample.switching = given.motions, given.modes
+    sample = sample_of(layout, stretch, k)
+    acting.complete(sample, stretch)
     efforts = {**sample.joint_efforts}
     found = sample.force_efforts.items() if layout.joint_forces.names else ()
     for joint, effort in [*sample.drive_efforts.items(), *((layout.joint_forces.joints[f], e) for f, e in found)]:

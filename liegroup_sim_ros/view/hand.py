@@ -52,6 +52,9 @@ class Hand:
 
     def _move(self, body, event, is_torque):
         """Take over an event of the mouse; runs in the server's event loop."""
+        with self._lock:
+            if self._grip is not None and self._grip.client != event.client_id:
+                return  # another page holds something already
         frame = self._page.source.frame()
         if event.phase == "end" or frame is None or self._page.cursor is not None:
             with self._lock:
@@ -67,8 +70,6 @@ class Hand:
                 pose = frame.sample.pose[body]
                 point = pose[:9].reshape(3, 3).T @ (start - pose[9:])
             else:
-                if self._grip.client != event.client_id:  # another page holds something already
-                    return
                 point = self._grip.point
             axis = None
             if is_torque:

@@ -11,7 +11,7 @@ import numpy as np
 from liegroup_core.errors import LieGroupSimError
 from liegroup_sim_ros.report.shapes import robot_shapes
 
-from .drawing import Drawing, Look, extent
+from .drawing import Drawing, Look
 from .hand import Hand
 from .panel import Panel
 from .server import close_server, open_server
@@ -35,7 +35,7 @@ class Page:
     """
 
     def __init__(self, source, host="127.0.0.1", port=8090, beside=None):
-        self.source, self.beside = source, beside
+        self.source = source
         self._server, self.address = open_server(host, port, source.title)
         try:
             self._make(beside)
@@ -188,7 +188,7 @@ class Page:
     def _set_the_scene(self):
         """Ground, direction of up, camera."""
         layout, server = self.source.layout, self._server
-        size = extent(layout)
+        size = self._drawing.size
         gravity = np.array(layout.scene.gravity)
         up = -gravity / np.linalg.norm(gravity) if gravity.any() else np.array([0.0, 0.0, 1.0])
         server.scene.set_up_direction(tuple(up))

@@ -96,16 +96,15 @@ class Panel:
             live.on_click(lambda _: setattr(page, "cursor", None))
             parts.append(live)
             self._live = live
-        if "back" in page.source.takes or not page.source.is_live:
-            parts.append(self._button("Branch from here", self._branch, hint="continue from this instant: what if"))
+        parts.append(self._button("Branch from here", self._branch, hint="continue from this instant: what if"))
         return parts
 
     def _branch(self):
         page = self._page
         source, at = page.source, page.cursor
-        if source.is_live:
-            if at is None:
-                return "move the time line to where the branch shall begin"
+        if source.is_live and at is None:
+            return "move the time line to where the branch shall begin"
+        if "back" in source.takes:
             page.attempt(source.ask, "pause")
             kept, now = source.ask("back", at)
             page.haunt(source.history, now - kept)
@@ -115,7 +114,7 @@ class Panel:
         branch = source.branch(at)
         page.exchange(branch)
         page.haunt(source.history, 0.0)
-        return f"continues from {at:.6g} s, paused; the recorded motion is the pale one"
+        return f"continues from {at:.6g} s, paused; the former motion is the pale one"
 
     def _motion(self):
         gui, layout = self._gui, self._page.source.layout

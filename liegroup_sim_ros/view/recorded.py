@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Source of a page: a recording, with its whole time line."""
 
-import numpy as np
-
 from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import scene_from_text
-from liegroup_sim_ros.analysis.acting import Acting
+from liegroup_sim_ros.analysis.acting import Acting, sample_of
 from liegroup_sim_ros.playback.branch import Branches
 from liegroup_sim_ros.recording.check import check_settings
 from liegroup_sim_ros.recording.motion import Motion
@@ -13,7 +11,7 @@ from liegroup_sim_ros.recording.read import read_recording
 
 from .local import Local
 from .server import ViewError
-from .source import Frame, Source, Status
+from .source import Frame, Source, Status, allowed
 
 
 class Recorded(Source):
@@ -29,7 +27,7 @@ class Recorded(Source):
         motion = Motion(recording, self.layout)
         for _ in motion.blocks():
             pass
-        self._branches, self._owners, promise = None, {}, recording.settings.get("promise")
+        self._owners, promise = {}, recording.settings.get("promise")
         self._acting = Acting(self.layout, recording.settings["step"])
         if not motion.stretches:
             raise ViewError(f"{path}: it has no samples")
@@ -40,26 +38,16 @@ class Recorded(Source):
             self.tell(event.stamp_ns * 1e-9, event.name, event.text)
 
     def _frame(self, stretch, k, time, promise):
-        pose = np.concatenate([stretch.rotation[k].reshape(-1, 9), stretch.position[k]], axis=1)
-        sample = self.layout.sample(pose, stretch.twist[k], float(stretch.times[k]), near=stretch.angles[k])
+        sample = sample_of(self.layout, stretch, k)
         sample.errors = None if stretch.errors is None else stretch.errors[k]
         self._owners[time] = stretch
-        bound = None
-        if promise:
-            allowed = promise["accuracy"] * max(1.0, sample.time / promise["horizon"])
-            bound = allowed * self.layout.size, allowed
+        bound = promise and allowed(self.layout, promise["accuracy"], promise["horizon"], sample.time)
         return Frame(time, sample, bound)
 
     def dressed(self, frame):
         """The Frame with the wrenches and efforts that act."""
         if frame.sample.external is None:
-            given = self._acting.at(self._owners[frame.time], frame.sample.time)
-            frame.sample.external, frame.sample.joint_efforts, frame.sample.wanted = (
-                given[0],
-                given.efforts,
-                given.wanted,
-            )
-            frame.sample.motions, frame.sample.switching = given.motions, given.modes
+            self._acting.complete(frame.sample, self._owners[frame.time])
         return frame
 
     def frame(self):
@@ -72,7 +60,5 @@ class Recorded(Source):
 
     def branch(self, time):
         """Simulation that continues from an instant, without the recorded inputs after it."""
-        self._branches = self._branches or Branches(self.recording)
-        simulation, stamp_ns = self._branches.at(time)
-        self._branches = None  # it belongs to the branch now
+        simulation, stamp_ns = Branches(self.recording).at(time)
         return Local(simulation, f"branch at {time:.6g} s", start_ns=stamp_ns, paused=True)

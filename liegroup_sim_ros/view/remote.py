@@ -23,7 +23,7 @@ from liegroup_sim_ros.messages.diagnostics import decode as decode_figures
 
 from .local import Local
 from .server import ViewError
-from .source import Frame, Source, Status
+from .source import Frame, Source, Status, allowed
 
 log = logging.getLogger("liegroup_core")
 
@@ -180,8 +180,7 @@ class Remote(Source):
         sample.errors, sample.external = self._errors, self._external(stamp)
         accuracy, bound = self._figures.get("accuracy"), None
         if accuracy is not None:
-            allowed = accuracy * max(1.0, seconds / self._figures["accuracy_horizon_s"])
-            bound = allowed * self.layout.size, allowed
+            bound = allowed(self.layout, accuracy, self._figures["accuracy_horizon_s"], seconds)
         self._newest, self._arrived = Frame(stamp * 1e-9, sample, bound), time.monotonic()
         late = self._arrived - stamp * 1e-9
         self._least = min(self._least, late)

@@ -103,6 +103,12 @@ class Source:
         """End it."""
 
 
+def allowed(layout, accuracy, horizon, seconds):
+    """(m, rad) that an accuracy allows after some seconds, as Sample.bound."""
+    wanted = accuracy * max(1.0, seconds / horizon)
+    return wanted * layout.size, wanted
+
+
 class History:
     """Frames in the order of time, thinned when they are many."""
 
