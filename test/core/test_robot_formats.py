@@ -545,6 +545,17 @@ IN_MUJOCO = {
 }
 
 
+def acceleration_of_mujoco(model, data, pose):
+    """(6,) angular acceleration and that of the origin of the body `a` in MuJoCo, body axes, with gravity."""
+    mujoco = pytest.importorskip("mujoco")
+    mujoco.mj_forward(model, data)
+    mujoco.mj_rnePostConstraint(model, data)
+    found = np.zeros(6)
+    mujoco.mj_objectAcceleration(model, data, mujoco.mjtObj.mjOBJ_XBODY, 1, found, 1)
+    found[3:] += pose[:3, :3].T @ [0, 0, -9.81]
+    return found
+
+
 @pytest.mark.parametrize("kind", IN_MUJOCO)
 def test_joints_of_drake_have_mujocos_accelerations(kind, tmp_path):
     mujoco = pytest.importorskip("mujoco")
@@ -554,12 +565,7 @@ def test_joints_of_drake_have_mujocos_accelerations(kind, tmp_path):
     model = mujoco.MjModel.from_xml_string(f"""<mujoco><compiler angle="radian" eulerseq="XYZ"/><worldbody>
 <body name="a" pos="0 0 1" euler="0.3 0.2 0.1">{IN_MUJOCO[kind]}<inertial pos="0.1 0 -0.2" mass="1"
 diaginertia="0.01 0.02 0.025"/></body></worldbody></mujoco>""")
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    mujoco.mj_rnePostConstraint(model, data)
-    found = np.zeros(6)
-    mujoco.mj_objectAcceleration(model, data, mujoco.mjtObj.mjOBJ_XBODY, 1, found, 1)
-    found[3:] += sample.poses["a"][:3, :3].T @ [0, 0, -9.81]
+    found = acceleration_of_mujoco(model, mujoco.MjData(model), sample.poses["a"])
     assert sample.accelerations["a"] == pytest.approx(found, rel=1e-9, abs=1e-9)
 
 
@@ -795,11 +801,7 @@ damping="0.3"/><joint axis="{second} 1 0" damping="0.1"/><inertial pos="0.1 0 -0
 diaginertia=".01 .02 .025"/></body></worldbody></mujoco>""")
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:], data.qfrc_applied[1] = (0.5, 0.3), (1.0, -2.0), 0.05  # sliding friction
-    mujoco.mj_forward(model, data)
-    mujoco.mj_rnePostConstraint(model, data)
-    found = np.zeros(6)
-    mujoco.mj_objectAcceleration(model, data, mujoco.mjtObj.mjOBJ_XBODY, 1, found, 1)
-    found[3:] += sample.poses["a"][:3, :3].T @ [0, 0, -9.81]
+    found = acceleration_of_mujoco(model, data, sample.poses["a"])
     # MuJoCo's linear acceleration is that of the origin, which is on both axes: 0.
     assert sample.accelerations["a"] == pytest.approx(found, rel=1e-9, abs=1e-9)
 

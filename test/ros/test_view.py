@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.errors import LieGroupSimError
+from liegroup_core.forces.external import no_wrenches, set_wrench
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.analysis import analyse
 from liegroup_sim_ros.commands.main import main
@@ -200,6 +201,12 @@ def test_a_node_is_shown_pulled_and_paused(opened, client, tmp_path):
         assert source.ask("resume").startswith("running")
         with pytest.raises(LieGroupSimError, match="unknown"):
             source.ask("restore", "nothing")
+        page.cursor = source.history.times[len(source.history.times) // 2]
+        received = page.seen().sample
+        shown.get_by_role("button", name="Branch from here").click()
+        until(lambda: isinstance(page.source, Local), "branch")
+        branched = page.source.frame().sample
+        assert np.abs(branched.rows - received.rows).max() < 1e-12 and page.source.status().state == "paused"
     recording = read_recording(path)
     figures = resimulate(recording)
     assert figures["identical"] == figures["samples"]
@@ -240,7 +247,7 @@ def test_the_hand_pulls_with_the_stated_frequency(name, body):
     pose, scene = sample.pose[body], simulation.scene
     turn, label = pose[:9].reshape(3, 3), simulation.layout.body_names[body]
     at = pose[9:] + turn @ point
-    # Response of the point to forces, by accelerations under wrenches that the engine applies.
+    # Response of the point to forces at its place, one axis at a time.
     response = np.empty((3, 3))
     before = _acceleration(scene, label, point, np.zeros(3))
     for k, unit in enumerate(np.eye(3)):
@@ -257,20 +264,12 @@ def test_the_hand_pulls_with_the_stated_frequency(name, body):
 def _acceleration(scene, label, point, force):
     """Acceleration of a point of a body under a force in world axes, world axes."""
     simulation = Simulation(scene, "rkmk4", 1e-3)
-    if force.any():
-        simulation.apply_wrench(label, (0.0, 0.0, 0.0, *force), 0.0, 1.0, "test", "world", tuple(point))
-    simulation.layout.reactions.warm_up()
-    sample = simulation.sample()
-    if force.any():
-        from liegroup_core.forces.external import no_wrenches, set_wrench
-
-        turn = sample.pose[simulation.layout.body_names.index(label), :9].reshape(3, 3)
-        local = turn.T @ force
-        sample.external = no_wrenches(simulation.layout.offsets)
-        wrench = (*np.cross(point, local), *local)
-        set_wrench(sample.external, simulation.layout.body_names.index(label), wrench, "body")
-    body = simulation.layout.body_names.index(label)
-    turn, found = sample.pose[body, :9].reshape(3, 3), sample.accelerations[label]
+    sample, body = simulation.sample(), simulation.layout.body_names.index(label)
+    turn = sample.pose[body, :9].reshape(3, 3)
+    local = turn.T @ force
+    sample.external = no_wrenches(simulation.layout.offsets)
+    set_wrench(sample.external, body, (*np.cross(point, local), *local), "body")
+    found = sample.accelerations[label]
     return turn @ (found[3:] + np.cross(found[:3], point))
 
 
