@@ -88,6 +88,7 @@ class Drawing:
         self._movers = [mover(server, handle) for handle in self._frames]
         self._springs = [] if ghost else list(self._lines(scene))
         self._handles, self._largest, self._trace = {}, {}, []
+        self._weights = np.outer([body.mass for body in scene.bodies], scene.gravity)
         self._look, self._radii = None, np.zeros(len(self._frames))
 
     def remove(self):
@@ -174,8 +175,7 @@ class Drawing:
         world = np.einsum("nij,nkj->nki", turns, wrenches.reshape(-1, 2, 3))
         self._arrows("forces", place, world[:, 1], FORCE, look.wrenches)
         self._arrows("torques", place, world[:, 0], TORQUE, look.wrenches)
-        weights = np.array([body.mass for body in self._layout.scene.bodies])[:, None]
-        self._arrows("gravity", centres, weights * np.array(self._layout.scene.gravity), GRAVITY, look.gravity)
+        self._arrows("gravity", centres, self._weights, GRAVITY, look.gravity)
         starts, forces = self._reactions(sample) if look.reactions else (np.empty((0, 3)), np.empty((0, 3)))
         self._arrows("reactions", starts, forces, REACTION, look.reactions)
         self._show_lines("pull", np.empty((0, 2, 3)) if pull is None else np.array([pull]), PULL, 5.0)
