@@ -28,8 +28,9 @@ def describe(layout):
                             motions of driven joints beyond the limits in their data
         import              sizes of a robot's file and scene, see `imported`; None for other scenes
         bodies              [{name, mass}], kg
-        joints              [{name, type, parent, child, rows, dropped}]: names of all rows, wx..vz,
-                            and of the redundant ones, which are eliminated
+        joints              [{name, type, parent, child, rows, dropped, rotor}]: names of all rows, wx..vz,
+                            and of the redundant ones, which are eliminated; inertia of its rotor at the
+                            joint, kg m^2 or kg, 0 without one
         stops_and_friction  [{joint, limits, friction, modes}]: as in the scene, None if there are none;
                             modes: which it can be in, as Sample.modes
         forces, sensors     [{name, type, on}]; on: names of its bodies, or of its joint
@@ -44,7 +45,7 @@ def describe(layout):
         solve               size of the system of the cut joints, see `solve_structure`
         methods             names of the integration methods that can integrate the scene
         groups              [[body]]: bodies that joints or forces connect, not counting the world
-        couplings           [{name, joint, other, ratio, offset}]; offset in rad or m
+        couplings           [{name, joint, other, ratio, curve, offset}]; offset in rad or m
         kept_momentum       [{bodies, components}] of the conserved momentum, as text; None: not
                             determined, because a joint is not a lower pair, or because of couplings,
                             driven joints, stops or friction
@@ -72,6 +73,7 @@ def describe(layout):
                 "rows": rows[joint.name],
                 "dropped": [row for name, row in dropped if name == joint.name],
                 "driven": joint.driven,
+                "rotor": joint.rotor_inertia,
                 "switches": [key for key in ("limits", "friction") if getattr(joint, key) is not None],
             }
             for joint in scene.joints
@@ -87,7 +89,7 @@ def describe(layout):
         ],
         "couplings": [
             {"name": entry.name, "joint": entry.joint, "other": entry.other}
-            | {"ratio": found.ratio, "offset": found.offset}
+            | {"ratio": found.ratio, "curve": list(found.curve), "offset": found.offset}
             for entry, found in zip(scene.couplings, coupled)
         ],
         "forces": [{"name": force.name, "type": force.type, "on": _acts_on(force)} for force in scene.forces],

@@ -78,8 +78,8 @@ class JointEvents:
             return []
         impacts, self._switching.impacts = self._switching.impacts or [], []
         found = []
-        for time, pose, impulses in impacts:
-            array = self._layout.reactions.of_impact(pose, impulses)
+        for time, *place, impulses in impacts:
+            array = self._layout.reactions.of_impact(*place, impulses)
             names = self._layout.reactions.names
             found.append(Impact(time, round(time * 1e9), array, names))
         return found

@@ -100,11 +100,13 @@ class Layout:
     def drifts(self, group):
         """Whether joints drift with a Munthe-Kaas method on a group.
 
-        In relative coordinates, cut and driven joints do, but couplings do not. On SE(3)^n all joints do
-        except one lower pair per body to ground, on (SO(3) x R^3)^n all.
+        In relative coordinates, cut and driven joints and curved couplings do, but other couplings do not. On
+        SE(3)^n all joints do except one lower pair per body to ground, on (SO(3) x R^3)^n all.
         """
         if group == RELATIVE:
-            return len(self.relative.joints) > (self.relative.couplings["motion"] < 0).sum()
+            couplings = self.relative.couplings
+            exact = (couplings["motion"] < 0) & (couplings["curved"] == 0)
+            return len(self.relative.joints) > exact.sum()
         joints = self.scene.joints
         held = [body for joint in joints for body in (joint.parent, joint.child)]
         return group == "so3xr3" or any(

@@ -8,7 +8,7 @@ import numpy as np
 from liegroup_core.events.switching import BEYOND
 from liegroup_core.fields.arguments import check_name, finite, got, is_finite, mapping
 from liegroup_core.forces.commands import MOTION, Command, Commands
-from liegroup_core.joints.coupling import COUPLED, gap, turns
+from liegroup_core.joints.coupling import COUPLED, difference, turns
 from liegroup_core.joints.motion import at, uniform
 from liegroup_core.scene.centres import pose_matrix
 from liegroup_core.scene.consistency import joint_state, switch_coordinates
@@ -69,7 +69,7 @@ def place(engine, poses=None, twists=None, joints=None) -> None:
     *state, angles = rearranged(
         engine.layout.centred, *engine.state(), centred_poses, centred_twists, joints, angles, driven
     )
-    _refuse_beyond_stops(engine, *state, joints)
+    _refuse_beyond_stops(engine, *state, joints, angles)
     _refuse_beyond_limits(engine, *state, joints)
     commanded, before = engine.inputs.commanded.copy(), engine.inputs.commands
     present = engine.sample()
@@ -97,10 +97,10 @@ def _keep_turns(engine, before, joints):
     engine._switching.expect(near)
 
 
-def _refuse_beyond_stops(engine, pose, twist, joints):
+def _refuse_beyond_stops(engine, pose, twist, joints, angles):
     """Raise SceneError if a rigid stop does not allow a state, or a coordinate that was given."""
-    layout = engine.layout
-    for switch, q in switch_coordinates(layout.centred, _start_of(engine, pose, twist), layout.joint_frames):
+    layout, start = engine.layout, _start_of(engine, pose, twist)
+    for switch, q in switch_coordinates(layout.centred, start, layout.joint_frames, angles):
         limits, (given, _) = switch.limits, joints.get(switch.name, (None, None))
         if limits is None or limits.stiffness is not None:
             continue
@@ -131,7 +131,7 @@ def _positions(engine, pose, twist):
     for joint, (q, _) in _joint_states(engine, pose, twist, lambda joint: joint.name in engine.layout.limits):
         limits = engine.layout.limits[joint.name]
         middle = 0.5 * (limits.lower + limits.upper)
-        yield joint.name, middle + gap(q, middle, 1.0, 0.0, turns(joint)) if math.isfinite(middle) else q
+        yield joint.name, middle + difference(q, middle, turns(joint)) if math.isfinite(middle) else q
 
 
 def _start_of(engine, pose, twist):
@@ -164,7 +164,7 @@ def _motions_after(engine, commanded, before, joints):
         was = at(motion, engine.time)
         near, _ = joints.get(joint.name, (None, None))
         near = was[0] if near is None else near
-        off = near + gap(q, near, 1.0, 0.0, turns(joint)) - was[0]
+        off = near + difference(q, near, turns(joint)) - was[0]
         if max(abs(off), abs(v - was[1])) > MOVED * (1.0 + abs(was[0]) + abs(v)):
             row = uniform(engine.time, was[0] + off, v)
             acting.append(Command(MOTION, joint.name, tuple(map(float, row)), engine.time_ns))

@@ -122,7 +122,8 @@ def _cause_of_cost(engine):
         )
     stiff = [note for note in engine.scene.notes if note.startswith("stiff:")]
     if attempted > FEW * steps:
-        text = f"a step of {engine.step:g} s has {attempted / steps:.3g} substeps; a coarser accuracy has fewer"
+        fewer = "a coarser accuracy" if _to_accuracy(engine) else "a larger tolerance"
+        text = f"a step of {engine.step:g} s has {attempted / steps:.3g} substeps; {fewer} has fewer"
         return "; ".join([text, *stiff])
     return f"{len(engine.scene.bodies)} bodies with steps of {engine.step:g} s; larger steps cost less"
 
@@ -178,11 +179,15 @@ def explain(engine, status):
     return stopped + text
 
 
+def _to_accuracy(engine):
+    return getattr(engine._integrator, "passes", False)
+
+
 def _advice(engine):
     """What helps against steps that are too large, and against too many substeps."""
     if not METHODS[engine.method].controlled:
         return "use a smaller step", ""
-    if getattr(engine._integrator, "passes", False):  # to an accuracy
+    if _to_accuracy(engine):
         return ("a force, a command or a speed is too large, or a body too light, for any step",) * 2
     return (
         "use smaller tolerances",
@@ -191,16 +196,16 @@ def _advice(engine):
 
 
 def _beyond_reach(engine):
-    """Text on driven joints whose motion leads beyond the reach of their loops, or ""."""
+    """Text on driven joints whose motion leads beyond the reach of their loops or cams, or ""."""
     for ahead in STEPS_AHEAD:
         time = engine.time + ahead * engine.step
         positions = [at(m, time)[0] for m in engine.layout.motions_at(time, engine.inputs.commanded)]
-        found = beyond_reach(engine.layout.centred, engine._pose, positions)
+        found = beyond_reach(engine.layout.centred, engine._pose, positions, engine._work.angle)
         if found:
             limits = engine.layout.limits
             shown = ", ".join(f"{j!r} at {q:.6g} {limits[j].unit}" for j, q in found)
             return (
                 f"the motion of driven joints leads beyond their reach: {shown}, t = {time:.9g} s, "
-                "where the closed loop cannot follow; command positions within its reach"
+                "where the closed loop or the cam cannot follow; command positions within its reach"
             )
     return ""

@@ -241,7 +241,7 @@ class RunningError:
         of the last meeting.
         """
         since = self.engine.steps - self._companion.steps * self.ours // self._theirs
-        if self._by_work or not self._alive or since <= 0:
+        if self._by_work or not (self._alive and self.begun) or since <= 0:
             return self.estimate.distance, self.estimate.largest
         if self._seen_at != self.engine.steps:
             steps, part = divmod(since * self._theirs, self.ours)

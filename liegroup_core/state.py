@@ -126,6 +126,8 @@ def encoded(value):
 
 def decoded(data, like, where="state"):
     """Inverse of `encoded`. Raises ValueError for data without the types and shapes of `like`."""
+    if isinstance(like, np.generic):  # of kernels that are not compiled
+        like = like.item()
     if isinstance(like, np.ndarray):
         try:
             raw = base64.b64decode(data, validate=True) if isinstance(data, str) else None

@@ -7,16 +7,43 @@ second joint, and rheonomic: its coordinate, rate and acceleration are those of 
 the time of the stage, work.clock[NOW].
 """
 
-from liegroup_core.compiling import kernel
+from liegroup_core.compiling import kernel, subroutine
 from liegroup_core.forces.turn import unwrapped
 from liegroup_core.joints.motion import acceleration, position, rate
 from liegroup_core.mechanism.arrays import COORDINATE
 from liegroup_core.mechanism.bodies import NOW
 
 from .constraints import ROUND_OFF, position_residuals
-from .couplings import link_coordinate
+from .couplings import law, link_coordinate
 from .matrix import is_off
 from .rows import set_rows
+
+
+@kernel
+def _second(model, work, coupling):
+    """Coordinate of the second link of a coupling at the stage, unwrapped."""
+    second = link_coordinate(model, coupling["links"][1], work.stage_pose)
+    if coupling["angle"] >= 0:
+        second = unwrapped(second, coupling["sign"] * work.angle[coupling["angle"]])
+    return second
+
+
+@subroutine
+def _set_slope(model, work, c):
+    """Set the factor of the second rate of a curved coupling at the stage. Returns the bias of its row."""
+    coupling = model.couplings[c]
+    _, slope, bend = law(coupling, coupling["sign"] * _second(model, work, coupling))
+    work.factors[c, 1] = -slope * coupling["sign"]
+    speed = work.stage_twist[len(model.parts) + coupling["links"][1], 0]
+    return bend * speed * speed if coupling["order"] == 2 else 0.0
+
+
+@kernel
+def set_slopes(model, work):
+    """Set the factors of all curved couplings at the stage, without their rows."""
+    for c in range(len(model.couplings)):
+        if model.couplings[c]["curved"] == 1:
+            _set_slope(model, work, c)
 
 
 @kernel
@@ -26,10 +53,11 @@ def set_all_rows(model, work):
     n = len(model.parts)
     for c in range(len(model.couplings)):
         coupling = model.couplings[c]
-        slip = 0.0
+        slip, bias = 0.0, 0.0
+        if coupling["curved"] == 1:
+            bias = _set_slope(model, work, c)
         for k in range(2):
-            slip += coupling["factors"][k] * work.stage_twist[n + coupling["links"][k], 0]
-        bias = 0.0
+            slip += work.factors[c, k] * work.stage_twist[n + coupling["links"][k], 0]
         if coupling["motion"] >= 0:
             bias = rate(work.motions, coupling["motion"], work.clock[NOW])
             slip -= bias
@@ -48,19 +76,23 @@ def set_coupled_gaps(model, work, moves, moved):
     """
     for c in range(len(model.couplings)):
         coupling = model.couplings[c]
-        links, factors = coupling["links"], coupling["factors"]
+        links = coupling["links"]
         first = link_coordinate(model, links[0], work.stage_pose)
-        second = link_coordinate(model, links[1], work.stage_pose)
-        if coupling["angle"] >= 0:
-            second = unwrapped(second, coupling["sign"] * work.angle[coupling["angle"]])
+        second = _second(model, work, coupling)
         if moved == 1:
             first += moves[model.bodies[links[0]]["freedom"], 0]
             second += moves[model.bodies[links[1]]["freedom"], 0]
-        first, second = factors[0] * first, factors[1] * second
+        first = coupling["factors"][0] * first
+        value, _, _ = law(coupling, coupling["sign"] * second)
         if coupling["motion"] >= 0:
-            second = -position(work.motions, coupling["motion"], work.clock[NOW])
-        gap = first + second - coupling["offset"]
-        size = 1.0 + abs(first) + abs(second) + abs(coupling["offset"])
+            value = position(work.motions, coupling["motion"], work.clock[NOW])
+        gap = first - value - coupling["offset"]
+        # The terms of a curve may be larger than their sum; those of its slope are at most four times as large.
+        terms = abs(value)
+        if coupling["curved"] == 1:
+            a, q = coupling["curve"], abs(second)
+            terms = q * (abs(a[0]) + q * (abs(a[1]) + q * (abs(a[2]) + q * abs(a[3]))))
+        size = 1.0 + abs(first) + terms + abs(coupling["offset"])
         if coupling["turned"] == 1:
             gap = unwrapped(gap, 0.0)
         work.gap[coupling["residual"]] = 0.0 if abs(gap) <= ROUND_OFF * size else gap

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Couplings of two links of the spanning tree: coordinates, and the forces that a multiplier causes.
 
-The row of a coupling has constant coefficients: sign_0 for the rate of the first link, -ratio sign_1 for
-that of the second. The coordinate of a joint is its sign times that of its link. J^T lambda is a torque or
-force on each link, and its reaction on the parent link. Every Runge-Kutta method satisfies rows that are
-linear in coordinates of SO(2) and R without drift, except those of driven joints, whose motion depends on
-time.
+The row of a coupling has the coefficients sign_0 for the rate of the first link, -p'(q) sign_1 for that of
+the second; work.factors has those of the stage. They are constant unless the coupling is curved. The coordinate
+of a joint is its sign times that of its link. J^T lambda is a torque or force on each link, and its reaction on
+the parent link. Every Runge-Kutta method satisfies rows that are linear in coordinates of SO(2) and R without
+drift. Rows of curved couplings drift, and those of driven joints, whose motion depends on time.
 
 Residuals and velocities are in coupled_rows.py.
 """
@@ -53,11 +53,20 @@ def add_rotors(model, work, rates, factor, out):
 
 
 @kernel
+def law(coupling, q):
+    """p, p' and p'' of a coupling at the coordinate q of its second joint."""
+    a = coupling["curve"]
+    value = q * (a[0] + q * (a[1] + q * (a[2] + q * a[3])))
+    slope = a[0] + q * (2.0 * a[1] + q * (3.0 * a[2] + q * (4.0 * a[3])))
+    return value, slope, 2.0 * a[1] + q * (6.0 * a[2] + q * (12.0 * a[3]))
+
+
+@kernel
 def add_coupling(model, work, c, value, out, stride):
     """Add J^T of coupling c times a multiplier to wrenches; see `add_pair`."""
     coupling = model.couplings[c]
     for k in range(2):
-        b, share = coupling["links"][k], coupling["factors"][k] * value
+        b, share = coupling["links"][k], work.factors[c, k] * value
         add_pair(model, work, b, 0, share, out, stride)
 
 
@@ -78,10 +87,10 @@ add_effort = choice("add_effort", _add_effort_in_space, _add_effort_in_plane)
 
 
 @kernel
-def coupled_rate(model, rates, c):
+def coupled_rate(model, work, rates, c):
     """J times rates (f, 1) of the degrees of freedom, for coupling c."""
     coupling = model.couplings[c]
     total = 0.0
     for k in range(2):
-        total += coupling["factors"][k] * rates[model.bodies[coupling["links"][k]]["freedom"], 0]
+        total += work.factors[c, k] * rates[model.bodies[coupling["links"][k]]["freedom"], 0]
     return total

@@ -64,8 +64,8 @@ class ModeChanges:
 
     sizes   : (k,) characteristic length in the units of the switches: 1 rad, or m
     events  : [JointEvent] since they were last taken
-    impacts : [(time in s, pose (n, 12), impulses (k,) on the coordinates of the joints)] since they
-              were last taken; None: not recorded
+    impacts : [(time in s, pose (n, 12), angles (u,), impulses (k,) on the coordinates of the joints)] since
+              they were last taken; None: not recorded
     lost    : largest displacement of a rebound that became plastic, in a step or until it returns to its
               stop, rad or relative to the characteristic length
     """
@@ -164,7 +164,7 @@ class ModeChanges:
         if self.impacts is not None:
             impulses = np.zeros(len(signs))
             impulses[hit] = signs[hit] * p
-            self.impacts.append((time, state[0].copy(), impulses))
+            self.impacts.append((time, state[0].copy(), work.angle.copy(), impulses))
         for k, impulse, loss in zip(hit, p, energy):
             if impulse != 0.0 and side[k] != 0.0:  # else its friction ends a slide
                 self.events.append(JointEvent(time, int(k), IMPACT, float(signs[k] * impulse), float(loss)))
@@ -182,8 +182,8 @@ class ModeChanges:
             )
         self.events[first:] = merged.values()
         if self.impacts is not None and len(self.impacts) > impacts + 1:
-            time, pose, impulses = self.impacts[impacts]
-            self.impacts[impacts:] = [(time, pose, impulses + sum(more for *_, more in self.impacts[impacts + 1 :]))]
+            *place, impulses = self.impacts[impacts]
+            self.impacts[impacts:] = [(*place, impulses + sum(more for *_, more in self.impacts[impacts + 1 :]))]
 
     def _end_soon(self, pose, side):
         """Mask of the switches that leave their stops, or slide, for a way at which rebounds become zero."""

@@ -112,6 +112,13 @@ def listed(value):
     return list(value)
 
 
+def _curve(value):
+    value = listed(value)
+    if len(value) > 3:
+        raise ValueError("must have at most 3 numbers [a2, a3, a4]")
+    return value
+
+
 def _three(value):
     value = listed(value)
     if len(value) != 3:
@@ -224,6 +231,7 @@ _POSITIVE = {"type": "number", "exclusiveMinimum": 0}
 Number = Annotated[float, BeforeValidator(_number)]
 Positive = Annotated[Number, AfterValidator(_positive), WithJsonSchema(_POSITIVE)]
 NotNegative = Annotated[Number, AfterValidator(_not_negative), WithJsonSchema(_NUMBER | {"minimum": 0})]
+Curve = Annotated[tuple[Number, ...], BeforeValidator(_curve), _array(_NUMBER, 0, 3)]
 Vector3 = Annotated[tuple[Number, Number, Number], BeforeValidator(_three), _array(_NUMBER, 3, 3)]
 Sizes = Annotated[Vector3, AfterValidator(_sizes), _array(_POSITIVE, 3, 3)]
 RotationVector = Annotated[Vector3, AfterValidator(_within_a_turn)]

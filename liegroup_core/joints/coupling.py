@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Couplings: linear relations of two joint coordinates, for gears, belts, racks and mimic joints.
+"""Couplings: relations of two joint coordinates, for gears, belts, racks, cams and mimic joints.
 
-    q_joint = ratio q_other + offset
+    q_joint = ratio q_other + a_2 q_other^2 + a_3 q_other^3 + a_4 q_other^4 + offset
 
 q is the angle of a revolute or screw joint about z, or the displacement of a prismatic joint along z.
-A coupling transmits a torque or force lambda to `joint` and -ratio lambda to `other`, so it does no
-work. Its row acts on the rates of the spanning tree, see dynamics/couplings.py. The groups of rigid
+A coupling transmits a torque or force lambda to `joint` and -(d q_joint / d q_other) lambda to `other`, so
+it does no work. Its row acts on the rates of the spanning tree, see dynamics/couplings.py. The groups of rigid
 bodies have no such row.
 
 Poses determine angles modulo 2 pi. The angle of `other` is unwrapped like that of a torsional spring
@@ -16,7 +16,8 @@ import math
 
 from pydantic import Field
 
-from liegroup_core.fields.values import Described, Name, Number, Text
+from liegroup_core.fields.curve import rise
+from liegroup_core.fields.values import Curve, Described, Name, Number, Text
 from liegroup_core.lie.groups import SE3, UNKNOWN_TURN, within_a_turn
 
 from .kinds import TYPES
@@ -36,12 +37,17 @@ class Coupling(Described):
         description="ratio r of q_joint = r q_other + offset; for example -0.5 for a gear pair where "
         "joint has twice the teeth; in m/rad for a rack"
     )
+    curve: Curve = Field(
+        (),
+        description="coefficients [a2, a3, a4], or fewer, of the further terms a2 q_other^2 + a3 q_other^3 + "
+        "a4 q_other^4, for a cam; default: none",
+    )
     offset: Number | None = Field(None, description="offset in rad or m; default: computed from the initial poses")
     backlash: Backlash | None = Field(None, description="backlash: the relation holds within a gap; default: none")
 
     @property
     def switches(self):
-        """[Switch]: q_joint - ratio q_other - offset, if the coupling has backlash."""
+        """[Switch]: violation of the relation, if the coupling has backlash."""
         if self.backlash is None:
             return []
         half = 0.5 * self.backlash.gap
@@ -61,10 +67,14 @@ def coordinate(joint, C_rel):
     return float(C_rel[2, 3])
 
 
-def gap(first, second, ratio, offset, turned):
-    """first - ratio second - offset; if `turned`, the value modulo 2 pi that is nearest to 0."""
-    value = first - ratio * second - offset
-    return within_a_turn(value) if turned else value
+def difference(first, second, turned):
+    """first - second; if `turned`, the value modulo 2 pi that is nearest to 0."""
+    return within_a_turn(first - second) if turned else first - second
+
+
+def gap(coupling, first, second, turned):
+    """Violation of a resolved coupling by coordinates of `joint` and `other`; `turned`: see `difference`."""
+    return difference(first - rise(coupling, second), coupling.offset, turned)
 
 
 def rate_row(joint, F_b):

@@ -11,9 +11,10 @@ from functools import cached_property
 import numpy as np
 import scipy
 
+from liegroup_core.fields.curve import slope
 from liegroup_core.lie.groups import SE3
 
-from .coupling import coordinate, gap, rate_row, turns
+from .coupling import coordinate, difference, gap, rate_row, turns
 from .kinds import forbidden_rows, position_residual
 
 # Smallest singular value, for unit rows, that counts as independent. Independent rows rarely have one below
@@ -115,7 +116,7 @@ class Linkage:
         for j in coupled:
             rates[j] = rate_row(self.joints[j], self.frames[j][1])[None]
         rates = dict(zip(coupled, self.relative_rows(poses, rates)))
-        rows = [rates[entry.joint] - entry.ratio * rates[entry.other] for entry in self.couplings]
+        rows = [rates[entry.joint] - self.slope(entry, poses) * rates[entry.other] for entry in self.couplings]
         return np.array(rows).reshape(len(self.couplings), 6 * len(self.bodies))
 
     def relative_rows(self, poses, rows):
@@ -165,15 +166,24 @@ class Linkage:
         couplings = [self.coupling_gap(entry, poses) for entry in self.couplings]
         return np.concatenate([np.zeros(0), *joints, couplings]) / self._units
 
-    def coupling_gap(self, entry, poses):
-        """Residual of a coupling, rad or m; the angle of `other` is unwrapped from its value at the start."""
-        joint, other = self.joints[entry.joint], self.joints[entry.other]
-        second = coordinate(other, self.relative(entry.other, poses))
+    def _other(self, entry, poses):
+        """Coordinate of `other` of a coupling; an angle is unwrapped from its value at the start."""
+        other = self.joints[entry.other]
+        q = coordinate(other, self.relative(entry.other, poses))
         if turns(other):
             before = coordinate(other, self.relative(entry.other, self.start))
-            second = before + gap(second, before, 1.0, 0.0, True)
+            q = before + difference(q, before, True)
+        return q
+
+    def slope(self, entry, poses):
+        """Rate of `joint` of a coupling relative to that of `other`."""
+        return slope(entry, self._other(entry, poses)) if entry.curve else entry.ratio
+
+    def coupling_gap(self, entry, poses):
+        """Residual of a coupling, rad or m."""
+        joint = self.joints[entry.joint]
         first = coordinate(joint, self.relative(entry.joint, poses))
-        return gap(first, second, entry.ratio, entry.offset, turns(joint))
+        return gap(entry, first, self._other(entry, poses), turns(joint))
 
     def joint_residual(self, j, poses):
         """Position residual (k,) of joint j; where it is zero, its derivative is joint_rows."""

@@ -87,7 +87,9 @@ COUPLED = np.dtype(
         ("row", "i8"),
         ("residual", "i8"),  # index of the row, and of its residual
         ("links", "i8", (2,)),
-        ("factors", "f8", (2,)),  # of their coordinates in the residual
+        ("factors", "f8", (2,)),  # of their rates in the row, at q = 0 of the second joint
+        ("curve", "f8", (4,)),  # ratio, a_2, a_3, a_4 of p(q), see law of couplings.py
+        ("curved", "i8"),  # 1: any of a_2, a_3, a_4
         ("offset", "f8"),
         ("angle", "i8"),  # unwrapped angle of the second joint, -1: none
         ("sign", "f8"),  # of the second link's coordinate when that of its joint increases
@@ -218,6 +220,7 @@ class RelativeWork(Struct):
     start_angle: np.ndarray
     report: np.ndarray
     child_jacobian: np.ndarray  # (m, 6)
+    factors: np.ndarray  # (k, 2) of the rates of both links in the row of each coupling, at the stage
     known: np.ndarray = shaped(1)  # 1 if the link rows of pose and twist belong to the present state
     pose: np.ndarray = shaped("state", 12)  # the state
     twist: np.ndarray = shaped("state", 6)
@@ -300,8 +303,8 @@ def make_relative_work(model, work, stages):
     )
     shared = ("angle", "acting", "wanted", "motions", "clock", "start_angle", "report")
     given = {name: getattr(work, name) for name in shared}
-    jacobian = model.child_jacobian.copy()
-    return RelativeWork.zeros(sizes, space=work, child_jacobian=jacobian, **given)
+    rows = {"child_jacobian": model.child_jacobian.copy(), "factors": model.couplings["factors"].copy()}
+    return RelativeWork.zeros(sizes, space=work, **rows, **given)
 
 
 def links_of(work):

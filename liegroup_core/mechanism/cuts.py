@@ -81,13 +81,9 @@ def cut_rows(scene, frames, parts, tree, links, places, stops, coupled):
     for loops, numbers in dependent_groups(scene, [coupled[c][0] for c in rigid]):
         entries = [rigid[n] for n in numbers]
         closing = [k for k, (j, _, _) in enumerate(cut[:joints]) if j in loops]
-        length, matrices = 1.0, [np.zeros((0, _first_freedoms(links)[-1]))]
-        if closing:
-            ends = sorted({cut[k][0] for k in closing})
-            length, matrices = _tree_jacobians(scene, frames, parts, loops, ends, links, places)
+        ends = sorted({cut[k][0] for k in closing})
+        matrices = _tree_jacobians(scene, frames, parts, loops, ends, links, places, [coupled[c] for c in entries])
         closing += [first + c for c in entries]
-        rows = _coupling_rows(links, [coupled[c] for c in entries], length)
-        matrices = [np.concatenate([matrix, rows]) for matrix in matrices]
         drives = np.array([False] * len(matrices[0]))
         drives[len(drives) - len(entries) :] = [coupled[c][0].is_given for c in entries]
         _refuse_dependent(scene, matrices, drives, [coupled[c][0].joint for c in entries])
@@ -121,11 +117,15 @@ def _rank(matrix):
     return np.linalg.matrix_rank(matrix, tol=RANK_TOLERANCE) if matrix.size else 0
 
 
-def _tree_jacobians(scene, frames, parts, loops, joints, links, places):
-    """Characteristic length, and rows of the cut joints of loops for the tree's degrees of freedom at generic poses.
+def _tree_jacobians(scene, frames, parts, loops, joints, links, places, coupled):
+    """Rows of cut joints, then of couplings, for the tree's degrees of freedom at generic poses.
 
     loops, joints : indices of the joints in loops, and of the cut ones among them
+    coupled       : as of `coupled_links`; they hold at these poses if one of them is curved
     """
+    kept = [entry for entry, _ in coupled if not entry.is_given] if any(entry.curve for entry, _ in coupled) else []
+    if not (joints or kept):
+        return [_coupling_rows(links, coupled, 1.0, [entry.ratio for entry, _ in coupled])]
     first = _first_freedoms(links)
     ends = {
         j: [_path(links, places[name][0]) for name in (scene.joints[j].child, scene.joints[j].parent)] for j in joints
@@ -134,10 +134,12 @@ def _tree_jacobians(scene, frames, parts, loops, joints, links, places):
     needed = sorted(set().union(*(set(a) ^ set(b) for a, b in ends.values())))
     # The loops move with welded bodies, and with the joints that hold them beside a floating part.
     used = ({links[i].joint for i in needed} - {None}).union(loops)
+    used |= {j for entry in kept for j in entry[:2]}
     used |= _welded(scene, used)
     # In the order of mechanism/redundancy.py, so that the same linkage is analysed only once.
     used = sorted(used, key=lambda j: (scene.joints[j].parent != WORLD_NAME, j))
-    linkage = Linkage(scene, frames, parts, used)
+    own = {entry: entry._replace(joint=used.index(entry[0]), other=used.index(entry[1])) for entry in kept}
+    linkage = Linkage(scene, frames, parts, used, couplings=list(own.values()))
     length = linkage.length
     # Rotations and translations in comparable units.
     units = np.concatenate([np.where(link.directions()[:3].any(axis=0), length, 1.0) for link in links])
@@ -156,11 +158,12 @@ def _tree_jacobians(scene, frames, parts, loops, joints, links, places):
                 for i in set(path) - set(other):
                     block[:, first[i] : first[i + 1]] = sign * J @ motions[i]
             blocks.append(block)
-        matrix = np.concatenate(blocks) / units
+        matrix = np.concatenate([np.zeros((0, first[-1])), *blocks]) / units
         # Rows that the tree satisfies already, such as those out of the plane of planar loops.
         matrix[np.linalg.norm(matrix, axis=1) < RANK_TOLERANCE] = 0.0
-        matrices.append(matrix)
-    return length, matrices
+        slopes = [linkage.slope(own[entry], poses) if entry in own else entry.ratio for entry, _ in coupled]
+        matrices.append(np.concatenate([matrix, _coupling_rows(links, coupled, length, slopes)]))
+    return matrices
 
 
 def _first_freedoms(links):
@@ -168,12 +171,15 @@ def _first_freedoms(links):
     return np.concatenate([[0], np.cumsum([FREEDOMS[link.group] for link in links])])
 
 
-def _coupling_rows(links, coupled, length):
-    """Unit rows of the couplings for the degrees of freedom of the tree, (omega length, v)."""
+def _coupling_rows(links, coupled, length, slopes):
+    """Unit rows of the couplings for the degrees of freedom of the tree, (omega length, v).
+
+    slopes : rate of the first joint of each relative to that of the second
+    """
     first = _first_freedoms(links)
     rows = np.zeros((len(coupled), first[-1]))
-    for row, (coupling, ends) in zip(rows, coupled):
-        for i, factor in zip(ends, (1.0, -coupling.ratio)):
+    for row, (_, ends), slope in zip(rows, coupled, slopes):
+        for i, factor in zip(ends, (1.0, -slope)):
             unit = length if links[i].turns else 1.0
             row[first[i]] += links[i].sign * factor / unit
         row /= np.linalg.norm(row)
@@ -336,6 +342,8 @@ def _couplings(links, records, joints, coupling, residuals, coupled, counted):
                 residuals[joint["first"]],
                 ends,
                 (signs[0], -entry.ratio * signs[1]),
+                (entry.ratio, *entry.curve, 0.0, 0.0, 0.0)[:4],
+                any(entry.curve),
                 entry.offset,
                 angles[c] if counts else -1,
                 signs[1],

@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 from liegroup_core.compiling import SameTypes, kernel
+from liegroup_core.fields.curve import rise
 from liegroup_core.joints.kinds import TYPES
 from liegroup_core.lie.groups import within_a_turn
 from liegroup_core.lie.vec3 import ZERO3, add3, cross3, dot3, load3, load9, matmul3, matvec3, sub3, tmatmul3
@@ -83,9 +84,9 @@ class JointCoordinates:
         rows = [[*C[:3, :3].ravel(), *C[:3, 3]] for _, pair in found for C in pair]
         self._frames = np.array(rows, dtype=float).reshape(-1, 24)
         counted = [joint for joint, _ in scene.unwrapped]
-        # Angles that follow from a coupling: (joint, other, ratio, offset).
+        # Angles that follow from a coupling: (joint, other, ResolvedCoupling).
         self._coupled = [
-            (entry.joint, entry.other, *numbers[2:])
+            (entry.joint, entry.other, numbers)
             for entry, numbers in zip(scene.couplings, resolve_couplings(scene))
             if self.units.get(entry.joint) == "rad" and entry.other in self.units
         ]
@@ -112,7 +113,7 @@ class JointCoordinates:
         for name, number in self._counted.items():
             angle, rate = found[name]
             found[name] = within_a_turn(angle, float(angles[number])), rate
-        for name, other, ratio, offset in self._coupled:
+        for name, other, entry in self._coupled:
             angle, rate = found[name]
-            found[name] = within_a_turn(angle, ratio * found[other][0] + offset), rate
+            found[name] = within_a_turn(angle, rise(entry, found[other][0]) + entry.offset), rate
         return found

@@ -214,15 +214,15 @@ class Reactions:
         """
         return self._copy_modes(model, work, self._model, self._work)
 
-    def of_impact(self, pose, impulses):
+    def of_impact(self, pose, angles, impulses):
         """(J, 6) impulses of all joints at an impact, N m s and N s; NaN if undetermined.
 
-        pose     : (n, 12) of frames at the centres of mass
+        pose     : (n, 12) of frames at the centres of mass;  angles : (u,) rad, near those of `Sample.angles`
         impulses : (k,) impulses of the stops, along the coordinates of the joints with stops or friction
         Raises SimulationError if they cannot be computed.
         """
         work, out = self._work, self.empty()
-        work.held[:] = 0.0
+        work.held[:], work.angle[:] = 0.0, angles
         on_links, still = impulses * self._model.switches["sign"], np.zeros((len(pose), 6))
         arguments = work, self._table, pose, still, on_links, out
         if impulse_wrenches(self._model, *arguments) >= 0:
@@ -311,7 +311,7 @@ def _rows(linkage, poses):
         shares[j, :, at : at + len(rows)] = (rows / sizes[at : at + len(rows), None]).T
         at += len(rows)
     for r, entry in enumerate(linkage.couplings, at):
-        for j, factor in ((entry.joint, 1.0), (entry.other, -entry.ratio)):
+        for j, factor in ((entry.joint, 1.0), (entry.other, -linkage.slope(entry, poses))):
             axis = TYPES[linkage.joints[j].type].rate
             shares[j, axis, r] += factor / units[axis] / sizes[r]
     return _Rows(shares, left[:, rank:])

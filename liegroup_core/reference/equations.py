@@ -9,7 +9,8 @@ Kinematics and Dynamics of Mechanical Systems, 1989, chapter 9 (dot-1, dot-2, di
     DISTANCE  (d . d - length^2) / (2 length) = 0
     ANGLE     theta                                 of a coupled joint, and LEVEL of a coupled slide
 
-A coupling is the difference of two such coordinates: q_1 - ratio q_2, minus its value at the start.
+A coupling is the difference q_1 - p(q_2) of two such coordinates, minus its value at the start;
+p(q) = ratio q + a_2 q^2 + a_3 q^3 + a_4 q^4.
 A driven joint is one coordinate minus its motion, whose q(t), rate and acceleration are given.
 theta is the angle of a screw. Its rate is integrated with the motion, so that it is unwrapped. Each
 equation g = 0 is given with its first and second time derivatives.
@@ -57,7 +58,8 @@ class Equations(NamedTuple):
     turn: np.ndarray  # (k,) index of the angle theta, or -1
     coupled: np.ndarray  # (c,) first of the two rows of each coupling, at the end
     ratio: np.ndarray  # (c,)
-    offset: np.ndarray  # (c,) q_1 - ratio q_2
+    curve: np.ndarray  # (c, 3) a_2, a_3, a_4
+    offset: np.ndarray  # (c,) q_1 - p(q_2)
     driven: np.ndarray  # (c,) number of a driven joint, whose ratio is 0; -1: a coupling
     given: np.ndarray  # (3, d) coordinate, rate, acceleration of driven joints: input of an evaluation
 
@@ -196,8 +198,16 @@ def joint_equations(equations, state, angle, rows_out, gap_out):
             _add_rotation(row, state, parent, pitch * e[0])
     for c in range(len(equations.coupled)):
         first = equations.coupled[c]
-        rows_out[first] -= equations.ratio[c] * rows_out[first + 1]
-        gap_out[:, first] -= equations.ratio[c] * gap_out[:, first + 1]
+        (q, v, a), curve = gap_out[:, first + 1], equations.curve[c]
+        slope, bend = equations.ratio[c], 0.0
+        gap_out[0, first] -= equations.ratio[c] * q
+        for k in range(3):
+            gap_out[0, first] -= curve[k] * q ** (k + 2)
+            slope += (k + 2) * curve[k] * q ** (k + 1)
+            bend += (k + 2) * (k + 1) * curve[k] * q**k
+        rows_out[first] -= slope * rows_out[first + 1]
+        gap_out[1, first] -= slope * v
+        gap_out[2, first] -= slope * a + bend * v * v
         gap_out[0, first] -= equations.offset[c]
         d = equations.driven[c]
         if d >= 0:

@@ -136,6 +136,9 @@ def _equations(scene, index, frames, relative, couplings):
         angle += turns
     drives = np.arange(sum(joint.driven for joint in scene.joints))
     ratio = np.array([entry.ratio for entry in scene.couplings] + [0.0 for _ in drives])
+    curve = np.zeros((len(ratio), 3))
+    for row, entry in zip(curve, scene.couplings):
+        row[: len(entry.curve)] = entry.curve
     values = np.array(values).reshape(-1, 2)
     values[len(ratio) - len(drives) :] = 0.0
     return Equations(
@@ -148,7 +151,8 @@ def _equations(scene, index, frames, relative, couplings):
         _table(turn, (), int),
         len(kind) - len(coupled) + 2 * np.arange(len(ratio)),
         ratio,
-        values[:, 0] - ratio * values[:, 1],
+        curve,
+        values[:, 0] - ratio * values[:, 1] - (curve * values[:, 1:] ** np.arange(2, 5)).sum(axis=1),
         np.concatenate([np.full(len(scene.couplings), -1), drives]),
         np.zeros((3, len(drives))),
     )
@@ -170,6 +174,7 @@ def _rotors(scene, index, frames):
         np.where(turns, 0, -1),
         none,
         np.zeros(0),
+        np.zeros((0, 3)),
         np.zeros(0),
         none,
         np.zeros((3, 0)),

@@ -108,16 +108,31 @@ def add_drives(robot, options, parts, values, taken):
             if servo.ends:
                 _narrow(entry, servo, turned)
         elif all(law.is_constant for law in laws):
-            names = ", ".join(law.name for law in laws)
-            adding = f", which add to {constant:.6g} of the file" if constant else ""
-            robot.remark("actuators whose commands are efforts of joints", f"{names} of {name}{adding}")
-            most = sum(max(abs(_clamped(end, law.limits)) for end in law.ends or law.limits) for law in laws)
-            _tighten(entry, "effort", max(0.0, min(most, max(map(abs, joint.efforts))) - abs(constant)))
+            _add_to(robot, joint, laws, constant, entry)
         if constant:
             force = {"type": "motor", "joint": entry["name"], "torque": constant}
             if not turns:
                 force = {"type": "linear_motor", "joint": entry["name"], "force": constant}
             _append(parts, laws[0], force, taken)
+
+
+def _add_to(robot, joint, laws, constant, entry):
+    """Note the motors of a joint, and limit commands so that their sum with the constant effort keeps its range.
+
+    The limit of a scene is symmetric: the nearer end of the range, or the other one if the effort is at this end.
+    """
+    ends = [sorted(_clamped(end, law.limits) for end in law.ends or law.limits) for law in laws]
+    low, high = (_clamped(sum(each), joint.efforts) for each in zip(*ends))
+    near, far = sorted((constant - low, high - constant))
+    unit, details = "N" if joint.type == "prismatic" else "N m", []
+    if constant:
+        details.append(f"{constant:.6g} {unit} of the file's control keep acting, and commands add to them")
+    if near != far:
+        most = f"commands up to {near:.6g} {unit}" if near > 0.0 else "only commands of one sign keep it"
+        details.append(f"range from {low:.6g} to {high:.6g} {unit}: {most}")
+    said = f"{', '.join(law.name for law in laws)} of {joint.name}" + (f" ({'; '.join(details)})" if details else "")
+    robot.remark("actuators whose commands are efforts of joints", said)
+    _tighten(entry, "effort", near if near > 0.0 else far)
 
 
 def _laws(robot, actuator, pose, entries, values):
@@ -160,7 +175,7 @@ def _of_leaders(robot, actuator, entries, values):
         length += shares.pop(name) * values[name]
     for coupling in robot.couplings * len(robot.couplings) if len(shares) > 1 else ():
         first, second, ratio = coupling.first, coupling.second, coupling.ratio
-        if first in shares and len(shares) > 1 and {first, second} <= entries.keys():
+        if not coupling.curve and first in shares and len(shares) > 1 and {first, second} <= entries.keys():
             share = shares.pop(first)
             length += share * (values[first] - ratio * values[second])
             shares[second] = shares.get(second, 0.0) + share * ratio

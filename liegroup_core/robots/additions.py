@@ -80,7 +80,7 @@ def added_couplings(options, robot):
                     f"coordinate ({', '.join(ONE_COORDINATE)}) can be coupled",
                 )
     return [
-        Coupling(entry.name, entry.joint, entry.other, entry.ratio, entry.offset, ("couplings", i))
+        Coupling(entry.name, entry.joint, entry.other, entry.ratio, entry.offset, ("couplings", i), entry.curve)
         for i, entry in enumerate(options.couplings)
     ]
 
@@ -98,7 +98,7 @@ def added_forces(options, grouping, parts):
         entry = {key: getattr(given, key) for key in type(given).model_fields if key in keys}
         if "joint" in entry:
             if given.joint in known:
-                raise options.error((*place, "joint"), f'{which}: joint "{given.joint}" does not move: unlock it')
+                raise options.error((*place, "joint"), f'{which}: joint "{given.joint}" is fixed or locked')
             if given.joint not in joints:
                 raise options.unknown((*place, "joint"), f"{which}: joint", given.joint, joints)
             entry["joint"] = joints[given.joint]

@@ -7,6 +7,7 @@ joint are locked too. Links without mass at the end of a chain are held in place
 
 import numpy as np
 
+from liegroup_core.fields.curve import other_at, rise
 from liegroup_core.lie.groups import SE3
 
 from .description import ONE_COORDINATE, WORLD, listed
@@ -62,19 +63,19 @@ def locked_joints(robot, options, values, notes):
             held = coupling.offset is not None  # otherwise the start values define the offset
             if second and not first:
                 if held:
-                    values[coupling.first] = coupling.ratio * values[coupling.second] + coupling.offset
+                    values[coupling.first] = rise(coupling, values[coupling.second]) + coupling.offset
                 still.add(coupling.first)
                 changed = True
-            elif first and not second and coupling.ratio:
+            elif first and not second and any((coupling.ratio, *coupling.curve)):
                 if held:
-                    values[coupling.second] = (values[coupling.first] - coupling.offset) / coupling.ratio
+                    values[coupling.second] = other_at(coupling, values[coupling.first], values[coupling.second])
                 still.add(coupling.second)
                 changed = True
     for coupling in robot.couplings:
         ends = (coupling.first, coupling.second)
         if coupling.offset is None or not all(name in still and types.get(name) in ONE_COORDINATE for name in ends):
             continue
-        wanted = coupling.ratio * values[coupling.second] + coupling.offset
+        wanted = rise(coupling, values[coupling.second]) + coupling.offset
         if abs(values[coupling.first] - wanted) > 1e-9 * (1.0 + abs(wanted)):
             raise options.error(
                 ("lock", coupling.first),

@@ -141,9 +141,9 @@ class RobotJoint:
 
 @dataclass
 class Coupling:
-    """Linear relation of two joint coordinates: first = ratio * second + offset.
+    """Relation of two joint coordinates, first = offset + ratio second + a_2 second^2 + ...; see fields/curve.py.
 
-    offset : None: computed from the start values
+    offset : None: computed from the start values;  curve : (a_2, ...)
     """
 
     name: str
@@ -152,6 +152,7 @@ class Coupling:
     ratio: float
     offset: float | None
     line: int = 0
+    curve: tuple = ()
 
 
 @dataclass

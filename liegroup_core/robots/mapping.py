@@ -6,10 +6,11 @@ link without mass between two joints becomes a point mass far below the round-of
 the end of a chain, such a link does not influence the motion and is held in place.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from liegroup_core.fields.curve import counted_from, rise
 from liegroup_core.fields.values import NEGATIVE_ROUND_OFF, TRIANGLE_TOLERANCE
 
 from .actuators import add_drives
@@ -71,7 +72,7 @@ def scene_parts(robot, options):
     placed = place_links(robot, options, base, notes)
     lock = locked_joints(robot, options, values, notes) - kept_fixed_joints(robot, options)
     grouping = grouped(robot, options, base, joints, lock, values, notes)
-    closing, kept = grouping.place(values, options.velocities(robot), placed)
+    closing, kept = grouping.place(values, options.velocities(robot, values), placed)
     options.check_placed(placed, kept)
     cut_rotors(robot, grouping, closing)
     options.check_velocities({joint.name for joint in grouping.moving})
@@ -112,7 +113,12 @@ def scene_parts(robot, options):
     parts.frames = {
         link: (used[id(group)], group.places[link]) for link, group in grouping.of_link.items() if link != WORLD
     }
-    notes += _outside_limits(grouping.moving, values, switches[0])
+    outside = _outside_limits(grouping.moving, values, switches[0])
+    if outside:
+        notes.append(
+            f"changes the motion: start outside of the limits, which do not act: {listed(outside.values())}; "
+            "give start values"
+        )
     if not closing:  # with loops, joints move more inertia than stiffness_notes computes
         notes += stiffness_notes(grouping)
     moving = {joint.name for joint in grouping.moving}
@@ -123,7 +129,7 @@ def scene_parts(robot, options):
         renamed = [f"{file} is {name}" for (key, name), file in parts.names.items() if key == what and name != file]
         if renamed:
             notes.append(f"renamed {what}: {listed(renamed)}")
-    parts.notes = [*notes, *_left_out(robot, grouping, switches)]
+    parts.notes = [*notes, *_left_out(robot, grouping, switches, outside)]
     return parts
 
 
@@ -309,15 +315,17 @@ def _couplings(robot, grouping, parts, values, taken):
         number, second = len(parts.couplings), values[coupling.second]
         offset = coupling.offset
         if offset is None:
-            offset = values[coupling.first] - coupling.ratio * second
+            offset = values[coupling.first] - rise(coupling, second)
+        law = counted_from(replace(coupling, offset=offset), joints[coupling.second].turned(second))
         parts.couplings.append(
             {
                 "name": name,
                 "joint": in_scene[coupling.first],
                 "other": in_scene[coupling.second],
-                "ratio": coupling.ratio,
-                "offset": offset + coupling.ratio * joints[coupling.second].turned(second),
+                "ratio": law["ratio"],
+                "offset": law["offset"],
             }
+            | ({"curve": law["curve"]} if law["curve"] else {})
         )
         parts.lines["couplings", number] = coupling.line
         parts.comments["couplings", number] = (
@@ -378,8 +386,8 @@ def _lift(robot, grouping, parts, body_of, taken):
 
 
 def _outside_limits(joints, values, stops):
-    """Notes on joints that start outside their limits; values: {joint: coordinate}, stops: of joints that have them."""
-    found = []
+    """{joint that starts outside its limits: text}; values: {joint: coordinate}, stops: of joints that have them."""
+    found = {}
     for joint in joints:
         lower, upper = joint.data.get("lower", -np.inf), joint.data.get("upper", np.inf)
         if (
@@ -388,14 +396,17 @@ def _outside_limits(joints, values, stops):
             and not is_within(joint, values[joint.name])
             and joint.name not in stops
         ):
-            found.append(f"{joint.name} at {values[joint.name]:.6g} (from {lower:.6g} to {upper:.6g})")
-    if not found:
-        return []
-    return [f"changes the motion: start outside of the limits, which do not act: {', '.join(found)}; give start values"]
+            found[joint.name] = f"{joint.name} at {values[joint.name]:.6g} (from {lower:.6g} to {upper:.6g})"
+    return found
 
 
-def _left_out(robot, grouping, switches):
-    """Notes on omitted parts of the robot file; switches: see Options.with_switches."""
+def _is_point(joint):
+    """Whether the limits of a joint leave it no range."""
+    return joint.data.get("lower", -np.inf) == joint.data.get("upper", np.inf)
+
+
+def _left_out(robot, grouping, switches, outside):
+    """Notes on omitted parts of the robot file; switches: see Options.with_switches, outside: joints of other notes."""
     stops, friction = switches
     notes = []
     moving = {joint.name: joint for joint in grouping.moving}
@@ -405,10 +416,14 @@ def _left_out(robot, grouping, switches):
             f"changes the motion: no contact, {_counted(contacts)} without effect: bodies pass through each other"
         )
     for keys, text, acting in (
-        (("lower", "upper"), "joint limits are not enforced", stops),
+        (("lower", "upper"), "joint limits are not enforced", {*stops, *outside}),
         (("friction",), "joint friction is not simulated", friction),
     ):
-        names = [name for name, joint in moving.items() if set(keys) & joint.data.keys() and name not in acting]
+        names = [
+            f"{name} (both are {joint.data['upper']:.6g})" if "upper" in keys and _is_point(joint) else name
+            for name, joint in moving.items()
+            if set(keys) & joint.data.keys() and name not in acting
+        ]
         if names:
             notes.append(f"changes the motion: {text}: {listed(names)}")
     swapped = [

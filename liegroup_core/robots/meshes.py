@@ -7,6 +7,7 @@ import numpy as np
 import trimesh
 
 ROUND = 24  # facets of a cylinder's surface
+BOX = 12  # triangles of a box
 
 
 def triangles_of(order):
@@ -16,8 +17,8 @@ def triangles_of(order):
             as in robots.description.Visual; and most, the maximum number of triangles of the result
     shape : points, base64 of (k, 3) float32 in m, in the body's frame; faces, base64 of (m, 3) int32; at,
             size: centre and edges of their bounding box in the body's frame, m
-    A body whose triangles cannot be simplified far enough has no shape and is drawn as a box. lacks: name of
-    the package for simplification if it is not installed, else "".
+    A body whose triangles cannot be simplified far enough has its convex hull, or its bounding box. lacks: name of the
+    package for simplification if it is not installed, else "".
     """
     meshes, failed = {}, {}
     for body, kind, size, pose, path in order["shapes"]:
@@ -30,14 +31,14 @@ def triangles_of(order):
         mesh.apply_transform(np.array(pose))
         meshes.setdefault(body, []).append(mesh)
     whole = {body: trimesh.util.concatenate(parts) for body, parts in meshes.items()}
-    total, lacks = sum(len(mesh.faces) for mesh in whole.values()), ""
+    total, lacks, boxes = sum(len(mesh.faces) for mesh in whole.values()), "", 0
     if total > order["most"]:
-        whole, lacks = _decimated(whole, order["most"] / total)
+        whole, boxes, lacks = _decimated(whole, order["most"] / total)
     return {
         "shapes": {body: _packed(mesh) for body, mesh in whole.items()},
         "failed": failed,
         "triangles": total,
-        "boxes": len(meshes) - len(whole),
+        "boxes": boxes,
         "lacks": lacks,
     }
 
@@ -60,17 +61,21 @@ def _mesh(kind, size, path):
 
 
 def _decimated(meshes, part):
-    """({body: mesh} with at most this fraction of the triangles of each mesh, name of a missing package or "")."""
-    found, lacks = {}, ""
+    """({body: mesh} with about this fraction of the triangles, number of hulls and boxes, missing package)."""
+    found, coarse, lacks = {}, 0, ""
     for body, mesh in meshes.items():
-        most = int(part * len(mesh.faces))
+        most = max(int(part * len(mesh.faces)), BOX)
         try:
-            mesh = mesh.simplify_quadric_decimation(face_count=max(most, 4))
-        except ImportError as error:
-            mesh, lacks = None, error.name or "fast_simplification"
-        if mesh is not None and len(mesh.faces) <= most:
-            found[body] = mesh
-    return found, lacks
+            small = mesh.simplify_quadric_decimation(face_count=most)
+            if len(small.faces) > most:
+                coarse += 1
+                small = mesh.convex_hull.simplify_quadric_decimation(face_count=most)
+        except (ImportError, ValueError, RuntimeError) as error:  # a flat mesh has no hull
+            if isinstance(error, ImportError):
+                lacks, coarse = error.name or "fast_simplification", coarse + 1
+            small = mesh
+        found[body] = small if len(small.faces) <= most else trimesh.creation.box(bounds=mesh.bounds)
+    return found, coarse, lacks
 
 
 def _packed(mesh):

@@ -201,10 +201,9 @@ def _equalities(robot, model, names, lines):
             robot.leave_out("equality constraints that are not active", name)
         elif kind in ("connect", "weld") or equality.get("length", 0.0) > 0.0:
             robot.joints.append(_closing(robot, equality, names, line))
-        elif kind == "joint" and not any(data[2:5]) and equality["second"] >= 0:
-            robot.couplings.append(
-                Coupling(name, label[equality["first"]], label[equality["second"]], data[1], data[0], line)
-            )
+        elif kind == "joint" and equality["second"] >= 0:
+            ends = (label[equality[end]] for end in ("first", "second"))
+            robot.couplings.append(Coupling(name, *ends, data[1], data[0], line, tuple(np.trim_zeros(data[2:5], "b"))))
         elif kind == "joint" and equality["second"] < 0:
             robot.locked[label[equality["first"]]] = data[0]
         elif (relation := _relation(equality)) is not None:
@@ -214,8 +213,7 @@ def _equalities(robot, model, names, lines):
             else:
                 robot.couplings.append(Coupling(name, label[first], label[second], ratio, offset, line))
         else:
-            what = "of a quadratic law or more" if kind == "joint" else ""
-            robot.leave_out(f"equality constraints of {kind}s {what}".strip(), name, changes_motion=True)
+            robot.leave_out(f"equality constraints of {kind}s", name, changes_motion=True)
 
 
 def _relation(equality):

@@ -44,8 +44,9 @@ def read_sensors(robot, model, names, rotation, lines):
     labels = [joint["label"] for joint in model["joints"]]
     for sensor in others:
         joint = model["joints"][sensor["joint"]] if sensor["joint"] is not None else None
-        # With a ref, MuJoCo's joint position differs from the coordinate.
-        if joint and sensor["type"] == "jointpos" and sensor["plain"] and joint["zero"] == 0.0:
+        if joint and sensor["type"] == "jointpos" and sensor["plain"] and joint["zero"] != 0.0:
+            robot.leave_out("sensors", f"{sensor['name']}, whose angle MuJoCo counts from another zero, by ref")
+        elif joint and sensor["type"] == "jointpos" and sensor["plain"]:
             label = labels[sensor["joint"]]
             line = lines.get((sensor["type"], sensor["name"]), 0)
             robot.sensors.append(RobotSensor(sensor["name"], "encoder", line, joint=label))

@@ -2,11 +2,12 @@
 """Additions of a user to a robot: start values, locked joints, closing joints, forces."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from liegroup_core.errors import SceneError
+from liegroup_core.fields.curve import other_at, rise, slope
 from liegroup_core.fields.values import suggestion
 
 from .description import ONE_COORDINATE
@@ -98,15 +99,20 @@ class Options:
                 robot.remark(f'coordinates that a coupling moves in the pose "{self.pose}"', name)
         return found
 
-    def velocities(self, robot):
-        """{joint: velocity at the start}; refuses unknown joints and joints without exactly one coordinate."""
+    def velocities(self, robot, at):
+        """{joint: velocity at the start}; refuses unknown joints and joints without exactly one coordinate.
+
+        at : {joint: coordinate at the start}
+        """
         types = {joint.name: joint.type for joint in robot.joints}
         values = dict.fromkeys(types, 0.0) | robot.start_velocity
         values |= {name: value for name, value in robot.velocities.get(self.pose, {}).items() if name in types}
         several = {name: state[1] for name, state in self._several(robot, types).items()}
         given = self._given("start_velocity", types) | several
         of_pose = (robot.start_velocity.keys() | robot.velocities.get(self.pose, {}).keys()) - given.keys()
-        return _followed(robot.couplings, values | given, given, of_pose, rates=True)
+        # Rates follow as coordinates do, by the slopes.
+        slopes = [replace(each, ratio=slope(each, at[each.second]), offset=0.0, curve=()) for each in robot.couplings]
+        return _followed(slopes, values | given, given, of_pose)
 
     def _given(self, key, types):
         """{joint: number} of one of the additions."""
@@ -251,7 +257,7 @@ class Options:
         Two stops, or two joints at rest, would act at once on one motion. Joints that the user named keep theirs.
         """
         first, second, ratio = coupling.first, coupling.second, coupling.ratio
-        if not ratio or first == second or second in self.driven:
+        if not ratio or coupling.curve or first == second or second in self.driven:
             return
         rigid = [name not in self.stops and "stiffness" not in stops.get(name, {}) for name in (first, second)]
         if stops.get(first) and all(rigid):
@@ -293,14 +299,14 @@ def is_within(joint, value):
     return (lower is None or value >= lower - BEYOND) and (upper is None or value <= upper + BEYOND)
 
 
-def _followed(couplings, values, given, of_pose, rates=False):
+def _followed(couplings, values, given, of_pose):
     """Values of joints, with coupled values computed from the given ones or from the coupling's `second`.
 
-    values : {joint: coordinate, or velocity if `rates`}; given : names of joints that keep their value
+    values : {joint: coordinate or velocity}; given : names of joints that keep their value
     of_pose : names of joints that keep it unless a coupling with another value contradicts it
     """
     left = [entry for entry in couplings if {entry.first, entry.second} <= values.keys()]
-    left = [entry for entry in left if rates or entry.offset is not None]
+    left = [entry for entry in left if entry.offset is not None]
     known, fixed = {*given, *of_pose}, set(given)
     while left:
         # First couplings with a fixed joint, then with a known one; of these, those whose `second` follows no other.
@@ -309,11 +315,10 @@ def _followed(couplings, values, given, of_pose, rates=False):
         ready = ready or [e for e in left if {e.first, e.second} & known] or left
         entry = next((e for e in ready if e.second not in firsts), ready[0])
         left.remove(entry)
-        offset = 0.0 if rates else entry.offset
         if entry.first not in known or (entry.second in known and entry.first not in fixed):
-            values[entry.first] = entry.ratio * values[entry.second] + offset
-        elif entry.second not in fixed and entry.ratio:
-            values[entry.second] = (values[entry.first] - offset) / entry.ratio
+            values[entry.first] = rise(entry, values[entry.second]) + entry.offset
+        elif entry.second not in fixed and any((entry.ratio, *entry.curve)):
+            values[entry.second] = other_at(entry, values[entry.first], values[entry.second])
         known |= {entry.first, entry.second}
         fixed |= {entry.first, entry.second}
     return values

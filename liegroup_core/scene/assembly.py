@@ -79,7 +79,7 @@ def assembled(scene, kept=()):
     poses = linkage.nearest(linkage.start)
     if kept_coordinates and not linkage.is_closed(poses):
         linkage = Linkage(centred, frames, parts, joints, held, couplings)
-        poses = linkage.nearest(linkage.start)
+        poses = with_nearest_coordinates(linkage, poses, kept_coordinates)
         if linkage.is_closed(poses):
             scene = _with_moved_coordinates(scene, linkage, poses, kept_coordinates)
     if not linkage.is_closed(poses):
@@ -290,7 +290,7 @@ def cannot_close(linkage, poses):
         if off > max(sizes):
             return SceneError(
                 f"couplings[{i}]: cannot be assembled, it remains violated by {off:.3g}; correct "
-                "ratio or offset, or start from other poses",
+                "ratio, curve or offset, or start from other poses",
                 ("couplings", i),
             )
     k = int(np.argmax(sizes))
@@ -299,12 +299,38 @@ def cannot_close(linkage, poses):
     if wanted is not None:
         apart = np.linalg.norm(linkage.relative(k, poses)[:3, 3])
         length = f": its length is {wanted:.6g} m, the nearest possible one {apart:.6g} m"
+    ends = {name for each in linkage.joints for name in (each.parent, each.child)} - {WORLD}
+    advice = (
+        (gap > OPEN * linkage.length, "check the lengths"),
+        (tilt > OPEN, "check the axes in both frames"),
+        (True, "start from poses closer to the assembled ones"),
+        (not ends <= linkage.place.keys(), "fix fewer bodies"),
+    )
     return SceneError(
         f'joints[{j}] "{joint.name}": cannot be assembled, the remaining '
-        f"constraint violation is {gap:.3g} m and {tilt:.3g} rad{length}; check the lengths, "
-        "start from poses closer to the assembled ones, or fix fewer bodies",
+        f"constraint violation is {gap:.3g} m and {tilt:.3g} rad{length}; "
+        + ", or ".join(text for applies, text in advice if applies),
         ("joints", j),
     )
+
+
+def with_nearest_coordinates(linkage, tried, entries):
+    """Poses that satisfy the joints of a linkage, with coordinates near those of entries; not closed if none are found.
+
+    tried   : poses with these coordinates, which do not satisfy the joints; found from them or from the start
+    entries : ResolvedCoupling of each given coordinate
+    """
+    found = linkage.nearest(linkage.start), linkage.nearest(tried)
+
+    def off(poses):
+        return max(abs(linkage.coupling_gap(entry, poses)) / _unit(linkage, entry.joint) for entry in entries)
+
+    return min((poses for poses in found if linkage.is_closed(poses)), key=off, default=found[0])
+
+
+def _unit(linkage, j):
+    """Unit of the coordinate of a joint of a linkage: rad, or its length."""
+    return 1.0 if turns(linkage.joints[j]) else linkage.length
 
 
 def _with_moved_coordinates(scene, linkage, poses, entries):
@@ -316,8 +342,7 @@ def _with_moved_coordinates(scene, linkage, poses, entries):
     """
     off = {entry.joint: linkage.coupling_gap(entry, poses) for entry in entries}
     given = {entry.joint: entry.offset for entry in entries}
-    unit = {j: 1.0 if turns(linkage.joints[j]) else linkage.length for j in off}
-    if any(abs(off[j]) > COORDINATE_ROUNDING * unit[j] for j in off):
+    if any(abs(off[j]) > COORDINATE_ROUNDING * _unit(linkage, j) for j in off):
         raise not_kept(linkage, poses, entries)
     moved = ", ".join(
         f"{linkage.joints[j].name} by {off[j]:.3g} {'rad' if turns(linkage.joints[j]) else 'm'} to "
@@ -333,7 +358,10 @@ def not_kept(linkage, poses, entries):
     off = {entry.joint: linkage.coupling_gap(entry, poses) for entry in entries}
     given = {entry.joint: entry.offset for entry in entries}
     k = max(off, key=lambda each: abs(off[each]))
-    nearest = ", ".join(f"{linkage.joints[i].name} {given[i] + off[i]:.12g}" for i in off)
+    # Ten times finer than what `place` accepts (rearrange.ROUNDED); finer ones are round-off.
+    rounding = {i: 1e-7 * _unit(linkage, i) for i in off}
+    near = {i: round((given[i] + off[i]) / rounding[i]) * rounding[i] for i in off}
+    nearest = ", ".join(f"{linkage.joints[i].name} {value:.9g}" for i, value in near.items())
     j = linkage.numbers[k]
     return SceneError(
         f'joints[{j}] "{linkage.joints[k].name}": no pose near the start satisfies all joints with the '

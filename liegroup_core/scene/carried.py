@@ -8,6 +8,7 @@ rearrange.py finds the nearest consistent state.
 
 import numpy as np
 
+from liegroup_core.fields.curve import other_at, rise
 from liegroup_core.joints.coupling import coordinate, turns
 from liegroup_core.joints.kinds import TYPES
 from liegroup_core.joints.linkage import inverse
@@ -33,15 +34,18 @@ def coordinates_at(scene, frames, poses, numbers, near):
 
 
 def with_coupled(couplings, values):
-    """{j: value} extended to the joints coupled to them; values: changes of coordinates, or rates."""
+    """{j: value} extended to the joints coupled to them; values: changes of coordinates, or rates.
+
+    couplings : counted from the present coordinates, see `counted_from`; for rates without their curves
+    """
     values, before = dict(values), -1
     while len(values) != before:
         before = len(values)
         for entry in couplings:
             if entry.other in values and entry.joint not in values:
-                values[entry.joint] = entry.ratio * values[entry.other]
-            elif entry.joint in values and entry.other not in values and entry.ratio:
-                values[entry.other] = values[entry.joint] / entry.ratio
+                values[entry.joint] = rise(entry, values[entry.other])
+            elif entry.joint in values and entry.other not in values and any((entry.ratio, *entry.curve)):
+                values[entry.other] = other_at(entry._replace(offset=0.0), values[entry.joint], 0.0)
     return values
 
 

@@ -11,12 +11,14 @@ with A the rows of the velocities that the joint forbids. The chapter's index-1 
 only if they hold initially. Plain NumPy, once per scene.
 """
 
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
 from liegroup_core.errors import SceneError
-from liegroup_core.joints.coupling import coordinate, gap, rate_row, turns
+from liegroup_core.fields.curve import rise, slope
+from liegroup_core.joints.coupling import coordinate, difference, gap, rate_row, turns
 from liegroup_core.joints.kinds import forbidden_rows, position_residual
 from liegroup_core.joints.motion import prescribed
 from liegroup_core.joints.stops import BACKLASH, DISTANCE
@@ -73,7 +75,7 @@ def resolve_elements(scene):
 
 
 class ResolvedCoupling(NamedTuple):
-    """Coupling with its numbers: indices of both joints, ratio, offset; see joints/coupling.py.
+    """Coupling with its numbers: indices of both joints, ratio, offset, curve; see joints/coupling.py.
 
     If both are the same joint and the ratio is 0, the coordinate of this joint alone is given.
     """
@@ -82,6 +84,7 @@ class ResolvedCoupling(NamedTuple):
     other: int
     ratio: float
     offset: float
+    curve: tuple = ()
 
     @property
     def is_given(self):
@@ -101,9 +104,9 @@ def resolve_couplings(scene):
     for coupling, values in zip(scene.couplings, _coupled_coordinates(scene)):
         offset = coupling.offset
         if offset is None:
-            offset = values[0] - coupling.ratio * values[1]
+            offset = values[0] - rise(coupling, values[1])
         joints = index[coupling.joint], index[coupling.other]
-        found.append(ResolvedCoupling(*joints, coupling.ratio, offset))
+        found.append(ResolvedCoupling(*joints, coupling.ratio, offset, coupling.curve))
     return found
 
 
@@ -197,15 +200,15 @@ def _check_couplings(scene, start):
         for joint, pair in zip(ends, (frames[found.joint], frames[found.other])):
             rates.append(_rate(start, joint, *pair))
         first, second = values
-        off = gap(first, second, found.ratio, found.offset, turns(ends[0]))
-        slip = rates[0] - found.ratio * rates[1]
-        size = 1.0 + abs(first) + abs(found.ratio * second) + abs(found.offset)
+        off = gap(found, first, second, turns(ends[0]))
+        slip = rates[0] - slope(found, second) * rates[1]
+        size = 1.0 + abs(first) + abs(rise(found, second)) + abs(found.offset)
         if abs(off) > TOLERANCE * size or abs(slip) > TOLERANCE * (size + np.abs(rates).max()):
             unit = "rad" if turns(ends[0]) else "m"
             raise SceneError(
                 f'couplings[{i}] "{scene.couplings[i].name}": is violated at the start by {off:.3g} '
                 f"{unit} and {slip:.3g} {unit}/s: {ends[0].name} is at {first:.9g}, {ends[1].name} at "
-                f"{second:.9g}; correct ratio, offset or the start values, or omit offset",
+                f"{second:.9g}; correct ratio, curve, offset or the start values, or omit offset",
                 place=("couplings", i),
             )
 
@@ -216,7 +219,7 @@ def _check_drives(scene, start):
     for j, rows in resolve_drives(scene).items():
         joint = scene.joints[j]
         q, v = joint_state(start, joint, *frames[j])
-        off, slip = gap(q, rows[0, 1], 1.0, 0.0, turns(joint)), v - rows[0, 2]
+        off, slip = difference(q, rows[0, 1], turns(joint)), v - rows[0, 2]
         size = 1.0 + abs(q) + abs(rows[0, 1])
         if abs(off) > TOLERANCE * size or abs(slip) > TOLERANCE * (size + abs(v)):
             unit = "rad" if turns(joint) else "m"
@@ -228,10 +231,11 @@ def _check_drives(scene, start):
             )
 
 
-def switch_coordinates(scene, start, frames):
+def switch_coordinates(scene, start, frames, angles=MappingProxyType({})):
     """[(Switch, its coordinate)] at poses, rad or m; angles about z are unwrapped to the turn of the stops.
 
-    start : {name: (pose (4, 4), twist (6,))} of the bodies and the world;  frames : of `resolve_frames`
+    start  : {name: (pose (4, 4), twist (6,))} of the bodies and the world;  frames : of `resolve_frames`
+    angles : {joint: rad} near which the angle of the other joint of a coupling is; else it is in (-pi, pi]
     """
     couplings, found = resolve_couplings(scene), []
     for switch in switches_of(scene):
@@ -245,7 +249,9 @@ def switch_coordinates(scene, start, frames):
         first, second = (
             coordinate(joint, _relative(start, joint, *frames[j])) for joint, j in zip(ends, (entry.joint, entry.other))
         )
-        found.append((switch, gap(first, second, entry.ratio, entry.offset, turns(ends[0]))))
+        near = angles.get(ends[1].name, second)
+        second = near + difference(second, near, turns(ends[1]))
+        found.append((switch, gap(entry, first, second, turns(ends[0]))))
     return found
 
 

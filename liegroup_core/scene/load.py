@@ -6,6 +6,7 @@
 A robot file (URDF, SDF, MJCF, or YAML with the key robot) is first converted to the text of a scene.
 """
 
+import math
 import os
 import sys
 from pathlib import Path
@@ -108,13 +109,34 @@ def _made(text, values, where, robot, source, complete):
     """Scene of a text with these values; where: Lines, or an object with its methods."""
     try:
         scene = Scene(**values)
+        doubts = list(_doubtful_angles(scene)) if complete else []
         scene = assembled(scene) if complete else scene
+        scene = scene.remade(notes=[*scene.notes, *doubts]) if doubts else scene
         scene._text, scene._source, scene._where, scene._robot = text, source, where, robot
         if complete:
             check_consistency(scene)
     except SceneError as error:
         raise where.located(error) from None
     return scene
+
+
+def _doubtful_angles(scene):
+    """Notes on angles of joints that look like degrees: more than two turns, and at most 360."""
+    for joint in scene.joints:
+        if joint.type != "revolute":
+            continue
+        limits = joint.limits
+        for what, value in (
+            ("coordinate", getattr(joint, "coordinate", None)),
+            ("lower limit", getattr(limits, "lower", None)),
+            ("upper limit", getattr(limits, "upper", None)),
+        ):
+            if value is not None and 4.0 * math.pi < abs(value) <= 360.0:
+                turns = abs(value) / (2.0 * math.pi)
+                yield (
+                    f"{what} of joint {joint.name}: {value:g} rad are {turns:.3g} turns; if these are degrees, write "
+                    f"{math.radians(value):.6g}"
+                )
 
 
 def find_scene(name_or_path: str | os.PathLike[str]) -> Path:

@@ -13,12 +13,13 @@ precision and printed numbers have lost digits.
 import numpy as np
 
 from liegroup_core.errors import SceneError
+from liegroup_core.fields.curve import counted_from, rise
 from liegroup_core.joints.coupling import rate_row, turns
 from liegroup_core.joints.linkage import Linkage
 from liegroup_core.lie.groups import within_a_turn
 from liegroup_core.threads import one_blas_thread
 
-from .assembly import cannot_close, consistent_velocities, not_kept
+from .assembly import cannot_close, consistent_velocities, not_kept, with_nearest_coordinates
 from .carried import carried, coordinates_at, with_coupled
 from .centres import pose_matrix
 from .consistency import ResolvedCoupling, resolve_elements, resolve_frames, rigid_couplings
@@ -103,18 +104,20 @@ def _at_once(scene, pose, twist, poses, twists, joints, angles, driven):
     near = {number[name]: angle for name, angle in angles.items()}
     # The turns of a coupled joint follow from the turns of the other joint.
     others = coordinates_at(scene, frames, before[0], {entry.other for entry in couplings}, near)
-    near = {e.joint: e.ratio * others[e.other] + e.offset for e in couplings} | near
+    near = {e.joint: rise(e, others[e.other]) + e.offset for e in couplings} | near
     wanted, rates = ({number[name]: pair[k] for name, pair in joints.items() if pair[k] is not None} for k in (0, 1))
     if joints:
         now = coordinates_at(scene, frames, before[0], wanted, near)
-        changes = with_coupled(couplings, {j: wanted[j] - now[j] for j in wanted})
+        local = [e._replace(**counted_from(e, others[e.other])) for e in couplings]
+        changes = with_coupled(local, {j: wanted[j] - now[j] for j in wanted})
+        local = [e._replace(**counted_from(e, changes.get(e.other, 0.0)) | {"curve": ()}) for e in local]
         near |= {j: near[j] + change for j, change in changes.items() if j in near}
-        start, given = carried(scene, frames, before, set_parts, changes, with_coupled(couplings, rates))
+        start, given = carried(scene, frames, before, set_parts, changes, with_coupled(local, rates))
     ends = {end for j in (*wanted, *rates) for end in (scene.joints[j].parent, scene.joints[j].child)}
     everything = range(len(scene.joints))
     bodies = {*poses, *twists, *ends} - {WORLD}
     numbers = everything if couplings else _connected(scene.joints, bodies)
-    couplings = _counted_from(scene, frames, start, couplings, near)
+    couplings = counted_couplings(scene, frames, start, couplings, near)
     # A prescribed coordinate is a coupling of ratio 0.
     at = {j: i for i, j in enumerate(numbers)}
     kept = [ResolvedCoupling(at[j], at[j], 0.0, value) for j, value in wanted.items()]
@@ -138,7 +141,7 @@ def _at_once(scene, pose, twist, poses, twists, joints, angles, driven):
     return pose, twist, {scene.joints[j].name: angle for j, angle in near.items()}
 
 
-def _counted_from(scene, frames, poses, couplings, near):
+def counted_couplings(scene, frames, poses, couplings, near):
     """Couplings with offsets that refer to angles of the other joint in (-pi, pi] at these poses.
 
     near : {j: rad} approximate unwrapped angles, within half a turn
@@ -147,7 +150,7 @@ def _counted_from(scene, frames, poses, couplings, near):
     others = {entry.other for entry in counted}
     principal, unwrapped = (coordinates_at(scene, frames, poses, others, angles) for angles in ({}, near))
     return [
-        entry._replace(offset=entry.offset + entry.ratio * (unwrapped[entry.other] - principal[entry.other]))
+        entry._replace(**counted_from(entry, unwrapped[entry.other] - principal[entry.other]))
         if entry in counted
         else entry
         for entry in couplings
@@ -180,7 +183,7 @@ def _closed(linked, free, start, given, kept):
         return rounded
     if kept:
         without = linked(given.keys())
-        nearest = without.nearest(start)
+        nearest = with_nearest_coordinates(without, found, kept)
         if without.is_closed(nearest):
             raise not_kept(without, nearest, kept)
         held, found = without, nearest

@@ -105,6 +105,16 @@ def print_facts(facts, console):
         console.print(table)
 
 
+def _polynomial(entry):
+    """Text of the terms of a coupling in the coordinate of its other joint."""
+    q = entry["other"]
+    return " + ".join([f"{entry['ratio']:.6g} {q}", *(f"{a:.6g} {q}^{k}" for k, a in enumerate(entry["curve"], 2))])
+
+
+def _unit(joint):
+    return "kg" if joint["type"] == "prismatic" else "kg m^2"
+
+
 def sections(facts):
     """Tables of a description: [(title, [(quantity, value, remark)])]."""
     return [
@@ -119,6 +129,7 @@ def sections(facts):
                     joint["type"],
                     f"{joint['parent']} - {joint['child']}"
                     + (", driven" if joint["driven"] else "")
+                    + (f", rotor {joint['rotor']:.6g} {_unit(joint)}" if joint["rotor"] else "")
                     + (f", eliminated: {' '.join(joint['dropped'])}" if joint["dropped"] else ""),
                 )
                 for joint in facts["joints"]
@@ -128,7 +139,7 @@ def sections(facts):
         (
             "Couplings",
             [
-                (entry["name"], entry["joint"], f"= {entry['ratio']:.6g} {entry['other']} + {entry['offset']:.6g}")
+                (entry["name"], entry["joint"], f"= {_polynomial(entry)} + {entry['offset']:.6g}")
                 for entry in facts["couplings"]
             ],
         ),

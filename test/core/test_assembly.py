@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Assembly: constraints are satisfied at position and velocity level, impossible scenes refused."""
 
+import math
 import re
 
 import mechanisms
@@ -350,6 +351,47 @@ joints:
     text = text.replace("CRANK0", crank.format("a", "left", 0)).replace("CRANK1", crank.format("b", "right", 1))
     with pytest.raises(SceneError, match=r'"rod": .*: its length is 0\.3 m, the nearest possible one 0\.5 m'):
         scene_from_text(text)
+
+
+SLIDER_CRANK = """name: crank
+gravity: [0, 0, 0]
+assemble: true
+bodies:
+  - {{name: crank, mass: 1, inertia: [1, 1, 1]}}
+  - {{name: rod, mass: 1, inertia: [1, 1, 1], position: [0.2, 0, 0]}}
+  - {{name: slider, mass: 1, inertia: [1, 1, 1], position: [{length}, 0, 0]}}
+joints:
+  - {{name: main, type: revolute, parent: world, child: crank, parent_frame: {{axis: [0, 1, 0]}},
+     child_frame: {{axis: [0, 1, 0]}}, coordinate: {angle}}}
+  - {{name: big, type: revolute, parent: crank, child: rod, parent_frame: {{position: [0.2, 0, 0], axis: [0, 1, 0]}},
+     child_frame: {{axis: [0, 1, 0]}}}}
+  - {{name: small, type: revolute, parent: rod, child: slider, parent_frame: {{position: [{rod}, 0, 0]{axis}}},
+     child_frame: {{axis: [0, 1, 0]}}}}
+  - {{name: guide, type: prismatic, parent: world, child: slider, parent_frame: {{axis: [1, 0, 0]}},
+     child_frame: {{axis: [1, 0, 0]}}}}
+"""
+
+
+def test_the_nearest_coordinate_of_a_rod_that_is_too_short_assembles():
+    """A crank of 0.2 m and a rod of 0.1 m on the line of the slider turn to asin(0.1 / 0.2) = pi / 6.
+
+    Assembly accepts a coordinate that is off by up to 1e-3 rad, and so is the proposed one.
+    """
+    dead = {"rod": 0.1, "length": 0.3, "axis": ", axis: [0, 1, 0]"}
+    with pytest.raises(SceneError, match="the nearest ones: main -0.52") as caught:
+        scene_from_text(SLIDER_CRANK.format(**dead, angle=-0.6))
+    near = float(str(caught.value).rpartition("main ")[2])
+    assert near == pytest.approx(-math.pi / 6.0, abs=1e-3)
+    scene_from_text(SLIDER_CRANK.format(**dead, angle=near))
+
+
+def test_a_forgotten_axis_is_said_without_lengths():
+    text = SLIDER_CRANK.format(rod=0.5, length=0.7, angle=-0.6, axis="")
+    with pytest.raises(SceneError, match='"small": cannot be assembled') as caught:
+        scene_from_text(text)
+    assert str(caught.value).endswith(
+        "; check the axes in both frames, or start from poses closer to the assembled ones"
+    )
 
 
 def test_an_assembly_error_names_the_line_in_the_file():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Couplings of joints: gears, racks, screws; turns, assembly, redundancy, errors.
+"""Couplings of joints: gears, racks, screws, cams; turns, assembly, redundancy, errors.
 
 Accelerations of random coupled mechanisms: test_relative_accelerations.py, class "couplings".
 """
@@ -11,6 +11,7 @@ import sys
 
 import numpy as np
 import pytest
+from numpy.polynomial import Polynomial
 from scipy.integrate import solve_ivp
 
 from liegroup_core import SceneError, Simulation, SimulationError
@@ -74,6 +75,67 @@ joints:
 couplings:
   - {name: mesh, joint: b, other: a, ratio: 0.5, offset: 0.2}
 """
+# A lever, or a sled, that lifts a follower on a spring along its profile.
+CAM = """
+name: cam
+gravity: [0, 0, -9.81]
+assemble: true
+bodies:
+  - {{name: lever, mass: 1.5, inertia: [0.02, 0.03, 0.025], com: [0.1, 0, 0]}}
+  - {{name: follower, mass: 0.8, inertia: [0.01, 0.01, 0.01], position: [1, 0, 0]}}
+joints:
+  - {{name: lift, type: prismatic, parent: world, child: follower, parent_frame: {{position: [1, 0, 0]}},
+     child_frame: {{}}}}
+  - {{name: ja, type: {kind}, parent: world, child: lever, parent_frame: {{axis: [0, 1, 0]}},
+     child_frame: {{axis: [0, 1, 0]}}, coordinate: 0.6, rate: 1.2}}
+couplings:
+  - {{name: profile, joint: lift, other: ja, ratio: 0.1, offset: 0.05, curve: {curve}}}
+forces:
+  - {{name: spring, type: linear_spring_damper, joint: lift, stiffness: 30, rest_position: -0.1, damping: 0}}
+"""
+# The second of three slides follows the square of the first, the third that of the second; both say x^4.
+POWERS = """
+name: powers
+gravity: [0, 0, 0]
+bodies:
+  - {name: a, mass: 1, inertia: [0.1, 0.1, 0.2], position: [0.5, 0, 0], linear_velocity: [1, 0, 0]}
+  - {name: b, mass: 1, inertia: [0.1, 0.1, 0.2], position: [0.25, 0, 0], linear_velocity: [1, 0, 0]}
+  - {name: c, mass: 1, inertia: [0.1, 0.1, 0.2], position: [0.0625, 0, 0], linear_velocity: [0.5, 0, 0]}
+joints:
+  - {name: x, type: prismatic, parent: world, child: a, parent_frame: &x {axis: [1, 0, 0]}, child_frame: *x}
+  - {name: y, type: prismatic, parent: world, child: b, parent_frame: *x, child_frame: *x}
+  - {name: z, type: prismatic, parent: world, child: c, parent_frame: *x, child_frame: *x}
+couplings:
+  - {name: xy, joint: y, other: x, ratio: 0, curve: [1], offset: 0}
+  - {name: yz, joint: z, other: y, ratio: 0, curve: [1]}
+  - {name: xz, joint: z, other: x, ratio: 0, curve: [0, 0, 1]}
+"""
+QUADRATIC, QUARTIC = [0.2], [0.2, -0.05, 0.03]
+
+
+def cam(kind, curve):
+    return scene_from_text(CAM.format(kind=kind, curve=curve))
+
+
+def cam_motion(kind, curve, time):
+    """(q, rate, force on the follower) of a cam: Lagrange's equation of q, with x = p(q) for the follower.
+
+    (I + m p'^2) q'' + m p' p'' q'^2 = Q - (m g + k (x + 0.1)) p'
+    """
+    p, own = Polynomial([0.05, 0.1, *curve]), 0.045 if kind == "revolute" else 1.5
+    d, dd = p.deriv(), p.deriv(2)
+
+    def load(q):
+        return 0.8 * 9.81 + 30 * (p(q) + 0.1)
+
+    def acceleration(q, v):
+        torque = 1.5 * 9.81 * 0.1 * math.cos(q) if kind == "revolute" else 0.0
+        return (torque - 0.8 * d(q) * dd(q) * v**2 - load(q) * d(q)) / (own + 0.8 * d(q) ** 2)
+
+    q, v = solve_ivp(
+        lambda _, y: [y[1], acceleration(*y)], (0.0, time), [0.6, 1.2], "DOP853", rtol=1e-12, atol=1e-13
+    ).y[:, -1]
+    return q, v, load(q) + 0.8 * (d(q) * acceleration(q, v) + dd(q) * v**2)
 
 
 def two_pendulums(ratio, bolt=False):
@@ -117,7 +179,7 @@ def relation(simulation):
     """Violations of all couplings, by the joint coordinates of a sample."""
     q = simulation.sample().joint_coordinates
     return [
-        q[found["joint"]][0] - found["ratio"] * q[found["other"]][0] - found["offset"]
+        q[found["joint"]][0] - Polynomial([found["offset"], found["ratio"], *found["curve"]])(q[found["other"]][0])
         for found in describe(simulation.layout)["couplings"]
     ]
 
@@ -156,7 +218,7 @@ def test_a_pinion_drives_its_rack(axis, first):
     assert q["rail"][0] == pytest.approx(way * angle, abs=1000 * 200 * EPS)
 
 
-@pytest.mark.parametrize("bolt", [False, True])
+@pytest.mark.parametrize("case", ["hinges", "bolt", "cam", "sled"])
 @pytest.mark.parametrize(
     "method, order",
     [
@@ -168,17 +230,23 @@ def test_a_pinion_drives_its_rack(axis, first):
         ("constrained_rattle4", 4),
     ],
 )
-def test_coupled_pendulums_move_at_the_order_of_the_method(method, order, bolt):
-    """In space, against one equation of motion that knows no joint."""
-    exact = pendulum_motion(-1.7, 1.0, bolt)
+def test_coupled_bodies_move_at_the_order_of_the_method(method, order, case):
+    """Pendulums in space and cams, against one equation of motion that knows no joint; of cams also the force."""
+    if case in ("hinges", "bolt"):
+        scene, exact = two_pendulums(-1.7, case == "bolt"), pendulum_motion(-1.7, 1.0, case == "bolt")
+    else:
+        kind, curve = ("revolute", QUARTIC) if case == "cam" else ("prismatic", QUADRATIC)
+        scene, exact = cam(kind, curve), cam_motion(kind, curve, 1.0)
     errors, steps = [], np.array([0.02, 0.01, 0.005])
     for step in steps:
-        simulation = Simulation(two_pendulums(-1.7, bolt), method, step)
+        simulation = Simulation(scene, method, step)
         simulation.advance(round(1.0 / step))
-        errors.append(np.abs(np.subtract(simulation.sample().joint_coordinates["ja"], exact)).max())
+        sample = simulation.sample()
+        found = [*sample.joint_coordinates["ja"], *(sample.reactions["lift"][5:] if len(exact) == 3 else ())]
+        errors.append(np.abs(np.subtract(found, exact)).max())
     slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
     assert order - 0.2 < slope < order + 0.6
-    assert errors[-1] < 1e-2
+    assert errors[-1] < 1e-2 * max(1.0, np.abs(exact).max())
 
 
 def test_a_coupling_does_not_drift():
@@ -191,6 +259,47 @@ def test_a_coupling_does_not_drift():
     assert simulation.stabilisation == "none" and not simulation.layout.drifts("relative")
     simulation.advance(100_000)
     assert np.abs(relation(simulation)).max() < 1e5**0.5 * 10 * EPS * 100
+
+
+def test_a_cam_is_projected():
+    """Its row drifts; projection keeps it, and the energy up to the error of rkmk8 at 1 ms, below round-off.
+
+    Round-off of the energy: a random walk of 2e4 steps of terms of 20 J.
+    """
+    free, kept = (
+        Simulation(cam("revolute", QUARTIC), m, 1e-3, stabilisation=s)
+        for m, s in (("rkmk2", "none"), ("rkmk8", "projection"))
+    )
+    assert kept.layout.drifts("relative") and Simulation(cam("revolute", QUARTIC)).stabilisation == "projection"
+    before = kept.sample().energy
+    for run in (free, kept):
+        run.advance(20_000)
+    assert abs(relation(free)[0]) > 1e-7
+    assert abs(relation(kept)[0]) < 16 * EPS
+    assert abs(kept.sample().energy - before) < 20_000**0.5 * 20 * EPS * 10
+
+
+def test_turns_of_a_cam_are_counted_and_follow_in_both_directions():
+    """A wheel of 24 rad and another by a cubic law: projected, placed, restored; the energy gives the rate."""
+    text = WHEELS.replace("ratio: -0.7", "ratio: -0.7, curve: [0.003, -0.0001]").split("forces:")[0]
+    scene = scene_from_text(text.replace("0, 2]", "0, 6]").replace("-1.4]", "-4.2]"))
+    p = Polynomial([0, -0.7, 0.003, -0.0001])
+    simulation = Simulation(scene, "rkmk8", 1e-2, stabilisation="projection")
+    simulation.advance(400)
+    (q, v), (second, rate) = (simulation.sample().joint_coordinates[name] for name in ("ja", "jb"))
+    slope = p.deriv()(q)
+    assert q > 7 * math.pi
+    assert (second, rate) == pytest.approx((p(q), slope * v), abs=1e-13)
+    assert v**2 * (0.3 + 0.5 * slope**2) == pytest.approx(36 * (0.3 + 0.5 * 0.7**2), abs=1e-11)
+    again = Simulation(scene, "rkmk8", 1e-2, stabilisation="projection")
+    again.restore(simulation.snapshot())
+    for run in (simulation, again):
+        run.advance(10)
+    assert again.state()[0].tobytes() == simulation.state()[0].tobytes()
+    simulation.place(joints={"ja": (30.0, 1.0)})
+    assert simulation.sample().joint_coordinates["jb"] == pytest.approx((p(30), p.deriv()(30)), abs=1e-12)
+    simulation.place(joints={"jb": (p(31), 1.0)})
+    assert simulation.sample().joint_coordinates["ja"] == pytest.approx((31, 1 / p.deriv()(31)), abs=1e-12)
 
 
 def test_turns_are_counted_at_any_ratio():
@@ -238,8 +347,15 @@ def test_a_geared_five_bar_keeps_energy_and_closes(method):
 
 @pytest.mark.parametrize(
     "scene",
-    [two_pendulums(-1.7), two_pendulums(0.4, bolt=True), scene_from_text(FIVE_BAR), scene_from_text(WHEELS)],
-    ids=["pendulums", "bolt", "five_bar", "wheels"],
+    [
+        two_pendulums(-1.7),
+        two_pendulums(0.4, bolt=True),
+        scene_from_text(FIVE_BAR),
+        scene_from_text(FIVE_BAR.replace("ratio: 0.5", "ratio: 0.3, curve: [0.05, 0.01]")),
+        scene_from_text(WHEELS),
+        cam("revolute", QUARTIC),
+    ],
+    ids=["pendulums", "bolt", "five_bar", "five_bar_with_cam", "wheels", "cam"],
 )
 def test_coupled_motions_are_those_of_the_classical_formulation(scene):
     """All coordinates of all bodies, with integrated angles; its tolerance is 1e-13."""
@@ -257,6 +373,25 @@ def test_assembly_satisfies_couplings():
     q = make_layout(scene).sample(*_start(scene)).joint_coordinates
     assert q["b"][0] - 0.5 * q["a"][0] == pytest.approx(0.2, abs=1e-14)
     assert (q["a"][1], q["b"][1]) == pytest.approx((3.0, 1.5), abs=1e-13)
+
+
+def test_assembly_satisfies_curves():
+    """The lever follows a given height of its follower; a height below the profile gives the nearest one."""
+    text = CAM.format(kind="revolute", curve=QUADRATIC).replace(", coordinate: 0.6, rate: 1.2", "")
+    text = text.replace("child_frame: {}}", "child_frame: {}, coordinate: 0.3, rate: 0.5}")
+    q = make_layout(scene_from_text(text)).sample(*_start(scene_from_text(text))).joint_coordinates
+    root = (-0.1 + math.sqrt(0.01 + 0.8 * 0.25)) / 0.4
+    assert q["ja"] == pytest.approx((root, 0.5 / (0.1 + 0.4 * root)), abs=1e-13)
+    # The least height of 0.05 + 0.1 q + 0.2 q^2 is at q = -1/4.
+    with pytest.raises(SceneError, match="with the coordinate -0.5; .* nearest ones: lift 0.0375"):
+        make_layout(scene_from_text(text.replace("coordinate: 0.3, rate: 0.5", "coordinate: -0.5")))
+
+
+def test_a_follower_cannot_be_driven_below_its_profile():
+    text = CAM.format(kind="revolute", curve=QUADRATIC).replace("name: lift,", "name: lift, driven: true,", 1)
+    simulation = Simulation(scene_from_text(text.replace("rate: 1.2", "rate: -0.5")), "rkmk4", 2e-3, quiet=True)
+    with pytest.raises(SimulationError, match="beyond their reach: 'lift' at 0.037"):
+        simulation.advance(1000)
 
 
 def _start(scene):
@@ -286,6 +421,19 @@ def test_redundant_couplings_are_eliminated():
     assert np.abs(relation(simulation)).max() < 100 * 16 * EPS
 
 
+def test_redundant_cams_are_eliminated():
+    """Of x^2, y^2 and x^4 one follows from the others where they hold, also of 2 y and 2 x^2; the energy is kept."""
+    with_gear = POWERS.replace("other: y, ratio: 0, curve: [1]", "other: y, ratio: 2")
+    with_gear = with_gear.replace("[0.0625", "[0.5").replace("[0.5, 0, 0]}\njoints", "[2, 0, 0]}\njoints")
+    assert len(make_layout(scene_from_text(with_gear.replace("[0, 0, 1]", "[2]"))).relative.couplings) == 2
+    simulation = Simulation(scene_from_text(POWERS), "rkmk8", 1e-2, stabilisation="projection")
+    assert len(simulation.layout.relative.couplings) == 2
+    simulation.advance(50)
+    (x, v), (y, _), (z, rate) = (simulation.sample().joint_coordinates[name] for name in "xyz")
+    assert (y, z, rate) == pytest.approx((x**2, x**4, 4 * x**3 * v), abs=1e-14)
+    assert v**2 * (1 + 4 * x**2 + 16 * x**6) == pytest.approx(1 + 1 + 0.25, abs=1e-12)
+
+
 def test_coupled_joints_are_in_the_tree():
     """Whatever is the better cut otherwise: here the coupled joint is the last one of the loop."""
     text = FIVE_BAR.replace("joint: b, other: a, ratio: 0.5, offset: 0.2", "joint: e, other: a, ratio: 0.5")
@@ -310,6 +458,9 @@ def test_momentum_is_not_said_to_be_kept():
         ("ratio: -0.7", "ratio: -0.8", "violated at the start by .* rad/s"),
         ("ratio: -0.7", "ratio: -0.7, offset: 0.3", "violated at the start by -0.3 rad"),
         ("ratio: -0.7", "ratio: .nan", "ratio must be"),
+        ("ratio: -0.7", "ratio: -0.7, offset: 0, curve: [0, .inf]", r"curve\[1\] must be finite"),
+        ("ratio: -0.7", "ratio: -0.7, curve: [1, 2, 3, 4]", r"curve must have at most 3 numbers"),
+        ("ratio: -0.7", "ratio: -0.6, offset: 0.3, curve: [0.1]", "violated at the start by -0.3 rad and -0.2 rad/s"),
         ("jb, type: revolute", "jb, type: cylindrical", 'joint "jb" is cylindrical'),
     ],
 )
@@ -348,7 +499,7 @@ def test_plain_python_gives_the_same_numbers():
     code = (
         "import sys; sys.path.insert(0, sys.argv[1]); import test_couplings as t\n"
         "from liegroup_core import Simulation\n"
-        "for scene in (t.two_pendulums(0.37), t.scene_from_text(t.FIVE_BAR)):\n"
+        "for scene in (t.two_pendulums(0.37), t.scene_from_text(t.FIVE_BAR), t.cam('revolute', t.QUARTIC)):\n"
         "    s = Simulation(scene, 'rkmk4', 5e-3, stabilisation='projection')\n"
         "    s.advance(4)\n"
         "    print(s.state()[0].tobytes().hex())"

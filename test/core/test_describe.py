@@ -47,6 +47,7 @@ def test_heavy_top():
             "rows": ["vx", "vy", "vz"],
             "dropped": [],
             "driven": False,
+            "rotor": 0.0,
             "switches": [],
         }
     ]

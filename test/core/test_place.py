@@ -445,3 +445,33 @@ joints: [{name: hinge, type: revolute, parent: world, child: arm, parent_frame: 
     # A joint that is beyond its limits already may be left there.
     outside = Engine(scene_from_text(text), "rkmk4", 1e-3)
     outside.place(twists={"arm": [0, 0, 1, 0, 0, 0]})
+
+
+RACK = """
+name: rack
+gravity: [0, 0, 0]
+bodies:
+  - {name: wheel, mass: 1, inertia: [0.1, 0.1, 0.1]}
+  - {name: bar, mass: 1, inertia: [0.1, 0.1, 0.1], position: [0, 1, 0]}
+joints:
+  - {name: turn, type: revolute, parent: world, child: wheel, child_frame: {position: [0, 0, 0]}}
+  - {name: slide, type: prismatic, parent: world, child: bar, child_frame: {position: [0, 0, 0], axis: [1, 0, 0]}}
+couplings:
+  - {name: rack, joint: slide, other: turn, ratio: 0.1, backlash: {gap: 0.02, restitution: 0.5}}
+"""
+
+
+def test_a_coupling_with_play_keeps_its_turns():
+    """After many turns the play is that of the unwrapped angle: 0.01 m on both sides of 0.1 m/rad."""
+    engine = Engine(scene_from_text(RACK), "rkmk4", 1e-3)
+    engine.apply_effort("turn", 20.0)
+    engine.advance(2000)
+    angle = engine.sample().joint_coordinates["turn"][0]
+    assert angle > 50.0
+    for off in (0.009, -0.009):
+        engine.place(joints={"turn": (angle, 0.0), "slide": (0.1 * angle + off, 0.0)})
+        found = engine.sample().joint_coordinates
+        assert found["turn"][0] == pytest.approx(angle, abs=1e-12)
+        assert found["slide"][0] == pytest.approx(0.1 * angle + off, abs=1e-12)
+    with pytest.raises(SceneError, match="coupling rack would be beyond its stop: its position 0.011 m"):
+        engine.place(joints={"turn": (angle, 0.0), "slide": (0.1 * angle + 0.011, 0.0)})

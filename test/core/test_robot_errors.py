@@ -578,6 +578,11 @@ def test_a_mimic_of_a_fixed_joint_holds_nothing(tmp_path):
     assert "left out: 1 couplings of fixed joints, which cannot follow (left_tip)" in scene.notes
 
 
+def test_limits_without_a_range_are_noted_with_the_reason(tmp_path):
+    scene = load_scene(urdf(tmp_path, 'lower="-1" upper="1"', 'lower="0" upper="0"'))
+    assert "changes the motion: joint limits are not enforced: extend (both are 0)" in scene.notes
+
+
 def test_a_start_outside_the_limits_is_noted(tmp_path):
     path = tmp_path / "arm.urdf"
     path.write_text(ARM_URDF)
@@ -590,6 +595,7 @@ def test_a_start_outside_the_limits_is_noted(tmp_path):
         head, tail = "changes the motion: start outside of the limits, which do not act: ", "; give start values"
         notes = [note.removeprefix(head).removesuffix(tail) for note in scene.notes if note.startswith(head)]
         assert notes == expected
+        assert "limits are not enforced" not in "".join(scene.notes)
         assert [joint.limits is None for joint in scene.joints] == [shoulder in (2.5, -1.25), extend == 1.5]
 
 

@@ -652,8 +652,8 @@ DRIVEN = """<mujoco><option><flag contact="disable" {flag}/></option><worldbody>
         (
             '<motor name="p" joint="j" gear="2" ctrlrange="-1 3" forcerange="-2.5 2"/>',
             [],
-            {"effort": 4.0},
-            ["actuators whose commands are efforts of joints: p of j"],
+            {"effort": 2.0},
+            ["actuators whose commands are efforts of joints: p of j (range from -2 to 4 N m: commands up to 2 N m)"],
         ),
         (
             '<position name="p" joint="j" forcerange="-1 5"/>',
@@ -699,6 +699,26 @@ def test_actuators_of_mjcf(actuators, forces, data, notes, tmp_path):
     path.write_text(DRIVEN.format(flag='actuation="disable"', actuators=actuators, key=""))
     off = load_scene(path)
     assert not off.forces and not off.differences
+
+
+@pytest.mark.parametrize(
+    "control, range_, effort, details",
+    [
+        (2, "-10 10", 32.0, "; range from -40 to 40 N m: commands up to 32 N m"),
+        (-2, "-3 10", 4.0, "; range from -12 to 40 N m: commands up to 4 N m"),
+        (10, "-10 10", 80.0, "; range from -40 to 40 N m: only commands of one sign keep it"),
+    ],
+)
+def test_a_command_adds_to_the_control_of_the_keyframe(control, range_, effort, details, tmp_path):
+    """Gear 4: the sum of both stays within 4 times the range of the control."""
+    path, beside = tmp_path / "driven.xml", tmp_path / "own.yaml"
+    motor = f'<motor name="p" joint="j" gear="4" ctrlrange="{range_}"/>'
+    path.write_text(DRIVEN.format(flag="", actuators=motor, key=f'ctrl="{control}"'))
+    beside.write_text("robot: driven.xml\npose: k\n")
+    scene = load_scene(beside)
+    assert [each.torque for each in scene.forces] == [4.0 * control] and scene.joints[0].data == {"effort": effort}
+    acts = f"{4 * control} N m of the file's control keep acting, and commands add to them{details}"
+    assert f"actuators whose commands are efforts of joints: p of j ({acts})" in scene.notes
 
 
 def test_a_servo_of_the_user_replaces_that_of_the_file(tmp_path):

@@ -283,6 +283,8 @@ def test_sensors_of_mjcf_show_what_mujoco_shows(tmp_path):
         assert values[name] == pytest.approx(numbers, rel=1e-10, abs=1e-10), name
     assert values["spot"][:3] == pytest.approx(shown["spot"], abs=1e-14)
     assert values["spot"][7:10] == pytest.approx(shown["speed"], abs=1e-13)
+    path.write_text(MJCF.replace('<joint name="swing"', '<joint ref="20" name="swing"'))
+    assert "angle, whose angle MuJoCo counts from another zero, by ref" in "".join(load_scene(path).notes)
 
 
 ADDED = """robot: arm.urdf

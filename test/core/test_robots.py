@@ -583,13 +583,25 @@ def test_mimic_joints_are_couplings(tmp_path):
     assert not locked.joints and not locked.couplings
 
 
-def test_coupled_joints_have_mujocos_accelerations(tmp_path):
-    """MuJoCo without its soft equality, with exact rows of the couplings."""
+@pytest.mark.parametrize("curve", ["0 0 0", "0.2 0 0", "0.2 -0.05 0.03"])
+def test_coupled_joints_have_mujocos_accelerations(curve, tmp_path):
+    """MuJoCo without its soft equality, with exact rows of the couplings; the start satisfies its own equality."""
+    mujoco = pytest.importorskip("mujoco")
     path = tmp_path / "geared.xml"
-    path.write_text(EQUALITY_MJCF)
+    path.write_text(EQUALITY_MJCF.replace("0.1 -0.3 0 0 0", f"0.1 -0.3 {curve}"))
     scene = load_scene(path)
     assert len(scene.couplings) == 2
     assert peers().against_mujoco(path, scene, 20) < 1e-12
+    moved = scene_from_robot(path, Options(start={"wheel": 0.9}, start_velocity={"turn": -0.7}))
+    found = Simulation(moved, "rkmk4", 1e-3, quiet=True).sample().joint_coordinates
+    assert found["wheel"][0] == pytest.approx(0.9, abs=1e-12)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    data.qpos[:] = model.qpos0 + [found[name][0] for name in ("turn", "slip", "wheel")]
+    data.qvel[:] = [found[name][1] for name in ("turn", "slip", "wheel")]
+    mujoco.mj_forward(model, data)
+    assert data.nefc == 2
+    assert np.abs(data.efc_pos).max() < 1e-14 and np.abs(data.efc_vel).max() < 1e-14
 
 
 def test_couplings_beside_a_robot(tmp_path):

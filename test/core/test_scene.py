@@ -425,3 +425,28 @@ def test_the_scene_examples_in_the_documentation_load():
     exec(code, names)
     left_out = {"description"}
     assert scene_from_text(written).model_dump(exclude=left_out) == names["scene"].model_dump(exclude=left_out)
+
+
+DEGREES = """
+name: rod
+gravity: [0, 0, -9.81]
+bodies:
+  - {{name: rod, mass: 1, inertia: [0.1, 0.1, 0.1]}}
+joints:
+  - {{name: hinge, type: {type}, parent: world, child: rod, child_frame: {{position: [0, 0, 0]}}, limits: {limits}}}
+"""
+
+
+@pytest.mark.parametrize(
+    "type, limits, notes",
+    [
+        ("revolute", "{lower: -115, upper: 145}", ["115 rad are 18.3 turns", "145 rad are 23.1 turns"]),
+        ("revolute", "{lower: -3, upper: 12}", []),
+        ("revolute", "{upper: 1.0e+6}", []),
+        ("prismatic", "{lower: -90, upper: 90}", []),
+    ],
+)
+def test_angles_that_look_like_degrees_have_a_note(type, limits, notes):
+    found = scene_from_text(DEGREES.format(type=type, limits=limits)).notes
+    assert len(found) == len(notes) and all(note in text for note, text in zip(notes, found)), found
+    assert not notes or found[1].endswith(f"write {np.deg2rad(145):.6g}")

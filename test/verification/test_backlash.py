@@ -96,6 +96,29 @@ def test_compliant_teeth():
     assert engine.energy() == pytest.approx(0.5 * WHEEL * speed**2, abs=1e-8)
 
 
+def test_a_cam_takes_its_follower_along():
+    """The profile p(q) = 0.1 q + 0.2 q^2 hits the follower after half the play, and pushes it, as p'' > 0.
+
+    The impact keeps I w + m p' x' and ends with x' = p' w; then the energy (I + m p'^2) w^2 / 2 is kept.
+    """
+    text = GEARS.replace("SPEED", "1.5").replace("pin, type: revolute", "pin, type: prismatic")
+    text = text.replace("ratio: -3.0, backlash: {gap: 0.1 LIKE}", "ratio: 0.1, curve: [0.2], backlash: {gap: 0.1}")
+    engine = Engine(scene_from_text(text), "rkmk8", 1e-2)
+    engine.advance(100)
+    (impact, stop) = engine.drain_events()
+    q = (-0.1 + math.sqrt(0.1**2 + 4 * 0.2 * 0.05)) / 0.4
+    slope = 0.1 + 0.4 * q
+    impulse = slope * 1.5 / (1.0 + slope**2 / WHEEL)
+    assert (impact.kind, stop.kind, impact.time) == ("impact", "stop", pytest.approx(q / 1.5, abs=1e-13))
+    assert impact.impulse == pytest.approx(impulse, abs=1e-13)
+    energy = (WHEEL + slope**2) * (1.5 - slope * impulse / WHEEL) ** 2
+    sample = engine.sample()
+    (q, w), (x, v) = (sample.joint_coordinates[name] for name in ("axle", "pin"))
+    slope = 0.1 + 0.4 * q
+    assert (x, v) == pytest.approx((0.1 * q + 0.2 * q**2 - 0.05, slope * w), abs=1e-14)
+    assert (WHEEL + slope**2) * w**2 == pytest.approx(energy, abs=1e-13)
+
+
 def test_rack_with_play():
     """A carriage hits the tooth of its pinion after half the play, and takes it along."""
     text = """

@@ -13,7 +13,7 @@ from liegroup_core.dynamics import state as link_state
 from liegroup_core.dynamics.accelerations import accelerations, apply_forces
 from liegroup_core.dynamics.algebra import is_direct
 from liegroup_core.dynamics.coordinates import displace, lift_links, normalise, place_links
-from liegroup_core.dynamics.coupled_rows import set_gap
+from liegroup_core.dynamics.coupled_rows import set_gap, set_slopes
 from liegroup_core.dynamics.inverse_dynamics import inverse_dynamics
 from liegroup_core.dynamics.rows import set_rows
 from liegroup_core.dynamics.state import enter as enter
@@ -108,6 +108,7 @@ def residual(model, work, memory, numbers, h, pose, external):
         apply_forces(model, work, external)
     if len(model.joints) > 0:
         set_rows(model, work)
+        set_slopes(model, work)
         lift_links(model, work)
         set_gap(model, work)
     inverse_dynamics(model, work, memory.body_rate, memory.residual)
