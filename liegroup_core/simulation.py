@@ -2,6 +2,7 @@
 """Simulation of a scene to an accuracy, or with a given method and step; it estimates its error."""
 
 import functools
+import importlib
 import logging
 import math
 from collections.abc import Sequence
@@ -274,6 +275,13 @@ class Simulation(Engine):
         if self._control is not None:
             self._choice.restart()
             self._control.restart(self.time)
+
+    def view(self, **options: Any) -> Any:
+        """Live page of a copy that continues from the present state; a notebook cell that ends with it displays it.
+
+        options : those of `liegroup_sim_ros.live`, whose extra `view` is needed
+        """
+        return importlib.import_module("liegroup_sim_ros").live(self, **options)
 
     def halt(self) -> None:
         """As Engine.halt."""

@@ -9,13 +9,29 @@ from liegroup_core.forces.commands import Commands
 from liegroup_core.forces.instants import StepGrid
 from liegroup_core.forces.timetable import acting_at, just_after
 from liegroup_core.inputs import Inputs
+from liegroup_core.observables.along import Along
 from liegroup_core.observables.sample import NONE_ACT
+from liegroup_sim_ros.playback.rerun import Starts
 
 
 def sample_of(layout, stretch, k):
     """Sample of the kept sample k of a Stretch, without what acts."""
     pose = np.concatenate([stretch.rotation[k].reshape(-1, 9), stretch.position[k]], axis=1)
     return layout.sample(pose, stretch.twist[k], float(stretch.times[k]), near=stretch.angles[k])
+
+
+class AlongStretches:
+    """Observables of the samples of a recording; angles of springs are unwrapped from the start of each stretch."""
+
+    def __init__(self, recording, layout):
+        self._along, self._starts, self._stretch = Along(layout), Starts(recording, layout), None
+
+    def of(self, block):
+        """As Along.of, of the next Block of a Motion."""
+        if block.stretch is not self._stretch:
+            self._stretch = block.stretch
+            self._along.restart(self._starts.of(block.stretch)[2])
+        return self._along.of(block.pose, block.twist)
 
 
 class Given(NamedTuple):

@@ -16,7 +16,6 @@ from liegroup_core import SimulationError
 from liegroup_core.forces.commands import EFFORT
 from liegroup_core.forces.kinds import count_of_angles
 from liegroup_core.layout import make_layout
-from liegroup_core.observables.along import Along
 from liegroup_core.reference.exact import exact_solution
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.numbers import counted
@@ -27,6 +26,7 @@ from liegroup_sim_ros.recording.check import check_settings
 from liegroup_sim_ros.recording.motion import Motion
 from liegroup_sim_ros.recording.read import RecordingError
 
+from .acting import AlongStretches
 from .balance import Balance
 from .estimate import Estimate
 from .invariants import Energy, Joints, Momentum
@@ -126,9 +126,8 @@ class _Parts:
         self._scene, self._recording, self._layout = scene, recording, layout
         self._motion = motion
         expected = motion.expected
-        self._along, self._stretch = Along(layout), None
-        self._starts = Starts(recording, layout)
-        angles = self._starts.of(motion.first)[2]
+        self._along = AlongStretches(recording, layout)
+        angles = Starts(recording, layout).of(motion.first)[2]
         if angles is not None and len(angles) != count_of_angles(layout.model.forces):
             raise RecordingError(
                 f"{recording.path}: the number of its torsional springs does not match the "
@@ -162,10 +161,7 @@ class _Parts:
 
     def angles(self, block):
         """Angles of the torsional springs; called before `add` with the same Block."""
-        if block.stretch is not self._stretch:
-            self._stretch = block.stretch
-            self._along.restart(self._starts.of(block.stretch)[2])
-        self._found = self._along.of(block.pose, block.twist)
+        self._found = self._along.of(block)
         return self._found[3]
 
     def add(self, block):

@@ -133,7 +133,6 @@ def promise_text(found):
     )
     if not found["beyond"]:
         return f"{accuracy} {verdict}: {error} {span}{unchecked}"
-    return (
-        f"{accuracy} {verdict} {span}: {error}{unchecked}. Then the run itself reports a larger "
-        f"error: {found['error_of_all']:.3g} over the whole run"
-    )
+    larger = found["error_of_all"] > found["error"]
+    then = f"a larger error: {found['error_of_all']:.3g} over the whole run" if larger else "that it is exceeded"
+    return f"{accuracy} {verdict} {span}: {error}{unchecked}. Then the run itself reports {then}"

@@ -92,15 +92,18 @@ class ReferenceError:
     seconds : simulated time to cover, summed over all stretches
     steps   : maximum number of its steps, summed over all stretches
     promise, estimate : see Errors
+    keep    : function that gets (log times, Trajectory) of the reference, or None
     """
 
-    def __init__(self, layout, recording, expected, seconds=np.inf, promise=None, estimate=None, steps=MOST_STEPS):
+    def __init__(
+        self, layout, recording, expected, seconds=np.inf, promise=None, estimate=None, steps=MOST_STEPS, keep=None
+    ):
         self._scene, self._starts = layout.scene, Starts(recording, layout)
         self._servos, self._driven = tuple(layout.servos), tuple(layout.motions)
         self._unit_efforts = layout.unit_efforts
         self._left, self._judged = seconds, 0.0
         self._steps = self._steps_left = steps
-        self._stopped = None
+        self._stopped, self._keep = None, keep
         self._errors = Errors(expected, promise, estimate)
         self._stretch = self._reference = None
 
@@ -138,6 +141,8 @@ class ReferenceError:
         self._left, self._judged = self._end - reached, self._judged + reached - self._start
         self._start = reached
         error = distance(Trajectory(times[:k], block.rotation[:k], block.position[:k], block.twist[:k]), exact)
+        if self._keep is not None:
+            self._keep(block.log_times[:k], exact)
         estimates = None if block.errors is None else block.errors[:k]
         self._errors.add(stretch, times[:k], block.log_times[:k], error, uncertainty, estimates)
 

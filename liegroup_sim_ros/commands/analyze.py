@@ -8,7 +8,6 @@ import sys
 
 from rich.console import Console
 
-from liegroup_core import load_scene
 from liegroup_core.errors import LieGroupSimError
 from liegroup_sim_ros.analysis.analyse import REFERENCE_SECONDS, REFERENCE_STEPS, analyse
 from liegroup_sim_ros.analysis.bounds import find_exceeded
@@ -19,7 +18,7 @@ from liegroup_sim_ros.recording.read import read_recording
 from liegroup_sim_ros.report.files import check_files, write_file, write_text
 from liegroup_sim_ros.report.many import analyse_many
 from liegroup_sim_ros.report.page import make_page, page_part
-from liegroup_sim_ros.report.shapes import robot_shapes
+from liegroup_sim_ros.report.shapes import shapes_from
 from liegroup_sim_ros.report.terminal import print_comparison, print_overview, print_table
 
 from .arguments import count, not_negative
@@ -102,17 +101,7 @@ def _shapes(file, scene):
     """Triangles of the bodies of a recording, from a robot file; None without a file. Prints remarks."""
     if file is None:
         return None
-    robot = load_scene(file)
-    if robot.robot is None:
-        raise AnalysisError(f"--robot {file}: is not a robot file: give a URDF, SDF or MJCF file")
-    names = [{body.name for body in each.bodies} for each in (scene, robot)]
-    if names[0] != names[1]:
-        differing = min(names[0] ^ names[1])
-        raise AnalysisError(
-            f"--robot {file}: its bodies differ from those of the recording, for example in {differing}: give "
-            "the file that was simulated"
-        )
-    shapes, remarks = robot_shapes(robot.robot)
+    shapes, remarks = shapes_from(file, scene)
     for remark in remarks:
         print(f"liegroup_sim: --robot {file}: {remark}", file=sys.stderr)
     return shapes

@@ -36,6 +36,9 @@ def add_arguments(parser):
         "same scene is drawn beside it",
     )
     parser.add_argument("--node", metavar="NAME", help="a running node instead, such as /sim_node")
+    parser.add_argument(
+        "--robot", metavar="FILE", help="robot file (URDF, SDF, MJCF) of a recording or a node: its visuals are drawn"
+    )
     parser.add_argument("--out", metavar="FILE", default="", help="record the simulation to FILE (*.mcap)")
     parser.add_argument("--paused", action="store_true", help="start paused")
     parser.add_argument(
@@ -54,7 +57,7 @@ def run(args):
     with Signals() as signals:
         source, beside = _sources(args)
         try:
-            page = Page(source, args.host, args.port, beside)
+            page = Page(source, args.host, args.port, beside, args.robot)
             page.start()
             try:
                 Console(stderr=True).print(
@@ -75,6 +78,12 @@ def run(args):
 def _sources(args):
     """(Source, Source beside it or None) of the arguments. Raises LieGroupSimError."""
     recordings = [what for what in args.what if what.endswith(".mcap") or is_remote(what)]
+    given = [name for name in SETTINGS if getattr(args, name) is not None]
+    given += [name for name in ("out", "paused") if getattr(args, name)]
+    if given and (recordings or args.node is not None):
+        raise ViewError(f"--{given[0].replace('_', '-')} is for a scene, not for recordings and nodes")
+    if args.robot is not None and not recordings and args.node is None:
+        raise ViewError("--robot is for recordings and nodes: give the robot file as WHAT")
     if args.node is not None:
         if args.what:
             raise ViewError("give --node or WHAT, not both")
@@ -85,6 +94,9 @@ def _sources(args):
         raise ViewError("give one scene, or one or two recordings, or --node NAME")
     if recordings:
         shown = [Recorded(path) for path in recordings]
+        for path, source in zip(recordings, shown):
+            if source.recording.problem:
+                Console(stderr=True).print(f"{path}: {source.recording.problem}", highlight=False, markup=False)
         if len(shown) > 1 and shown[1].layout.body_names != shown[0].layout.body_names:
             raise ViewError(f"{recordings[1]}: its bodies are not those of {recordings[0]}")
         return (*shown, None)[:2]

@@ -14,6 +14,8 @@ import numpy as np
 
 from liegroup_core.observables.along import quaternions
 from liegroup_core.robots.resources import find_resource
+from liegroup_core.scene.centres import PLACES
+from liegroup_core.scene.names import WORLD
 
 from .cdr import Template, stamp
 
@@ -25,6 +27,7 @@ FORCE_COLOR, TORQUE_COLOR = (0.8, 0.1, 0.1, 1.0), (0.5, 0.1, 0.7, 1.0)
 # Relative to the size of the largest body of the scene.
 JOINT_SIZE, SHAFT, HEAD = 0.08, 0.03, 0.06
 THINNEST = 0.01  # smallest edge of a marker; RViz does not draw size 0
+ENDS = ("parent_point", "child_point")
 TYPES = {"box": CUBE, "cylinder": CYLINDER, "rod": CYLINDER, "sphere": SPHERE}
 
 
@@ -156,6 +159,16 @@ def _of_visual(visual, file):
         return CUBE, visual.size, ""
     across = 2.0 * visual.size[0]
     return (TYPES[visual.kind], (across, across, visual.size[-1] if visual.kind == "cylinder" else across), "")
+
+
+def links(scene):
+    """[[(index of a body or -1 for the world, point (3,) in its frame)] * 2] of springs, cables and distance joints."""
+    index = {body.name: i for i, body in enumerate(scene.bodies)} | {WORLD: -1}
+    return [
+        [(index[getattr(link, PLACES[key])], np.array(getattr(link, key), dtype=float)) for key in ENDS]
+        for link in (*scene.forces, *scene.joints)
+        if all(getattr(link, key, None) is not None for key in ENDS)
+    ]
 
 
 def solid(body):

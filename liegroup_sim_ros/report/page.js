@@ -151,7 +151,8 @@ class Motion {
     this.breaks = new Set(view.breaks);
     this.points = [];
     this.faces = [];
-    this.bodies.forEach((body, i) => {
+    [...this.bodies, ...view.fixed].forEach((body, k) => {
+      const i = k < this.bodies.length ? k : -1;
       const [points, faces] = body.shape ? triangles(body.shape) : makeSolid(body.solid);
       const first = this.points.length;
       for (const point of points)
@@ -178,7 +179,7 @@ class Motion {
   frame(k) {
     const poses = this.bodies.map((_, i) => this.pose(k, i));
     const parts = [[], [], []];
-    for (const [i, local] of this.points) parts[0].push(placed(...poses[i], local));
+    for (const [i, local] of this.points) parts[0].push(i < 0 ? local : placed(...poses[i], local));
     for (const {parent, child, at} of this.view.joints) {
       const place = placed(...poses[child], at);
       parts[2].push(place);
@@ -186,12 +187,14 @@ class Motion {
         if (i >= 0) parts[1].push(place, placed(...poses[i], this.bodies[i].com),
                                   [null, null, null]);
     }
+    for (const ends of this.view.links)
+      parts[1].push(...ends.map(([i, at]) => i < 0 ? at : placed(...poses[i], at)), [null, null, null]);
     return [0, 1, 2].map(axis => parts.map(part => part.map(place => place[axis])));
   }
 
   colours(k) {
     const pushed = this.pushed(k);
-    return this.faces.map(([i]) => pushed.has(i) ? "--red" : this.bodies[i].colour);
+    return this.faces.map(([i]) => i < 0 ? "--grey" : pushed.has(i) ? "--red" : this.bodies[i].colour);
   }
 
   paths() {
@@ -228,6 +231,7 @@ class Motion {
         take(this.point(k, i, body.at), .5 * Math.hypot(...body.size)));
       for (const {child, at} of this.view.joints) take(this.point(k, child, at), 0);
     }
+    for (const {shape: {at, size}} of this.view.fixed) take(at, .5 * Math.hypot(...size));
     const longest = Math.max(...high.map((x, i) => x - low[i])) || 1;
     const lengths = high.map((x, i) => 1.04 * Math.max(x - low[i], longest / 4));
     const mean = Math.cbrt(lengths.reduce((a, b) => a * b)), style = {
@@ -287,7 +291,7 @@ function drawView(root, view, planes) {
     const [x, y, z] = motion.frame(state.frame), k = state.frame;
     state.shown = [...motion.pushed(k)].join();
     const names = [];
-    for (const [i] of motion.points) names.push(motion.bodies[i].name);
+    for (const [i] of motion.points) names.push(i < 0 ? "fixed" : motion.bodies[i].name);
     const data = [...paths,
       {type: "mesh3d", x: x[0], y: y[0], z: z[0], i: motion.faces.map(f => f[1]),
        j: motion.faces.map(f => f[2]), k: motion.faces.map(f => f[3]),

@@ -49,6 +49,7 @@ def page_part(analysis, plots=True, shapes=None, bodies=False):
         "plots": make_plots(analysis, bodies) if plots else [],
         "view": make_view(analysis, shapes) if plots and analysis.motion.stretches else None,
         "description": analysis.scene.description.strip(),
+        "differences": [note.removeprefix("changes the motion: ") for note in analysis.scene.differences],
         "events": "\n".join(
             f"{event.stamp_ns * 1e-9:12.6f} s  {event.name}: " + event.text.partition("\n")[0]
             for event in recording.events
@@ -132,6 +133,7 @@ def _one(part, number, exceeded=(), bounds=()):
         + _bounds(bounds, exceeded)
         + _tiles(figures)
         + (f'<p class="soft">{escape(part["description"])}</p>' if part["description"] else "")
+        + _differences(part["differences"])
         + f'<div data-part="{number}">{_plots(part)}</div>'
         + _tables(part)
     )
@@ -318,6 +320,10 @@ def _state(problems, warnings):
     counts = [counted(count, noun) for count, noun in ((problems, "problem"), (warnings, "warning")) if count]
     grade, sign = _grade(problems, warnings), "✗" if problems else "!" if warnings else "✓"
     return f'<span class="state {grade}">{sign} {", ".join(counts) or "no problem found"}</span>'
+
+
+def _differences(notes):
+    return '<p class="soft">Not as in the robot file:</p>' + _list("soft", notes) if notes else ""
 
 
 def _list(grade, texts):

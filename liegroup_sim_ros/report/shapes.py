@@ -18,6 +18,7 @@ import numpy as np
 from liegroup_core.errors import SceneError
 from liegroup_core.robots.apart import run_apart
 from liegroup_core.robots.resources import readable_resource
+from liegroup_core.scene.load import load_scene
 from liegroup_sim_ros.numbers import counted
 
 MOST_TRIANGLES = 20_000  # in a page
@@ -25,17 +26,18 @@ LARGEST_FILE = 64 * 2**20  # bytes of a mesh file
 HINT = "pip install 'liegroup_sim_ros[meshes]'"
 
 
-def robot_shapes(robot):
-    """({body: shape}, [remark]) for the visuals of a robot; robot : RobotNames of a scene.
+def robot_shapes(robot, most=MOST_TRIANGLES):
+    """({body or world: shape}, [remark]) for the visuals of a robot; robot : RobotNames of a scene.
 
-    shape   : see liegroup_core.robots.meshes
+    most    : largest number of triangles
+    shape   : see liegroup_core.robots.meshes; None for a body for which the file has no visual, if others have one
     remarks : one line each on visuals that are not drawn
     """
     if find_spec("trimesh") is None:
         return {}, [f"visuals are drawn as boxes, because trimesh is not installed: {HINT}"]
     shapes, folders, missing, failed, names = [], set(), [], {}, {}
     for link, (body, place) in robot.frames.items():
-        for visual in robot.visuals.get(link, ()) if body != "world" else ():
+        for visual in robot.visuals.get(link, ()):
             path = ""
             if visual.kind == "mesh":
                 try:
@@ -51,11 +53,29 @@ def robot_shapes(robot):
             pose = (place @ visual.pose).tolist()
             shapes.append((body, visual.kind, list(map(float, visual.size)), pose, str(path)))
     try:
-        found = _triangles({"shapes": shapes, "most": MOST_TRIANGLES}, folders)
+        found = _triangles({"shapes": shapes, "most": most}, folders)
     except SceneError as error:
         return {}, [f"visuals are drawn as boxes: {str(error).partition(': ')[2]}"]
     failed |= {names[path]: text for path, text in found["failed"].items()}
-    return found["shapes"], list(_remarks(found, missing, failed))
+    if found["shapes"]:
+        seen = {body for link, (body, _) in robot.frames.items() if robot.visuals.get(link)}
+        found["shapes"] |= {body: None for body, _ in robot.frames.values() if body not in seen}
+    return found["shapes"], list(_remarks(found, missing, failed, most))
+
+
+def shapes_from(file, scene, most=MOST_TRIANGLES):
+    """`robot_shapes` of a robot file for a scene that was made of it. Raises SceneError if their bodies differ."""
+    robot = load_scene(file)
+    if robot.robot is None:
+        raise SceneError(f"--robot {file}: is not a robot file: give a URDF, SDF or MJCF file")
+    names = [{body.name for body in each.bodies} for each in (scene, robot)]
+    if names[0] != names[1]:
+        differing = min(names[0] ^ names[1])
+        raise SceneError(
+            f"--robot {file}: its bodies differ from those of the recording, for example in {differing}: give "
+            "the file that was simulated"
+        )
+    return robot_shapes(robot.robot, most)
 
 
 def decoded(shape):
@@ -79,7 +99,7 @@ def _triangles(order, folders):
         return json.loads(run_apart("meshes", path, folders=[*folders, folder]))
 
 
-def _remarks(found, missing, failed):
+def _remarks(found, missing, failed, most):
     if missing:
         yield f"missing mesh files: {len(missing)}, the first is {missing[0]}"
     if failed:
@@ -88,6 +108,6 @@ def _remarks(found, missing, failed):
     if found["boxes"]:
         advice = f"; {HINT} decimates them" if found["lacks"] else ""
         yield (
-            f"drawn as boxes: {counted(found['boxes'], 'body')}, because all visuals have "
-            f"{found['triangles']} triangles and the page at most {MOST_TRIANGLES}{advice}"
+            f"drawn as their convex hulls or boxes: {counted(found['boxes'], 'body')}, because all visuals have "
+            f"{found['triangles']} triangles and the page at most {most}{advice}"
         )

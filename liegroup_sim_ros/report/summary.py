@@ -45,8 +45,14 @@ def headline(figures):
     if figures.get("energy") and figures["energy"]["relative_drift"] is not None:
         rows.append(("energy drift", shown(figures["energy"]["relative_drift"]), "of the largest kinetic energy"))
     elif figures.get("balance", {}).get("quadrature_J"):
-        remark = f"largest; estimated error of the work {shown(figures['balance']['quadrature_J'], 'J')}"
-        rows.append(("energy does not add up by", shown(figures["balance"]["largest_J"], "J"), remark))
+        balance = figures["balance"]
+        error = shown(balance["quadrature_J"], "J")
+        if balance["quadrature_J"] > RESOLVED * max(map(abs, balance["work_J"].values())):
+            remark = f"samples are too far apart: the error of the work is {error}; record more of them"
+            rows.append(("energy balance", "unknown", remark))
+        else:
+            remark = f"largest; estimated error of the work {error}"
+            rows.append(("energy does not add up by", shown(balance["largest_J"], "J"), remark))
     repeat = figures.get("repeat", {})
     if "identical" in repeat:
         same = repeat["identical"] == repeat["samples"]
@@ -276,6 +282,7 @@ def _event_count(entry):
     return sum(entry[kind] for kind in NOUNS)
 
 
+RESOLVED = 0.1  # error of the work, relative to the largest work, up to which a balance says something
 BALANCE_TITLE, BALANCE_HEAD = "Energy balance", ("", "start", "end", "change")
 
 

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import scipy
 
-from liegroup_sim_ros.messages.markers import CUBE, CYLINDER, THINNEST, solid
+from liegroup_core.scene.names import WORLD
+from liegroup_sim_ros.messages.markers import CUBE, CYLINDER, THINNEST, links, solid
 
 from .plots import BASE, MANY_COLOURS, label
 
@@ -19,7 +20,8 @@ MOST_PUSHES = 1000
 def make_view(analysis, shapes=None):
     """Data of the 3D view of an Analysis for page.js, JSON types; m, s, world axes.
 
-    shapes        : {body: triangles}, see shapes.robot_shapes; other bodies are drawn as solids with their inertia
+    shapes        : {body or world: triangles}, see shapes.robot_shapes; other bodies are drawn as solids with their
+                    inertia
     times, places : base64 of (k,) float64, and of (k, n, 7) float32: position and x y z w of the
                     body frames
     breaks        : last frames before a reset
@@ -44,6 +46,8 @@ def make_view(analysis, shapes=None):
     for scene_body, body in zip(scene.bodies, bodies):
         if shape := (shapes or {}).get(scene_body.name):
             body |= {"shape": shape, "at": shape["at"], "size": shape["size"]}
+        elif scene_body.name in (shapes or {}):
+            body |= {"solid": "sphere", "at": body["com"], "size": [thinnest] * 3}
     joints = [
         {
             "name": label(joint.name),
@@ -75,7 +79,9 @@ def make_view(analysis, shapes=None):
     seconds = float(times[-1] - times[0])
     return {
         "bodies": bodies,
+        "fixed": [{"shape": shape} for shape in [(shapes or {}).get(WORLD)] if shape],
         "joints": joints,
+        "links": [[[i, point.tolist()] for i, point in ends] for ends in links(scene)],
         "times": _packed(times, "<f8"),
         "places": _packed(places, "<f4"),
         "breaks": np.flatnonzero(np.diff(owner)).tolist(),

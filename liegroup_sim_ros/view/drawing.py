@@ -4,14 +4,14 @@
 Names of nodes are numbers: a name of a file may contain anything.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from liegroup_core.scene.centres import PLACES
 from liegroup_core.scene.names import WORLD
-from liegroup_sim_ros.messages.markers import CUBE, SPHERE, THINNEST, solid
+from liegroup_sim_ros.messages.markers import CUBE, SPHERE, THINNEST, links, solid
 from liegroup_sim_ros.report.shapes import decoded
 
 from .server import mover
@@ -28,8 +28,8 @@ COLOURS = (
 )
 JOINT, SPRING, TRACE, HALO, GHOST = (230, 160, 30), (120, 120, 120), (150, 60, 160), (220, 40, 40), (150, 150, 150)
 FORCE, TORQUE, PULL, GRAVITY, REACTION = (200, 30, 30), (130, 30, 180), (20, 120, 20), (60, 60, 60), (30, 90, 200)
-PART = 0.035  # size of a joint relative to the mechanism
-LONGEST = 2.0  # of an arrow, relative to the mechanism
+PART, MOST_LARGE = 0.035, 6  # size of a joint relative to the mechanism; joints of this size, more are smaller
+LONGEST = 0.3  # of an arrow, relative to the mechanism
 MOST_TRACE = 400  # points of a trace
 # Shapes of joints: those that turn about an axis, those that slide along it, others.
 TURNS, SLIDES = ("revolute", "screw", "cylindrical", "universal"), ("prismatic", "cylindrical")
@@ -62,7 +62,9 @@ class Drawing:
     """
 
     def __init__(self, server, layout, shapes, ghost=False):
-        self._server, self._layout, self.size = server, layout, extent(layout)
+        self._server, self._layout = server, layout
+        self.size, self.middle = extent(layout)
+        self._part = PART * self.size * min(1.0, math.sqrt(MOST_LARGE / max(1, len(layout.scene.joints))))
         scene, api = layout.scene, server.scene
         self._root = "/ghost" if ghost else "/mechanism"
         self._frames, self.bodies, self._rows = [], [], None
@@ -73,9 +75,14 @@ class Drawing:
                     api.add_frame(name, show_axes=False, axes_length=0.2 * self.size, axes_radius=0.006 * self.size)
                 )
                 colour = GHOST if ghost else COLOURS[i % len(COLOURS)]
-                self.bodies.append([self._shape(f"{name}/shape", body, shapes.get(body.name), colour, ghost)])
+                self.bodies.append([self._shape(f"{name}/shape", body, shapes, colour, ghost)])
+            if shapes.get(WORLD) and not ghost:
+                points, faces = decoded(shapes[WORLD])
+                api.add_mesh_simple(f"{self._root}/world", points, faces, color=GHOST, side="double")
             framed = [] if ghost else [k for k, joint in enumerate(scene.joints) if not hasattr(joint, "child_point")]
             self._joints = [self._joint(k, scene.joints[k]) for k in framed]
+            for k, handle in zip(framed, self._joints):  # a thin body is easier to pick at its joint
+                self.bodies[layout.body_names.index(scene.joints[k].child)].append(handle)
             self._halos = (
                 []
                 if ghost
@@ -86,7 +93,7 @@ class Drawing:
                 ]
             )  # fmt: skip
         self._movers = [mover(server, handle) for handle in self._frames]
-        self._springs = [] if ghost else list(self._lines(scene))
+        self._springs = [] if ghost else links(scene)
         self._handles, self._largest, self._trace = {}, {}, []
         self._weights = np.outer([body.mass for body in scene.bodies], scene.gravity)
         self._look, self._radii = None, np.zeros(len(self._frames))
@@ -96,9 +103,12 @@ class Drawing:
         for handle in (*self._frames, *self._handles.values()):
             handle.remove()
 
-    def _shape(self, name, body, triangles, colour, ghost):
+    def _shape(self, name, body, shapes, colour, ghost):
         api, common = self._server.scene, {"opacity": 0.3 if ghost else None, "cast_shadow": not ghost}
-        if triangles is not None:
+        if body.name in shapes:
+            triangles = shapes[body.name]
+            if triangles is None:
+                return api.add_icosphere(name, 0.2 * PART * self.size, colour, position=body.com, **common)
             points, faces = decoded(triangles)
             return api.add_mesh_simple(name, points, faces, color=colour, side="double", **common)
         kind, size, local = solid(body)
@@ -114,7 +124,7 @@ class Drawing:
         """Node of a joint on its child: a cylinder about an axis, a box along it, else a sphere."""
         names, api = self._layout.body_names, self._server.scene
         child = names.index(joint.child)
-        local, size = self._layout.joint_frames[k][1], PART * self.size
+        local, size = self._layout.joint_frames[k][1], self._part
         place = {"position": local[:3, 3] + self._layout.offsets.com[child], "wxyz": _wxyz(local[:3, :3])}
         name = f"{self._root}/{child}/joint{k}"
         if joint.type in SLIDES:
@@ -122,16 +132,6 @@ class Drawing:
         if joint.type in TURNS:
             return api.add_cylinder(name, 0.4 * size, 2.4 * size, JOINT, **place)
         return api.add_icosphere(name, 0.6 * size, JOINT, subdivisions=2, **place)
-
-    def _lines(self, scene):
-        """[(body or None, point), (body or None, point)] of springs, cables and distance joints."""
-        index = {body.name: i for i, body in enumerate(scene.bodies)} | {WORLD: None}
-        for link in (*scene.forces, *scene.joints):
-            if all(getattr(link, key, None) is not None for key in ("parent_point", "child_point")):
-                yield [
-                    (index[getattr(link, PLACES[key])], np.array(getattr(link, key), dtype=float))
-                    for key in ("parent_point", "child_point")
-                ]
 
     def hide(self, is_hidden):
         """Hide or show all bodies."""
@@ -203,7 +203,7 @@ class Drawing:
         self._trace = []
 
     def _ends(self, place, turns):
-        ends = [[p if i is None else place[i] + turns[i] @ p for i, p in line] for line in self._springs]
+        ends = [[p if i < 0 else place[i] + turns[i] @ p for i, p in line] for line in self._springs]
         return np.array(ends).reshape(-1, 2, 3)
 
     def _reactions(self, sample):
@@ -221,7 +221,7 @@ class Drawing:
         return np.array(starts).reshape(-1, 3), np.array(forces).reshape(-1, 3)
 
     def _arrows(self, name, starts, vectors, colour, is_shown):
-        """Arrows whose longest is LONGEST / 4 of the mechanism at the largest vector so far."""
+        """Arrows whose longest is LONGEST of the mechanism at the largest vector so far."""
         length = np.linalg.norm(vectors, axis=1)
         some = length > 0.0
         if not is_shown or not some.any():
@@ -229,7 +229,7 @@ class Drawing:
                 _set(self._handles[name], "visible", False)
             return
         largest = self._largest[name] = max(self._largest.get(name, 0.0), length.max())
-        tips = starts + vectors * (0.25 * LONGEST * self.size / largest)
+        tips = starts + vectors * (LONGEST * self.size / largest)
         points = np.stack([starts[some], tips[some]], axis=1).astype(np.float32)
         handle = self._handles.get(name)
         if handle is None or len(handle.points) != len(points):
@@ -259,7 +259,7 @@ class Drawing:
 
 
 def extent(layout):
-    """Size of the mechanism at its start, m: of the box about its bodies, at least their own size."""
+    """(size, middle (3,)) of the mechanism at its start, m: diagonal and centre of the box about its bodies."""
     scene = layout.scene
     corners = []
     for body in scene.bodies:
@@ -267,8 +267,8 @@ def extent(layout):
         at = np.array(body.position) + body.rotation @ local[:3, 3]
         half = 0.5 * np.linalg.norm(size)
         corners += [at - half, at + half]
-    corners = np.array(corners)
-    return float(np.linalg.norm(corners.max(axis=0) - corners.min(axis=0))) or layout.size
+    low, high = np.min(corners, axis=0), np.max(corners, axis=0)
+    return float(np.linalg.norm(high - low)) or layout.size, 0.5 * (low + high)
 
 
 def _set(handle, name, value):

@@ -11,7 +11,7 @@ from .server import HINT, ViewError
 
 WIDTH, HEIGHT = 1280, 720
 ANSWER = 20.0  # s, for a picture from the browser
-VIDEO_RATE, MOST_VIDEO = 25, 30.0  # frames a second; s
+VIDEO_RATE, MOST_VIDEO, TOLD = 25, 30.0, 100  # frames a second; s; frames between two lines
 KEPT_RATE, MOST_KEPT = 30.0, 60.0
 
 
@@ -20,7 +20,7 @@ def picture_of(client):
     try:
         shown = client.get_render(height=HEIGHT, width=WIDTH, transport_format="png", timeout=ANSWER).astype(float)
     except (TimeoutError, RuntimeError):
-        raise ViewError("the browser has sent no picture") from None
+        raise ViewError(f"the browser has sent no picture within {ANSWER:g} s: it draws slowly") from None
     opaque = shown[..., 3:] / 255.0  # the background is transparent
     return np.ascontiguousarray(shown[..., :3] * opaque + 255.0 * (1.0 - opaque)).round().astype(np.uint8)
 
@@ -55,7 +55,10 @@ def save_video(page, client):
         with av.open(out, "w", format="mp4") as file:
             stream = file.add_stream("libx264", rate=VIDEO_RATE)
             stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
-            for instant in _instants(page, VIDEO_RATE, MOST_VIDEO):
+            instants = _instants(page, VIDEO_RATE, MOST_VIDEO)
+            for k, instant in enumerate(instants):
+                if k % TOLD == 0:
+                    page.say(f"video: picture {k} of {len(instants)}")
                 page.cursor = float(instant)
                 time.sleep(2.0 / 30.0)  # until the page has drawn it
                 picture = picture_of(client)

@@ -84,10 +84,11 @@ class Hand:
         if grip is None or frame is None or self._page.cursor is not None:
             return
         found = self.wrench(frame.sample, grip)
+        name = self._layout.body_names[grip.body]
         if found is None:
+            self.shown = f"{name} cannot {'move there' if grip.axis is None else 'turn'}"
             return
         force, torque = found
-        name = self._layout.body_names[grip.body]
         if self._page.attempt(self._page.source.push, name, (*torque, *force), HOLD, tuple(grip.point)):
             size = np.linalg.norm(torque if grip.axis is not None else force)
             with self._lock:

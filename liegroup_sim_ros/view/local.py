@@ -8,6 +8,7 @@ import threading
 from concurrent.futures import TimeoutError as Late
 from types import SimpleNamespace
 
+from liegroup_core import Simulation
 from liegroup_sim_ros.node.joint_command_input import JointEffort, Motion, Target
 from liegroup_sim_ros.node.outputs import Outputs, Streams
 from liegroup_sim_ros.node.simulation_thread import SimulationServer
@@ -46,15 +47,17 @@ class Local(Source):
     Raises RecorderError for a file that cannot be written
     """
 
+    polled = False
     takes = frozenset(
         ("pause", "resume", "step", "reset", "speed", "accuracy", "place", "save", "restore", "push")
-        + ("effort", "servo", "driven", "back")
+        + ("effort", "servo", "driven", "back", "method")
     )
 
     def __init__(self, simulation, title, record="", start_ns=0, paused=False, factor=1.0):
         super().__init__(simulation.layout, title)
         sample = simulation.sample()
         self._simulation, self._newest = simulation, Frame(start_ns * 1e-9, sample, sample.bound)
+        self.history.add(self._newest)
         every = max(1, round(1.0 / (RATE * simulation.step)))
         with_errors = sample.errors is not None
         values = SimpleNamespace(
@@ -86,6 +89,7 @@ class Local(Source):
     def _keep(self, stamp_ns, sample):
         """Keep the newest sample, in the simulation thread."""
         self._newest = Frame(stamp_ns * 1e-9, sample, sample.bound)
+        self.history.add(self._newest)
 
     def frame(self):
         """Newest Frame."""
@@ -102,6 +106,18 @@ class Local(Source):
             if len(self._marks) >= MOST_MARKS:
                 self._marks, self._every = self._marks[::2], 2.0 * self._every
             self._marks.append(future.result())
+
+    @property
+    def accuracy(self):
+        """Present accuracy as text."""
+        return f"{self._simulation.accuracy or 1e-6:g}"
+
+    @property
+    def how(self):
+        """Method and accuracy or step."""
+        simulation = self._simulation
+        accuracy = simulation.accuracy
+        return f"{simulation.method}, " + (f"accuracy {accuracy:g}" if accuracy else f"step {simulation.step:g} s")
 
     def status(self):
         """Status."""
@@ -163,6 +179,22 @@ class Local(Source):
         stamp_ns, *state = found[-1]
         self._answer("set", state, f"state at {stamp_ns * 1e-9:.6g} s")
         return stamp_ns * 1e-9, self.server.stamp_ns * 1e-9
+
+    def with_method(self, method, step, time=None):
+        """Simulation that continues the last state that was kept before a time, or the present one."""
+        self._answer("pause")
+        start_ns = self.server.stamp_ns if time is None else round(self._back(time)[0] * 1e9)
+        before = self._simulation
+        steps = round(before.time / step)
+        if abs(steps * step - before.time) > 1e-9:
+            raise ViewError(
+                f"a step of {step:g} s does not divide the present time {before.time:.9g} s: choose another"
+            )
+        simulation = Simulation(before.scene, method, step, quiet=True)
+        simulation.start_from(before, steps)
+        if self._recorder is not None:
+            self.tell(start_ns * 1e-9, "stop", "the recording ends: it has one method")
+        return Local(simulation, before.scene.name, start_ns=start_ns, paused=True)
 
     def close(self):
         """End the simulation and its recording."""

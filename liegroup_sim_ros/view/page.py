@@ -9,18 +9,24 @@ import time
 import numpy as np
 
 from liegroup_core.errors import LieGroupSimError
-from liegroup_sim_ros.report.shapes import robot_shapes
+from liegroup_sim_ros.report.shapes import robot_shapes, shapes_from
 
 from .drawing import Drawing, Look
 from .hand import Hand
 from .panel import Panel
 from .server import close_server, open_server
+from .source import SAME
 
 log = logging.getLogger("liegroup_core")
 
 FRAMES, FIGURES = 30.0, 5.0  # Hz, at which motion and figures are drawn
 ALOFT = (1.1, -1.3, 0.7)  # direction from the mechanism to the camera at the start
-FAR = 0.65  # distance of the camera, relative to the mechanism: half of the viewing angle is 37 degrees
+FAR = 0.75  # distance of the camera, relative to the mechanism: half of the viewing angle is 37 degrees
+# By which the mechanism is left of the middle, relative to its size, on a wide page, and above it on a high one: the
+# panel is at the right, or below.
+ASIDE, ABOVE = 0.15, 0.5
+SKY, EARTH, BRIGHT = (255, 255, 255), (140, 140, 140), 2.2  # light from above and below
+MOST_TRIANGLES = 200_000  # of all visuals; they are sent once
 FLOOR = 4.0  # size of the grid, relative to the mechanism
 
 
@@ -29,13 +35,21 @@ class Page:
 
     host, port : of the server, see server.open_server
     beside     : Source drawn as a ghost at the same time, and the curve of its distance, or None
+    robot      : path of the robot file of the scene of a recording or a node, for its visuals, or None
 
     address    : of the page
     Raises ViewError
     """
 
-    def __init__(self, source, host="127.0.0.1", port=8090, beside=None):
-        self.source = source
+    def __init__(self, source, host="127.0.0.1", port=8090, beside=None, robot=None):
+        self.source, self._shapes, remarks = source, {}, []
+        scene = source.layout.scene
+        if robot is not None:
+            self._shapes, remarks = shapes_from(robot, scene, MOST_TRIANGLES)
+        elif scene.robot is not None:
+            self._shapes, remarks = robot_shapes(scene.robot, MOST_TRIANGLES)
+        for remark in remarks:
+            source.tell(0.0, "shapes", remark)
         self._server, self.address = open_server(host, port, source.title)
         try:
             self._make(beside)
@@ -45,13 +59,10 @@ class Page:
 
     def _make(self, beside):
         source = self.source
-        self._doing, self._stopping = threading.Lock(), threading.Event()
+        self._doing, self._stopping = threading.RLock(), threading.Event()
         self.look, self.ghost_shift, self._ghost, self._ghost_history = Look(), 0.0, None, None
+        self._ghost_since = -math.inf
         self.cursor, self.playing, self.play_speed = None, not source.is_live, 1.0  # cursor: s, None: the newest frame
-        robot = source.layout.scene.robot
-        self._shapes, remarks = ({}, []) if robot is None else robot_shapes(robot)
-        for remark in remarks:
-            source.tell(0.0, "shapes", remark)
         self._drawing = Drawing(self._server, source.layout, self._shapes)
         frame = source.frame()
         if frame is not None and frame.bound:
@@ -102,33 +113,55 @@ class Page:
             for client in self.clients():
                 client.add_notification("Refused", text[:300], color="red", auto_close_seconds=8.0)
 
-    def haunt(self, history, shift):
-        """Draw another motion as a ghost; shift: s, from its time to that of the source. None ends it."""
+    def haunt(self, history, shift, since=-math.inf):
+        """Draw another motion as a ghost.
+
+        history : its History; None ends it
+        shift   : s, from its time to that of the source
+        since   : s, time of the source from which it is another motion
+        """
         with self._doing:
             if self._ghost is not None:
                 self._ghost.remove()
-            self._ghost_history, self.ghost_shift, self._ghost = history, shift, None
+            self._ghost_history, self.ghost_shift, self._ghost_since, self._ghost = history, shift, since, None
             if history is not None:
                 self._ghost = Drawing(self._server, self.source.layout, self._shapes, ghost=True)
+            self._panel.has_changed = True
 
     def other(self, frame):
         """Frame of the ghost at the time of a frame, or None."""
+        return self._ghost_history.at(frame.time - self.ghost_shift + SAME) if self._has_other(frame) else None
+
+    def distance(self, frame):
+        """Largest distance of a body from that of the ghost at the time of a frame, m, or NaN."""
+        if not self._has_other(frame):
+            return math.nan
+        places = self._ghost_history.places(frame.time - self.ghost_shift)
+        return float(np.linalg.norm(frame.sample.rows[:, :3] - places, axis=1).max())
+
+    def _has_other(self, frame):
         history = self._ghost_history
-        if history is None or not history.times:
-            return None
-        at = frame.time - self.ghost_shift
-        return history.at(at) if history.times[0] - 1e-9 <= at <= history.times[-1] + 1e-9 else None
+        if history is None or not history.times or frame.time < self._ghost_since - SAME:
+            return False
+        first, last = history.span()
+        return first - SAME <= frame.time - self.ghost_shift <= last + SAME
 
     def exchange(self, source):
         """Continue with another source of the same scene, a branch."""
-        before, self.source = self.source, source
-        self.cursor, self.playing = None, False
-        if self._hand is None and "push" in source.takes:
-            self._hand = Hand(self, source.layout)
-            self._hand.take_hold(self._drawing)
+        with self._doing:
+            before, self.source = self.source, source
+            self.cursor, self.playing = None, False
+            if self._hand is None and "push" in source.takes:
+                self._hand = Hand(self, source.layout)
+                self._hand.take_hold(self._drawing)
+            self._panel.rebuild()
         if before.is_live:
             before.close()
-        self._panel.rebuild()
+
+    def go_on(self, command, *arguments):
+        """Let the source run, pause or step, and look at the present."""
+        self.cursor = None
+        self.attempt(self.source.tell_by_event, command, *arguments)
 
     def seen(self):
         """The Frame that is shown, or None before the first one."""
@@ -144,7 +177,7 @@ class Page:
             try:
                 self._play(now - before)
                 frame = self.source.frame()
-                if self.source.is_live and frame is not None:
+                if self.source.polled and frame is not None:
                     self.source.history.add(frame)
                 frame = self.seen()
                 if frame is not None and (frame is not shown or self._panel.has_changed):
@@ -153,7 +186,8 @@ class Page:
                     shown = frame
                 if now >= next_figures:
                     next_figures = now + 1.0 / FIGURES
-                    self._panel.update(frame)
+                    with self._doing:
+                        self._panel.update(frame)
                 if self._hand:
                     self._hand.hold(frame)
             except Exception:  # a page that fails must not end what it shows
@@ -192,9 +226,8 @@ class Page:
         gravity = np.array(layout.scene.gravity)
         up = -gravity / np.linalg.norm(gravity) if gravity.any() else np.array([0.0, 0.0, 1.0])
         server.scene.set_up_direction(tuple(up))
-        places = np.array([body.position for body in layout.scene.bodies])
-        middle = 0.5 * (places.max(axis=0) + places.min(axis=0))
-        lowest = (places @ up).min() - 0.5 * size
+        middle = self._drawing.middle
+        lowest = middle @ up - 0.6 * size
         cell = 10.0 ** math.floor(math.log10(size))
         plane = {0: "yz", 1: "xz", 2: "xy"}[int(np.abs(up).argmax())]
         ground = up * min(0.0, lowest) if abs(lowest) < 5.0 * size else up * lowest
@@ -202,7 +235,19 @@ class Page:
             "/ground", FLOOR * size, FLOOR * size, plane=plane, cell_size=0.5 * cell, section_size=cell,
             position=tuple(middle - up * (middle @ up) + ground), plane_opacity=0.0,
         )  # fmt: skip
+        # The library's environment map takes twice as long to the first picture without a GPU.
+        server.scene.configure_environment_map(hdri=None)
+        server.scene.add_light_hemisphere("/light", sky_color=SKY, ground_color=EARTH, intensity=BRIGHT)
         ahead = np.array(ALOFT) if plane == "xy" else np.roll(ALOFT, 1 if plane == "yz" else 2)
+        ahead /= np.linalg.norm(ahead)
+        right = np.cross(up, ahead)
+
+        def aim(camera, aspect):
+            far = FAR * size * max(1.0, 1.0 / aspect)
+            at = middle + (ASIDE * size * right / np.linalg.norm(right) if aspect > 1.0 else -ABOVE * far * up)
+            camera.position, camera.look_at = tuple(at + far * ahead), tuple(at)
+
         camera = server.initial_camera
-        camera.look_at, camera.position = tuple(middle), tuple(middle + FAR * size * ahead / np.linalg.norm(ahead))
+        aim(camera, aspect=1.5)
+        server.on_client_connect(lambda client: client.camera.aspect < 1.0 and aim(client.camera, client.camera.aspect))
         camera.near, camera.far = 1e-3 * size, 1e3 * size

@@ -7,15 +7,22 @@ from html import escape
 
 import numpy as np
 
-from .export import save_html, save_picture, save_video
+from liegroup_core.methods.table import METHODS
 
-SMALLEST = 1e-17  # value whose logarithm stands for zero
+from .export import save_html, save_picture, save_video
+from .server import ViewError
+from .source import SAME
+
 SECONDS = 20.0  # of the curves of a live source
+TICK = 1e-3  # s, of the time line
 MOST_LINES = 60  # events that are shown
 MOST_JOINTS = 60  # joints with sliders
 MOST_POWER = 15  # of ten, by which a halo magnifies an error
 SPEEDS = ("0.01", "0.1", "0.5", "1", "2", "5", "10")
-BAD = "#c03030"
+BAD, PLAIN = "#c03030", "#3060c0"
+COLOURS = (PLAIN, "#808890", BAD, "#d08020")  # of the curves of a plot
+WITH_GAPS = ("beyond it", "distance to the pale motion")
+MOST_MARKS = 300  # events on the time line
 LINE = "white-space:nowrap;overflow:hidden;text-overflow:ellipsis"
 # Of a slider whose joint has no limits.
 ROUND, REACH = math.pi, 1.0  # rad; of the size of the mechanism
@@ -27,7 +34,7 @@ class Panel:
     repeats = True  # a recording starts again at its end
 
     def __init__(self, page, gui):
-        self._page, self._gui, self._parts, self._lines = page, gui, [], []
+        self._page, self._gui, self._parts, self._lines, self._marks = page, gui, [], [], []
         self.has_changed = True
         self.rebuild()
 
@@ -50,8 +57,9 @@ class Panel:
             self._events = gui.add_html("")
         with tabs.add_tab("Show"):
             self._show()
-        with tabs.add_tab("Save"):
-            self._save(source)
+            self._save()
+        with tabs.add_tab("What if"):
+            self._what_if(source)
         self._parts = [self._state, *self._run_row, *self._time, tabs]
 
     def _button(self, label, action, **options):
@@ -70,7 +78,7 @@ class Panel:
         if "pause" in source.takes:
             group = gui.add_button_group("run", ("Run", "Pause", "Step", "Reset"))
             commands = {"Run": ("resume",), "Pause": ("pause",), "Step": ("step", 1), "Reset": ("reset",)}
-            group.on_click(lambda _: page.attempt(source.ask, *commands[group.value]))
+            group.on_click(lambda _: page.go_on(*commands[group.value]))
             parts.append(group)
         if "speed" in source.takes:
             speed = gui.add_dropdown("real-time factor", SPEEDS, initial_value="1")
@@ -80,23 +88,23 @@ class Panel:
 
     def _time_line(self):
         page, gui = self._page, self._gui
-        slider = gui.add_slider("time", 0.0, 1.0, 0.001, 0.0, hint="part of the time that was seen")
+        first, last = page.source.history.span()
+        slider = gui.add_slider("time, s", first, max(last, first + TICK), TICK, first)
 
         def moved(event):
             if event.client is None:  # by `update`
                 return
-            first, last = page.source.history.span()
-            page.cursor, page.playing = first + slider.value * (last - first), False
+            page.cursor, page.playing = slider.value, False
             page._drawing.forget_trace()
 
         slider.on_update(moved)
-        parts = [slider]
+        self._strip = gui.add_html("")
+        parts = [slider, self._strip]
         if page.source.is_live:
             live = gui.add_button("Back to the present", visible=False)
             live.on_click(lambda _: setattr(page, "cursor", None))
             parts.append(live)
             self._live = live
-        parts.append(self._button("Branch from here", self._branch, hint="continue from this instant: what if"))
         return parts
 
     def _branch(self):
@@ -107,7 +115,7 @@ class Panel:
         if "back" in source.takes:
             page.attempt(source.ask, "pause")
             kept, now = source.ask("back", at)
-            page.haunt(source.history, now - kept)
+            page.haunt(source.history.until(now - SAME), now - kept, now)
             page.cursor = None
             return f"continues from {kept:.6g} s; the former motion is the pale one"
         at = source.history.span()[0] if at is None else at
@@ -118,22 +126,26 @@ class Panel:
 
     def _motion(self):
         gui, layout = self._gui, self._page.source.layout
-        self._error = self._plot("log10 of the estimated error in m", ("largest", "requested"))
+        self._error = self._plot("log10 of the error in m", ("estimated", "requested", *WITH_GAPS))
         self._energy = self._plot("change of the energy, J", ("energy",))
         names = layout.coordinates.names
         self._joint = gui.add_dropdown("joint", tuple(names), initial_value=names[0]) if names else None
         self._position = self._plot("position", ("position",)) if names else None
         self._velocity = self._plot("velocity", ("velocity",)) if names else None
-        with_efforts = names and self._page.source.knows_efforts
-        self._effort = self._plot("effort of servo, drive and command", ("effort",)) if with_efforts else None
-        self._apart = self._plot("log10 of the distance to the pale motion in m", ("distance",))
+        self._effort = self._plot("effort of servo, drive and command", ("effort",)) if names else None
+        held = [joint.name for joint in layout.scene.joints]
+        self._held = gui.add_dropdown("reaction of", tuple(held), initial_value=held[0]) if held else None
+        self._reaction = self._plot("reaction, N and N m", ("force", "torque")) if held else None
 
     def _plot(self, title, names):
         from viser import uplot
 
-        colours = ("#c03030", "#3060c0")
+        # The library draws a line over a gap; curves with gaps are points.
+        kinds = [
+            {"width": 0, "points": {"show": True, "size": 3}} if name in WITH_GAPS else {"width": 2} for name in names
+        ]
         series = (uplot.Series(label="s"),) + tuple(
-            uplot.Series(label=name, stroke=colour, width=2, spanGaps=False) for name, colour in zip(names, colours)
+            uplot.Series(label=name, stroke=colour, **kind) for name, colour, kind in zip(names, COLOURS, kinds)
         )
         scales = {"x": uplot.Scale(time=False)}
         axes = (uplot.Axis(), uplot.Axis(size=64))
@@ -172,7 +184,9 @@ class Panel:
             return
         page = self._page
         paused = page.source.status().state == "paused"
-        if paused or kind == "place":
+        if kind == "place" and not paused:
+            page.say(f"{joint} has neither a servo nor a drive: pause the run to move it", failed=True)
+        elif paused:
             page.attempt(page.source.ask, "place", {joint: value})
         else:
             page.attempt(page.source.ask, kind, joint, value)
@@ -203,15 +217,43 @@ class Panel:
         self._page.look = self._page.look._replace(**changed)
         self.has_changed = True
 
-    def _save(self, source):
-        gui, page = self._gui, self._page
+    def _what_if(self, source):
+        gui = self._gui
+        self._button("Branch from here", self._branch, hint="continue from the instant of the time line")
+        if "reference" in source.takes:
+            self._button("Compare with the reference", self._compare, hint="takes as long as analyze")
         if "save" in source.takes:
             name = gui.add_text("snapshot", "first")
-            self._button("Save snapshot", lambda: source.ask("save", name.value))
-            self._button("Return to snapshot", lambda: source.ask("restore", name.value))
+            self._button("Save snapshot", lambda: source.tell_by_event("save", name.value))
+            self._button("Return to snapshot", lambda: source.tell_by_event("restore", name.value))
         if "accuracy" in source.takes:
-            accuracy = gui.add_text("accuracy", "1e-6")
-            self._button("Set accuracy", lambda: source.ask("accuracy", float(accuracy.value)))
+            accuracy = gui.add_text("accuracy", source.accuracy)
+            self._button("Set accuracy", lambda: source.tell_by_event("accuracy", _number(accuracy.value)))
+        if "method" in source.takes:
+            method = gui.add_dropdown("method", tuple(METHODS), initial_value="rkmk4")
+            step = gui.add_number("step, s", 0.001, min=1e-9, step=0.001)
+            hint = "from the instant of the time line"
+            self._button("Continue with this method", lambda: self._continue(method.value, step.value), hint=hint)
+
+    def _compare(self):
+        page = self._page
+        self.note("the reference integration runs")
+        history, text = page.source.reference()
+        page.haunt(history, 0.0)
+        return text
+
+    def _continue(self, method, step):
+        page, at = self._page, self._page.cursor
+        before = page.source.history.until(math.inf)
+        page.exchange(page.source.with_method(method, step, at))
+        if at is None:
+            page.haunt(None, 0.0)
+            return f"continues with {method}, paused; go back on the time line first to compare with the former motion"
+        page.haunt(before, 0.0)
+        return f"continues with {method}, paused; the former motion is the pale one"
+
+    def _save(self):
+        gui, page = self._gui, self._page
         for label, save in (("Picture", save_picture), ("Video", save_video), ("Page to keep (HTML)", save_html)):
             button = gui.add_button(label)
             button.on_click(lambda event, save=save: page.attempt(save, page, event.client))
@@ -225,8 +267,10 @@ class Panel:
         """Show the figures of a Frame, at a low rate."""
         page, source = self._page, self._page.source
         for at, name, text in source.events():
+            text = text.partition(" {")[0]  # without the state itself
             failed = name in ("fault", "refused", "unrecorded", "slow", "inaccurate")
             self._lines = [*self._lines[1 - MOST_LINES :], (at, f"{name}: {text}", failed)]
+            self._marks = [*self._marks[1 - MOST_MARKS :], (at, f"{at:.3f} s {name}: {text}", failed)]
         self._state.content = self._headline(frame)
         rows = "".join(
             f'<div style="{LINE};color:{BAD if failed else "inherit"}" title="{escape(text)}">'
@@ -242,8 +286,10 @@ class Panel:
         if page.source.is_live:
             self._live.visible = page.cursor is not None
         if page.cursor is None or page.playing:
-            at = 1.0 if page.cursor is None else (page.cursor - first) / (last - first or 1.0)
-            self._time[0].value = round(min(max(at, 0.0), 1.0), 3)
+            slider = self._time[0]
+            slider.min, slider.max = first, max(last, first + TICK)
+            slider.value = last if page.cursor is None else min(max(page.cursor, first), last)
+        self._strip.content = _strip(self._marks, first, last, frame.time)
         self._plots(frame, first if not source.is_live else max(first, last - SECONDS))
 
     def _headline(self, frame):
@@ -252,6 +298,8 @@ class Panel:
         lines = [f"<b>{escape(source.title)}</b>"]
         if frame is not None:
             lines.append(f"t = {frame.time:.3f} s, {escape(status.state)}")
+            if source.how:
+                lines.append(escape(source.how))
             errors, bound = frame.sample.errors, frame.bound
             if errors is not None and np.isfinite(errors[:, 0]).any():
                 text = f"estimated error {np.nanmax(errors[:, 0]):.1e} m, {np.nanmax(errors[:, 1]):.1e} rad"
@@ -270,42 +318,40 @@ class Panel:
         return f'<div style="padding:4px 12px;font-size:13px">{shown}</div>'
 
     def _plots(self, frame, since):
-        history = self._page.source.history
+        page = self._page
+        history, dressed = page.source.history, page.source.dressed
         base = history.frames[0].sample.energy
-
-        def largest(f):
-            errors = f.sample.errors
-            return np.nan if errors is None or not np.isfinite(errors[:, 0]).any() else _log10(np.nanmax(errors[:, 0]))
-
-        self._draw(self._error, history, since, (largest, lambda f: _log10(f.bound[0]) if f.bound else np.nan))
-        self._draw(self._energy, history, since, (lambda f: f.sample.energy - base,))
+        errors = {
+            "estimated": _estimated,
+            "requested": lambda f: f.bound[0] if f.bound else np.nan,
+            "beyond": lambda f: _estimated(f) if f.bound and _estimated(f) > f.bound[0] else np.nan,
+            f"distance {id(page._ghost)}": page.distance,
+        }
+        self._draw(self._error, history, since, {key: lambda f, v=v: _log10(v(f)) for key, v in errors.items()})
+        self._draw(self._energy, history, since, {"energy": lambda f: f.sample.energy - base})
         if self._joint is not None:
             joint = self._joint.value
             coordinates = lambda f: f.sample.joint_coordinates.get(joint, (np.nan, np.nan))  # noqa: E731
-            self._draw(self._position, history, since, (lambda f: coordinates(f)[0],))
-            self._draw(self._velocity, history, since, (lambda f: coordinates(f)[1],))
-            dressed = self._page.source.dressed
-            if self._effort is not None:
-                self._draw(self._effort, history, since, (lambda f: dressed(f).sample.all_efforts.get(joint, np.nan),))
-        has_other = self._page._ghost is not None
-        self._apart.visible = has_other
-        if has_other:
-            self._draw(self._apart, history, since, (self._distance,))
+            self._draw(self._position, history, since, {f"position {joint}": lambda f: coordinates(f)[0]})
+            self._draw(self._velocity, history, since, {f"velocity {joint}": lambda f: coordinates(f)[1]})
+            efforts = lambda f: dressed(f).sample.all_efforts.get(joint, 0.0)  # noqa: E731
+            self._draw(self._effort, history, since, {f"effort {joint}": efforts})
+        if self._held is not None:
+            held = self._held.value
+            parts = {"force": slice(3, 6), "torque": slice(0, 3)}
+            reaction = lambda f, part: _norm(dressed(f).sample.reactions.get(held), part)  # noqa: E731
+            curves = {f"{key} {held}": lambda f, part=part: reaction(f, part) for key, part in parts.items()}
+            self._draw(self._reaction, history, since, curves)
         for joint, slider in self._sliders.items():
             if self._page.source.status().state == "running" and joint in frame.sample.joint_coordinates:
                 position = frame.sample.joint_coordinates[joint][0]
                 if slider.min <= position <= slider.max:
                     slider.value = position
 
-    def _distance(self, frame):
-        other = self._page.other(frame)
-        if other is None:
-            return np.nan
-        return _log10(np.linalg.norm(frame.sample.rows[:, :3] - other.sample.rows[:, :3], axis=1).max())
-
     @staticmethod
     def _draw(plot, history, since, values):
-        curves = [history.curve(value, since) for value in values]
+        """Draw {key: function of a Frame} in a plot, see History.curve."""
+        curves = [history.curve(value, since, key) for key, value in values.items()]
         times = curves[0][0]
         if len(times) < 2:
             return
@@ -314,14 +360,15 @@ class Panel:
         power = math.floor(math.log10(largest)) if largest > 0.0 else 0
         power = 0 if -3 <= power <= 4 else power  # the axes have no exponents
         plot.name(power)
-        plot.plot.data = (times, *(curve * 10.0**-power for curve in found))
+        plot.show(times, [curve * 10.0**-power for curve in found])
 
 
 class _Plot:
     """Plot with its caption, which has the power of ten of the numbers at the axis."""
 
     def __init__(self, title, caption, plot):
-        self._title, self._caption, self.plot = title, caption, plot
+        self._title, self._caption, self._plot = title, caption, plot
+        self._known = [True] * (len(plot.series) - 1)
         self.name(0)
 
     def name(self, power):
@@ -329,15 +376,57 @@ class _Plot:
         shown = self._title + (f" / 1e{power}" if power else "")
         self._caption.content = f'<div style="padding:6px 12px 0;font-size:12px">{shown}</div>'
 
-    @property
-    def visible(self):
-        """Whether it is shown."""
-        return self.plot.visible
+    def show(self, times, curves):
+        """Draw curves (k,), and hide those without a number.
 
-    @visible.setter
-    def visible(self, visible):
-        self._caption.visible = self.plot.visible = visible
+        The library finds no range of an axis if a curve begins with NaN; then its second value is its first, or one
+        that another curve hides.
+        """
+        plot, known = self._plot, [bool(np.isfinite(curve).any()) for curve in curves]
+        if known != self._known:
+            self._known = known
+            plot.series = (plot.series[0], *(s | {"show": is_known} for s, is_known in zip(plot.series[1:], known)))
+        numbers = np.concatenate(curves)
+        hidden = next(iter(numbers[np.isfinite(numbers)]), 0.0)
+        for curve in curves:
+            if not np.isfinite(curve[0]):
+                curve[0] = curve[1] if np.isfinite(curve[1]) else hidden
+        plot.data = (times, *curves)
 
 
 def _log10(value):
-    return math.log10(max(float(value), SMALLEST))
+    return math.log10(value) if value > 0.0 else math.nan
+
+
+def _number(text):
+    """Number of a text field. Raises ViewError."""
+    try:
+        return float(text)
+    except ValueError:
+        raise ViewError(f"{text!r} is no number: give one such as 1e-6") from None
+
+
+def _estimated(frame):
+    """Largest estimated position error of a Frame, m, or NaN."""
+    errors = frame.sample.errors
+    return np.nan if errors is None or not np.isfinite(errors[:, 0]).any() else np.nanmax(errors[:, 0])
+
+
+def _norm(wrench, part):
+    return np.nan if wrench is None else float(np.linalg.norm(wrench[part]))
+
+
+def _strip(marks, first, last, at):
+    """Line below the slider: events of [(time, text, whether it is a failure)], and the time `at`, s."""
+    place = lambda time: 100.0 * (time - first) / (last - first or 1.0)  # noqa: E731
+    ticks = "".join(
+        f'<div title="{escape(text)}" style="position:absolute;left:{place(time):.2f}%;top:{0 if failed else 3}px;'
+        f'width:3px;height:{12 if failed else 6}px;background:{BAD if failed else PLAIN}"></div>'
+        for time, text, failed in marks
+        if first <= time <= last
+    )
+    return (
+        '<div style="position:relative;height:12px;margin:2px 12px;border-bottom:1px solid #808890">'
+        f'{ticks}<div style="position:absolute;left:{place(at):.2f}%;top:0;width:1px;height:12px;background:#808890">'
+        "</div></div>"
+    )

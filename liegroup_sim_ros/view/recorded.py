@@ -1,9 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Source of a page: a recording, with its whole time line."""
 
+import functools
+
+import numpy as np
+
 from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import scene_from_text
-from liegroup_sim_ros.analysis.acting import Acting, sample_of
+from liegroup_sim_ros.analysis.acting import Acting, AlongStretches, sample_of
+from liegroup_sim_ros.analysis.reference import ReferenceError
 from liegroup_sim_ros.playback.branch import Branches
 from liegroup_sim_ros.recording.check import check_settings
 from liegroup_sim_ros.recording.motion import Motion
@@ -11,29 +16,33 @@ from liegroup_sim_ros.recording.read import read_recording
 
 from .local import Local
 from .server import ViewError
-from .source import Frame, Source, Status, allowed
+from .source import Frame, History, Source, Status, allowed
 
 
 class Recorded(Source):
     """A recording, by its path or address. Raises LieGroupSimError."""
 
-    is_live = False
+    is_live, polled, takes = False, False, frozenset(("reference",))
 
     def __init__(self, path):
         self.recording = recording = read_recording(str(path))
         scene = scene_from_text(recording.scene_text, source=f"{path}: scene.yaml")
         check_settings(recording, scene)
         super().__init__(make_layout(scene), f"{scene.name}, {path}")
-        motion = Motion(recording, self.layout)
-        for _ in motion.blocks():
+        motion, along = Motion(recording, self.layout), AlongStretches(recording, self.layout)
+        for _ in motion.blocks(lambda block: along.of(block)[3]):
             pass
         self._owners, promise = {}, recording.settings.get("promise")
         self._acting = Acting(self.layout, recording.settings["step"])
         if not motion.stretches:
-            raise ViewError(f"{path}: it has no samples")
+            raise ViewError(f"{path}: {recording.problem or 'it has no samples'}")
         for stretch in motion.stretches:
             for k, time in enumerate(stretch.log_times.tolist()):
                 self.history.add(self._frame(stretch, k, time, promise))
+        settings = recording.settings
+        self.how = f"{settings['method']}, " + (
+            f"accuracy {promise['accuracy']:g}" if promise else f"step {settings['step']:g} s"
+        )
         for event in recording.events:
             self.tell(event.stamp_ns * 1e-9, event.name, event.text)
 
@@ -57,6 +66,24 @@ class Recorded(Source):
     def status(self):
         """Status."""
         return Status("recorded", None, None, self.recording.problem or "")
+
+    def reference(self):
+        """(History of the reference integration with the recorded inputs, one line)."""
+        history, motion = History(), Motion(self.recording, self.layout)
+        integration = ReferenceError(
+            self.layout, self.recording, len(self.history.times), keep=functools.partial(self._keep, history)
+        )
+        for block in motion.blocks():
+            integration.add(block)
+        figures, _ = integration.figures()
+        if not history.times:
+            raise ViewError(figures.get("stopped") or "the reference integration has no sample")
+        return history, figures.get("stopped") or "the pale motion is the reference integration"
+
+    def _keep(self, history, log_times, exact):
+        for k, time in enumerate(log_times.tolist()):
+            pose = np.concatenate([exact.rotation[k].reshape(-1, 9), exact.position[k]], axis=1)
+            history.add(Frame(time, self.layout.sample(pose, exact.twist[k], float(exact.times[k])), None))
 
     def branch(self, time):
         """Simulation that continues from an instant, without the recorded inputs after it."""

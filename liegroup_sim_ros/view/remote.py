@@ -13,12 +13,13 @@ from liegroup_core import Simulation
 from liegroup_core.errors import SceneError
 from liegroup_core.forces.commands import EFFORT, WRENCH, Commands
 from liegroup_core.forces.instants import StepGrid
+from liegroup_core.forces.timetable import just_after
 from liegroup_core.inputs import Inputs
 from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import scene_from_text
-from liegroup_sim_ros.messages import arrays, estimates, inputs, topics
+from liegroup_sim_ros.messages import arrays, estimates, inputs, joint_modes, topics
 from liegroup_sim_ros.messages.codecs import LogCodec, PoseStampedCodec, TwistStampedCodec
-from liegroup_sim_ros.messages.commands import joint_labels
+from liegroup_sim_ros.messages.commands import JointStateDecoder, decode_motions, joint_labels
 from liegroup_sim_ros.messages.diagnostics import decode as decode_figures
 
 from .local import Local
@@ -43,7 +44,6 @@ TRIGGERS = {"pause": "pause", "resume": "resume", "step": "step", "reset": "rese
 class Remote(Source):
     """The node with a name, such as /sim_node. Raises ViewError if it is not found or ROS is missing."""
 
-    knows_efforts = False  # the wanted values of servos arrive on a topic of their own
     takes = frozenset(
         ("pause", "resume", "step", "reset", "speed", "accuracy", "place", "save", "restore", "push")
         + ("effort", "servo", "driven")
@@ -121,6 +121,7 @@ class Remote(Source):
         self._least, self._late = math.inf, 0.0  # s: smallest and present delay of a frame
         self._pose = np.tile(np.array([1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0, 0, 0, 0]), (len(names), 1))
         self._twist, self._stamps = np.zeros((len(names), 6)), [[-1, -1] for _ in names]
+        self._wanted = layout.wanted.copy()
         self._inputs = Inputs(layout, StepGrid(GRID), layout.wanted.copy(), None)
         self._commands, self._acting, self._base_ns = {}, (), 0
         self._services, self._parameters, self._publishers = {}, None, {}
@@ -132,6 +133,14 @@ class Remote(Source):
             for i, body in enumerate(names):
                 self._subscribe(topics.pose(body), lambda payload, i=i: self._take_pose(payload, i))
                 self._subscribe(topics.twist(body), lambda payload, i=i: self._take_twist(payload, i))
+        self._modes, self._motions = layout.no_modes, self._inputs.commanded.copy()
+        if layout.servos:
+            self._decode_targets = JointStateDecoder(len(layout.servos)).decode
+            self._subscribe(topics.SERVO_TARGETS, self._take_targets)
+        if layout.motions:
+            self._subscribe(topics.MOTIONS, self._take_motions)
+        if layout.switches:
+            self._subscribe(topics.JOINT_MODES, self._take_modes)
         self._subscribe(topics.ERRORS, self._take_errors)
         self._subscribe(topics.INPUTS, self._take_inputs)
         self._subscribe(topics.EVENTS, self._take_event)
@@ -178,6 +187,9 @@ class Remote(Source):
         near = None if self._newest is None else self._newest.sample.angles
         sample = self.layout.sample(self._pose, self._twist, seconds, near=near)
         sample.errors, sample.external = self._errors, self._external(stamp)
+        sample.joint_efforts = dict(self._inputs.schedule.efforts)
+        sample.wanted, sample.switching = self._wanted, self._modes
+        sample.motions = self.layout.motions_at(just_after(seconds), self._motions)
         accuracy, bound = self._figures.get("accuracy"), None
         if accuracy is not None:
             bound = allowed(self.layout, accuracy, self._figures["accuracy_horizon_s"], seconds)
@@ -196,6 +208,17 @@ class Remote(Source):
         if acting != self._acting:
             self._inputs.commands, self._acting = Commands(acting), acting
         return self._inputs.external.copy()
+
+    def _take_targets(self, payload):
+        _, _, position, velocity, _ = self._decode_targets(payload)
+        self._wanted = np.column_stack([position, velocity])
+
+    def _take_motions(self, payload):
+        self._motions = np.reshape(decode_motions(payload)[1], self._motions.shape)
+
+    def _take_modes(self, payload):
+        values = joint_modes.decode(payload)[1]
+        self._modes = joint_modes.switching(np.reshape(values, (len(self._modes), -1)))
 
     def _take_errors(self, payload):
         rows = estimates.decode_rows(np.frombuffer(payload, np.uint8)[None], self.layout.body_names)
@@ -300,6 +323,12 @@ class Remote(Source):
     def _command(self, kind, joint, value):
         from sensor_msgs.msg import JointState
 
+        limits = self.layout.limits.get(joint)
+        if limits is not None:  # a refusal of the node is in its log only
+            try:
+                (limits.check_effort if kind == "effort" else limits.check_position)(float(value))
+            except ValueError as error:
+                raise ViewError(str(error)) from None
         publisher = self._publishers.get("joints")
         if publisher is None:
             publisher = self._node.create_publisher(JointState, f"{self._name}/joint_commands", 10)

@@ -12,6 +12,7 @@ import functools
 import io
 import logging
 import secrets
+import socket
 import threading
 import time
 from http import HTTPStatus
@@ -37,7 +38,7 @@ class ViewError(LieGroupSimError):
 def open_server(host, port, title):
     """(ViserServer, address with the token if one is needed) on a port, or on the next one that is free.
 
-    Raises ViewError if viser is not installed, or the host is not one of this machine.
+    Raises ViewError if viser is not installed, there is no such port, or the host is not one of this machine.
     """
     if find_spec("viser") is None:
         raise ViewError(f"the page needs the package viser: {HINT}")
@@ -59,7 +60,7 @@ def open_server(host, port, title):
         server._websock_server.unregister_handler(message)
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
     server.gui.set_panel_label(title)
-    shown = "localhost" if host in ("0.0.0.0", "::") else host
+    shown = socket.gethostname() if host in ("0.0.0.0", "::") else host
     return server, f"http://{shown}:{server.get_port()}" + (f"/?token={token}" if token else "")
 
 
@@ -84,8 +85,8 @@ def close_server(server):
 
 
 def _started(viser, host, port):
-    import socket
-
+    if not 0 < port < 65536:
+        raise ViewError(f"--port {port}: give a number from 1 to 65535")
     with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
         try:  # viser would try a thousand ports and then wait for ever
             probe.bind((host, 0))

@@ -14,6 +14,7 @@ from .server import ViewError
 # Frames that a history keeps; then every second one of them goes.
 MOST_KEPT = 20_000
 MOST_EVENTS = 500
+SAME = 1e-9  # s, between two times that are equal but for rounding
 
 
 class Frame(NamedTuple):
@@ -45,13 +46,14 @@ class Source:
     title  : for the page
     takes  : names of the commands that `ask` takes: "pause", "resume", "step" (count), "reset", "speed" (factor),
              "accuracy" (number), "place" ({joint: position}), "save" and "restore" (name of a snapshot), "effort",
-             "servo" and "driven" (joint, value); and "push", if it takes wrenches
+             "servo" and "driven" (joint, value); "push", if it takes wrenches; "method", if `with_method` works;
+             "reference", if `reference` does
     is_live: whether frames arrive while it runs; else `history` is complete from the start
-    knows_efforts : whether the samples have what servos, drives and commands exert
+    polled : whether the page adds the newest frame to `history` at its rate; else the source adds all frames
     """
 
     takes = frozenset()
-    is_live = knows_efforts = True
+    is_live = polled = True
 
     def __init__(self, layout, title):
         self.layout, self.title = layout, title
@@ -66,6 +68,9 @@ class Source:
         """Status."""
         raise NotImplementedError
 
+    accuracy = "1e-6"  # present one, as text
+    how = ""  # method and accuracy or step, one line
+
     def dressed(self, frame):
         """The Frame with everything that acts, before it is drawn."""
         return frame
@@ -73,6 +78,10 @@ class Source:
     def ask(self, command, *arguments):
         """Carry out a command; returns one line of text. Raises LieGroupSimError if it is refused."""
         raise ViewError(f"{self.title} takes no command {command!r}")
+
+    def tell_by_event(self, command, *arguments):
+        """`ask` for a command whose event tells of it."""
+        self.ask(command, *arguments)
 
     def push(self, body, wrench, seconds, point):
         """Apply a wrench (torque, force) in world axes, at a point (3,) of a body's frame, for a simulated time in s.
@@ -87,6 +96,17 @@ class Source:
     def branch(self, time):
         """Source that continues from an instant of `history`, in this process, paused. Raises LieGroupSimError."""
         raise ViewError(f"{self.title} cannot be continued")
+
+    def with_method(self, method, step, time=None):
+        """Source that continues with a method and a step in s, paused. Raises LieGroupSimError.
+
+        time : s, an instant of `history`; None: the present one
+        """
+        raise ViewError(f"{self.title} keeps its method")
+
+    def reference(self):
+        """(History of the reference integration from the same start, one line of text). Raises LieGroupSimError."""
+        raise ViewError(f"{self.title} has no reference")
 
     def events(self):
         """[(time in s, name, text)] since the last call."""
@@ -103,6 +123,11 @@ class Source:
         """End it."""
 
 
+def _velocities(sample):
+    """Velocities (n, 3) of the origins of the bodies of a Sample, world axes, m/s."""
+    return np.einsum("nij,nj->ni", sample.pose[:, :9].reshape(-1, 3, 3), sample.twist[:, 3:])
+
+
 def allowed(layout, accuracy, horizon, seconds):
     """(m, rad) that an accuracy allows after some seconds, as Sample.bound."""
     wanted = accuracy * max(1.0, seconds / horizon)
@@ -110,10 +135,11 @@ def allowed(layout, accuracy, horizon, seconds):
 
 
 class History:
-    """Frames in the order of time, thinned when they are many."""
+    """Frames in the order of time, thinned when they are many; one thread adds, others read."""
 
     def __init__(self):
         self.times, self.frames, self.every, self._skipped = [], [], 1, 0
+        self._known = {}  # {key of a curve: {time: value}}
 
     def add(self, frame):
         """Append a frame that is later than the last one."""
@@ -125,21 +151,45 @@ class History:
         self._skipped = 0
         if len(self.times) >= MOST_KEPT:
             self.times, self.frames, self.every = self.times[::2], self.frames[::2], 2 * self.every
+        self.frames.append(frame)  # first: another thread may look for the time
         self.times.append(frame.time)
-        self.frames.append(frame)
+
+    def until(self, time):
+        """History of the frames up to a time, which gets no more."""
+        copy, end = History(), bisect.bisect_right(self.times, time)
+        copy.times, copy.frames = self.times[:end], self.frames[:end]
+        return copy
 
     def at(self, time):
         """Frame at a time, or the last one before it."""
         return self.frames[max(0, bisect.bisect_right(self.times, time) - 1)]
 
+    def places(self, time):
+        """Positions (n, 3) of the bodies at a time between two frames, m, by their velocities: a cubic polynomial."""
+        k = max(0, bisect.bisect_right(self.times, time + SAME) - 1)
+        begin, end = self.frames[k], self.frames[min(k + 1, len(self.times) - 1)]
+        if time - begin.time <= SAME or end is begin:
+            return begin.sample.rows[:, :3]
+        h = end.time - begin.time
+        s = (time - begin.time) / h
+        (p, v), (q, w) = ((f.sample.rows[:, :3], h * _velocities(f.sample)) for f in (begin, end))
+        rest = 1.0 - s
+        return rest**2 * ((1.0 + 2.0 * s) * p + s * v) + s**2 * ((1.0 + 2.0 * rest) * q - rest * w)
+
     def span(self):
         """(first, last time), s."""
         return (self.times[0], self.times[-1]) if self.times else (0.0, 0.0)
 
-    def curve(self, value, since, most=300):
-        """(times, values) of a function of a Frame from a time on, at most `most` of them; times increase."""
-        first = bisect.bisect_left(self.times, since)
-        some = np.unique(np.linspace(first, len(self.times) - 1, min(most, len(self.times) - first)).astype(int))
+    def curve(self, value, since, key, most=300):
+        """(times, values) of a function of a Frame from a time on, about `most` of them; times increase.
+
+        key : name of the function: a value that is known is not computed again
+        """
         frames = self.frames  # `add` may replace the list
-        times = [frames[k].time for k in some]
-        return np.array(times), np.array([value(frames[k]) for k in some])
+        first, end = bisect.bisect_left(self.times, since), len(frames)
+        every = max(1, (end - first) // most)
+        some = [frames[k] for k in range(-(-first // every) * every, end, every)]
+        known = self._known.get(key, {})
+        found = {frame.time: known[frame.time] if frame.time in known else value(frame) for frame in some}
+        self._known[key] = found
+        return np.array(list(found)), np.array(list(found.values()))

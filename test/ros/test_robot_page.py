@@ -49,7 +49,7 @@ def test_all_commands_of_the_page(folder, capsys):
     first = ["describe", "run", "analyze", "import", "run", *closed, *sensed]
     assert done == [*first, "run", "run", "run", "import", "run", "analyze", "import"]
     assert {"flange", "shoulder", "elbow"} < set(read_recording("sensed.mcap").reactions)
-    (rod,) = load_scene("pendulum.yaml").bodies
+    (rod,) = load_scene("rod.yaml").bodies
     assert rod.com == (0.0, 0.0, -0.4)
     for name in ("five_bar", "lift", "stewart", "swing"):
         poses = read_recording(f"{name}.mcap").pose
@@ -244,6 +244,16 @@ def test_the_page_draws_meshes_within_its_bound(tmp_path, capsys, monkeypatch):
     assert main([*report, "ball.urdf"]) == 0
     assert "drawn as boxes, because trimesh is not installed" in capsys.readouterr().err
     assert shapes["ball"]["points"] not in Path("run.html").read_text()
+
+
+def test_the_page_lists_what_does_not_act(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("ball.urdf").write_text(BALL_URDF.replace("</joint>", '<dynamic damping="4"/></joint>'))
+    assert main(["run", "ball.urdf", "--duration", "0.1", "--out", "run.mcap"]) == 0
+    assert main(["analyze", "run.mcap", "--no-reference", "--html", "run.html"]) == 0
+    page = Path("run.html").read_text()
+    assert "Not as in the robot file:</p><ul" in page
+    assert "<li>unknown parts of the URDF file, left out: &lt;dynamic&gt; in &lt;joint&gt; of line" in page
 
 
 def test_a_damaged_mesh_leaves_a_box(tmp_path):

@@ -10,6 +10,7 @@ import urllib.error
 import urllib.request
 from concurrent.futures import ThreadPoolExecutor
 from http.cookiejar import CookieJar
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -31,6 +32,7 @@ from liegroup_sim_ros.view.local import Local  # noqa: E402
 from liegroup_sim_ros.view.page import Page  # noqa: E402
 from liegroup_sim_ros.view.recorded import Recorded  # noqa: E402
 from liegroup_sim_ros.view.server import close_server, open_server  # noqa: E402
+from liegroup_sim_ros.view.source import History  # noqa: E402
 
 CHROMIUM = shutil.which("chromium")
 PATIENCE = 40.0  # s: a browser without a GPU on a busy machine
@@ -41,6 +43,11 @@ name: block
 gravity: [0, 0, 0]
 bodies:
   - {name: box, mass: 2, inertia: [0.34, 0.33, 0.32]}
+  - {name: door, mass: 1, inertia: [0.3, 0.3, 0.5], position: [3, 0, 0]}
+joints:
+  - {name: hinge, type: revolute, parent: world, child: door, child_frame: {position: [0, 0, 0]}}
+forces:
+  - {name: drive, type: servo, joint: hinge, stiffness: 4, damping: 3}
 """
 BOX = "box"
 CODE = "<img src=x onerror=alert(1)>{x}"  # a text that a page must not take for code
@@ -137,6 +144,13 @@ def test_a_scene_is_pulled_by_the_mouse_and_repeats_bit_by_bit(opened, tmp_path)
     assert source.frame().time == before.time and moved > 1e-3
     shown.get_by_role("button", name="Step").click()
     until(lambda: source.frame().time > before.time, "step")
+    shown.get_by_role("tab", name="Joints").click()
+    shown.get_by_role("button", name="Run").click()
+    slider = shown.get_by_role("slider").last
+    slider.focus()
+    for _ in range(5):
+        slider.press("ArrowRight")
+    until(lambda: source.frame().sample.wanted[0, 0] > 0.0, "command of the slider")
     shown.get_by_role("tab", name="Events").click()
     shown.get_by_text("paused at step").first.wait_for()
     assert shown.get_by_text(CODE).count() and not shown.locator("img[src=x]").count()
@@ -159,6 +173,7 @@ def test_a_recording_plays_goes_back_and_branches(opened, tmp_path):
     until(lambda: not page.playing, "pause")
     at = page.cursor
     recorded = page.source.history.at(at).sample
+    shown.get_by_role("tab", name="What if").click()
     shown.get_by_role("button", name="Branch from here").click()
     until(lambda: isinstance(page.source, Local) and page.source.frame() is not None, "branch")
     branch = page.source
@@ -173,9 +188,119 @@ def test_a_recording_plays_goes_back_and_branches(opened, tmp_path):
     shown.get_by_role("button", name="Run").click()
     until(lambda: branch.frame().time > at + 0.5, "motion of the branch")
     frame = branch.frame()
-    assert page.other(frame) is not None and page._panel._distance(frame) > -3.0  # 5 N m for half a second
-    time.sleep(0.5)
-    shown.screenshot(path=tmp_path / "branch.png")
+    assert page.other(frame) is not None and page.distance(frame) > 1e-3  # 5 N m for half a second
+    shown.get_by_role("tab", name="What if").click()
+    page.cursor = at + 0.2
+    shown.get_by_role("button", name="Continue with this method").click()
+    until(lambda: page.source is not branch, "method")
+    other = page.source
+    assert other.how == "rkmk4, step 0.001 s" and other.status().state == "paused"
+    assert at - 0.01 <= other.frame().time <= at + 0.2 and page.distance(other.frame()) < 1e-9
+    shown.get_by_role("button", name="Step").click()
+    until(lambda: other.frame().sample.time > 0.0 and page.source.history.times, "step")
+
+
+def test_a_reference_is_shown_beside_a_recording(tmp_path):
+    """Its distance is the error that the analysis finds."""
+    path = tmp_path / "run.mcap"
+    assert (
+        main(["run", "double_pendulum", "--method", "rkmk4", "--step", "0.02", "--duration", "1", "--out", str(path)])
+        == 0
+    )
+    source = Recorded(path)
+    history, text = source.reference()
+    assert history.times == source.history.times and "reference integration" in text
+    apart = [
+        np.linalg.norm(one.sample.rows[:, :3] - other.sample.rows[:, :3], axis=1).max()
+        for one, other in zip(source.history.frames, history.frames)
+    ]
+    found = analyse(read_recording(path)).figures["reference"]["position"]["max"]
+    assert max(apart) == pytest.approx(found, rel=1e-9) and found > 1e-7
+
+
+ARM = """<robot name="arm"><link name="base"/><link name="lower arm">
+<inertial><origin xyz="0 0 -0.5"/><mass value="1"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>
+</inertial></link><joint name="front shoulder 100%" type="revolute"><parent link="base"/><child link="lower arm"/>
+<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="10" velocity="5"/><dynamics damping="0.1" friction="0.2"/>
+</joint></robot>"""
+
+
+def test_a_robot_with_blanks_in_its_names_is_recorded_read_and_shown(tmp_path):
+    """Its limit, damping and friction act, so that modes and an unwrapped angle are recorded."""
+    robot, path = tmp_path / "arm.urdf", tmp_path / "run.mcap"
+    robot.write_text(ARM)
+    assert main(["run", str(robot), "--start", "front shoulder 100%=0.9", "--duration", "0.5", "--out", str(path)]) == 0
+    assert main(["analyze", str(path), "--no-reference"]) == 0
+    recording, source = read_recording(path), Recorded(path)
+    assert recording.joint_modes.names == ("front shoulder 100%",)
+    frame = source.dressed(source.history.frames[-1])
+    ((position, *_),) = frame.sample.joint_coordinates.values()
+    assert frame.sample.angles == pytest.approx([position], abs=1e-12) and abs(position) < 1.0
+
+
+def test_a_branch_of_a_live_scene_is_at_the_distance_zero():
+    """Without another input both motions are the same bit by bit, and the former one is not compared with itself."""
+    source = Local(Simulation(load_scene("double_pendulum")), "pendulum", factor=4.0)
+    page = Page(source, port=8200)
+    try:
+        until(lambda: source.frame().time > 3.0 and len(source._marks) > 3, "marks")
+        source.ask("pause")
+        page.cursor = source._marks[2][0] * 1e-9
+        page._panel._branch()
+        began = source.frame().time
+        source.ask("resume")
+        until(lambda: source.frame().time > began + 1.0, "motion")
+        source.ask("pause")
+        distances = [page.distance(frame) for frame in list(source.history.frames)]
+        times = list(source.history.times)
+        assert all(math.isnan(d) for t, d in zip(times, distances) if t < began - 1e-6)
+        after = [d for t, d in zip(times, distances) if began <= t <= began + 1.0]
+        assert max(after) == 0.0 and len(after) > 50
+        # Between its frames the former motion is a cubic polynomial.
+        frame = source.history.frames[50]
+        places = source.history.places(frame.time + 0.004)
+        twin = Simulation(load_scene("double_pendulum"), "rkmk8", 1e-3)
+        twin.advance(round((frame.time + 0.004) / 1e-3))
+        assert np.abs(places - twin.sample().rows[:, :3]).max() < 1e-6
+    finally:
+        page.stop()
+        source.close()
+
+
+def test_a_simulation_continues_with_another_method():
+    """Bit by bit as a simulation with this method that starts from the same state."""
+    simulation = Simulation(load_scene("heavy_top"))
+    simulation.advance(7)
+    source = Local(simulation, "top", paused=True)
+    try:
+        with pytest.raises(LieGroupSimError, match="does not divide the present time"):
+            source.with_method("rkmk4", 0.7 * simulation.time)
+        with pytest.raises(ValueError, match="method"):
+            source.with_method("euler", 1e-3)
+        twin = Simulation(simulation.scene, "rkmk2", simulation.step, quiet=True)
+        twin.start_from(simulation, simulation.steps)
+        other = source.with_method("rkmk2", simulation.step)
+        try:
+            assert np.array_equal(other.frame().sample.pose, simulation.sample().pose)
+            other.ask("step", 3)
+            until(lambda: other.frame().sample.time > simulation.time, "step")
+            twin.advance(3)
+            assert np.array_equal(other.server.call("sample").result(5.0).sample.pose, twin.sample().pose)
+        finally:
+            other.close()
+    finally:
+        source.close()
+
+
+def test_curves_compute_no_value_twice():
+    history, computed = History(), []
+    for k in range(1000):
+        history.add(SimpleNamespace(time=0.1 * k))
+    value = lambda frame: computed.append(frame.time) or 2.0 * frame.time  # noqa: E731
+    for since in (0.0, 0.0, 0.3, 50.0, 50.0):
+        times, values = history.curve(value, since, "twice")
+        assert np.array_equal(values, 2.0 * times) and times[0] >= since and 250 <= len(times) <= 500
+        assert since > 0.3 or len(computed) == 334  # every third one; without the first one, no other ones
 
 
 def test_a_node_is_shown_pulled_and_paused(opened, client, tmp_path):
@@ -196,6 +321,11 @@ def test_a_node_is_shown_pulled_and_paused(opened, client, tmp_path):
         until(lambda: np.abs(source.frame().sample.positions["box"]).max() > 1e-3, "motion")
         shown.mouse.up()
         until(lambda: not page._hand.shown, "release")
+        source.ask("servo", "hinge", 0.5)
+        until(lambda: source.frame().sample.all_efforts["hinge"] > 0.1, "effort")
+        found = source.frame().sample
+        position, velocity = found.joint_coordinates["hinge"][:2]
+        assert found.all_efforts["hinge"] == pytest.approx(4.0 * (0.5 - position) - 3.0 * velocity, rel=1e-12)
         shown.get_by_role("button", name="Pause").click()
         until(lambda: source.status().state == "paused", "pause")
         assert source.ask("resume").startswith("running")
@@ -203,6 +333,7 @@ def test_a_node_is_shown_pulled_and_paused(opened, client, tmp_path):
             source.ask("restore", "nothing")
         page.cursor = source.history.times[len(source.history.times) // 2]
         received = page.seen().sample
+        shown.get_by_role("tab", name="What if").click()
         shown.get_by_role("button", name="Branch from here").click()
         until(lambda: isinstance(page.source, Local), "branch")
         branched = page.source.frame().sample
@@ -349,6 +480,10 @@ def test_a_host_of_another_machine_is_refused_in_one_line(capsys):
         (["nothing.mcap"], "nothing.mcap"),
         (["free_body", "--node", "/sim_node"], "not both"),
         (["free_body", "--accuracy", "-1"], "accuracy"),
+        (["free_body", "--port", "99999"], "from 1 to 65535"),
+        (["free_body", "--robot", "a.urdf"], "--robot is for recordings"),
+        (["run.mcap", "--method", "rkmk4"], "--method is for a scene"),
+        (["--node", "/sim_node", "--out", "run.mcap"], "--out is for a scene"),
     ],
 )
 def test_wrong_arguments_get_one_line(arguments, text, capsys):
