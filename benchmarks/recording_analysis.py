@@ -42,13 +42,8 @@ print(json.dumps([wall, cpu, peak / 1024]))
 def make(path, seconds):
     """Record a run; returns the number of messages."""
     from liegroup_core import Simulation, load_scene
-    from liegroup_sim_ros.messages.codecs import (
-        ClockCodec,
-        LogCodec,
-        PoseStampedCodec,
-        TwistStampedCodec,
-        WrenchStampedCodec,
-    )
+    from liegroup_sim_ros.messages import inputs
+    from liegroup_sim_ros.messages.codecs import ClockCodec, LogCodec, PoseStampedCodec, TwistStampedCodec
     from liegroup_sim_ros.recording import attachments
     from liegroup_sim_ros.recording.write import Recorder
 
@@ -56,18 +51,18 @@ def make(path, seconds):
     topics = {
         "pose": {"top": "/sim_node/top/pose"},
         "twist": {"top": "/sim_node/top/twist"},
-        "applied_wrench": "/sim_node/applied_wrench",
+        "inputs": "/sim_node/inputs",
         "events": "/sim_node/events",
         "clock": "/clock",
         "diagnostics": "/diagnostics",
     }
     with Recorder(path, attachments.at_start(simulation, "/sim_node", "world", 1, topics)) as recorder:
-        pose, twist, wrench, events, clock = (
+        pose, twist, given, events, clock = (
             recorder.add_channel(topic, codec.TYPE)
             for topic, codec in (
                 (topics["pose"]["top"], PoseStampedCodec),
                 (topics["twist"]["top"], TwistStampedCodec),
-                (topics["applied_wrench"], WrenchStampedCodec),
+                (topics["inputs"], inputs),
                 (topics["events"], LogCodec),
                 ("/clock", ClockCodec),
             )
@@ -80,11 +75,10 @@ def make(path, seconds):
                 if step % 600_000 == 1000:
                     simulation.apply_wrench("top", (0, 0, 0, 0, 100.0, 0), duration=0.2)
                 simulation.advance()
-            for change in simulation.drain_applied():
-                stamp = round(change.step * STEP * 1e9)
-                recorder.write(wrench, stamp, WrenchStampedCodec("top").encode(stamp, change.wrench))
             sample = simulation.sample()
             stamp = sample.time_ns
+            if commands := simulation.drain_applied():
+                recorder.write(given, stamp, inputs.encode(0, commands))
             recorder.write(clock, stamp, ClockCodec.encode(stamp))
             recorder.write(
                 pose, stamp, encode_pose(stamp, sample.positions["top"].tolist(), sample.quaternions["top"].tolist())

@@ -16,6 +16,8 @@ os.environ.update(ROS_DOMAIN_ID=str(random.randint(1, 100)), ROS_AUTOMATIC_DISCO
 
 import rclpy  # noqa: E402  (reads the domain from the environment)
 from geometry_msgs.msg import WrenchStamped  # noqa: E402
+from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
+from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 RATES = ["odometry", "velocity", "joint_state", "marker", "state"]
@@ -38,7 +40,8 @@ node = subprocess.Popen(
 rclpy.init()
 client = rclpy.create_node("client")
 applied = []
-client.create_subscription(WrenchStamped, "/sim_node/applied_wrench", applied.append, 10)
+kept = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+client.create_subscription(String, "/sim_node/inputs", applied.append, kept)
 publisher = client.create_publisher(WrenchStamped, "/sim_node/wrench", 10)
 pause = client.create_client(Trigger, "/sim_node/pause")
 end = time.monotonic() + 600.0
@@ -55,9 +58,7 @@ def until(condition):
 
 until(
     lambda: (
-        pause.service_is_ready()
-        and publisher.get_subscription_count()
-        and client.count_publishers("/sim_node/applied_wrench")
+        pause.service_is_ready() and publisher.get_subscription_count() and client.count_publishers("/sim_node/inputs")
     )
 )
 prefix, suffix = "/sim_node/", "/pose"
@@ -66,7 +67,7 @@ message.header.frame_id = next(
 )
 message.wrench.force.x = 1.0
 publisher.publish(message)
-until(lambda: len(applied) >= 2)
+until(lambda: applied)
 future = pause.call_async(Trigger.Request())
 until(future.done)
 until(lambda wait=time.monotonic() + 1.5: time.monotonic() > wait)  # for /diagnostics

@@ -56,12 +56,12 @@ def difference(ours, theirs, bodies):
     return max(error[:, :3].max() / sizes[0], error[:, 3:].max() / max(sizes[1], 1.0))
 
 
-def coupled(free, rows, mobility):
-    """Accelerations (nv,) with couplings of rows (k, nv), from the accelerations without couplings.
+def coupled(free, rows, mobility, bias=0.0):
+    """Accelerations (nv,) with couplings rows (k, nv) a = bias, from the accelerations without couplings.
 
     mobility : (nv, k), M^-1 rows^T
     """
-    return free - mobility @ np.linalg.lstsq(rows @ mobility, rows @ free, rcond=None)[0]
+    return free - mobility @ np.linalg.lstsq(rows @ mobility, rows @ free - bias, rcond=None)[0]
 
 
 def offsets_of(scene):

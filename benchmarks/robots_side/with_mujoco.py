@@ -3,6 +3,7 @@
 
 import mujoco
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from liegroup_core.lie.groups import SE3
 
@@ -28,12 +29,12 @@ def against_mujoco(path, scene, states, key=None):
         data.qpos[:] = model.qpos0
         mujoco.mj_integratePos(model, data.qpos, rng.uniform(-1.0, 1.0, model.nv), 1.0)
         data.qvel[:] = rng.uniform(-1.0, 1.0, model.nv)
-        coupling_rows = _coupled_mujoco(scene, offsets, model, data)
+        coupling_rows, bias = _coupled_mujoco(scene, offsets, model, data)
         mujoco.mj_forward(model, data)
         mobility = np.zeros_like(coupling_rows)
         if len(mobility):
             mujoco.mj_solveM(model, data, mobility, coupling_rows)
-        data.qacc[:] = coupled(data.qacc, coupling_rows, mobility.T)
+        data.qacc[:] = coupled(data.qacc, coupling_rows, mobility.T, bias)
         poses, twists, theirs = _state(model, data, scene, real)
         rows = [i for i, body in enumerate(scene.bodies) if body.name in theirs]
         found = np.array([theirs[scene.bodies[i].name] for i in rows])
@@ -128,17 +129,17 @@ def _slope(model, data, position, velocity):
 
 
 def _coupled_mujoco(scene, offsets, model, data):
-    """Make a state of MuJoCo satisfy the couplings; returns their rows (k, nv)."""
-    rows = np.zeros((len(scene.couplings), model.nv))
-    for row, coupling, offset in zip(rows, scene.couplings, offsets):
+    """Make a state of MuJoCo satisfy the couplings; returns their rows (k, nv) and biases (k,)."""
+    rows, bias = np.zeros((len(scene.couplings), model.nv)), np.zeros(len(scene.couplings))
+    for k, (row, coupling, offset) in enumerate(zip(rows, scene.couplings, offsets)):
         first, other = (_number(model, scene.robot.joints[name]) for name in (coupling.joint, coupling.other))
         at, to = model.jnt_qposadr[other], model.jnt_qposadr[first]
-        value = coupling.ratio * (data.qpos[at] - model.qpos0[at]) + offset
-        data.qpos[to] = model.qpos0[to] + value
+        law, q = Polynomial([offset, coupling.ratio, *coupling.curve]), data.qpos[at] - model.qpos0[at]
+        data.qpos[to] = model.qpos0[to] + law(q)
         at, to = model.jnt_dofadr[other], model.jnt_dofadr[first]
-        data.qvel[to] = coupling.ratio * data.qvel[at]
-        row[to], row[at] = 1.0, -coupling.ratio
-    return rows
+        data.qvel[to] = law.deriv()(q) * data.qvel[at]
+        row[to], row[at], bias[k] = 1.0, -law.deriv()(q), law.deriv(2)(q) * data.qvel[at] ** 2
+    return rows, bias
 
 
 def _number(model, label):

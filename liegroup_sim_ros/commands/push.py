@@ -13,6 +13,7 @@ import time
 from liegroup_core.errors import LieGroupSimError
 
 DISCOVERY = 10.0  # s; processes discover each other within 0.05 to 2.5 s
+UNKNOWN = 1.0  # s, after which a name that is no body is refused if nothing has acted
 ANSWER = 2.0  # s: longest response time of a running simulation
 
 
@@ -96,7 +97,8 @@ def _push(args):
 
     def listen(message):
         entries = json.loads(message.data)
-        base_ns, own = entries["base_ns"], [c for c in entries["commands"] if c.get("name") == args.body]
+        base_ns, merged = entries["base_ns"], f"({args.body})"  # in the source: a link that is part of a body
+        own = [c for c in entries["commands"] if c.get("name") == args.body or merged in c.get("source", "")]
         if not entries["all"]:
             applied.extend(((base_ns + command["start_ns"]) * 1e-9, command) for command in own)
 
@@ -125,8 +127,11 @@ def _push(args):
         )
     if not spin_until(lambda: bodies, ANSWER):
         raise PushError(f"{name} does not answer: it may be shutting down")
-    if args.body not in bodies:
-        raise PushError(f"{name} has no body {args.body!r}; it has: {', '.join(sorted(bodies))}")
+
+    def refuse_unknown():
+        if args.body not in bodies and not applied:
+            raise PushError(f"{name} has no body or link {args.body!r}; its bodies: {', '.join(sorted(bodies))}")
+
     answer = AsyncParameterClient(node, name).get_parameters(["frame_prefix"])
     if not spin_until(answer.done, ANSWER):
         raise PushError(f"{name} does not answer: it may be shutting down")
@@ -143,6 +148,8 @@ def _push(args):
             sent += 1
             due = start + min(sent / args.rate, args.duration)
             spin_until(lambda: False, due - time.monotonic())
+            if time.monotonic() - start > UNKNOWN:
+                refuse_unknown()
     finally:
         publisher.publish(zero)
         seconds = time.monotonic() - start
@@ -152,6 +159,7 @@ def _push(args):
         return len(applied) > 1 and not any(applied[-1][1]["values"])
 
     spin_until(vanished, ANSWER)
+    refuse_unknown()
     text = (
         f"applied force {list(args.force)} N and torque {list(args.torque)} N m to "
         f"{args.body} of {name} for {seconds:.2f} s: {sent} messages, then a zero "

@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Matrices as messages, std_msgs/Float64MultiArray, row by row; imports no ROS.
 
-Both dimensions are labelled. The message has no stamp; in a recording its log time is the stamp.
+Both dimensions are labelled by names separated by blanks; a blank in a name is %20, and a % is %25. The message has no
+stamp; in a recording its log time is the stamp.
 """
+
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -22,13 +25,17 @@ def encoder(names, columns):
     n, m = len(names), len(columns)
     template = Template()
     template.put("I", 2)
-    for label, size, stride in ((" ".join(names), n, n * m), (" ".join(columns), m, m)):
+    for label, size, stride in ((" ".join(map(_quoted, names)), n, n * m), (" ".join(columns), m, m)):
         template.string(label)
         template.put("2I", size, stride)
     template.put("I", 0)  # data_offset
     template.put("I", n * m)
     template.slot(f"{n * m}d")
     return template.pack
+
+
+def _quoted(name):
+    return name.replace("%", "%25").replace(" ", "%20")
 
 
 def decode(payload):
@@ -39,7 +46,7 @@ def decode(payload):
         raise MessageError(f"{TYPE}: has {counted(count, 'dimension')}, not 2")
     labels, shape = [], []
     for _ in range(2):
-        labels.append(tuple(fields.text().split(" ")))
+        labels.append(tuple(map(unquote, fields.text().split(" "))))
         shape.append(fields.number("I"))
         fields.number("I")
     fields.number("I")

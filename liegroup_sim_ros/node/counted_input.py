@@ -10,7 +10,8 @@ FARTHEST = 3600 * 10**9  # ns
 # Largest number of commands that act now or start later. Bounds the memory of the node.
 MOST = 10_000
 LONGEST_NAME = 64  # characters of a name that are shown
-QUIET = 10.0  # s of wall time between two log lines for refusals with one reason
+# s of wall time in which at most SEVERAL refusals with one reason are logged, each text once.
+QUIET, SEVERAL = 10.0, 4
 
 
 _is_below = LARGEST_NUMBER.__ge__
@@ -25,11 +26,12 @@ class Refusal(Exception):
     """A message is refused.
 
     reason : key of its counter
-    is_told : True for the first refusal with this reason in QUIET s: it is logged
+    is_told : True if it is logged
     """
 
     def __init__(self, what, reason, text, is_told):
-        super().__init__(f"{what} refused: {text} (logged every {QUIET:g} s; /diagnostics has the count)")
+        of_all = f"at most {SEVERAL} of a kind are logged in {QUIET:g} s; /diagnostics has the count"
+        super().__init__(f"{what} refused: {text} ({of_all})")
         self.reason = reason
         self.is_told = is_told
 
@@ -47,16 +49,20 @@ class CountedInput:
         self._what, self._counted = what, counted
         self.accepted = 0
         self.refused = dict.fromkeys(reasons, 0)
-        self._told = {}  # {reason: s of wall time of its last log line}
+        self._told = {}  # {reason: (s of wall time of the first one in QUIET s, texts)}
 
     def refuse(self, reason, text):
         """Count and raise a Refusal; text : function that returns its text, called if it is logged."""
         self.refused[reason] += 1
         now = time.monotonic()
-        is_told = now - self._told.get(reason, -QUIET) >= QUIET
+        since, texts = self._told.get(reason, (-QUIET, []))
+        if now - since >= QUIET:
+            since, texts = self._told[reason] = now, []
+        said = text() if len(texts) < SEVERAL else reason
+        is_told = len(texts) < SEVERAL and said not in texts
         if is_told:
-            self._told[reason] = now
-        raise Refusal(self._what, reason, text() if is_told else reason, is_told)
+            texts.append(said)
+        raise Refusal(self._what, reason, said, is_told)
 
     def refuse_far_stamp(self, start_ns, now_ns, target):
         """Refuse a stamp too far ahead. Raises Refusal."""

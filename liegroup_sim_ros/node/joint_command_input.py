@@ -253,7 +253,7 @@ class JointCommandInput(JointInput):
             if jumps is None:
                 continue
             if is_driven or self.servos[name]:
-                self.refuse_jump(name, jumps.positions[self.joints[name]], position, jumps.most)
+                self.refuse_jump(name, jumps.positions.get(self.joints[name], math.nan), position, jumps.most)
 
 
 def _or_zero(value):

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Subscriptions to the commands for joints: they are decoded and passed to the simulation."""
 
+from concurrent.futures import wait
+
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -14,6 +16,7 @@ from .trajectory_input import TrajectoryInput
 
 # Depth of the queues of commands: 0.1 s at 1 kHz. It bounds the memory: messages may have any length.
 COMMANDS = 100
+BUSY = 1.0  # s, longest wait for the present positions: one block of steps takes milliseconds
 
 
 class JointCommandTopics:
@@ -100,7 +103,9 @@ class JointCommandTopics:
         values = self._values
         if not values.command_jump:
             return None
-        return Jumps(values.command_jump, self._server.positions, values.trajectory_period)
+        if self._server.positions is None:  # the simulation thread has not yet heard of the parameter
+            wait([self._server.call("watch", True)], BUSY)
+        return Jumps(values.command_jump, self._server.positions or {}, values.trajectory_period)
 
     def _read(self, payload):
         server = self._server

@@ -16,7 +16,7 @@ class Jumps(NamedTuple):
     """Limit on the distance between a commanded position and the present position of its joint.
 
     most      : largest distance, rad or m
-    positions : {joint of the scene: present position}
+    positions : {joint of the scene: present position}; empty if they are not known: then all commands are refused
     period    : s, during which a trajectory may move a joint by `most`
     """
 
@@ -100,7 +100,7 @@ class JointInput(CountedInput):
 
     def refuse_jump(self, name, before, after, most):
         """Refuse a commanded position that is too far from the previous position. Raises Refusal."""
-        if abs(after - before) > most:
+        if not abs(after - before) <= most:
             unit = self.limits[self.joints[name]].unit
             self.refuse(
                 "jump_too_large",

@@ -194,6 +194,7 @@ class SimulationCommands:
 
     def _watch(self, watching):
         self._watching = watching
+        self.positions = None
         if watching:
             self._keep_positions(self._simulation.sample())
         return "positions are kept" if watching else "positions are not kept"

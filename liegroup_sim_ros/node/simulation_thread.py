@@ -50,7 +50,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
     paused     : start paused
     base_ns    : stamp of step 0
     origin     : text of the event `start` besides the name of the scene
-    watching   : keep `positions`, {joint: rad or m} after the last block of steps
+    watching   : keep `positions`, {joint: rad or m} after the last block of steps; else they are None
 
     The state is "running", "paused" or "faulted". After a SimulationError the last valid state is
     kept until a reset. `failure` is the exception that ended the thread, or None.

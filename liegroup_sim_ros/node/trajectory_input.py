@@ -5,6 +5,8 @@ Names are those of ~/joint_states; every joint must be driven, or have a servo w
 starts at its stamp if that is in the future, with a zero stamp now. Imports no ROS.
 """
 
+import math
+
 from liegroup_sim_ros.messages.codecs import MessageError
 from liegroup_sim_ros.messages.commands import decode_trajectory
 from liegroup_sim_ros.numbers import counted
@@ -118,7 +120,7 @@ class TrajectoryInput(JointInput):
 
     def _check_jumps(self, names, points, jumps):
         """Refuse a segment that moves a joint by more than the limit in a period, on average."""
-        before = [jumps.positions[self.joints[name]] for name in names]
+        before = [jumps.positions.get(self.joints[name], math.nan) for name in names]
         since = 0
         for point in points:
             most = jumps.most * max(1.0, 1e-9 * (point.time_ns - since) / jumps.period)

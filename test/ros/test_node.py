@@ -137,7 +137,7 @@ def test_push_refuses_an_unknown_body(node):
     push = python(PUSH, "push", "bal", "--force", 1, 0, 0)
     output, errors = push.communicate(timeout=PATIENCE)
     assert (push.returncode, output) == (2, "")
-    assert errors == "liegroup_sim: /sim_node has no body 'bal'; it has: cube, puck\n"
+    assert errors == "liegroup_sim: /sim_node has no body or link 'bal'; its bodies: cube, puck\n"
 
 
 @pytest.mark.parametrize("hold, steps", [("timeout", 100), ("one_step", 1)])

@@ -127,8 +127,8 @@ def test_a_signal_ends_the_node_and_completes_its_file(client, scene, tmp_path, 
     ) as process:
         seen = client.listen(f"{name}/puck/pose", PoseStamped, 1)
         client.until(lambda: seen, COMPILING)
-        (wrench,) = client.node.get_subscriptions_info_by_topic(f"{name}/wrench")
-        (cube,) = client.node.get_publishers_info_by_topic(f"{name}/cube/pose")
+        (wrench,) = client.until(lambda: client.node.get_subscriptions_info_by_topic(f"{name}/wrench"))
+        (cube,) = client.until(lambda: client.node.get_publishers_info_by_topic(f"{name}/cube/pose"))
         for endpoint in (wrench, cube):
             assert endpoint.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
         process.send(number)
