@@ -9,19 +9,20 @@ forces:
 
 import re
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, WithJsonSchema
 
 from liegroup_core.errors import SceneError
-from liegroup_core.fields.values import Described, Flag, Name, Number, Text, Vector3
+from liegroup_core.fields.values import Described, Flag, Name, Number, Text, Vector3, suggestion
 from liegroup_core.joints.coupling import Coupling
 from liegroup_core.joints.motion import Motion
 from liegroup_core.robots.chains import base_of
 from liegroup_core.robots.description import MISSING_MESHES
 from liegroup_core.robots.mapping import scene_parts
 from liegroup_core.robots.options import BASES, Options
-from liegroup_core.robots.read import read_robot
+from liegroup_core.robots.read import SUFFIXES, read_robot
 from liegroup_core.robots.resources import beside
 from liegroup_core.robots.starts import Start
 from liegroup_core.robots.text import scene_text
@@ -238,4 +239,9 @@ def robot_beside(root, source):
         xacro=given.xacro,
         place=lambda path: f"{at(path)}: ",
     )
-    return robot_text(beside(source, given.robot), options, at)
+    path = Path(beside(source, given.robot))
+    if not path.is_file():
+        found = sorted(file.name for file in path.parent.glob("*") if file.suffix.lower() in SUFFIXES)
+        hint = suggestion(path.name, found) if found else "give the path of a URDF, xacro, SDF or MJCF file"
+        raise at.located(SceneError(f"robot: {given.robot} is not a file; {hint}", place=("robot",)))
+    return robot_text(path, options, at)

@@ -2,15 +2,32 @@
 """Argument parser with errors of one line, and types of arguments."""
 
 import argparse
+import difflib
 import os
+import re
 import sys
 
 
 class Parser(argparse.ArgumentParser):
     """ArgumentParser that reports a wrong argument in one line, exit code 2."""
 
+    @property
+    def names(self):
+        """Names of its options, and of its commands and their options."""
+        below = [action for action in self._actions if isinstance(action, argparse._SubParsersAction)]
+        parsers = [parser for action in below for parser in action.choices.values()]
+        own = [name for name in self._option_string_actions if name.startswith("--")]
+        return {*own, *(name for action in below for name in action.choices), *(n for p in parsers for n in p.names)}
+
     def error(self, message):
-        """Print the message in one line and exit."""
+        """Print the message in one line, with the similar name of a misspelt one, and exit."""
+        unknown = re.match(r"unrecognized arguments: (--[\w-]+)|argument COMMAND: invalid choice: '([^']*)'", message)
+        if unknown:
+            word = unknown[1] or unknown[2]
+            close = difflib.get_close_matches(word, self.names, n=1, cutoff=0.7)
+            message = f"unknown {'option' if unknown[1] else 'command'} {word}" + (
+                f": did you mean {close[0]}?" if close else f"; known are: {', '.join(sorted(self.names))}"
+            )
         self.exit(2, f"{self.prog}: {' '.join(message.split())}; see {self.prog} --help\n")
 
 

@@ -355,7 +355,7 @@ def test_a_tool_that_prints_too_much_is_refused(tmp_path, monkeypatch):
 def test_a_robot_beside_yaml_that_is_not_there(tmp_path):
     path = tmp_path / "robot.yaml"
     path.write_text("robot: missing.urdf\n")
-    with pytest.raises(SceneError, match="missing.urdf: is not a file"):
+    with pytest.raises(SceneError, match="missing.urdf is not a file"):
         load_scene(path)
     with pytest.raises(SceneError, match="the package 'nowhere' is not found"):
         load_scene("package://nowhere/a.urdf")
@@ -834,3 +834,13 @@ def test_a_joint_without_limits_or_friction_cannot_have_them(options, message, t
     )
     with pytest.raises(SceneError, match=message):
         scene_from_robot(path, Options(**options))
+
+
+def test_a_misspelt_robot_file_is_named_with_its_line(tmp_path):
+    (tmp_path / "arm.urdf").write_text("<robot name='arm'/>")
+    (tmp_path / "own.yaml").write_text("name: own\nrobot: arm.urd\n")
+    with pytest.raises(SceneError, match=r'own.yaml:2: robot: arm.urd is not a file; did you mean "arm.urdf"\?'):
+        load_scene(tmp_path / "own.yaml")
+    (tmp_path / "own.yaml").write_text("name: own\nrobot: away/arm.urd\n")
+    with pytest.raises(SceneError, match=r"own.yaml:2: robot: away/arm.urd is not a file; give the path of a URDF"):
+        load_scene(tmp_path / "own.yaml")

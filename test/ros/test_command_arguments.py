@@ -15,7 +15,9 @@ from liegroup_sim_ros.commands.main import main
         ("analyze x.mcap --max-drift x", "--max-drift: must be a number of 0 or more, got 'x'"),
         ("analyze x.mcap --reference-steps 0", "must be a whole number of 1 or more, got '0'"),
         ("replay x.mcap --resimulate --bound -1", "--bound: must be a number of 0 or more"),
-        ("nonsense", "invalid choice: 'nonsense'"),
+        ("nonsense", "unknown command nonsense; known are: --help, --version, analyze"),
+        ("viw x.yaml", "unknown command viw: did you mean view?"),
+        ("run heavy_top --duration 1 --acuracy 1e-3", "unknown option --acuracy: did you mean --accuracy?"),
     ],
 )
 def test_a_wrong_argument_gives_one_line(line, says, capsys):
