@@ -3,6 +3,7 @@
 
 import io
 import time
+from fractions import Fraction
 from importlib.util import find_spec
 
 import numpy as np
@@ -11,7 +12,9 @@ from .server import HINT, ViewError
 
 WIDTH, HEIGHT = 1280, 720
 ANSWER = 20.0  # s, for a picture from the browser
-VIDEO_RATE, MOST_VIDEO, TOLD = 25, 30.0, 100  # frames a second; s; frames between two lines
+VIDEO_RATE, MOST_VIDEO = 25, 30.0  # frames a second; s
+LONGEST = 60.0  # s, about what a video takes: a slow browser draws fewer frames
+DRAWN = 2.0 / 30.0  # s, until the page has drawn an instant
 KEPT_RATE, MOST_KEPT = 30.0, 60.0
 
 
@@ -44,7 +47,10 @@ def _instants(page, rate, most):
 
 
 def save_video(page, client):
-    """Video of the time line, at most MOST_VIDEO, as a client shows it; MP4 by PyAV."""
+    """Video of the time line, at most MOST_VIDEO, as a client shows it; MP4 by PyAV.
+
+    Its rate is VIDEO_RATE, or less if the browser draws slowly.
+    """
     if find_spec("av") is None:
         raise ViewError(f"a video needs the package av: {HINT}")
     import av
@@ -52,15 +58,19 @@ def save_video(page, client):
     cursor, playing = page.cursor, page.playing
     page.playing, out = False, io.BytesIO()
     try:
+        instants = _instants(page, VIDEO_RATE, MOST_VIDEO)
+        picture_of(client)  # the first one takes longer
+        began = time.monotonic()
+        picture_of(client)
+        count = max(1, min(len(instants), int(LONGEST / (time.monotonic() - began + DRAWN))))
+        rate = Fraction(VIDEO_RATE * count, len(instants)).limit_denominator(1000)
+        page.say(f"video: {count} pictures, {float(rate):.3g} a second")
         with av.open(out, "w", format="mp4") as file:
-            stream = file.add_stream("libx264", rate=VIDEO_RATE)
+            stream = file.add_stream("libx264", rate=rate)
             stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
-            instants = _instants(page, VIDEO_RATE, MOST_VIDEO)
-            for k, instant in enumerate(instants):
-                if k % TOLD == 0:
-                    page.say(f"video: picture {k} of {len(instants)}")
+            for instant in instants[np.linspace(0, len(instants) - 1, count).round().astype(int)]:
                 page.cursor = float(instant)
-                time.sleep(2.0 / 30.0)  # until the page has drawn it
+                time.sleep(DRAWN)
                 picture = picture_of(client)
                 file.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
             file.mux(stream.encode())

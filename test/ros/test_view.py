@@ -2,6 +2,7 @@
 """The live page: its guard, its sources, and what a real browser with a real mouse does with them."""
 
 import asyncio
+import io
 import math
 import shutil
 import threading
@@ -26,6 +27,7 @@ from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording import read_recording
 
 viser = pytest.importorskip("viser")
+from liegroup_sim_ros.view import export  # noqa: E402
 from liegroup_sim_ros.view import server as servers  # noqa: E402
 from liegroup_sim_ros.view.hand import FREQUENCY, Grip, Hand  # noqa: E402
 from liegroup_sim_ros.view.local import Local  # noqa: E402
@@ -265,6 +267,31 @@ def test_a_branch_of_a_live_scene_is_at_the_distance_zero():
     finally:
         page.stop()
         source.close()
+
+
+@pytest.mark.parametrize("seconds, least, most", [(0.0, 25, 25), (0.5, 2, 8)])
+def test_a_video_has_the_length_of_the_motion_however_slowly_it_is_drawn(seconds, least, most, tmp_path, monkeypatch):
+    av = pytest.importorskip("av")
+    path = tmp_path / "run.mcap"
+    assert main(["run", "double_pendulum", "--duration", "1", "--out", str(path)]) == 0
+    page, files = Page(Recorded(path), port=8200), {}
+
+    def picture(height, width, **_):
+        time.sleep(seconds)
+        return np.full((height, width, 4), 128, dtype=np.uint8)
+
+    client = SimpleNamespace(
+        get_render=picture, send_file_download=lambda name, data, **_: files.__setitem__(name, data)
+    )
+    monkeypatch.setattr(export, "LONGEST", 4.0)
+    try:
+        assert export.save_video(page, client) == "video saved"
+    finally:
+        page.stop()
+    with av.open(io.BytesIO(files["view.mp4"])) as file:
+        frames = sum(1 for _ in file.decode(video=0))
+        assert least <= frames <= most
+        assert float(frames / file.streams.video[0].average_rate) == pytest.approx(1.0, rel=0.05)
 
 
 def test_a_simulation_continues_with_another_method():
