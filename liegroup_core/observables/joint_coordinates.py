@@ -90,9 +90,28 @@ class JointCoordinates:
             for entry, numbers in zip(scene.couplings, resolve_couplings(scene))
             if self.units.get(entry.joint) == "rad" and entry.other in self.units
         ]
+        # Couplings that drift: {name: (joint, other, ResolvedCoupling)}.
+        self._curved = {
+            entry.name: (entry.joint, entry.other, numbers)
+            for entry, numbers in zip(scene.couplings, resolve_couplings(scene))
+            if entry.curve and entry.backlash is None
+        }
         self._counted = {
             name: counted.index(name) for name in self.names if name in counted and self.units[name] == "rad"
         }
+
+    @property
+    def gap_units(self):
+        """{coupling: unit of its violation} of the couplings that drift, because they are curved."""
+        return {name: self.units[joint] for name, (joint, *_) in self._curved.items()}
+
+    def gaps(self, pose, twist, angles):
+        """Violations of the couplings in `gap_units`, rad or m; arguments: as of `at`."""
+        found = self.at(pose, twist, angles) if self._curved else {}
+        return [
+            found[joint][0] - rise(entry, found[other][0]) - entry.offset
+            for joint, other, entry in self._curved.values()
+        ]
 
     @property
     def counted(self):

@@ -169,7 +169,7 @@ class _Parts:
         self._energy.add(block, energies, stored[:, 0])
         self._balance.add(block, stored, angles)
         self._momentum.add(block)
-        self._joints.add(block, residual)
+        self._joints.add(block, residual, angles)
         self._estimate.add(block)
         for part in self._guarded.values():
             part.add(block)

@@ -125,24 +125,30 @@ class Momentum:
 
 
 class Joints:
-    """Largest position residual of each joint, in m, or as the norm of its parts in m and rad."""
+    """Largest position residual of each joint, in m, or as the norm of its parts in m and rad; of curved couplings."""
 
     def __init__(self, layout, expected):
-        self._names = [joint.name for joint in layout.scene.joints]
+        self._layout, joints = layout, [joint.name for joint in layout.scene.joints]
         turning = {
             owner for owner, rows in zip(layout.owners, layout.row_names) if any(row.startswith("w") for row in rows)
         }
-        self._units = ["m, rad" if j in turning else "m" for j in range(len(self._names))]
+        units = ["m, rad" if j in turning else "m" for j in range(len(joints))]
+        gaps = layout.coordinates.gap_units
+        self._names, self._units = [*joints, *gaps], [*units, *gaps.values()]
         self._every = -(-expected // MOST_POINTS)
         self._largest = np.full(len(self._names), -1.0)
         self._at = np.zeros(len(self._names))
         self._final = None
         self._samples, self._curves = 0, {}
 
-    def add(self, block, residual):
-        """Add the residuals (k, joints) of a Block."""
+    def add(self, block, residual, angles):
+        """Add the residuals (k, joints) of a Block, with the angles (k, t) of its torsional springs, rad."""
         if not self._names:
             return
+        if self._layout.coordinates.gap_units:
+            states = zip(*self._layout.offsets.to_centres(block.pose, block.twist), angles)
+            gaps = [self._layout.coordinates.gaps(*state) for state in states]
+            residual = np.hstack([residual, np.abs(gaps)])
         times = block.log_times
         rows = residual.argmax(axis=0)
         values = residual[rows, np.arange(len(rows))]

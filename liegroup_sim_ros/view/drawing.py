@@ -35,6 +35,7 @@ MOST_TRACE = 400  # points of a trace
 TURNS, SLIDES = ("revolute", "screw", "cylindrical", "universal"), ("prismatic", "cylindrical")
 # Changes of a body that are not sent, relative to the mechanism, and of a quaternion.
 UNSEEN = 1e-6
+LARGEST_HALO = 0.4  # radius relative to the mechanism: a camera inside a halo would not show it
 CHANGE = 0.05  # of the radius of a halo
 
 
@@ -168,7 +169,7 @@ class Drawing:
             for handle in self._frames:
                 handle.show_axes = look.frames
         errors = np.zeros(len(place)) if sample.errors is None or not look.halo else sample.errors[:, 0]
-        self._show_halos(np.minimum(look.magnification * errors, 3.0 * self.size))
+        self._show_halos(np.minimum(look.magnification * errors, LARGEST_HALO * self.size))
         centres = place + np.einsum("nij,nj->ni", turns, self._layout.offsets.com)
         self._show_lines("springs", self._ends(place, turns), SPRING)
         wrenches = sample.external_wrenches

@@ -61,7 +61,7 @@ class Page:
         source = self.source
         self._doing, self._stopping = threading.RLock(), threading.Event()
         self.look, self.ghost_shift, self._ghost, self._ghost_history = Look(), 0.0, None, None
-        self._ghost_since = -math.inf
+        self._ghost_since, self._meets = -math.inf, False
         self.cursor, self.playing, self.play_speed = None, not source.is_live, 1.0  # cursor: s, None: the newest frame
         self._drawing = Drawing(self._server, source.layout, self._shapes)
         frame = source.frame()
@@ -126,6 +126,9 @@ class Page:
             self._ghost_history, self.ghost_shift, self._ghost_since, self._ghost = history, shift, since, None
             if history is not None:
                 self._ghost = Drawing(self._server, self.source.layout, self._shapes, ghost=True)
+                own = self.source.history.times
+                # Between common times an interpolation would be seen as a distance.
+                self._meets = not self.source.polled and (not own or any(history.has(t - shift) for t in own))
             self._panel.has_changed = True
 
     def other(self, frame):
@@ -134,9 +137,10 @@ class Page:
 
     def distance(self, frame):
         """Largest distance of a body from that of the ghost at the time of a frame, m, or NaN."""
-        if not self._has_other(frame):
+        at = frame.time - self.ghost_shift
+        if not self._has_other(frame) or self._meets and not self._ghost_history.has(at):
             return math.nan
-        places = self._ghost_history.places(frame.time - self.ghost_shift)
+        places = self._ghost_history.places(at)
         return float(np.linalg.norm(frame.sample.rows[:, :3] - places, axis=1).max())
 
     def _has_other(self, frame):

@@ -3,6 +3,7 @@
 
 import itertools
 import math
+import time
 from html import escape
 
 import numpy as np
@@ -14,6 +15,7 @@ from .server import ViewError
 from .source import SAME
 
 SECONDS = 20.0  # of the curves of a live source
+UNTOUCHED = 1.0  # s after the user has moved a slider, until sliders follow the motion again
 TICK = 1e-3  # s, of the time line
 MOST_LINES = 60  # events that are shown
 MOST_JOINTS = 60  # joints with sliders
@@ -42,7 +44,7 @@ class Panel:
         """Make all controls anew, for another source."""
         for part in self._parts:
             part.remove()
-        self._sliders, self._setting = {}, False
+        self._sliders, self._efforts, self._touched = {}, [], -math.inf
         gui, source = self._gui, self._page.source
         self._state = gui.add_html("")
         self._run_row = self._running(source)
@@ -122,7 +124,7 @@ class Panel:
         branch = source.branch(at)
         page.exchange(branch)
         page.haunt(source.history, 0.0)
-        return f"continues from {at:.6g} s, paused; the former motion is the pale one"
+        return f"continues from {branch.frame().time:.6g} s, paused; the former motion is the pale one"
 
     def _motion(self):
         gui, layout = self._gui, self._page.source.layout
@@ -135,7 +137,9 @@ class Panel:
         self._effort = self._plot("effort of servo, drive and command", ("effort",)) if names else None
         held = [joint.name for joint in layout.scene.joints]
         self._held = gui.add_dropdown("reaction of", tuple(held), initial_value=held[0]) if held else None
-        self._reaction = self._plot("reaction, N and N m", ("force", "torque")) if held else None
+        self._reaction = (
+            self._plot("reaction as far as it is determined, N and N m", ("force", "torque")) if held else None
+        )
 
     def _plot(self, title, names):
         from viser import uplot
@@ -177,12 +181,16 @@ class Panel:
                 if "effort" in source.takes and joint in layout.unit_efforts:
                     effort = gui.add_number(f"effort, {'N m' if unit == 'rad' else 'N'}", 0.0, step=0.1)
                     effort.on_update(lambda event, j=joint, e=effort: self._pressed(event, j, e.value))
+                    self._efforts.append(effort)
             self._sliders[joint] = slider
 
     def _moved(self, event, joint, kind, value):
         if event.client is None:
             return
-        page = self._page
+        page, self._touched = self._page, time.monotonic()
+        if page.cursor is not None:
+            page.say("this is the past: go back to the present to move a joint", failed=True)
+            return
         paused = page.source.status().state == "paused"
         if kind == "place" and not paused:
             page.say(f"{joint} has neither a servo nor a drive: pause the run to move it", failed=True)
@@ -267,7 +275,10 @@ class Panel:
         """Show the figures of a Frame, at a low rate."""
         page, source = self._page, self._page.source
         for at, name, text in source.events():
-            text = text.partition(" {")[0]  # without the state itself
+            if name in ("reset", "restore", "state"):  # commands have ended
+                text = text.partition("{")[0].strip()  # without the state itself
+                for field in self._efforts:
+                    field.value = 0.0
             failed = name in ("fault", "refused", "unrecorded", "slow", "inaccurate")
             self._lines = [*self._lines[1 - MOST_LINES :], (at, f"{name}: {text}", failed)]
             self._marks = [*self._marks[1 - MOST_MARKS :], (at, f"{at:.3f} s {name}: {text}", failed)]
@@ -309,6 +320,8 @@ class Panel:
         if status.factor is not None and status.state == "running":
             late = f", latency {status.latency * 1e3:.0f} ms" if status.latency is not None else ""
             lines.append(f"real-time factor {status.factor:.2f}{late}")
+        if frame is not None and math.isfinite(distance := self._page.distance(frame)):
+            lines.append(f"distance to the pale motion {distance:.1e} m")
         hand = self._page._hand
         if hand is not None and hand.shown:
             lines.append(f"<b>pull {escape(hand.shown)}</b>")
@@ -343,7 +356,7 @@ class Panel:
             curves = {f"{key} {held}": lambda f, part=part: reaction(f, part) for key, part in parts.items()}
             self._draw(self._reaction, history, since, curves)
         for joint, slider in self._sliders.items():
-            if self._page.source.status().state == "running" and joint in frame.sample.joint_coordinates:
+            if time.monotonic() - self._touched > UNTOUCHED and joint in frame.sample.joint_coordinates:
                 position = frame.sample.joint_coordinates[joint][0]
                 if slider.min <= position <= slider.max:
                     slider.value = position
@@ -413,7 +426,9 @@ def _estimated(frame):
 
 
 def _norm(wrench, part):
-    return np.nan if wrench is None else float(np.linalg.norm(wrench[part]))
+    if wrench is None or not np.isfinite(wrench[part]).any():
+        return np.nan
+    return float(np.sqrt(np.nansum(wrench[part] ** 2)))
 
 
 def _strip(marks, first, last, at):

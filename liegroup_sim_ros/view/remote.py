@@ -371,7 +371,7 @@ class Remote(Source):
             simulation.place(dict(zip(names, frame.sample.pose_matrices)), dict(zip(names, frame.sample.twist)))
         except ValueError as error:
             raise ViewError(str(error)) from None
-        return Local(simulation, f"branch at {time_s:.6g} s", start_ns=round(frame.time * 1e9), paused=True)
+        return Local(simulation, f"branch at {frame.time:.6g} s", start_ns=round(frame.time * 1e9), paused=True)
 
     def close(self):
         """Leave the node alone."""

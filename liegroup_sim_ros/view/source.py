@@ -164,6 +164,11 @@ class History:
         """Frame at a time, or the last one before it."""
         return self.frames[max(0, bisect.bisect_right(self.times, time) - 1)]
 
+    def has(self, time):
+        """Whether there is a frame at a time."""
+        k = bisect.bisect_right(self.times, time + SAME) - 1
+        return k >= 0 and time - self.times[k] <= SAME
+
     def places(self, time):
         """Positions (n, 3) of the bodies at a time between two frames, m, by their velocities: a cubic polynomial."""
         k = max(0, bisect.bisect_right(self.times, time + SAME) - 1)

@@ -701,3 +701,31 @@ def test_joint_states_are_read(tmp_path):
     )
     frame = recording.to_pandas("joints")
     assert frame.shape == (30, 6) and frame[states.names[1]].velocity.iloc[-1] == wanted[-1][4]
+
+
+CAM = """
+name: cam
+gravity: [0, 0, 0]
+bodies:
+  - {name: wheel, mass: 1, inertia: [0.1, 0.1, 0.1], angular_velocity: [0, 0, 2]}
+  - {name: lifter, mass: 1, inertia: [0.1, 0.1, 0.1]}
+joints:
+  - {name: shaft, type: revolute, parent: world, child: wheel, child_frame: {position: [0, 0, 0]}}
+  - {name: valve, type: prismatic, parent: world, child: lifter, child_frame: {position: [0, 0, 0]}}
+couplings:
+  - {name: cam, joint: valve, other: shaft, ratio: 0, curve: [0.05, 0.02]}
+"""
+
+
+def test_the_violation_of_a_curved_coupling_is_reported(tmp_path):
+    """It is that of the recorded poses: the shaft turns about z from 0 on, and the valve rises along z."""
+    scene, path = tmp_path / "cam.yaml", tmp_path / "run.mcap"
+    scene.write_text(CAM)
+    run = ["run", str(scene), "--method", "rkmk2", "--step", "0.05", "--duration", "2", "--out", str(path)]
+    assert main(run) == 0
+    recording = read_recording(path)
+    x, y, z, w = recording.pose["wheel"].quaternion.T
+    angle = np.unwrap(2.0 * np.arctan2(z, w), period=2.0 * np.pi)
+    gap = np.abs(recording.pose["lifter"].position[:, 2] - 0.05 * angle**2 - 0.02 * angle**3)
+    found = analyse(recording, reference=False).figures["joints"]["cam"]
+    assert found["largest"] == pytest.approx(gap.max(), rel=1e-9) and gap.max() > 1e-6 and found["unit"] == "m"

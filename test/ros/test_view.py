@@ -269,6 +269,21 @@ def test_a_branch_of_a_live_scene_is_at_the_distance_zero():
         source.close()
 
 
+def test_two_recordings_are_compared_at_common_times(tmp_path):
+    """The same run with other times of its samples is at the distance zero."""
+    paths = [tmp_path / name for name in ("one.mcap", "nine.mcap")]
+    for path, every in zip(paths, ("1", "9")):
+        assert main(["run", "double_pendulum", "--duration", "2", "--every", every, "--out", str(path)]) == 0
+    page = Page(Recorded(paths[0]), port=8200, beside=Recorded(paths[1]))
+    try:
+        distances = np.array([page.distance(frame) for frame in page.source.history.frames])
+        # Steps 0, 9, ... 198, and the last one.
+        assert len(distances) == 201 and np.isfinite(distances).sum() == 24
+        assert not distances[np.isfinite(distances)].any()
+    finally:
+        page.stop()
+
+
 @pytest.mark.parametrize("seconds, least, most", [(0.0, 25, 25), (0.5, 2, 8)])
 def test_a_video_has_the_length_of_the_motion_however_slowly_it_is_drawn(seconds, least, most, tmp_path, monkeypatch):
     av = pytest.importorskip("av")
