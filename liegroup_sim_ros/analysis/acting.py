@@ -21,16 +21,19 @@ def sample_of(layout, stretch, k):
 
 
 class AlongStretches:
-    """Observables of the samples of a recording; angles of springs are unwrapped from the start of each stretch."""
+    """Observables of the samples of a recording; angles of springs are unwrapped from the start of each stretch.
+
+    starts : Starts of the recording
+    """
 
     def __init__(self, recording, layout):
-        self._along, self._starts, self._stretch = Along(layout), Starts(recording, layout), None
+        self._along, self.starts, self._stretch = Along(layout), Starts(recording, layout), None
 
     def of(self, block):
         """As Along.of, of the next Block of a Motion."""
         if block.stretch is not self._stretch:
             self._stretch = block.stretch
-            self._along.restart(self._starts.of(block.stretch)[2])
+            self._along.restart(self.starts.of(block.stretch)[2])
         return self._along.of(block.pose, block.twist)
 
 

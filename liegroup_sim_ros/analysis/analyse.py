@@ -20,7 +20,7 @@ from liegroup_core.reference.exact import exact_solution
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.playback.repeat import Repeat
-from liegroup_sim_ros.playback.rerun import ReplayError, Starts, Work, initial_state, make_simulation
+from liegroup_sim_ros.playback.rerun import ReplayError, Work, initial_state, make_simulation
 from liegroup_sim_ros.playback.resimulate import platform_changes
 from liegroup_sim_ros.recording.check import check_settings
 from liegroup_sim_ros.recording.motion import Motion
@@ -127,7 +127,7 @@ class _Parts:
         self._motion = motion
         expected = motion.expected
         self._along = AlongStretches(recording, layout)
-        angles = Starts(recording, layout).of(motion.first)[2]
+        angles = self._along.starts.of(motion.first)[2]
         if angles is not None and len(angles) != count_of_angles(layout.model.forces):
             raise RecordingError(
                 f"{recording.path}: the number of its torsional springs does not match the "

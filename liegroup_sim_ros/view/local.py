@@ -18,7 +18,7 @@ from liegroup_sim_ros.recording.checkpoints import Checkpoints
 from liegroup_sim_ros.recording.write import Recorder
 
 from .server import ViewError
-from .source import Frame, Source, Status
+from .source import Frame, Source, Status, settings_text
 
 NAME = "/view"  # of the node in a recording
 SOURCE = "view"  # of wrenches and efforts
@@ -116,8 +116,7 @@ class Local(Source):
     def how(self):
         """Method and accuracy or step."""
         simulation = self._simulation
-        accuracy = simulation.accuracy
-        return f"{simulation.method}, " + (f"accuracy {accuracy:g}" if accuracy else f"step {simulation.step:g} s")
+        return settings_text(simulation.method, simulation.accuracy, simulation.step)
 
     def status(self):
         """Status."""

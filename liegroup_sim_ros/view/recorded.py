@@ -16,7 +16,7 @@ from liegroup_sim_ros.recording.read import read_recording
 
 from .local import Local
 from .server import ViewError
-from .source import Frame, History, Source, Status, allowed
+from .source import Frame, History, Source, Status, allowed, settings_text
 
 
 class Recorded(Source):
@@ -40,9 +40,7 @@ class Recorded(Source):
             for k, time in enumerate(stretch.log_times.tolist()):
                 self.history.add(self._frame(stretch, k, time, promise))
         settings = recording.settings
-        self.how = f"{settings['method']}, " + (
-            f"accuracy {promise['accuracy']:g}" if promise else f"step {settings['step']:g} s"
-        )
+        self.how = settings_text(settings["method"], promise and promise["accuracy"], settings["step"])
         for event in recording.events:
             self.tell(event.stamp_ns * 1e-9, event.name, event.text)
 

@@ -128,6 +128,11 @@ def _velocities(sample):
     return np.einsum("nij,nj->ni", sample.pose[:, :9].reshape(-1, 3, 3), sample.twist[:, 3:])
 
 
+def settings_text(method, accuracy, step):
+    """One line: a method, and its accuracy or else its step in s."""
+    return f"{method}, " + (f"accuracy {accuracy:g}" if accuracy else f"step {step:g} s")
+
+
 def allowed(layout, accuracy, horizon, seconds):
     """(m, rad) that an accuracy allows after some seconds, as Sample.bound."""
     wanted = accuracy * max(1.0, seconds / horizon)
@@ -160,18 +165,21 @@ class History:
         copy.times, copy.frames = self.times[:end], self.frames[:end]
         return copy
 
+    def _number(self, time):
+        """Number of the frame at a time, or of the last one before it, or the first."""
+        return max(0, bisect.bisect_right(self.times, time) - 1)
+
     def at(self, time):
         """Frame at a time, or the last one before it."""
-        return self.frames[max(0, bisect.bisect_right(self.times, time) - 1)]
+        return self.frames[self._number(time)]
 
     def has(self, time):
         """Whether there is a frame at a time."""
-        k = bisect.bisect_right(self.times, time + SAME) - 1
-        return k >= 0 and time - self.times[k] <= SAME
+        return bool(self.times) and abs(time - self.times[self._number(time + SAME)]) <= SAME
 
     def places(self, time):
         """Positions (n, 3) of the bodies at a time between two frames, m, by their velocities: a cubic polynomial."""
-        k = max(0, bisect.bisect_right(self.times, time + SAME) - 1)
+        k = self._number(time + SAME)
         begin, end = self.frames[k], self.frames[min(k + 1, len(self.times) - 1)]
         if time - begin.time <= SAME or end is begin:
             return begin.sample.rows[:, :3]
