@@ -78,7 +78,7 @@ def _advance(work, simulation, stretch, row, length):
 
     The start time, which the scene's applied wrenches depend on, is rounded to a multiple of the step.
     """
-    rung, step = simulation.step / stretch.step, int(stretch.steps[row])
+    rung, step = simulation.step / stretch.step, round(stretch.steps[row])
     n = len(stretch.bodies)
     pose = np.concatenate([stretch.rotation[row].reshape(n, 9), stretch.position[row]], axis=1)
     angles = stretch.angles[row] if stretch.angles.shape[1] else None

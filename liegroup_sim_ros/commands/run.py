@@ -33,6 +33,8 @@ from .robot_options import add_robot_options, robot_scene
 EXIT_STOPPED = EXIT_LOST = 1
 REDRAW = 0.1  # s between two updates
 DENSEST = 1000.0  # samples in a second of the motion, if --every is not given
+HIGHEST_RATE = 1e9  # samples in a second: stamps are whole ns
+MOST_SAMPLES = 10**8
 NOTE = 160  # maximum length of a printed note of the scene
 # Options that are passed on to Simulation if given.
 SETTINGS = (
@@ -63,7 +65,10 @@ def add_arguments(parser):
     )
     parser.add_argument("scene", metavar="SCENE", help="path of a scene or robot file, or name of an example scene")
     parser.add_argument(
-        "--duration", type=float, required=True, metavar="S", help="simulated time in s, a multiple of the step"
+        "--duration",
+        type=float,
+        metavar="S",
+        help="simulated time in s: a multiple of the step, or any with --rate or --times (default: their last one)",
     )
     parser.add_argument("--out", metavar="FILE", help="output file (*.npz, *.csv or *.mcap); it must not exist")
     parser.add_argument(
@@ -71,6 +76,12 @@ def add_arguments(parser):
         type=int,
         metavar="STEPS",
         help="steps between samples; the last state is always included (default: 1, if a second then has 1000 at most)",
+    )
+    parser.add_argument(
+        "--rate", type=float, metavar="HZ", help="samples in a second instead of --every, also between steps"
+    )
+    parser.add_argument(
+        "--times", metavar="FILE", help="text file of the times of the samples in s, one in a line, in their order"
     )
     parser.add_argument(
         "--no-estimate",
@@ -148,7 +159,7 @@ def given_settings(args):
     if "method" in settings:
         for name in {"accuracy", "horizon"} & settings.keys():
             raise RunError(f"--{name} cannot be combined with --method: remove one of them")
-    elif "step" not in settings:
+    elif "step" not in settings and args.duration is not None:
         whole_steps(args.duration, args.duration)  # raises RunError for an invalid duration
         horizon = MINUTE if args.horizon is None else args.horizon
         settings["step"] = dividing_steps(args.duration, horizon)
@@ -185,6 +196,7 @@ def _run(args):
         raise RunError(f"{args.torques}: the name must end in .csv")
     if args.every is not None and args.every < 1:
         raise RunError(f"--every must be at least 1, got {args.every}")
+    times = sample_times(args)
     scene = robot_scene(args.scene, args)
     console = Console(stderr=True)
     for note in scene.differences:
@@ -197,9 +209,15 @@ def _run(args):
         raise RunError(str(error)) from None
     if args.reactions or args.torques:
         simulation.layout.reactions.warm_up()
-    steps = whole_steps(args.duration, simulation.step)
-    every = args.every or max(1, math.ceil(1.0 / (DENSEST * simulation.step) - 1e-9))
-    samples = 1 + -(-steps // every)
+    step = simulation.step
+    every = args.every or max(1, math.ceil(1.0 / (DENSEST * step) - 1e-9))
+    if times is None:
+        steps = whole_steps(args.duration, step)
+        due = [(k, None) for k in [*range(every, steps, every), steps]]
+    else:
+        due = [(simulation.step_before(at), at) for at in times]
+        steps, every = due[-1][0], None if args.rate is None else 1.0 / (args.rate * step)
+    samples = 1 + len(due)
     started = time.monotonic()
     stopped, code = None, 0
     with ExitStack() as stack:
@@ -211,14 +229,14 @@ def _run(args):
             file = kind(args.out, simulation, every, samples, args.reactions)
             files.append(stack.enter_context(file))
 
-        def write():
-            sample = simulation.sample()
+        def write(at=None):
+            sample = simulation.sample(at)
             for file in files:
                 file.sample(sample)
 
         write()
         try:
-            _simulate(simulation, steps, every, write, console, signals)
+            _simulate(simulation, due, write, console, signals)
         except SimulationError as error:
             stopped, code = str(error), EXIT_STOPPED
         except KeyboardInterrupt:
@@ -233,7 +251,7 @@ def _run(args):
         print(f"liegroup_sim: {stopped}; the trajectory up to there is in {names}", file=sys.stderr)
     else:
         print(
-            f"{names}: {simulation.time:.9g} s in {counted(steps, 'step')}, "
+            f"{names}: {simulation.time if times is None else times[-1]:.9g} s in {counted(steps, 'step')}, "
             f"{counted(files[0].count, 'sample')}, {wall:.3g} s of wall time"
             f"{_events_of(simulation)}{_error_of(simulation)}"
         )
@@ -258,8 +276,60 @@ def _error_of(simulation):
     return f", estimated error at the end {position:.2g} m, {attitude:.2g} rad"
 
 
-def _simulate(simulation, steps, every, write, console, signals):
-    """Take all steps; call `write` at each sample."""
+def sample_times(args):
+    """Times in s of the samples after the start that --rate or --times give, or None. Raises RunError."""
+    if sum(each is not None for each in (args.every, args.rate, args.times)) > 1:
+        raise RunError("give one of --every, --rate and --times")
+    if args.times is not None:
+        found = times_in(args.times)
+        if args.duration is not None and args.duration < found[-1]:
+            raise RunError(f"{args.times}: its last time {found[-1]:.9g} s is after the --duration {args.duration:g} s")
+        return [*found, *([args.duration] if args.duration is not None and args.duration > found[-1] else [])]
+    if args.duration is None:
+        raise RunError("give --duration S")
+    if args.rate is None:
+        return None
+    if not (math.isfinite(args.rate) and 0.0 < args.rate <= HIGHEST_RATE):
+        raise RunError(f"--rate must be a positive number of samples in a second up to {HIGHEST_RATE:g}")
+    if not (math.isfinite(args.duration) and args.duration > 0.0):
+        raise RunError(f"--duration must be a positive number of seconds, got {args.duration:g}")
+    count = math.ceil(args.duration * args.rate - 1e-6)
+    if count > MOST_SAMPLES:
+        raise RunError(
+            f"--rate {args.rate:g} makes {count:.3g} samples: give a smaller one, {MOST_SAMPLES:.0e} at most"
+        )
+    return [*(k / args.rate for k in range(1, count)), args.duration]
+
+
+def times_in(path):
+    """Times in s of a text file, positive and increasing by 1 ns at least. Raises RunError."""
+    try:
+        lines = Path(path).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise RunError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    found = []
+    for number, line in enumerate(lines, 1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        try:
+            at = float(line)
+        except ValueError:
+            raise RunError(f"{path}, line {number}: expected a time in s, got {line.strip()!r:.60}") from None
+        if not (math.isfinite(at) and at >= (found[-1] + 1e-9 if found else 0.0)):
+            raise RunError(
+                f"{path}, line {number}: times must be finite, not negative and increase, got {line.strip()}"
+            )
+        found.append(at)
+    if found[:1] == [0.0]:
+        del found[0]  # the start is always written
+    if not found:
+        raise RunError(f"{path}: contains no time after the start")
+    return found
+
+
+def _simulate(simulation, due, write, console, signals):
+    """Advance to all samples, (steps, time in s within the next step or None), and call `write` at each."""
+    steps = due[-1][0]
     with Progress(
         TextColumn("simulating"),
         BarColumn(),
@@ -269,15 +339,17 @@ def _simulate(simulation, steps, every, write, console, signals):
     ) as progress:
         task = progress.add_task("", total=steps, status_text="")
         drawn = 0.0
-        while simulation.steps < steps:
-            due = min(steps, (simulation.steps // every + 1) * every)
-            simulation.advance(due - simulation.steps, lambda: signals.received or time.monotonic() > drawn + REDRAW)
-            if simulation.steps == due:
-                write()
-            signals.check()
-            if time.monotonic() > drawn + REDRAW:
-                drawn = time.monotonic()
-                progress.update(task, completed=simulation.steps, status_text=f"{simulation.time:.3f} s")
+        for step, at in due:
+            while True:
+                left = step - simulation.steps
+                simulation.advance(left, lambda: signals.received or time.monotonic() > drawn + REDRAW)
+                signals.check()
+                if time.monotonic() > drawn + REDRAW:
+                    drawn = time.monotonic()
+                    progress.update(task, completed=simulation.steps, status_text=f"{simulation.time:.3f} s")
+                if simulation.steps == step:
+                    break
+            write(at)
         progress.update(task, completed=steps, status_text=f"{simulation.time:.3f} s")
 
 

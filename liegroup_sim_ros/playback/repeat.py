@@ -5,10 +5,11 @@ import numpy as np
 import scipy
 
 from liegroup_core import SimulationError
+from liegroup_core.forces.instants import NS
 from liegroup_core.observables.along import quaternions
 from liegroup_core.reference import Trajectory, distance
 
-from .rerun import ReplayError, Rerun
+from .rerun import Rerun
 
 # Tolerance, in steps, when samples are matched to whole steps of another step size.
 ROUNDING = 1e-6
@@ -68,19 +69,20 @@ class Repeat:
         """States of the simulation at the samples of a block, (k, n, 12) and (k, n, 6)."""
         simulation, stretch = self._simulation, block.stretch
         exact_steps = block.steps * self._rerun.ratio
-        steps = np.rint(exact_steps).astype(np.int64)
-        if np.abs(exact_steps - steps).max() > ROUNDING * max(1.0, self._rerun.ratio):
-            raise ReplayError(
-                f"the samples do not lie on steps of {simulation.step:g} s: their "
-                "period must be a whole number of steps"
-            )
+        steps = np.rint(exact_steps)
+        inside = np.abs(exact_steps - steps) > ROUNDING * max(1.0, self._rerun.ratio)
+        steps = np.where(inside, np.floor(exact_steps), steps).astype(np.int64)
         n = len(stretch.bodies)
         pose, twist = np.empty((len(steps), n, 12)), np.empty((len(steps), n, 6))
         done = 0
         try:
-            for step in steps.tolist():
+            for step, time, between in zip(steps.tolist(), block.times.tolist(), inside.tolist()):
                 self._rerun.advance_to(step)
-                pose[done], twist[done] = simulation.state()
+                if between:
+                    self._rerun.apply_changes(time)
+                    pose[done], twist[done] = simulation.state_at(simulation.instant_of(round(time * NS)))
+                else:
+                    pose[done], twist[done] = simulation.state()
                 done += 1
         except SimulationError as error:
             self._stopped = self._stopped or str(error)

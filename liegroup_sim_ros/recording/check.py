@@ -25,8 +25,8 @@ def check_settings(recording, scene):
     if lacking:
         raise RecordingError(f"{path}: its settings lack {', '.join(lacking)}")
 
-    def is_count(value):
-        return isinstance(value, int) and not isinstance(value, bool) and 0 < value < 2**53
+    def is_period(value):
+        return isinstance(value, (int, float)) and not isinstance(value, bool) and 0.0 < value < 2**53
 
     checks = {
         "scene": isinstance(settings["scene"], str),
@@ -35,7 +35,7 @@ def check_settings(recording, scene):
         "step": isinstance(settings["step"], (int, float))
         and not isinstance(settings["step"], bool)
         and 1e-9 <= settings["step"] <= 1e6,
-        "steps_per_sample": is_count(settings["steps_per_sample"]),
+        "steps_per_sample": settings["steps_per_sample"] is None or is_period(settings["steps_per_sample"]),
         "world_frame": isinstance(settings["world_frame"], str),
         "options": isinstance(settings.get("options") or {}, dict),
         "versions": isinstance(settings.get("versions") or {}, dict),

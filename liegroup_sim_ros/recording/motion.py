@@ -23,6 +23,7 @@ from .tracks import ModeTrack
 # Samples kept for plots: the limit for all bodies together, and the smallest limit per body.
 KEPT, LEAST_KEPT = 40_000, 2000
 LATEST = 2**62  # ns; larger stamps are invalid
+ON_GRID = 1e-3  # periods by which stamps may be early: they are rounded to ns
 
 
 @dataclass(eq=False)
@@ -191,7 +192,7 @@ class Block(NamedTuple):
     """k successive samples of one stretch, all with finite numbers; n bodies."""
 
     stretch: Stretch
-    steps: np.ndarray  # (k,) step number of each sample
+    steps: np.ndarray  # (k,) step number of each sample, with a fraction between steps
     rotation: np.ndarray  # (k, n, 3, 3) body -> world
     position: np.ndarray  # (k, n, 3) m, world
     quaternion: np.ndarray  # (k, n, 4) as recorded
@@ -405,11 +406,14 @@ class Motion:
     def _block(self, stretch, samples, part):
         """Block of the finite samples of a part, or None; counts missing and non-finite ones."""
         stamps = samples.stamp_ns[part]
-        unit = stretch.step * 1e9
-        steps = np.rint((stamps - stretch.base_ns) / unit).astype(np.int64)
+        unit, since = stretch.step * 1e9, stamps - stretch.base_ns
+        steps = np.rint(since / unit).astype(np.int64)
         # Stamps are rounded to ns from the step count.
-        if np.abs(stretch.base_ns + np.rint(steps * unit) - stamps).max() > 1.0:
-            raise RecordingError(f"{self._recording.path}: its stamps do not lie on steps of {stretch.step:g} s")
+        off = np.abs(np.rint(steps * unit) - since) > 1.0
+        if off.any():
+            if isinstance(self._recording.settings["steps_per_sample"], int):
+                raise RecordingError(f"{self._recording.path}: its stamps do not lie on steps of {stretch.step:g} s")
+            steps = np.where(off, since / unit, steps)
         self._count(stretch, steps)
         position, quaternion, twist, errors = (values if values is None else values[part] for values in samples[1:])
         norm = np.linalg.norm(quaternion, axis=2)
@@ -429,9 +433,9 @@ class Motion:
             errors = errors if errors is None else errors[finite]
         if not stretch.samples:
             self.stretches.append(stretch)
-            stretch.first_step = int(steps[0])
+            stretch.first_step = steps[0].item()
         stretch.samples += len(steps)
-        stretch.last_step = int(steps[-1])
+        stretch.last_step = steps[-1].item()
         turn = scipy.spatial.transform.Rotation.from_quat(quaternion.reshape(-1, 4)).as_matrix()
         rotation = turn.reshape(*position.shape[:2], 3, 3)
         return Block(stretch, steps, rotation, position, quaternion, twist, errors)
@@ -440,11 +444,13 @@ class Motion:
         """Count samples, and missing ones on the grid between them."""
         self.samples += len(steps)
         per_sample = self._recording.settings["steps_per_sample"]
+        if per_sample is None:
+            return  # samples at given times
         before = getattr(self, "_last", None)
         if before is not None and before[0] is stretch:
             steps = np.concatenate([before[1:], steps])
         self._last = (stretch, steps[-1])
-        absent = np.diff(steps // per_sample) - 1
+        absent = np.diff(np.floor(steps / per_sample + ON_GRID)) - 1
         if (absent > 0).any():
             self.missing += int(absent[absent > 0].sum())
             self.gaps += int((absent > 0).sum())

@@ -10,7 +10,6 @@ from liegroup_sim_ros.commands.main import main
     "line, says",
     [
         ("run heavy_top --duration 1 --accuracy abc", "--accuracy: invalid float value: 'abc'"),
-        ("run heavy_top", "are required: --duration"),
         ("analyze x.mcap --max-error -1", "--max-error: must be a number of 0 or more, got '-1'"),
         ("analyze x.mcap --max-drift x", "--max-drift: must be a number of 0 or more, got 'x'"),
         ("analyze x.mcap --reference-steps 0", "must be a whole number of 1 or more, got '0'"),

@@ -89,15 +89,50 @@ def test_every_file_has_the_estimated_errors_if_they_are_carried(tmp_path, capsy
     assert analyse(without, reference=False).figures["estimate"] is None
 
 
-@pytest.mark.parametrize("method", [[], ["--method", "rkmk8", "--step", "0.01"]])
-def test_a_run_that_is_too_short_for_an_estimate_says_from_when_on_there_is_one(tmp_path, capsys, method):
+def test_a_run_that_is_too_short_for_an_estimate_says_from_when_on_there_is_one(tmp_path, capsys):
     def said(duration):
         out = str(tmp_path / f"{duration}.npz")
+        method = ["--method", "rkmk8", "--step", "0.01"]
         assert main(["run", "double_pendulum", *method, "--duration", duration, "--out", out]) == 0
         return capsys.readouterr().out
 
     first = re.search(r"; the error is not estimated before t = (\S+) s\n", said("0.02"))[1]
     assert "estimated error at the end" in said(first)
+
+
+@pytest.mark.parametrize("method", [[], ["--method", "rkmk4", "--step", "0.01"], ["--method", "radau5"]])
+def test_samples_of_any_rate_lie_at_whole_ns_and_repeat(tmp_path, method):
+    log, arrays = tmp_path / "a.mcap", tmp_path / "a.npz"
+    for out in (log, arrays):
+        assert main(["run", "four_bar", *method, "--duration", "0.505", "--rate", "333", "--out", str(out)]) == 0
+    recording = read_recording(log)
+    stamps = [*(round(k * 1e9 / 333) for k in range(169)), 505_000_000]
+    times = recording.pose["crank"].time
+    assert np.rint(times * 1e9).tolist() == stamps
+    assert np.load(arrays)["time"] == pytest.approx(times, abs=1e-12)
+    assert np.array_equal(np.load(arrays)["poses"][:, 0, :3, 3], recording.pose["crank"].position)
+    figures = resimulate(recording)
+    assert figures["identical"] == figures["samples"] == 170 and figures["missing_samples"] == 0
+
+
+def test_samples_at_given_times(tmp_path, capsys):
+    times, table, log = (tmp_path / name for name in ("times.txt", "a.csv", "a.mcap"))
+    times.write_text("# s\n0\n0.1\n\n0.3333333\n")
+    for out in (table, log):
+        assert main(["run", "heavy_top", "--times", str(times), "--out", str(out)]) == 0
+    rows = list(csv.DictReader(table.read_text().splitlines()))
+    assert [row["time [s]"] for row in rows] == ["0.0", "0.1", "0.3333333"]
+    assert resimulate(read_recording(log))["identical"] == 3
+    capsys.readouterr()
+    for text, said in (("0.1\n0.1", "line 2: times must"), ("x", "line 1: expected a time"), ("0", "no time after")):
+        times.write_text(text)
+        assert main(["run", "heavy_top", "--times", str(times), "--out", str(tmp_path / "b.csv")]) == 2
+        assert said in capsys.readouterr().err
+    for wrong in (["--rate", "0"], ["--rate", "10", "--every", "2"], ["--rate", "1e9", "--duration", "1e3"], []):
+        duration = [] if not wrong or "--duration" in wrong else ["--duration", "1"]
+        assert main(["run", "heavy_top", *wrong, *duration, "--out", str(tmp_path / "b.csv")]) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1 and not (tmp_path / "b.csv").exists()
 
 
 @pytest.mark.parametrize(
