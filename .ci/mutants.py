@@ -42,7 +42,13 @@ class Mutant(NamedTuple):
     tests: tuple        # arguments of pytest
 
 
+INSIDE = ("core/test_states_inside.py", "-k", "polynomial")
+
 MUTANTS = [
+    Mutant("interpolant, derivative at the end", "methods/munthe_kaas/ahead.py",
+           "2.0 * end - unit[0] - unit[stages]", "2.0 * end - unit[0] + unit[stages]", INSIDE),
+    Mutant("collocation polynomial, powers", "methods/munthe_kaas/collocation.py",
+           "np.arange(1, STAGES + 1)", "np.arange(STAGES)", INSIDE),
     Mutant("gyroscopic torque, sign", "dynamics/space.py",
            "return add3(cross3(w, angular)", "return add3(cross3(angular, w)", DYNAMICS),
     Mutant("gyroscopic force, sign", "dynamics/space.py",

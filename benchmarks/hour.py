@@ -37,7 +37,7 @@ def row(name, seconds):
     start, joints = simulation.energy(), 0.0
     for sample in range(1, SAMPLES + 1):
         began = time.thread_time()
-        simulation.advance_to(steps * sample // SAMPLES)
+        simulation.advance_to_step(steps * sample // SAMPLES)
         cpu += time.thread_time() - began
         joints = max(joints, simulation.sample().constraint_residual)
         stiff += simulation.method == "radau5"

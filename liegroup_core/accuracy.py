@@ -41,6 +41,8 @@ _FOUND = ("time", "error", "wanted", "tenfold", "room", "finer")
 # Decades below the error bound in which the growth is measured, and the ratio to a finer accuracy.
 DECADES, FINER = 3, 100.0
 RESOLVED = 8.0  # least time of these decades, in checkpoints
+# Gain up to which errors that grow are those of rounding, and not of the tolerances, which a finer accuracy lowers.
+SEEDED = 1.0
 # Mean of the tolerances, as a multiple of the least one, up to which errors are round-off.
 ROUNDING = 2.0
 
@@ -60,7 +62,10 @@ class AccuracyControl:
                tolerances so far, as a multiple of the least one, and "finer", see `update`
     """
 
-    KEPT = ("accuracy", "_begin", "_last", "_below", "_sum", "_double_sum", "_gain", "ended", "found", "tolerance")
+    KEPT = (
+        *("accuracy", "_begin", "_last", "_below", "_sum", "_double_sum", "_gain", "_early", "ended", "found"),
+        "tolerance",
+    )
 
     def __init__(self, accuracy, horizon, tighten):
         self.given, self.horizon, self._tighten = accuracy, horizon, tighten
@@ -72,7 +77,7 @@ class AccuracyControl:
         self._begin = self._last = time
         # Last times with an estimate 10, 100, 1000 times below the error bound.
         self._below = [time] * DECADES
-        self._sum = self._double_sum = self._gain = 0.0
+        self._sum = self._double_sum = self._gain = self._early = 0.0
         self.ended = math.inf
         self.found = dict.fromkeys(_FOUND, math.nan)
         self.tolerance = self._first
@@ -113,10 +118,12 @@ class AccuracyControl:
         self._last = time
         self._double_sum += (self._sum + 0.5 * self._tolerance * span) * span
         self._sum += self._tolerance * span
+        if error <= wanted * 10.0**-DECADES:
+            self._early = error / self._double_sum
         if not error <= wanted and self.ended == math.inf:
             self.ended, room = before, self._sum / since / LEAST_TOLERANCE
             tenfold = self._tenfold(time, span)
-            self.found = dict(zip(_FOUND, (time, error, wanted, tenfold, room, float(finer))))
+            self.found = dict(zip(_FOUND, (time, error, wanted, tenfold, room, float(finer and self._early > SEEDED))))
         self._below = [time if error <= wanted * 10.0**-k else below for k, below in enumerate(self._below, 1)]
         if not predictable:
             self.tolerance = self._first

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Engine: integrates one scene with one method and one step size."""
 
+import contextlib
 import copy
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 from liegroup_core.compiling import warm_up
 from liegroup_core.errors import SimulationError
 from liegroup_core.fields.arguments import finite, floats, got, is_count, is_finite
-from liegroup_core.forces.instants import NEVER, StepGrid
+from liegroup_core.forces.instants import AFTER, NEVER, StepGrid
 from liegroup_core.forces.timetable import Timetable
 from liegroup_core.inputs import Inputs
 from liegroup_core.joint_events import JointEvents
 from liegroup_core.layout import Layout, make_layout
-from liegroup_core.mechanism.bodies import COUNT, LARGEST_TURN, NOW, OFFSET, SINGULAR_SOLVES
+from liegroup_core.mechanism.bodies import COUNT, LARGEST_TURN, NOW, OFFSET, SINGULAR_SOLVES, STEP_SIZE
 from liegroup_core.mechanism.body_model import initial_state
 from liegroup_core.methods.families import check_group, check_options, choose_group, make_integrator
 from liegroup_core.methods.table import METHODS, is_positive
@@ -146,11 +147,13 @@ class Engine:
         self._integrator = make_integrator(method, self.layout, self.group, self.step, self.options)
         self._work = self._integrator.work
         self._switching = getattr(self._integrator, "switching", None)
+        self._stop_at = getattr(self._integrator, "stop_at", None)
+        self._work.clock[STEP_SIZE], self._limited, self._before = self.step, False, None
         rows, motions = self.layout.model.forces.applied_wrench, self.layout.motions.values()
         self._grid = StepGrid(self.step)
         self._timetable = Timetable(rows, self._grid, motions)
         self._warnings = Warnings(quiet)
-        self.inputs = Inputs(self.layout, self._grid, self._work.wanted, self._present)
+        self.inputs = Inputs(self.layout, self._grid, self._work.wanted, self._present, self.undo)
         self.events = JointEvents(self.layout, self._switching)
         self._start = initial_state(self.layout.centred)
         self._block, self._halted = FIRST_BLOCK, False
@@ -228,7 +231,7 @@ class Engine:
         """Start again from a valid state; the engine takes over its arrays."""
         self._work.angle[:] = angles
         self._work.report[LARGEST_TURN] = 0.0
-        self._pose, self._twist, self.steps = pose, twist, steps
+        self._pose, self._twist, self.steps, self._before = pose, twist, steps, None
         self.inputs.clear()
         self._integrator.restart()
 
@@ -257,6 +260,7 @@ class Engine:
 
     @_memory.setter
     def _memory(self, memory):
+        self._before = None
         self._integrator.restart()
         for mine, array in zip(self._integrator.memory, memory):
             mine[...] = array
@@ -319,6 +323,19 @@ class Engine:
         """Accepted and attempted substeps since the state was set; (0, 0) without error control."""
         return self._integrator.substeps
 
+    @property
+    def runs_ahead(self):
+        """Whether substeps are as long as the motion allows."""
+        return getattr(self._integrator, "runs_ahead", False)
+
+    def covers(self, instant):
+        """Whether the integration has reached an Instant already."""
+        return self.runs_ahead and self._integrator.lead >= self._grid.parts(instant)
+
+    def covers_step(self, steps):
+        """Whether the integration has reached a step count already."""
+        return self.covers(self._grid.boundary(steps))
+
     def limit_substeps(self, longest):
         """Set the longest substep in s of a method with error control; call it at the start."""
         self._integrator.limit(longest)
@@ -365,12 +382,33 @@ class Engine:
             self._go_on()
         self._advance(int(steps), enough)
 
-    def advance_to(self, steps):
+    def advance_to_step(self, steps):
         """As `advance`, up to a step count that is not before the present one."""
         self._advance(steps - self.steps)
 
+    def advance_to(self, time: float) -> None:
+        """Advance to the last step that is not after a time in s, from where `sample(time)` gives the state then.
+
+        Raises ValueError for a time before the present one, and SimulationError, as `advance`.
+        """
+        self.advance(self._instant(time).step - self.steps)
+
+    def step_before(self, time: float) -> int:
+        """Last step that is not after a time in s, which must not be before the present one. Raises ValueError."""
+        return self._instant(time).step
+
+    def _instant(self, time):
+        """Instant of a time in s that is not before the present one. Raises ValueError."""
+        if not is_finite(time):
+            raise ValueError(f"a time must be a finite number of seconds, {got(time)}")
+        instant = self._grid.instant(float(time))
+        if instant < self._present() or instant is AFTER:
+            raise ValueError(f"the time {time:.9g} s is before the present one, {self.time:.9g} s, or too late")
+        return instant
+
     def _advance(self, steps, enough=None):
         end = self.steps + steps
+        self._before = None if steps else self._before
         self._warnings.begin()
         while True:
             start = self._present()
@@ -397,22 +435,78 @@ class Engine:
                 break
         self._warnings.give(self)
 
-    def peek(self, steps: int, part: float) -> tuple[Floats, Floats]:
-        """State after some steps and a part of one, as `state`; the present state does not change.
+    def instant_after(self, steps, part):
+        """Instant some steps and a part of one after the present one."""
+        return self._grid.end(self.steps + steps, part)
+
+    def instant_of(self, time_ns):
+        """Instant of a time in whole ns."""
+        return self._grid.marked(time_ns)
+
+    def state_at(self, instant):
+        """State at an Instant from the present step on, as `state`; the present state does not change.
 
         Raises SimulationError, as `advance`.
         """
-        before = kept(self, Engine.KEPT)
-        try:
-            self._advance(steps)
-            if part:
-                start, end = self._present(), self._grid.end(self.steps, part)
-                self.inputs.update(start)
-                inside = [instant for instant in self._instants_inside() if instant < end]
-                self._checked(self._take_in_parts(start, inside, part * self.step, end))
+        if self.runs_ahead and self._next_change() >= instant:
+            return self._state_inside(instant)[:2]
+        with self._aside():
+            self._go_to(instant)
             return self.state()
+
+    def _go_to(self, instant):
+        """Advance to an Instant, with a part of a step at its end."""
+        self._advance(instant.step - self.steps)
+        if instant.offset:
+            start = self._present()
+            self.inputs.update(start)
+            inside = [each for each in self._instants_inside() if each < instant]
+            self._checked(self._take_in_parts(start, inside, self._grid.between(start, instant), instant))
+
+    @contextlib.contextmanager
+    def _aside(self):
+        """Return to the present state afterwards, with all that was logged and counted."""
+        self.undo()
+        before, inputs, switching = kept(self, Engine.KEPT), self.inputs, self._switching
+        log, follower, inputs.log, inputs.follower = inputs.log, inputs.follower, None, None
+        spent = getattr(self._integrator, "spent", None)
+        events = None if switching is None else switching.log()
+        try:
+            yield
         finally:
             set_kept(self, before)
+            inputs.log, inputs.follower = log, follower
+            if spent is not None:
+                self._integrator.spent = spent
+            if events is not None:
+                switching.take_log(events)
+
+    def _next_change(self):
+        """Instant after the present one before which no input changes."""
+        present = self._present()
+        return min(self._timetable.next_after(present), self.inputs.schedule.next_after(present))
+
+    def _state_inside(self, end):
+        """Pose, twist and angles at an Instant before which no input changes, from the integration that runs ahead.
+
+        What it integrates for that is undone if inputs or tolerances change, so that a run does not depend on it.
+        """
+        start = self._present()
+        self.inputs.update(start)
+        if self._before is None and not self.covers(end):
+            self._before = self._integrator.checkpoint()
+        pose, twist, angle = self._pose.copy(), self._twist.copy(), self._work.angle.copy()
+        try:
+            self._checked(self._integrate(start, self._grid.between(start, end), 1, end, pose, twist)[1])
+            return pose, twist, self._work.angle.copy()
+        finally:
+            self._work.angle[:] = angle
+
+    def undo(self):
+        """Undo what was integrated for states after the present one."""
+        if self._before is not None:
+            self._integrator.return_to(self._before)
+            self._before = None
 
     def _checked(self, status):
         if status != OK:
@@ -426,7 +520,7 @@ class Engine:
         returns (steps done, status)
         """
         if not inside or steps == 0:
-            return self._integrate(start, self.step, steps)
+            return self._integrate(start, self.step, steps, self._grid.boundary(self.steps + steps))
         good = self._pose.copy(), self._twist.copy(), self._work.angle.copy()
         status = self._take_in_parts(start, inside, self.step, self._grid.end(self.steps))
         if status != OK:
@@ -442,24 +536,37 @@ class Engine:
             changed = self.inputs.schedule.update(instant)
             # A part ends only where a total changes.
             if changed or instant in self._timetable.inside(self.steps):
-                status = self._take_part(begin, self._grid.between(begin, instant))
+                status = self._take_part(begin, self._grid.between(begin, instant), instant)
                 if status != OK:
                     return status
                 self.inputs.apply(instant, changed)
                 begin = instant
-        return self._take_part(begin, h if begin is start else self._grid.between(begin, end))
+        if begin is start:
+            return self._integrate(start, h, 1, end)[1]
+        return self._take_part(begin, self._grid.between(begin, end), end)
 
-    def _take_part(self, start, h):
-        """Take a part of a step of size h from an Instant on; returns a status."""
-        return self._integrate(start, h / self.events.parts, self.events.parts)[1]
+    def _take_part(self, start, h, end):
+        """Take a part of a step of size h from an Instant to another; returns a status."""
+        return self._integrate(start, h / self.events.parts, self.events.parts, end)[1]
 
-    def _integrate(self, start, h, steps):
-        """Take steps of size h from an Instant on, in which no wrench changes.
+    def _integrate(self, start, h, steps, end, pose=None, twist=None):
+        """Take steps of size h from an Instant to another, between which no wrench changes.
 
+        pose, twist : of the start, which become those of the end; None: the present state
         returns (steps done, status)
         """
         self._set_inputs(start, h)
-        return self._integrator.advance(h, steps, self._pose, self._twist, self.inputs.external)
+        if start.offset or end.offset:
+            self._work.clock[NOW + 1 : STEP_SIZE] = *self._grid.parts(start), *self._grid.parts(end)
+        else:
+            self._work.clock[NOW + 1 : STEP_SIZE] = start.step, 0.0, end.step, 0.0
+        if self._stop_at is not None and (self._limited or self._timetable or self.inputs.known_end is not AFTER):
+            known = min(self._timetable.next_after(start), self.inputs.known_end)
+            if known is not AFTER or self._limited:
+                self._stop_at(*self._grid.parts(known), self._grid.between(start, known))
+                self._limited = known is not AFTER
+        pose, twist = (self._pose, self._twist) if pose is None else (pose, twist)
+        return self._integrator.advance(h, steps, pose, twist, self.inputs.external)
 
     def _instants_inside(self):
         """Instants inside the next step at which an input may start or end."""
@@ -477,9 +584,39 @@ class Engine:
         clock, whole = work.clock, h == self.step and not start.offset
         clock[COUNT], clock[OFFSET], clock[NOW] = (self.steps, 0.0, time) if whole else (0.0, time, time)
 
-    def sample(self) -> Sample:
-        """Create a Sample of the present state."""
-        sample = Sample(self.layout, self.time, self.time_ns, self.steps, *self.state(), self._work.angle.copy())
+    def sample(self, time: float | None = None) -> Sample:
+        """Create a Sample of the present state, or of one within the present step.
+
+        time : s, from the present one to the end of the step, rounded to whole ns; None: the present one. The state
+               there is that of a step of this size, of the method's order; of a simulation to an accuracy it is an
+               interpolant in the algebra, of order 7 for rkmk853 and 3 for radau5. The run does not depend on it
+        Raises ValueError for another time, and SimulationError if the state cannot be computed.
+        """
+        instant = None if time is None else self._instant(time)
+        if instant is None or instant == self._present():
+            return self._sample_of(self.time, self.time_ns, *self.state(), self._work.angle.copy())
+        if instant > self._grid.boundary(self.steps + 1):
+            end = (self.steps + 1) * self.step
+            raise ValueError(f"the time {time:.9g} s is after the present step, up to {end:.9g} s: advance first")
+        at = instant.time, self._grid.time_ns(instant)
+        if self.runs_ahead and self._next_change() >= instant:
+            return self._sample_of(*at, *self._state_inside(instant))
+        with self._aside():
+            self._go_to(instant)
+            return self._sample_of(*at, *self.state(), self._work.angle.copy())
+
+    def samples(self, times: ArrayLike) -> Iterator[Sample]:
+        """Advance through times in s that do not decrease, and yield a Sample at each of them.
+
+        Raises the errors of `advance_to` and `sample`.
+        """
+        for at in np.atleast_1d(floats("times must be finite numbers", times)).tolist():
+            self.advance_to(at)
+            yield self.sample(at)
+
+    def _sample_of(self, time, time_ns, pose, twist, angle):
+        """Sample of a state at a time in s and ns."""
+        sample = Sample(self.layout, time, time_ns, self.steps, pose, twist, angle)
         if self.inputs.schedule:
             sample.external = self.inputs.external.copy()
             sample.joint_efforts = self.inputs.schedule.efforts
@@ -488,7 +625,7 @@ class Engine:
         if self._switching is not None:
             sample.switching = self._modes_now()
         if len(self._work.motions):
-            sample.motions = self.layout.motions_at(self.time, self.inputs.commanded)
+            sample.motions = self.layout.motions_at(time, self.inputs.commanded)
         return sample
 
     @property

@@ -89,7 +89,8 @@ class ErrorEstimate:
     )
 
     def __init__(self, n, size, ratio, order, least):
-        self.size, self._factor = size, max(least, SEEN / (ratio**order - 1.0))
+        self.size, self._explicit = size, max(least, SEEN / (ratio**order - 1.0))
+        self._factor = self._explicit
         self.distance, self._window = np.zeros((n, 4)), np.zeros((WINDOW, n, 4))
         # The largest motion of each body, and least estimates.
         self._motion, self._least = np.zeros((n, 4)), np.zeros((n, 4))
@@ -97,6 +98,10 @@ class ErrorEstimate:
         self.restart(0.0)
         self.errors(self.distance)  # compiles it
         self.note_motion(self.distance)
+
+    def weigh(self, implicit):
+        """Take all of a distance if states come from the interpolant of an implicit method, whose order is low."""
+        self._factor = 1.0 if implicit else self._explicit
 
     def restart(self, time):
         """Clear the errors, because the state was set at a time in s."""

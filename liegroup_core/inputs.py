@@ -22,18 +22,20 @@ class Inputs:
     grid    : StepGrid of the steps
     wanted  : (k, 2) array of the integrator, set to the wanted values of servos that act
     present : function that returns the Instant of the present step
+    change  : function that is called before a command is taken
 
     external  : (n, COLUMNS) external wrenches that act, see forces/external.py
     commanded : (d, 7) commanded motions of driven joints, or FROM_SCENE
     schedule  : Schedule
+    known_end : Instant at which the first of the commands that act ends, as it was given
     follower  : Inputs of another Engine that takes all commands, too, or None
     log       : [Command] since they were last taken; None: not logged
     """
 
     KEPT = ("commands",)
 
-    def __init__(self, layout, grid, wanted, present):
-        self._layout, self._grid, self._present = layout, grid, present
+    def __init__(self, layout, grid, wanted, present, change=lambda: None):
+        self._layout, self._grid, self._present, self._change = layout, grid, present, change
         self._bodies = {name: i for i, name in enumerate(layout.body_names)}
         self._drives, self._servos = tuple(layout.motions), tuple(layout.servos)
         self.schedule = Schedule(len(self._bodies), wanted_values(layout.model.forces), len(self._drives))
@@ -46,6 +48,11 @@ class Inputs:
         self.schedule.clear_all()
         self._take_totals()
 
+    def freeze(self):
+        """Keep what acts, and discard all commands, until `commands` are set: nothing changes."""
+        self.schedule.clear_all()
+        self.known_end = AFTER
+
     def _take_totals(self):
         self.external[:] = no_wrenches(self._layout.offsets)
         for axes in (BODY, IN_WORLD, LEVERS):
@@ -54,8 +61,15 @@ class Inputs:
                 set_wrench(self.external, body, total[body], axes)
         self.wanted[:] = self.schedule.total[SERVO]
         self.commanded[:] = self.schedule.total[DRIVE]
+        self._note_ends()
         if self.log:
             self.log = []
+
+    def _note_ends(self):
+        self.known_end = min(
+            (self._end(entry.command) for entry in self.schedule.acting if entry.command.kind in (WRENCH, EFFORT)),
+            default=AFTER,
+        )
 
     @property
     def commands(self):
@@ -90,6 +104,7 @@ class Inputs:
 
     def _insert(self, command, begin, end):
         """Take a Command from an Instant on, up to another one."""
+        self._change()
         command = command._replace(
             start_ns=self._grid.mark(begin), end_ns=None if end == AFTER else self._grid.mark(end)
         )
@@ -372,6 +387,7 @@ class Inputs:
 
     def apply(self, instant, changed):
         """Let the totals [(number, axes)] of the schedule act from an Instant on."""
+        self._note_ends()
         for number, axes in changed:
             total = self.schedule.total[axes][number]
             if axes == SERVO:

@@ -151,7 +151,7 @@ def explain(engine, status):
     # because then a substep has failed.
     searched = (NO_RATTLE_STEP, NOT_CONVERGED) if not METHODS[engine.method].controlled else ()
     if status & 0xFF in searched and not engine._instants_inside():
-        engine._work.clock[:] = 0.0, engine.time, engine.time
+        engine._work.clock[:3] = 0.0, engine.time, engine.time
         works = step_that_works(engine._integrator, engine.step, *engine.state(), engine.inputs.external)
         hint = f": {works:g} s works from here" if works else ""
     if status & 0xFF == ROTATION_TOO_LARGE and engine.stabilisation != "projection":

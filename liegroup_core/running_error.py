@@ -11,22 +11,26 @@ are round-off, and with error control, whose substeps sometimes differ by more t
 larger, so that two errors are hardly ever equal by chance. There the estimate sets the tolerance: it may be
 far above the error, but not below it.
 
-The two meet every 4 or 6 steps. If an estimate is read in between, the companion advances to the present step,
-by whole steps and a part of one, and returns (`Engine.peek`). Checkpoints follow after MEETINGS meetings, more
+The two meet every 4 or 6 steps. If an estimate is read in between, the companion advances to the present time,
+by whole steps and a part of one, and returns (`Engine.state_at`). Checkpoints follow after MEETINGS meetings, more
 often at the start. They depend only on the step count, so that a repeated run has bit-identical estimates.
 
 With an accuracy the round-off of the companion is also larger. If steps are so small that all error is
 round-off, as near a separatrix, two runs of the same precision differ by the error of either, and the estimate
 would be less than half of their distance.
 
-With an accuracy the two are compared only at checkpoints, after about SUBSTEPS substeps, and all estimates
-fade. In between, the last growth of the error is extrapolated. If the companion cannot continue, the estimate
-is infinite from then on. Before the first meeting it is NaN.
+With an accuracy both run ahead (methods/munthe_kaas/ahead.py): their substeps follow their tolerances alone, and
+their states at any time are those of interpolants, whose errors are part of the distance. Checkpoints follow after
+about SUBSTEPS substeps. In between, the two are compared when an estimate is read, and PART of the horizon after the
+last look; if the estimate exceeds the accuracy then, that is a checkpoint, too.
 
-With error control the companion takes one step for four of the simulation. With equal steps the last substep,
-which ends with the step, would often make the substeps of both equal. Its substeps are at most 4/3 of a step,
-because it would step over contacts that the simulation meets; with an accuracy, only if joints have stops or
-friction.
+With error control and without running ahead, the companion takes one step for four of the simulation. With equal
+steps the last substep, which ends with the step, would often make the substeps of both equal. Its substeps are at
+most 4/3 of a step, because it would step over contacts that the simulation meets. With an accuracy, that is with
+stops or friction, the two are compared only at checkpoints, after about STEPWISE substeps, and the last growth of the
+error is extrapolated.
+
+If the companion cannot continue, the estimate is infinite from then on. Before the first meeting it is NaN.
 
 Errors common to both runs at any step are invisible: see methods/added_inertia.py, and endless impacts that
 become plastic although they would continue (LOST_REBOUND). Then the estimate is infinite.
@@ -35,6 +39,7 @@ Coverage, that is estimate against true error: benchmarks/estimate_coverage.py,
 test/verification/test_running_error.py.
 """
 
+import contextlib
 import math
 
 import numpy as np
@@ -49,7 +54,10 @@ from liegroup_core.observables.distances import distances
 
 HIGH = 8  # order from which the steps of both are more similar
 FIRST_MEETINGS, MEETINGS = 2, 48  # between two checkpoints, from the second one on
-SUBSTEPS, MOST = 32, 8  # between checkpoints with an accuracy: substeps, and steps at most
+# Between checkpoints with an accuracy: substeps; of a run that is not ahead substeps, and steps at most.
+SUBSTEPS, STEPWISE, MOST = 16, 32, 8
+LAG = 4  # steps after which the companion follows a run that is ahead, which spreads its work
+PART = 0.02  # of the horizon, between two looks at the estimate: errors may rise and fall between checkpoints
 FASTEST = 8.0  # largest growth between two meetings that is extrapolated to the next one
 # rad, or relative to the characteristic length: above it, a rebound that became plastic makes the estimate
 # infinite. Bouncing that comes to rest by itself is far below it when its impacts are that dense.
@@ -68,7 +76,7 @@ class RunningError:
     """Estimate of the global error of an Engine; `update` keeps it up to date.
 
     engine  : Engine, whose state `update` reads
-    by_work : checkpoints follow the number of substeps, and all meetings are checkpoints
+    horizon : s, of an accuracy: checkpoints follow the number of substeps; None: no accuracy
 
     estimate : ErrorEstimate
     """
@@ -78,13 +86,15 @@ class RunningError:
         *("_origin", "estimate", "_companion"),
     )
 
-    def __init__(self, engine, by_work=False):
+    def __init__(self, engine, horizon=None):
         self.engine = engine
-        self._by_work = by_work
+        self._by_work = by_work = horizon is not None
+        self.look = max(1, int(PART * horizon / engine.step)) if by_work else 0
         method = METHODS[engine.method]
         order, controlled = method.order, method.controlled
         # Steps of the engine and of its companion in the same time.
-        self.ours, self._theirs = (4, 1) if controlled else (4, 3) if order < HIGH else (6, 5)
+        ahead = by_work and not engine.layout.switches
+        self.ours, self._theirs = (1, 1) if ahead else (4, 1) if controlled else (4, 3) if order < HIGH else (6, 5)
         if controlled:
             ratio, least = BY_WORK if by_work else STIFF if method.implicit else CONTROLLED
         else:
@@ -94,6 +104,8 @@ class RunningError:
         self._companion = self._make_companion(step, ratio**method.power if controlled else 1.0)
         if controlled and (engine.layout.switches or not by_work):
             self._companion.limit_substeps(CONTROLLED[0] * engine.step)
+        elif by_work:  # at the start, where substeps grow by the same factor, those of the two must not be equal
+            self._companion.limit_substeps(ratio * engine.step)
         if by_work:
             for integrator, bits in zip(self.integrators, (0, BITS)):
                 integrator.follow_accuracy(self.size, bits)
@@ -150,6 +162,8 @@ class RunningError:
             return end
         if not self.begun:
             return min(end, (steps // self.ours + 1) * self.ours)
+        if self.look and self._companion.runs_ahead:
+            return min(self._next, end, (steps // self.look + 1) * self.look)
         if self._next <= end:
             return self._next
         meeting = end // self.ours * self.ours
@@ -169,6 +183,8 @@ class RunningError:
         """Advance the companion to the present step if they can meet, and estimate the error."""
         engine = self.engine
         steps = engine.steps
+        if self.ours == 1 and self.begun and steps != self._next and steps - self._companion.steps < LAG:
+            return
         self._failed = self._failed or engine.events.lost_rebound > LOST_REBOUND
         if not self._alive or steps % self.ours:
             return
@@ -176,18 +192,22 @@ class RunningError:
             self._begin(steps)
             return
         meeting = steps // self.ours * self._theirs
-        if self._companion.steps == meeting:
+        if self._companion.steps == meeting and steps != self._next:
+            return
+        # Between checkpoints the companion only advances, which spreads its work.
+        between = self._by_work and steps != self._next
+        if between and self._companion.covers_step(meeting):
             return
         if not self._failed:
             try:
-                self._companion.advance_to(meeting)
+                self._companion.advance_to_step(meeting)
             except SimulationError:
                 self._failed = True
         if not self._failed and self._companion.steps < meeting:
             return  # it was halted, too
-        # Between checkpoints the companion only advances, which spreads its work.
-        if self._by_work and steps != self._next:
+        if between:
             return
+        self._companion.undo()
         if self._failed:
             self._alive = False
             self._lead()
@@ -205,12 +225,27 @@ class RunningError:
             self._next = self._next_checkpoint(steps)
             self._keep()
 
+    def make_checkpoint(self):
+        """Make the present step, which is before the next checkpoint, a checkpoint."""
+        self._block -= self._next - self.engine.steps
+        self._next = self.engine.steps
+        self.update()
+
+    def meet(self):
+        """Advance the companion to the last meeting, so that a state depends on its time alone."""
+        self._companion.undo()
+        meeting = self.engine.steps // self.ours * self._theirs
+        if self._alive and self.begun and not self._failed and self._companion.steps < meeting:
+            with contextlib.suppress(SimulationError):
+                self._companion.advance_to_step(meeting)
+
     def _adapt(self):
         """Set the number of steps to the next checkpoint from the substeps since the last one."""
         substeps = self.engine.substeps[0]
         work, self._substeps = substeps - self._substeps, substeps
-        longest = min(MOST, 2 * self._block)
-        while longest > self.ours and longest * work > SUBSTEPS * self._block:
+        ahead = self.engine.runs_ahead
+        longest, most = (2 * self._block, SUBSTEPS) if ahead else (min(MOST, 2 * self._block), STEPWISE)
+        while longest > self.ours and longest * work > most * self._block:
             longest //= 2
         self._block = longest
 
@@ -237,22 +272,38 @@ class RunningError:
     def _now(self):
         """Distances at the present step, and their largest m and rad.
 
-        Between two meetings the companion computes its state at that step. With an accuracy they are those
-        of the last meeting.
+        Between two meetings the companion computes its state at that step. If it does not run ahead, with an
+        accuracy they are those of the last meeting.
         """
         since = self.engine.steps - self._companion.steps * self.ours // self._theirs
-        if self._by_work or not (self._alive and self.begun) or since <= 0:
+        met = since <= 0 and not (self._by_work and self.engine.steps != self._next - self._block)
+        if self._extrapolates or not (self._alive and self.begun) or met:
             return self.estimate.distance, self.estimate.largest
         if self._seen_at != self.engine.steps:
-            steps, part = divmod(since * self._theirs, self.ours)
-            try:
-                other = self._companion.peek(steps, part / self.ours)
-            except SimulationError:
-                self._seen[:], self._seen_largest = math.inf, (math.inf, math.inf)
+            if since == 0:
+                self._seen_largest = self._measure((self._companion._pose, self._companion._twist), self._seen)
             else:
-                self._seen_largest = self._measure(other, self._seen)
+                steps, part = divmod(since * self._theirs, self.ours)
+                instant = self._companion.instant_after(steps, part / self.ours)
+                self._seen_largest = self._distances_at(self._seen, instant, self.engine._pose, self.engine._twist)
             self._seen_at = self.engine.steps
         return self._seen, self._seen_largest
+
+    def _distances_at(self, out, instant, pose, twist):
+        """Distances of a state from the companion at an Instant of that; returns their largest m and rad."""
+        try:
+            return self._distances(self.engine.layout.offsets.com, pose, twist, *self._companion.state_at(instant), out)
+        except SimulationError:
+            out[:] = math.inf
+            return math.inf, math.inf
+
+    def errors_at(self, time_ns, pose, twist):
+        """As `errors`, of a state at a time in ns within the present step."""
+        if self._unknown or self._extrapolates or not (self._alive and self.begun):
+            return self.errors()
+        distances = np.empty_like(self._seen)
+        self._distances_at(distances, self._companion.instant_of(time_ns), pose, twist)
+        return self.estimate.errors(distances)
 
     def _watch_motion(self):
         """Update the largest distance of each body from its start, and its largest velocities."""
@@ -268,13 +319,24 @@ class RunningError:
 
     @property
     def follows_tolerance(self):
-        """Whether substeps of error control are shorter than steps, so that tolerances matter."""
-        return self.engine.substeps[0] > self.engine.steps - self._set_at
+        """Whether tolerances, and not steps, limit the substeps."""
+        return self.engine.runs_ahead or self.engine.substeps[0] > self.engine.steps - self._set_at
+
+    @property
+    def _extrapolates(self):
+        """Whether estimates between two checkpoints follow from the last ones."""
+        return self._by_work and not self._companion.runs_ahead
 
     @property
     def first_step(self):
         """Step at which the two first meet after the state was set."""
         return (-(-self._set_at // self.ours) + 1) * self.ours
+
+    @property
+    def goes_on(self):
+        """Whether the present step is after the last checkpoint, and the companion runs ahead of it."""
+        is_ahead = self.begun and self._alive and self._companion.runs_ahead
+        return is_ahead and self.engine.steps > self._next - self._block
 
     @property
     def begun(self):
@@ -320,7 +382,7 @@ class RunningError:
 
     def _growth(self):
         """With an accuracy: growth since the last checkpoint, extrapolated from the two before."""
-        if not (self._by_work and self._alive and self._block):
+        if not (self._extrapolates and self._alive and self._block):
             return 1.0
         stale = 1.0 - (self._next - self.engine.steps) / self._block
         return min(FASTEST, self.estimate.growth) ** stale

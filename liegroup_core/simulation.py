@@ -25,10 +25,10 @@ from liegroup_core.stiffness import MOST_ATTEMPTS, STIFF, MethodChoice
 log = logging.getLogger("liegroup_core")
 
 # Possible steps of a simulation to an accuracy, s. It takes the longest that is at most PART of the horizon and
-# has at most SUBSTEPS substeps at the start.
+# has at most SUBSTEPS substeps at the start, or FEW if the integration runs ahead: its steps cost nothing.
 STEPS = tuple(float(f"{digit}e{power}") for power in range(-3, -8, -1) for digit in (10, 5, 2))
 PART = 0.02
-SUBSTEPS = 20
+SUBSTEPS, FEW = 20, 2
 # Largest number of attempted substeps in each trial step.
 TRIALS = {METHOD: [2 * SUBSTEPS], STIFF: [MOST_ATTEMPTS, 2 * SUBSTEPS]}
 MANY = 500  # number of freedoms above which the matrices take too long for a trial
@@ -43,8 +43,9 @@ class Simulation(Engine):
     accuracy : largest error of a pose in the first `horizon` seconds, relative to the mechanism's size,
                or in rad; the error may grow by as much in each further horizon. Default 1e-4
     horizon  : s, at most 1e6; default 60
-    step     : s, output interval; from a sequence, the longest suitable one. Default: at most 10 ms and
-               1/50 of the horizon, such that the error control takes at most 20 substeps
+    step     : s, interval of `advance`; from a sequence, the longest suitable one. Default: at most 10 ms
+               and 1/50 of the horizon, with at most 2 substeps at the start, or 20 with stops or friction. It
+               does not limit the substeps, but with stops or friction
     stabilisation : default "projection" for joints that would drift, else "none"
 
     With a method, it takes the arguments of Engine, with their defaults.
@@ -105,7 +106,7 @@ class Simulation(Engine):
         if isinstance(step, (list, tuple)):
             step, layout = _suitable(step, scene, layout, settings, tolerances)
         super().__init__(scene, METHOD, step, *settings, quiet, layout, **tolerances)
-        self._running = RunningError(self, by_work=True)
+        self._running = RunningError(self, float(horizon))
         self._choice = MethodChoice(self._running)
         self._control = AccuracyControl(accuracy, float(horizon), self._tighten)
         self._keep()
@@ -157,6 +158,7 @@ class Simulation(Engine):
 
         If the estimated error also exceeds this one, `accurate_until` does not change.
         """
+        self.undo()
         if self._control is None:
             raise ValueError("`set_accuracy` needs a simulation made with an accuracy; this one has a method")
         self._control.change(_checked(accuracy), self.time, self.largest_error)
@@ -212,13 +214,15 @@ class Simulation(Engine):
         """
         return math.nan if self._running is None else self._running.estimate.predictable_until
 
-    def sample(self) -> Sample:
-        """Create a Sample of the present state, with the estimated errors if they are carried."""
-        sample = super().sample()
-        if self._running is not None:
+    def sample(self, time: float | None = None) -> Sample:
+        """As Engine.sample, with the estimated errors if they are carried."""
+        sample = super().sample(time)
+        if self._running is not None and sample.time_ns == self.time_ns:
             sample.errors = self._running.errors()
+        elif self._running is not None:
+            sample.errors = self._running.errors_at(sample.time_ns, *sample._state)
         if self._control is not None:
-            wanted = self._control.wanted(self.time)
+            wanted = self._control.wanted(sample.time)
             sample.bound = wanted * self._running.size, wanted
         return sample
 
@@ -232,6 +236,9 @@ class Simulation(Engine):
 
         A State is a value: it can be held, copied, compared and pickled.
         """
+        self.undo()
+        if self._running is not None:
+            self._running.meet()
         return State(self._identity, kept(self))
 
     def restore(self, state: State) -> None:
@@ -310,6 +317,8 @@ class Simulation(Engine):
                 return
             count = running.estimate.checkpoints
             running.update()
+            if self._exceeded_between():
+                running.make_checkpoint()
             if running.estimate.checkpoints > count:
                 if self._control is not None:
                     predictable = running.estimate.predictable_until == math.inf
@@ -318,6 +327,14 @@ class Simulation(Engine):
                 self._look()
             if self.steps >= end or (enough is not None and enough()):
                 return
+
+    def _exceeded_between(self):
+        """Whether the estimate exceeds the accuracy for the first time, and between two checkpoints."""
+        control, running = self._control, self._running
+        if control is None or control.ended < math.inf or self.steps % running.look or not running.goes_on:
+            return False
+        running.meet()
+        return running.largest > control.wanted(self.time)
 
     def _look(self):
         """Warn once if the error exceeds the accuracy, and once if it is large."""
@@ -365,20 +382,25 @@ def _suitable(steps, scene, layout, settings, tolerances):
                 continue
             engine = Engine(scene, method, step, *settings, True, layout, **tolerances)
             freedoms = engine.freedoms
-            if _takes_few(engine, attempts):
+            substeps = _fewest(engine, attempts)
+            if method == METHOD and FEW < substeps <= SUBSTEPS and not layout.switches and step != steps[-1]:
+                break
+            if substeps <= SUBSTEPS:
                 return step, engine.layout
     return step, engine.layout
 
 
-def _takes_few(engine, attempts):
-    """Whether one of the first steps takes at most SUBSTEPS substeps; attempts: limit for each step."""
+def _fewest(engine, attempts):
+    """Fewest substeps of the first steps, up to one with at most SUBSTEPS; attempts: limit for each step."""
+    fewest = math.inf
     for most in attempts:
         before = engine.substeps[0]
         engine.limit_attempts(most)
         try:
             engine.advance(1)
         except SimulationError:
-            return False
-        if engine.substeps[0] - before <= SUBSTEPS:
-            return True
-    return False
+            return math.inf
+        fewest = min(fewest, engine.substeps[0] - before)
+        if fewest <= SUBSTEPS:
+            break
+    return fewest

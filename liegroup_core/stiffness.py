@@ -5,10 +5,10 @@ Stiff forces, as of a hard spring or a strong damper, limit the substeps of an e
 if the motion is slow. The companion of the running error shows it: its tolerances are larger, but its substeps
 are hardly longer. An implicit method has no such limit, but takes more evaluations for a substep, and is of lower
 order. So the cheaper method is found by trial in this case, and at the start if the first step is expensive: the
-companion takes a step with each method, and returns. Both are one-step methods under the same control, so that
+companion takes some steps with each method, and returns. Both are one-step methods under the same control, so that
 nothing else changes.
 
-A trial ends as soon as it costs more than it could save. The cost of the step then follows from the last substep,
+A trial ends as soon as it costs more than it could save. The cost of the steps then follows from the last substep,
 because substeps grow after a start. The next trial follows when the run has cost as much as both trials, because
 the start of a motion says little about the rest; later ones wait for up to WAIT times that.
 Cost counts evaluations of the accelerations, not time, so that a repeated run is bit-identical.
@@ -22,14 +22,17 @@ from liegroup_core.methods.table import METHODS
 
 EXPLICIT, IMPLICIT = 0, 1  # numbers of the methods in the integrators
 STIFF = "radau5"
-# If a step of the companion takes fewer evaluations, the implicit method cannot be cheaper.
+# If a step of a companion that does not run ahead takes fewer evaluations, its steps limit the substeps.
 CHEAP = 100.0
-# Evaluations in the first step of the companion, above which both methods are tried at once. An attempted
+# Evaluations in the first FIRST steps of the companion, above which both methods are tried at once. An attempted
 # substep takes twelve, so that a tenth as many attempts show it.
-DEAR = 1000
+DEAR, FIRST = 1000, 4
 # Evaluations of the simulation per one of the companion, below which stability limits the explicit method.
-# If tolerances limit it, the ratio is 1.7, and differs by some tenths between checkpoints.
-ALIKE = 1.4
+# If tolerances limit it, the ratio is about 1.5, as the companion rejects more, and if stability does, about 1.
+ALIKE = 1.25
+# Least evaluations of the companion of which the ratio is taken: then it differs by a tenth between two times. And in
+# a trial: a substep more or less changes them by a twentieth.
+SEEN, TRIAL = 1000.0, 240.0
 WORTH, WAIT = 0.7, 16.0  # fraction of the present cost below which a change pays
 LEAST_COST = 6  # evaluations of the cheapest attempted substep, without its factorisations
 MOST_ATTEMPTS = 1000  # in a trial
@@ -58,8 +61,13 @@ class MethodChoice:
         self._continue()
 
     def _continue(self):
-        self._engine.method = self._names[self._integrators[0].chosen]
+        self._name_method()
         self._count()
+
+    def _name_method(self):
+        chosen = self._integrators[0].chosen
+        self._engine.method = self._names[chosen]
+        self._running.estimate.weigh(chosen == IMPLICIT)
 
     def _count(self):
         self._counted = [integrator.evaluations for integrator in self._integrators]
@@ -72,33 +80,35 @@ class MethodChoice:
 
     @_spent.setter
     def _spent(self, spent):
-        self._engine.method = self._names[self._integrators[0].chosen]
+        self._name_method()
         self._counted = [i.evaluations - before for i, before in zip(self._integrators, spent)]
 
     def start(self):
         """Try both if the start is expensive; call it when the companion may have started."""
         if not self._begun and self._running.begun:
             self._begun = True
-            if self._cost(EXPLICIT, DEAR // 10) > DEAR:
-                self._choose()
+            if self._cost(EXPLICIT, DEAR // 10, FIRST) > DEAR:
+                self._choose(FIRST)
             self._count()
 
     def update(self):
         """Change the method if that pays; call it at a checkpoint."""
         steps, (ours, theirs) = self._companion.steps - self._steps, self._spent
+        if theirs < SEEN and self._integrators[0].chosen == EXPLICIT:
+            return  # by then a substep more or less matters
         self._waiting -= theirs
-        stiff = theirs > CHEAP * steps and ours < ALIKE * theirs
-        if self._waiting <= 0.0 and (stiff or self._integrators[0].chosen == IMPLICIT):
-            self._choose()
+        short = self._engine.runs_ahead or theirs > CHEAP * steps
+        if self._waiting <= 0.0 and (short and ours < ALIKE * theirs or self._integrators[0].chosen == IMPLICIT):
+            self._choose(max(1, math.ceil(TRIAL * steps / theirs)) if theirs else 1)
         self._count()
 
-    def _choose(self):
-        """Try both methods from the present state, and continue with the cheaper one."""
+    def _choose(self, steps):
+        """Try both methods for some steps from the present state on, and continue with the cheaper one."""
         before, chosen = self._spent[1], self._integrators[0].chosen
-        present = self._cost(chosen, MOST_ATTEMPTS)
+        present = self._cost(chosen, MOST_ATTEMPTS, steps)
         most = self._attempts(1 - chosen, present)
-        if most > 0 and (present > CHEAP or chosen == IMPLICIT):
-            other = self._cost(1 - chosen, most)
+        if most > 0:
+            other = self._cost(1 - chosen, most, steps)
             if other < WORTH * present:
                 for integrator in self._integrators:
                     integrator.choose(1 - chosen)
@@ -107,7 +117,7 @@ class MethodChoice:
         self._continue()
 
     def _attempts(self, number, present):
-        """Largest number of attempted substeps with which a step of a method can cost less than the present one."""
+        """Largest number of attempted substeps with which a method can cost less than the present one."""
         matrix, attempt = 0, LEAST_COST
         if number == IMPLICIT:
             f = self._integrators[1].freedoms
@@ -115,18 +125,19 @@ class MethodChoice:
         saved = WORTH * present - matrix
         return max(0, math.ceil(min(MOST_ATTEMPTS, saved / attempt)))
 
-    def _cost(self, number, most):
-        """Evaluations that a step of the companion takes with a method, from at most `most` attempted substeps.
+    def _cost(self, number, most, steps):
+        """Evaluations that steps of the companion take with a method, from at most `most` attempted substeps.
 
         inf if no substep is accepted, or the method fails.
         """
         integrator, before = self._integrators[1], self._spent[1]
         chosen, passes, kept = integrator.chosen, integrator.passes, self._companion.snapshot()
+        self._companion.inputs.freeze()  # a repeated run knows commands earlier
         integrator.passes = False
-        integrator.limit_attempts(most)
+        integrator.limit_attempts(most / steps)
         integrator.choose(number)
         try:
-            self._companion.advance(1)
+            self._companion.advance(steps)
             part = 1.0
         except SimulationError:
             part = integrator.part

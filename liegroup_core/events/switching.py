@@ -75,6 +75,16 @@ class Switching(EventTimes):
         """Arrays of the modes between calls."""
         return self._work.held, self._work.modes
 
+    def log(self):
+        """What was logged and counted since the state was set."""
+        lists = [None if each is None else list(each) for each in (self.events, self.instants, self.impacts)]
+        return (*lists, self.count, self.lost, self.endless, self._inputs, self.tally.copy())
+
+    def take_log(self, log):
+        """Return to a `log`."""
+        self.events, self.instants, self.impacts, self.count, self.lost, self.endless, self._inputs, tally = log
+        self.tally[:] = tally
+
     def expect(self, coordinates):
         """Unwrap the angles of a state that was set to those nearest to these coordinates (k,), rad or m."""
         self._work.modes[:, COORDINATE] = coordinates * self._model.switches["sign"]

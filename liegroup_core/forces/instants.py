@@ -78,8 +78,19 @@ class StepGrid:
         return Instant(step, size, (step + part) * self._h)
 
     def between(self, begin, end):
-        """Time in s between two Instants of the same step, rounded once."""
-        return float((end.offset - begin.offset) / (self._parts * NS))
+        """Time in s between two Instants, rounded once; inf to AFTER."""
+        if end.step >= NEVER:
+            return math.inf
+        passed = (end.step - begin.step) * self._size + end.offset - begin.offset
+        return float(passed / (self._parts * NS))
+
+    def parts(self, instant):
+        """(whole steps, s after them, rounded once) of an Instant; (inf, 0.0) of none."""
+        if instant.step >= NEVER:
+            return math.inf, 0.0
+        if instant.offset == self._size:
+            return instant.step + 1, 0.0
+        return instant.step, float(instant.offset / (self._parts * NS)) if instant.offset else 0.0
 
     def time_ns(self, instant):
         """Time in whole ns."""

@@ -186,6 +186,13 @@ class Schedule:
         self.total[axes][number] = total
         return True
 
+    def next_after(self, instant):
+        """Instant up to which totals stay as they are at an Instant, at least."""
+        if self._next > instant:
+            return self._next
+        ends = [entry.end for entry in self._acting.values()] + [entry.start for entry in self.waiting]
+        return min((each for each in ends if each > instant), default=AFTER)
+
     def inside(self, step):
         """Instants inside a step at which a command starts or ends, in order."""
         if self._next.step > step:

@@ -11,7 +11,7 @@ from bisect import bisect_right
 
 import numpy as np
 
-from .instants import NEVER, ROUNDING
+from .instants import AFTER, NEVER, ROUNDING
 
 
 def acting_at(rows, time):
@@ -52,6 +52,14 @@ class Timetable:
         """First later step that starts with a change of the inputs, or is split by one."""
         at = bisect_right(self._changes, steps)
         return self._changes[at] if at < len(self._changes) else NEVER
+
+    def __bool__(self):
+        return bool(self._instants)
+
+    def next_after(self, instant):
+        """First later Instant at which an input changes."""
+        at = bisect_right(self._instants, instant)
+        return self._instants[at] if at < len(self._instants) else AFTER
 
     def inside(self, steps):
         """Instants inside a step at which an input changes."""

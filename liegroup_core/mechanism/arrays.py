@@ -204,6 +204,9 @@ class PlaneModel(RelativeModel):
     link_heights: np.ndarray  # (L,) of the link frames along the normal, m
 
 
+FURTHER = 4  # blocks of slopes for states inside a substep: three stages and the state itself
+
+
 class RelativeWork(Struct):
     """Scratch memory of one simulation; fields without a comment as in Work.
 
@@ -232,7 +235,19 @@ class RelativeWork(Struct):
     middle_twist: np.ndarray = shaped("state", 6)
     middle: np.ndarray = shaped("freedoms", 2)  # its regularised accelerations, and those interpolated
     velocity: np.ndarray = shaped("links", 6)  # qdot at the start of the step
-    slopes: np.ndarray = shaped("slopes", 2)  # k of stages and end, (s + 1) f: algebra, then qdot part
+    slopes: np.ndarray = shaped("slopes", 2)  # k of stages, end and inside: algebra, then qdot part
+    # Of a state that is ahead of the caller's: its angles and derivative; of the kept substep the start, derivatives of
+    # its stages and angles; the inputs. See munthe_kaas/ahead.py.
+    lead_angle: np.ndarray
+    lead_slopes: np.ndarray = shaped("freedoms", 2)
+    kept_pose: np.ndarray = shaped("state", 12)
+    kept_twist: np.ndarray = shaped("state", 6)
+    kept_slopes: np.ndarray = shaped("slopes", 2)
+    kept_angle: np.ndarray
+    lead_external: np.ndarray = shaped("bodies", EXTERNAL_COLUMNS)
+    lead_wanted: np.ndarray
+    lead_acting: np.ndarray
+    lead_motions: np.ndarray
     external: np.ndarray = shaped("bodies", EXTERNAL_COLUMNS)  # see forces/external.py: external wrenches of the call
     pushed: np.ndarray = shaped(1)  # positive if any of them is not zero
     held: np.ndarray = shaped("held")  # 1 if a degree of freedom or a switch row is held: switches.py
@@ -283,6 +298,7 @@ def make_relative_work(model, work, stages):
     """Allocate the scratch memory of a RelativeModel; work: Work of the same mechanism."""
     n, links, rows = len(model.parts), len(model.bodies), len(model.row_residual)
     freedoms = int(model.bodies["freedoms"].sum())
+    blocks = stages + 1 + FURTHER
     in_plane = isinstance(model, PlaneModel)
     sizes = dict(
         bodies=n,
@@ -292,7 +308,7 @@ def make_relative_work(model, work, stages):
         rows=rows,
         held=freedoms + rows,
         switches=len(model.switches),
-        slopes=(stages + 1) * freedoms,
+        slopes=blocks * freedoms,
         errors=2 * links,
         residuals=int(model.elements["rows"].sum()),
         responses=int(model.path_places[-1]),
@@ -304,6 +320,8 @@ def make_relative_work(model, work, stages):
     shared = ("angle", "acting", "wanted", "motions", "clock", "start_angle", "report")
     given = {name: getattr(work, name) for name in shared}
     rows = {"child_jacobian": model.child_jacobian.copy(), "factors": model.couplings["factors"].copy()}
+    rows |= {name: np.zeros_like(work.angle) for name in ("lead_angle", "kept_angle")}
+    rows |= {f"lead_{name}": np.zeros_like(getattr(work, name)) for name in ("wanted", "acting", "motions")}
     return RelativeWork.zeros(sizes, space=work, **rows, **given)
 
 

@@ -23,8 +23,8 @@ BODY = np.dtype([
 # solves at a singular pose; smallest pivot of W; round-off in accelerations of this step.
 LARGEST_TURN, STEP_TURN, SINGULAR_SOLVES, PIVOT, ROUND_OFF = range(5)
 # Entries of Work.clock. Input of a call: a step starts at COUNT h + OFFSET s, the next at (COUNT + 1) h + OFFSET.
-# NOW is the time of the stage.
-COUNT, OFFSET, NOW = range(3)
+# NOW is the time of the stage. The call leads from FROM steps and SINCE s to TO steps and UNTIL s, of STEP_SIZE s each.
+COUNT, OFFSET, NOW, FROM, SINCE, TO, UNTIL, STEP_SIZE = range(8)
 
 class Model(Struct):
     """Constant arrays of the bodies of a scene, its forces and the elements of its joints."""
@@ -50,7 +50,7 @@ class Work(Struct):
     acting: np.ndarray             # bool, of each applied wrench of the scene: input of a call
     wanted: np.ndarray             # (k, 2) position and velocity of each servo: input of a call
     motions: np.ndarray            # (d, 7) motion of each driven joint: input of a call
-    clock: np.ndarray              # (3,) COUNT, OFFSET, NOW
+    clock: np.ndarray              # (8,) COUNT, OFFSET, NOW, FROM, SINCE, TO, UNTIL, STEP_SIZE
     stage_pose: np.ndarray         # (n, 12)
     stage_twist: np.ndarray        # (n, 6)
     slopes: np.ndarray             # ((s + 1) n, 12) k of stages and end: algebra, then velocity part
@@ -64,7 +64,7 @@ def make_work(model, stages):
     return Work(
         wrench=np.zeros((n, 6)), angle=np.zeros(springs), start_angle=np.zeros(springs),
         acting=np.zeros(len(model.forces.applied_wrench), dtype=bool),
-        wanted=wanted_values(model.forces), motions=model.motions.copy(), clock=np.zeros(3),
+        wanted=wanted_values(model.forces), motions=model.motions.copy(), clock=np.zeros(8),
         stage_pose=np.zeros((n, 12)), stage_twist=np.zeros((n, 6)),
         slopes=np.zeros(((stages + 1) * n, 12)), report=np.zeros(5))
 

@@ -15,7 +15,7 @@ def test_all_code_blocks_of_the_python_page_run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("LIEGROUP_CACHE_DIR", str(tmp_path))  # nothing is known there
     pieces = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), re.DOTALL | re.MULTILINE)
-    assert len(pieces) == 10
+    assert len(pieces) == 11
     names = {}
     for piece in pieces:
         exec(compile(piece, str(PAGE), "exec"), names)

@@ -49,6 +49,12 @@ def no_collocation():
     return Collocation(**arrays, real_value=0.0)
 
 
+def stage_polynomials(c):
+    """Coefficients (3, 3) of theta, theta^2, theta^3 in the weights of the stages: 1 at their own nodes, else 0."""
+    powers = np.arange(1, STAGES + 1)
+    return np.linalg.inv(c[:, None] ** powers).T.copy()
+
+
 def make_collocation(tableau, freedoms):
     """Collocation of an implicit Tableau of three stages, for a number of freedoms."""
     inverse = np.linalg.inv(tableau.a)

@@ -35,6 +35,13 @@ from . import steps
 # those of the whole step if its rest takes equal substeps; factor of `_coarsen` or 0; e_3 atol / h^4 of the last
 # substep or 0. Entries from RTOL on are for schemes with error control.
 SIZE, ACCEPTED, ATTEMPTED, KEPT_SIZE, RTOL, ATOL, LONGEST, MOST, LENGTH, ROUNDED, PART, COARSE, GROWTH = range(13)
+# Of a method that runs ahead, see ahead.py: 1 if it does; whole steps, and s after them, of the lead, of the start of
+# the kept substep, and of the next known change of the inputs; s from the lead to that; size of the kept substep in s;
+# 1 if its further stages are known; 1 if the derivative at the lead is; of the call, the next known change of inputs;
+# 1 if no substep has begun since the lead passed the end of a step.
+AHEAD, BASE, LEAD, KEPT_BASE, KEPT_LEAD, LIMIT_BASE, LIMIT, LEFT, LAST = range(13, 22)
+READY, FRESH, NEXT_BASE, NEXT, NEXT_AFTER, BEGINS = range(22, 28)
+ENTRIES = 28
 SUBSTEPS, TOLERANCES = slice(SIZE, RTOL), slice(RTOL, LONGEST)
 # Bounds of the ratio of two successive substeps, and safety factor of the next one.
 LARGEST_GROWTH, LARGEST_CUT, SAFETY = 5.0, 0.2, 0.9

@@ -231,6 +231,37 @@ def _estimate(newton, h):
         newton.next[p, 0] = newton.x[p]
 
 
+@kernel
+def keep_stages(scheme, work):
+    """Keep the stages of a substep, for `inside`."""
+    newton = scheme.newton
+    half = work.slopes.shape[1] // 2
+    rows = len(newton.initial) // half
+    for j in range(STAGES):
+        for r in range(rows):
+            for c in range(half):
+                work.kept_slopes[j * rows + r, c] = newton.z[j, r * half + c, 0]
+                work.kept_slopes[j * rows + r, half + c] = newton.z[j, r * half + c, 1]
+
+
+@kernel
+def inside(scheme, model, work, theta, start, size, pose):
+    """Set the stage to a fraction theta of the kept substep: its collocation polynomial. Returns a status."""
+    columns = work.slopes.shape[1]
+    rows = len(work.lead_slopes) * 2 // columns
+    for r in range(rows):
+        for c in range(columns):
+            total = 0.0
+            for j in range(STAGES):
+                weight = 0.0
+                for d in range(STAGES - 1, -1, -1):
+                    weight = theta * (weight + scheme.inside[j, d])
+                total += weight * work.kept_slopes[j * rows + r, c]
+            work.slopes[r, c] = total
+    work.clock[NOW] = start + theta * size
+    return steps.move(model, work, scheme, 1.0, 1, True, pose)
+
+
 @subroutine
 def substep(scheme, model, work, size, start, elapsed, first, pose_in, external_in):
     """Set the stage to the end of a substep of `size` s; see explicit.py.

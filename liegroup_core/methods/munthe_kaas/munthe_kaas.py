@@ -19,22 +19,64 @@ import numpy as np
 from liegroup_core.compiling import SameTypes, borrowed, kernel, stepper
 from liegroup_core.dynamics.state import model_and_work
 from liegroup_core.events.switching import Switching
-from liegroup_core.mechanism.arrays import links_of
-from liegroup_core.mechanism.bodies import COUNT, LARGEST_TURN, OFFSET, ROUND_OFF, STEP_TURN, copy_state
+from liegroup_core.mechanism.arrays import FURTHER, links_of
+from liegroup_core.mechanism.bodies import (
+    COUNT,
+    FROM,
+    LARGEST_TURN,
+    OFFSET,
+    ROUND_OFF,
+    SINCE,
+    STEP_SIZE,
+    STEP_TURN,
+    TO,
+    UNTIL,
+    copy_state,
+)
 from liegroup_core.methods.table import EXACT, is_positive
 from liegroup_core.status import DEPENDENT_ROWS, EVENT, OK, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS
 
 from . import explicit, implicit
+from .ahead import (
+    copy_angles,
+    ends_step,
+    fraction,
+    go_on,
+    keep,
+    keep_lead,
+    keep_slopes,
+    meet_inputs,
+    meet_limit,
+    recall,
+    recall_lead,
+    set_weights,
+    start_lead,
+    time_left,
+    time_of,
+)
 from .error_control import (
     ACCEPTED,
+    AHEAD,
     ATTEMPTED,
+    BASE,
+    BEGINS,
     COARSE,
+    ENTRIES,
+    FRESH,
     GROWTH,
+    KEPT_BASE,
+    KEPT_LEAD,
     KEPT_SIZE,
+    LAST,
+    LEAD,
+    LEFT,
     LENGTH,
     LONGEST,
     MOST,
+    NEXT_AFTER,
+    NEXT_BASE,
     PART,
+    READY,
     ROUNDED,
     ROUNDING,
     RTOL,
@@ -43,9 +85,11 @@ from .error_control import (
     TOLERANCES,
     judge,
 )
-from .steps import begin, check_end, close, count_turns, enter, has_event, leave, store_slopes, watches
+from .steps import begin, check_end, close, count_turns, enter, has_event, leave, place, store_slopes, watches
 
 MOST_SUBSTEPS = 100_000
+MOST_EQUAL = 2.0  # substeps up to a known change that are equal
+RUNS_AHEAD = "rkmk853"  # method that runs ahead, to an accuracy
 # If no substep meets the tolerance, for example near a singular pose, a step is repeated with these multiples
 # of it. With the last one a substep is rejected only if a stage cannot be computed.
 LOOSER = (1e2, 1e4, 1e6, 1e8, 1e100)
@@ -88,7 +132,7 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
 
     model, work     : RelativeModel or PlaneModel, and RelativeWork
     external        : external wrenches of these steps, see forces/external.py
-    control (13,)   : see error_control.py
+    control (28,)   : see error_control.py; AHEAD: the integration may run ahead, see ahead.py
     returns (steps done, status): fewer steps if status is not OK. Pose, twist and work.angle are
     those of the last valid step, after EVENT of the last valid substep. The low byte of status is
     the code. The other bytes are the element for DEPENDENT_ROWS, and for TURNS_NOT_COUNTED the torsional
@@ -99,41 +143,101 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
     """
     pose_in, twist_in = borrowed(pose_in), borrowed(twist_in)
     external_in, control = borrowed(external_in), borrowed(control)
-    pose, twist, external, status = enter(model, work, pose_in, twist_in, external_in)
+    ahead = control[AHEAD] != 0.0
+    if ahead:
+        meet_inputs(work, external_in)
+        copy_angles(work.angle, work.start_angle)
+    if ahead and work.known[0] != 0.0:
+        meet_limit(work, control)
+        pose, twist, external, status = enter(model, work, work.pose, work.twist, external_in)
+        copy_angles(work.lead_angle, work.angle)
+    else:
+        if ahead:
+            start_lead(work, control)
+        pose, twist, external, status = enter(model, work, pose_in, twist_in, external_in)
     if status != OK:
         return 0, status
     controlled = len(scheme.error) > 0
     watching = watches(model, work)
-    first = 0  # 1: the last substep has already written the derivatives of stage 0
-    done = 0
-    while done < steps and status == OK:
-        if controlled:
+    stages, inside = scheme.error.shape[1] - 1, len(scheme.a) - 1
+    first, last = 0, stages + 1  # first: 1 if the last substep has already written the derivatives of stage 0
+    done, rounds, failed, remaining = 0, steps, OK, 0.0
+    if ahead:
+        rounds = min(1, steps)
+        first = 1 if control[FRESH] != 0.0 else 0
+    step, left, at_limit, implicitly = work.clock[STEP_SIZE], 0.0, False, len(scheme.newton.z) > 0
+    while done < rounds and status == OK:
+        if controlled and not ahead:
             _save(work, pose, twist, control)
         remaining = h
         start = (work.clock[COUNT] + done) * h + work.clock[OFFSET]
+        if ahead:
+            remaining = time_left(work, control)
         if len(work.motions) > 0:
             first = 0  # the time at the end of the last step differs by round-off
-        attempts = 0
-        while remaining > 0.0 and status == OK:
-            count = 1
-            if controlled:
-                # Equal substeps up to the end of the step, so that the last one is not tiny.
-                count = max(1, math.ceil(remaining / control[SIZE] - 1e-6))
-            size = remaining / count
-            attempts += 1
-            work.report[STEP_TURN] = work.report[ROUND_OFF] = 0.0
-            begin(model, work, pose, twist)
-            if len(scheme.newton.z) > 0:
-                status = implicit.substep(scheme, model, work, size, start, h - remaining, first, pose, external)
+        attempts, tried = 0, control[SIZE]
+        while status == OK and (remaining > 0.0 or ahead and remaining < 0.0):
+            count, since, origin, rates, is_step = 1, h - remaining, pose, twist, remaining > 0.0
+            if ahead:
+                since = 0.0
+            if not is_step:
+                # The caller's time is inside the kept substep.
+                origin, rates = work.kept_pose, work.kept_twist
+                start, size = time_of(control[KEPT_BASE], control[KEPT_LEAD], step), control[LAST]
+                first, last = inside, inside + 1
+                if not implicitly:
+                    recall(work)
+                if control[READY] == 0.0 and not implicitly:
+                    # The derivative at the end before a projection is not known either.
+                    first, last = stages + 1 - model.projects, inside
+                elif not implicitly:
+                    set_weights(scheme, fraction(work, control))
+            elif ahead:
+                # Equal substeps up to a known change.
+                start, size = time_of(control[BASE], control[LEAD], step), control[SIZE]
+                left = control[LEFT]
+                if 0.0 < left < size * MOST_EQUAL:
+                    count = max(1, math.ceil(left / size - 1e-6))
+                    size = left / count
+                at_limit = count == 1 and size == left
+                if control[BEGINS] == 0.0:
+                    start, since = 0.0, start  # an implicit method keeps its Jacobian
+                control[BEGINS] = 0.0
+                if first == 1:
+                    recall_lead(work)
             else:
-                status = explicit.substep(scheme, model, work, size, start, h - remaining, first, pose, external)
+                if controlled:
+                    # Equal substeps up to the end of the step, so that the last one is not tiny.
+                    count = max(1, math.ceil(remaining / control[SIZE] - 1e-6))
+                size = remaining / count
+            work.report[STEP_TURN] = work.report[ROUND_OFF] = 0.0
+            begin(model, work, origin, rates)
+            if implicitly and not is_step:
+                status = implicit.inside(scheme, model, work, fraction(work, control), start, size, origin)
+            elif implicitly:
+                status = implicit.substep(scheme, model, work, size, start, since, first, pose, external)
+            else:
+                status = explicit.substep(scheme, model, work, size, start, since, first, last, origin, external)
+            if not is_step:
+                if status == OK and control[READY] == 0.0 and not implicitly:
+                    keep_slopes(work)
+                    control[READY] = 1.0
+                    continue
+                if status == OK and model.projects:
+                    status = close(model, work, True)
+                break
+            attempts += 1
             if status == OK:
                 status = check_end(model, work, size)
             if controlled:
                 if status == OK:
                     first = 1
-                status, accepted = judge(model, work, scheme, h, size, status, twist, control)
-                if status == OK and attempts >= control[MOST] and not (accepted and count == 1):
+                    if ahead and control[FRESH] == 0.0:
+                        keep_lead(work, control)
+                status, accepted = judge(model, work, scheme, step, size, status, twist, control)
+                ends = accepted and (size >= remaining if ahead else count == 1)
+                most = control[MOST] * steps if ahead else control[MOST]  # a halt sets it from another thread
+                if status == OK and attempts >= most and not ends:
                     status = TOO_MANY_SUBSTEPS
                 if status == OK and not accepted:
                     continue
@@ -142,30 +246,60 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
                     status = EVENT
             if status == OK and model.projects:
                 status = close(model, work, controlled)
-            if status != OK:
-                break
-            if controlled:
+            if status == OK and ahead and (size >= remaining or ends_step(work, control, size, at_limit)):
+                keep(work, pose, twist, size, control)
+                if implicitly:
+                    implicit.keep_stages(scheme, work)
+            if status == OK and controlled:
                 # First same as last: the end of a substep is stage 0 of the next one, where Psi is
                 # zero. Projection changes the end, so that it must be evaluated again.
                 store_slopes(model, work, scheme, 0)
                 first = 0 if model.projects else 1
-            count_turns(model, work)
-            copy_state(work.stage_pose, work.stage_twist, pose, twist)
-            if control[COARSE] > 0.0:
-                _coarsen(control[COARSE], pose, twist)
-                first = 0
-            work.report[LARGEST_TURN] = max(work.report[LARGEST_TURN], work.report[STEP_TURN])
-            remaining = remaining - size if count > 1 else 0.0
+            if status == OK:
+                count_turns(model, work)
+                copy_state(work.stage_pose, work.stage_twist, pose, twist)
+                if control[COARSE] > 0.0:
+                    _coarsen(control[COARSE], pose, twist)
+                    first = 0
+                work.report[LARGEST_TURN] = max(work.report[LARGEST_TURN], work.report[STEP_TURN])
+                remaining = remaining - size if count > 1 else 0.0
+            if status == OK and ahead:
+                tried = control[SIZE]
+                go_on(work, control, size, at_limit)
+                remaining = time_left(work, control)
+                control[FRESH] = 0.0
+                if first == 1:
+                    keep_lead(work, control)
         if status == OK:
             done += 1
         elif controlled and status != EVENT:
             control[PART] = 0.0
             if status == TOO_MANY_SUBSTEPS:
                 control[PART] = attempts / (attempts + remaining / control[SIZE])
-            _restore(work, pose, twist, control)
-    if done > 0 or status == EVENT:
-        leave(model, work, pose, twist, pose_in, twist_in)
-    return done, status
+            if not ahead:
+                _restore(work, pose, twist, control)
+            elif failed == OK:
+                control[SIZE] = tried
+                passed = int(control[BASE] - work.clock[FROM])
+                if 0 < passed < steps:
+                    # The caller's state becomes that of the last step that the lead has passed.
+                    failed, status, steps = status, OK, passed
+                    work.clock[TO] = control[BASE]
+    if not ahead:
+        if done > 0 or status == EVENT:
+            leave(model, work, pose, twist, pose_in, twist_in)
+        return done, status
+    copy_angles(work.angle, work.lead_angle)
+    if status != OK or steps == 0:
+        copy_angles(work.start_angle, work.angle)
+        return 0, status
+    if remaining < 0.0:
+        copy_angles(work.kept_angle, work.angle)
+        count_turns(model, work)
+    else:
+        begin(model, work, pose, twist)
+    place(model, work, pose_in, twist_in)
+    return steps, failed
 
 
 class MuntheKaas:
@@ -179,7 +313,7 @@ class MuntheKaas:
     passes     : True: a step that cannot meet its tolerance is taken with a larger one, see `follow_accuracy`
     """
 
-    passes = False
+    passes = _may_run_ahead = False
 
     def __init__(self, method, layout, group, step, options):
         self.controlled = method.controlled
@@ -187,8 +321,8 @@ class MuntheKaas:
         self._truncated = options.get("dexpinv") == "truncated"
         stages = 1 if method.implicit else len(method.tableau.b)
         self._model, self._work, self.work = model_and_work(layout, group, options, stages)
-        self._blocks = stages + 1
-        self._control = np.zeros(13)
+        self._blocks = stages + 1 + FURTHER
+        self._control = np.zeros(ENTRIES)
         self._control[MOST], self._control[LENGTH] = MOST_SUBSTEPS, 1.0
         self._tolerances = options.get("rtol", 0.0), options.get("atol", 1.0)
         self._methods, self._chosen, self._part = [], np.zeros(1), 1.0
@@ -204,7 +338,7 @@ class MuntheKaas:
             scheme = explicit.make_implicit_scheme(method.tableau, self.freedoms)
         else:
             highest = max(method.order - 2, 0) if self._truncated else EXACT
-            scheme = explicit.make_scheme(method.tableau, highest)
+            scheme = explicit.make_scheme(method.tableau, highest, method.name == RUNS_AHEAD)
         self._methods.append((scheme, SameTypes(advance), looser))
         self.tighten(self._part)
 
@@ -229,8 +363,12 @@ class MuntheKaas:
     def restart(self):
         """Clear the memory between calls: the state was set."""
         self._control[SUBSTEPS] = self._longest, 0.0, 0.0, self._longest
-        self._control[LONGEST], self._control[GROWTH] = self._longest, 0.0
+        self._control[READY] = self._control[FRESH] = 0.0
+        self._control[BEGINS] = 1.0
+        self.stop_at(math.inf, 0.0, math.inf)
+        self._control[LONGEST], self._control[GROWTH] = math.inf if self._may_run_ahead else self._longest, 0.0
         self._chosen[0] = 0.0
+        self._set_ahead()
         self._work.known[0] = 0.0
         if self.switching is not None:
             self.switching.restart()
@@ -248,15 +386,55 @@ class MuntheKaas:
         bits : number of bits that are rounded away after every substep; a lower bound of tolerances, too
         """
         self.passes = True
+        self._may_run_ahead = not len(self._model.switches)  # events must be met in the order of time
+        self._set_ahead()
         self._control[COARSE] = 2.0**bits + 1.0 if bits else 0.0
         self._control[LENGTH] = length
         self._control[ROUNDED] = ROUNDING * max(1.0, self._control[COARSE])
+
+    @property
+    def runs_ahead(self):
+        """Whether the integration runs ahead of the caller, see ahead.py."""
+        return self._control[AHEAD] != 0.0
+
+    def checkpoint(self):
+        """Copy of the memory, with the number of evaluations, for `return_to`."""
+        return [array.copy() for array in self.memory], self.spent
+
+    def return_to(self, memory):
+        """Return to the memory of `checkpoint`."""
+        arrays, self.spent = memory
+        self.restart()
+        for mine, array in zip(self.memory, arrays):
+            mine[...] = array
+
+    @property
+    def spent(self):
+        """Copies of the numbers of evaluations of all methods."""
+        return [scheme.spent.copy() for scheme, *_ in self._methods]
+
+    @spent.setter
+    def spent(self, spent):
+        for (scheme, *_), numbers in zip(self._methods, spent):
+            scheme.spent[:] = numbers
+
+    @property
+    def lead(self):
+        """(whole steps, s after them) that the integration has reached."""
+        return tuple(self._control[BASE : LEAD + 1].tolist()) if self._work.known[0] else (0.0, 0.0)
+
+    def _set_ahead(self):
+        ahead = self._may_run_ahead and len(self._methods[self.chosen][0].inside) > 0
+        self._control[AHEAD] = float(ahead)
+        self._control[LONGEST] = math.inf if ahead else self._longest
 
     def choose(self, number):
         """Continue with another of the methods, by its number in the order of `add`."""
         if number != self.chosen:
             self._control[SIZE] = self._longest
+            self._work.known[0] = 0.0  # the state ahead is that of the other method
         self._chosen[0] = number
+        self._set_ahead()
         self.tighten(self._part)
 
     @property
@@ -293,13 +471,27 @@ class MuntheKaas:
     @property
     def memory(self):
         """Arrays of the memory between calls: substeps of error control, relative coordinates."""
-        control = (self._control[SUBSTEPS], self._control[GROWTH:], self._chosen) if self.controlled else ()
-        return (*control, *links_of(self._work))
+        control = (self._control[SUBSTEPS], self._control[GROWTH:READY], self._chosen) if self.controlled else ()
+        work = self._work
+        # The derivatives of further stages, and of an end that is projected, are computed again.
+        blocks = self._blocks - FURTHER - self._model.projects
+        known = work.kept_slopes[: blocks * 2 * self.freedoms // work.kept_slopes.shape[1]]
+        lead = (
+            (work.pose, work.twist, work.lead_angle, work.kept_pose, work.kept_twist, known)
+            + (work.kept_angle, work.lead_external, work.lead_wanted, work.lead_acting, work.lead_motions)
+            if self._may_run_ahead
+            else ()
+        )
+        return (*control, *links_of(work), *lead)
 
     @property
     def substeps(self):
         """Numbers of accepted and attempted substeps since the restart; 0 without error control."""
         return int(self._control[ACCEPTED]), int(self._control[ATTEMPTED])
+
+    def stop_at(self, step, since, after):
+        """Let a substep end where inputs will change: whole steps, s after them, s after the call; inf: at no time."""
+        self._control[NEXT_BASE : NEXT_AFTER + 1] = step, since, after
 
     def advance(self, h, steps, pose, twist, external):
         """Take steps of size h in place; returns (steps done, status)."""
@@ -308,21 +500,37 @@ class MuntheKaas:
 
     def _pass(self, h, steps, pose, twist, external):
         """Take steps, with larger tolerances where that is allowed and needed."""
+        clock = self._work.clock
+        end = clock[TO]
         done, status = self._take(h, steps, pose, twist, external)
+        if not (self.passes and status & 0xFF in TOO_TIGHT):
+            return done, status
+        first, begin = clock[COUNT], clock[FROM]
+        whole = clock[SINCE] == clock[UNTIL] == 0.0  # not a part of a step
+
+        def go_on(count):
+            clock[COUNT] = first + done
+            if whole:
+                clock[FROM], clock[TO] = begin + done, begin + done + count
+            return self._take(h, count, pose, twist, external)
+
         while self.passes and status & 0xFF in TOO_TIGHT:
-            tolerances = self._control[TOLERANCES].copy()
+            tolerances, longest = self._control[TOLERANCES].copy(), self._control[LONGEST]
+            self._control[LONGEST] = self._longest  # no errors of that size further ahead
             for factor in LOOSER:
                 self._control[TOLERANCES] = factor * tolerances
-                one, status = self._take(h, 1, pose, twist, external)
+                self._control[SIZE] = min(self._control[SIZE], self._longest)
+                one, status = go_on(1)
                 if one or status & 0xFF not in TOO_TIGHT:
                     break
-            self._control[TOLERANCES] = tolerances
+            self._control[TOLERANCES], self._control[LONGEST] = tolerances, longest
             if not one:
                 break
             done += 1
             if done < steps:
-                more, status = self._take(h, steps - done, pose, twist, external)
+                more, status = go_on(steps - done)
                 done += more
+        clock[COUNT], clock[FROM], clock[TO] = first, begin, end
         return done, status
 
     def _take(self, h, steps, pose, twist, external):

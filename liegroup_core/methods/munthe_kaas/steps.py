@@ -16,7 +16,7 @@ from liegroup_core.dynamics.loops import project
 from liegroup_core.dynamics.state import begin as begin
 from liegroup_core.dynamics.state import enter as enter
 from liegroup_core.dynamics.state import leave as leave
-from liegroup_core.dynamics.state import place
+from liegroup_core.dynamics.state import place as place
 from liegroup_core.dynamics.switches import count_coordinates, set_rates, too_fast
 from liegroup_core.events.crossings import begin_at_end, crossed, note_guards
 from liegroup_core.forces import kinds

@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Substeps as long as the motion allows: the integration runs ahead, and the states between are interpolated.
+
+The state of the links in RelativeWork, the lead, is at most one substep ahead of the caller's time. There the state is
+
+    Psi(theta) = h sum_j b_j(theta) k_j ,   X(theta) = X_0 exp Psi(theta)
+
+with the derivatives k_j of the stages, of the end, and of three further stages that are evaluated only if somebody
+asks for a state inside the substep. In the algebra a substep is one of a Runge-Kutta method for
+Psi' = dexp^-1_{-Psi} F, so this has the order of its interpolant: 7 for the 8(5,3) pair (Hairer, Norsett and Wanner,
+Solving ODEs I, II.6). `radau5` has its collocation polynomial, of order 3. Joints of the tree stay closed, loops are
+projected. Orders, and errors below their estimates: test/core/test_states_inside.py.
+
+The rows of Scheme.a after that of the end are the further stages, and last b(theta). Substeps end at known changes
+of the inputs. If inputs change elsewhere, the integration goes back to the caller's state. So a run depends on its
+inputs, and not on the times at which states are asked for. Times are whole steps and seconds after them, so that
+differences are exact at late times, too.
+"""
+
+import math
+
+import numpy as np
+import scipy
+
+from liegroup_core.compiling import kernel
+from liegroup_core.mechanism.bodies import FROM, SINCE, STEP_SIZE, TO, UNTIL, copy_state
+
+from .error_control import (
+    BASE,
+    BEGINS,
+    FRESH,
+    KEPT_BASE,
+    KEPT_LEAD,
+    LAST,
+    LEAD,
+    LEFT,
+    LIMIT,
+    LIMIT_BASE,
+    NEXT,
+    NEXT_AFTER,
+    NEXT_BASE,
+    READY,
+)
+
+
+def polynomials():
+    """Weights (16, 7) of theta, theta^2, ... in the b_j of the 8(5,3) pair, from SciPy's nested form."""
+    dop853 = scipy.integrate.DOP853
+    stages, unit = len(dop853.B), np.eye(16)
+    end = np.zeros(16)
+    end[:stages] = dop853.B
+    rows = [end, unit[0] - end, 2.0 * end - unit[0] - unit[stages], *dop853.D]
+    total = np.zeros((16, 1))
+    for k in range(len(rows) - 1, -1, -1):
+        total[:, 0] += rows[k]
+        grown = np.zeros((16, total.shape[1] + 1))
+        grown[:, k % 2 == 0 :][:, : total.shape[1]] = total
+        if k % 2 == 1:
+            grown[:, 1:] -= total
+        total = grown
+    return np.ascontiguousarray(total[:, 1:])
+
+
+def further_stages():
+    """(rows (3, 16) of the tableau, their nodes) of the three further stages of the 8(5,3) pair."""
+    return scipy.integrate.DOP853.A_EXTRA, scipy.integrate.DOP853.C_EXTRA
+
+
+@kernel
+def _differs(present, lead):
+    """Whether two arrays (k,) differ; `lead` becomes the present one."""
+    differs = False
+    for i in range(len(present)):
+        differs = differs or present[i] != lead[i]
+        lead[i] = present[i]
+    return differs
+
+
+@kernel
+def _rows_differ(present, lead):
+    """Whether two arrays (k, c) differ; `lead` becomes the present one."""
+    differs = False
+    for i in range(len(present)):
+        for c in range(present.shape[1]):
+            differs = differs or present[i, c] != lead[i, c]
+            lead[i, c] = present[i, c]
+    return differs
+
+
+@kernel
+def meet_inputs(work, external):
+    """Keep the inputs; if they change, go back to the caller's state."""
+    differs = _rows_differ(external, work.lead_external)
+    differs = _rows_differ(work.wanted, work.lead_wanted) or differs
+    differs = _rows_differ(work.motions, work.lead_motions) or differs
+    differs = _differs(work.acting, work.lead_acting) or differs
+    if differs:
+        work.known[0] = 0.0
+
+
+@kernel
+def between(base, since, other_base, other, step):
+    """Time in s from one time to another, both whole steps and s after them."""
+    return (other_base - base) * step + (other - since)
+
+
+@kernel
+def start_lead(work, control):
+    """Start at the caller's time."""
+    control[BASE], control[LEAD], control[FRESH] = work.clock[FROM], work.clock[SINCE], 0.0
+    control[LIMIT_BASE], control[LIMIT], control[LEFT] = control[NEXT_BASE], control[NEXT], control[NEXT_AFTER]
+    control[BEGINS] = 1.0
+
+
+@kernel
+def meet_limit(work, control):
+    """Take over the next known change of the inputs."""
+    base, limit = control[NEXT_BASE], control[NEXT]
+    if base != control[LIMIT_BASE] or limit != control[LIMIT]:
+        control[LIMIT_BASE], control[LIMIT] = base, limit
+        control[LEFT] = between(control[BASE], control[LEAD], base, limit, work.clock[STEP_SIZE])
+
+
+@kernel
+def time_left(work, control):
+    """Time in s from the lead to the end of the call."""
+    clock = work.clock
+    return between(control[BASE], control[LEAD], clock[TO], clock[UNTIL], clock[STEP_SIZE])
+
+
+@kernel
+def fraction(work, control):
+    """The end of the call as a fraction of the kept substep."""
+    clock = work.clock
+    return between(control[KEPT_BASE], control[KEPT_LEAD], clock[TO], clock[UNTIL], clock[STEP_SIZE]) / control[LAST]
+
+
+@kernel
+def time_of(base, since, step):
+    """Time in s."""
+    return base * step + since
+
+
+@kernel
+def ends_step(work, control, size, at_limit):
+    """Whether a substep from the lead on passes the end of a step."""
+    if at_limit:
+        return control[LIMIT_BASE] > control[BASE]
+    return control[LEAD] + size >= work.clock[STEP_SIZE]
+
+
+@kernel
+def go_on(work, control, size, at_limit):
+    """Move the time of the lead by a substep."""
+    control[LEFT] -= size
+    before = control[BASE]
+    if at_limit:
+        control[BASE], control[LEAD] = control[LIMIT_BASE], control[LIMIT]
+    else:
+        control[LEAD] += size
+        whole = math.floor(control[LEAD] / work.clock[STEP_SIZE])
+        control[BASE] += whole
+        control[LEAD] -= whole * work.clock[STEP_SIZE]
+    if control[BASE] != before:
+        control[BEGINS] = 1.0
+
+
+@kernel
+def copy_angles(source, out):
+    """Copy angles."""
+    for i in range(len(source)):
+        out[i] = source[i]
+
+
+@kernel
+def _copy_slopes(source, first, count, out, to):
+    """Copy `count` rows of derivatives."""
+    for r in range(count):
+        out[to + r, 0], out[to + r, 1] = source[first + r, 0], source[first + r, 1]
+
+
+@kernel
+def keep(work, pose, twist, size, control):
+    """Keep the substep that begins at the lead: its start and the derivatives of its stages."""
+    copy_state(pose, twist, work.kept_pose, work.kept_twist)
+    copy_angles(work.angle, work.kept_angle)
+    keep_slopes(work)
+    control[KEPT_BASE], control[KEPT_LEAD] = control[BASE], control[LEAD]
+    control[LAST], control[READY] = size, 0.0
+
+
+@kernel
+def keep_slopes(work):
+    """Keep the derivatives of all stages."""
+    _copy_slopes(work.slopes, 0, len(work.slopes), work.kept_slopes, 0)
+
+
+@kernel
+def recall(work):
+    """Return to the derivatives of the kept substep."""
+    _copy_slopes(work.kept_slopes, 0, len(work.slopes), work.slopes, 0)
+
+
+@kernel
+def keep_lead(work, control):
+    """Keep the derivative at the lead."""
+    _copy_slopes(work.slopes, 0, len(work.lead_slopes), work.lead_slopes, 0)
+    control[FRESH] = 1.0
+
+
+@kernel
+def recall_lead(work):
+    """Return to the derivative at the lead."""
+    _copy_slopes(work.lead_slopes, 0, len(work.lead_slopes), work.slopes, 0)
+
+
+@kernel
+def set_weights(scheme, theta):
+    """Set the last row of Scheme.a to b(theta)."""
+    last = len(scheme.a) - 1
+    scheme.nodes[last] = theta
+    for j in range(len(scheme.inside)):
+        total = 0.0
+        for d in range(scheme.inside.shape[1] - 1, -1, -1):
+            total = theta * (total + scheme.inside[j, d])
+        scheme.a[last, j] = total

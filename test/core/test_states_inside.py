@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: Apache-2.0
+"""States at any time: inside a step of a method, and inside the longer substeps of a run to an accuracy."""
+
+import numpy as np
+import pytest
+import yaml
+
+from liegroup_core import Simulation, load_scene
+from liegroup_core.methods.munthe_kaas.ahead import further_stages, polynomials
+from liegroup_core.methods.munthe_kaas.collocation import stage_polynomials
+from liegroup_core.methods.munthe_kaas.error_control import ATOL, LONGEST, RTOL, SIZE
+from liegroup_core.methods.table import METHODS
+from liegroup_core.scene.load import scene_from_text
+
+PUSH = (0.0, 0.0, 0.0, 1.0, 0.0, 1.0)
+TIGHT = {"accuracy": 1e-12, "horizon": 10.0}
+
+
+def apart(one, other):
+    return np.abs(one.pose - other.pose).max()
+
+
+def test_the_polynomials_integrate_all_powers_up_to_their_order():
+    """sum b_j(theta) c_j^k = theta^(k+1) / (k+1) for k < 7: exact but for rounding of the coefficients, below 1e3."""
+    _, further = further_stages()
+    tableau = METHODS["rkmk853"].tableau
+    nodes = np.concatenate([tableau.c, [1.0], further])
+    for theta in (0.1, 0.37, 0.5, 0.93, 1.0):
+        weights = polynomials() @ theta ** np.arange(1, 8)
+        for k in range(7):
+            assert weights @ nodes**k == pytest.approx(theta ** (k + 1) / (k + 1), abs=1e-12)
+
+
+def error_inside(scene, h, times, truth):
+    """Largest error at times inside substeps of size h."""
+    simulation = Simulation(scene, accuracy=1.0, horizon=10.0, step=1.0, quiet=True)
+    control = simulation._integrator._control
+    control[[RTOL, ATOL]], control[LONGEST], control[SIZE] = 1e6, h, h
+    return max(apart(simulation.sample(time), true) for time, true in zip(times, truth))
+
+
+@pytest.mark.parametrize("name", ["heavy_top", "double_pendulum", "slider_crank"])
+def test_states_inside_a_substep_have_at_least_order_seven(name):
+    """Against a run to 1e-12, at ten times that lie inside the substeps of all sizes."""
+    scene = load_scene(name)
+    times = np.sort(0.05 + 0.6 * np.random.default_rng(5).random(10))
+    fine = Simulation(scene, step=1.0, quiet=True, **TIGHT)
+    truth = [fine.sample(time) for time in times]
+    sizes = np.array([0.06, 0.04, 0.03, 0.02]) if name != "slider_crank" else np.array([0.02, 0.015, 0.01, 0.0075])
+    errors = [error_inside(scene, h, times, truth) for h in sizes]
+    slope = np.polyfit(np.log(sizes), np.log(errors), 1)[0]
+    assert slope > 6.5, errors
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_states_inside_a_step_have_the_order_of_the_method(method):
+    """A part of a step is a step. Fitted slope of the largest error at eleven times between steps."""
+    name = "lagrangian_top" if METHODS[method].family == "rotation" else "double_pendulum"
+    scene, order = load_scene(name), METHODS[method].order
+    times = 0.3 + 0.0317 * np.arange(11)
+    fine = Simulation(scene, step=0.01, quiet=True, **TIGHT)
+    truth = list(fine.samples(times))
+    options = {"rtol": 1e3, "atol": 1e3} if METHODS[method].controlled else {}
+    sizes = np.array([0.02, 0.0125, 0.01]) if order > 3 else np.array([4e-3, 2e-3, 1e-3])
+    if METHODS[method].family == "rotation":  # the top spins fast
+        sizes = 0.2 * sizes
+    errors = []
+    for h in sizes:
+        samples = Simulation(scene, method, h, quiet=True, estimate=False, **options).samples(times)
+        errors.append(max(map(apart, samples, truth)))
+    slope = np.polyfit(np.log(sizes), np.log(errors), 1)[0]
+    assert slope > 0.85 * min(order, 5), errors  # above, the error at these steps is near round-off
+
+
+def pushed(name, ask, **options):
+    """(simulation after 120 steps with two pushes, samples at random times between)."""
+    simulation = Simulation(load_scene(name), quiet=True, **options)
+    rng, body, found = np.random.default_rng(2), simulation.layout.body_names[-1], []
+    simulation.apply_wrench(body, PUSH, 3.33 * simulation.step, 2.111 * simulation.step)
+    simulation.drain_instants()
+    for k in range(120):
+        simulation.advance(1)
+        if k == 70:
+            simulation.apply_wrench(body, PUSH, None, 0.5)
+        if ask:
+            found += [simulation.sample(simulation.time + part * simulation.step) for part in np.sort(rng.random(2))]
+    return simulation, found
+
+
+@pytest.mark.parametrize(
+    "name, options",
+    [
+        ("four_bar", {"accuracy": 1e-5}),
+        ("driven_arm", {"accuracy": 1e-4}),
+        ("heavy_top", {"accuracy": 1e-6, "step": 0.1}),
+        ("gripper", {"accuracy": 1e-4}),
+        ("door", {"method": "rkmk4", "step": 2e-3}),
+        ("heavy_top", {"method": "constrained_rattle", "step": 2e-3}),
+        ("four_bar", {"method": "radau5", "step": 1e-2}),
+    ],
+)
+def test_a_run_does_not_depend_on_the_states_that_are_asked_for(name, options):
+    (one, _), (other, _) = (pushed(name, ask, **options) for ask in (False, True))
+    assert one.snapshot() == other.snapshot() and one.substeps == other.substeps
+    assert one.drain_applied() == other.drain_applied()
+    assert list(map(str, one.drain_events())) == list(map(str, other.drain_events()))
+    assert len(one.drain_instants()) == len(other.drain_instants())
+
+
+@pytest.mark.parametrize("name, accuracy", [("four_bar", 1e-5), ("heavy_top", 1e-4), ("slider_crank", 1e-3)])
+def test_errors_between_steps_are_below_their_estimate_and_loops_stay_closed(name, accuracy):
+    simulation, samples = pushed(name, True, accuracy=accuracy)
+    size = simulation.promise["length"]
+    fine = Simulation(simulation.scene, quiet=True, step=simulation.step, accuracy=1e-12)
+    body, energies = fine.layout.body_names[-1], []
+    fine.apply_wrench(body, PUSH, 3.33 * fine.step, 2.111 * fine.step)
+    for sample in samples:
+        while fine.steps < sample.steps:
+            fine.advance(1)
+            if fine.steps == 71:
+                fine.apply_wrench(body, PUSH, None, 0.5)
+        true = fine.sample(sample.time)
+        error = np.linalg.norm(sample.pose[:, 9:] - true.pose[:, 9:], axis=1)
+        assert (error <= np.maximum(sample.errors[:, 0], 1e-11 * size)).all()
+        assert error.max() < accuracy * size and sample.constraint_residual < 1e-12
+        energies.append(abs(sample.energy - true.energy) / (1.0 + abs(true.energy)))
+    assert max(energies) < accuracy
+
+
+def test_only_times_of_the_present_step_can_be_had():
+    simulation = Simulation(load_scene("heavy_top"), step=0.01, quiet=True)
+    simulation.advance_to(0.0567)
+    assert simulation.steps == 5
+    sample = simulation.sample(0.0567)
+    assert (sample.time_ns, sample.steps) == (56_700_000, 5) and simulation.sample(0.05).time == simulation.time
+    for time in (0.0499, 0.0601, np.nan, np.inf, "now", None):
+        if time is None:
+            continue
+        with pytest.raises(ValueError):
+            simulation.sample(time)
+    with pytest.raises(ValueError, match="before the present"):
+        simulation.advance_to(0.01)
+    with pytest.raises(ValueError, match="before the present"):
+        list(simulation.samples([0.06, 0.055]))
+
+
+def test_a_repeated_run_with_servos_may_know_later_commands():
+    """The trial of another method sees what acts, and not what follows."""
+    text = yaml.safe_load(load_scene("four_bar").text)
+    servo = {"name": "servo", "type": "servo", "joint": "ground_crank", "stiffness": 300.0, "damping": 10.0}
+    scene = scene_from_text(yaml.safe_dump(text | {"forces": [servo]}))
+    first, other = (Simulation(scene, quiet=True, step=2e-3) for _ in range(2))
+    rng, given, poses = np.random.default_rng(3), [], []
+    for k in range(400):
+        if rng.random() < 0.9:
+            first.inputs.set_target("ground_crank", 1.0 + 0.001 * k, 0.5, None, 0.5)
+        first.advance(1)
+        given += [(k, command) for command in first.drain_applied()]
+        assert np.isfinite(first.largest_error)
+        poses.append(first.sample().pose.tobytes())
+    for k in range(0, 400, 10):
+        while given and given[0][0] < k + 10:
+            given.pop(0)[1].repeat(other)
+        other.advance(10)
+        assert other.sample().pose.tobytes() == poses[k + 9]
+
+
+def test_the_collocation_polynomial_passes_through_the_stages():
+    nodes = METHODS["radau5"].tableau.c
+    weights = stage_polynomials(nodes) @ nodes[None] ** np.arange(1, 4)[:, None]
+    assert weights == pytest.approx(np.eye(3), abs=1e-13)
