@@ -48,17 +48,20 @@ class Warnings:
 
     def begin(self):
         """Begin to count the CPU time of steps; call `give` after them."""
-        self._began = thread_time()
+        if not self._quiet:
+            self._began = thread_time()
 
     def _is_new(self, name):
         """Whether to warn of `name` now."""
-        if self._quiet or name in self._given:
+        if name in self._given:
             return False
         self._given.add(name)
         return True
 
     def give(self, engine):
         """Log the warnings of an Engine after some steps."""
+        if self._quiet:
+            return
         report, switching = engine._work.report, engine._switching
         if report[SINGULAR_SOLVES] and self._is_new("singular"):
             log.warning(

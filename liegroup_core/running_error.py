@@ -21,7 +21,7 @@ would be less than half of their distance.
 
 With an accuracy both run ahead (methods/munthe_kaas/ahead.py): their substeps follow their tolerances alone, and
 their states at any time are those of interpolants, whose errors are part of the distance. Checkpoints follow after
-about SUBSTEPS substeps. In between, the two are compared when an estimate is read, and PART of the horizon after the
+up to SUBSTEPS substeps, and earlier where the distance grows fast. In between, the two are compared when an estimate is read, and PART of the horizon after the
 last look; if the estimate exceeds the accuracy then, that is a checkpoint, too.
 
 With error control and without running ahead, the companion takes one step for four of the simulation. With equal
@@ -54,8 +54,11 @@ from liegroup_core.observables.distances import distances
 
 HIGH = 8  # order from which the steps of both are more similar
 FIRST_MEETINGS, MEETINGS = 2, 48  # between two checkpoints, from the second one on
-# Between checkpoints with an accuracy: substeps; of a run that is not ahead substeps, and steps at most.
-SUBSTEPS, STEPWISE, MOST = 16, 32, 8
+# Between checkpoints with an accuracy at most: substeps; of a run that is not ahead substeps, and steps.
+SUBSTEPS, STEPWISE, MOST = 32, 32, 8
+# Growth of the distance between two checkpoints of a run that is ahead, up to which the next one comes later, and above
+# which it comes earlier.
+CALM, FAST = 2.0, 4.0
 LAG = 4  # steps after which the companion follows a run that is ahead, which spreads its work
 PART = 0.02  # of the horizon, between two looks at the estimate: errors may rise and fall between checkpoints
 FASTEST = 8.0  # largest growth between two meetings that is extrapolated to the next one
@@ -220,10 +223,10 @@ class RunningError:
             if self._added.wrong_turn(engine._twist, engine.step, since) > UNPREDICTABLE:
                 self.estimate.set_infinite()
         if steps == self._next:
+            self._keep()
             if self._by_work:
                 self._adapt()
             self._next = self._next_checkpoint(steps)
-            self._keep()
 
     def make_checkpoint(self):
         """Make the present step, which is before the next checkpoint, a checkpoint."""
@@ -243,8 +246,10 @@ class RunningError:
         """Set the number of steps to the next checkpoint from the substeps since the last one."""
         substeps = self.engine.substeps[0]
         work, self._substeps = substeps - self._substeps, substeps
-        ahead = self.engine.runs_ahead
-        longest, most = (2 * self._block, SUBSTEPS) if ahead else (min(MOST, 2 * self._block), STEPWISE)
+        longest, most = min(MOST, 2 * self._block), STEPWISE
+        if self.engine.runs_ahead:
+            growth, most = self.estimate.growth, SUBSTEPS
+            longest = 2 * self._block if growth < CALM else self._block if growth < FAST else max(1, self._block // 2)
         while longest > self.ours and longest * work > most * self._block:
             longest //= 2
         self._block = longest
