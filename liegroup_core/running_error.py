@@ -21,13 +21,13 @@ would be less than half of their distance.
 
 With an accuracy both run ahead (methods/munthe_kaas/ahead.py): their substeps follow their tolerances alone, and
 their states at any time are those of interpolants, whose errors are part of the distance. Checkpoints follow after
-up to SUBSTEPS substeps, and earlier where the distance grows fast. In between, the two are compared when an estimate is read, and PART of the horizon after the
-last look; if the estimate exceeds the accuracy then, that is a checkpoint, too.
+up to SUBSTEPS substeps, and earlier where the distance grows fast. In between, the two are compared when an estimate
+is read, and PART of the horizon after the last look; an estimate above the accuracy makes that a checkpoint, too.
 
 With error control and without running ahead, the companion takes one step for four of the simulation. With equal
 steps the last substep, which ends with the step, would often make the substeps of both equal. Its substeps are at
 most 4/3 of a step, because it would step over contacts that the simulation meets. With an accuracy, that is with
-stops or friction, the two are compared only at checkpoints, after about STEPWISE substeps, and the last growth of the
+stops or friction, the two are compared only at checkpoints, MOST steps apart at most, and the last growth of the
 error is extrapolated.
 
 If the companion cannot continue, the estimate is infinite from then on. Before the first meeting it is NaN.
@@ -54,8 +54,8 @@ from liegroup_core.observables.distances import distances
 
 HIGH = 8  # order from which the steps of both are more similar
 FIRST_MEETINGS, MEETINGS = 2, 48  # between two checkpoints, from the second one on
-# Between checkpoints with an accuracy at most: substeps; of a run that is not ahead substeps, and steps.
-SUBSTEPS, STEPWISE, MOST = 32, 32, 8
+# Between checkpoints with an accuracy at most: substeps, and of a run that is not ahead steps.
+SUBSTEPS, MOST = 32, 8
 # Growth of the distance between two checkpoints of a run that is ahead, up to which the next one comes later, and above
 # which it comes earlier.
 CALM, FAST = 2.0, 4.0
@@ -246,11 +246,11 @@ class RunningError:
         """Set the number of steps to the next checkpoint from the substeps since the last one."""
         substeps = self.engine.substeps[0]
         work, self._substeps = substeps - self._substeps, substeps
-        longest, most = min(MOST, 2 * self._block), STEPWISE
+        longest = min(MOST, 2 * self._block)
         if self.engine.runs_ahead:
-            growth, most = self.estimate.growth, SUBSTEPS
+            growth = self.estimate.growth
             longest = 2 * self._block if growth < CALM else self._block if growth < FAST else max(1, self._block // 2)
-        while longest > self.ours and longest * work > most * self._block:
+        while longest > self.ours and longest * work > SUBSTEPS * self._block:
             longest //= 2
         self._block = longest
 
