@@ -60,7 +60,7 @@ SUBSTEPS, MOST = 32, 8
 # which it comes earlier.
 CALM, FAST = 2.0, 4.0
 LAG = 4  # steps after which the companion follows a run that is ahead, which spreads its work
-PART = 0.02  # of the horizon, between two looks at the estimate: errors may rise and fall between checkpoints
+PART = 0.05  # of the horizon, between two looks at the estimate: errors may rise and fall between checkpoints
 FASTEST = 8.0  # largest growth between two meetings that is extrapolated to the next one
 # rad, or relative to the characteristic length: above it, a rebound that became plastic makes the estimate
 # infinite. Bouncing that comes to rest by itself is far below it when its impacts are that dense.

@@ -25,10 +25,10 @@ from liegroup_core.stiffness import MOST_ATTEMPTS, STIFF, MethodChoice
 log = logging.getLogger("liegroup_core")
 
 # Possible steps of a simulation to an accuracy, s. It takes the longest that is at most PART of the horizon and
-# has at most SUBSTEPS substeps at the start, or FEW if the integration runs ahead: its steps cost nothing.
+# has at most SUBSTEPS substeps at the start: checkpoints lie at steps.
 STEPS = tuple(float(f"{digit}e{power}") for power in range(-3, -8, -1) for digit in (10, 5, 2))
 PART = 0.02
-SUBSTEPS, FEW = 20, 2
+SUBSTEPS = 20
 # Largest number of attempted substeps in each trial step.
 TRIALS = {METHOD: [2 * SUBSTEPS], STIFF: [MOST_ATTEMPTS, 2 * SUBSTEPS]}
 MANY = 500  # number of freedoms above which the matrices take too long for a trial
@@ -44,8 +44,8 @@ class Simulation(Engine):
                or in rad; the error may grow by as much in each further horizon. Default 1e-4
     horizon  : s, at most 1e6; default 60
     step     : s, interval of `advance`; from a sequence, the longest suitable one. Default: at most 10 ms
-               and 1/50 of the horizon, with at most 2 substeps at the start, or 20 with stops or friction. It
-               does not limit the substeps, but with stops or friction
+               and 1/50 of the horizon, with at most 20 substeps at the start. It does not limit the substeps,
+               but with stops or friction
     stabilisation : default "projection" for joints that would drift, else "none"
 
     With a method, it takes the arguments of Engine, with their defaults.
@@ -382,25 +382,20 @@ def _suitable(steps, scene, layout, settings, tolerances):
                 continue
             engine = Engine(scene, method, step, *settings, True, layout, **tolerances)
             freedoms = engine.freedoms
-            substeps = _fewest(engine, attempts)
-            if method == METHOD and FEW < substeps <= SUBSTEPS and not layout.switches and step != steps[-1]:
-                break
-            if substeps <= SUBSTEPS:
+            if _takes_few(engine, attempts):
                 return step, engine.layout
     return step, engine.layout
 
 
-def _fewest(engine, attempts):
-    """Fewest substeps of the first steps, up to one with at most SUBSTEPS; attempts: limit for each step."""
-    fewest = math.inf
+def _takes_few(engine, attempts):
+    """Whether one of the first steps takes at most SUBSTEPS substeps; attempts: limit for each step."""
     for most in attempts:
         before = engine.substeps[0]
         engine.limit_attempts(most)
         try:
             engine.advance(1)
         except SimulationError:
-            return math.inf
-        fewest = min(fewest, engine.substeps[0] - before)
-        if fewest <= SUBSTEPS:
-            break
-    return fewest
+            return False
+        if engine.substeps[0] - before <= SUBSTEPS:
+            return True
+    return False
