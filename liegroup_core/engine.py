@@ -467,7 +467,8 @@ class Engine:
     def _aside(self):
         """Return to the present state afterwards, with all that was logged and counted."""
         self.undo()
-        before, inputs, switching = kept(self, Engine.KEPT), self.inputs, self._switching
+        inputs, switching = self.inputs, self._switching
+        before, held = kept(self, [name for name in Engine.KEPT if name != "inputs"]), inputs.held()
         log, follower, inputs.log, inputs.follower = inputs.log, inputs.follower, None, None
         spent = getattr(self._integrator, "spent", None)
         events = None if switching is None else switching.log()
@@ -475,6 +476,7 @@ class Engine:
             yield
         finally:
             set_kept(self, before)
+            inputs.give_back(held)
             inputs.log, inputs.follower = log, follower
             if spent is not None:
                 self._integrator.spent = spent

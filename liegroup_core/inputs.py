@@ -48,6 +48,15 @@ class Inputs:
         self.schedule.clear_all()
         self._take_totals()
 
+    def held(self):
+        """Copy of all that acts and waits, exactly, for `give_back`: `commands` know the ends of a clear."""
+        return self.schedule.held(), self.known_end, self.external.copy(), self.wanted.copy(), self.commanded.copy()
+
+    def give_back(self, held):
+        """Return to what `held` gave."""
+        schedule, self.known_end, self.external[:], self.wanted[:], self.commanded[:] = held
+        self.schedule.give_back(schedule)
+
     def freeze(self):
         """Keep what acts, and discard all commands, until `commands` are set: nothing changes."""
         self.schedule.clear_all()

@@ -75,6 +75,15 @@ class Schedule:
         self._arrived = 0
         self._known_next = None
 
+    def held(self):
+        """Copy of all entries and totals, for `give_back`."""
+        total = {axes: rows.copy() for axes, rows in self.total.items()}
+        return total, list(self.waiting), dict(self._acting), self._arrived, self._known_next
+
+    def give_back(self, held):
+        """Return to what `held` gave."""
+        self.total, self.waiting, self._acting, self._arrived, self._known_next = held
+
     def __bool__(self):
         return bool(self.waiting or self._acting)
 

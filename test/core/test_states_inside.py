@@ -169,3 +169,22 @@ def test_the_collocation_polynomial_passes_through_the_stages():
     nodes = METHODS["radau5"].tableau.c
     weights = stage_polynomials(nodes) @ nodes[None] ** np.arange(1, 4)[:, None]
     assert weights == pytest.approx(np.eye(3), abs=1e-13)
+
+
+def test_a_run_with_cleared_pushes_does_not_depend_on_what_is_read():
+    """The companion is behind, and knows that a push will be cleared: reading must not change what it knows."""
+    runs = []
+    for read in (False, True):
+        simulation, rng = Simulation(load_scene("four_bar"), quiet=True, step=2e-3), np.random.default_rng(0)
+        body = simulation.layout.body_names[-1]
+        for _ in range(300):
+            chance = rng.random()
+            if chance < 0.2:
+                simulation.apply_wrench(body, [0.0, 0.0, 0.0, *rng.normal(size=3)], None, 0.05, "hand")
+            elif chance < 0.25:
+                simulation.clear_wrenches("hand")
+            simulation.advance(1)
+            if read:
+                assert np.isfinite(simulation.largest_error) and simulation.sample(simulation.time + 1e-3).time
+        runs.append(simulation)
+    assert runs[0].snapshot() == runs[1].snapshot()
