@@ -496,7 +496,7 @@ class Engine:
         start = self._present()
         self.inputs.update(start)
         if self._before is None and not self.covers(end):
-            self._before = self._integrator.checkpoint()
+            self._before = [array.copy() for array in self._memory], self._integrator.spent
         pose, twist, angle = self._pose.copy(), self._twist.copy(), self._work.angle.copy()
         try:
             self._checked(self._integrate(start, self._grid.between(start, end), 1, end, pose, twist)[1])
@@ -507,8 +507,7 @@ class Engine:
     def undo(self):
         """Undo what was integrated for states after the present one."""
         if self._before is not None:
-            self._integrator.return_to(self._before)
-            self._before = None
+            self._memory, self._integrator.spent = self._before
 
     def _checked(self, status):
         if status != OK:

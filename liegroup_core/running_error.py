@@ -92,7 +92,7 @@ class RunningError:
     def __init__(self, engine, horizon=None):
         self.engine = engine
         self._by_work = by_work = horizon is not None
-        self.look = max(1, int(PART * horizon / engine.step)) if by_work else 0
+        self._look = max(1, int(PART * horizon / engine.step)) if by_work else 0
         method = METHODS[engine.method]
         order, controlled = method.order, method.controlled
         # Steps of the engine and of its companion in the same time.
@@ -165,8 +165,8 @@ class RunningError:
             return end
         if not self.begun:
             return min(end, (steps // self.ours + 1) * self.ours)
-        if self.look and self._companion.runs_ahead:
-            return min(self._next, end, (steps // self.look + 1) * self.look)
+        if self._look and self._companion.runs_ahead:
+            return min(self._next, end, (steps // self._look + 1) * self._look)
         if self._next <= end:
             return self._next
         meeting = end // self.ours * self.ours
@@ -338,10 +338,11 @@ class RunningError:
         return (-(-self._set_at // self.ours) + 1) * self.ours
 
     @property
-    def goes_on(self):
-        """Whether the present step is after the last checkpoint, and the companion runs ahead of it."""
+    def looks(self):
+        """Whether a run that is ahead is at a time for a look, after its last checkpoint."""
+        steps = self.engine.steps
         is_ahead = self.begun and self._alive and self._companion.runs_ahead
-        return is_ahead and self.engine.steps > self._next - self._block
+        return is_ahead and steps % self._look == 0 and steps > self._next - self._block
 
     @property
     def begun(self):

@@ -331,7 +331,7 @@ class Simulation(Engine):
     def _exceeded_between(self):
         """Whether the estimate exceeds the accuracy for the first time, and between two checkpoints."""
         control, running = self._control, self._running
-        if control is None or control.ended < math.inf or self.steps % running.look or not running.goes_on:
+        if control is None or control.ended < math.inf or not running.looks:
             return False
         running.meet()
         return running.largest > control.wanted(self.time)

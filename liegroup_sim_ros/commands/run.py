@@ -196,7 +196,7 @@ def _run(args):
         raise RunError(f"{args.torques}: the name must end in .csv")
     if args.every is not None and args.every < 1:
         raise RunError(f"--every must be at least 1, got {args.every}")
-    times = sample_times(args)
+    asked = sample_times(args)
     scene = robot_scene(args.scene, args)
     console = Console(stderr=True)
     for note in scene.differences:
@@ -211,13 +211,15 @@ def _run(args):
         simulation.layout.reactions.warm_up()
     step = simulation.step
     every = args.every or max(1, math.ceil(1.0 / (DENSEST * step) - 1e-9))
-    if times is None:
-        steps = whole_steps(args.duration, step)
-        due = [(k, None) for k in [*range(every, steps, every), steps]]
+    if asked is None:
+        end, steps = None, whole_steps(args.duration, step)
+        count = -(-steps // every)
+        due = ((min(k * every, steps), None) for k in range(1, count + 1))
     else:
-        due = [(simulation.step_before(at), at) for at in times]
-        steps, every = due[-1][0], None if args.rate is None else 1.0 / (args.rate * step)
-    samples = 1 + len(due)
+        count, times, end = asked
+        due = ((simulation.step_before(at), at) for at in times)
+        steps, every = simulation.step_before(end), None if args.rate is None else 1.0 / (args.rate * step)
+    samples = 1 + count
     started = time.monotonic()
     stopped, code = None, 0
     with ExitStack() as stack:
@@ -236,7 +238,7 @@ def _run(args):
 
         write()
         try:
-            _simulate(simulation, due, write, console, signals)
+            _simulate(simulation, steps, due, write, console, signals)
         except SimulationError as error:
             stopped, code = str(error), EXIT_STOPPED
         except KeyboardInterrupt:
@@ -251,7 +253,7 @@ def _run(args):
         print(f"liegroup_sim: {stopped}; the trajectory up to there is in {names}", file=sys.stderr)
     else:
         print(
-            f"{names}: {simulation.time if times is None else times[-1]:.9g} s in {counted(steps, 'step')}, "
+            f"{names}: {simulation.time if end is None else end:.9g} s in {counted(steps, 'step')}, "
             f"{counted(files[0].count, 'sample')}, {wall:.3g} s of wall time"
             f"{_events_of(simulation)}{_error_of(simulation)}"
         )
@@ -277,14 +279,16 @@ def _error_of(simulation):
 
 
 def sample_times(args):
-    """Times in s of the samples after the start that --rate or --times give, or None. Raises RunError."""
+    """(number, times in s, last time) of the samples after the start by --rate or --times, or None. Raises RunError."""
     if sum(each is not None for each in (args.every, args.rate, args.times)) > 1:
         raise RunError("give one of --every, --rate and --times")
     if args.times is not None:
         found = times_in(args.times)
         if args.duration is not None and args.duration < found[-1]:
             raise RunError(f"{args.times}: its last time {found[-1]:.9g} s is after the --duration {args.duration:g} s")
-        return [*found, *([args.duration] if args.duration is not None and args.duration > found[-1] else [])]
+        if args.duration is not None and args.duration > found[-1]:
+            found.append(args.duration)
+        return len(found), found, found[-1]
     if args.duration is None:
         raise RunError("give --duration S")
     if args.rate is None:
@@ -298,7 +302,8 @@ def sample_times(args):
         raise RunError(
             f"--rate {args.rate:g} makes {count:.3g} samples: give a smaller one, {MOST_SAMPLES:.0e} at most"
         )
-    return [*(k / args.rate for k in range(1, count)), args.duration]
+    times = (k / args.rate if k < count else args.duration for k in range(1, count + 1))
+    return count, times, args.duration
 
 
 def times_in(path):
@@ -327,9 +332,8 @@ def times_in(path):
     return found
 
 
-def _simulate(simulation, due, write, console, signals):
-    """Advance to all samples, (steps, time in s within the next step or None), and call `write` at each."""
-    steps = due[-1][0]
+def _simulate(simulation, steps, due, write, console, signals):
+    """Advance to all samples, (step, time in s within the next one or None), and call `write` at each."""
     with Progress(
         TextColumn("simulating"),
         BarColumn(),

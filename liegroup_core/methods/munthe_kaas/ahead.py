@@ -173,10 +173,10 @@ def copy_angles(source, out):
 
 
 @kernel
-def _copy_slopes(source, first, count, out, to):
-    """Copy `count` rows of derivatives."""
+def _copy_slopes(source, out, count):
+    """Copy the first `count` rows of derivatives."""
     for r in range(count):
-        out[to + r, 0], out[to + r, 1] = source[first + r, 0], source[first + r, 1]
+        out[r, 0], out[r, 1] = source[r, 0], source[r, 1]
 
 
 @kernel
@@ -192,26 +192,26 @@ def keep(work, pose, twist, size, control):
 @kernel
 def keep_slopes(work):
     """Keep the derivatives of all stages."""
-    _copy_slopes(work.slopes, 0, len(work.slopes), work.kept_slopes, 0)
+    _copy_slopes(work.slopes, work.kept_slopes, len(work.slopes))
 
 
 @kernel
 def recall(work):
     """Return to the derivatives of the kept substep."""
-    _copy_slopes(work.kept_slopes, 0, len(work.slopes), work.slopes, 0)
+    _copy_slopes(work.kept_slopes, work.slopes, len(work.slopes))
 
 
 @kernel
 def keep_lead(work, control):
     """Keep the derivative at the lead."""
-    _copy_slopes(work.slopes, 0, len(work.lead_slopes), work.lead_slopes, 0)
+    _copy_slopes(work.slopes, work.lead_slopes, len(work.lead_slopes))
     control[FRESH] = 1.0
 
 
 @kernel
 def recall_lead(work):
     """Return to the derivative at the lead."""
-    _copy_slopes(work.lead_slopes, 0, len(work.lead_slopes), work.slopes, 0)
+    _copy_slopes(work.lead_slopes, work.slopes, len(work.lead_slopes))
 
 
 @kernel

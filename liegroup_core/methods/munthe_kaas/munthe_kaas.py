@@ -100,8 +100,7 @@ TOO_TIGHT = (DEPENDENT_ROWS, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS)
 def _save(work, pose, twist, control):
     """Save the state at the start of a step for `_restore`."""
     copy_state(pose, twist, work.start_pose, work.start_twist)
-    for i in range(len(work.angle)):
-        work.start_angle[i] = work.angle[i]
+    copy_angles(work.angle, work.start_angle)
     control[KEPT_SIZE] = control[SIZE]
 
 
@@ -121,8 +120,7 @@ def _coarsen(factor, pose, twist):
 def _restore(work, pose, twist, control):
     """Restore the state saved by `_save`."""
     copy_state(work.start_pose, work.start_twist, pose, twist)
-    for i in range(len(work.angle)):
-        work.angle[i] = work.start_angle[i]
+    copy_angles(work.start_angle, work.angle)
     control[SIZE] = control[KEPT_SIZE]
 
 
@@ -396,17 +394,6 @@ class MuntheKaas:
     def runs_ahead(self):
         """Whether the integration runs ahead of the caller, see ahead.py."""
         return self._control[AHEAD] != 0.0
-
-    def checkpoint(self):
-        """Copy of the memory, with the number of evaluations, for `return_to`."""
-        return [array.copy() for array in self.memory], self.spent
-
-    def return_to(self, memory):
-        """Return to the memory of `checkpoint`."""
-        arrays, self.spent = memory
-        self.restart()
-        for mine, array in zip(self.memory, arrays):
-            mine[...] = array
 
     @property
     def spent(self):
