@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from liegroup_core.compiling import warm_up
 from liegroup_core.errors import SimulationError
 from liegroup_core.fields.arguments import finite, floats, got, is_count, is_finite
-from liegroup_core.forces.instants import AFTER, NEVER, StepGrid
+from liegroup_core.forces.instants import AFTER, BEFORE, NEVER, StepGrid
 from liegroup_core.forces.timetable import Timetable
 from liegroup_core.inputs import Inputs
 from liegroup_core.joint_events import JointEvents
@@ -153,7 +153,8 @@ class Engine:
         self._grid = StepGrid(self.step)
         self._timetable = Timetable(rows, self._grid, motions)
         self._warnings = Warnings(quiet)
-        self.inputs = Inputs(self.layout, self._grid, self._work.wanted, self._present, self.undo)
+        self._reached = BEFORE
+        self.inputs = Inputs(self.layout, self._grid, self._work.wanted, self._earliest, self.undo)
         self.events = JointEvents(self.layout, self._switching)
         self._start = initial_state(self.layout.centred)
         self._block, self._halted = FIRST_BLOCK, False
@@ -231,7 +232,7 @@ class Engine:
         """Start again from a valid state; the engine takes over its arrays."""
         self._work.angle[:] = angles
         self._work.report[LARGEST_TURN] = 0.0
-        self._pose, self._twist, self.steps, self._before = pose, twist, steps, None
+        self._pose, self._twist, self.steps, self._before, self._reached = pose, twist, steps, None, BEFORE
         self.inputs.clear()
         self._integrator.restart()
 
@@ -278,6 +279,10 @@ class Engine:
         """Instant of the present step."""
         return self._grid.boundary(self.steps)
 
+    def _earliest(self):
+        """Earliest Instant at which a command may start."""
+        return max(self._present(), self._reached)
+
     def state(self) -> tuple[Floats, Floats]:
         """Copies of the integrator's pose (n, 12) and twist (n, 6), for `set_state`.
 
@@ -297,6 +302,7 @@ class Engine:
     def restore(self, state: State) -> None:
         """Return to a snapshot. The continuation is bit-identical."""
         set_kept(self, state.parts)
+        self._reached = BEFORE
 
     @property
     def time(self) -> float:
@@ -306,7 +312,11 @@ class Engine:
     @property
     def time_ns(self) -> int:
         """Simulated time in integer nanoseconds, rounded from step count times step."""
-        return self._grid.time_ns(self._present())
+        return self.step_ns(self.steps)
+
+    def step_ns(self, steps):
+        """Time in integer nanoseconds of a step count."""
+        return self._grid.time_ns(self._grid.boundary(steps))
 
     @property
     def singular_solves(self) -> int:
@@ -389,9 +399,21 @@ class Engine:
     def advance_to(self, time: float) -> None:
         """Advance to the last step that is not after a time in s, from where `sample(time)` gives the state then.
 
-        Raises ValueError for a time before the present one, and SimulationError, as `advance`.
+        Commands without a start begin at this time. Raises ValueError for a time before the present one, and
+        SimulationError, as `advance`.
         """
-        self.advance(self._instant(time).step - self.steps)
+        self.reach(self._instant(time))
+
+    def reach(self, instant):
+        """As `advance_to`, of an Instant."""
+        if instant.step != self.steps:
+            self.advance(instant.step - self.steps)
+        self._reached = instant
+
+    @property
+    def reached(self):
+        """Time in s of the last `advance_to`, or of the present step if that is later."""
+        return self._earliest().time
 
     def step_before(self, time: float) -> int:
         """Last step that is not after a time in s, which must not be before the present one. Raises ValueError."""
@@ -593,12 +615,17 @@ class Engine:
                interpolant in the algebra, of order 7 for rkmk853 and 3 for radau5. The run does not depend on it
         Raises ValueError for another time, and SimulationError if the state cannot be computed.
         """
-        instant = None if time is None else self._instant(time)
+        return self.sample_at(None if time is None else self._instant(time))
+
+    def sample_at(self, instant=None):
+        """As `sample`, of an Instant."""
         if instant is None or instant == self._present():
             return self._sample_of(self.time, self.time_ns, *self.state(), self._work.angle.copy())
         if instant > self._grid.boundary(self.steps + 1):
             end = (self.steps + 1) * self.step
-            raise ValueError(f"the time {time:.9g} s is after the present step, up to {end:.9g} s: advance first")
+            raise ValueError(
+                f"the time {instant.time:.9g} s is after the present step, up to {end:.9g} s: advance first"
+            )
         at = instant.time, self._grid.time_ns(instant)
         if self.runs_ahead and self._next_change() >= instant:
             return self._sample_of(*at, *self._state_inside(instant))

@@ -12,11 +12,10 @@ from liegroup_core.accuracy import DEFAULT, LONGEST, METHOD, MINUTE, SMALLEST, A
 from liegroup_core.engine import Engine
 from liegroup_core.errors import SimulationError
 from liegroup_core.fields.arguments import got
-from liegroup_core.forces.instants import NEVER
+from liegroup_core.forces.instants import BEFORE, NEVER
 from liegroup_core.layout import make_layout
 from liegroup_core.methods.families import check_group, choose_group
 from liegroup_core.methods.table import is_positive
-from liegroup_core.observables.sample import Sample
 from liegroup_core.running_error import RunningError
 from liegroup_core.scene.description import Scene
 from liegroup_core.state import State, decoded, encoded, kept, set_kept
@@ -214,9 +213,9 @@ class Simulation(Engine):
         """
         return math.nan if self._running is None else self._running.estimate.predictable_until
 
-    def sample(self, time: float | None = None) -> Sample:
-        """As Engine.sample, with the estimated errors if they are carried."""
-        sample = super().sample(time)
+    def sample_at(self, instant=None):
+        """As Engine.sample_at, with the estimated errors if they are carried."""
+        sample = super().sample_at(instant)
         if self._running is not None and sample.time_ns == self.time_ns:
             sample.errors = self._running.errors()
         elif self._running is not None:
@@ -268,6 +267,7 @@ class Simulation(Engine):
         parts = decoded({name: data[name] for name in like if name in data}, like, "the snapshot")
         if not 0 <= parts["steps"] < NEVER:
             raise ValueError(f"the snapshot must have a number of steps from 0 to {NEVER - 1}, {got(parts['steps'])}")
+        self._reached = BEFORE
         try:
             set_kept(self, parts)
         except ValueError:  # a command to an unknown body or joint

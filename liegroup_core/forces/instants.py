@@ -103,7 +103,16 @@ class StepGrid:
 
     def marked(self, time_ns):
         """Instant of a time in ns, see `mark`."""
-        return self.instant(Fraction(time_ns, NS) if isinstance(time_ns, int) else time_ns / NS)
+        if not isinstance(time_ns, int):
+            return self.instant(time_ns / NS)
+        if time_ns > LATEST * NS:
+            return AFTER
+        step, passed = divmod(time_ns * self._parts, self._size)
+        if 2 * passed <= self._parts:
+            return self.boundary(step)
+        if 2 * (self._size - passed) <= self._parts:
+            return self.boundary(step + 1)
+        return _instant((step, passed, time_ns / NS))
 
     def instant(self, time):
         """Instant of a time in s (float or exact Fraction): a step boundary within half a ns, else a whole ns."""

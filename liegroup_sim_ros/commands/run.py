@@ -23,6 +23,7 @@ from liegroup_core.errors import LieGroupSimError
 from liegroup_core.methods.table import CONFIGURATION_GROUPS, METHODS
 from liegroup_core.simulation import default_steps
 from liegroup_sim_ros.numbers import counted
+from liegroup_sim_ros.recording.attachments import steps_per_sample
 from liegroup_sim_ros.recording.errors import FileLostError
 from liegroup_sim_ros.recording.write_run import ArrayFile, LogFile
 from liegroup_sim_ros.recording.write_tables import TableFile, TorqueFile
@@ -218,7 +219,7 @@ def _run(args):
     else:
         count, times, end = asked
         due = ((simulation.step_before(at), at) for at in times)
-        steps, every = simulation.step_before(end), None if args.rate is None else 1.0 / (args.rate * step)
+        steps, every = simulation.step_before(end), None if args.rate is None else steps_per_sample(args.rate, step)
     samples = 1 + count
     started = time.monotonic()
     stopped, code = None, 0

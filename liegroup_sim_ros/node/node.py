@@ -26,7 +26,7 @@ from liegroup_sim_ros.recording.write import RecorderError
 
 from . import own_services, standard_services
 from .answers import AnsweringNode
-from .parameters import RATES, ParameterError, read_parameters, steps_of, watch_parameters
+from .parameters import RATES, ParameterError, read_parameters, watch_parameters
 from .scene_run import ATTENTION, Interrupted, SceneRun, begin_simulation, make_simulation, served_folders
 from .standard_codes import FAILED, Refused
 
@@ -173,7 +173,7 @@ class SimNode(AnsweringNode):
 
     def _prepare_parameter(self, name, value):
         run = self.scene_run
-        if name == "publish_rate" and run.recorder is not None:
+        if name == "publish_rate" and run.recorder is not None and not self._values.record_rate:
             raise ParameterError("parameter publish_rate: cannot change while the node records: start with it")
         if name == "accuracy" and run.simulation.promise is None:
             raise ParameterError("parameter accuracy: this run has a method, not an accuracy")
@@ -184,7 +184,7 @@ class SimNode(AnsweringNode):
         setattr(self._values, name, value)
         call = self.scene_run.server.call
         if name in RATES:
-            self._values.steps[name] = steps_of(name, value, self._values.step)
+            self._values.rates[name] = value
             call("plan_outputs")
         elif name == "accuracy":
             call("accuracy", value)

@@ -20,6 +20,7 @@ from liegroup_sim_ros.messages.codecs import ClockCodec, LogCodec
 from liegroup_sim_ros.messages.markers import Markers, markers
 
 from .errors import ParameterError
+from .rates import Output
 
 log = logging.getLogger("liegroup_core")
 
@@ -51,6 +52,10 @@ class Stream:
         """Publish and record a serialized message."""
         self.publish(data)
         self.record(stamp_ns, data)
+
+    def publish_only(self, _, data):
+        """As `publish`, with the arguments of `send`."""
+        self.publish(data)
 
     def publish(self, data):
         """Publish a serialized message, without recording it."""
@@ -99,7 +104,8 @@ class Outputs:
     figures   : function that returns {name: number or text}, added to the diagnostics
     Raises ParameterError for a topic whose message type is not installed.
 
-    before, after            : functions (stamp_ns, sample), called with the samples, before or after all messages
+    after                    : functions (stamp_ns, sample), called with the samples, after all messages
+    at_steps                 : functions of the stamp of a step, called before the first message at it or after it
     attending                : functions of the stamp, called with the diagnostics, once a second
     targets                  : {joint: (position, velocity)} of the servos that were commanded
     motions                  : {joint: (7,)} of the driven joints that were commanded
@@ -111,7 +117,7 @@ class Outputs:
         self._name = f"{streams.name}: simulation"
         self._layout, self._own, self._values, self._recorder = layout, own, values, None
         self._streams, self._static = [], []
-        self.before, self.after, self.attending = [], [], []
+        self.after, self.at_steps, self.attending = [], [], []
         self._senders = {}  # {rate: its functions (stamp_ns, sample)}
         self._topics = topics.of_motion(layout.body_names, own, lambda topic: streams.resolved(topic.name))
         self._inputs = self._stream(*topics.INPUTS)
@@ -144,13 +150,16 @@ class Outputs:
         self._diagnostics = self._stream(*topics.DIAGNOSTICS)
         self._clock = self._state = self._marker_stream = None
         self._markers = Markers(layout, values.world_frame, values.arrow_scale)
-        for name, steps in values.steps.items():
-            if steps:
+        for name, rate in values.rates.items():
+            if rate:
                 self.prepare(name)
 
     def prepare(self, name):
         """Create the topics of a rate, once. Raises ParameterError."""
         if name in self._senders:
+            return
+        if name == "record_rate":
+            self.prepare("publish_rate")
             return
         layout, values = self._layout, self._values
         if name == "publish_rate":
@@ -187,28 +196,23 @@ class Outputs:
 
     @property
     def timed(self):
-        """[(steps between calls, function (stamp_ns, sample))] at the present rates, in the order of the calls."""
-        steps = self._values.steps
-        of_rates = [(name, send) for name, senders in self._senders.items() for send in senders]
-        samples = [[("publish_rate", each) for each in part] for part in (self.before, self.after)]
-        return [(steps[name], send) for name, send in (*samples[0], *of_rates, *samples[1]) if steps[name]]
+        """[Output] with the present rates, in the order of the calls; without ~/state."""
+        rates = self._values.rates
+        calls = [(name, send) for name, senders in self._senders.items() for send in senders]
+        calls += [("publish_rate", each) for each in self.after]
+        clock = [Output(rates["clock_rate"], self._send_clock, False, False)]
+        states = [Output(rates[name], send, answers=name not in FOR_VIEWERS) for name, send in calls]
+        return [output for output in (*clock, *states) if output.rate]
 
     @property
-    def sample_steps(self):
-        """Steps between two messages of the fastest topic with states, except those for viewers."""
-        steps = self._values.steps
-        of_states = [steps[name] for name, sends in self._senders.items() if sends and name not in FOR_VIEWERS]
-        return min(filter(None, of_states), default=1)
+    def state_rate(self):
+        """Rate of ~/state in Hz, 0: none."""
+        return self._values.rates["state_rate"]
 
-    @property
-    def clock_steps(self):
-        """Steps between messages of /clock, 0: none."""
-        return self._values.steps["clock_rate"]
-
-    @property
-    def state_steps(self):
-        """Steps between messages of ~/state, 0: none."""
-        return self._values.steps["state_rate"]
+    def at_step(self, stamp_ns):
+        """Call the functions for a step."""
+        for call in self.at_steps:
+            call(stamp_ns)
 
     def _stream(self, *arguments, **options):
         stream = self._made.make(*arguments, **options)
@@ -220,17 +224,25 @@ class Outputs:
     def _samples(self):
         values, bodies = self._values, self._layout.body_names
         found, encode = sample_messages.motion(bodies, self._own, values.world_frame, values.frame_prefix)
-        sends = [self._stream(*topic).send for topic in found]
+        streams, encoders = [self._stream(*topic) for topic in found], [encode]
+        if values.estimate:
+            errors, encode_errors = self._stream(*topics.ERRORS), estimates.encoder(bodies)
+            self._topics["errors"] = errors.topic
+            streams.append(errors)
+            encoders.append(lambda stamp_ns, sample: [encode_errors(sample)])
 
-        def send(stamp_ns, sample):
-            for send_one, data in zip(sends, encode(stamp_ns, sample)):
-                send_one(stamp_ns, data)
+        def sender(calls):
+            def send(stamp_ns, sample):
+                data = [each for encode in encoders for each in encode(stamp_ns, sample)]
+                for call, each in zip(calls, data):
+                    call(stamp_ns, each)
 
-        if not values.estimate:
             return [send]
-        errors, encode_errors = self._stream(*topics.ERRORS), estimates.encoder(bodies)
-        self._topics["errors"] = errors.topic
-        return [send, lambda stamp_ns, sample: errors.send(stamp_ns, encode_errors(sample))]
+
+        if not values.rates["record_rate"]:
+            return sender([stream.send for stream in streams])
+        self._senders["record_rate"] = sender([stream.record for stream in streams])
+        return sender([stream.publish_only for stream in streams])
 
     def _optional(self, parameter, topic, message_type, encode):
         # For viewers that start while the simulation is paused.
@@ -282,8 +294,7 @@ class Outputs:
         for stream in (*self._streams, *self._static, *self._texts):
             stream.close()
 
-    def clock(self, stamp_ns):
-        """Publish /clock."""
+    def _send_clock(self, stamp_ns, _):
         self._clock.send(stamp_ns, ClockCodec.encode(stamp_ns))
 
     def inputs(self, stamp_ns, base_ns, commands, present):

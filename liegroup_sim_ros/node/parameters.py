@@ -19,7 +19,7 @@ from liegroup_core.accuracy import DEFAULT, LONGEST, MINUTE, SMALLEST
 from liegroup_core.engine import STABILISATIONS, STEP
 from liegroup_core.fields.values import suggestion
 from liegroup_core.methods.table import CONFIGURATION_GROUPS, METHODS
-from liegroup_core.simulation import STEPS, default_steps
+from liegroup_core.simulation import default_steps
 from liegroup_sim_ros.messages.samples import OPTIONAL, TF_LINKS
 from liegroup_sim_ros.messages.topics import MOST_OWN, own_by_default
 
@@ -34,7 +34,6 @@ HOLDS = ("one_step", "timeout", "until_replaced")
 ACCURACY = ("accuracy", "accuracy_horizon")  # not used with a method
 # Parameters whose values are in the recording continue_from.
 CONTINUED = ("scene", "method", *ACCURACY, "stabilisation", "group", "step")
-MOST_PARTS = 10  # largest number of steps in the shortest period, if whole steps must divide the others too
 AUTO = "auto"  # a method or stabilisation that an accuracy chooses
 
 
@@ -128,8 +127,8 @@ TABLE = (
     Entry(
         "step",
         0.0,
-        f"step size of the method, s; 0: {STEP:g}. With an accuracy: output interval; "
-        "0: a divisor of the periods of all rates, at most 0.01 and a fiftieth of accuracy_horizon",
+        f"step size of the method, s; 0: {STEP:g}. With an accuracy: interval of checks and of single steps; "
+        "0: at most 0.01, a fiftieth of accuracy_horizon and the shortest period of a rate",
         low=0.0,
         high=10.0,
     ),
@@ -172,6 +171,14 @@ TABLE = (
         "record", "", "recording file (*.mcap; missing folders are created), or existing folder; empty: no recording"
     ),
     Entry(
+        "record_rate",
+        0.0,
+        "rate of poses, twists and ~/errors in the recording in Hz of simulated time; 0: publish_rate",
+        low=0.0,
+        high=1e5,
+        is_topic_rate=True,
+    ),
+    Entry(
         "record_flush_interval",
         1.0,
         "longest wall time that messages wait in memory before they are written, s; a "
@@ -197,7 +204,7 @@ TABLE = (
     Entry("view", False, "open a page in the browser that shows this node, see `liegroup_sim view`"),
     Entry("world_frame", "world", "frame id of the poses"),
     Entry("frame_prefix", "", "prefix of the frame ids of all bodies, such as robot1/; world_frame has no prefix"),
-    _rate("publish_rate", 100.0, "poses, twists and ~/errors", "; recordings require it"),
+    _rate("publish_rate", 100.0, "poses, twists and ~/errors", "; recordings require it or record_rate"),
     Entry(
         "body_topics",
         AUTO,
@@ -322,9 +329,8 @@ def read_parameters(node):
 
     node : created with automatically_declare_parameters_from_overrides=True, so that unknown names,
            which ROS ignores, can be refused
-    returns the values; `.wanted_step`: s, 0: an accuracy chooses it from `fitting_steps`; `.steps`:
-            {rate: steps between messages, 0 for none}, see `set_step`; `.qos`: names of the
-            parameters for quality of service, which qos.py reads
+    returns the values; `.rates`: {name: rate in Hz of simulated time, 0 for none}; `.qos`: names of the parameters
+            for quality of service, which qos.py reads
     raises ParameterError
     """
     overrides = {
@@ -355,15 +361,14 @@ def read_parameters(node):
         values.step = values.step or STEP
     elif not (values.estimate or values.continue_from):
         raise ParameterError("parameter estimate: must be true with an accuracy; or choose a method")
-    values.wanted_step = values.step
-    if values.step:
-        set_step(values, values.step)
+    values.rates = {name: getattr(values, name) for name in RATES}
     values.qos = [name for name in overrides if name.startswith(QOS_PREFIX)]
     for name in values.qos:
         _check_qos(name, overrides[name])
-    if values.record and not values.publish_rate:
+    if values.record and not (values.publish_rate or values.record_rate):
         raise ParameterError(
-            "parameter publish_rate: must be greater than 0 to record, because a recording consists of poses and twists"
+            "parameter publish_rate: must be greater than 0 to record, because a recording consists of poses and "
+            "twists; or set record_rate"
         )
     return values
 
@@ -380,21 +385,10 @@ def bodies_of(text, bodies):
     return tuple(body for body in bodies if body in names)
 
 
-def set_step(values, step):
-    """Set `.step` and with it `.steps` of the values, and log the rates that are not those of whole steps."""
-    values.steps = {name: steps_of(name, getattr(values, name), step) for name in RATES}
-    values.step = step
-
-
 def fitting_steps(values):
-    """Step sizes for an accuracy, long to short; they divide the shortest period, and the others if possible."""
-    rates = [getattr(values, name) for name in RATES if getattr(values, name)]
-    shortest = 1.0 / max(rates, default=1.0 / STEPS[0])
-    parts = (shortest / k for k in range(1, MOST_PARTS + 1))
-    longest = next((part for part in parts if all(_is_whole(1.0 / (rate * part)) for rate in rates)), shortest)
-    # In the order of the default steps, each once.
-    usual = default_steps(values.accuracy_horizon)
-    return list(dict.fromkeys(longest / math.ceil(longest / s * (1.0 - 1e-9)) for s in usual))
+    """Step sizes for an accuracy, long to short: none is longer than the shortest period of a rate."""
+    most = max(values.rates.values())
+    return [step for step in default_steps(values.accuracy_horizon) if step * most <= 1.0 + 1e-9]
 
 
 def watch_parameters(node, prepare, changed):
@@ -438,24 +432,6 @@ def watch_parameters(node, prepare, changed):
 def allowed_values(entry):
     """Allowed values of an Entry as text."""
     return _listed(entry.choices) or (_range(entry) if entry.low is not None else _TYPE_NAMES[type(entry.default)])
-
-
-def steps_of(name, rate, step):
-    """Steps in one period of a rate, the nearest whole number; 0 without messages."""
-    if rate == 0.0:
-        return 0
-    steps = 1.0 / (rate * step)
-    whole = max(1, round(steps))
-    if not _is_whole(steps):
-        log.warning(
-            "%s: %g Hz becomes %.6g Hz, a message every %d steps of %g s", name, rate, 1.0 / (whole * step), whole, step
-        )
-    return whole
-
-
-def _is_whole(steps):
-    whole = max(1, round(steps))
-    return abs(steps - whole) <= 1e-6 * whole  # far above round-off, far below one step in any recording
 
 
 def _check_qos(name, value):

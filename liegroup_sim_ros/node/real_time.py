@@ -36,14 +36,16 @@ class RealTime:
 
     simulation : liegroup_core.Simulation
     pacer      : Pacer
+    settle     : function that advances to the end of the present step, where the accuracy may change; false after a
+                 fault
 
     share, share_of_messages : shares of a core that the integration, and messages with recording, take in
                                real time, in the last SHARE_PERIOD; 0 before the first
     factor : real-time factor between the last two calls of `slow`
     """
 
-    def __init__(self, simulation, pacer):
-        self._simulation, self._pacer = simulation, pacer
+    def __init__(self, simulation, pacer, settle=lambda: True):
+        self._simulation, self._pacer, self._settle = simulation, pacer, settle
         self.share = self.share_of_messages = 0.0
         self.factor, self._most = 0.0, (0.0, 0.0)
         self.restart()
@@ -72,14 +74,14 @@ class RealTime:
         self._cpu = self._cpu_of_messages = self._advanced = 0.0
         self._substeps_before = self._simulation.substeps[1]
 
-    def add(self, steps, integration, messages):
-        """Count steps, and the CPU time in s that they and their messages took.
+    def add(self, advanced, integration, messages):
+        """Count simulated time in s, and the CPU time in s that its integration and its messages took.
 
         returns the text of an event if the accuracy was changed, otherwise None
         """
         self._cpu += integration
         self._cpu_of_messages += messages
-        self._advanced += steps * self._simulation.step
+        self._advanced += advanced
         factor = self._pacer.factor
         # The second condition ends the period of a run that is much too slow.
         if factor > 0.0 and (self._advanced >= SHARE_PERIOD * factor or self._cpu >= SHARE_PERIOD):
@@ -110,7 +112,7 @@ class RealTime:
         accuracy, given = min(COARSEST, COARSER * promise["accuracy"]), promise["accuracy"]
         least = share_of_messages + share * self._ratio(substeps, given, COARSEST)
         mainly = share >= MAIN * (share + share_of_messages)
-        if given < COARSEST and substeps > WORTH and least < REACHABLE and mainly:
+        if given < COARSEST and substeps > WORTH and least < REACHABLE and mainly and self._settle():
             self._trial = given, min(self._costs), self._ratio(substeps, given, accuracy)
             self._costs.clear()
             simulation.set_accuracy(accuracy)
@@ -128,7 +130,7 @@ class RealTime:
             return None
         accuracy, before, expected = self._trial
         after, self._trial = min(self._costs), None
-        if helps(before, after, expected):
+        if helps(before, after, expected) or not self._settle():
             return None
         self._helpless = True
         self._costs.clear()

@@ -21,7 +21,7 @@ from . import standard_services
 from .answers import begin
 from .joint_command_topics import JointCommandTopics
 from .outputs import Outputs
-from .parameters import AUTO, ParameterError, bodies_of, fitting_steps, set_step
+from .parameters import AUTO, ParameterError, bodies_of, fitting_steps
 from .qos import QosOverrides
 from .simulation_thread import SimulationServer
 from .streams import NodeStreams
@@ -58,7 +58,6 @@ class SceneRun:
         self.recorder = self.commands = None
         layout = simulation.layout
         self._values, self._more = values, {}
-        self._sample_steps = values.steps["publish_rate"]
         origin, path, part, bag = "", values.record, 1, values.record_metadata or None
         if before is not None:
             start_ns = before.server.stamp_ns + max(1, round(simulation.step * 1e9))
@@ -80,11 +79,10 @@ class SceneRun:
         own = bodies_of(values.body_topics, layout.body_names)
         self.outputs = Outputs(NodeStreams(node, qos), layout, own, values, self._figures)
         if path and (values.record_split_size or values.record_split_duration):
-            # Before the samples: the first sample of a file is its initial state.
-            self.outputs.before.append(self._divide_if_due)
+            self.outputs.at_steps.append(self._divide_if_due)
         self._is_failure_told = False
         if path:
-            self.outputs.after.append(self._add_checkpoint)
+            self.outputs.at_steps.append(self._add_checkpoint)
             self.outputs.attending.append(self._tell_failure)
         base_ns = start_ns - simulation.time_ns
         self.server = SimulationServer(
@@ -151,18 +149,16 @@ class SceneRun:
             self.simulation,
             self._node.get_fully_qualified_name(),
             values.world_frame,
-            self._sample_steps,
+            attachments.steps_per_sample(values.record_rate or values.publish_rate, self.simulation.step),
             self.outputs.topics(),
             stamp_ns,
             state=state,
-            parameters={
-                name: value for name, value in vars(values).items() if name not in ("steps", "qos", "wanted_step")
-            },
+            parameters={name: value for name, value in vars(values).items() if name not in ("rates", "qos")},
             frame_prefix=values.frame_prefix,
             **self._more,
         )
 
-    def _divide_if_due(self, stamp_ns, sample):
+    def _divide_if_due(self, stamp_ns):
         """Continue the recording in a new file if one is due; runs in the simulation thread."""
         recorder, simulation = self.recorder, self.simulation
         if recorder is not None and recorder.is_part_due(stamp_ns):
@@ -171,9 +167,9 @@ class SceneRun:
             self._attach_pacing()
             self._more = {"part": recorder.part + 1, "previous": recorder.path.name, "sequences": recorder.sequences}
             recorder.divide(self._attachments(stamp_ns, self.server.state))
-            self.outputs.record_acting(stamp_ns, sample)
+            self.outputs.record_acting(stamp_ns, simulation.sample())
 
-    def _add_checkpoint(self, stamp_ns, _):
+    def _add_checkpoint(self, stamp_ns):
         self._checkpoints.add_if_due(stamp_ns)
 
     def _tell_failure(self, stamp_ns):
@@ -291,7 +287,6 @@ def _continued(values):
         simulation, stamp_ns = branches.at(values.continue_at, values.continue_inputs)
     except (RecordingError, ReplayError) as error:
         raise ParameterError(f"parameter continue_from: {error}") from None
-    set_step(values, simulation.step)
     return simulation, stamp_ns
 
 
@@ -306,12 +301,11 @@ def _from_scene(values, scene):
         else:
             simulation = Simulation(
                 scene,
-                step=values.wanted_step or fitting_steps(values),
+                step=values.step or fitting_steps(values),
                 **common,
                 accuracy=values.accuracy,
                 horizon=values.accuracy_horizon,
             )
-            set_step(values, simulation.step)
     except SceneError:
         raise
     except ValueError as error:

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Commands of other threads to the simulation thread: pause, step, reset, states, snapshots.
 
-They are executed between two steps, in the simulation thread. Imports no ROS.
+They are executed between two outputs, in the simulation thread; those that keep or change the state first go on
+to the end of the step. Imports no ROS.
 """
 
 import math
@@ -57,10 +58,16 @@ class SimulationCommands:
         if self.state == "faulted":
             raise CommandError("the simulation has stopped with an error: call ~/reset first")
 
+    def _settle(self):
+        """Go on to the end of the step, whose state is exact."""
+        self._finish_step()
+        self._refuse_if_faulted()
+
     def _pause(self):
         self._refuse_if_faulted()
         if self.state == "paused":
             return "already paused"
+        self._settle()
         self.state = "paused"
         self.pacer.stop()
         self._event("pause", f"paused at step {self._simulation.steps}")
@@ -92,6 +99,7 @@ class SimulationCommands:
         self._refuse_if_faulted()
         if name not in self._snapshots and len(self._snapshots) >= MOST_SNAPSHOTS:
             raise CommandError(f"there are {MOST_SNAPSHOTS} snapshots already: save under the name of one of them")
+        self._settle()
         self._snapshots[name] = self._present()[1:]
         self._event("save", f"{name}, step {self._simulation.steps}")
         return f"saved {name!r} at {self._seconds():.9g} s, step {self._simulation.steps}"
@@ -105,6 +113,7 @@ class SimulationCommands:
 
     def _present(self):
         """(stamp in ns, state, followed trajectories), of which `_set` takes the last two."""
+        self._finish_step()
         self._inbox.deliver(self._base_ns, self._simulation.time)
         return self.stamp_ns, self._simulation.snapshot(), self._inbox.snapshot()
 
@@ -123,6 +132,8 @@ class SimulationCommands:
     def _restart(self, name, text, result):
         """Continue from a state that was set in the simulation; send the event and all outputs."""
         self._send_reports("finish")
+        self._rates.restart()
+        self._step_seen = None
         self.stamp_ns = self._next_stamp()
         self._base_ns = self.stamp_ns - self._simulation.time_ns
         self._inbox.discard()
@@ -131,7 +142,7 @@ class SimulationCommands:
         self._event(name, text)
         self._send_reports("begin")
         self._send_present()
-        self._send_outputs(everything=True)
+        self._send_outputs(self.stamp_ns, everything=True)
         self._reference_energy = self._simulation.sample().energy
         if self.state == "faulted":
             self.state = self._state_before_fault
@@ -152,13 +163,13 @@ class SimulationCommands:
         if self.state != "paused":
             raise CommandError("the simulation is running: call ~/pause first")
         first, end = self._simulation.steps, time.monotonic() + seconds
-        reached = self._advance(first + count, lambda: time.monotonic() >= end)
+        reached = self._advance(count, lambda: time.monotonic() >= end)
         return self._simulation.steps - first, reached
 
     def _stepped(self, done):
         """Send all outputs and the event after steps that were taken while paused."""
         if self.state != "faulted":
-            self._send_outputs(everything=True)
+            self._send_outputs(self._stamp(self._simulation.steps), everything=True)
         steps = counted(done, "step")
         self._event("step", f"{steps}, at step {self._simulation.steps}")
         return f"{steps}, at {self._seconds():.9g} s"
@@ -179,8 +190,9 @@ class SimulationCommands:
         return "the rates of the topics have changed"
 
     def _accuracy(self, accuracy):
-        if self.stamp_ns != self._stamp(self._simulation.steps):
-            self._send_outputs()  # a recording repeats the change at the stamp of its event
+        self._finish_step()
+        if self.stamp_ns != (stamp_ns := self._stamp(self._simulation.steps)):
+            self._send_outputs(stamp_ns)  # a recording repeats the change at the stamp of its event
         try:
             self._simulation.set_accuracy(accuracy)
         except ValueError as error:
@@ -206,7 +218,7 @@ class SimulationCommands:
         return f"wrenches of {prefix} end with the next step"
 
     def _sample(self):
-        return Moment(self.stamp_ns, self._simulation.sample(), self.state)
+        return Moment(self.stamp_ns, self._sample_now(), self.state)
 
     def _hold(self):
         if self.state == "faulted":  # keep a later reset from starting it again

@@ -2,10 +2,10 @@
 """Simulation thread: paces and advances the simulation, executes commands, calls the outputs.
 
 No other thread accesses the simulation. Commands and wrenches arrive from other threads and take
-effect between two steps. Samples, clock, applied wrenches, events and diagnostics go to an output
-object (Outputs in outputs.py). Stamps are simulated time in integer nanoseconds and increase
-monotonically: a reset restarts the step count, but the stamps continue one step after the last one.
-Imports no ROS.
+effect between two outputs. Samples, clock, applied wrenches, events and diagnostics go to an output
+object (Outputs in outputs.py), each at its own rate. Stamps are simulated time in integer nanoseconds and
+increase monotonically: a reset restarts the step count, but the stamps continue one step after the last one.
+Between two steps, outputs have interpolated states. Imports no ROS.
 """
 
 import logging
@@ -25,6 +25,7 @@ from liegroup_sim_ros.messages.joint_modes import JointReports
 
 from .figures import Saturation, error_figures, pacing_figures
 from .inbox import Inbox
+from .rates import Output, Rates
 from .real_time import RealTime
 from .simulation_commands import COMMANDS, CommandError, SimulationCommands
 
@@ -33,17 +34,15 @@ log = logging.getLogger("liegroup_core")
 DIAGNOSTICS_PERIOD = 1.0  # s of wall time
 HALTING = 0.05  # s between two attempts to halt the simulation
 _start_ns = attrgetter("start_ns")
-IDLE_TICK = 0.01  # s of simulated time between two ticks if no output has a period
 
 
 class SimulationServer(SimulationCommands, threading.Thread):
     """Thread that runs a simulation in real time.
 
     simulation : liegroup_core.Simulation; only this thread uses it from `start` to its end
-    output     : Outputs, or an object with the attributes timed, clock_steps, state_steps, targets,
-                 motions, impulses and the methods clock, state, inputs, all_inputs, servo_targets,
-                 prescribed, event, diagnostics; joint_modes if joints have stops or friction; impact
-                 if impulses is not empty
+    output     : Outputs, or an object with the attributes timed, state_rate, targets, motions, impulses and
+                 the methods at_step, state, inputs, all_inputs, servo_targets, prescribed, event, diagnostics;
+                 joint_modes if joints have stops or friction; impact if impulses is not empty
     factor     : real-time factor, 0: as fast as possible
     follow_period : s, during which wanted values of a trajectory are constant
     motion_time   : s, in which a driven joint comes to rest
@@ -89,10 +88,11 @@ class SimulationServer(SimulationCommands, threading.Thread):
         self._watch(watching)
         self._reference_energy = None  # J, at the last known instant without an applied wrench
         self.pacer = Pacer(factor, sleep=self._wake.wait)
-        self._real_time = RealTime(simulation, self.pacer)
+        self._real_time = RealTime(simulation, self.pacer, self._finish_step)
         self.state = "paused" if paused else "running"
         self._state_before_fault = self.state
-        self.stamp_ns = self._stamp(simulation.steps)
+        self.stamp_ns = base_ns + simulation.time_ns
+        self._step_seen = None  # at the last call of `at_step`
         self.failure = None
 
     # From other threads:
@@ -180,16 +180,14 @@ class SimulationServer(SimulationCommands, threading.Thread):
                     future.cancel()
 
     def _plan(self):
-        """Take over the periods of the outputs."""
+        """Take over the rates of the outputs."""
         output = self._output
-        self._timed = [*output.timed, *([(output.state_steps, self._send_state)] if output.state_steps else [])]
-        self._sent_ns = [None] * len(self._timed)  # stamp of the last message of each
-        periods = {steps for steps, _ in self._timed} | {output.clock_steps} - {0}
-        # A period that is a multiple of another one needs no ticks of its own.
-        self._periods = [
-            period for period in periods if not any(period % other == 0 for other in periods - {period})
-        ] or [max(1, round(IDLE_TICK / self._simulation.step))]
-        self._sample_steps = output.sample_steps
+        self._rates = Rates(
+            [
+                *output.timed,
+                *([Output(output.state_rate, self._send_state, answers=False)] if output.state_rate else []),
+            ]
+        )
 
     def _begin(self):
         scene = self._simulation.scene.name
@@ -199,7 +197,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
         self._send_reports("begin")
         if self._output.impulses:
             self._simulation.drain_impacts()  # the simulation collects impacts from here on
-        self._send_outputs(everything=steps > 0)
+        self._send_outputs(self.stamp_ns, everything=True)
         self._reference_energy = self._simulation.sample().energy
         self._next_diagnostics = time.monotonic() + DIAGNOSTICS_PERIOD
         if self.state == "running":
@@ -210,20 +208,18 @@ class SimulationServer(SimulationCommands, threading.Thread):
         idle = max(0.0, self._next_diagnostics - time.monotonic())
         if self.state == "running":
             tick = self._next_tick()
-            if self._unseen is None and self._inbox.acts_before(self._stamp(tick)):
+            if self._unseen is None and self._inbox.acts_before(tick):
                 self._unseen = self._seconds()
             # The next sample after an input is sent at once, at most one period early.
-            if self.pacer.wait(self._stamp(tick) * 1e-9, idle, self._unseen):
-                if tick % self._sample_steps == 0:
-                    self._unseen = None
-                self._advance_to(tick)
+            if self.pacer.wait(tick * 1e-9, idle, self._unseen) and self._advance_to(tick):
+                self._keep_to_real_time()
         else:
             self._wake.wait(idle)
         if time.monotonic() >= self._next_diagnostics:
             slow = self._real_time.slow(self.state == "running")
             if slow:
                 self._warn_once("slow", slow)
-            self._output.diagnostics(self.stamp_ns, self._figures(self._simulation.sample()))
+            self._output.diagnostics(self.stamp_ns, self._figures(self._sample_now()))
             self._next_diagnostics = max(self._next_diagnostics + DIAGNOSTICS_PERIOD, time.monotonic())
 
     def _execute_commands(self):
@@ -236,56 +232,77 @@ class SimulationServer(SimulationCommands, threading.Thread):
                 future.set_exception(error)
 
     def _stamp(self, steps):
-        return self._base_ns + round(steps * self._simulation.step * 1e9)
+        return self._base_ns + self._simulation.step_ns(steps)
 
     def _seconds(self):
         return self.stamp_ns * 1e-9
 
     def _next_tick(self):
-        """Next step with an output; ticks stay on their grid after single steps."""
-        steps = self._simulation.steps
-        return min([(steps // period + 1) * period for period in self._periods])
+        """Stamp of the next output; they stay on their multiples after single steps."""
+        return self._base_ns + self._rates.after(self.stamp_ns - self._base_ns)
 
-    def _advance(self, end, enough):
-        """Advance towards step `end` and send all outputs before it, until `enough()`.
+    def _advance(self, count, enough):
+        """Advance a number of steps and send all outputs before their end, until `enough()`.
 
         returns False if an error or the end of the thread stopped it
         """
-        while self._simulation.steps < end:
-            if not self._advance_to(min(end, self._next_tick()), enough):
+        simulation = self._simulation
+        last = simulation.steps + count
+        while simulation.steps < last:
+            if not self._advance_to(min(self._stamp(last), self._next_tick()), enough):
                 return False
             if enough():
                 break
         return not self._stopping
 
+    def _finish_step(self):
+        """Advance to the end of the present step, if outputs were sent in it; returns False after a fault."""
+        simulation = self._simulation
+        while self.stamp_ns > self._stamp(simulation.steps):
+            if not self._advance_to(min(self._stamp(simulation.steps + 1), self._next_tick())):
+                return False
+        return not self._stopping
+
     def _advance_to(self, tick, enough=lambda: False):
-        """Advance to step `tick` and send its outputs, unless `enough()` before; returns False after a fault."""
-        self._inbox.deliver(self._base_ns, tick * self._simulation.step)
+        """Advance to a stamp and send its outputs, unless `enough()` before; returns False after a fault."""
+        simulation = self._simulation
+        instant = simulation.instant_of(tick - self._base_ns)
+        self._inbox.deliver(self._base_ns, instant.time)
         if changes := self._send_commands():
             self._send_changes(self.stamp_ns, changes)
-        began, first = time.thread_time(), self._simulation.steps
+        began, before = time.thread_time(), self.stamp_ns
+        sample = None
         try:
-            self._simulation.advance(tick - first, lambda: self._stopping or enough())
+            if instant.step > simulation.steps:
+                simulation.advance(instant.step - simulation.steps, lambda: self._stopping or enough())
+                if simulation.steps < instant.step:
+                    return not self._stopping
+            simulation.reach(instant)
+            if instant.offset:
+                sample = simulation.sample_at(instant)
         except SimulationError as error:
-            self._fault(str(error))
+            if not self._stopping:
+                self._fault(str(error))
             return False
-        if self._simulation.steps < tick:
-            return not self._stopping
         integrated = time.thread_time()
-        self._send_outputs()
-        sent = time.thread_time()
-        if self.state == "running":
-            text = self._real_time.add(tick - first, integrated - began, sent - integrated)
-            if text:
-                if self._simulation.accurate_until == math.inf:
-                    self._said.discard("inaccurate")
-                log.warning(text)
-                self._event("accuracy", text)
+        self._send_outputs(tick, sample)
+        self._spent = (tick - before) * 1e-9, integrated - began, time.thread_time() - integrated
         return True
 
-    def _send_outputs(self, everything=False):
-        """Send the outputs of the current step, in the order of their stamps."""
-        steps = self._simulation.steps
+    def _keep_to_real_time(self):
+        """Make the accuracy coarser, and say so, if the last advance shows that real time requires it."""
+        text = self._real_time.add(*self._spent)
+        if text:
+            if self._simulation.accurate_until == math.inf:
+                self._said.discard("inaccurate")
+            log.warning(text)
+            self._event("accuracy", text)
+
+    def _send_outputs(self, stamp_ns, sample=None, everything=False):
+        """Send the outputs up to a stamp, in the order of their stamps.
+
+        sample : of this stamp, within the present step; None: the stamp is that of the step
+        """
         due = [
             (round(time_ns), partial(self._send_changes, self._base_ns + round(time_ns), list(changes)))
             for time_ns, changes in groupby(self._send_commands(), _start_ns)
@@ -300,24 +317,24 @@ class SimulationServer(SimulationCommands, threading.Thread):
             due.sort(key=itemgetter(0))
         for _, send in due:
             send()
-        self.stamp_ns = self._stamp(steps)
+        if self._simulation.steps != self._step_seen:
+            self._step_seen = self._simulation.steps
+            self._output.at_step(self._stamp(self._step_seen))
+        self.stamp_ns = stamp_ns
         self._tell_of_the_error()
-        period = self._output.clock_steps
-        if period and (everything or steps % period == 0):
-            self._output.clock(self.stamp_ns)
-        sample = None
-        for i, (period, send) in enumerate(self._timed):
-            if (everything or steps % period == 0) and self._sent_ns[i] != self.stamp_ns:
-                self._sent_ns[i] = self.stamp_ns
+        for output in self._rates.due(stamp_ns - self._base_ns, stamp_ns, everything):
+            if output.of_state:
                 sample = sample or self._simulation.sample()
-                send(self.stamp_ns, sample)
+                if output.answers:
+                    self._unseen = None
+            output.send(stamp_ns, sample)
         if self._watching:
             sample = sample or self._simulation.sample()
             self._keep_positions(sample)
         if sample is not None:
             for joint in self._saturation.reached(sample):
-                effort, now = sample.servo_efforts[joint], self._simulation.time
-                self._warn_once("saturated", events.saturated(effort, joint, now), joint)
+                text = events.saturated(sample.servo_efforts[joint], joint, sample.time)
+                self._warn_once("saturated", text, joint)
 
     def _send_report(self, report):
         """Send a Report on joints with stops or friction."""
@@ -389,8 +406,15 @@ class SimulationServer(SimulationCommands, threading.Thread):
     def _event(self, name, text, failed=False):
         self._output.event(self.stamp_ns, name, text, failed)
 
+    def _sample_now(self):
+        """Sample of the last stamp."""
+        simulation = self._simulation
+        return simulation.sample_at(simulation.instant_of(self.stamp_ns - self._base_ns))
+
     def _fault(self, text):
-        self._send_outputs(everything=True)
+        stamp_ns = self._stamp(self._simulation.steps)
+        if stamp_ns >= self.stamp_ns:
+            self._send_outputs(stamp_ns, everything=True)
         self._state_before_fault = self.state
         self.state = "faulted"
         self.pacer.stop()

@@ -112,6 +112,12 @@ def settings(simulation, sample_steps):
     }
 
 
+def steps_per_sample(rate, step):
+    """Steps of a size in s between two samples of a rate in Hz; an int if it is whole."""
+    steps = 1.0 / (rate * step)
+    return round(steps) if abs(steps - round(steps)) <= 1e-9 * steps else steps
+
+
 def _promise(simulation):
     """The requested accuracy, even if real time has made it coarser: a reset returns to it."""
     promise = simulation.promise

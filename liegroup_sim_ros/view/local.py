@@ -58,15 +58,10 @@ class Local(Source):
         sample = simulation.sample()
         self._simulation, self._newest = simulation, Frame(start_ns * 1e-9, sample, sample.bound)
         self.history.add(self._newest)
-        every = max(1, round(1.0 / (RATE * simulation.step)))
+        rates = {"publish_rate": RATE, "record_rate": 0.0, "state_rate": 0.0, "clock_rate": 0.0}
         with_errors = sample.errors is not None
         values = SimpleNamespace(
-            steps={"publish_rate": every, "state_rate": 0, "clock_rate": 0},
-            world_frame="world",
-            frame_prefix="",
-            arrow_scale=1.0,
-            estimate=with_errors,
-            tf_links="all",
+            rates=rates, world_frame="world", frame_prefix="", arrow_scale=1.0, estimate=with_errors, tf_links="all"
         )
         outputs = _Outputs(Streams(NAME), self.layout, self.layout.body_names, values, dict)
         outputs.tell = self.tell
@@ -77,10 +72,11 @@ class Local(Source):
         self._recorder = None
         if record:
             state = "paused" if paused else "running"
+            every = attachments.steps_per_sample(RATE, simulation.step)
             start = attachments.at_start(simulation, NAME, "world", every, outputs.topics(), start_ns, state=state)
             self._recorder = Recorder(record, start, continues=False)
             checkpoints = Checkpoints(self._recorder, simulation)
-            outputs.after.append(lambda stamp_ns, _: checkpoints.add_if_due(stamp_ns))
+            outputs.at_steps.append(checkpoints.add_if_due)
             outputs.record_to(self._recorder)
         self._marks, self._marked, self._marking = [], -MARKS, threading.Lock()
         self._every = MARKS

@@ -28,7 +28,7 @@ from liegroup_sim_ros.messages import events as events_of_runs
 from liegroup_sim_ros.messages.commands import Point
 from liegroup_sim_ros.node import real_time
 from liegroup_sim_ros.node.joint_command_input import JointEffort, Target
-from liegroup_sim_ros.node.parameters import TABLE, fitting_steps, set_step
+from liegroup_sim_ros.node.parameters import RATES, TABLE, fitting_steps
 from liegroup_sim_ros.node.scene_run import PART_STEPS, SceneRun
 from liegroup_sim_ros.node.trajectory import Trajectory
 from liegroup_sim_ros.node.wrench_input import Push
@@ -149,10 +149,10 @@ def scene_run(ros_node, scene, before=None, **parameters):
     """SceneRun of the node's own parts, in this process."""
     values = SimpleNamespace(**{entry.name: entry.usual for entry in TABLE} | parameters, qos=[])
     values.record = str(values.record)
+    values.rates = {name: getattr(values, name) for name in RATES}
     simulation = Simulation(
         load_scene(scene), step=fitting_steps(values), accuracy=values.accuracy, horizon=values.accuracy_horizon
     )
-    set_step(values, simulation.step)
     return SceneRun(ros_node, values, simulation, before)
 
 

@@ -4,6 +4,7 @@
 import re
 import signal
 import time
+from fractions import Fraction
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,7 +19,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
 from liegroup_sim_ros.node.parameter_texts import preset_text, table_text
-from liegroup_sim_ros.node.parameters import TABLE, check, fitting_steps, steps_of
+from liegroup_sim_ros.node.parameters import RATES, TABLE, check, fitting_steps
+from liegroup_sim_ros.node.rates import Output, Rates
 
 STEP_NS = 1_000_000
 PERIOD_NS = 10 * STEP_NS
@@ -329,46 +331,62 @@ def test_every_preset_has_valid_parameters(path):
     given = yaml.safe_load(path.read_text())["/**"]["ros__parameters"]
     for name, value in given.items():
         assert check(name, value) == value
-    values = SimpleNamespace(**{entry.name: entry.default for entry in TABLE} | given)
-    assert 1e-3 <= fitting_steps(values)[0] <= 1e-2
+    assert 1e-3 <= fitting_steps(values_of(given))[0] <= 1e-2
 
 
 @pytest.mark.parametrize(
-    "rates, longest, count",
+    "rates, longest",
     [
-        ({}, 0.01, 1),
-        ({"publish_rate": 1000.0}, 0.001, 1),
-        ({"clock_rate": 30.0}, 1 / 300, 3),  # steps in the shortest period
-        ({"publish_rate": 300.0}, 1 / 300, 1),
-        ({"publish_rate": 333.0}, 1 / 333, 1),  # no step divides the other periods, too
-        ({"accuracy_horizon": 0.05}, 0.001, 10),
-        ({"publish_rate": 1.0, "clock_rate": 0.0, "state_rate": 0.0}, 0.01, 5),
-        ({"publish_rate": 0.0, "clock_rate": 0.0, "state_rate": 0.0}, 0.01, None),
+        ({}, 0.01),
+        ({"publish_rate": 1000.0}, 0.001),
+        ({"clock_rate": 30.0}, 0.01),
+        ({"publish_rate": 333.0}, 0.002),
+        ({"accuracy_horizon": 0.05}, 0.001),
+        ({"publish_rate": 1e5}, 1e-5),
+        ({"publish_rate": 1.0, "clock_rate": 0.0, "state_rate": 0.0}, 0.01),
     ],
 )
-def test_an_accuracy_has_steps_that_divide_the_periods_of_the_rates(rates, longest, count):
-    """From at most 10 ms downwards, as long as possible; all periods if possible, and the shortest always."""
-    rates |= {} if rates.get("publish_rate", 1.0) else {"joint_state_rate": 0.0, "tf_rate": 0.0, "marker_rate": 0.0}
-    values = SimpleNamespace(**{entry.name: entry.default for entry in TABLE} | rates)
+def test_steps_of_an_accuracy_are_not_longer_than_the_shortest_period(rates, longest):
+    values = values_of(rates)
     steps = fitting_steps(values)
-    assert steps[0] == pytest.approx(longest, rel=1e-12) and steps[-1] < 1e-6
+    assert steps[0] == longest and steps[-1] < 1e-6
     assert all(after < before for before, after in zip(steps, steps[1:]))
-    used = [getattr(values, name) for name in vars(values) if name.endswith("_rate")]
-    for step in steps:
-        for rate in filter(None, used if 333.0 not in used else [333.0]):
-            assert 1.0 / (rate * step) == pytest.approx(round(1.0 / (rate * step)), rel=1e-6)
-    if count:
-        assert 1.0 / (max(used) * steps[0]) == pytest.approx(count)
 
 
-def test_a_rate_that_is_not_one_of_whole_steps_becomes_the_nearest_one(caplog):
-    assert steps_of("publish_rate", 100.0, 0.001) == 10 and steps_of("publish_rate", 0.0, 0.001) == 0
-    assert not caplog.records
-    assert steps_of("publish_rate", 300.0, 0.001) == 3 and steps_of("clock_rate", 1e5, 0.001) == 1
-    assert [record.getMessage() for record in caplog.records] == [
-        "publish_rate: 300 Hz becomes 333.333 Hz, a message every 3 steps of 0.001 s",
-        "clock_rate: 100000 Hz becomes 1000 Hz, a message every 1 steps of 0.001 s",
-    ]
+def values_of(given):
+    values = SimpleNamespace(**{entry.name: entry.default for entry in TABLE} | given)
+    values.rates = {name: getattr(values, name) for name in RATES}
+    return values
+
+
+@pytest.mark.parametrize("rate", [1e5, 1e4, 1000.0, 333.0, 30.0, 333.3, 1.0 / 3.0, 1e-3])
+def test_outputs_are_due_at_exact_multiples_of_their_periods(rate):
+    """Multiples of the exact period, rounded to ns, from any time on: against fractions, after hours, too."""
+    rates = Rates([Output(rate, print), Output(100.0, print)])
+    period = 1 / Fraction(rate)
+    for start in (0, 10**9 - 1, 86_400 * 10**9 + 1):
+        now, rates_of = start, []
+        for _ in range(50):
+            before, now = now, rates.after(now)
+            rates_of += [output.rate for output in rates.due(now, now)]
+            assert now > before
+        expected = {}
+        for each in (period, Fraction(1, 100)):
+            number = int(start * Fraction(1, 10**9) / each)
+            times = (int(n * each * 10**9 + Fraction(1, 2)) for n in range(number, number + 60))
+            for at in times:
+                expected.setdefault(at, []).append(1 / each)
+        due = sorted(at for at in expected if start < at <= now)
+        assert len(due) == 50 and due[-1] == now
+        assert rates_of == [float(each) for at in due for each in expected[at]]
+
+
+def test_an_output_is_sent_once_with_a_stamp():
+    rates = Rates([Output(100.0, print)])
+    assert rates.due(0, 0, everything=True) and not rates.due(0, 0, everything=True)
+    assert rates.after(0) == 10**7 and rates.due(10**7, 10**7) and not rates.due(10**7, 10**7, everything=True)
+    rates.restart()
+    assert rates.after(0) == 10**7
 
 
 def test_the_table_of_parameters_for_the_documentation_has_all_of_them():
