@@ -44,15 +44,15 @@ class NoisySensor(Sensor):
     seed: Seed = Field(0, description="seed of the noise, a whole number")
 
     def read(self, sample):
-        """Measured numbers with white noise, which is the same at the same step in every run.
+        """Measured numbers with white noise, which is the same at the same time in every run.
 
         The noise is sampled from a counter-based generator (Philox). Its key is the seed and the sensor's
-        name, its counter the step. So it has no state, and a run is bit-identical from any step on.
+        name, its counter the time in ns. So it has no state, and a run is bit-identical from any step on.
         """
         values, noise = self.measure(sample), self.noise
         if noise.any():
             key = [self.seed, zlib.crc32(self.name.encode())]
-            bits = np.random.Philox(key=key, counter=[0, 0, 0, sample.steps])
+            bits = np.random.Philox(key=key, counter=[0, 0, 0, sample.time_ns])
             values = values + noise * np.random.Generator(bits).standard_normal(len(noise))
         return values
 

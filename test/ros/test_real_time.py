@@ -45,7 +45,7 @@ class Run:
             accuracy, simulated = self.promise["accuracy"], PERIOD * STEP
             self.substeps = (0, self.substeps[1] + PERIOD * self._substeps(accuracy))
             given = (part(accuracy) * simulated * more() for part in (self._integration, self._messages))
-            if text := self.real.add(PERIOD, *given):
+            if text := self.real.add(simulated, *given):
                 self.texts.append(text)
         assert [events.number(text) for text in self.texts] == pytest.approx(self.accuracies[1:])
         return self.accuracies

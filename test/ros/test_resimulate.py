@@ -15,7 +15,7 @@ from liegroup_core import Simulation, load_scene
 from liegroup_core.methods.table import METHODS
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.commands.main import main
-from liegroup_sim_ros.node.parameters import TABLE
+from liegroup_sim_ros.node.parameters import RATES, TABLE
 from liegroup_sim_ros.node.scene_run import SceneRun
 from liegroup_sim_ros.node.wrench_input import Push
 from liegroup_sim_ros.playback.resimulate import report, resimulate
@@ -47,9 +47,8 @@ def values(path):
     found = SimpleNamespace(**{entry.name: entry.default for entry in TABLE})
     found.record, found.real_time_factor = str(path), 2.0
     found.record_split_duration = 0.05
-    found.steps = {entry.name: 0 for entry in TABLE if entry.name.endswith("_rate")}
-    found.qos = []
-    found.steps |= {"publish_rate": 2, "clock_rate": 5, "joint_state_rate": 0}
+    found.publish_rate, found.qos = 1.0 / (2 * STEP), []
+    found.rates = dict.fromkeys(RATES, 0.0) | {"publish_rate": found.publish_rate, "clock_rate": 1.0 / (5 * STEP)}
     return found
 
 
