@@ -459,7 +459,7 @@ class Engine:
 
     def instant_after(self, steps, part):
         """Instant some steps and a part of one after the present one."""
-        return self._grid.end(self.steps + steps, part)
+        return self._grid.end(self.steps + steps, part) if part else self._grid.boundary(self.steps + steps)
 
     def instant_of(self, time_ns):
         """Instant of a time in whole ns."""
@@ -477,8 +477,8 @@ class Engine:
             return self.state()
 
     def _go_to(self, instant):
-        """Advance to an Instant, with a part of a step at its end."""
-        self._advance(instant.step - self.steps)
+        """Advance to an Instant, with a part of a step at its end; without what a subclass does in addition."""
+        Engine._advance(self, instant.step - self.steps)
         if instant.offset:
             start = self._present()
             self.inputs.update(start)
@@ -507,6 +507,8 @@ class Engine:
 
     def _next_change(self):
         """Instant after the present one before which no input changes."""
+        if not (self._timetable or self.inputs.schedule):
+            return AFTER
         present = self._present()
         return min(self._timetable.next_after(present), self.inputs.schedule.next_after(present))
 
@@ -516,7 +518,8 @@ class Engine:
         What it integrates for that is undone if inputs or tolerances change, so that a run does not depend on it.
         """
         start = self._present()
-        self.inputs.update(start)
+        if self.inputs.schedule:
+            self.inputs.update(start)
         if self._before is None and not self.covers(end):
             self._before = [array.copy() for array in self._memory], self._integrator.spent
         pose, twist, angle = self._pose.copy(), self._twist.copy(), self._work.angle.copy()

@@ -35,6 +35,10 @@ COMMANDS = {
     "trade": "measure accuracy against cost for a scene on this machine",
     "extremes": "stress-test the methods and report where they fail",
     "sweep": "run a scene with many sampled parameters, into Parquet",
+    "linearise": "A, B, C, D of a scene or along a recording, with poles and zeros",
+    "modes": "frequencies, damping and shapes of the modes of a scene, with loops",
+    "trim": "find equilibria, steady motions, and the inputs that hold a pose",
+    "inverse": "the efforts that a motion needs, with energy and power",
     "run": "simulate offline and write the trajectory to a file (no ROS needed)",
     "analyze": "report the numerical error of recordings",
     "replay": "publish a recording again, or simulate it again and compare",
@@ -45,7 +49,20 @@ COMMANDS = {
     "figures": "draw Figs. 6.2 and 6.4 to 6.9 of the chapter",
 }
 # Subcommands that read scenes and robots.
-READERS = ("import", "describe", "trade", "extremes", "sweep", "run", "view", "analyze")
+READERS = (
+    "import",
+    "describe",
+    "trade",
+    "extremes",
+    "sweep",
+    "run",
+    "view",
+    "analyze",
+    "linearise",
+    "modes",
+    "trim",
+    "inverse",
+)
 FULL = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)  # stdout is redirected to a file that cannot grow
 EXIT_WRONG_INPUT, EXIT_INTERRUPTED, EXIT_UNREAD = 2, 130, 141
 

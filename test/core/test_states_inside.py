@@ -188,3 +188,27 @@ def test_a_run_with_cleared_pushes_does_not_depend_on_what_is_read():
                 assert np.isfinite(simulation.largest_error) and simulation.sample(simulation.time + 1e-3).time
         runs.append(simulation)
     assert runs[0].snapshot() == runs[1].snapshot()
+
+
+@pytest.mark.parametrize("name", ["four_bar", "gripper", "heavy_top"])
+def test_commands_between_states_begin_where_the_caller_is(name):
+    """At 900 Hz from the start on: a state, then a wrench without a start; and the same with starts, unread."""
+
+    def driven(reads):
+        simulation = Simulation(load_scene(name), step=0.01, quiet=True)
+        body = simulation.layout.body_names[-1]
+        for k in range(1, 180):
+            time = k / 900.0
+            simulation.advance_to(time)
+            if reads:
+                assert simulation.reached == pytest.approx(time, abs=1e-9)
+                simulation.sample(time)
+            wrench = (0, 0, 0, 0, np.sin(k), 0)
+            simulation.apply_wrench(body, wrench, None if reads else round(time * 1e9) * 1e-9, 0.05)
+        simulation.advance(3)
+        return simulation
+
+    one, other = driven(True), driven(False)
+    assert one.snapshot() == other.snapshot() and one.drain_applied() == other.drain_applied()
+    one.restore(other.snapshot())
+    assert one.reached == one.time

@@ -150,9 +150,9 @@ def scene_run(ros_node, scene, before=None, **parameters):
     values = SimpleNamespace(**{entry.name: entry.usual for entry in TABLE} | parameters, qos=[])
     values.record = str(values.record)
     values.rates = {name: getattr(values, name) for name in RATES}
-    simulation = Simulation(
-        load_scene(scene), step=fitting_steps(values), accuracy=values.accuracy, horizon=values.accuracy_horizon
-    )
+    scene = load_scene(scene)
+    steps = fitting_steps(values, scene)
+    simulation = Simulation(scene, step=steps, accuracy=values.accuracy, horizon=values.accuracy_horizon)
     return SceneRun(ros_node, values, simulation, before)
 
 

@@ -18,6 +18,7 @@ from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
+from liegroup_core.scene.load import load_scene
 from liegroup_sim_ros.node.parameter_texts import preset_text, table_text
 from liegroup_sim_ros.node.parameters import RATES, TABLE, check, fitting_steps
 from liegroup_sim_ros.node.rates import Output, Rates
@@ -331,7 +332,7 @@ def test_every_preset_has_valid_parameters(path):
     given = yaml.safe_load(path.read_text())["/**"]["ros__parameters"]
     for name, value in given.items():
         assert check(name, value) == value
-    assert 1e-3 <= fitting_steps(values_of(given))[0] <= 1e-2
+    assert 1e-3 <= fitting_steps(values_of(given), load_scene("gripper"))[0] <= 1e-2
 
 
 @pytest.mark.parametrize(
@@ -346,10 +347,11 @@ def test_every_preset_has_valid_parameters(path):
         ({"publish_rate": 1.0, "clock_rate": 0.0, "state_rate": 0.0}, 0.01),
     ],
 )
-def test_steps_of_an_accuracy_are_not_longer_than_the_shortest_period(rates, longest):
+def test_steps_with_stops_are_not_longer_than_the_shortest_period(rates, longest):
     values = values_of(rates)
-    steps = fitting_steps(values)
+    steps = fitting_steps(values, load_scene("gripper"))
     assert steps[0] == longest and steps[-1] < 1e-6
+    assert fitting_steps(values, load_scene("heavy_top"))[0] == min(0.01, 0.02 * values.accuracy_horizon)
     assert all(after < before for before, after in zip(steps, steps[1:]))
 
 

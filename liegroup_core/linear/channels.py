@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Inputs and outputs of a linearised mechanism, by name.
+
+Inputs: JOINT.effort (N m or N), JOINT.target and JOINT.target_velocity of a servo, BODY.torque_x .. BODY.force_z
+in body axes. Outputs: JOINT.position and JOINT.velocity; BODY.rx .. BODY.z, the rotation vector in body axes and
+the displacement in world axes; BODY.wx .. BODY.vz, the twist in body axes; BODY.alpha_x .. BODY.az, the
+acceleration of the body frame in body axes; JOINT.torque_x .. JOINT.force_z, the
+reaction on the child in its joint frame; SENSOR.0, SENSOR.1, ..., without noise and steps of resolution.
+"""
+
+import numpy as np
+import scipy
+
+from liegroup_core.errors import SceneError
+from liegroup_core.fields.values import suggestion
+from liegroup_core.forces.external import set_wrench
+
+WRENCH = ("torque_x", "torque_y", "torque_z", "force_x", "force_y", "force_z")
+POSE, TWIST = ("rx", "ry", "rz", "x", "y", "z"), ("wx", "wy", "wz", "vx", "vy", "vz")
+ACCELERATION = ("alpha_x", "alpha_y", "alpha_z", "ax", "ay", "az")
+# Names that stand for many.
+INPUTS = ("efforts", "targets", "wrenches")
+OUTPUTS = ("joints", "bodies", "twists", "accelerations", "reactions", "sensors")
+
+
+class Inputs:
+    """Inputs of a Probe.
+
+    wanted : names, or those of INPUTS that stand for many; None: targets of all servos and efforts of all joints
+             with one coordinate that are not driven
+    names, units : of the inputs
+    Raises SceneError for an unknown name.
+    """
+
+    def __init__(self, probe, wanted=None):
+        self._probe, layout = probe, probe.layout
+        efforts = {
+            f"{joint}.effort": parts for joint, parts in layout.unit_efforts.items() if joint not in layout.motions
+        }
+        targets = {
+            f"{joint}.{name}": (number, column)
+            for joint, number in layout.servos.items()
+            for column, name in enumerate(("target", "target_velocity"))
+        }
+        wrenches = {
+            f"{body}.{name}": (i, column)
+            for i, body in enumerate(layout.body_names)
+            for column, name in enumerate(WRENCH)
+        }
+        self._kinds = {"efforts": efforts, "targets": targets, "wrenches": wrenches}
+        if wanted is None:
+            wanted = [*(name for name in targets if name.endswith(".target")), *efforts]
+        self.names = _expanded(wanted, self._kinds, "input")
+
+    def __len__(self):
+        return len(self.names)
+
+    @property
+    def sizes(self):
+        """(k,) natural sizes: changes of inputs for differences."""
+        return np.ones(len(self.names))
+
+    def applied(self, u):
+        """(external, wanted) of the Probe with changes u (k,) of the inputs."""
+        probe = self._probe
+        external, targets = probe.external.copy(), probe.wanted.copy()
+        for name, value in zip(self.names, u):
+            if value == 0.0:
+                continue
+            if name in self._kinds["targets"]:
+                number, column = self._kinds["targets"][name]
+                targets[number, column] += value
+            elif name in self._kinds["efforts"]:
+                for body, wrench in self._kinds["efforts"][name]:
+                    _add(external, body, value * wrench)
+            else:
+                body, column = self._kinds["wrenches"][name]
+                _add(external, body, value * np.eye(6)[column])
+        return external, targets
+
+
+def _add(external, body, wrench):
+    """Add a wrench in body axes at the origin of the body frame."""
+    one = external[body : body + 1].copy()
+    one[0, :6] = 0.0
+    set_wrench(one, 0, wrench, "body")
+    external[body, :6] += one[0, :6]
+
+
+class Outputs:
+    """Outputs of a Probe, as functions of a Sample.
+
+    wanted : names, or those of OUTPUTS that stand for many; None: joints
+    names  : of the outputs
+    Raises SceneError for an unknown name.
+    """
+
+    def __init__(self, probe, wanted=None):
+        layout, scene = probe.layout, probe.layout.scene
+        joints = layout.coordinates.names
+        bodies = layout.body_names
+        self._ideal = [_ideal(sensor) for sensor in scene.sensors]
+        sizes = [len(np.atleast_1d(sensor.measure(probe.base))) for sensor in self._ideal]
+        kinds = {
+            "joints": [f"{joint}.{name}" for joint in joints for name in ("position", "velocity")],
+            "bodies": [f"{body}.{name}" for body in bodies for name in POSE],
+            "twists": [f"{body}.{name}" for body in bodies for name in TWIST],
+            "accelerations": [f"{body}.{name}" for body in bodies for name in ACCELERATION],
+            "reactions": [f"{joint}.{name}" for joint in layout.reactions.names for name in WRENCH],
+            "sensors": [f"{each.name}.{k}" for each, size in zip(self._ideal, sizes) for k in range(size)],
+        }
+        self.names = _expanded(["joints"] if wanted is None else wanted, kinds, "output")
+        chosen = set(self.names)
+        self._kinds = [kind for kind, names in kinds.items() if chosen & set(names)]
+        order = [name for kind in self._kinds for name in kinds[kind]]
+        self._places = [order.index(name) for name in self.names]
+        self._turns = probe.base.pose[:, :9].reshape(-1, 3, 3)
+
+    def __len__(self):
+        return len(self.names)
+
+    def of(self, sample):
+        """(k,) outputs of a Sample; rotation vectors are relative to the state."""
+        parts = [getattr(self, f"_{kind}")(sample) for kind in self._kinds]
+        return np.concatenate(parts)[self._places] if parts else np.empty(0)
+
+    def _joints(self, sample):
+        return np.array(list(sample.joint_coordinates.values())).ravel()
+
+    def _bodies(self, sample):
+        turns = self._turns.transpose(0, 2, 1) @ sample.pose[:, :9].reshape(-1, 3, 3)
+        vectors = scipy.spatial.transform.Rotation.from_matrix(turns).as_rotvec()
+        return np.hstack([vectors, sample.pose[:, 9:]]).ravel()
+
+    def _twists(self, sample):
+        return sample.twist.ravel()
+
+    def _accelerations(self, sample):
+        return np.array(list(sample.accelerations.values())).ravel()
+
+    def _reactions(self, sample):
+        return sample.reaction_array.ravel()
+
+    def _sensors(self, sample):
+        return np.concatenate([np.atleast_1d(sensor.measure(sample)) for sensor in self._ideal])
+
+
+def _ideal(sensor):
+    """Sensor without steps of resolution; `measure` has no noise."""
+    return sensor.model_copy(update={"resolution": None}) if hasattr(sensor, "resolution") else sensor
+
+
+def _expanded(wanted, kinds, what):
+    """Names, each once, in which names of kinds stand for all of them."""
+    known = {name for names in kinds.values() for name in names}
+    found = []
+    for name in wanted:
+        if name not in kinds and name not in known:
+            raise SceneError(f"unknown {what} {name!r}; {suggestion(name, [*kinds, *sorted(known)])}")
+        found += [each for each in (kinds.get(name) if name in kinds else [name]) if each not in found]
+    return found

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Derivatives by central differences of high order, with an estimate of their error.
+
+Six values at +-h, +-2h, +-3h give a derivative of order six. With h = 0.01 rad both its errors are near
+round-off: h^6 / 140 times the seventh derivative, and about 2 eps / h times the value. The formulas of orders
+2, 4 and 6 from the same values form a sequence, from which the error of the last one follows. Where it is not
+small, because a function changes over less than h, smaller h are tried.
+"""
+
+import numpy as np
+
+from liegroup_core.errors import SimulationError
+
+# Weights of f(k h) - f(-k h), k = 1, 2, 3, for h f' of orders 2, 4 and 6.
+_WEIGHTS = np.array([[0.5, 0.0, 0.0], [2.0 / 3.0, -1.0 / 12.0, 0.0], [0.75, -0.15, 1.0 / 60.0]])
+SMALLER = 8.0  # factor between two sizes
+MOST_SIZES = 8
+ENOUGH = 1e-12  # relative error at which no smaller h is tried
+ROUND_OFF = 4.0 * np.finfo(float).eps  # of a value; the weights add up to less than 2
+
+
+def derivative(function, h):
+    """Derivative of a function of one number at 0, and an estimate of its error.
+
+    function : returns an array; may raise SimulationError away from 0
+    h        : first distance of the values
+    returns (derivative, error), arrays of the same shape; the error is inf if no distance has values
+    """
+    best = None
+    for _ in range(MOST_SIZES):
+        try:
+            values = np.array([[function(k * h), function(-k * h)] for k in (1, 2, 3)])
+        except SimulationError:
+            h /= SMALLER
+            continue
+        second, fourth, sixth = np.tensordot(_WEIGHTS, values[:, 0] - values[:, 1], 1) / h
+        last, before = np.abs(sixth - fourth), np.abs(fourth - second)
+        # The differences of successive orders decrease like a geometric sequence.
+        ratio = np.divide(last, before, out=np.zeros_like(last), where=before > 0.0)
+        rounding = ROUND_OFF * np.abs(values).max(axis=(0, 1)) / h
+        error = last * np.minimum(ratio, 1.0) + rounding
+        size = np.max(np.abs(sixth), initial=0.0)
+        if best is None or error.max(initial=0.0) < best[1].max(initial=0.0):
+            best = sixth, error
+        if error.max(initial=0.0) <= max(ENOUGH * size, 2.0 * rounding.max(initial=0.0)):
+            break
+        h /= SMALLER
+    if best is None:
+        raise SimulationError("the accelerations near the state cannot be computed")
+    return best

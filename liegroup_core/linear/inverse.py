@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Inverse dynamics: the efforts that a motion needs, in loops and with redundant actuation too.
+
+At every instant the mechanism is put at given positions, rates and accelerations of its independent
+coordinates, and closed. The accelerations are affine in the efforts u,
+
+    z'' = a + B u ,
+
+so that those of the smallest sum of squares follow from B. What the efforts cannot produce remains as a
+residual acceleration.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from liegroup_core.errors import SceneError, SimulationError
+
+from .channels import Inputs
+from .coordinates import Coordinates
+from .probe import Probe
+from .trim import undetermined
+
+LARGEST = 0.2  # rad, or share of the mechanism's size, in a step towards a far position
+REACHED, MOST_STEPS = 1e-9, 1000
+
+
+@dataclass(frozen=True, eq=False)
+class InverseDynamics:
+    """Efforts of a motion.
+
+    times     : (k,) s
+    inputs    : names of the efforts
+    efforts   : (k, p) N m or N
+    rates     : (k, p) rates of their joints, rad/s or m/s
+    residual  : (k,) largest acceleration that the efforts cannot produce, rad/s^2 or m/s^2
+    undetermined : names of efforts that can change together without effect, at any of the times
+    """
+
+    times: np.ndarray
+    inputs: tuple
+    efforts: np.ndarray
+    rates: np.ndarray
+    residual: np.ndarray
+    undetermined: tuple
+
+    @property
+    def power(self):
+        """(k, p) W."""
+        return self.efforts * self.rates
+
+    @property
+    def energy(self):
+        """(p,) J that each effort gives to the mechanism: integral of its power by Simpson's rule."""
+        if len(self.times) < 2:
+            return np.zeros(len(self.inputs))
+        return scipy.integrate.simpson(self.power, x=self.times, axis=0)
+
+
+def inverse_dynamics(simulation, times, positions, rates, accelerations, joints, inputs=None):
+    """InverseDynamics of a motion of a simulation, which does not change.
+
+    times  : (k,) s
+    positions, rates, accelerations : (k, m) of the joints, rad or m
+    joints : names of the m independent coordinates
+    inputs : names of efforts, see channels.py; None: those of the joints
+    Raises SceneError for unknown or dependent names, SimulationError where the loops cannot be closed.
+    """
+    probe = Probe(simulation)
+    names = [f"{joint}.effort" for joint in joints] if inputs is None else inputs
+    channels = Inputs(probe, names)
+    coordinates = Coordinates(probe, joints)
+    layout = probe.layout
+    lengths = np.array([1.0 if unit == "rad" else layout.size for unit in coordinates.units])
+    actuated = [name.removesuffix(".effort") for name in channels.names]
+    if not all(name.endswith(".effort") for name in channels.names):
+        raise SceneError("inverse dynamics finds efforts only: give names such as JOINT.effort")
+    efforts, speeds, residuals, loose = [], [], [], []
+    for time, q, v, a in zip(times, positions, rates, accelerations):
+        probe.go_to_time(time)
+        _go(probe, joints, q, v, lengths)
+        coordinates = Coordinates(probe, joints)
+        rows = probe.freedoms + coordinates.independent
+        free = coordinates.signs * probe.slopes()[0][rows]
+        columns = []
+        for j in range(len(channels)):
+            change = np.eye(len(channels))[j]
+            columns.append(coordinates.signs * probe.slopes(None, *channels.applied(change))[0][rows] - free)
+        B = np.array(columns).reshape(len(channels), len(rows)).T
+        wanted = (np.asarray(a) - free) / lengths
+        u = np.linalg.lstsq(B / lengths[:, None], wanted, rcond=1e-10)[0]
+        efforts.append(u)
+        residuals.append(np.abs(B @ u - wanted * lengths).max(initial=0.0))
+        _, pose, twist = probe.slopes()
+        found = layout.coordinates.at(pose, twist, probe.angles)
+        speeds.append([found[name][1] for name in actuated])
+        loose += [name for name in undetermined(B, channels.names) if name not in loose]
+    return InverseDynamics(
+        np.asarray(times, dtype=float),
+        tuple(channels.names),
+        np.array(efforts),
+        np.array(speeds),
+        np.array(residuals),
+        tuple(loose),
+    )
+
+
+def _go(probe, joints, q, v, lengths):
+    """Put the closed mechanism at positions and rates of its independent joints."""
+    for _ in range(MOST_STEPS):
+        coordinates = Coordinates(probe, joints)
+        _, pose, twist = probe.closed()
+        found = probe.layout.coordinates.at(pose, twist, probe.angles)
+        way = np.asarray(q) - np.array([found[name][0] for name in joints])
+        turns = np.array([unit == "rad" for unit in coordinates.units])
+        way[turns] = (way[turns] + np.pi) % (2.0 * np.pi) - np.pi
+        far = np.abs(way / lengths).max(initial=0.0)
+        probe.go_to(coordinates.at(coordinates.signs * way * min(1.0, LARGEST / far if far > 0.0 else 1.0)))
+        if far <= REACHED:
+            break
+    else:
+        raise SimulationError(f"the positions {np.asarray(q).tolist()} of {', '.join(joints)} are not reached")
+    coordinates = Coordinates(probe, joints)
+    y = np.zeros((probe.freedoms, 2))
+    present = probe.closed()[0][coordinates.independent]
+    y[:, 1] = coordinates.motions @ (coordinates.signs * np.asarray(v) - present)
+    probe.go_to(y)

@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Linear equations of a mechanism near a state:
+
+    d/dt dx = A dx + B du ,   dy = C dx + D du ,   x = (z, z')
+
+with independent coordinates z in the chart that moves with the state (probe.py, coordinates.py): X = X_0(t) exp
+psi. At an equilibrium or a steady motion they describe small motions about it, elsewhere the growth of small
+differences at that instant.
+Entries are derivatives of the equations that the engine integrates (differences.py).
+"""
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from .channels import Inputs, Outputs
+from .coordinates import Coordinates
+from .differences import derivative
+from .probe import Probe
+
+DISPLACED = 1e-4  # rad, m, and of rates, in the derivatives of A
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSystem:
+    """Linearised mechanism.
+
+    A (2m, 2m), B (2m, k), C (p, 2m), D (p, k) : see the module; SI units
+    states, inputs, outputs : names; the states are m coordinates, then their rates
+    motions   : (f, m) change of each degree of freedom of the tree with the coordinates
+    freedoms  : names of the f degrees of freedom
+    slope     : (2m,) d/dt of x at the state: zero at an equilibrium
+    error     : largest estimated error of an entry of A and B, or C and D, relative to their largest entry
+    time      : s
+    scene     : name
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    states: tuple
+    inputs: tuple
+    outputs: tuple
+    motions: np.ndarray
+    freedoms: tuple
+    slope: np.ndarray
+    error: float
+    time: float
+    scene: str
+
+    @property
+    def poles(self):
+        """(2m,) eigenvalues of A in rad/s and 1/s, by magnitude."""
+        found = np.linalg.eigvals(self.A) if self.A.size else np.empty(0, dtype=complex)
+        return found[np.lexsort((-found.imag, found.real, np.abs(found).round(9)))]
+
+    @property
+    def round_off(self):
+        """Magnitude of poles below which they may be those of free motions: a double zero is the root of round-off."""
+        return 1e-7 * max(np.abs(self.poles).max(initial=0.0), np.sqrt(np.abs(self.A).max(initial=0.0)))
+
+    @property
+    def zeros(self):
+        """Transmission zeros of a system with as many inputs as outputs, rad/s and 1/s; None for others."""
+        n, (p, k) = len(self.A), self.D.shape
+        if p != k or not n:
+            return None
+        left = np.block([[self.A, self.B], [self.C, self.D]])
+        right = scipy.linalg.block_diag(np.eye(n), np.zeros((p, k)))
+        with np.errstate(all="ignore"):
+            alpha, beta = scipy.linalg.eigvals(left, right, homogeneous_eigvals=True)
+        finite = np.abs(beta) > 1e-10 * (np.abs(alpha) + np.abs(beta))
+        found = alpha[finite] / beta[finite]
+        return found[np.lexsort((-found.imag, found.real, np.abs(found).round(9)))]
+
+    def uncontrollable(self):
+        """Poles that no input changes: [A - s 1, B] lacks rank there (test of Hautus)."""
+        return self._lacking(self.A, self.B)
+
+    def unobservable(self):
+        """Poles that no output shows."""
+        return self._lacking(self.A.T, self.C.T)
+
+    def _lacking(self, A, B):
+        scale = max(np.abs(A).max(initial=0.0), 1e-300)
+        columns = np.abs(B).max(axis=0, initial=0.0)
+        B = B[:, columns > 0.0] / columns[columns > 0.0] * scale
+        limit = 1e-8 * scale
+        return np.array(
+            [
+                s
+                for s in self.poles
+                if np.linalg.svd(np.hstack([A - s * np.eye(len(A)), B]), compute_uv=False)[-1] < limit
+            ],
+            dtype=complex,
+        )
+
+    def to_control(self):
+        """control.StateSpace of the package python-control."""
+        import control
+
+        names = {"states": list(self.states), "inputs": list(self.inputs), "outputs": list(self.outputs)}
+        return control.StateSpace(self.A, self.B, self.C, self.D, name=self.scene, **names)
+
+    def as_dict(self):
+        """JSON types."""
+        return {
+            "scene": self.scene,
+            "time": self.time,
+            **{name: getattr(self, name).tolist() for name in "ABCD"},
+            **{name: list(getattr(self, name)) for name in ("states", "inputs", "outputs", "freedoms")},
+            "motions": self.motions.tolist(),
+            "slope": self.slope.tolist(),
+            "poles": [[p.real, p.imag] for p in self.poles.tolist()],
+            "error": self.error,
+        }
+
+    def save(self, path):
+        """Write *.json, *.npz or *.mat (MATLAB). Raises ValueError for another ending, OSError."""
+        ending = str(path).rpartition(".")[2]
+        if ending == "json":
+            with open(path, "w", encoding="utf-8") as file:
+                json.dump(self.as_dict(), file, indent=1)
+            return
+        arrays = {name: getattr(self, name) for name in ("A", "B", "C", "D", "motions", "slope", "poles")}
+        names = ("states", "inputs", "outputs", "freedoms")
+        if ending == "npz":
+            np.savez(path, **arrays, **{name: np.array(getattr(self, name), dtype=str) for name in names})
+        elif ending == "mat":
+            cells = {name: np.array(getattr(self, name), dtype=object) for name in names}
+            scipy.io.savemat(path, arrays | cells)
+        else:
+            raise ValueError(f"{path}: the name must end in .json, .npz or .mat")
+
+
+def linearise(simulation, inputs=None, outputs=None, independent=None, time=None):
+    """LinearSystem of a simulation at a state; the simulation does not change.
+
+    time   : s, of a state within the present step; None: the present state
+    inputs, outputs : names, see channels.py; None: the default ones
+    independent : names of the coordinates; None: those with the best condition
+    Stops and friction keep their present modes; joints that they hold do not move. The inputs that act continue.
+    Raises SceneError for unknown names, SimulationError if the accelerations cannot be computed.
+    Accuracy: test/verification/test_linear.py.
+    """
+    return system_of(Probe(simulation, time), inputs, outputs, independent)
+
+
+def pole_errors(simulation, system, time=None):
+    """(2m,) errors of the poles of a LinearSystem that follow from the estimated error of the state, rad/s and 1/s.
+
+    system : of this simulation and time
+    A bound to first order: the changes of A with every coordinate and rate, times the largest change of that
+    which the estimated errors of all bodies allow. NaN without an estimate.
+    """
+    probe = Probe(simulation, time)
+    poles, m = system.poles, len(system.A) // 2
+    if probe.base.errors is None or not m:
+        return np.full(2 * m, np.nan)
+    chosen = list(system.states[:m])
+    shown = system_of(probe, [], ["bodies", "twists"], chosen).C
+    position, attitude, velocity, rate = np.maximum(probe.base.errors, 1e-300).T
+    errors = np.concatenate([_by_body(attitude, position), _by_body(rate, velocity)])
+    largest = np.abs(np.linalg.pinv(shown / errors[:, None])).sum(axis=1)
+    found, values, left, right = np.zeros(2 * m), *scipy.linalg.eig(system.A, left=True)
+    order = [int(np.argmin(np.abs(values - pole))) for pole in poles]
+    product = np.einsum("ij,ij->j", left.conj(), right)
+    kept, coordinates = probe.keep(), Coordinates(probe, chosen)
+    for k in range(2 * m):
+        sides = []
+        for sign in (1.0, -1.0):
+            probe.go_to(coordinates.neighbour(k % m, sign * DISPLACED, k >= m))
+            sides.append(system_of(probe, [], [], chosen).A)
+            probe.restore(kept)
+        change = (sides[0] - sides[1]) / (2.0 * DISPLACED)
+        moved = np.abs(np.einsum("ij,ik,kj->j", left.conj(), change, right) / product)
+        found += largest[k] * moved[order]
+    return found
+
+
+def _by_body(turning, moving):
+    """(6 n,) three times the number of each body, one after the other."""
+    return np.repeat(np.stack([turning, moving], axis=1), 3, axis=1).ravel()
+
+
+def system_of(probe, inputs=None, outputs=None, independent=None):
+    """As `linearise`, of a Probe."""
+    coordinates = Coordinates(probe, independent)
+    inputs, outputs = Inputs(probe, inputs), Outputs(probe, outputs)
+    rows = np.concatenate([coordinates.independent, probe.freedoms + coordinates.independent])
+    signs = np.tile(coordinates.signs, 2)
+    m = len(coordinates.independent)
+
+    def values(y, applied=(None, None)):
+        slopes, pose, twist = probe.slopes(y, *applied)
+        return np.concatenate([signs * slopes[rows], outputs.of(probe.sample(pose, twist, *applied))])
+
+    columns, errors = [], []
+
+    def column(function, h):
+        found, error = derivative(function, h)
+        errors.append(error)
+        return found
+
+    for rate in (False, True):
+        for k in range(m):
+            h = coordinates.size(k)
+            moved = column(lambda s, k=k, rate=rate: values(coordinates.neighbour(k, s, rate)), h)
+            if not rate:
+                # In the chart that moves with the state, d/dt psi = w + [psi, V]; in the fixed one half of the bracket.
+                moved[:m] *= 2.0
+            columns.append(moved * coordinates.signs[k])
+    for j in range(len(inputs)):
+        u = np.zeros(len(inputs))
+
+        def pushed(s, j=j, u=u):
+            u[j] = s
+            return values(None, inputs.applied(u))
+
+        columns.append(column(pushed, inputs.sizes[j]))
+    matrix, error = (np.array(part).reshape(2 * m + len(inputs), 2 * m + len(outputs)).T for part in (columns, errors))
+    parts = [(np.abs(matrix[rows]).max(initial=0.0), error[rows]) for rows in (slice(0, 2 * m), slice(2 * m, None))]
+    names = [freedom.name for freedom in coordinates.freedoms]
+    all_signs = np.array([freedom.sign for freedom in coordinates.freedoms])
+    return LinearSystem(
+        *(matrix[: 2 * m, : 2 * m], matrix[: 2 * m, 2 * m :], matrix[2 * m :, : 2 * m], matrix[2 * m :, 2 * m :]),
+        states=(*coordinates.names, *(f"{name}.rate" for name in coordinates.names)),
+        inputs=tuple(inputs.names),
+        outputs=tuple(outputs.names),
+        motions=all_signs[:, None] * coordinates.motions * coordinates.signs,
+        freedoms=tuple(names),
+        slope=signs * probe.slopes()[0][rows],
+        error=max(part.max(initial=0.0) / size if size > 0.0 else 0.0 for size, part in parts),
+        time=probe.base.time,
+        scene=probe.layout.scene.name,
+    )

@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Equations of motion near a state, in a chart of the configuration space.
+
+The state of a simulation is X_0, V_0 on the product of the joints' motion groups. A neighbour is
+X_0 exp(psi), V_0 + w with one number of each for every degree of freedom of the spanning tree. In these
+coordinates y = (psi, w) the mechanism is the ordinary differential equation that Munthe-Kaas methods integrate,
+
+    psi' = dexp^-1_{-psi} (V_0 + w) ,   w' = Vdot (X_0 exp psi, V_0 + w, inputs)
+
+with the accelerations of the engine: loops, forces, couplings, driven joints, and the stops and friction that
+hold at the state. For joints with one coordinate psi is the change of that coordinate.
+"""
+
+import numpy as np
+
+from liegroup_core.compiling import borrowed, kernel
+from liegroup_core.dynamics.loops import project
+from liegroup_core.dynamics.switches import set_modes
+from liegroup_core.engine import METHOD, Engine
+from liegroup_core.errors import SimulationError
+from liegroup_core.methods.munthe_kaas import steps
+from liegroup_core.methods.munthe_kaas.explicit import make_scheme
+from liegroup_core.methods.table import EXACT, RELATIVE, Tableau
+from liegroup_core.observables.sample import Sample
+from liegroup_core.reports import explain
+from liegroup_core.status import DEPENDENT_ROWS, OK
+
+# Of one stage, whose displacement is its derivative.
+_ONE = Tableau(np.zeros((1, 1)), np.ones(1), np.zeros(1), np.zeros((0, 2)))
+
+
+@kernel
+def _set_neighbour(model, work, scheme, y, pose_in, twist_in, external_in):
+    """Set the stage to a neighbour y (f, 2) of a state. Returns (external, status)."""
+    given = borrowed(pose_in), borrowed(twist_in), borrowed(external_in)
+    pose, twist, external, _ = steps.enter(model, work, given[0], given[1], given[2])
+    steps.begin(model, work, pose, twist)
+    half = work.slopes.shape[1] // 2
+    for r in range(len(y) // half):
+        for c in range(half):
+            work.slopes[r, c], work.slopes[r, half + c] = y[r * half + c, 0], y[r * half + c, 1]
+    return external, steps.move(model, work, scheme, 1.0, 1, False, pose)
+
+
+@kernel
+def _evaluate(model, work, scheme, y, pose_in, twist_in, external_in, out, pose_out, twist_out):
+    """Write y' (f, 2) at a neighbour, and poses and twists of the bodies there. Returns a status."""
+    external, status = _set_neighbour(model, work, scheme, y, pose_in, twist_in, external_in)
+    if status != OK:
+        return status
+    dependent = steps.accelerate(model, work, external)
+    if dependent >= 0:
+        return DEPENDENT_ROWS + (dependent << 8)
+    steps.store_slopes(model, work, scheme, 1)
+    half = work.slopes.shape[1] // 2
+    rows = len(y) // half
+    for r in range(rows):
+        for c in range(half):
+            out[r * half + c, 0], out[r * half + c, 1] = work.slopes[rows + r, c], work.slopes[rows + r, half + c]
+    steps.place(model, work, pose_out, twist_out)
+    return OK
+
+
+@kernel
+def _close(model, work, scheme, y, pose_in, twist_in, external_in, rates_out, pose_out, twist_out):
+    """Project a neighbour onto the cut joints: write its rates (f,), poses and twists. Returns a status."""
+    _, status = _set_neighbour(model, work, scheme, y, pose_in, twist_in, external_in)
+    if status == OK and len(model.joints) > 0:
+        status = project(model, work)
+    if status != OK:
+        return status
+    n = len(model.parts)
+    for b in range(len(model.bodies)):
+        link = model.bodies[b]
+        for k in range(link["freedoms"]):
+            rates_out[link["freedom"] + k] = work.stage_twist[n + b, k]
+    steps.place(model, work, pose_out, twist_out)
+    return OK
+
+
+class Probe:
+    """Neighbours of a state of a simulation, which does not change.
+
+    simulation : Simulation or Engine
+    time       : s, of a state within the present step; None: the present state
+    external   : (n, COLUMNS) external wrenches, see forces/external.py
+    wanted     : (k, 2) wanted positions and velocities of the servos
+    base       : Sample of the state
+    Raises SimulationError where the accelerations of the state cannot be computed.
+    """
+
+    def __init__(self, simulation, time=None):
+        engine = Engine(
+            simulation.scene, METHOD, simulation.step, RELATIVE, "none", quiet=True, layout=simulation.layout
+        )
+        self.base, self._engine = simulation.sample(time), engine
+        engine.start_from(simulation, simulation.steps)
+        self._model, self._work = engine._integrator.links
+        if engine.layout.switches:
+            set_modes(self._model, self._work, self.base.switching)
+        instant = engine.instant_of(self.base.time_ns)
+        engine.inputs.update(instant)
+        engine._set_inputs(instant, engine.step)
+        self.external, self.wanted = engine.inputs.external.copy(), self._work.wanted.copy()
+        self._scheme = make_scheme(_ONE, EXACT)
+        self.freedoms = len(self._work.freedoms)
+        self.pose, self.twist = (array.copy() for array in self.base._state)
+        self._work.angle[:] = self.base.angles
+        self._zeros = np.zeros((self.freedoms, 2))
+
+    def go_to_time(self, time):
+        """Set the time in s, at which wrenches of the scene and driven joints act."""
+        engine = self._engine
+        engine._set_inputs(engine._grid.instant(float(time)), engine.step)
+
+    @property
+    def layout(self):
+        """Layout of the scene."""
+        return self._engine.layout
+
+    @property
+    def held(self):
+        """(f,) whether stops or friction hold a degree of freedom."""
+        return self._work.held[: self.freedoms] != 0.0
+
+    @property
+    def angles(self):
+        """(k,) unwrapped angles of the state, as Sample.angles."""
+        return self._work.angle
+
+    @property
+    def is_closed(self):
+        """Whether neighbours must satisfy cut joints, couplings, driven joints, or held rows."""
+        return len(self._model.joints) > 0
+
+    def go_to(self, y):
+        """Move the state to a neighbour y (f, 2), projected onto the cut joints. Raises SimulationError."""
+        _, self.pose, self.twist = self.closed(y)
+        self._work.angle[:] = self.layout.angles(self.pose, self._work.angle)
+        self._work.known[0] = 0.0
+
+    def keep(self):
+        """The state, for `restore`."""
+        return self.pose, self.twist, self._work.angle.copy()
+
+    def restore(self, kept):
+        """Return to a state that `keep` gave."""
+        self.pose, self.twist, self._work.angle[:] = kept
+        self._work.known[0] = 0.0
+
+    def slopes(self, y=None, external=None, wanted=None):
+        """(2 f,) psi' and w' at a neighbour y (f, 2), and poses and twists of the bodies, at the centres of mass.
+
+        external, wanted : inputs, as the attributes, which are the defaults. Raises SimulationError
+        """
+        out, pose, twist = np.empty((self.freedoms, 2)), self.pose.copy(), self.twist.copy()
+        self._call(_evaluate, y, external, wanted, out, pose, twist)
+        return out.T.ravel(), pose, twist
+
+    def closed(self, y=None):
+        """(f,) rates of a neighbour that is projected onto the cut joints, and poses and twists of the bodies."""
+        rates, pose, twist = np.empty(self.freedoms), self.pose.copy(), self.twist.copy()
+        self._call(_close, y, None, None, rates, pose, twist)
+        return rates, pose, twist
+
+    def _call(self, kernel, y, external, wanted, *out):
+        work = self._work
+        work.wanted[:] = self.wanted if wanted is None else wanted
+        y = self._zeros if y is None else np.ascontiguousarray(y, dtype=float)
+        external = self.external if external is None else external
+        status = kernel(self._model, work, self._scheme, y, self.pose, self.twist, external, *out)
+        if status != OK or not all(np.isfinite(array).all() for array in out):
+            raise SimulationError(explain(self._engine, status), status & 0xFF)
+
+    def sample(self, pose, twist, external=None, wanted=None):
+        """Sample of a neighbour with its inputs; poses and twists as from `slopes`."""
+        base = self.base
+        found = Sample(self.layout, base.time, base.time_ns, base.steps, pose, twist, self._work.angle.copy())
+        for name in ("external", "joint_efforts", "wanted", "switching", "motions"):
+            if name in vars(base):
+                setattr(found, name, getattr(base, name))
+        if external is not None:
+            found.external = external
+        if wanted is not None:
+            found.wanted = wanted
+        return found

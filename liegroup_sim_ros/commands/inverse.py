@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`liegroup_sim inverse`: the efforts that a motion needs, with its energy and power. No ROS."""
+
+import csv
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import scipy
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from liegroup_core import Simulation, SimulationError
+from liegroup_core.engine import METHOD, STEP
+from liegroup_core.layout import make_layout
+from liegroup_core.linear import inverse_dynamics
+from liegroup_core.linear.coordinates import Coordinates
+from liegroup_core.linear.probe import Probe
+from liegroup_sim_ros.numbers import counted, shown
+from liegroup_sim_ros.recording.errors import OutputError
+from liegroup_sim_ros.recording.motion import Motion
+from liegroup_sim_ros.recording.read import read_recording
+
+from .robot_options import add_robot_options, robot_scene
+from .states import StateError
+
+DEGREES = 3, 5  # of the splines whose derivatives are velocities and accelerations; the first for an error
+EXIT_STOPPED = 1
+PARTS = ("position", "velocity", "acceleration")
+
+
+def add_arguments(parser):
+    """Arguments of the subcommand."""
+    parser.description = (
+        "Efforts that a motion needs, in loops too: those of the smallest sum of squares if more joints are actuated "
+        "than needed. Derivatives that the motion does not have are those of splines of degree 5."
+    )
+    parser.add_argument("scene", metavar="SCENE", help="path of a scene or robot file, or name of an example scene")
+    parser.add_argument(
+        "--motion",
+        required=True,
+        metavar="FILE",
+        help="table (*.csv) with the columns time and JOINT.position, possibly JOINT.velocity and JOINT.acceleration, "
+        "units in brackets are ignored; or recording (*.mcap) of the scene",
+    )
+    parser.add_argument(
+        "--joints", nargs="+", metavar="JOINT", help="independent joints that follow it (default: those that can)"
+    )
+    parser.add_argument(
+        "--inputs", nargs="+", metavar="JOINT.effort", help="actuated joints (default: the joints that follow it)"
+    )
+    parser.add_argument("--out", metavar="FILE", help="table (*.csv) of efforts and power; it must not exist")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    add_robot_options(parser)
+
+
+def run(args):
+    """Run the subcommand; returns the exit code."""
+    if args.out is not None and Path(args.out).suffix != ".csv":
+        raise StateError(f"{args.out}: the name must end in .csv")
+    scene = robot_scene(args.scene, args)
+    is_recording = Path(args.motion).suffix == ".mcap"
+    times, columns = _of_recording(args.motion, scene) if is_recording else _of_table(args.motion)
+    simulation = Simulation(scene, METHOD, STEP, estimate=False, quiet=True)
+    joints = args.joints or _followed(simulation, columns)
+    parts, sampling = _parts(args.motion, times, columns, joints, simulation.layout.coordinates.units)
+    try:
+        found = inverse_dynamics(simulation, times, *parts, joints, args.inputs)
+    except SimulationError as error:
+        print(f"liegroup_sim: {error}", file=sys.stderr)
+        return EXIT_STOPPED
+    units = {joint: "N m" if unit == "rad" else "N" for joint, unit in simulation.layout.coordinates.units.items()}
+    names = [name.removesuffix(".effort") for name in found.inputs]
+    if args.out is not None:
+        _write(args.out, found, names, units)
+    rows = [
+        {
+            "joint": name,
+            "unit": units[name],
+            "peak_effort": float(np.abs(found.efforts[:, k]).max()),
+            "rms_effort": float(np.sqrt(np.mean(found.efforts[:, k] ** 2))),
+            "peak_power_W": float(np.abs(found.power[:, k]).max()),
+            "energy_J": float(found.energy[k]),
+            "undetermined": found.inputs[k] in found.undetermined,
+        }
+        for k, name in enumerate(names)
+    ]
+    residual = float(found.residual.max())
+    if args.json:
+        print(
+            json.dumps(
+                {"joints": rows, "residual": residual, "sampling": sampling, "samples": len(times)}, allow_nan=False
+            )
+        )
+    else:
+        _print(scene.name, rows, residual, sampling, times)
+    return 0
+
+
+def _of_table(path):
+    """(times, {column: numbers}) of a table."""
+    try:
+        with open(path, newline="", encoding="utf-8") as file:
+            lines = list(csv.reader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        text = getattr(error, "strerror", None) or "it is not a text file of comma-separated values"
+        raise StateError(f"{path}: cannot be read: {text}") from None
+    if len(lines) < 3:
+        raise StateError(f"{path}: needs a line with names and at least two lines of numbers")
+    names = [name.partition("[")[0].strip() for name in lines[0]]
+    if "time" not in names:
+        raise StateError(f"{path}:1: has no column time")
+    numbers = np.empty((len(lines) - 1, len(names)))
+    for row, line in enumerate(lines[1:], start=2):
+        try:
+            numbers[row - 2] = [float(text) for text in line]
+        except ValueError:
+            raise StateError(f"{path}:{row}: expected {len(names)} numbers, separated by commas") from None
+        if not np.isfinite(numbers[row - 2]).all():
+            raise StateError(f"{path}:{row}: the numbers must be finite")
+    times = numbers[:, names.index("time")]
+    return _increasing(path, times), dict(zip(names, numbers.T))
+
+
+def _increasing(path, times):
+    if not (np.diff(times) > 0.0).all():
+        raise StateError(f"{path}: the times must increase")
+    return times
+
+
+def _of_recording(path, scene):
+    """(times, {column: numbers}) of the joints with one coordinate in a recording."""
+    layout, recording = make_layout(scene), read_recording(path)
+    if list(layout.body_names) != list(recording.bodies):
+        raise StateError(f"{path}: its bodies are not those of {scene.name}")
+    times, rows, near = [], [], None
+    for block in Motion(recording).blocks():
+        for time, R, r, twist in zip(block.times, block.rotation, block.position, block.twist):
+            pose = np.concatenate([R.reshape(len(R), 9), r], axis=1)
+            sample = layout.sample(pose, twist, near=near)
+            near = sample.angles
+            times.append(float(time))
+            rows.append([number for pair in sample.joint_coordinates.values() for number in pair])
+    names = [f"{joint}.{part}" for joint in layout.coordinates.names for part in PARTS[:2]]
+    return _increasing(path, np.array(times)), dict(zip(names, np.array(rows).T))
+
+
+def _followed(simulation, columns):
+    """Independent joints of a simulation with a column."""
+    coordinates = Coordinates(Probe(simulation))
+    given = [name.removesuffix(".position") for name in columns if name.endswith(".position")]
+    best = [name for name in coordinates.names if name in given]
+    if len(best) == len(coordinates.names):
+        return best
+    known = [freedom.name for freedom in coordinates.freedoms]
+    usable = [name for name in given if name in known]
+    count = counted(len(coordinates.names), "independent coordinate")
+    raise StateError(
+        f"the motion has positions of {', '.join(given) or 'no joint'}; the mechanism has {count}: "
+        f"name so many of {', '.join(usable or known)} with --joints"
+    )
+
+
+def _parts(path, times, columns, joints, units):
+    """Positions, velocities and accelerations (k, m) of joints, and the uncertainty of the last ones.
+
+    Missing ones are those of splines, of angles without jumps; the uncertainty is the difference of two degrees.
+    """
+    found, lower = [], []
+    for joint in joints:
+        if f"{joint}.position" not in columns:
+            raise StateError(f"{path}: has no column {joint}.position")
+        q = columns[f"{joint}.position"]
+        if units.get(joint) == "rad":
+            q = np.unwrap(q)
+        v, a = (columns.get(f"{joint}.{part}") for part in PARTS[1:])
+        coarse, fine = (_derivatives(times, q, v, degree) for degree in DEGREES)
+        found.append((q, fine[0], fine[1] if a is None else a))
+        lower.append(np.abs(fine[1] - coarse[1]).max() if a is None else 0.0)
+    return np.array(found).transpose(1, 2, 0), float(max(lower, default=0.0))
+
+
+def _derivatives(times, q, v, degree):
+    """Velocities, and accelerations, by splines of a degree or less."""
+    degree = min(degree, (len(times) - 2) // 2 * 2 + 1)
+    rates = scipy.interpolate.make_interp_spline(times, q if v is None else v, k=degree)
+    rates = rates.derivative() if v is None else rates
+    return rates(times), rates.derivative()(times) if rates.k else np.zeros(len(times))
+
+
+def _write(path, found, names, units):
+    try:
+        file = open(path, "x", newline="", encoding="utf-8")
+    except FileExistsError:
+        raise OutputError(f"{path}: the file already exists; remove it or choose another name") from None
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
+    with file:
+        writer = csv.writer(file)
+        columns = [f"{name}.{what}" for name in names for what in (f"effort [{units[name]}]", "power [W]")]
+        writer.writerow(["time [s]", *columns, "residual"])
+        for time, efforts, power, rest in zip(found.times, found.efforts, found.power, found.residual):
+            writer.writerow([repr(float(x)) for x in (time, *np.stack([efforts, power], 1).ravel(), rest)])
+
+
+def _print(scene, rows, residual, sampling, times):
+    console = Console(file=sys.stdout)
+    console.print(Text(f"{scene}: {len(times)} instants from {times[0]:.9g} to {times[-1]:.9g} s", style="bold"))
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for name in ("joint", "peak effort", "rms", "peak power", "energy", ""):
+        table.add_column(name)
+    for row in rows:
+        table.add_row(
+            row["joint"],
+            shown(row["peak_effort"], row["unit"]),
+            shown(row["rms_effort"], row["unit"]),
+            shown(row["peak_power_W"], "W"),
+            shown(row["energy_J"], "J"),
+            "others can take its part" if row["undetermined"] else "",
+        )
+    console.print(table)
+    console.print(Text(f"uncertainty of accelerations between the samples: {shown(sampling)}", style="dim"))
+    console.print(Text(f"largest acceleration that the efforts cannot produce: {shown(residual)}", style="dim"))

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`liegroup_sim linearise`: A, B, C, D of a scene or along a recording, its poles and zeros. No ROS."""
+
+import json
+import math
+import sys
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from liegroup_core.linear import linearise, pole_errors
+from liegroup_core.linear.channels import INPUTS, OUTPUTS
+from liegroup_sim_ros.numbers import counted, shown
+
+from .states import StateError, add_states, states
+
+ENDINGS = (".json", ".npz", ".mat")
+MOST_ROWS = 40  # printed poles
+ROUND_OFF = 1e-10  # relative
+
+
+def add_arguments(parser):
+    """Arguments of the subcommand."""
+    parser.description = (
+        "Linearise the equations of motion at a state: d/dt dx = A dx + B du, dy = C dx + D du, with loops in "
+        "independent coordinates. Stops and friction keep their modes."
+    )
+    parser.add_argument("--out", metavar="FILE", help="file (*.json, *.npz or *.mat) of the system; of one time")
+    parser.add_argument(
+        "--inputs",
+        nargs="*",
+        metavar="NAME",
+        help=f"{', '.join(INPUTS)}, or single ones: JOINT.effort, JOINT.target, JOINT.target_velocity, BODY.force_x, "
+        "BODY.torque_x (default: targets of servos and efforts)",
+    )
+    parser.add_argument(
+        "--outputs",
+        nargs="*",
+        metavar="NAME",
+        help=f"{', '.join(OUTPUTS)}, or single ones: JOINT.position, JOINT.velocity, BODY.x, BODY.rx, BODY.vx, "
+        "BODY.wx, JOINT.force_x, SENSOR.0 (default: joints)",
+    )
+    parser.add_argument("--independent", nargs="+", metavar="NAME", help="independent coordinates of the state")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    add_states(parser)
+
+
+def run(args):
+    """Run the subcommand; returns the exit code."""
+    if args.out is not None:
+        if Path(args.out).suffix not in ENDINGS:
+            raise StateError(f"{args.out}: the name must end in {', '.join(ENDINGS[:-1])} or {ENDINGS[-1]}")
+        if len(args.at) > 1:
+            raise StateError("--out takes the system of one time: give one --at, or --json")
+        if Path(args.out).exists():
+            raise StateError(f"{args.out}: exists already; choose another name")
+    console, found = Console(file=sys.stdout), []
+    for time, simulation, inside in states(args):
+        system = linearise(simulation, args.inputs, args.outputs, args.independent, inside)
+        errors = pole_errors(simulation, system, inside)
+        found.append(
+            {**system.as_dict(), "time": time, "pole_errors": [x if x == x else None for x in errors.tolist()]}
+        )
+        if args.out is not None:
+            _save(system, args.out)
+        if not args.json:
+            print_system(system, time, console, errors)
+    if args.json:
+        print(json.dumps(found if len(found) > 1 else found[0], allow_nan=False))
+    return 0
+
+
+def _save(system, path):
+    try:
+        system.save(path)
+    except OSError as error:
+        raise StateError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def print_system(system, time, console, errors=None):
+    """Print the sizes, poles and zeros of a LinearSystem; errors: of its poles, NaN if they are not known."""
+    sizes = [counted(len(names), what) for names, what in ((system.inputs, "input"), (system.outputs, "output"))]
+    states_text = counted(len(system.states) // 2, "coordinate")
+    console.print(Text(f"{system.scene} at {time:.9g} s: {states_text}, {', '.join(sizes)}", style="bold"))
+    console.print(Text(f"states: {', '.join(system.states)}"))
+    console.print(Text(f"inputs: {', '.join(system.inputs) or 'none'}"))
+    largest = max(map(abs, system.slope.tolist()), default=0.0)
+    console.print(
+        Text(f"largest slope of the state: {shown(largest)}; largest relative error of an entry: {shown(system.error)}")
+    )
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    known = errors is not None and not any(x != x for x in errors)
+    for name in ("pole, 1/s and rad/s", *(["error of the pole"] if known else []), "frequency", "damping", ""):
+        table.add_column(name, style="dim" if not name else "")
+    blind, deaf = system.unobservable().tolist(), system.uncontrollable().tolist()
+    poles = [
+        (k, pole if abs(pole) > system.round_off else 0j)
+        for k, pole in enumerate(system.poles.tolist())
+        if pole.imag >= 0.0
+    ]
+    for k, pole in poles[:MOST_ROWS]:
+        marks = [
+            text
+            for text, lacking in (("not controllable", deaf), ("not observable", blind))
+            if any(abs(pole - each) <= 1e-9 * abs(pole) for each in lacking)
+        ]
+        size = abs(pole)
+        table.add_row(
+            pole_text(pole),
+            *([shown(errors[k])] if known else []),
+            f"{size / (2.0 * math.pi):.6g} Hz" if pole.imag else "",
+            damping_text(0.0 - pole.real / size) if size else "",
+            ", ".join(marks),
+        )
+    console.print(table)
+    if len(poles) > MOST_ROWS:
+        console.print(Text(f"and {len(poles) - MOST_ROWS} more: --json prints all", style="dim"))
+    zeros = system.zeros
+    if zeros is not None and len(zeros):
+        console.print(Text("zeros: " + ", ".join(pole_text(z) for z in zeros.tolist() if z.imag >= 0.0)))
+
+
+def damping_text(damping):
+    """Damping ratio; 0 for round-off."""
+    return shown(damping if abs(damping) > ROUND_OFF else 0.0)
+
+
+def pole_text(pole):
+    """A pole with six digits, of a pair both; parts that are round-off are zero."""
+    if pole.imag and abs(pole.real) <= ROUND_OFF * abs(pole):
+        return f"± {pole.imag:.6g}i"
+    if pole.imag:
+        return f"{pole.real:.6g} ± {pole.imag:.6g}i"
+    return f"{pole.real:.6g}"

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`liegroup_sim modes`: frequencies, damping and shapes of the modes of a scene. No ROS."""
+
+import json
+import sys
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from liegroup_core.linear import linearise, modes_of, trim
+from liegroup_sim_ros.numbers import shown
+
+from .linearise import damping_text, pole_text
+from .states import add_states, states
+
+LARGEST = 4  # freedoms of a shape that are printed
+
+
+def add_arguments(parser):
+    """Arguments of the subcommand."""
+    parser.description = (
+        "Modes of the motion about a state, with loops: undamped ones leave out all forces that depend on velocities."
+    )
+    parser.add_argument("--trim", action="store_true", help="first go to the equilibrium near the state")
+    parser.add_argument("--undamped", action="store_true", help="undamped modes")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    add_states(parser)
+
+
+def run(args):
+    """Run the subcommand; returns the exit code."""
+    console, found = Console(file=sys.stdout), []
+    for time, simulation, inside in states(args):
+        system = trim(simulation, time=inside).system if args.trim else linearise(simulation, [], [], time=inside)
+        modes = modes_of(system, not args.undamped)
+        found.append({"time": time, "freedoms": list(system.freedoms), "modes": [_entries(mode) for mode in modes]})
+        if not args.json:
+            _print(system, modes, time, console)
+    if args.json:
+        print(json.dumps(found if len(found) > 1 else found[0], allow_nan=False))
+    return 0
+
+
+def _entries(mode):
+    return {
+        "pole": [mode.pole.real, mode.pole.imag],
+        "frequency": mode.frequency,
+        "damping": mode.damping,
+        "shape": [[x.real, x.imag] for x in mode.shape.tolist()],
+    }
+
+
+def _print(system, modes, time, console):
+    console.print(Text(f"{system.scene} at {time:.9g} s", style="bold"))
+    m = len(system.slope) // 2
+    if np.abs(system.slope[m:]).max(initial=0.0) > 1e-6:
+        console.print(
+            Text(
+                f"not an equilibrium: accelerations up to {shown(np.abs(system.slope[m:]).max())}; --trim finds one",
+                style="yellow",
+            )
+        )
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for name in ("frequency", "damping", "pole, 1/s and rad/s", "shape"):
+        table.add_column(name, overflow="fold")
+    for mode in modes:
+        order = np.argsort(-np.abs(mode.shape), kind="stable")[:LARGEST]
+        shape = ", ".join(f"{system.freedoms[k]} {_part(mode.shape[k])}" for k in order if abs(mode.shape[k]) > 1e-3)
+        frequency = f"{mode.frequency:.6g} Hz" if mode.frequency else "-"
+        table.add_row(frequency, damping_text(mode.damping), pole_text(mode.pole), shape)
+    console.print(table)
+
+
+def _part(value):
+    """Part of a freedom in a shape: magnitude, with its phase if it is not 0 or 180 degrees."""
+    if abs(value.imag) <= 1e-3 * abs(value):
+        return f"{value.real:.3g}"
+    return f"{abs(value):.3g} at {np.degrees(np.angle(value)):.0f}°"

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Argument of subcommands that analyse states: a scene or a recording, and times."""
+
+import math
+from pathlib import Path
+
+from liegroup_core import Simulation
+from liegroup_core.engine import METHOD, STEP
+from liegroup_core.errors import LieGroupSimError
+from liegroup_sim_ros.playback.branch import Branches
+from liegroup_sim_ros.recording.read import read_recording
+
+from .robot_options import add_robot_options, robot_scene
+
+
+class StateError(LieGroupSimError):
+    """The states are not available; one line of text, exit code 2."""
+
+
+def add_states(parser):
+    """Add the positional argument and the times."""
+    parser.add_argument(
+        "scene",
+        metavar="SCENE",
+        help="path of a scene or robot file, name of an example scene, or recording (*.mcap), whose inputs act",
+    )
+    parser.add_argument(
+        "--at",
+        type=float,
+        nargs="+",
+        default=[],
+        metavar="T",
+        help="simulated times in s, of a recording time stamps in s, in their order (default: the start)",
+    )
+    add_robot_options(parser)
+
+
+def states(args):
+    """Generator of (time of the user, Simulation, time in s within its present step).
+
+    Raises StateError, SceneError, RecordingError, ReplayError, SimulationError.
+    """
+    for time in args.at:
+        if not math.isfinite(time):
+            raise StateError(f"--at must be times in s, got {time:g}")
+    if sorted(args.at) != args.at:
+        raise StateError("--at: the times must be in their order")
+    if Path(args.scene).suffix == ".mcap":
+        yield from _of_recording(args)
+        return
+    scene = robot_scene(args.scene, args)
+    if args.at and args.at[0] < 0.0:
+        raise StateError(f"--at must be times from 0 on, got {args.at[0]:g}")
+    if not any(args.at):
+        yield 0.0, Simulation(scene, METHOD, STEP, estimate=False, quiet=True), None
+        return
+    simulation = Simulation(scene)
+    for time in args.at:
+        simulation.advance_to(time)
+        yield time, simulation, time
+
+
+def _of_recording(args):
+    branches = Branches(read_recording(args.scene))
+    for time in args.at or [branches.first_ns * 1e-9]:
+        simulation, stamp_ns = branches.at(time, inputs=True)
+        inside = round(time * 1e9) - stamp_ns + simulation.time_ns
+        yield time, simulation, max(simulation.time, inside * 1e-9)

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`liegroup_sim trim`: equilibria and steady motions near a state, and the inputs that hold a pose. No ROS."""
+
+import json
+import sys
+
+import numpy as np
+from rich.console import Console
+from rich.text import Text
+
+from liegroup_core.linear import TrimError, modes_of, trim
+from liegroup_sim_ros.numbers import shown
+
+from .linearise import print_system
+from .states import StateError, add_states, states
+
+EXIT_STOPPED = 1
+RESTING = 1e-9  # rad/s or m/s
+
+
+def add_arguments(parser):
+    """Arguments of the subcommand."""
+    parser.description = (
+        "Find the equilibrium, or the steady motion with given rates, that is near a state, with its stability. "
+        "With inputs: those of the smallest sum of squares that hold it."
+    )
+    parser.add_argument(
+        "--rates", nargs="+", default=[], metavar="NAME=RATE", help="rates that stay constant, rad/s or m/s"
+    )
+    parser.add_argument("--hold", nargs="+", default=[], metavar="NAME", help="coordinates that keep their positions")
+    parser.add_argument(
+        "--inputs", nargs="+", default=[], metavar="NAME", help="inputs to find, as of `liegroup_sim linearise`"
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    add_states(parser)
+
+
+def run(args):
+    """Run the subcommand; returns the exit code."""
+    rates, console, found = _rates(args.rates), Console(file=sys.stdout), []
+    for time, simulation, inside in states(args):
+        try:
+            result = trim(simulation, rates, args.hold, args.inputs, inside)
+        except TrimError as error:
+            print(f"liegroup_sim: {error}", file=sys.stderr)
+            return EXIT_STOPPED
+        found.append(_entries(result, time))
+        if not args.json:
+            _print(result, time, console)
+    if args.json:
+        print(json.dumps(found if len(found) > 1 else found[0], allow_nan=False))
+    return 0
+
+
+def _rates(given):
+    found = {}
+    for text in given:
+        name, _, number = text.partition("=")
+        try:
+            found[name] = float(number)
+        except ValueError:
+            raise StateError(f"--rates: expected NAME=RATE with a number, got {text!r}") from None
+    return found
+
+
+def _entries(result, time):
+    stable = {None: "marginal", True: "stable", False: "unstable"}[result.is_stable]
+    return {
+        "time": time,
+        "joints": result.joints,
+        "inputs": result.inputs,
+        "undetermined": list(result.undetermined),
+        "stability": stable,
+        "residual": result.residual,
+        "poses": dict(zip(result.bodies, result.pose.tolist())),
+        "modes": [[mode.pole.real, mode.pole.imag] for mode in modes_of(result.system)],
+    }
+
+
+def _print(result, time, console):
+    entries = _entries(result, time)
+    moving = np.abs(result.system.slope[: len(result.system.slope) // 2]).max(initial=0.0) > RESTING
+    kind = "steady motion" if moving else "equilibrium"
+    console.print(Text(f"{result.system.scene}: {kind}, {entries['stability']}", style="bold"))
+    for joint, position in result.joints.items():
+        console.print(Text(f"  {joint} = {position:.9g}"))
+    for name, value in result.inputs.items():
+        remark = " (others can take its part)" if name in result.undetermined else ""
+        console.print(Text(f"  {name} = {value:.9g}{remark}"))
+    console.print(Text(f"remaining acceleration: {shown(result.residual)}", style="dim"))
+    print_system(result.system, time, console)

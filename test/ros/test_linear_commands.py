@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`liegroup_sim linearise`, `modes`, `trim` and `inverse`: the commands of docs/how-to/linear.md, and wrong input."""
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from liegroup_core import Simulation
+from liegroup_core.linear import linearise
+from liegroup_core.scene.load import load_scene
+from liegroup_sim_ros.commands.main import main
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "linear.md"
+
+
+def answer(capsys, *arguments):
+    """JSON that a command prints."""
+    assert main([*arguments, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_all_commands_of_the_page_run(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    commands = [
+        shlex.split(line)
+        for block in re.findall(r"```sh\n(.*?)```", PAGE.read_text(), re.S)
+        for line in block.splitlines()
+    ]
+    assert len(commands) == 6
+    for command in commands:
+        assert command[0] == "liegroup_sim" and main(command[1:]) == 0, capsys.readouterr().err
+    printed = capsys.readouterr().out
+    assert "72.4404" in printed and "bearing" in printed
+    (program,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S)
+    exec(program.replace("plant = system.to_control()", "plant = system"), {})  # python-control may be missing
+    assert json.loads((tmp_path / "four_bar.json").read_text())["states"] == ["crank_coupler", "crank_coupler.rate"]
+
+
+def test_a_recording_gives_the_states_of_its_run(tmp_path, capsys):
+    """At a step and between two steps, with the error of the poles; and again from the scene."""
+    path = tmp_path / "run.mcap"
+    assert main(["run", "four_bar", "--duration", "0.2", "--rate", "300", "--out", str(path)]) == 0
+    capsys.readouterr()
+    recorded = answer(capsys, "linearise", str(path), "--at", "0.1", "0.1234", "--independent", "ground_crank")
+    direct = answer(capsys, "linearise", "four_bar", "--at", "0.1", "0.1234", "--independent", "ground_crank")
+    for one, other in zip(recorded, direct):
+        np.testing.assert_allclose(one["A"], other["A"], rtol=1e-7)
+        assert all(0.0 < error < 1e-4 for error in one["pole_errors"])
+    simulation = Simulation(load_scene("four_bar"), accuracy=1e-12, quiet=True)
+    simulation.advance_to(0.1234)
+    exact = linearise(simulation, independent=["ground_crank"], time=0.1234)
+    poles = np.array([complex(*pole) for pole in recorded[1]["poles"]])
+    assert (np.abs(poles - exact.poles) <= recorded[1]["pole_errors"]).all()
+
+
+def test_free_motion_needs_no_efforts_and_coarse_samples_say_so(tmp_path, capsys):
+    for rate in (3000, 100):
+        path = tmp_path / f"{rate}.mcap"
+        assert main(["run", "four_bar", "--duration", "0.5", "--rate", str(rate), "--out", str(path)]) == 0
+    capsys.readouterr()
+    fine = answer(capsys, "inverse", "four_bar", "--motion", str(tmp_path / "3000.mcap"))
+    coarse = answer(capsys, "inverse", "four_bar", "--motion", str(tmp_path / "100.mcap"))
+    assert fine["joints"][0]["peak_effort"] < 1e-3 < coarse["joints"][0]["peak_effort"]
+    assert fine["sampling"] < 1.0 < coarse["sampling"]
+
+
+def test_the_energy_of_efforts_is_that_of_the_mechanism(tmp_path, capsys):
+    """A pendulum that is turned up by half a turn and stopped gains 2 m g l."""
+    scene = tmp_path / "arm.yaml"
+    scene.write_text(
+        "name: arm\ngravity: [0, 0, -9.81]\nbodies: [{name: rod, mass: 2.0, inertia: [0.1, 0.1, 0.01], "
+        "position: [0, 0, -0.5]}]\njoints: [{name: pin, type: revolute, parent: world, child: rod, child_frame: "
+        "{position: [0, 0, 0.5], rotation_vector: [-1.5707963267948966, 0, 0]}}]\n"
+    )
+    times = np.linspace(0.0, 2.0, 401)
+    s = times / 2.0
+    angle = np.pi * (10 * s**3 - 15 * s**4 + 6 * s**5)
+    table = tmp_path / "motion.csv"
+    rows = "".join(f"{t!r},{q!r}\n" for t, q in zip(times.tolist(), angle.tolist()))
+    table.write_text("time [s],pin.position [rad]\n" + rows)
+    out = tmp_path / "efforts.csv"
+    found = answer(capsys, "inverse", str(scene), "--motion", str(table), "--out", str(out))
+    assert found["joints"][0]["energy_J"] == pytest.approx(2.0 * 2.0 * 9.81 * 0.5, rel=1e-6)
+    efforts = np.genfromtxt(out, delimiter=",", skip_header=1)
+    accelerations = np.pi / 4.0 * (60 * s - 180 * s**2 + 120 * s**3)
+    expected = (0.1 + 2.0 * 0.25) * accelerations + 2.0 * 9.81 * 0.5 * np.sin(angle)
+    assert np.abs(efforts[5:-5, 1] - expected[5:-5]).max() < 1e-5
+    assert main(["inverse", str(scene), "--motion", str(table), "--out", str(out)]) == 2
+
+
+@pytest.mark.parametrize(
+    "arguments, text",
+    [
+        (["linearise", "four_bar", "--at", "-1"], "--at must be times from 0 on, got -1"),
+        (["linearise", "four_bar", "--at", "nan"], "--at must be times in s, got nan"),
+        (["linearise", "four_bar", "--at", "2", "1"], "--at: the times must be in their order"),
+        (["linearise", "four_bar", "--inputs", "crank"], "unknown input 'crank'"),
+        (["linearise", "four_bar", "--outputs", "crank"], "unknown output 'crank'"),
+        (["linearise", "four_bar", "--independent", "ground_crank", "ground_rocker"], "the mechanism has 1 here"),
+        (["linearise", "four_bar", "--out", "a.txt"], "a.txt: the name must end in .json, .npz or .mat"),
+        (["linearise", "four_bar", "--at", "0", "1", "--out", "a.json"], "--out takes the system of one time"),
+        (["trim", "four_bar", "--rates", "crank"], "--rates: expected NAME=RATE with a number, got 'crank'"),
+        (["trim", "four_bar", "--hold", "crank"], "unknown coordinate 'crank'"),
+        (["inverse", "four_bar", "--motion", "none.csv"], "none.csv: cannot be read: No such file or directory"),
+        (["inverse", "four_bar", "--motion", "empty.csv"], "empty.csv: needs a line with names"),
+        (["inverse", "four_bar", "--motion", "text.csv"], "text.csv:3: expected 2 numbers, separated by commas"),
+        (["inverse", "four_bar", "--motion", "back.csv"], "back.csv: the times must increase"),
+        (["inverse", "four_bar", "--motion", "other.csv"], "the mechanism has 1 independent coordinate: name so many"),
+        (["inverse", "four_bar", "--motion", "binary.csv"], "binary.csv: cannot be read: it is not a text file"),
+    ],
+)
+def test_wrong_input_is_one_line(tmp_path, monkeypatch, capsys, arguments, text):
+    monkeypatch.chdir(tmp_path)
+    for name, content in {
+        "empty.csv": b"time\n",
+        "text.csv": b"time,ground_crank.position\n0,1\n1,x\n2,1\n",
+        "back.csv": b"time,ground_crank.position\n0,1\n1,1\n1,1\n",
+        "other.csv": b"time,elbow.position\n0,1\n1,1\n2,1\n",
+        "binary.csv": b"\xff\xfe\x00time",
+    }.items():
+        (tmp_path / name).write_bytes(content)
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert text in error and error.count("\n") == 1
+
+
+def test_a_falling_body_has_no_equilibrium(tmp_path, capsys):
+    scene = tmp_path / "falling.yaml"
+    scene.write_text("name: f\ngravity: [0, 0, -9.81]\nbodies: [{name: b, mass: 1.0, inertia: [1, 1, 1]}]\n")
+    assert main(["trim", str(scene)]) == 1
+    assert "no equilibrium near the state" in capsys.readouterr().err
