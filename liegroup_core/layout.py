@@ -13,6 +13,7 @@ from liegroup_core.errors import SceneError
 from liegroup_core.forces import kinds
 from liegroup_core.forces.joint_effort import unit_wrenches
 from liegroup_core.joints.coupling import COUPLED
+from liegroup_core.joints.kinds import ROLLING
 from liegroup_core.joints.limits import limits_of
 from liegroup_core.joints.motion import COLUMNS
 from liegroup_core.joints.pairs import LOWER_PAIRS
@@ -140,6 +141,15 @@ class Layout:
         """(k,) characteristic length in the unit of each switch: 1 rad, or m."""
         units = [unit_of(switch, self.scene) for switch in self.switches]
         return np.array([self.size if unit == "m" else 1.0 for unit in units])
+
+    @property
+    def rolls(self):
+        """Text that names joints which forbid velocities only, or ""."""
+        return "it has wheels, balls that roll, or knife edges" if self._rolling else ""
+
+    @property
+    def _rolling(self):
+        return any(joint.type in ROLLING for joint in self.scene.joints)
 
     @property
     def needs_events(self):

@@ -14,13 +14,14 @@ from pydantic import Field
 from liegroup_core.compiling import kernel
 from liegroup_core.fields.values import Number
 
-from . import cone, distance, perpendicular
+from . import cone, distance, perpendicular, rolling
 from .cable import CableJoint
 from .described import JointBase
 from .distance import DistanceJoint
 from .elements import ELEMENT, PAIR, Element, JointType
 from .pairs import LOWER_PAIRS, pair_coordinates, pair_element
 from .perpendicular import PERPENDICULAR
+from .rolling import KnifeEdge, RollingJoint
 from .stops import CONE, DISTANCE, SLIDE, TURN
 
 __all__ = ["CableJoint", "DistanceJoint", "Joint", "ScrewJoint"]
@@ -32,10 +33,20 @@ CONSTRAINTS = LOWER_PAIRS | {
     ),
     "distance": JointType("the origins of the frames keep their distance (rod)"),
 }
-TYPES = CONSTRAINTS | {
-    "cable": JointType("the origins of the frames are at most its length apart"),
-    "strut": JointType("the origins of the frames are at least its length apart"),
+# Types with rows that forbid velocities only.
+ROLLING = {
+    "wheel": JointType("a thin disk of the given radius about z rolls on the plane z = 0 of the parent's frame"),
+    "ball_on_plane": JointType("a ball of the given radius rolls on the plane z = 0 of the parent's frame"),
+    "knife_edge": JointType("the origin of the child's frame has no velocity along its y axis"),
 }
+TYPES = (
+    CONSTRAINTS
+    | ROLLING
+    | {
+        "cable": JointType("the origins of the frames are at most its length apart"),
+        "strut": JointType("the origins of the frames are at least its length apart"),
+    }
+)
 # {kind of a Switch: element whose residual is its coordinate}
 COORDINATES = {
     TURN: Element(PAIR, ("wz",), np.eye(6)[2:3]),
@@ -71,7 +82,7 @@ class ScrewJoint(JointBase):
         return (pair_element(self.type, self.pitch),)
 
 
-JOINTS = (Joint, ScrewJoint, DistanceJoint, CableJoint)
+JOINTS = (Joint, ScrewJoint, DistanceJoint, CableJoint, RollingJoint, KnifeEdge)
 
 
 @kernel
@@ -81,6 +92,8 @@ def variable_row(element, rot, p, w, v):
         return perpendicular.row(element, rot, p, w, v)
     if element["kind"] == cone.KIND:
         return cone.row(element, rot, p, w, v)
+    if element["kind"] >= rolling.FIRST:
+        return rolling.row(element, rot, p, w, v)
     return distance.row(element, rot, p, w, v)
 
 
@@ -94,6 +107,8 @@ def variable_residual(kind, rot, p, parameter):
         return perpendicular.residual(rot, p, parameter)
     if kind == cone.KIND:
         return cone.residual(rot, p, parameter)
+    if kind >= rolling.FIRST:
+        return rolling.residual(kind, rot, p, parameter)
     return distance.residual(rot, p, parameter)
 
 

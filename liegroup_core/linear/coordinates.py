@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Independent coordinates of a mechanism near a state, and the tangent space of its motions.
 
-Without loops every degree of freedom of the spanning tree is independent. Cut joints, couplings and driven
-joints leave a subspace, the range of the projection of velocities P. Rows of a basis N of it with the best
-condition are independent coordinates z:
+Without loops every degree of freedom of the spanning tree is independent. Cut joints, couplings and driven joints
+leave a subspace for velocities, the range of their projection P. Rows of a basis of it with the best condition are
+independent:
 
-    psi = N z ,   w = N z' + c(z)
+    psi = N z ,   w = M u + c(z)
 
-with the changes c of dependent rates that keep the joints closed where the position changes. Together they are
-the tangent space of all states, in which the equations of motion are linearised.
+with the changes c of rates that keep the joints closed where the position changes. N is M, except where wheels, balls
+that roll or knife edges forbid velocities only: then N is the null space of the position residuals, and there are
+more coordinates z than rates u. Together they are the tangent space of all states, in which the equations of motion
+are linearised.
 """
 
 from functools import cached_property
@@ -28,6 +30,7 @@ from .differences import derivative
 
 COMPONENTS = ("rx", "ry", "rz", "x", "y", "z")
 ANGLE, SHARE = 1e-2, 1e-2  # first displacement: rad, and of the mechanism's size
+NO_ROW = 1e-9  # relative size of a row, or a singular value, that is round-off
 
 
 class Freedom(NamedTuple):
@@ -72,9 +75,11 @@ class Coordinates:
     chosen : names of freedoms that are independent; None: those with the best condition
 
     freedoms : [Freedom]
-    independent : indices of the independent ones
-    motions  : N (f, m), unit rows at the independent ones
+    independent, moving : indices of the independent coordinates and of the independent rates
+    motions  : N (f, m), unit rows at the independent coordinates
+    rates    : M (f, p), unit rows at the independent rates
     names, units : of the independent coordinates
+    rate_names   : of the independent rates
     Raises SceneError for unknown or dependent names.
     """
 
@@ -82,9 +87,19 @@ class Coordinates:
         self._probe, self.freedoms = probe, freedoms_of(probe.layout)
         self._signs = np.array([freedom.sign for freedom in self.freedoms])
         length = probe.layout.size
-        self._units = np.array([1.0 if freedom.unit == "rad" else length for freedom in self.freedoms])
-        self.independent, self.motions = self._basis(chosen)
-        self.names = [self.freedoms[k].name for k in self.independent]
+        self._scales = np.array([1.0 if freedom.unit == "rad" else length for freedom in self.freedoms])
+        basis = self._velocities()
+        wanted = None if chosen is None else np.array([self.number(name) for name in chosen], dtype=int)
+        if probe.layout.rolls:
+            places = self._positions()
+            if wanted is not None and len(wanted) == places.shape[1] != basis.shape[1]:
+                raise SceneError("with rolling, choose as many coordinates as there are independent rates")
+            self.moving, self.rates = self._independent(basis, wanted)
+            self.independent, self.motions = self._independent(places, None, self.moving)
+        else:
+            self.moving, self.rates = self._independent(basis, wanted)
+            self.independent, self.motions = self.moving, self.rates
+        self.names, self.rate_names = ([self.freedoms[k].name for k in of] for of in (self.independent, self.moving))
         self.units = [self.freedoms[k].unit for k in self.independent]
 
     @property
@@ -92,39 +107,73 @@ class Coordinates:
         """(m,) signs of the independent coordinates in their joints."""
         return self._signs[self.independent]
 
+    @property
+    def rate_signs(self):
+        """(p,) signs of the independent rates in their joints."""
+        return self._signs[self.moving]
+
     def size(self, k):
         """First displacement along independent coordinate k."""
         return ANGLE if self.units[k] == "rad" else SHARE * self._probe.layout.size
 
-    def _basis(self, chosen):
+    def rate_size(self, k):
+        """First displacement along independent rate k."""
+        return ANGLE if self.freedoms[self.moving[k]].unit == "rad" else SHARE * self._probe.layout.size
+
+    def _velocities(self):
+        """Basis (f, p) of the velocities that the joints allow, in the units of the freedoms."""
         probe = self._probe
         f = probe.freedoms
         free = np.flatnonzero(~probe.held)
-        if probe.is_closed:
-            # Columns of P in the units of the freedoms; its nonzero singular values are at least 1.
-            rest = probe.closed()[0]
-            rows = []
-            for k in free:
-                y = np.zeros((f, 2))
-                y[k, 1] = self._units[k]
-                rows.append((probe.closed(y)[0] - rest) / self._units)
-            left, sizes, _ = np.linalg.svd(np.array(rows).reshape(-1, f).T, full_matrices=False)
-            basis = left[:, sizes > 0.5]
-        else:
-            basis = np.eye(f)[:, free]
+        if not probe.is_closed:
+            return np.eye(f)[:, free]
+        # Columns of P; its nonzero singular values are at least 1.
+        rest = probe.closed()[0]
+        columns = []
+        for k in free:
+            y = np.zeros((f, 2))
+            y[k, 1] = self._scales[k]
+            columns.append((probe.closed(y)[0] - rest) / self._scales)
+        left, sizes, _ = np.linalg.svd(np.array(columns).reshape(-1, f).T, full_matrices=False)
+        return left[:, sizes > 0.5]
+
+    def _positions(self):
+        """Basis (f, m) of the displacements that the joints allow, in the units of the freedoms."""
+        probe = self._probe
+        f = probe.freedoms
+        rows = []
+        for k in range(f):
+            y = np.zeros((f, 2))
+
+            def gaps(s, y=y, k=k):
+                y[k, 0] = s * self._scales[k]
+                return probe.gaps(y)
+
+            rows.append(derivative(gaps, ANGLE)[0])
+        rows = np.vstack([np.array(rows).T, np.eye(f)[probe.held]])
+        sizes = np.linalg.norm(rows, axis=1)
+        rows = rows[sizes > NO_ROW * sizes.max(initial=0.0)]
+        rows /= np.linalg.norm(rows, axis=1, keepdims=True)
+        return scipy.linalg.null_space(rows, rcond=NO_ROW) if len(rows) else np.eye(f)
+
+    def _independent(self, basis, wanted, first=()):
+        """(indices, matrix) of the rows of a basis that are independent: `first` and others, or those wanted."""
         count = basis.shape[1]
-        if chosen is None:
-            picked = np.sort(scipy.linalg.qr(basis.T, pivoting=True, mode="r")[1][:count])
+        if wanted is None:
+            weights = np.ones(len(basis))
+            weights[list(first)] = 1e3  # taken before the others, if they are independent
+            order = scipy.linalg.qr((basis * weights[:, None]).T, pivoting=True, mode="r")[1]
+            picked = np.sort(order[:count])
         else:
-            picked = np.array([self.number(name) for name in chosen], dtype=int)
+            picked = wanted
             if len(set(picked.tolist())) != count:
                 raise SceneError(f"{len(picked)} independent coordinates are given, the mechanism has {count} here")
         square = basis[picked]
         if count and np.linalg.svd(square, compute_uv=False)[-1] < 1e-9:
             raise SceneError(f"the coordinates {', '.join(self.freedoms[k].name for k in picked)} are not independent")
-        motions = self._units[:, None] * np.linalg.solve(square.T, basis.T).T / self._units[picked]
-        motions[picked] = np.eye(count)
-        return picked, motions
+        found = self._scales[:, None] * np.linalg.solve(square.T, basis.T).T / self._scales[picked]
+        found[picked] = np.eye(count)
+        return picked, found
 
     def number(self, name):
         """Index of the freedom with a name. Raises SceneError."""
@@ -148,14 +197,14 @@ class Coordinates:
                 return probe.closed(y)[0]
 
             change, _ = derivative(rates, self.size(k))
-            changes[:, k] = change - self.motions @ change[self.independent]
+            changes[:, k] = change - self.rates @ change[self.moving]
         return changes
 
     def neighbour(self, k, s, rate=False):
-        """y (f, 2) a distance s along independent coordinate k, or along its rate; for a derivative."""
+        """y (f, 2) a distance s along independent coordinate k, or independent rate k; for a derivative."""
         y = np.zeros((self._probe.freedoms, 2))
         if rate:
-            y[:, 1] = s * self.motions[:, k]
+            y[:, 1] = s * self.rates[:, k]
         else:
             y[:, 0], y[:, 1] = s * self.motions[:, k], s * self.changes[:, k]
         return y

@@ -27,11 +27,12 @@ DISPLACED = 1e-4  # rad, m, and of rates, in the derivatives of A
 class LinearSystem:
     """Linearised mechanism.
 
-    A (2m, 2m), B (2m, k), C (p, 2m), D (p, k) : see the module; SI units
-    states, inputs, outputs : names; the states are m coordinates, then their rates
+    A (n, n), B (n, k), C (p, n), D (p, k) : see the module; SI units
+    states, inputs, outputs : names; the states are m coordinates, then rates: as many, or fewer with rolling
+    coordinates : m
     motions   : (f, m) change of each degree of freedom of the tree with the coordinates
     freedoms  : names of the f degrees of freedom
-    slope     : (2m,) d/dt of x at the state: zero at an equilibrium
+    slope     : (n,) d/dt of x at the state: zero at an equilibrium
     error     : largest estimated error of an entry of A and B, or C and D, relative to their largest entry
     time      : s
     scene     : name
@@ -44,6 +45,7 @@ class LinearSystem:
     states: tuple
     inputs: tuple
     outputs: tuple
+    coordinates: int
     motions: np.ndarray
     freedoms: tuple
     slope: np.ndarray
@@ -53,7 +55,7 @@ class LinearSystem:
 
     @property
     def poles(self):
-        """(2m,) eigenvalues of A in rad/s and 1/s, by magnitude."""
+        """(n,) eigenvalues of A in rad/s and 1/s, by magnitude."""
         found = np.linalg.eigvals(self.A) if self.A.size else np.empty(0, dtype=complex)
         return found[np.lexsort((-found.imag, found.real, np.abs(found).round(9)))]
 
@@ -111,6 +113,7 @@ class LinearSystem:
             "scene": self.scene,
             "time": self.time,
             **{name: getattr(self, name).tolist() for name in "ABCD"},
+            "coordinates": self.coordinates,
             **{name: list(getattr(self, name)) for name in ("states", "inputs", "outputs", "freedoms")},
             "motions": self.motions.tolist(),
             "slope": self.slope.tolist(),
@@ -150,29 +153,29 @@ def linearise(simulation, inputs=None, outputs=None, independent=None, time=None
 
 
 def pole_errors(simulation, system, time=None):
-    """(2m,) errors of the poles of a LinearSystem that follow from the estimated error of the state, rad/s and 1/s.
+    """(n,) errors of the poles of a LinearSystem that follow from the estimated error of the state, rad/s and 1/s.
 
     system : of this simulation and time
     A bound to first order: the changes of A with every coordinate and rate, times the largest change of that
     which the estimated errors of all bodies allow. NaN without an estimate.
     """
     probe = Probe(simulation, time)
-    poles, m = system.poles, len(system.A) // 2
-    if probe.base.errors is None or not m:
-        return np.full(2 * m, np.nan)
-    chosen = list(system.states[:m])
+    poles, m, n = system.poles, system.coordinates, len(system.A)
+    if probe.base.errors is None or not n:
+        return np.full(n, np.nan)
+    chosen = [name.removesuffix(".rate") for name in system.states[m:]]
     shown = system_of(probe, [], ["bodies", "twists"], chosen).C
     position, attitude, velocity, rate = np.maximum(probe.base.errors, 1e-300).T
     errors = np.concatenate([_by_body(attitude, position), _by_body(rate, velocity)])
     largest = np.abs(np.linalg.pinv(shown / errors[:, None])).sum(axis=1)
-    found, values, left, right = np.zeros(2 * m), *scipy.linalg.eig(system.A, left=True)
+    found, values, left, right = np.zeros(n), *scipy.linalg.eig(system.A, left=True)
     order = [int(np.argmin(np.abs(values - pole))) for pole in poles]
     product = np.einsum("ij,ij->j", left.conj(), right)
     kept, coordinates = probe.keep(), Coordinates(probe, chosen)
-    for k in range(2 * m):
+    for k in range(n):
         sides = []
         for sign in (1.0, -1.0):
-            probe.go_to(coordinates.neighbour(k % m, sign * DISPLACED, k >= m))
+            probe.go_to(coordinates.neighbour(k - m if k >= m else k, sign * DISPLACED, k >= m))
             sides.append(system_of(probe, [], [], chosen).A)
             probe.restore(kept)
         change = (sides[0] - sides[1]) / (2.0 * DISPLACED)
@@ -190,9 +193,9 @@ def system_of(probe, inputs=None, outputs=None, independent=None):
     """As `linearise`, of a Probe."""
     coordinates = Coordinates(probe, independent)
     inputs, outputs = Inputs(probe, inputs), Outputs(probe, outputs)
-    rows = np.concatenate([coordinates.independent, probe.freedoms + coordinates.independent])
-    signs = np.tile(coordinates.signs, 2)
-    m = len(coordinates.independent)
+    rows = np.concatenate([coordinates.independent, probe.freedoms + coordinates.moving])
+    signs = np.concatenate([coordinates.signs, coordinates.rate_signs])
+    m, states = len(coordinates.independent), len(rows)
 
     def values(y, applied=(None, None)):
         slopes, pose, twist = probe.slopes(y, *applied)
@@ -205,14 +208,14 @@ def system_of(probe, inputs=None, outputs=None, independent=None):
         errors.append(error)
         return found
 
-    for rate in (False, True):
-        for k in range(m):
-            h = coordinates.size(k)
-            moved = column(lambda s, k=k, rate=rate: values(coordinates.neighbour(k, s, rate)), h)
-            if not rate:
-                # In the chart that moves with the state, d/dt psi = w + [psi, V]; in the fixed one half of the bracket.
-                moved[:m] *= 2.0
-            columns.append(moved * coordinates.signs[k])
+    for k in range(m):
+        moved = column(lambda s, k=k: values(coordinates.neighbour(k, s)), coordinates.size(k))
+        # In the chart that moves with the state, d/dt psi = w + [psi, V]; in the fixed one half of the bracket.
+        moved[:m] += moved[:m] - coordinates.signs * coordinates.changes[coordinates.independent, k]
+        columns.append(moved * coordinates.signs[k])
+    for k in range(states - m):
+        moved = column(lambda s, k=k: values(coordinates.neighbour(k, s, True)), coordinates.rate_size(k))
+        columns.append(moved * coordinates.rate_signs[k])
     for j in range(len(inputs)):
         u = np.zeros(len(inputs))
 
@@ -221,13 +224,17 @@ def system_of(probe, inputs=None, outputs=None, independent=None):
             return values(None, inputs.applied(u))
 
         columns.append(column(pushed, inputs.sizes[j]))
-    matrix, error = (np.array(part).reshape(2 * m + len(inputs), 2 * m + len(outputs)).T for part in (columns, errors))
-    parts = [(np.abs(matrix[rows]).max(initial=0.0), error[rows]) for rows in (slice(0, 2 * m), slice(2 * m, None))]
+    matrix, error = (
+        np.array(part).reshape(states + len(inputs), states + len(outputs)).T for part in (columns, errors)
+    )
+    own, rest = slice(0, states), slice(states, None)
+    parts = [(np.abs(matrix[rows]).max(initial=0.0), error[rows]) for rows in (own, rest)]
     names = [freedom.name for freedom in coordinates.freedoms]
     all_signs = np.array([freedom.sign for freedom in coordinates.freedoms])
     return LinearSystem(
-        *(matrix[: 2 * m, : 2 * m], matrix[: 2 * m, 2 * m :], matrix[2 * m :, : 2 * m], matrix[2 * m :, 2 * m :]),
-        states=(*coordinates.names, *(f"{name}.rate" for name in coordinates.names)),
+        *(matrix[:states, :states], matrix[:states, states:], matrix[states:, :states], matrix[states:, states:]),
+        states=(*coordinates.names, *(f"{name}.rate" for name in coordinates.rate_names)),
+        coordinates=m,
         inputs=tuple(inputs.names),
         outputs=tuple(outputs.names),
         motions=all_signs[:, None] * coordinates.motions * coordinates.signs,

@@ -11,6 +11,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
+from liegroup_core.errors import SceneError
+
 SAME = 1e-9  # relative difference of a pair of conjugate eigenvalues
 
 
@@ -36,9 +38,11 @@ class Mode(NamedTuple):
 
 def modes_of(system, damped=True):
     """[Mode] of a LinearSystem, from slow to fast. Double poles of free motions are listed twice."""
-    m = len(system.A) // 2
+    m = system.coordinates
     if not m:
         return []
+    if not damped and len(system.A) != 2 * m:
+        raise SceneError("undamped modes need as many rates as coordinates: there are none with rolling")
     if damped:
         poles, vectors = scipy.linalg.eig(system.A)
     else:

@@ -14,8 +14,12 @@ hold at the state. For joints with one coordinate psi is the change of that coor
 import numpy as np
 
 from liegroup_core.compiling import borrowed, kernel
+from liegroup_core.dynamics.coordinates import lift_links, place_links
+from liegroup_core.dynamics.coupled_rows import set_gap
 from liegroup_core.dynamics.loops import project
+from liegroup_core.dynamics.matrix import is_off
 from liegroup_core.dynamics.switches import set_modes
+from liegroup_core.dynamics.trees import move_links
 from liegroup_core.engine import METHOD, Engine
 from liegroup_core.errors import SimulationError
 from liegroup_core.methods.munthe_kaas import steps
@@ -75,6 +79,21 @@ def _close(model, work, scheme, y, pose_in, twist_in, external_in, rates_out, po
         for k in range(link["freedoms"]):
             rates_out[link["freedom"] + k] = work.stage_twist[n + b, k]
     steps.place(model, work, pose_out, twist_out)
+    return OK
+
+
+@kernel
+def _gaps(model, work, scheme, y, pose_in, twist_in, external_in, gaps_out):
+    """Write the position residuals (m,) of all rows that act at a neighbour. Returns a status."""
+    _, status = _set_neighbour(model, work, scheme, y, pose_in, twist_in, external_in)
+    if status != OK:
+        return status
+    move_links(model, work)
+    place_links(model, work)
+    lift_links(model, work)
+    set_gap(model, work)
+    for r in range(len(model.row_residual)):
+        gaps_out[r] = 0.0 if is_off(model, work, r) else work.gap[model.row_residual[r]]
     return OK
 
 
@@ -162,6 +181,12 @@ class Probe:
         rates, pose, twist = np.empty(self.freedoms), self.pose.copy(), self.twist.copy()
         self._call(_close, y, None, None, rates, pose, twist)
         return rates, pose, twist
+
+    def gaps(self, y):
+        """(m,) position residuals of all rows of cut joints at a neighbour, rad and m."""
+        gaps = np.empty(len(self._model.row_residual))
+        self._call(_gaps, y, None, None, gaps)
+        return gaps
 
     def _call(self, kernel, y, external, wanted, *out):
         work = self._work

@@ -67,8 +67,8 @@ def misfit(method, layout):
     family = METHODS[method].family
     if family not in ON_JOINTS and layout.needs_relative:
         return layout.needs_relative
-    if family != "rkmk" and layout.needs_events:
-        return layout.needs_events
+    if family != "rkmk" and (layout.needs_events or layout.rolls):
+        return layout.needs_events or layout.rolls
     return rotation_misfit(layout) if family == "rotation" else ""
 
 

@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Joints as geometric equations between directions and points, in world axes.
 
-Every joint consists of three kinds of equations, one row each, as in Haug, Computer Aided
+Every joint consists of these kinds of equations, one row each; the first three as in Haug, Computer Aided
 Kinematics and Dynamics of Mechanical Systems, 1989, chapter 9 (dot-1, dot-2, distance):
 
     ACROSS    e . f = 0                             a direction e of the parent, f of the child
     LEVEL     e . d - pitch theta - offset = 0      d from the point of the parent to that of the child
     DISTANCE  (d . d - length^2) / (2 length) = 0
     ANGLE     theta                                 of a coupled joint, and LEVEL of a coupled slide
+    WHEEL     e . u = 0                             u: velocity of the child, relative to the parent, where its rim
+    BALL      e . u = 0                             is lowest, or below its centre; g: the height there if e = z
+    EDGE      f . u = 0                             u: velocity of the child's point
 
 A coupling is the difference q_1 - p(q_2) of two such coordinates, minus its value at the start;
 p(q) = ratio q + a_2 q^2 + a_3 q^3 + a_4 q^4.
@@ -24,7 +27,7 @@ from liegroup_core.compiling import subroutine
 
 GROUND = -1  # body index of the world
 STATE = 13  # numbers per body: quaternion, position, velocity, angular velocity
-ACROSS, LEVEL, DISTANCE, ANGLE = 0, 1, 2, 3
+ACROSS, LEVEL, DISTANCE, ANGLE, WHEEL, BALL, EDGE = 0, 1, 2, 3, 4, 5, 6
 X, Y, Z = 0, 1, 2  # axes of a joint frame
 
 # The equations of each kind of joint: (ACROSS, axis of the parent's frame, axis of the child's)
@@ -43,6 +46,9 @@ JOINTS = {
     "fixed": _SAME_POINT + _SAME_Z + _NO_TURN,
     "universal": _SAME_POINT + _NO_TURN,
     "distance": ((DISTANCE,),),
+    "wheel": tuple((WHEEL, axis, Z) for axis in (X, Y, Z)),
+    "ball_on_plane": tuple((BALL, axis, Z) for axis in (X, Y, Z)),
+    "knife_edge": ((EDGE, X, Y),),
 }
 
 
@@ -53,7 +59,8 @@ class Equations(NamedTuple):
     body: np.ndarray  # (k, 2) parent, child; GROUND = -1
     point: np.ndarray  # (k, 2, 3) m, in the frames of parent and child
     axis: np.ndarray  # (k, 2, 3) e in the parent's axes, f in the child's
-    length: np.ndarray  # (k,) m, of a DISTANCE; the offset of a LEVEL
+    normal: np.ndarray  # (k, 3) z of the parent's joint frame in its axes
+    length: np.ndarray  # (k,) m, of a DISTANCE; the offset of a LEVEL; the radius of a WHEEL or BALL
     pitch: np.ndarray  # (k,) m/rad
     turn: np.ndarray  # (k,) index of the angle theta, or -1
     coupled: np.ndarray  # (c,) first of the two rows of each coupling, at the end
@@ -143,6 +150,55 @@ def _add_rotation(row, state, body, axis):
 
 
 @subroutine
+def _contact(equations, r, state):
+    """Contact point of a WHEEL or BALL, the point of an EDGE: position and velocity (2, 3), world axes."""
+    parent, child = equations.body[r]
+    out = point(state, child, equations.point[r, 1])[:2].copy()
+    if equations.kind[r] == EDGE:
+        return out
+    down = -direction(state, parent, equations.normal[r])[:2]
+    if equations.kind[r] == WHEEL:
+        a = direction(state, child, equations.axis[r, 1])
+        along, rate = np.dot(a[0], down[0]), np.dot(a[1], down[0]) + np.dot(a[0], down[1])
+        across = down[0] - along * a[0]
+        moving = down[1] - rate * a[0] - along * a[1]
+        length = np.sqrt(np.dot(across, across))
+        down[0] = across / length
+        down[1] = (moving - np.dot(down[0], moving) * down[0]) / length
+    out += equations.length[r] * down
+    return out
+
+
+@subroutine
+def _set_rolling(equations, r, state, row, gap_out):
+    """Row and gaps of a WHEEL, BALL or EDGE."""
+    parent, child = equations.body[r]
+    s = _contact(equations, r, state)
+    if equations.kind[r] == EDGE:
+        t = direction(state, child, equations.axis[r, 1])
+    else:
+        t = direction(state, parent, equations.axis[r, 0])
+    slip, change = np.zeros(3), np.zeros(3)
+    for end in range(2):
+        body = child if end == 0 else parent
+        if body == GROUND:
+            continue
+        sign = 1.0 if end == 0 else -1.0
+        arm, rate = s[0] - state[body, 4:7], s[1] - state[body, 7:10]
+        omega = rotate(state[body, 0:4], state[body, 10:13])
+        slip += sign * (state[body, 7:10] + np.cross(omega, arm))
+        change += sign * np.cross(omega, rate)
+        row[6 * body : 6 * body + 3] += sign * t[0]
+        row[6 * body + 3 : 6 * body + 6] += sign * rotate_back(state[body, 0:4], np.cross(arm, t[0]))
+    if equations.kind[r] != EDGE:
+        n = direction(state, parent, equations.normal[r])[0]
+        at = point(state, parent, equations.point[r, 0])[0]
+        gap_out[0, r] = np.dot(n, s[0] - at) if np.dot(n, t[0]) > 0.5 else 0.0
+    gap_out[1, r] = np.dot(t[0], slip)
+    gap_out[2, r] = np.dot(t[1], slip) + np.dot(t[0], change)
+
+
+@subroutine
 def joint_equations(equations, state, angle, rows_out, gap_out):
     """Evaluate all equations g = 0 at one state.
 
@@ -173,6 +229,9 @@ def joint_equations(equations, state, angle, rows_out, gap_out):
             gap_out[2, r] = np.dot(e[1], spin)
             _add_rotation(row, state, child, e[0])
             _add_rotation(row, state, parent, -e[0])
+            continue
+        if equations.kind[r] >= WHEEL:
+            _set_rolling(equations, r, state, row, gap_out)
             continue
         d = point(state, child, equations.point[r, 1]) - point(state, parent, equations.point[r, 0])
         length = equations.length[r]

@@ -98,7 +98,7 @@ def _ends(link, index):
 
 def _equations(scene, index, frames, relative, couplings):
     """Equations; couplings : (their joints in pairs, angles of all joints that need one)."""
-    kind, body, point, axis, length, pitch, turn = ([] for _ in range(7))
+    kind, body, point, axis, normal, length, pitch, turn = ([] for _ in range(8))
     described = _relative(scene, frames, {body.name: body.pose for body in scene.bodies})
     screws = 0
     for joint in scene.joints:
@@ -109,13 +109,14 @@ def _equations(scene, index, frames, relative, couplings):
             body.append(_ends(joint, index))
             point.append((F_a[:3, 3], F_b[:3, 3]))
             axis.append((F_a[:3, e], F_b[:3, f]))
+            normal.append(F_a[:3, 2])
             threaded = joint.type == "screw" and equation == JOINTS["screw"][-1]
             pitch.append(joint.pitch if threaded else 0.0)
             turn.append(screws if threaded else -1)
             length.append(
                 _thread(joint, C_rel)
                 if threaded
-                else 0.0
+                else getattr(joint, "radius", 0.0)
                 if equation[0] != DISTANCE
                 else _length(joint, described[joint.name])
             )
@@ -129,6 +130,7 @@ def _equations(scene, index, frames, relative, couplings):
         body.append(_ends(joint, index))
         point.append((F_a[:3, 3], F_b[:3, 3]))
         axis.append((F_a[:3, 2], F_b[:3, 2]))
+        normal.append(F_a[:3, 2])
         length.append(0.0)
         pitch.append(0.0)
         turn.append(angle if turns else -1)
@@ -146,6 +148,7 @@ def _equations(scene, index, frames, relative, couplings):
         _table(body, (2,), int),
         _table(point, (2, 3)),
         _table(axis, (2, 3)),
+        _table(normal, (3,)),
         _table(length, ()),
         _table(pitch, ()),
         _table(turn, (), int),
@@ -169,6 +172,7 @@ def _rotors(scene, index, frames):
         _table([_ends(joint, index) for joint in joints], (2,), int),
         _table([(F_a[:3, 3], F_b[:3, 3]) for F_a, F_b in pairs], (2, 3)),
         _table([(F_a[:3, 2], F_b[:3, 2]) for F_a, F_b in pairs], (2, 3)),
+        _table([F_a[:3, 2] for F_a, _ in pairs], (3,)),
         zeros,
         zeros,
         np.where(turns, 0, -1),

@@ -82,7 +82,7 @@ def _save(system, path):
 def print_system(system, time, console, errors=None):
     """Print the sizes, poles and zeros of a LinearSystem; errors: of its poles, NaN if they are not known."""
     sizes = [counted(len(names), what) for names, what in ((system.inputs, "input"), (system.outputs, "output"))]
-    states_text = counted(len(system.states) // 2, "coordinate")
+    states_text = counted(system.coordinates, "coordinate")
     console.print(Text(f"{system.scene} at {time:.9g} s: {states_text}, {', '.join(sizes)}", style="bold"))
     console.print(Text(f"states: {', '.join(system.states)}"))
     console.print(Text(f"inputs: {', '.join(system.inputs) or 'none'}"))

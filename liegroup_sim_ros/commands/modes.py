@@ -54,7 +54,7 @@ def _entries(mode):
 
 def _print(system, modes, time, console):
     console.print(Text(f"{system.scene} at {time:.9g} s", style="bold"))
-    m = len(system.slope) // 2
+    m = system.coordinates
     if np.abs(system.slope[m:]).max(initial=0.0) > 1e-6:
         console.print(
             Text(

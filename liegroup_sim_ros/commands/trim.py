@@ -79,7 +79,7 @@ def _entries(result, time):
 
 def _print(result, time, console):
     entries = _entries(result, time)
-    moving = np.abs(result.system.slope[: len(result.system.slope) // 2]).max(initial=0.0) > RESTING
+    moving = np.abs(result.system.slope[: result.system.coordinates]).max(initial=0.0) > RESTING
     kind = "steady motion" if moving else "equilibrium"
     console.print(Text(f"{result.system.scene}: {kind}, {entries['stability']}", style="bold"))
     for joint, position in result.joints.items():
