@@ -19,7 +19,7 @@ from liegroup_core.scene.description import Body, Frame, Joint, SpringDamper
 
 GRAVITY = (0.3, -0.2, -9.81)
 KINDS = tuple(CONSTRAINTS)
-PARAMETERS = {"pitch": 0.3, "length": 0.7}  # m/rad, m
+PARAMETERS = {"pitch": 0.3, "length": 0.7, "radius": 0.2}  # m/rad, m, m
 WX, WY, WZ, VX, VY, VZ = np.eye(6)
 # Lower pairs: the directions of relative twist that they allow, in the axes of the child's joint frame.
 FREE = {

@@ -30,6 +30,7 @@ from .differences import derivative
 
 COMPONENTS = ("rx", "ry", "rz", "x", "y", "z")
 ANGLE, SHARE = 1e-2, 1e-2  # first displacement: rad, and of the mechanism's size
+OF_JOINT = 10.0  # weight of coordinates of joints, where independent ones are chosen
 NO_ROW = 1e-9  # relative size of a row, or a singular value, that is round-off
 
 
@@ -39,11 +40,13 @@ class Freedom(NamedTuple):
     name : of its joint with one coordinate, else JOINT.COMPONENT or BODY.COMPONENT
     unit : "rad" or "m"
     sign : of its coordinate when that of the joint increases
+    is_of_joint : whether it is the coordinate of a joint
     """
 
     name: str
     unit: str
     sign: float
+    is_of_joint: bool = False
 
 
 def freedoms_of(layout):
@@ -65,7 +68,7 @@ def freedoms_of(layout):
         one = link.joint is not None and len(link.components) == 1
         for component in link.components:
             label = name if one else f"{name}.{COMPONENTS[component]}"
-            found.append(Freedom(label, "rad" if component < 3 else "m", link.sign if one else 1.0))
+            found.append(Freedom(label, "rad" if component < 3 else "m", link.sign if one else 1.0, one))
     return found
 
 
@@ -160,8 +163,9 @@ class Coordinates:
         """(indices, matrix) of the rows of a basis that are independent: `first` and others, or those wanted."""
         count = basis.shape[1]
         if wanted is None:
-            weights = np.ones(len(basis))
-            weights[list(first)] = 1e3  # taken before the others, if they are independent
+            # Coordinates of joints before components of others, those of `first` before all, if they are independent.
+            weights = np.array([OF_JOINT if freedom.is_of_joint else 1.0 for freedom in self.freedoms])
+            weights[list(first)] = OF_JOINT**3
             order = scipy.linalg.qr((basis * weights[:, None]).T, pivoting=True, mode="r")[1]
             picked = np.sort(order[:count])
         else:

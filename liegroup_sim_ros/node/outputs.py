@@ -118,6 +118,7 @@ class Outputs:
         self._layout, self._own, self._values, self._recorder = layout, own, values, None
         self._streams, self._static = [], []
         self.after, self.at_steps, self.attending = [], [], []
+        self.has_sample = False  # whether the present file of the recording has one
         self._senders = {}  # {rate: its functions (stamp_ns, sample)}
         self._topics = topics.of_motion(layout.body_names, own, lambda topic: streams.resolved(topic.name))
         self._inputs = self._stream(*topics.INPUTS)
@@ -231,18 +232,20 @@ class Outputs:
             streams.append(errors)
             encoders.append(lambda stamp_ns, sample: [encode_errors(sample)])
 
-        def sender(calls):
+        def sender(calls, records=True):
             def send(stamp_ns, sample):
+                self.has_sample = self.has_sample or records
                 data = [each for encode in encoders for each in encode(stamp_ns, sample)]
                 for call, each in zip(calls, data):
                     call(stamp_ns, each)
 
             return [send]
 
+        (self._record_sample,) = recording = sender([stream.record for stream in streams])
         if not values.rates["record_rate"]:
             return sender([stream.send for stream in streams])
-        self._senders["record_rate"] = sender([stream.record for stream in streams])
-        return sender([stream.publish_only for stream in streams])
+        self._senders["record_rate"] = recording
+        return sender([stream.publish_only for stream in streams], records=False)
 
     def _optional(self, parameter, topic, message_type, encode):
         # For viewers that start while the simulation is paused.
@@ -350,8 +353,14 @@ class Outputs:
         for (stream, encode), impulse in zip(self.impulses, array):
             stream.send(stamp_ns, encode(stamp_ns, impulse))
 
+    def complete(self, stamp_ns, sample):
+        """Record a sample if the file has none, at the end of a recording."""
+        if not self.has_sample:
+            self._record_sample(stamp_ns, sample)
+
     def record_acting(self, stamp_ns, sample):
         """Record wanted values, motions and modes at the start of a new file, without publishing them."""
+        self.has_sample = False
         if self.targets:
             self._targets.record(stamp_ns, self._targets_now(stamp_ns))
         if self.motions:

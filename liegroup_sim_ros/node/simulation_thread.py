@@ -145,6 +145,11 @@ class SimulationServer(SimulationCommands, threading.Thread):
         self.call("clear", prefix)
 
     @property
+    def step_stamp_ns(self):
+        """Stamp of the last step, after the end of the thread."""
+        return self._stamp(self._simulation.steps)
+
+    @property
     def inputs_held(self):
         """Number of wrenches and commands of joints that act now or start later."""
         return self._simulation.input_count + len(self._inbox)

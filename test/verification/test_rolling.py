@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Wheels, balls and knife edges: closed forms, the bicycle benchmark, and the independent reference."""
+
+import numpy as np
+import pytest
+import scipy
+
+from liegroup_core import Simulation
+from liegroup_core.errors import SceneError
+from liegroup_core.linear import linearise
+from liegroup_core.reference import integrate
+from liegroup_core.scene.load import load_scene, scene_from_text
+
+GRAVITY = 9.81
+# Meijaard, Papadopoulos, Ruina and Schwab, Proc. R. Soc. A 463 (2007) 1955, (A 1) to (A 4) and table 2, 14 digits.
+M = np.array([[80.81722, 2.31941332208709], [2.31941332208709, 0.29784188199686]])
+K0 = np.array([[-80.95, -2.59951685249872], [-2.59951685249872, -0.80329488458618]])
+K2 = np.array([[0.0, 76.59734589573222], [0.0, 2.65431523794604]])
+C1 = np.array([[0.0, 33.86641391492494], [-0.85035641456978, 1.68540397397560]])
+WEAVE, CAPSIZE = 4.29238253634111, 6.02426201538837  # m/s, ends of the range of stable speeds
+
+
+def scene(text):
+    return scene_from_text(text, source="test")
+
+
+def bicycle(speed):
+    text = load_scene("bicycle").text
+    for before, after in (
+        ("[5, 0, 0]", f"[{speed!r}, 0, 0]"),
+        ("16.666666666666668", repr(speed / 0.3)),
+        ("14.285714285714286", repr(speed / 0.35)),
+    ):
+        assert before in text
+        text = text.replace(before, after)
+    return Simulation(scene(text), "rkmk4", 1e-3, estimate=False, quiet=True)
+
+
+def lean_and_steer(speed):
+    """A (4, 4) of lean and steer and their rates: no other state of a bicycle that runs straight acts on them."""
+    system = linearise(bicycle(speed), [], [])
+    own = [system.states.index(name) for name in ("frame.rx", "steer", "frame.rx.rate", "steer.rate")]
+    others = [k for k in range(10) if k not in own]
+    assert len(system.A) == 10 and np.abs(system.A[np.ix_(own, others)]).max() < 1e-9 * np.abs(system.A).max()
+    return system.A[np.ix_(own, own)]
+
+
+def moving_poles(speed):
+    return np.sort_complex(np.linalg.eigvals(lean_and_steer(speed)))
+
+
+@pytest.mark.parametrize("speed", [0.0, 1.0, 3.0, 4.0, 5.0, 7.0, 10.0])
+def test_the_poles_of_the_bicycle_are_those_of_the_benchmark(speed):
+    """Of the nonlinear scene; published coefficients have 14 digits, a simple pole about 11."""
+    A = np.block(
+        [
+            [np.zeros((2, 2)), np.eye(2)],
+            [-np.linalg.solve(M, GRAVITY * K0 + speed**2 * K2), -np.linalg.solve(M, speed * C1)],
+        ]
+    )
+    expected = np.sort_complex(np.linalg.eigvals(A))
+    assert np.abs(moving_poles(speed) - expected).max() < 5e-10
+
+
+def test_the_bicycle_has_the_published_poles_and_the_speeds_where_it_becomes_stable():
+    published = [-14.07838969279822, -0.77534188219585 - 4.46486771378823j, -0.77534188219585 + 4.46486771378823j]
+    assert np.abs(moving_poles(5.0) - [*published, -0.32286642900409]).max() < 5e-10
+    weave = scipy.optimize.brentq(lambda v: moving_poles(v)[2].real, 4.2, 4.4, xtol=1e-12)
+    capsize = scipy.optimize.brentq(lambda v: np.linalg.det(lean_and_steer(v)), 5.9, 6.2, xtol=1e-12)
+    assert weave == pytest.approx(WEAVE, rel=1e-9) and capsize == pytest.approx(CAPSIZE, rel=1e-9)
+
+
+def test_a_ball_on_a_turntable_moves_in_a_circle():
+    """A solid ball: its centre turns with 2/7 of the table, about a point that follows from its start."""
+    omega, radius, mass, start, velocity = 3.0, 0.1, 0.5, np.array([0.4, 0.1]), np.array([0.2, -0.3])
+    inertia = 0.4 * mass * radius**2
+    # Without slip: v + w x (-r z) = omega z x position.
+    slip = np.array([-omega * start[1], omega * start[0]]) - velocity  # = w x (-r z) = (-w_y r, w_x r)
+    w = (float(slip[1]) / radius, -float(slip[0]) / radius)
+    text = f"""
+name: turntable
+gravity: [0, 0, -9.81]
+bodies:
+  - {{name: table, mass: 1.0e9, inertia: [1.0e9, 1.0e9, 1.0e9], angular_velocity: [0, 0, {omega}]}}
+  - {{name: ball, mass: {mass}, inertia: [{inertia}, {inertia}, {inertia}],
+     position: [{start[0]}, {start[1]}, {radius}],
+     angular_velocity: [{w[0]!r}, {w[1]!r}, 0], linear_velocity: [{velocity[0]}, {velocity[1]}, 0]}}
+joints:
+  - {{name: bearing, type: revolute, parent: world, child: table, driven: true, child_frame: {{}}}}
+  - {{name: contact, type: ball_on_plane, parent: table, child: ball, child_frame: {{}}, radius: {radius}}}
+"""
+    simulation = Simulation(scene(text), accuracy=1e-9, quiet=True)
+    rate = 2.0 / 7.0 * omega
+    centre = start + np.array([-velocity[1], velocity[0]]) / rate
+    for time in (0.7, 2.0, 7.3):
+        simulation.advance_to(time)
+        sample = simulation.sample(time)
+        c, s = np.cos(rate * time), np.sin(rate * time)
+        expected = centre + np.array([[c, -s], [s, c]]) @ (start - centre)
+        assert np.abs(sample.pose[1, 9:11] - expected).max() < 1e-8
+        assert sample.pose[1, 11] == pytest.approx(radius, abs=1e-13)
+
+
+def test_a_sleigh_on_a_knife_edge_turns_into_its_straight_course():
+    """Chaplygin's sleigh: v = V tanh, omega = W sech, with the edge a distance a behind the centre of mass."""
+    mass, inertia, a, v0, w0 = 2.0, 0.3, 0.2, 0.4, 2.0
+    text = f"""
+name: sleigh
+gravity: [0, 0, 0]
+bodies:
+  - {{name: sled, mass: {mass}, inertia: [1, 1, {inertia}], angular_velocity: [0, 0, {w0}],
+     linear_velocity: [{v0}, {a * w0}, 0]}}
+joints:
+  - {{name: ice, type: planar, parent: world, child: sled, child_frame: {{}}}}
+  - {{name: edge, type: knife_edge, parent: world, child: sled, child_frame: {{position: [{-a}, 0, 0]}}}}
+"""
+    simulation = Simulation(scene(text), accuracy=1e-10, quiet=True)
+    whole = inertia + mass * a * a
+    V = np.sqrt(v0**2 + whole / mass * w0**2)
+    kappa = mass * a * V / whole
+    since = np.arctanh(v0 / V)
+    energy = simulation.energy()
+    for time in (0.5, 1.5, 4.0):
+        simulation.advance_to(time)
+        sample = simulation.sample(time)
+        v, w = V * np.tanh(kappa * time + since), V * np.sqrt(mass / whole) / np.cosh(kappa * time + since)
+        assert sample.twist[0, 3] == pytest.approx(v, rel=1e-8)
+        assert sample.twist[0, 2] == pytest.approx(w, rel=1e-8)
+        assert abs(sample.twist[0, 4] - a * sample.twist[0, 2]) < 1e-12
+        assert sample.energy == pytest.approx(energy, rel=1e-9)
+
+
+@pytest.mark.parametrize("lean", [0.2, 0.5, -0.9])
+def test_a_disk_rolls_steadily_in_a_circle(lean):
+    """A disk whose plane leans by `lean` from the vertical, which turns with W about it: its spin n about its axis.
+
+    Torque about the contact point: (C + m r^2) n W cos(lean) + A W^2 sin(lean) cos(lean) = m g r sin(lean), with the
+    velocity n r of the centre along the path in axes that turn with W.
+    """
+    mass, r, W = 1.0, 0.2, 4.0
+    A, C = 0.25 * mass * r**2, 0.5 * mass * r**2
+    s, c = np.sin(lean), np.cos(lean)
+    n = (mass * GRAVITY * r * s - A * W**2 * s * c) / ((C + mass * r**2) * W * c)
+    # Axis a in the world, forward is x: upright it is -y; the disk leans towards +y for positive lean.
+    a, forward = np.array([0.0, -c, -s]), np.array([1.0, 0.0, 0.0])
+    up = np.cross(a, forward)
+    R = np.column_stack([forward, up, a]) if np.linalg.det(np.column_stack([forward, up, a])) > 0 else None
+    centre = r * np.cross(a, forward) * (1.0 if np.cross(a, forward)[2] > 0 else -1.0)
+    omega = n * a + W * (np.array([0.0, 0.0, 1.0]) - a[2] * a)
+    velocity = np.cross(omega, centre)
+    vector = scipy.spatial.transform.Rotation.from_matrix(R).as_rotvec()
+    w, v = R.T @ omega, R.T @ velocity
+    text = f"""
+name: disk
+gravity: [0, 0, -9.81]
+bodies:
+  - {{name: disk, mass: {mass}, inertia: [{A}, {A}, {C}], position: {centre.tolist()},
+     rotation_vector: {vector.tolist()}, angular_velocity: {w.tolist()}, linear_velocity: {v.tolist()}}}
+joints:
+  - {{name: contact, type: wheel, parent: world, child: disk, child_frame: {{}}, radius: {r}}}
+"""
+    simulation = Simulation(scene(text), accuracy=1e-10, quiet=True)
+    for time in (0.3, 1.0, 2.0):
+        simulation.advance_to(time)
+        sample = simulation.sample(time)
+        axis = sample.pose[0, [2, 5, 8]]
+        spin = sample.pose[0, :9].reshape(3, 3) @ sample.twist[0, :3]
+        assert axis[2] == pytest.approx(-s, abs=1e-8)
+        assert spin @ axis == pytest.approx(n, rel=1e-7)
+        assert np.arctan2(axis[1], axis[0]) == pytest.approx(
+            np.angle(np.exp(1j * (np.arctan2(-c, 0.0) + W * time))), abs=1e-7
+        )
+
+
+MIXED = """
+name: mixed
+assemble: true
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: table, mass: 5.0, inertia: [1, 1, 1], position: [0, 0, 0], angular_velocity: [0, 0, 0.7]}
+  - {name: disk, mass: 1.3, inertia: [0.012, 0.011, 0.02], position: [0.5, 0.1, 0.25],
+     rotation_vector: [-1.2, 0.3, 0.2], angular_velocity: [0.3, 1, 5], linear_velocity: [1.0, 0, 0]}
+  - {name: ball, mass: 0.4, inertia: [0.001, 0.0012, 0.0011], position: [-0.3, 0.4, 0.1], angular_velocity: [3, -2, 1]}
+joints:
+  - {name: axle, type: revolute, parent: world, child: table, child_frame: {}}
+  - {name: roll, type: wheel, parent: table, child: disk, parent_frame: {rotation_vector: [0.1, 0.05, 0]},
+     child_frame: {position: [0.01, 0, 0.02], rotation_vector: [0.1, 0.2, 0]}, radius: 0.2}
+  - {name: rolling, type: ball_on_plane, parent: table, child: ball, child_frame: {}, radius: 0.1}
+forces:
+  - {name: line, type: spring_damper, parent: ball, child: disk, parent_point: [0, 0, 0],
+     child_point: [0.02, 0, 0], stiffness: 20.0, damping: 0.0, rest_length: 0.5}
+"""
+
+
+@pytest.mark.parametrize("name", ["mixed", "bicycle", "diff_drive"])
+def test_rolling_is_that_of_the_independent_reference(name):
+    """On a table that turns and leans, with centres of mass off the contact; a push on the first body."""
+    made = scene(MIXED) if name == "mixed" else load_scene(name)
+    simulation = Simulation(made, accuracy=1e-9, quiet=True)
+    pose, twist = simulation.state()
+    times = np.array([0.2, 0.6, 1.0])
+    exact, _ = integrate(made, pose, twist, times)
+    for k, time in enumerate(times):
+        simulation.advance_to(time)
+        sample = simulation.sample(time)
+        assert np.abs(sample.pose[:, :9].reshape(-1, 3, 3) - exact.rotation[k]).max() < 1e-7
+        assert np.abs(sample.pose[:, 9:] - exact.position[k]).max() < 1e-7
+        assert sample.errors[:, :2].max() < 1e-7
+
+
+@pytest.mark.parametrize("method, order", [("rkmk2", 2), ("rkmk4", 4), ("rkmk8", 6)])
+def test_methods_keep_their_order_and_rows_of_velocities_are_kept(method, order):
+    """Errors at the end for three steps; slip and energy with projection, after the same time."""
+    made = scene(MIXED)
+    sizes, errors = [0.02, 0.01, 0.005], []
+    exact = Simulation(made, accuracy=1e-12, quiet=True)
+    exact.advance_to(0.4)
+    for step in sizes:
+        simulation = Simulation(made, method, step, estimate=False, quiet=True)
+        simulation.advance_to(0.4)
+        errors.append(np.abs(simulation.state()[0] - exact.sample(0.4).pose).max())
+    slope = np.polyfit(np.log(sizes), np.log(errors), 1)[0]
+    assert slope > order - 0.4 or errors[-1] < 1e-11
+    kept = Simulation(made, method, 0.005, stabilisation="projection", estimate=False, quiet=True)
+    kept.advance_to(0.4)
+    assert max(kept.sample().joint_residuals.values()) < 1e-13
+
+
+def test_other_methods_say_that_they_do_not_roll():
+    for method in ("generalized_alpha", "constrained_rattle"):
+        with pytest.raises(ValueError, match="wheels, balls that roll, or knife edges"):
+            Simulation(scene(MIXED), method, 1e-3)
+
+
+def test_a_wheel_that_does_not_touch_or_slips_is_refused():
+    with pytest.raises(SceneError, match="place its centre above the plane so that it touches"):
+        scene(MIXED.replace("assemble: true\n", ""))
