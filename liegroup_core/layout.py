@@ -33,6 +33,7 @@ from liegroup_core.scene.assembly import ready
 from liegroup_core.scene.centres import Offsets
 from liegroup_core.scene.consistency import resolve_drives, resolve_frames
 from liegroup_core.scene.description import Scene
+from liegroup_core.scene.drive import wheels_of
 from liegroup_core.scene.massless import lack_of_inertia
 from liegroup_core.scene.switches import switches_of, unit_of
 from liegroup_core.threads import one_blas_thread
@@ -239,6 +240,11 @@ class Layout:
     def size(self):
         """Characteristic length of the mechanism, m."""
         return mechanism_size(self.model, self.scene.joints)
+
+    @cached_property
+    def wheels(self):
+        """Wheels of the drive of the scene, or None."""
+        return None if self.scene.drive is None else wheels_of(self.centred, self.joint_frames)
 
     @cached_property
     def limits(self):

@@ -41,6 +41,7 @@ from liegroup_core.joints.kinds import *  # noqa: F403 (the classes of all joint
 from liegroup_core.joints.kinds import JOINTS, TYPES
 from liegroup_core.sensors.kinds import SENSORS
 
+from .drive import Drive, check_drive
 from .names import (
     WORLD,
     refuse_coupling,
@@ -168,6 +169,7 @@ class Scene(Described):
     couplings: list_of(Coupling) = Field((), description="list of couplings of joints: gears, belts, racks")
     forces: entries_of(FORCES) = Field((), description="list of forces")
     sensors: entries_of(SENSORS) = Field((), description="list of sensors")
+    drive: Drive | None = Field(None, description="wheels of a mobile robot that the node commands by ~/cmd_vel")
 
     _text: str | None = PrivateAttr(None)
     _source: str | None = PrivateAttr(None)
@@ -250,6 +252,7 @@ class Scene(Described):
             taken = [*bodies, *(each.name for *_, each in named)]
             taken += [each.name for each in self.sensors[:i]]
             refuse_sensor(sensor, bodies, kinds, taken, i)
+        check_drive(self)
         for key, name in (("bodies", "initial"), ("joints", "rate"), ("joints", "coordinate")):
             for i, entry in enumerate(getattr(self, key)):
                 if not self.assemble and name in entry.model_fields_set:

@@ -167,6 +167,16 @@ class JointCommandInput(JointInput):
         stamp_ns = stamp_ns if stamped else 0
         return self._commands(names, fields, stamp_ns, now_ns, held, lasting, jumps)
 
+    def read_rates(self, rates, stamp_ns, now_ns, held, lasting):
+        """Same as `read`, for wanted rates {joint of the scene: rad/s or m/s}; servos keep their wanted positions."""
+        labels = {joint: name for name, joint in self.joints.items()}
+        for joint, rate in rates.items():
+            if not abs(rate) <= LARGEST_NUMBER:
+                self.refuse("not_finite", lambda joint=joint: f"the velocity of {joint} is not finite or too large")
+        names = [labels[joint] for joint in rates]
+        fields = [(), list(rates.values()), ()]
+        return self._commands(names, fields, stamp_ns, now_ns, held, lasting, None)
+
     def _commands(self, names, fields, stamp_ns, now_ns, held, lasting, jumps):
         if names != self._checked:
             self.check_names(names)

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscriptions to the commands for joints: they are decoded and passed to the simulation."""
+"""Subscriptions to the commands for joints and drives: they are decoded and passed to the simulation."""
 
 from concurrent.futures import wait
 
+from geometry_msgs.msg import TwistStamped
 from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
@@ -16,11 +18,12 @@ from .trajectory_input import TrajectoryInput
 
 # Depth of the queues of commands: 0.1 s at 1 kHz. It bounds the memory: messages may have any length.
 COMMANDS = 100
+DRIVING = 0.5  # s, duration of a velocity from ~/cmd_vel if command_timeout is 0: a robot without commands stops
 BUSY = 1.0  # s, longest wait for the present positions: one block of steps takes milliseconds
 
 
 class JointCommandTopics:
-    """Topics for commands: ~/joint_commands, ~/commands and ~/joint_trajectory.
+    """Topics for commands: ~/joint_commands, ~/commands, ~/joint_trajectory and ~/cmd_vel.
 
     Each exists only if the scene has joints that it can command.
 
@@ -46,6 +49,9 @@ class JointCommandTopics:
         if self.input.follows:
             # A trajectory replaces the previous one, so a long queue of large messages is useless.
             self._subscribe("~/joint_trajectory", JointTrajectory, self._read_trajectory, depth=10)
+        self._wheels = layout.wheels
+        if self._wheels is not None:
+            self._subscribe("~/cmd_vel", TwistStamped, self._read_velocity, depth=10)
 
     def _check_names(self):
         for name in self._names:
@@ -119,6 +125,19 @@ class JointCommandTopics:
             payload, self._names, self._values.command_interface, self._server.inputs_held, self._jumps
         )
         self._server.push(commands, self._lasting, self._refuse_command)
+
+    def _read_velocity(self, payload):
+        message, server = deserialize_message(payload, TwistStamped), self._server
+        stamp, twist = message.header.stamp, message.twist
+        lasting = self._lasting or DRIVING
+        commands = self.input.read_rates(
+            self._wheels.at(twist.linear.x, twist.angular.z),
+            stamp.sec * 10**9 + stamp.nanosec if self._values.command_stamps else 0,
+            server.stamp_ns,
+            server.inputs_held,
+            lasting,
+        )
+        server.push(commands, lasting, self._refuse_command)
 
     def _read_trajectory(self, payload):
         trajectory = self.trajectories.read(payload, self._server.stamp_ns, self._values.command_stamps, self._jumps)
