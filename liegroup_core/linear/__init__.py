@@ -3,7 +3,7 @@
 
 from .inverse import InverseDynamics, inverse_dynamics
 from .linear_system import LinearSystem, linearise, pole_errors
-from .modes import Mode, modes_of
+from .modes import Mode, modes_of, shapes_of
 from .trim import Trim, TrimError, trim
 
 __all__ = [
@@ -16,5 +16,6 @@ __all__ = [
     "linearise",
     "modes_of",
     "pole_errors",
+    "shapes_of",
     "trim",
 ]

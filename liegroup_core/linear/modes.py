@@ -11,8 +11,13 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from liegroup_core.errors import SceneError
+from liegroup_core.errors import SceneError, SimulationError
 
+from .coordinates import freedoms_of
+from .probe import Probe
+
+# Largest displacement of a shape that is drawn, rad, or share of the mechanism's size; factor if it cannot be closed.
+DRAWN, SMALLER, MOST_ATTEMPTS = 0.35, 0.5, 8
 SAME = 1e-9  # relative difference of a pair of conjugate eigenvalues
 
 
@@ -67,3 +72,29 @@ def modes_of(system, damped=True):
         damping = 0.0 - s.real / size if size else 0.0
         found.append(Mode(s, size / (2.0 * np.pi) if s.imag else 0.0, damping, shape))
     return found
+
+
+def shapes_of(simulation, mode, count, time=None):
+    """[Sample] of a period of a Mode about the state of a simulation, closed, with a size that is seen.
+
+    count : number of instants of the period; a mode that does not oscillate is drawn as if it did
+    time  : s, of the state that the mode is about; None: the present one
+    """
+    probe = Probe(simulation, time)
+    freedoms = freedoms_of(probe.layout)
+    scales = np.array([1.0 if freedom.unit == "rad" else probe.layout.size for freedom in freedoms])
+    signs = np.array([freedom.sign for freedom in freedoms])
+    largest = np.abs(mode.shape / scales).max(initial=0.0)
+    size = DRAWN / largest if largest > 0.0 else 0.0
+    for _ in range(MOST_ATTEMPTS):
+        try:
+            found = []
+            for phase in np.arange(count) * (2.0 * np.pi / count):
+                y = np.zeros((probe.freedoms, 2))
+                y[:, 0] = size * signs * (mode.shape * np.exp(1j * phase)).real
+                _, pose, twist = probe.closed(y)
+                found.append(probe.sample(pose, np.zeros_like(twist)))
+            return found
+        except SimulationError:
+            size *= SMALLER
+    raise SimulationError("the shape of the mode cannot be drawn: its joints cannot be closed")

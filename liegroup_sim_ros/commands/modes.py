@@ -9,8 +9,11 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from liegroup_core import Simulation
+from liegroup_core.engine import METHOD
 from liegroup_core.linear import linearise, modes_of, trim
 from liegroup_sim_ros.numbers import shown
+from liegroup_sim_ros.signals import Signals
 
 from .linearise import damping_text, pole_text
 from .states import add_states, states
@@ -26,6 +29,10 @@ def add_arguments(parser):
     parser.add_argument("--trim", action="store_true", help="first go to the equilibrium near the state")
     parser.add_argument("--undamped", action="store_true", help="undamped modes")
     parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument("--view", action="store_true", help="show the shapes in the browser, of one time")
+    parser.add_argument(
+        "--no-browser", dest="browser", action="store_false", help="with --view: only print the address"
+    )
     add_states(parser)
 
 
@@ -33,14 +40,39 @@ def run(args):
     """Run the subcommand; returns the exit code."""
     console, found = Console(file=sys.stdout), []
     for time, simulation, inside in states(args):
-        system = trim(simulation, time=inside).system if args.trim else linearise(simulation, [], [], time=inside)
+        if args.trim:
+            found_trim = trim(simulation, time=inside)
+            system, simulation, inside = found_trim.system, _at(simulation, found_trim), None
+        else:
+            system = linearise(simulation, [], [], time=inside)
         modes = modes_of(system, not args.undamped)
         found.append({"time": time, "freedoms": list(system.freedoms), "modes": [_entries(mode) for mode in modes]})
         if not args.json:
             _print(system, modes, time, console)
+        if args.view and len(found) == 1:
+            from liegroup_sim_ros.view.shapes_of_modes import Modes
+
+            from .view import show
+
+            shown = [mode for mode in modes if mode.pole != 0.0]
+            source = Modes(simulation, shown, [_title(mode) for mode in shown], inside)
+            with Signals() as signals:
+                show(source, signals, args.browser)
     if args.json:
         print(json.dumps(found if len(found) > 1 else found[0], allow_nan=False))
     return 0
+
+
+def _at(simulation, found):
+    """Simulation at the state of a Trim."""
+    there = Simulation(simulation.scene, METHOD, simulation.step, estimate=False, quiet=True)
+    there.set_state(*simulation.layout.offsets.to_centres(found.pose.copy(), found.twist.copy()), simulation.steps)
+    return there
+
+
+def _title(mode):
+    frequency = f"{mode.frequency:.6g} Hz, " if mode.frequency else ""
+    return f"{frequency}damping {damping_text(mode.damping)}, pole {pole_text(mode.pole)}"
 
 
 def _entries(mode):

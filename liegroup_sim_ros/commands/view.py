@@ -56,23 +56,28 @@ def run(args):
     """Run the subcommand; returns the exit code. Raises LieGroupSimError."""
     with Signals() as signals:
         source, beside = _sources(args)
+        show(source, signals, args.browser, beside, args.robot, args.host, args.port)
+
+
+def show(source, signals, browser=True, beside=None, robot=None, host=LOOPBACK[0], port=PORT):
+    """Show a Source in the browser, until a signal."""
+    try:
+        page = Page(source, host, port, beside, robot)
+        page.start()
         try:
-            page = Page(source, args.host, args.port, beside, args.robot)
-            page.start()
-            try:
-                Console(stderr=True).print(
-                    f"{source.title}: {page.address} (Ctrl-C ends it)", highlight=False, markup=False
-                )
-                if args.browser and has_display():
-                    webbrowser.open(page.address)
-                while True:
-                    signals.check()
-                    time.sleep(LOOK)
-            finally:
-                source = page.source
-                page.stop()
+            Console(stderr=True).print(
+                f"{source.title}: {page.address} (Ctrl-C ends it)", highlight=False, markup=False
+            )
+            if browser and has_display():
+                webbrowser.open(page.address)
+            while True:
+                signals.check()
+                time.sleep(LOOK)
         finally:
-            source.close()
+            source = page.source
+            page.stop()
+    finally:
+        source.close()
 
 
 def _sources(args):

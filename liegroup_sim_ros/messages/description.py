@@ -36,7 +36,7 @@ def robot_description(scene):
     visuals, folder = ({}, "") if robot is None else (dict(robot.visuals), robot.file)
     drawn = {body for link, (body, _) in links.items() if visuals.get(link)}
     main = link_of_body(scene)
-    visuals |= {main[body.name]: [_solid(body)] for body in scene.bodies if body.name not in drawn}
+    visuals |= {main[body.name]: [_solid(body, scene)] for body in scene.bodies if body.name not in drawn}
     parts = [f"<robot name={quoteattr(scene.name)}>", '  <link name="world"/>']
     for name in links:
         parts.append(f"  <link name={quoteattr(name)}>")
@@ -74,9 +74,9 @@ def _with_addresses(text, file):
     return _FILENAME.sub(address, text)
 
 
-def _solid(body):
+def _solid(body, scene):
     """Visual of a body of a scene: its shape, or a box of the same mass and inertia."""
-    kind, (x, y, z), pose = solid(body)
+    kind, (x, y, z), pose = solid(body, scene)
     size = {CUBE: (x, y, z), CYLINDER: (0.5 * x, z), SPHERE: (0.5 * x,)}[kind]
     return Visual(KINDS[kind], size, pose)
 

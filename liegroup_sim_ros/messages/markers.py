@@ -20,6 +20,7 @@ from liegroup_core.scene.names import WORLD
 from .cdr import Template, stamp
 
 CUBE, SPHERE, CYLINDER, ARROW, MESH = 1, 2, 3, 0, 10
+RIM = 0.08  # width of a wheel that is drawn, relative to its diameter
 ADD, DELETE, DELETE_ALL = 0, 2, 3
 BODY_COLOR = (0.35, 0.55, 0.8, 0.9)
 JOINT_COLOR = (0.9, 0.6, 0.1, 1.0)
@@ -43,7 +44,7 @@ class Markers:
         scene = layout.scene
         self.arrow_scale = arrow_scale
         place = {body: i for i, body in enumerate(layout.body_names)}
-        solids = [solid(body) for body in scene.bodies]
+        solids = [solid(body, scene) for body in scene.bodies]
         # Point masses have no size.
         largest = max(max(size) for _, size, _ in solids) or layout.size
         self._template = template = Template()
@@ -145,7 +146,7 @@ def drawn(scene):
                     shown.add(body)
     for body in scene.bodies:
         if body.name not in shown:
-            kind, size, local = solid(body)
+            kind, size, local = solid(body, scene)
             found.append((body.name, kind, size, local, ""))
     return found
 
@@ -171,10 +172,19 @@ def links(scene):
     ]
 
 
-def solid(body):
-    """(kind of marker, sizes (3,) in m, pose (4, 4) in the body frame) that represent a body."""
+def solid(body, scene):
+    """(kind of marker, sizes (3,) in m, pose (4, 4) in the body frame) that represent a body of a scene."""
     local = np.eye(4)
     shape = body.shape
+    rolling = next((j for j in scene.joints if j.child == body.name and hasattr(j, "radius")), None)
+    if shape is None and rolling is not None:
+        across = 2.0 * rolling.radius
+        is_ball = rolling.type == "ball_on_plane"
+        return (
+            SPHERE if is_ball else CYLINDER,
+            (across, across, across if is_ball else RIM * across),
+            (rolling.child_frame.pose),
+        )
     if shape is None:
         moments, axes = np.linalg.eigh(body.inertia_matrix)
         local[:3, :3] = axes * np.linalg.det(axes)  # a rotation, not a reflection

@@ -29,7 +29,7 @@ def make_view(analysis, shapes=None):
     scene, stretches = analysis.scene, analysis.motion.stretches
     layout = analysis.layout
     index = {body.name: i for i, body in enumerate(scene.bodies)}
-    solids = [solid(body) for body in scene.bodies]
+    solids = [solid(body, scene) for body in scene.bodies]
     thinnest = THINNEST * max(max(size) for _, size, _ in solids)
     bodies = [
         {

@@ -112,7 +112,7 @@ class Drawing:
                 return api.add_icosphere(name, 0.2 * PART * self.size, colour, position=body.com, **common)
             points, faces = decoded(triangles)
             return api.add_mesh_simple(name, points, faces, color=colour, side="double", **common)
-        kind, size, local = solid(body)
+        kind, size, local = solid(body, self._layout.scene)
         size = np.maximum(size, THINNEST * self.size)
         place = {"wxyz": _wxyz(local[:3, :3]), "position": local[:3, 3]}
         if kind == CUBE:
@@ -264,7 +264,7 @@ def extent(layout):
     scene = layout.scene
     corners = []
     for body in scene.bodies:
-        _, size, local = solid(body)
+        _, size, local = solid(body, scene)
         at = np.array(body.position) + body.rotation @ local[:3, 3]
         half = 0.5 * np.linalg.norm(size)
         corners += [at - half, at + half]

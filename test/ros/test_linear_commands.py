@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from liegroup_core import Simulation
-from liegroup_core.linear import linearise
+from liegroup_core.linear import linearise, modes_of
 from liegroup_core.scene.load import load_scene
 from liegroup_sim_ros.commands.main import main
+from liegroup_sim_ros.view.shapes_of_modes import COUNT, PERIODS, Modes
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "linear.md"
 
@@ -133,3 +134,20 @@ def test_a_falling_body_has_no_equilibrium(tmp_path, capsys):
     scene.write_text("name: f\ngravity: [0, 0, -9.81]\nbodies: [{name: b, mass: 1.0, inertia: [1, 1, 1]}]\n")
     assert main(["trim", str(scene)]) == 1
     assert "no equilibrium near the state" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["four_bar", "double_pendulum", "bicycle"])
+def test_shapes_of_modes_move_and_stay_closed(name):
+    """The frames of the page: half a period later the shape is on the other side, to second order."""
+    simulation = Simulation(load_scene(name), "rkmk4", 1e-3, estimate=False, quiet=True)
+    simulation.advance(20)
+    shown = [mode for mode in modes_of(linearise(simulation, [], [])) if mode.pole != 0.0]
+    source = Modes(simulation, shown, [f"mode {k}" for k in range(len(shown))])
+    frames = source.history.frames
+    assert len(frames) == len(shown) * PERIODS * COUNT and [text for *_, text in source.events()][0] == "mode 0"
+    middle = simulation.sample().pose
+    for k in range(len(shown)):
+        one, other = (frames[k * PERIODS * COUNT + at].sample for at in (0, COUNT // 2))
+        moved = [each.pose - middle for each in (one, other)]
+        assert 0.05 < np.abs(moved[0]).max() and np.abs(moved[0] + moved[1]).max() < 0.7 * np.abs(moved[0]).max()
+        assert max(one.joint_residuals.values()) < 1e-12
