@@ -39,6 +39,7 @@ COMMANDS = {
     "modes": "frequencies, damping and shapes of the modes of a scene, with loops",
     "trim": "find equilibria, steady motions, and the inputs that hold a pose",
     "inverse": "the efforts that a motion needs, with energy and power",
+    "sensitivities": "derivatives of a run by numbers of the scene",
     "run": "simulate offline and write the trajectory to a file (no ROS needed)",
     "analyze": "report the numerical error of recordings",
     "replay": "publish a recording again, or simulate it again and compare",
@@ -49,20 +50,8 @@ COMMANDS = {
     "figures": "draw Figs. 6.2 and 6.4 to 6.9 of the chapter",
 }
 # Subcommands that read scenes and robots.
-READERS = (
-    "import",
-    "describe",
-    "trade",
-    "extremes",
-    "sweep",
-    "run",
-    "view",
-    "analyze",
-    "linearise",
-    "modes",
-    "trim",
-    "inverse",
-)
+READERS = ("import", "describe", "trade", "extremes", "sweep", "run", "view", "analyze")
+ANALYSES = ("linearise", "modes", "trim", "inverse", "sensitivities")  # of states and runs; they read scenes, too
 FULL = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)  # stdout is redirected to a file that cannot grow
 EXIT_WRONG_INPUT, EXIT_INTERRUPTED, EXIT_UNREAD = 2, 130, 141
 
@@ -83,7 +72,7 @@ def make_parser(chosen=None):
         if name == chosen:
             module = import_module(f"liegroup_sim_ros.commands.{name}")
             module.add_arguments(subparser)
-            if name in READERS:
+            if name in READERS + ANALYSES:
                 subparser.add_argument(
                     "--allow-files",
                     action="store_true",

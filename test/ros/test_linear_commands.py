@@ -31,7 +31,7 @@ def test_all_commands_of_the_page_run(tmp_path, monkeypatch, capsys):
         for block in re.findall(r"```sh\n(.*?)```", PAGE.read_text(), re.S)
         for line in block.splitlines()
     ]
-    assert len(commands) == 6
+    assert len(commands) == 7
     for command in commands:
         assert command[0] == "liegroup_sim" and main(command[1:]) == 0, capsys.readouterr().err
     printed = capsys.readouterr().out
@@ -106,6 +106,8 @@ def test_the_energy_of_efforts_is_that_of_the_mechanism(tmp_path, capsys):
         (["linearise", "four_bar", "--at", "0", "1", "--out", "a.json"], "--out takes the system of one time"),
         (["trim", "four_bar", "--rates", "crank"], "--rates: expected NAME=RATE with a number, got 'crank'"),
         (["trim", "four_bar", "--hold", "crank"], "unknown coordinate 'crank'"),
+        (["sensitivities", "four_bar", "--by", "masss", "--at", "1"], "the scene has no parameter masss"),
+        (["sensitivities", "heavy_top", "--by", "top.mass", "--at", "2", "1"], "--at must be times in s from 0 on"),
         (["inverse", "four_bar", "--motion", "none.csv"], "none.csv: cannot be read: No such file or directory"),
         (["inverse", "four_bar", "--motion", "empty.csv"], "empty.csv: needs a line with names"),
         (["inverse", "four_bar", "--motion", "text.csv"], "text.csv:3: expected 2 numbers, separated by commas"),

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`liegroup_sim sensitivities`: derivatives of a run's outputs by numbers of the scene. No ROS."""
+
+import json
+import math
+import sys
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from liegroup_core import SimulationError
+from liegroup_core.linear import sensitivities
+from liegroup_core.linear.channels import OUTPUTS
+from liegroup_sim_ros.numbers import shown
+
+from .robot_options import add_robot_options, robot_scene
+from .states import StateError
+
+EXIT_STOPPED = 1
+
+
+def add_arguments(parser):
+    """Arguments of the subcommand."""
+    parser.description = (
+        "Derivatives of a run's outputs with respect to masses, lengths, stiffnesses, start values and other numbers "
+        "of the scene, impacts included."
+    )
+    parser.add_argument("scene", metavar="SCENE", help="path of a scene or robot file, or name of an example scene")
+    parser.add_argument(
+        "--by", nargs="+", required=True, metavar="NAME", help="numbers of the scene, as of `liegroup_sim sweep --vary`"
+    )
+    parser.add_argument(
+        "--of",
+        nargs="+",
+        metavar="OUTPUT",
+        help=f"{', '.join(OUTPUTS)}, or single ones, as of `liegroup_sim linearise --outputs` (default: joints)",
+    )
+    parser.add_argument("--at", type=float, nargs="+", required=True, metavar="T", help="simulated times in s")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    add_robot_options(parser)
+
+
+def run(args):
+    """Run the subcommand; returns the exit code."""
+    if not all(math.isfinite(time) and time >= 0.0 for time in args.at) or sorted(args.at) != args.at:
+        raise StateError("--at must be times in s from 0 on, in their order")
+    try:
+        found = sensitivities(robot_scene(args.scene, args), args.by, args.at, args.of)
+    except SimulationError as error:
+        print(f"liegroup_sim: {error}", file=sys.stderr)
+        return EXIT_STOPPED
+    if args.json:
+        entries = {name: getattr(found, name) for name in ("times", "values", "derivatives", "errors")}
+        names = {name: list(getattr(found, name)) for name in ("outputs", "parameters", "rough")}
+        print(json.dumps(names | {name: array.tolist() for name, array in entries.items()}, allow_nan=False))
+        return 0
+    console = Console(file=sys.stdout)
+    for k, time in enumerate(found.times):
+        table = Table(box=None, padding=(0, 2, 0, 0), title=Text(f"at {time:.9g} s"), title_justify="left")
+        for name in ("output", "value", *found.parameters):
+            table.add_column(Text(name), overflow="fold")
+        for p, name in enumerate(found.outputs):
+            cells = (f"{x:.6g} ± {shown(e)}" for x, e in zip(found.derivatives[k, p], found.errors[k, p]))
+            table.add_row(name, f"{found.values[k, p]:.6g}", *cells)
+        console.print(table)
+    if found.rough:
+        console.print(
+            Text(f"not smooth, because the numbers of events differ nearby: {', '.join(found.rough)}", style="yellow")
+        )
+    return 0

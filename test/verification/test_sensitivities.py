@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sensitivities of runs against closed forms: smooth motions, and motions with impacts."""
+
+import numpy as np
+import pytest
+
+from liegroup_core.errors import LieGroupSimError
+from liegroup_core.linear import sensitivities
+from liegroup_core.scene.load import load_scene, scene_from_text
+
+TIMES = [0.4, 1.0, 1.7]
+
+
+def test_derivatives_of_a_throw():
+    """x = v t, z = v_z t + g t^2 / 2."""
+    scene = scene_from_text(
+        "name: throw\ngravity: [0, 0, -9.81]\nbodies: [{name: b, mass: 2.0, inertia: [1, 2, 3], "
+        "linear_velocity: [1, 0, 4]}]\n",
+        source="t",
+    )
+    found = sensitivities(scene, ["gravity.2", "linear_velocity.0", "mass"], TIMES, ["b.x", "b.z"])
+    t = np.array(TIMES)
+    assert found.parameters == ("gravity.2", "bodies.b.linear_velocity.0", "bodies.b.mass")
+    np.testing.assert_allclose(found.values, np.stack([t, 4 * t - 0.5 * 9.81 * t**2], 1), rtol=1e-12)
+    np.testing.assert_allclose(found.derivatives[:, 1, 0], 0.5 * t**2, rtol=1e-9)
+    np.testing.assert_allclose(found.derivatives[:, 0, 1], t, rtol=1e-9)
+    assert np.abs(found.derivatives[:, :, 2]).max() < 1e-9 and not found.rough
+
+
+def test_derivatives_of_a_rotor():
+    """omega = (tau / d) (1 - exp(-d t / I)) with damping d: by tau, d and I."""
+    tau, d, inertia = 2.0, 0.7, 0.4
+    scene = scene_from_text(
+        f"""
+name: rotor
+gravity: [0, 0, 0]
+bodies: [{{name: wheel, mass: 1.0, inertia: [{inertia}, {inertia}, {inertia}]}}]
+joints: [{{name: axle, type: revolute, parent: world, child: wheel, child_frame: {{}}}}]
+forces:
+  - {{name: motor, type: motor, joint: axle, torque: {tau}}}
+  - {{name: bearing, type: torsional_spring_damper, joint: axle, stiffness: 0.0, damping: {d}}}
+""",
+        source="t",
+    )
+    found = sensitivities(scene, ["motor.torque", "bearing.damping", "wheel.inertia.2"], TIMES, ["axle.velocity"])
+    t = np.array(TIMES)
+    e = np.exp(-d * t / inertia)
+    expected = [(1 - e) / d, -tau / d**2 * (1 - e) + tau / d * t / inertia * e, -tau / d * e * d * t / inertia**2]
+    error = np.abs(found.derivatives[:, 0] - np.array(expected).T)
+    assert (error <= 1e-8 * np.abs(expected).max()).all() and (error <= found.errors[:, 0] + 1e-12).all()
+
+
+def test_the_time_of_an_impact_is_part_of_the_derivative():
+    """A slide hits a stop at L with restitution e and goes back: x = L - e v t + e L after v t = L."""
+    v, L, e = 2.0, 0.5, 0.6
+    scene = scene_from_text(
+        f"""
+name: slide
+gravity: [0, 0, 0]
+bodies: [{{name: car, mass: 1.0, inertia: [1, 1, 1], linear_velocity: [0, 0, {v}]}}]
+joints: [{{name: rail, type: prismatic, parent: world, child: car, child_frame: {{}},
+  limits: {{lower: -9.0, upper: {L}, restitution: {e}}}}}]
+""",
+        source="t",
+    )
+    found = sensitivities(
+        scene, ["car.linear_velocity.2", "rail.limits.upper", "rail.limits.restitution"], TIMES, ["rail.position"]
+    )
+    t = np.array(TIMES)
+    expected = np.stack([-e * t, np.full(3, 1.0 + e), L - v * t], axis=1)
+    np.testing.assert_allclose(found.derivatives[:, 0], expected, rtol=1e-7)
+    assert not found.rough
+
+
+def test_a_run_that_just_meets_a_stop_is_said_to_be_rough():
+    scene = scene_from_text(
+        """
+name: slide
+gravity: [0, 0, 0]
+bodies: [{name: car, mass: 1.0, inertia: [1, 1, 1], linear_velocity: [0, 0, 1.0]}]
+joints: [{name: rail, type: prismatic, parent: world, child: car, child_frame: {}, limits: {lower: -9.0, upper: 0.5,
+  restitution: 0.5}}]
+""",
+        source="t",
+    )
+    assert sensitivities(scene, ["car.linear_velocity.2"], [0.5], ["rail.position"]).rough
+
+
+def test_angles_that_pass_half_a_turn_have_no_jump():
+    """A rotor at pi at the time of the output, on different sides for both changes."""
+    scene = scene_from_text(
+        "name: r\ngravity: [0, 0, 0]\nbodies: [{name: w, mass: 1.0, inertia: [1, 1, 1], "
+        f"angular_velocity: [0, 0, {np.pi}]}}]\njoints: [{{name: a, type: revolute, parent: world, child: w, "
+        "child_frame: {}}]\n",
+        source="t",
+    )
+    found = sensitivities(scene, ["angular_velocity.2"], [1.0], ["a.position"])
+    assert found.derivatives[0, 0, 0] == pytest.approx(1.0, rel=1e-8)
+
+
+def test_unknown_numbers_are_refused():
+    with pytest.raises(LieGroupSimError, match="the scene has no parameter masss"):
+        sensitivities(load_scene("heavy_top"), ["masss"], [1.0])
