@@ -221,6 +221,16 @@ class Layout:
         return {joint.name: F_b for joint, (_, F_b) in zip(self.scene.joints, frames)}
 
     @cached_property
+    def contacts(self):
+        """[(rolling joint, parent or None: the world, normal (3,) of its plane there, child, frame (4, 4) in it)]."""
+        frames = resolve_frames(self.scene)
+        return [
+            (joint, joint.parent if joint.parent in self.body_names else None, F_a[:3, 2], joint.child, F_b)
+            for joint, (F_a, F_b) in zip(self.scene.joints, frames)
+            if joint.type in ROLLING and hasattr(joint, "radius")
+        ]
+
+    @cached_property
     def joint_forces(self):
         """JointForces of the scene."""
         return JointForces(self.centred)

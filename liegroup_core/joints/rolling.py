@@ -48,6 +48,9 @@ class RollingJoint(JointBase):
         description="frame in the child frame, at the centre: z is the axis of a wheel, any axis of a ball"
     )
     radius: Positive = Field(description="radius in m, greater than 0")
+    mu: Positive | None = Field(
+        None, description="coefficient of friction that the contact is believed to have: beyond it there is a warning"
+    )
 
     def elements(self, C_rel):
         """Three elements: both directions of the plane, and the height."""

@@ -222,6 +222,29 @@ class Sample:
         return self._by_joint(self._reactions[0])
 
     @cached_property
+    def contacts(self) -> dict[str, tuple[float, float]]:
+        """{wheel or ball that rolls: (force normal to its plane, along it)} on it, N; a negative first one pulls.
+
+        What redundant constraints leave undetermined is the smallest one, see `minimum_norm_reactions`.
+        """
+        layout, found = self._layout, {}
+        forces = self.minimum_norm_reactions if layout.contacts else {}
+        turns = dict(zip(layout.body_names, self.pose[:, :9].reshape(-1, 3, 3)))
+        for joint, parent, normal, child, frame in layout.contacts:
+            force = turns[child] @ frame[:3, :3] @ forces[joint.name][3:]
+            n = normal if parent is None else turns[parent] @ normal
+            up = float(force @ n)
+            found[joint.name] = up, float(np.linalg.norm(force - up * n))
+        return found
+
+    @property
+    def slipping(self) -> tuple[str, ...]:
+        """Joints whose contact would need a force that pulls, or more friction than their `mu`."""
+        given = {joint.name: joint.mu for joint, *_ in self._layout.contacts if joint.mu is not None}
+        contacts = self.contacts if given else {}
+        return tuple(name for name, mu in given.items() if contacts[name][1] > mu * contacts[name][0])
+
+    @cached_property
     def external_wrenches(self) -> NDArray[np.float64]:
         """(n, 6) sum of the applied wrenches on each body: N m, N; body axes, about the origin of its frame.
 

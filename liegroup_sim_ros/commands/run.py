@@ -5,6 +5,7 @@ Exit code 1 if the integration had to stop, 130 after Ctrl-C. In both cases all 
 written. Wrong input is refused before a file is opened.
 """
 
+import logging
 import math
 import sys
 import textwrap
@@ -22,6 +23,7 @@ from liegroup_core.engine import STABILISATIONS, STEP
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.methods.table import CONFIGURATION_GROUPS, METHODS
 from liegroup_core.simulation import default_steps
+from liegroup_sim_ros.messages.events import slips
 from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.recording.attachments import steps_per_sample
 from liegroup_sim_ros.recording.errors import FileLostError
@@ -30,6 +32,8 @@ from liegroup_sim_ros.recording.write_tables import TableFile, TorqueFile
 from liegroup_sim_ros.signals import Signals
 
 from .robot_options import add_robot_options, robot_scene
+
+log = logging.getLogger("liegroup_core")
 
 EXIT_STOPPED = EXIT_LOST = 1
 REDRAW = 0.1  # s between two updates
@@ -222,7 +226,7 @@ def _run(args):
         steps, every = simulation.step_before(end), None if args.rate is None else steps_per_sample(args.rate, step)
     samples = 1 + count
     started = time.monotonic()
-    stopped, code = None, 0
+    stopped, code, slipped = None, 0, set()
     with ExitStack() as stack:
         signals = stack.enter_context(Signals())
         files = []
@@ -236,6 +240,10 @@ def _run(args):
             sample = simulation.sample(at)
             for file in files:
                 file.sample(sample)
+            for joint in sample.slipping:
+                if joint not in slipped:
+                    slipped.add(joint)
+                    log.warning(slips(sample.contacts[joint], joint, sample.time))
 
         write()
         try:

@@ -95,6 +95,15 @@ def saturated(effort, joint, time):
     return f"{effort:g} is the effort limit that the servo of {joint} has reached at t = {time:.6g} s"
 
 
+def slips(contact, joint, time):
+    """A wheel or ball would slip or lift off; contact : (normal, tangential) force in N, time : s."""
+    normal, along = contact
+    return (
+        f"{along:.4g} N along the plane, with {normal:.4g} N normal to it, is beyond the friction of {joint} at t = "
+        f"{time:.6g} s: there it would slip or lift off"
+    )
+
+
 def reports(simulation):
     """[(name, text)] of the events about the error estimate of a Simulation up to its present time."""
     found, time = [], simulation.time

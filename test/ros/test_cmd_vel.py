@@ -22,11 +22,8 @@ def test_rates_of_wheels_follow_from_the_scene():
     scene = load_scene("diff_drive")
     found = make_layout(scene).wheels.at(0.5, 2.0)
     assert found["left"] == pytest.approx((0.5 - 2.0 * 0.17) / 0.1) and found["right"] == pytest.approx(8.4)
-    turned = scene.text.replace(
-        "- {name: right, type: revolute, parent: base, child: right_wheel, child_frame: *lateral}",
-        "- {name: right, type: revolute, parent: base, child: right_wheel, "
-        "child_frame: {rotation_vector: [1.5707963267948966, 0, 0]}}",
-    )
+    name = "name: right\n    type: revolute\n    parent: base\n    child: right_wheel\n    child_frame: "
+    turned = scene.text.replace(f"{name}*lateral", f"{name}{{rotation_vector: [1.5707963267948966, 0, 0]}}")
     assert turned != scene.text
     assert make_layout(scene_from_text(turned, source="t")).wheels.at(0.5, 2.0)["right"] == pytest.approx(-8.4)
 

@@ -10,6 +10,7 @@ from liegroup_core.errors import SceneError
 from liegroup_core.linear import linearise
 from liegroup_core.reference import integrate
 from liegroup_core.scene.load import load_scene, scene_from_text
+from liegroup_sim_ros.commands.main import main
 
 GRAVITY = 9.81
 # Meijaard, Papadopoulos, Ruina and Schwab, Proc. R. Soc. A 463 (2007) 1955, (A 1) to (A 4) and table 2, 14 digits.
@@ -235,3 +236,25 @@ def test_other_methods_say_that_they_do_not_roll():
 def test_a_wheel_that_does_not_touch_or_slips_is_refused():
     with pytest.raises(SceneError, match="place its centre above the plane so that it touches"):
         scene(MIXED.replace("assemble: true\n", ""))
+
+
+def test_forces_at_contacts_are_those_of_statics_and_beyond_friction_there_is_a_warning(tmp_path, caplog):
+    """A robot at rest: the normal forces carry its weight, about the axle and along it. A brake needs friction."""
+    made = load_scene("diff_drive")
+    contacts = Simulation(made, "rkmk4", 1e-3, quiet=True).sample().contacts
+    weight = sum(body.mass for body in made.bodies) * GRAVITY
+    arm = (8.0 * 0.04 + 0.1 * 0.15) * GRAVITY
+    assert contacts["caster_contact"][0] == pytest.approx(arm / 0.15, rel=1e-12)
+    assert sum(normal for normal, _ in contacts.values()) == pytest.approx(weight, rel=1e-12)
+    text = made.text.replace("radius: 0.1 ", "radius: 0.1\n    mu: 0.3 ", 1).replace("velocity: 0.0", "velocity: 40.0")
+    (tmp_path / "fast.yaml").write_text(text)
+    assert main(["run", str(tmp_path / "fast.yaml"), "--duration", "0.1", "--out", str(tmp_path / "a.npz")]) == 0
+    (line,) = [record.getMessage() for record in caplog.records if "slip" in record.getMessage()]
+    assert "left_contact at t = 0 s: there it would slip or lift off" in line
+    simulation = Simulation(scene(text), quiet=True)
+    normal, along = simulation.sample().contacts["left_contact"]
+    # Both motors give 3 N m; the inertia of the wheels and of the caster is carried along.
+    acceleration = 2.0 * 3.0 / 0.1 / (9.3 + 2.0 * 0.003 / 0.1**2 + 0.00003 / 0.03**2)
+    assert along == pytest.approx(
+        (3.0 - 0.003 * acceleration / 0.1) / 0.1, rel=1e-9
+    ) and simulation.sample().slipping == ("left_contact",)
