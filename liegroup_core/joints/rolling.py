@@ -22,7 +22,7 @@ from pydantic import Field
 
 from liegroup_core.compiling import kernel
 from liegroup_core.fields.frames import Frame
-from liegroup_core.fields.values import Positive
+from liegroup_core.fields.values import Flag, Positive
 from liegroup_core.lie.vec3 import ZERO3, axpy3, cross3, dot3, matvec3, scale3, vector3
 
 from .described import JointBase
@@ -48,16 +48,20 @@ class RollingJoint(JointBase):
         description="frame in the child frame, at the centre: z is the axis of a wheel, any axis of a ball"
     )
     radius: Positive = Field(description="radius in m, greater than 0")
+    frictionless: Flag = Field(
+        False, description="true: it slides, as a caster that is fixed: it only keeps its height"
+    )
     mu: Positive | None = Field(
         None, description="coefficient of friction that the contact is believed to have: beyond it there is a warning"
     )
 
     def elements(self, C_rel):
-        """Three elements: both directions of the plane, and the height."""
+        """Three elements: both directions of the plane, and the height; without friction the last one."""
         first = WHEEL if self.type == "wheel" else BALL
-        return tuple(
+        found = tuple(
             Element(first + k, (name,), np.eye(6)[3 + k : 4 + k], parameter=self.radius) for k, name in enumerate(_ROWS)
         )
+        return found[HEIGHT:] if self.frictionless else found
 
     @property
     def locates_child(self):

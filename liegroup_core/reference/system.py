@@ -103,7 +103,7 @@ def _equations(scene, index, frames, relative, couplings):
     screws = 0
     for joint in scene.joints:
         (F_a, F_b), C_rel = frames[joint.name], relative[joint.name]
-        for equation in JOINTS[joint.type]:
+        for equation in JOINTS[joint.type][2 if getattr(joint, "frictionless", False) else 0 :]:
             e, f = (*equation[1:], X, X)[:2]
             kind.append(equation[0])
             body.append(_ends(joint, index))

@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Joints, couplings and forces that a user adds between links or joints of a robot."""
 
+import numpy as np
+
 from liegroup_core.lie.groups import SE3
 
 from .description import ONE_COORDINATE, WORLD, Coupling, RobotJoint
+from .names import scene_name
 
 # {key of a force with a point: key of the link that the point is fixed to}
 POINTS = {"parent_point": "parent", "child_point": "child", "point": "body"}
@@ -15,7 +18,44 @@ def added_joints(options, grouping):
     An omitted frame coincides with the other frame at the start.
     """
     names = {joint.name for joint in grouping.robot.joints}
-    return [_joint(options, grouping, i, given, names) for i, given in enumerate(options.joints)]
+    found = [_joint(options, grouping, i, given, names) for i, given in enumerate(options.joints)]
+    return found + [_wheel(options, grouping, name, radius) for name, radius in options.roll.items()]
+
+
+def _wheel(options, grouping, name, radius):
+    """RobotJoint with which the child of a joint rolls on the plane z = 0 of the world."""
+    joints = {joint.name: joint for joint in grouping.robot.joints}
+    if name not in joints:
+        raise options.unknown(("roll", name), "roll: joint", name, joints)
+    joint = joints[name]
+    if joint.type != "revolute":
+        raise options.error(("roll", name), f'roll: joint "{name}" is {joint.type}: only revolute joints turn a wheel')
+    if grouping.of_link[joint.child] is grouping.world:
+        raise options.error(("roll", name), f'roll: the child of joint "{name}" does not move')
+    return RobotJoint(
+        scene_name(f"{name}_contact"),
+        "wheel",
+        WORLD,
+        joint.child,
+        np.eye(4),
+        joint.child_frame,
+        closes=True,
+        radius=radius,
+    )
+
+
+def added_drive(options, parts):
+    """Drive of the scene as a mapping, with names of its joints, or None; options.drive has those of the robot."""
+    if options.drive is None:
+        return None
+    names = {file: name for (key, name), file in parts.names.items() if key == "joints"}
+    sides = {}
+    for side in ("left", "right"):
+        for name in getattr(options.drive, side):
+            if name not in names:
+                raise options.unknown(("drive", side), f"drive: {side}: joint", name, names)
+        sides[side] = [names[name] for name in getattr(options.drive, side)]
+    return sides | ({} if options.drive.radius is None else {"radius": options.drive.radius})
 
 
 def _joint(options, grouping, i, given, names):
@@ -44,6 +84,9 @@ def _joint(options, grouping, i, given, names):
         closes=True,
         pitch=getattr(given, "pitch", 0.0),
         length=getattr(given, "length", None),
+        radius=getattr(given, "radius", None),
+        mu=getattr(given, "mu", None),
+        frictionless=getattr(given, "frictionless", None),
         coordinate=given.coordinate,
         rate=given.rate,
         data=dict(given.data or {}),

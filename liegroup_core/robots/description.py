@@ -110,6 +110,9 @@ class RobotJoint:
     closes: bool = False
     pitch: float = 0.0
     length: float | None = None
+    radius: float | None = None
+    mu: float | None = None
+    frictionless: bool | None = None
     damping: float = 0.0
     stiffness: float = 0.0
     rest: float = 0.0

@@ -14,7 +14,7 @@ from liegroup_core.fields.curve import counted_from, rise
 from liegroup_core.fields.values import NEGATIVE_ROUND_OFF, TRIANGLE_TOLERANCE
 
 from .actuators import add_drives
-from .additions import added_couplings, added_forces, added_joints
+from .additions import added_couplings, added_drive, added_forces, added_joints
 from .chains import base_of, grouped, kept_joints, locked_joints, place_links
 from .description import MISSING_MESHES, ONE_COORDINATE, WORLD, frame_keys, listed
 from .names import scene_name, unique_names
@@ -53,6 +53,7 @@ class SceneParts:
     couplings: list = field(default_factory=list)
     forces: list = field(default_factory=list)
     sensors: list = field(default_factory=list)
+    drive: dict | None = None
     notes: list = field(default_factory=list)
     comments: dict = field(default_factory=dict)
     lines: dict = field(default_factory=dict)
@@ -129,6 +130,7 @@ def scene_parts(robot, options):
         renamed = [f"{file} is {name}" for (key, name), file in parts.names.items() if key == what and name != file]
         if renamed:
             notes.append(f"renamed {what}: {listed(renamed)}")
+    parts.drive = added_drive(options, parts)
     parts.notes = [*notes, *_left_out(robot, grouping, switches, outside)]
     return parts
 
@@ -247,8 +249,9 @@ def _joints(robot, grouping, parts, body_of, added, values):
         entry = {"name": name, "type": joint.type, "parent": parent, "child": child}
         if joint.type == "screw":
             entry["pitch"] = joint.pitch
-        if joint.length is not None:
-            entry["length"] = joint.length
+        for key in ("length", "radius", "mu", "frictionless"):
+            if getattr(joint, key) is not None:
+                entry[key] = getattr(joint, key)
         entry["parent_frame"], entry["child_frame"] = frame_keys(F_a), frame_keys(F_b)
         for key, given in (("coordinate", coordinates), ("rate", rates)):
             value = given.get(joint.name, getattr(joint, key))

@@ -40,6 +40,8 @@ class Options:
     sensors   : [sensor of a scene], with names of links and joints of the robot
     srdf      : path of an SRDF file with poses
     xacro     : {name: text} arguments of a xacro file
+    roll      : {joint: radius in m} of wheels, links that roll about the axis of their joint on z = 0 of the world
+    drive     : scene.drive.Drive with names of joints of the robot, or None
     gravity, name, description : of the scene; None: from the robot file
     joint_label : format of an entry of `joints` in error messages, with its index
     place     : function: path inside the additions -> text at the start of an error message
@@ -62,6 +64,8 @@ class Options:
     sensors: list = field(default_factory=list)
     srdf: object = None
     xacro: dict = field(default_factory=dict)
+    roll: dict = field(default_factory=dict)
+    drive: object = None
     gravity: list | None = None
     name: str | None = None
     description: str | None = None

@@ -28,6 +28,8 @@ def scene_text(parts):
         if entries:
             lines.append(f"{key}:")
             lines += chain.from_iterable(_entry(entry, parts.comments.get((key, i))) for i, entry in enumerate(entries))
+    if parts.drive:
+        lines.append(f"drive: {_value(parts.drive)}")
     return "\n".join(lines) + "\n"
 
 

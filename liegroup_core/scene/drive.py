@@ -14,14 +14,14 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from liegroup_core.errors import SceneError
-from liegroup_core.fields.values import Described, Name, Positive, listed, suggestion
+from liegroup_core.fields.values import Described, Positive, Text, listed, suggestion
 
 
 def _names(value):
     return listed([value] if isinstance(value, str) else value)
 
 
-Joints = Annotated[tuple[Name, ...], BeforeValidator(_names)]
+Joints = Annotated[tuple[Text, ...], BeforeValidator(_names)]
 
 
 class Drive(Described):

@@ -28,6 +28,7 @@ from liegroup_core.robots.starts import Start
 from liegroup_core.robots.text import scene_text
 
 from .description import FORCES, JOINTS, SENSORS, entries_of, list_of
+from .drive import Drive
 from .yaml_text import Lines, read_yaml
 
 
@@ -131,6 +132,8 @@ class RobotFile(Described):
     couplings: list_of(Coupling) = Field((), description="couplings of the robot's joints")
     forces: entries_of(FORCES) = Field((), description="forces, which refer to links and joints of the robot")
     sensors: entries_of(SENSORS) = Field((), description="sensors, which refer to links and joints of the robot")
+    roll: ByJoint = Field({}, description="radius in m of the wheels at these joints, which roll on z = 0 of the world")
+    drive: Drive | None = Field(None, description="wheels that the node commands by ~/cmd_vel")
 
 
 class RobotNames:
@@ -232,6 +235,8 @@ def robot_beside(root, source):
         couplings=list(given.couplings),
         forces=list(given.forces),
         sensors=list(given.sensors),
+        roll=given.roll,
+        drive=given.drive,
         gravity=given.gravity,
         name=given.name,
         description=given.description,

@@ -44,6 +44,11 @@ def add_robot_options(parser):
         ("keep", "JOINT", "fixed joints that are not merged, so that their reactions are known"),
         ("stops", "JOINT", "joints whose limits are stops (default: all that start within them)"),
         ("friction", "JOINT", "joints whose dry friction acts (default: all)"),
+        (
+            "roll",
+            "JOINT=RADIUS",
+            "joints whose children are wheels with this radius in m, which roll on the plane z = 0 of the world",
+        ),
         ("drive", "JOINT", "driven joints; they keep their velocity at the start until a command"),
     ):
         parser.add_argument(f"--{name}", nargs="+", action="extend", default=[], metavar=each, help=text)
@@ -82,6 +87,7 @@ def robot_scene(path, args, name=None):
         actuators=not args.no_actuators,
         driven=dict.fromkeys(args.drive),
         only=args.only,
+        roll=_radii(args.roll),
         joints=[_closing(*entry) for entry in args.close],
         name=name,
         xacro=_arguments(args.arguments),
@@ -118,6 +124,15 @@ def _values(entries, option):
             separator = ""
         if not separator or not abs(found.get(name, 0.0)) < 1e100:
             raise RobotError(f"--{option} {entry}: give JOINT=VALUE, in rad or m, rad/s or m/s")
+    return found
+
+
+def _radii(entries):
+    """{joint: radius} of JOINT=RADIUS texts."""
+    found = _values(entries, "roll")
+    for name, radius in found.items():
+        if not radius > 0.0:
+            raise RobotError(f"--roll {name}: the radius must be greater than 0, got {radius:g}")
     return found
 
 

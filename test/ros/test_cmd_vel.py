@@ -8,9 +8,10 @@ import pytest
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from node_process import COMPILING, NodeProcess, stamp_ns
 
-from liegroup_core import SceneError
+from liegroup_core import SceneError, Simulation
 from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import load_scene, scene_from_text
+from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording.read import read_recording
 
@@ -75,3 +76,66 @@ def test_a_robot_drives_a_circle_and_stops_without_commands(client, tmp_path):
     assert abs(stopped[-1].linear.x) < 1e-3 and abs(stopped[-1].angular.z) < 1e-3
     same = resimulate(read_recording(tmp_path / "run.mcap"))
     assert same["identical"] == same["samples"] > 100
+
+
+ROVER = """<robot name="rover">
+  <link name="base_link"><inertial><mass value="5"/><origin xyz="-0.02 0 0.05"/>
+    <inertia ixx="0.05" iyy="0.06" izz="0.08" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="left_wheel"><inertial><mass value="0.5"/>
+    <inertia ixx="0.001" iyy="0.002" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="right_wheel"><inertial><mass value="0.5"/>
+    <inertia ixx="0.001" iyy="0.002" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="caster"><inertial><mass value="0.1"/>
+    <inertia ixx="0.0001" iyy="0.0001" izz="0.0001" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="left-wheel" type="continuous"><parent link="base_link"/><child link="left_wheel"/>
+    <origin xyz="0 0.15 0"/><axis xyz="0 1 0"/></joint>
+  <joint name="right-wheel" type="continuous"><parent link="base_link"/><child link="right_wheel"/>
+    <origin xyz="0 -0.15 0"/><axis xyz="0 -1 0"/></joint>
+  <joint name="fixed" type="fixed"><parent link="base_link"/><child link="caster"/><origin xyz="-0.15 0 -0.03"/></joint>
+</robot>
+"""
+BESIDE = """
+robot: rover.urdf
+base: floating
+roll: {left-wheel: 0.08, right-wheel: 0.08}
+joints: [{name: skid, type: ball_on_plane, parent: world, child: caster, child_frame: {}, radius: 0.05,
+  frictionless: true}]
+driven: {left-wheel: , right-wheel: }
+drive: {left: left-wheel, right: right-wheel}
+"""
+
+
+def test_a_robot_file_rolls_on_its_wheels_and_names_its_drive(tmp_path):
+    """The start is moved until the wheels touch; names of joints are those of the file; axes on both sides differ."""
+    (tmp_path / "rover.urdf").write_text(ROVER)
+    (tmp_path / "rover.yaml").write_text(BESIDE)
+    simulation = Simulation(load_scene(tmp_path / "rover.yaml"), quiet=True)
+    sample = simulation.sample()
+    assert sample.positions["base_link"][2] == pytest.approx(0.08, abs=1e-9)
+    normal = [force for force, _ in sample.contacts.values()]
+    assert sum(normal) == pytest.approx(6.1 * 9.81, rel=1e-9) and min(normal) > 0.0
+    for joint, rate in simulation.layout.wheels.at(0.4, 1.0).items():
+        simulation.command_motion(joint, [0.2], None, [rate])
+    simulation.advance_to(1.0)
+    w, v = np.split(simulation.sample(1.0).twists["base_link"], 2)
+    assert v[0] == pytest.approx(0.4, rel=1e-9) and w[2] == pytest.approx(1.0, rel=1e-9) and abs(v[1]) < 1e-9
+    # In the other direction, from the command line; the text of the scene has all of it.
+    assert main(["import", str(tmp_path / "rover.yaml"), "--out", str(tmp_path / "scene.yaml")]) == 0
+    assert load_scene(tmp_path / "scene.yaml").drive == load_scene(tmp_path / "rover.yaml").drive
+    options = ["--base", "floating", "--roll", "left-wheel=0.08", "right-wheel=0.08"]
+    assert main(["describe", str(tmp_path / "rover.urdf"), "--json", *options]) == 0
+
+
+@pytest.mark.parametrize(
+    "options, text",
+    [
+        (["--roll", "left-wheel=0"], "--roll left-wheel: the radius must be greater than 0, got 0"),
+        (["--roll", "left-wheel"], "--roll left-wheel: give JOINT=VALUE"),
+        (["--roll", "rear=0.1"], "roll: joint 'rear' is not in the robot; choose one of: fixed, left-wheel"),
+        (["--roll", "fixed=0.1"], 'roll: joint "fixed" is fixed: only revolute joints turn a wheel'),
+    ],
+)
+def test_wrong_wheels_are_refused(tmp_path, capsys, options, text):
+    (tmp_path / "rover.urdf").write_text(ROVER)
+    assert main(["describe", str(tmp_path / "rover.urdf"), "--base", "floating", *options]) == 2
+    assert text in capsys.readouterr().err

@@ -227,6 +227,26 @@ def test_methods_keep_their_order_and_rows_of_velocities_are_kept(method, order)
     assert max(kept.sample().joint_residuals.values()) < 1e-13
 
 
+def test_a_ball_without_friction_only_keeps_its_height():
+    """It slides as a point mass, and spins as before; against the reference, too."""
+    made = scene(
+        "name: ice\ngravity: [0, 0, -9.81]\nbodies: [{name: b, mass: 2.0, inertia: [0.02, 0.02, 0.02], "
+        "position: [0, 0, 0.1], linear_velocity: [1, 0, 0], angular_velocity: [0, 3, 1]}]\njoints: [{name: j, "
+        "type: ball_on_plane, parent: world, child: b, child_frame: {}, radius: 0.1, frictionless: true}]\n"
+    )
+    simulation = Simulation(made, accuracy=1e-9, quiet=True)
+    exact, _ = integrate(made, *simulation.state(), np.array([1.0]))
+    simulation.advance_to(1.0)
+    sample = simulation.sample()
+    assert (
+        sample.pose[0, 9:] == pytest.approx([1.0, 0.0, 0.1], abs=1e-9)
+        and np.abs(sample.pose[0, 9:] - exact.position[0, 0]).max() < 1e-9
+    )
+    turn = sample.pose[0, :9].reshape(3, 3)
+    assert turn @ sample.twist[0, :3] == pytest.approx([0.0, 3.0, 1.0], abs=1e-9)
+    assert sample.contacts["j"] == pytest.approx((2.0 * GRAVITY, 0.0), abs=1e-9)
+
+
 def test_other_methods_say_that_they_do_not_roll():
     for method in ("generalized_alpha", "constrained_rattle"):
         with pytest.raises(ValueError, match="wheels, balls that roll, or knife edges"):
