@@ -21,6 +21,7 @@ from liegroup_core.lie.groups import UNKNOWN_TURN
 from liegroup_core.mechanism.arrays import PlaneModel
 from liegroup_core.mechanism.bodies import Model
 from liegroup_core.mechanism.body_model import build_model, initial_state, levers
+from liegroup_core.mechanism.freedoms import freedoms_of
 from liegroup_core.mechanism.mechanism import refuse_cut_couplings, refuse_freedoms_without_inertia, relative_model
 from liegroup_core.mechanism.size import mechanism_size
 from liegroup_core.mechanism.spanning_tree import WORLD_NAME
@@ -219,6 +220,11 @@ class Layout:
         """{joint: (4, 4) its frame in the body frame of its child}."""
         frames = resolve_frames(self.scene)
         return {joint.name: F_b for joint, (_, F_b) in zip(self.scene.joints, frames)}
+
+    @cached_property
+    def freedoms(self):
+        """[Freedom] of the spanning tree of `relative`."""
+        return freedoms_of(self.centred, self.normal)
 
     @cached_property
     def contacts(self):

@@ -106,7 +106,7 @@ class Outputs:
             "bodies": [f"{body}.{name}" for body in bodies for name in POSE],
             "twists": [f"{body}.{name}" for body in bodies for name in TWIST],
             "accelerations": [f"{body}.{name}" for body in bodies for name in ACCELERATION],
-            "reactions": [f"{joint}.{name}" for joint in layout.reactions.names for name in WRENCH],
+            "reactions": [f"{joint}.{name}" for joint in [each.name for each in scene.joints] for name in WRENCH],
             "sensors": [f"{each.name}.{k}" for each, size in zip(self._ideal, sizes) for k in range(size)],
         }
         self.names = _expanded(["joints"] if wanted is None else wanted, kinds, "output")

@@ -14,62 +14,18 @@ are linearised.
 """
 
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 import scipy
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import suggestion
-from liegroup_core.mechanism.arrays import OWN
-from liegroup_core.mechanism.links import find_links
-from liegroup_core.mechanism.mechanism import tree_of
-from liegroup_core.scene.consistency import resolve_frames
 
 from .differences import derivative
 
-COMPONENTS = ("rx", "ry", "rz", "x", "y", "z")
 ANGLE, SHARE = 1e-2, 1e-2  # first displacement: rad, and of the mechanism's size
 OF_JOINT = 10.0  # weight of coordinates of joints, where independent ones are chosen
 NO_ROW = 1e-9  # relative size of a row, or a singular value, that is round-off
-
-
-class Freedom(NamedTuple):
-    """A degree of freedom of the spanning tree.
-
-    name : of its joint with one coordinate, else JOINT.COMPONENT or BODY.COMPONENT
-    unit : "rad" or "m"
-    sign : of its coordinate when that of the joint increases
-    is_of_joint : whether it is the coordinate of a joint
-    """
-
-    name: str
-    unit: str
-    sign: float
-    is_of_joint: bool = False
-
-
-def freedoms_of(layout):
-    """[Freedom] of the spanning tree, in the order of all arrays.
-
-    Components of other joints are a rotation vector rx, ry, rz and a shift x, y, z in the frame of the link.
-    """
-    scene = layout.centred
-    links, _ = find_links(scene, resolve_frames(scene), tree_of(scene), layout.normal)
-    found = []
-    for link in links:
-        if link.joint is None:
-            name = next(iter(link.bodies))
-        else:
-            name = scene.joints[link.joint].name
-        if link.coordinates != OWN:
-            found.append(Freedom(f"{name}.{'12'[sum(f.name.startswith(name + '.') for f in found)]}", "rad", 1.0))
-            continue
-        one = link.joint is not None and len(link.components) == 1
-        for component in link.components:
-            label = name if one else f"{name}.{COMPONENTS[component]}"
-            found.append(Freedom(label, "rad" if component < 3 else "m", link.sign if one else 1.0, one))
-    return found
 
 
 class Coordinates:
@@ -87,7 +43,7 @@ class Coordinates:
     """
 
     def __init__(self, probe, chosen=None):
-        self._probe, self.freedoms = probe, freedoms_of(probe.layout)
+        self._probe, self.freedoms = probe, probe.layout.freedoms
         self._signs = np.array([freedom.sign for freedom in self.freedoms])
         length = probe.layout.size
         self._scales = np.array([1.0 if freedom.unit == "rad" else length for freedom in self.freedoms])

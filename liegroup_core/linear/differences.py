@@ -19,6 +19,21 @@ ENOUGH = 1e-12  # relative error at which no smaller h is tried
 ROUND_OFF = 4.0 * np.finfo(float).eps  # of a value; the weights add up to less than 2
 
 
+def of_values(values, h):
+    """Derivative, an estimate of its error, and whether that is small, from values at (h, -h), (2h, -2h), (3h, -3h).
+
+    values : (3, 2, ...)
+    """
+    second, fourth, sixth = np.tensordot(_WEIGHTS, values[:, 0] - values[:, 1], 1) / h
+    last, before = np.abs(sixth - fourth), np.abs(fourth - second)
+    # The differences of successive orders decrease like a geometric sequence.
+    ratio = np.divide(last, before, out=np.zeros_like(last), where=before > 0.0)
+    rounding = ROUND_OFF * np.abs(values).max(axis=(0, 1)) / h
+    error = last * np.minimum(ratio, 1.0) + rounding
+    size = np.max(np.abs(sixth), initial=0.0)
+    return sixth, error, error.max(initial=0.0) <= max(ENOUGH * size, 2.0 * rounding.max(initial=0.0))
+
+
 def derivative(function, h):
     """Derivative of a function of one number at 0, and an estimate of its error.
 
@@ -33,16 +48,10 @@ def derivative(function, h):
         except SimulationError:
             h /= SMALLER
             continue
-        second, fourth, sixth = np.tensordot(_WEIGHTS, values[:, 0] - values[:, 1], 1) / h
-        last, before = np.abs(sixth - fourth), np.abs(fourth - second)
-        # The differences of successive orders decrease like a geometric sequence.
-        ratio = np.divide(last, before, out=np.zeros_like(last), where=before > 0.0)
-        rounding = ROUND_OFF * np.abs(values).max(axis=(0, 1)) / h
-        error = last * np.minimum(ratio, 1.0) + rounding
-        size = np.max(np.abs(sixth), initial=0.0)
+        found, error, is_small = of_values(values, h)
         if best is None or error.max(initial=0.0) < best[1].max(initial=0.0):
-            best = sixth, error
-        if error.max(initial=0.0) <= max(ENOUGH * size, 2.0 * rounding.max(initial=0.0)):
+            best = found, error
+        if is_small:
             break
         h /= SMALLER
     if best is None:

@@ -15,9 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from liegroup_core.errors import SimulationError
+
 from .channels import Inputs, Outputs
 from .coordinates import Coordinates
-from .differences import derivative
+from .differences import derivative, of_values
 from .probe import Probe
 
 DISPLACED = 1e-4  # rad, m, and of rates, in the derivatives of A
@@ -197,33 +199,44 @@ def system_of(probe, inputs=None, outputs=None, independent=None):
     signs = np.concatenate([coordinates.signs, coordinates.rate_signs])
     m, states = len(coordinates.independent), len(rows)
 
-    def values(y, applied=(None, None)):
-        slopes, pose, twist = probe.slopes(y, *applied)
-        return np.concatenate([signs * slopes[rows], outputs.of(probe.sample(pose, twist, *applied))])
+    def moving(y, applied=(None, None)):
+        return signs * probe.slopes(y, *applied)[0][rows]
+
+    def seen(y, applied=(None, None)):
+        _, pose, twist = probe.slopes(y, *applied)
+        return outputs.of(probe.sample(pose, twist, *applied))
 
     columns, errors = [], []
 
-    def column(function, h):
-        found, error = derivative(function, h)
-        errors.append(error)
-        return found
+    def add(at, h, sign=1.0, batch=None):
+        """Add a column: derivative by s of a state and its inputs at(s); batch : slopes at all distances, or None."""
+        found, error, is_small = (None, None, False) if batch is None else of_values(signs * batch[..., rows], h)
+        if not is_small:
+            found, error = derivative(lambda s: moving(*at(s)), h)
+        parts = [(found, error)]
+        if len(outputs):
+            parts.append(derivative(lambda s: seen(*at(s)), h))
+        column, uncertainty = (np.concatenate(part) for part in zip(*parts))
+        columns.append(sign * column)
+        errors.append(uncertainty)
 
-    for k in range(m):
-        moved = column(lambda s, k=k: values(coordinates.neighbour(k, s)), coordinates.size(k))
-        # In the chart that moves with the state, d/dt psi = w + [psi, V]; in the fixed one half of the bracket.
-        moved[:m] += moved[:m] - coordinates.signs * coordinates.changes[coordinates.independent, k]
-        columns.append(moved * coordinates.signs[k])
-    for k in range(states - m):
-        moved = column(lambda s, k=k: values(coordinates.neighbour(k, s, True)), coordinates.rate_size(k))
-        columns.append(moved * coordinates.rate_signs[k])
+    moves = [(k, False, coordinates.size(k), coordinates.signs[k]) for k in range(m)]
+    moves += [(k, True, coordinates.rate_size(k), coordinates.rate_signs[k]) for k in range(states - m)]
+    sizes = np.array([size for _, _, size, _ in moves])
+    directions = [coordinates.neighbour(k, 1.0, rate) for k, rate, *_ in moves]
+    try:
+        batches = probe.slopes_along(directions, sizes) if moves else []
+    except SimulationError:  # too far away in some direction
+        batches = [None] * len(moves)
+    for (k, rate, size, sign), batch in zip(moves, batches):
+        add(lambda s, k=k, rate=rate: (coordinates.neighbour(k, s, rate),), size, sign, batch)
+        if not rate:
+            # In the chart that moves with the state, d/dt psi = w + [psi, V]; in the fixed one half of the bracket.
+            half = sign * columns[-1][:m] - coordinates.signs * coordinates.changes[coordinates.independent, k]
+            columns[-1][:m] += sign * half
     for j in range(len(inputs)):
-        u = np.zeros(len(inputs))
-
-        def pushed(s, j=j, u=u):
-            u[j] = s
-            return values(None, inputs.applied(u))
-
-        columns.append(column(pushed, inputs.sizes[j]))
+        change = np.eye(len(inputs))[j]
+        add(lambda s, change=change: (None, inputs.applied(s * change)), inputs.sizes[j])
     matrix, error = (
         np.array(part).reshape(states + len(inputs), states + len(outputs)).T for part in (columns, errors)
     )

@@ -13,7 +13,6 @@ import scipy
 
 from liegroup_core.errors import SceneError, SimulationError
 
-from .coordinates import freedoms_of
 from .probe import Probe
 
 # Largest displacement of a shape that is drawn, rad, or share of the mechanism's size; factor if it cannot be closed.
@@ -81,7 +80,7 @@ def shapes_of(simulation, mode, count, time=None):
     time  : s, of the state that the mode is about; None: the present one
     """
     probe = Probe(simulation, time)
-    freedoms = freedoms_of(probe.layout)
+    freedoms = probe.layout.freedoms
     scales = np.array([1.0 if freedom.unit == "rad" else probe.layout.size for freedom in freedoms])
     signs = np.array([freedom.sign for freedom in freedoms])
     largest = np.abs(mode.shape / scales).max(initial=0.0)

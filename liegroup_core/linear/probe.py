@@ -66,6 +66,25 @@ def _evaluate(model, work, scheme, y, pose_in, twist_in, external_in, out, pose_
 
 
 @kernel
+def _evaluate_along(model, work, scheme, directions, sizes, pose, twist, external, y, pose_out, twist_out, out):
+    """Write y' at k h d, k = 1, -1, 2, -2, 3, -3, to out (d, 6, f, 2) for all directions d (d, f, 2) with sizes h (d,).
+
+    Returns a status.
+    """
+    for d in range(len(directions)):
+        for p in range(6):
+            distance = (1 + p // 2) * sizes[d]
+            if p % 2 == 1:
+                distance = -distance
+            for f in range(len(y)):
+                y[f, 0], y[f, 1] = distance * directions[d, f, 0], distance * directions[d, f, 1]
+            status = _evaluate(model, work, scheme, y, pose, twist, external, out[d, p], pose_out, twist_out)
+            if status != OK:
+                return status
+    return OK
+
+
+@kernel
 def _close(model, work, scheme, y, pose_in, twist_in, external_in, rates_out, pose_out, twist_out):
     """Project a neighbour onto the cut joints: write its rates (f,), poses and twists. Returns a status."""
     _, status = _set_neighbour(model, work, scheme, y, pose_in, twist_in, external_in)
@@ -105,6 +124,7 @@ class Probe:
     external   : (n, COLUMNS) external wrenches, see forces/external.py
     wanted     : (k, 2) wanted positions and velocities of the servos
     base       : Sample of the state
+    layout     : Layout of the simulation
     Raises SimulationError where the accelerations of the state cannot be computed.
     """
 
@@ -112,7 +132,7 @@ class Probe:
         engine = Engine(
             simulation.scene, METHOD, simulation.step, RELATIVE, "none", quiet=True, layout=simulation.layout
         )
-        self.base, self._engine = simulation.sample(time), engine
+        self.base, self._engine, self.layout = simulation.sample(time), engine, simulation.layout
         engine.start_from(simulation, simulation.steps)
         self._model, self._work = engine._integrator.links
         if engine.layout.switches:
@@ -131,11 +151,6 @@ class Probe:
         """Set the time in s, at which wrenches of the scene and driven joints act."""
         engine = self._engine
         engine._set_inputs(engine._grid.instant(float(time)), engine.step)
-
-    @property
-    def layout(self):
-        """Layout of the scene."""
-        return self._engine.layout
 
     @property
     def held(self):
@@ -175,6 +190,20 @@ class Probe:
         out, pose, twist = np.empty((self.freedoms, 2)), self.pose.copy(), self.twist.copy()
         self._call(_evaluate, y, external, wanted, out, pose, twist)
         return out.T.ravel(), pose, twist
+
+    def slopes_along(self, directions, sizes):
+        """(d, 3, 2, 2 f) psi' and w' at h, -h, 2h, -2h, 3h, -3h along directions (d, f, 2), with sizes h (d,)."""
+        count = len(directions)
+        out = np.empty((count, 6, self.freedoms, 2))
+        y, pose, twist = np.zeros((self.freedoms, 2)), self.pose.copy(), self.twist.copy()
+        work = self._work
+        work.wanted[:] = self.wanted
+        given = np.ascontiguousarray(directions, dtype=float), np.ascontiguousarray(sizes, dtype=float)
+        state = self.pose, self.twist, self.external
+        status = _evaluate_along(self._model, work, self._scheme, *given, *state, y, pose, twist, out)
+        if status != OK or not np.isfinite(out).all():
+            raise SimulationError(explain(self._engine, status), status & 0xFF)
+        return out.transpose(0, 1, 3, 2).reshape(count, 3, 2, 2 * self.freedoms)
 
     def closed(self, y=None):
         """(f,) rates of a neighbour that is projected onto the cut joints, and poses and twists of the bodies."""
