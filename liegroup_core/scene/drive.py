@@ -11,7 +11,7 @@ about axes to the left. Radius, track and the directions of the axes are those o
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, WithJsonSchema
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.values import Described, Positive, Text, listed, suggestion
@@ -21,7 +21,11 @@ def _names(value):
     return listed([value] if isinstance(value, str) else value)
 
 
-Joints = Annotated[tuple[Text, ...], BeforeValidator(_names)]
+Joints = Annotated[
+    tuple[Text, ...],
+    BeforeValidator(_names),
+    WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]}),
+]
 
 
 class Drive(Described):

@@ -11,6 +11,7 @@ from liegroup_core.joints.stops import Backlash, Cone, CylinderFriction, Cylinde
 from liegroup_core.robots.starts import Start
 
 from .description import FORCES, JOINTS, SENSORS, Body, Scene
+from .drive import Drive
 from .robot_file import RobotFile
 from .shapes import SHAPES
 
@@ -29,6 +30,7 @@ PARTS = {
     "backlash of a coupling": (Backlash,),
     "forces": FORCES,
     "sensors": SENSORS,
+    "drive": (Drive,),
     "file beside a robot": (RobotFile,),
     "start of a link": (Start,),
 }
