@@ -103,10 +103,11 @@ class LinearSystem:
         )
 
     def to_control(self):
-        """control.StateSpace of the package python-control."""
+        """control.StateSpace of the package python-control, whose names have _ for each dot."""
         import control
 
-        names = {"states": list(self.states), "inputs": list(self.inputs), "outputs": list(self.outputs)}
+        given = {"states": self.states, "inputs": self.inputs, "outputs": self.outputs}
+        names = {key: [name.replace(".", "_") for name in names] for key, names in given.items()}
         return control.StateSpace(self.A, self.B, self.C, self.D, name=self.scene, **names)
 
     def as_dict(self):

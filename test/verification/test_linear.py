@@ -371,6 +371,18 @@ def test_types_of_joints_give_their_names_to_coordinates():
     assert linearise(paused(load_scene("heavy_top"))).states[:3] == ("pivot.rx", "pivot.ry", "pivot.rz")
 
 
+def test_python_control_takes_the_system():
+    """Feedback of the angle moves the poles as in the closed form: K + gain."""
+    control = pytest.importorskip("control")
+    text = DOUBLE.replace("name: elbow, type: revolute", "name: elbow, type: fixed")
+    plant = linearise(paused(yaml_scene(text)), ["shoulder.effort"], ["shoulder.position"]).to_control()
+    closed = control.feedback(plant, 100.0)
+    inertia = 0.03 + 2.0 * 0.4**2 + 0.05 + 1.5 * 1.1**2
+    stiffness = GRAVITY * (2.0 * 0.4 + 1.5 * 1.1) + 100.0
+    assert np.abs(control.poles(closed)) == pytest.approx([np.sqrt(stiffness / inertia)] * 2, rel=1e-9)
+    assert plant.input_labels == ["shoulder_effort"]
+
+
 def test_files_have_the_system(tmp_path):
     import json
 
