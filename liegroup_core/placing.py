@@ -97,9 +97,14 @@ def _keep_turns(engine, before, joints):
     engine._switching.expect(near)
 
 
+def switch_places(layout, pose, twist):
+    """[(Switch, its coordinate)] of a state at the centres of mass, rad or m; angles up to whole turns."""
+    return switch_coordinates(layout.centred, _start_of(layout, pose, twist), layout.joint_frames)
+
+
 def _refuse_beyond_stops(engine, pose, twist, joints, angles):
     """Raise SceneError if a rigid stop does not allow a state, or a coordinate that was given."""
-    layout, start = engine.layout, _start_of(engine, pose, twist)
+    layout, start = engine.layout, _start_of(engine.layout, pose, twist)
     for switch, q in switch_coordinates(layout.centred, start, layout.joint_frames, angles):
         limits, (given, _) = switch.limits, joints.get(switch.name, (None, None))
         if limits is None or limits.stiffness is not None:
@@ -134,17 +139,17 @@ def _positions(engine, pose, twist):
         yield joint.name, middle + difference(q, middle, turns(joint)) if math.isfinite(middle) else q
 
 
-def _start_of(engine, pose, twist):
+def _start_of(layout, pose, twist):
     """{name: (pose (4, 4), twist (6,))} of the bodies and the world, at a state of `state()`."""
     start = {WORLD: (np.eye(4), np.zeros(6))}
-    for body, *of_body in zip(engine.layout.centred.bodies, pose, twist):
+    for body, *of_body in zip(layout.centred.bodies, pose, twist):
         start[body.name] = pose_matrix(of_body[0]), of_body[1]
     return start
 
 
 def _joint_states(engine, pose, twist, wanted):
     """(joint of the scene, (position, velocity)) of joints for which `wanted` is true, at a `state()`."""
-    start = _start_of(engine, pose, twist)
+    start = _start_of(engine.layout, pose, twist)
     for joint, frames in zip(engine.layout.centred.joints, engine.layout.joint_frames):
         if wanted(joint):
             yield joint, joint_state(start, joint, *frames)

@@ -2,7 +2,7 @@
 """Linear analysis of mechanisms: linear systems, modes, equilibria, inverse dynamics."""
 
 from .inverse import InverseDynamics, inverse_dynamics
-from .linear_system import LinearSystem, linearise, pole_errors
+from .linear_system import LinearSystem, change_along, linearise, pole_errors
 from .modes import Mode, modes_of, shapes_of
 from .sensitivities import Sensitivities, sensitivities
 from .trim import Trim, TrimError, trim
@@ -14,6 +14,7 @@ __all__ = [
     "Sensitivities",
     "Trim",
     "TrimError",
+    "change_along",
     "inverse_dynamics",
     "linearise",
     "modes_of",

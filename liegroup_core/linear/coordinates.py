@@ -24,7 +24,8 @@ from liegroup_core.fields.values import suggestion
 from .differences import derivative
 
 ANGLE, SHARE = 1e-2, 1e-2  # first displacement: rad, and of the mechanism's size
-OF_JOINT = 10.0  # weight of coordinates of joints, where independent ones are chosen
+# Weights of coordinates of joints, of the independent rates and of preferred ones, where independent ones are chosen.
+OF_JOINT, MOVING, PREFERRED = 10.0, 1e3, 1e5
 NO_ROW = 1e-9  # relative size of a row, or a singular value, that is round-off
 
 
@@ -32,6 +33,7 @@ class Coordinates:
     """Independent coordinates near the state of a Probe.
 
     chosen : names of freedoms that are independent; None: those with the best condition
+    preferred : names that are among them if they can be
 
     freedoms : [Freedom]
     independent, moving : indices of the independent coordinates and of the independent rates
@@ -42,21 +44,24 @@ class Coordinates:
     Raises SceneError for unknown or dependent names.
     """
 
-    def __init__(self, probe, chosen=None):
+    def __init__(self, probe, chosen=None, preferred=()):
         self._probe, self.freedoms = probe, probe.layout.freedoms
         self._signs = np.array([freedom.sign for freedom in self.freedoms])
         length = probe.layout.size
         self._scales = np.array([1.0 if freedom.unit == "rad" else length for freedom in self.freedoms])
         basis = self._velocities()
+        weights = np.array([OF_JOINT if freedom.is_of_joint else 1.0 for freedom in self.freedoms])
+        weights[[self.number(name) for name in preferred]] = PREFERRED
         wanted = None if chosen is None else np.array([self.number(name) for name in chosen], dtype=int)
         if probe.layout.rolls:
             places = self._positions()
             if wanted is not None and len(wanted) == places.shape[1] != basis.shape[1]:
                 raise SceneError("with rolling, choose as many coordinates as there are independent rates")
-            self.moving, self.rates = self._independent(basis, wanted)
-            self.independent, self.motions = self._independent(places, None, self.moving)
+            self.moving, self.rates = self._independent(basis, wanted, weights)
+            weights[self.moving] = np.maximum(weights[self.moving], MOVING)
+            self.independent, self.motions = self._independent(places, None, weights)
         else:
-            self.moving, self.rates = self._independent(basis, wanted)
+            self.moving, self.rates = self._independent(basis, wanted, weights)
             self.independent, self.motions = self.moving, self.rates
         self.names, self.rate_names = ([self.freedoms[k].name for k in of] for of in (self.independent, self.moving))
         self.units = [self.freedoms[k].unit for k in self.independent]
@@ -65,6 +70,11 @@ class Coordinates:
     def signs(self):
         """(m,) signs of the independent coordinates in their joints."""
         return self._signs[self.independent]
+
+    @property
+    def rate_units(self):
+        """Units of the coordinates of the independent rates."""
+        return [self.freedoms[k].unit for k in self.moving]
 
     @property
     def rate_signs(self):
@@ -77,7 +87,7 @@ class Coordinates:
 
     def rate_size(self, k):
         """First displacement along independent rate k."""
-        return ANGLE if self.freedoms[self.moving[k]].unit == "rad" else SHARE * self._probe.layout.size
+        return ANGLE if self.rate_units[k] == "rad" else SHARE * self._probe.layout.size
 
     def _velocities(self):
         """Basis (f, p) of the velocities that the joints allow, in the units of the freedoms."""
@@ -115,19 +125,17 @@ class Coordinates:
         rows /= np.linalg.norm(rows, axis=1, keepdims=True)
         return scipy.linalg.null_space(rows, rcond=NO_ROW) if len(rows) else np.eye(f)
 
-    def _independent(self, basis, wanted, first=()):
-        """(indices, matrix) of the rows of a basis that are independent: `first` and others, or those wanted."""
+    def _independent(self, basis, wanted, weights):
+        """(indices, matrix) of the rows of a basis that are independent: those wanted, or the best with weights."""
         count = basis.shape[1]
         if wanted is None:
-            # Coordinates of joints before components of others, those of `first` before all, if they are independent.
-            weights = np.array([OF_JOINT if freedom.is_of_joint else 1.0 for freedom in self.freedoms])
-            weights[list(first)] = OF_JOINT**3
             order = scipy.linalg.qr((basis * weights[:, None]).T, pivoting=True, mode="r")[1]
             picked = np.sort(order[:count])
         else:
             picked = wanted
-            if len(set(picked.tolist())) != count:
-                raise SceneError(f"{len(picked)} independent coordinates are given, the mechanism has {count} here")
+            if len(picked) != count or len(set(picked.tolist())) != count:
+                given = f"{len(set(picked.tolist()))} different independent coordinates are given"
+                raise SceneError(f"{given}, the mechanism has {count} here")
         square = basis[picked]
         if count and np.linalg.svd(square, compute_uv=False)[-1] < 1e-9:
             raise SceneError(f"the coordinates {', '.join(self.freedoms[k].name for k in picked)} are not independent")

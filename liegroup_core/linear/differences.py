@@ -12,7 +12,7 @@ import numpy as np
 from liegroup_core.errors import SimulationError
 
 # Weights of f(k h) - f(-k h), k = 1, 2, 3, for h f' of orders 2, 4 and 6.
-_WEIGHTS = np.array([[0.5, 0.0, 0.0], [2.0 / 3.0, -1.0 / 12.0, 0.0], [0.75, -0.15, 1.0 / 60.0]])
+WEIGHTS = np.array([[0.5, 0.0, 0.0], [2.0 / 3.0, -1.0 / 12.0, 0.0], [0.75, -0.15, 1.0 / 60.0]])
 SMALLER = 8.0  # factor between two sizes
 MOST_SIZES = 8
 ENOUGH = 1e-12  # relative error at which no smaller h is tried
@@ -24,7 +24,7 @@ def of_values(values, h):
 
     values : (3, 2, ...)
     """
-    second, fourth, sixth = np.tensordot(_WEIGHTS, values[:, 0] - values[:, 1], 1) / h
+    second, fourth, sixth = np.tensordot(WEIGHTS, values[:, 0] - values[:, 1], 1) / h
     last, before = np.abs(sixth - fourth), np.abs(fourth - second)
     # The differences of successive orders decrease like a geometric sequence.
     ratio = np.divide(last, before, out=np.zeros_like(last), where=before > 0.0)

@@ -65,9 +65,14 @@ def inverse_dynamics(simulation, times, positions, rates, accelerations, joints,
     positions, rates, accelerations : (k, m) of the joints, rad or m
     joints : names of the m independent coordinates
     inputs : names of efforts, see channels.py; None: those of the joints
-    Raises SceneError for unknown or dependent names, SimulationError where the loops cannot be closed.
+    Raises SceneError for unknown or dependent names and for wheels, which have no positions of their own,
+    SimulationError where the loops cannot be closed.
     """
     probe = Probe(simulation)
+    if probe.layout.rolls:
+        raise SceneError("inverse dynamics needs joints whose positions determine the pose: wheels that roll do not")
+    if not joints:
+        raise SceneError("inverse dynamics needs at least one independent joint")
     names = [f"{joint}.effort" for joint in joints] if inputs is None else inputs
     channels = Inputs(probe, names)
     coordinates = Coordinates(probe, joints)

@@ -70,7 +70,7 @@ class LinearSystem:
     def zeros(self):
         """Transmission zeros of a system with as many inputs as outputs, rad/s and 1/s; None for others."""
         n, (p, k) = len(self.A), self.D.shape
-        if p != k or not n:
+        if p != k or not n or not k:
             return None
         left = np.block([[self.A, self.B], [self.C, self.D]])
         right = scipy.linalg.block_diag(np.eye(n), np.zeros((p, k)))
@@ -155,12 +155,39 @@ def linearise(simulation, inputs=None, outputs=None, independent=None, time=None
     return system_of(Probe(simulation, time), inputs, outputs, independent)
 
 
+def change_along(simulation, system, time=None):
+    """Largest change of an entry of A along the motion, 1/s, relative to its largest entry.
+
+    system : LinearSystem of this simulation and time
+    Zero at an equilibrium and in a steady motion. Elsewhere A and its poles are those of one instant, so in the body
+    axes of a wheel that rolls.
+    """
+    probe, m = Probe(simulation, time), system.coordinates
+    largest = np.abs(system.A).max(initial=0.0)
+    if not largest:
+        return 0.0
+    chosen = [name.removesuffix(".rate") for name in system.states[m:]]
+    coordinates, kept = Coordinates(probe, chosen), probe.keep()
+    rates = coordinates.signs * system.slope[:m]
+    speed = np.abs(rates).max(initial=0.0)
+    if not speed:
+        return 0.0
+    way = sum(rate / speed * coordinates.neighbour(k, DISPLACED) for k, rate in enumerate(rates))
+    sides = []
+    for sign in (1.0, -1.0):
+        probe.go_to(sign * way)
+        sides.append(system_of(probe, [], [], chosen, coordinates.names).A)
+        probe.restore(kept)
+    return float(np.abs(sides[0] - sides[1]).max() * speed / (2.0 * DISPLACED * largest))
+
+
 def pole_errors(simulation, system, time=None):
     """(n,) errors of the poles of a LinearSystem that follow from the estimated error of the state, rad/s and 1/s.
 
     system : of this simulation and time
     A bound to first order: the changes of A with every coordinate and rate, times the largest change of that
-    which the estimated errors of all bodies allow. NaN without an estimate.
+    which the estimated errors of all bodies allow, and the error of the entries. NaN without an estimate, and for
+    poles whose eigenvectors are dependent.
     """
     probe = Probe(simulation, time)
     poles, m, n = system.poles, system.coordinates, len(system.A)
@@ -171,18 +198,20 @@ def pole_errors(simulation, system, time=None):
     position, attitude, velocity, rate = np.maximum(probe.base.errors, 1e-300).T
     errors = np.concatenate([_by_body(attitude, position), _by_body(rate, velocity)])
     largest = np.abs(np.linalg.pinv(shown / errors[:, None])).sum(axis=1)
-    found, values, left, right = np.zeros(n), *scipy.linalg.eig(system.A, left=True)
+    values, left, right = scipy.linalg.eig(system.A, left=True)
     order = [int(np.argmin(np.abs(values - pole))) for pole in poles]
     product = np.einsum("ij,ij->j", left.conj(), right)
+    found = system.error * np.abs(system.A).max() / np.where(product != 0.0, np.abs(product), np.nan)[order]
     kept, coordinates = probe.keep(), Coordinates(probe, chosen)
     for k in range(n):
         sides = []
         for sign in (1.0, -1.0):
             probe.go_to(coordinates.neighbour(k - m if k >= m else k, sign * DISPLACED, k >= m))
-            sides.append(system_of(probe, [], [], chosen).A)
+            sides.append(system_of(probe, [], [], chosen, coordinates.names).A)
             probe.restore(kept)
         change = (sides[0] - sides[1]) / (2.0 * DISPLACED)
-        moved = np.abs(np.einsum("ij,ik,kj->j", left.conj(), change, right) / product)
+        with np.errstate(divide="ignore", invalid="ignore"):  # a pole without independent eigenvectors: NaN
+            moved = np.abs(np.einsum("ij,ik,kj->j", left.conj(), change, right) / product)
         found += largest[k] * moved[order]
     return found
 
@@ -192,9 +221,9 @@ def _by_body(turning, moving):
     return np.repeat(np.stack([turning, moving], axis=1), 3, axis=1).ravel()
 
 
-def system_of(probe, inputs=None, outputs=None, independent=None):
-    """As `linearise`, of a Probe."""
-    coordinates = Coordinates(probe, independent)
+def system_of(probe, inputs=None, outputs=None, independent=None, preferred=()):
+    """As `linearise`, of a Probe; preferred: as of Coordinates."""
+    coordinates = Coordinates(probe, independent, preferred)
     inputs, outputs = Inputs(probe, inputs), Outputs(probe, outputs)
     rows = np.concatenate([coordinates.independent, probe.freedoms + coordinates.moving])
     signs = np.concatenate([coordinates.signs, coordinates.rate_signs])
@@ -241,6 +270,8 @@ def system_of(probe, inputs=None, outputs=None, independent=None):
     matrix, error = (
         np.array(part).reshape(states + len(inputs), states + len(outputs)).T for part in (columns, errors)
     )
+    # Round-off of entries that are zero would couple what is not: eigenvectors depend on it.
+    matrix[np.abs(matrix) <= error] = 0.0
     own, rest = slice(0, states), slice(states, None)
     parts = [(np.abs(matrix[rows]).max(initial=0.0), error[rows]) for rows in (own, rest)]
     names = [freedom.name for freedom in coordinates.freedoms]

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sensitivities of a run: derivatives of its outputs with respect to numbers of the scene.
 
-Each is a central difference of order four from four runs to a tight accuracy, with the difference to that of order
-two as its error. Runs are repeated as a whole, so that events (stops, friction) act as they do: the derivative of the
-time of an impact is included. Where the numbers of events differ, the run is not smooth in this number.
+Each is a central difference of order six from six runs to a tight accuracy. Its error is the difference to that of
+order four, and the estimated errors of the runs over the change. Runs are repeated as a whole, so that events (stops,
+friction) act as they do: the derivative of the time of an impact is included. Where the numbers of events differ, the
+run is not smooth in this number.
 """
 
 from dataclasses import dataclass
@@ -16,11 +17,14 @@ from liegroup_core.simulation import Simulation
 from liegroup_core.study.sweep.parameters import changed, parameters, path_of
 
 from .channels import Outputs
+from .differences import SMALLER, WEIGHTS
 from .probe import Probe
 
-# Accuracy of the runs; relative change of a number, and the change of one that is zero. The error of order four is that
-# of order two times the square of the change relative to the scale of the function: CHANGE is that of a thirtieth.
+# Accuracy of the runs; relative change of a number, and the change of one that is zero: at 1e-3 both errors of a smooth
+# function, 1e-3 to the sixth power times its seventh derivative and 1e-12 / 1e-3 times it, are below 1e-8.
 TIGHT, CHANGE = 1e-12, 1e-3
+# Where a run depends on a number more strongly, smaller changes follow, until the relative error is small.
+ENOUGH, MOST_CHANGES = 1e-7, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,37 +63,56 @@ def sensitivities(scene, names, times, outputs=None, **settings):
     paths = tuple(path_of(written, name) for name in names)
     known = parameters(written)
     times = np.atleast_1d(np.asarray(times, dtype=float))
-    values, labels, turning, events = _run(scene, times, outputs, settings)
+    if not len(times):
+        raise SceneError("sensitivities need at least one time")
+    values, labels, turning, events, noise = _run(scene, times, outputs, settings)
     derivatives, errors, rough = [], [], []
+
+    def moved(path, number):
+        """(changes of the outputs, number of events, errors) of the run with another number."""
+        other = scene_from_text(changed(written, {path: number}).text, source=scene.source)
+        found, _, _, count, noise = _run(other, times, outputs, settings)
+        difference = found - values
+        difference[:, turning] = (difference[:, turning] + np.pi) % (2.0 * np.pi) - np.pi
+        return difference, count, noise
+
     for path in paths:
         if known[path] is None:
             raise SceneError(f"the scene has no value of {path}: give it there")
         h = CHANGE * (abs(known[path]) or 1.0)
-        found = []
-        for step in (-2, -1, 1, 2):
-            other = scene_from_text(changed(written, {path: known[path] + step * h}).text, source=scene.source)
-            moved, _, _, count = _run(other, times, outputs, settings)
-            difference = moved - values
-            difference[:, turning] = (difference[:, turning] + np.pi) % (2.0 * np.pi) - np.pi
-            found.append(difference)
-            if count != events and path not in rough:
-                rough.append(path)
-        second, wide = (found[2] - found[1]) / (2.0 * h), (found[3] - found[0]) / (4.0 * h)
-        derivatives.append((4.0 * second - wide) / 3.0)
-        errors.append(np.abs(second - wide) / 3.0 * CHANGE + TIGHT / h)
+        found = np.zeros_like(values), np.full_like(values, np.inf)
+        for _ in range(MOST_CHANGES):
+            moves, counts, noises = zip(*(moved(path, known[path] + step * h) for step in (1, -1, 2, -2, 3, -3)))
+            fourth, sixth = (
+                np.tensordot(weights, np.subtract(moves[::2], moves[1::2]), 1) / h for weights in WEIGHTS[1:]
+            )
+            truncation, rounding = np.abs(sixth - fourth), np.max([noise, *noises], axis=0)[:, None] / h
+            is_better = truncation + rounding < found[1]
+            found = np.where(is_better, sixth, found[0]), np.where(is_better, truncation + rounding, found[1])
+            if not is_better.any() or (truncation <= ENOUGH * np.abs(sixth) + rounding).all():
+                break
+            h /= SMALLER
+        if any(count != events for count in counts):
+            rough.append(path)
+        derivatives.append(found[0])
+        errors.append(found[1])
     shape = len(paths), len(times), len(labels)
     derivatives, errors = (np.array(part).reshape(shape).transpose(1, 2, 0) for part in (derivatives, errors))
     return Sensitivities(times, labels, paths, values, derivatives, errors, tuple(rough))
 
 
 def _run(scene, times, wanted, settings):
-    """(outputs (k, p), names, mask of the angles, number of events) of a run."""
+    """(outputs (k, p), names, mask of the angles, number of events, error of the states (k,)) of a run."""
     simulation = Simulation(scene, quiet=True, **settings)
     outputs = Outputs(Probe(simulation), wanted)
-    values = np.array([outputs.of(sample) for sample in simulation.samples(times)]).reshape(len(times), -1)
+    values, noise = [], []
+    for sample in simulation.samples(times):
+        values.append(outputs.of(sample))
+        noise.append(np.nan if sample.errors is None else np.max(sample.errors, initial=0.0))
+    values = np.array(values).reshape(len(times), -1)
     units = simulation.layout.coordinates.units
     turning = np.array(
         [name.endswith(".position") and units.get(name.removesuffix(".position")) == "rad" for name in outputs.names],
         dtype=bool,
     )
-    return values, tuple(outputs.names), turning, simulation.event_count
+    return values, tuple(outputs.names), turning, simulation.event_count, np.nan_to_num(noise)

@@ -9,11 +9,15 @@ coordinate has no influence (a free motion), the nearest solution is taken.
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
-from liegroup_core.errors import SimulationError
+from liegroup_core.errors import SceneError, SimulationError
+from liegroup_core.lie.groups import within_a_turn
+from liegroup_core.placing import switch_places
+from liegroup_core.scene.switches import unit_of
 
 from .channels import Inputs
-from .coordinates import Coordinates
+from .coordinates import ANGLE, Coordinates
 from .differences import derivative
 from .linear_system import LinearSystem, system_of
 from .probe import Probe
@@ -22,6 +26,9 @@ MOST_STEPS = 100
 LARGEST_TURN = 0.3  # rad, or share of the mechanism's size, in a direction of a step
 NO_INFLUENCE = 1e-9  # relative singular value of a free motion
 FOUND = 1e-10  # of the first accelerations plus gravity
+STEADY = 1e-6  # of these: largest change over the motion by a radian, or the mechanism's size
+PART, MOST_PARTS = 0.5, 10
+BEYOND = 1e-9  # rad or m beyond a stop: round-off
 
 
 class TrimError(SimulationError):
@@ -38,6 +45,7 @@ class Trim:
     inputs    : {name: value} that were found, in addition to those that act
     undetermined : names of inputs that can change together without effect on the equilibrium
     residual  : largest acceleration that remains, rad/s^2 or m/s^2
+    is_steady : whether the accelerations stay zero while it moves; False where driven joints move
     system    : LinearSystem there, with the inputs that were asked for
     """
 
@@ -48,6 +56,7 @@ class Trim:
     inputs: dict
     undetermined: tuple
     residual: float
+    is_steady: bool
     system: LinearSystem
 
     @property
@@ -71,36 +80,56 @@ def trim(simulation, rates=None, held=(), inputs=None, time=None):
 
 
 def _found(probe, rates, held, names):
-    coordinates = Coordinates(probe)
-    known = [freedom.name for freedom in coordinates.freedoms]
-    for name in (*rates, *held):
-        coordinates.number(name)
+    preferred = (*rates, *held)
+    coordinates = Coordinates(probe, preferred=preferred)
+    fixed = [coordinates.number(name) for name in preferred]
+    for name, rate in rates.items():
+        if not np.isfinite(rate):
+            raise SceneError(f"the rate of {name} must be a finite number, got {rate}")
+        if name not in coordinates.rate_names:
+            raise SceneError(f"the rate of {name} is not independent here; {', '.join(coordinates.rate_names)} are")
     inputs = Inputs(probe, names)
-    u, limit, remaining = np.zeros(len(inputs)), 0.0, np.inf
+    u, limit, remaining, stops = np.zeros(len(inputs)), 0.0, np.inf, _Stops(probe)
     for _ in range(MOST_STEPS):
-        _set_rates(probe, coordinates, rates, known)
-        coordinates = Coordinates(probe)
-        lengths = np.array([1.0 if unit == "rad" else probe.layout.size for unit in coordinates.units])
+        _set_rates(probe, coordinates, rates)
+        coordinates = Coordinates(probe, preferred=preferred)
+        rows, columns = (_lengths(probe, units) for units in (coordinates.rate_units, coordinates.units))
         accelerations = _accelerations(probe, coordinates, inputs, u)
-        remaining = float(np.abs(accelerations / lengths).max(initial=0.0))
+        remaining = float(np.abs(accelerations / rows).max(initial=0.0))
         limit = limit or FOUND * (max(float(np.linalg.norm(probe.layout.scene.gravity)), 1.0) + remaining)
         moved, pushed = _moved(probe, coordinates, inputs, u), _pushed(probe, coordinates, inputs, u)
         if remaining <= limit:
+            stops.check()
             return _trim(probe, coordinates, inputs, u, pushed, accelerations)
-        free = [k for k, name in enumerate(coordinates.names) if name not in held and name not in rates]
-        scaled = moved[:, free] / lengths[:, None] * lengths[free]
-        effects = pushed / lengths[:, None]
+        free = scipy.linalg.null_space(coordinates.motions[fixed] * columns) if fixed else np.eye(len(columns))
+        scaled = moved / rows[:, None] * columns @ free
+        effects = pushed / rows[:, None]
         sizes = max(np.abs(scaled).max(initial=0.0), remaining) / _lengths_of(effects)
-        step = _step(scaled, effects * sizes, -accelerations / lengths)
-        z = np.zeros(len(lengths))
-        z[free] = lengths[free] * step[: len(free)]
-        u = u + sizes * step[len(free) :]
-        probe.go_to(coordinates.at(z))
+        same = (coordinates.moving[:, None] == coordinates.independent) @ free
+        step = _step(scaled, effects * sizes, -accelerations / rows, same)
+        u = u + sizes * step[free.shape[1] :]
+        _go(probe, coordinates, columns * (free @ step[: free.shape[1]]))
+        stops.follow()
     kept = "; stops, cables and friction keep their modes: start nearer to it" if probe.layout.switches else ""
     raise TrimError(
         f"no equilibrium near the state: an acceleration of {remaining:.3g} rad/s^2, or times the mechanism's size in "
         f"m/s^2, remains after {MOST_STEPS} steps{kept}"
     )
+
+
+def _lengths(probe, units):
+    return np.array([1.0 if unit == "rad" else probe.layout.size for unit in units])
+
+
+def _go(probe, coordinates, z):
+    """Go to coordinates z, or a part of the way where the joints cannot be closed there. Raises TrimError."""
+    for _ in range(MOST_PARTS):
+        try:
+            probe.go_to(coordinates.at(z))
+            return
+        except SimulationError:
+            z = z * PART
+    raise TrimError("no equilibrium near the state: the joints cannot be closed on the way to it")
 
 
 def _lengths_of(pushed):
@@ -109,12 +138,13 @@ def _lengths_of(pushed):
     return np.where(found > 0.0, found, 1.0)
 
 
-def _step(moved, pushed, right):
+def _step(moved, pushed, right, same):
     """Change of the coordinates and the inputs towards an equilibrium.
 
     Newton's method takes its step if that is short; directions without influence stay. Farther away it would lead to
     any equilibrium, or nowhere: the step is then that of an implicit method for motions along the accelerations,
     (mu - A) dz = z'', which ends in the next stable equilibrium (pseudo-transient continuation).
+    same : 1 where a row of an acceleration and a column are of the same coordinate
     """
     matrix = np.hstack([moved, pushed])
     left, values, directions = np.linalg.svd(matrix, full_matrices=False)
@@ -124,29 +154,22 @@ def _step(moved, pushed, right):
     lost = np.linalg.norm(right - left[:, known] @ along[known])
     if np.abs(parts).max(initial=0.0) <= LARGEST_TURN and lost <= 0.5 * np.linalg.norm(right):
         return parts @ directions
-    m = moved.shape[1]
-    growth = np.linalg.eigvals(moved).real.max() if m and len(moved) == m else 0.0
-    weight = np.linalg.norm(right) / LARGEST_TURN + 2.0 * max(growth, 0.0)
-    return np.linalg.lstsq(np.hstack([moved - weight * np.eye(len(moved), m), pushed]), right, rcond=1e-10)[0]
+    growth = np.linalg.eigvals(same.T @ moved).real.max(initial=0.0)
+    weight = np.linalg.norm(right) / LARGEST_TURN + 2.0 * growth
+    return np.linalg.lstsq(np.hstack([moved - weight * same, pushed]), right, rcond=1e-10)[0]
 
 
-def _set_rates(probe, coordinates, rates, known):
+def _set_rates(probe, coordinates, rates):
     """Give the state its constant rates; all others are zero."""
     y = np.zeros((probe.freedoms, 2))
-    present = probe.closed()[0]
-    wanted = np.zeros(len(coordinates.independent))
-    for name, rate in rates.items():
-        k = known.index(name)
-        if k not in coordinates.independent:
-            raise TrimError(f"{name} is not an independent coordinate here: {', '.join(coordinates.names)} are")
-        wanted[coordinates.independent.tolist().index(k)] = rate * coordinates.freedoms[k].sign
-    y[:, 1] = coordinates.motions @ (wanted - present[coordinates.independent])
+    wanted = np.array([rates.get(name, 0.0) for name in coordinates.rate_names]) * coordinates.rate_signs
+    y[:, 1] = coordinates.rates @ (wanted - probe.closed()[0][coordinates.moving])
     probe.go_to(y)
 
 
 def _accelerations(probe, coordinates, inputs, u, y=None):
     slopes, _, _ = probe.slopes(y, *inputs.applied(u))
-    return slopes[probe.freedoms + coordinates.independent]
+    return slopes[probe.freedoms + coordinates.moving]
 
 
 def _moved(probe, coordinates, inputs, u):
@@ -158,8 +181,7 @@ def _moved(probe, coordinates, inputs, u):
                 coordinates.size(k),
             )[0]
         )
-    m = len(coordinates.independent)
-    return np.array(columns).reshape(m, m).T
+    return np.array(columns).reshape(len(columns), len(coordinates.moving)).T
 
 
 def _pushed(probe, coordinates, inputs, u):
@@ -171,7 +193,7 @@ def _pushed(probe, coordinates, inputs, u):
                 lambda s, change=change: _accelerations(probe, coordinates, inputs, u + s * change), inputs.sizes[j]
             )[0]
         )
-    return np.array(columns).reshape(len(inputs), len(coordinates.independent)).T
+    return np.array(columns).reshape(len(inputs), len(coordinates.moving)).T
 
 
 def _trim(probe, coordinates, inputs, u, pushed, accelerations):
@@ -187,8 +209,48 @@ def _trim(probe, coordinates, inputs, u, pushed, accelerations):
         inputs=dict(zip(inputs.names, u.tolist())),
         undetermined=undetermined(pushed, inputs.names),
         residual=float(np.abs(accelerations).max(initial=0.0)),
+        is_steady=_is_steady(probe, coordinates, inputs, u),
         system=system_of(probe),
     )
+
+
+class _Stops:
+    """Coordinates of the stops, with their turns along the way of a Probe."""
+
+    def __init__(self, probe):
+        self._probe = probe
+        self._places = probe.base.switching[:, 3].copy() if probe.layout.switches else np.empty(0)
+
+    def follow(self):
+        """Take the coordinates of the present state."""
+        if len(self._places):
+            for k, (switch, q) in enumerate(switch_places(self._probe.layout, self._probe.pose, self._probe.twist)):
+                self._places[k] = within_a_turn(q, self._places[k]) if switch.is_angle else q
+
+    def check(self):
+        """Raise TrimError beyond a stop, which would act there."""
+        scene = self._probe.layout.scene
+        for q, (switch, _) in zip(self._places, switch_places(self._probe.layout, self._probe.pose, self._probe.twist)):
+            if switch.limits is not None and switch.limits.excess(q) > BEYOND:
+                raise TrimError(
+                    f"the equilibrium near the state is beyond a stop: {switch.name} would be at {q:.6g} "
+                    f"{unit_of(switch, scene)}; start at the stop, or nearer to another equilibrium"
+                )
+
+
+def _is_steady(probe, coordinates, inputs, u):
+    """Whether the accelerations stay zero along the motion of a state."""
+    if any(abs(rate) > BEYOND for _, rate, _ in probe.base.prescribed.values()):
+        return False
+    rates = probe.closed()[0][coordinates.independent]
+    lengths, rows = _lengths(probe, coordinates.units), _lengths(probe, coordinates.rate_units)
+    speed = np.abs(rates / lengths).max(initial=0.0)
+    if speed <= BEYOND:
+        return True
+    way = sum(rate / speed * coordinates.neighbour(k, 1.0) for k, rate in enumerate(rates))
+    change, error = derivative(lambda s: _accelerations(probe, coordinates, inputs, u, s * way), ANGLE)
+    limit = STEADY * max(float(np.linalg.norm(probe.layout.scene.gravity)), speed**2)
+    return bool((np.abs(change) <= rows * limit + error).all())
 
 
 def undetermined(pushed, names):

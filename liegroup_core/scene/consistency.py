@@ -18,6 +18,7 @@ import numpy as np
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.curve import rise, slope
+from liegroup_core.joints import distance
 from liegroup_core.joints.coupling import coordinate, difference, gap, rate_row, turns
 from liegroup_core.joints.kinds import forbidden_rows, position_residual
 from liegroup_core.joints.motion import prescribed
@@ -285,7 +286,8 @@ def _open(joint, elements, rows, C_rel, poses):
     gap, tilt = _parts(rows, position_residual(elements, C_rel))
     size = max(np.abs(pose[:3, 3]).max() for pose in poses)
     if max(gap, tilt) <= TOLERANCE * (1.0 + size):
-        if joint.constrains and not joint.locates_child and np.linalg.norm(C_rel[:3, 3]) <= TOLERANCE * (1.0 + size):
+        is_distance = any(element.kind == distance.KIND for element in elements)
+        if is_distance and np.linalg.norm(C_rel[:3, 3]) <= TOLERANCE * (1.0 + size):
             return (
                 "the two points coincide, so the distance has no direction; use a spherical "
                 "joint, or move one of the frames"

@@ -14,6 +14,7 @@ from rich.text import Text
 
 from liegroup_core import Simulation, SimulationError
 from liegroup_core.engine import METHOD, STEP
+from liegroup_core.fields.values import LARGEST_NUMBER
 from liegroup_core.layout import make_layout
 from liegroup_core.linear import inverse_dynamics
 from liegroup_core.linear.coordinates import Coordinates
@@ -102,7 +103,7 @@ def run(args):
 def _of_table(path):
     """(times, {column: numbers}) of a table."""
     try:
-        with open(path, newline="", encoding="utf-8") as file:
+        with open(path, newline="", encoding="utf-8-sig") as file:
             lines = list(csv.reader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         text = getattr(error, "strerror", None) or "it is not a text file of comma-separated values"
@@ -112,14 +113,20 @@ def _of_table(path):
     names = [name.partition("[")[0].strip() for name in lines[0]]
     if "time" not in names:
         raise StateError(f"{path}:1: has no column time")
+    for name in names:
+        if names.count(name) > 1:
+            raise StateError(f"{path}:1: has two columns {name}")
     numbers = np.empty((len(lines) - 1, len(names)))
     for row, line in enumerate(lines[1:], start=2):
         try:
-            numbers[row - 2] = [float(text) for text in line]
+            found = [float(text) for text in line]
         except ValueError:
-            raise StateError(f"{path}:{row}: expected {len(names)} numbers, separated by commas") from None
-        if not np.isfinite(numbers[row - 2]).all():
-            raise StateError(f"{path}:{row}: the numbers must be finite")
+            found = []
+        if len(found) != len(names):
+            raise StateError(f"{path}:{row}: expected {len(names)} numbers, separated by commas")
+        if not (np.abs(found) <= LARGEST_NUMBER).all():
+            raise StateError(f"{path}:{row}: the numbers must be finite, and at most {LARGEST_NUMBER:g}")
+        numbers[row - 2] = found
     times = numbers[:, names.index("time")]
     return _increasing(path, times), dict(zip(names, numbers.T))
 
@@ -149,13 +156,12 @@ def _of_recording(path, scene):
 
 def _followed(simulation, columns):
     """Independent joints of a simulation with a column."""
-    coordinates = Coordinates(Probe(simulation))
     given = [name.removesuffix(".position") for name in columns if name.endswith(".position")]
-    best = [name for name in coordinates.names if name in given]
-    if len(best) == len(coordinates.names):
-        return best
-    known = [freedom.name for freedom in coordinates.freedoms]
+    known = [freedom.name for freedom in simulation.layout.freedoms]
     usable = [name for name in given if name in known]
+    coordinates = Coordinates(Probe(simulation), preferred=usable)
+    if set(coordinates.names) <= set(given):
+        return coordinates.names
     count = counted(len(coordinates.names), "independent coordinate")
     raise StateError(
         f"the motion has positions of {', '.join(given) or 'no joint'}; the mechanism has {count}: "
@@ -173,21 +179,40 @@ def _parts(path, times, columns, joints, units):
         if f"{joint}.position" not in columns:
             raise StateError(f"{path}: has no column {joint}.position")
         q = columns[f"{joint}.position"]
-        if units.get(joint) == "rad":
-            q = np.unwrap(q)
         v, a = (columns.get(f"{joint}.{part}") for part in PARTS[1:])
+        if units.get(joint) == "rad":
+            q = _unwrapped(path, times, q, v, joint)
+        if v is not None and a is not None:
+            found.append((q, v, a))
+            continue
+        if len(times) <= DEGREES[1]:
+            least = f"needs at least {DEGREES[1] + 1} times to find the accelerations of {joint}"
+            raise StateError(f"{path}: {least}, it has {len(times)}")
         coarse, fine = (_derivatives(times, q, v, degree) for degree in DEGREES)
         found.append((q, fine[0], fine[1] if a is None else a))
         lower.append(np.abs(fine[1] - coarse[1]).max() if a is None else 0.0)
     return np.array(found).transpose(1, 2, 0), float(max(lower, default=0.0))
 
 
+def _unwrapped(path, times, q, v, joint):
+    """Angles without jumps: in the turns that the velocities v expect, or else with the smallest steps."""
+    steps = np.diff(q)
+    expected = np.zeros_like(steps) if v is None else 0.5 * np.diff(times) * (v[1:] + v[:-1])
+    steps -= 2.0 * np.pi * np.round((steps - expected) / (2.0 * np.pi))
+    if np.abs(steps - expected).max(initial=0.0) > 0.5 * np.pi:
+        row = int(np.abs(steps - expected).argmax()) + 1
+        raise StateError(
+            f"{path}: {joint} turns too far before {times[row]:.9g} s to know its number of turns: give more times, or "
+            f"{joint}.velocity"
+        )
+    return q[0] + np.concatenate([[0.0], np.cumsum(steps)])
+
+
 def _derivatives(times, q, v, degree):
-    """Velocities, and accelerations, by splines of a degree or less."""
-    degree = min(degree, (len(times) - 2) // 2 * 2 + 1)
+    """Velocities, and accelerations, by splines of a degree."""
     rates = scipy.interpolate.make_interp_spline(times, q if v is None else v, k=degree)
     rates = rates.derivative() if v is None else rates
-    return rates(times), rates.derivative()(times) if rates.k else np.zeros(len(times))
+    return rates(times), rates.derivative()(times)
 
 
 def _write(path, found, names, units):

@@ -6,11 +6,12 @@ import math
 import sys
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from liegroup_core.linear import linearise, pole_errors
+from liegroup_core.linear import change_along, linearise, pole_errors
 from liegroup_core.linear.channels import INPUTS, OUTPUTS
 from liegroup_sim_ros.numbers import counted, shown
 
@@ -19,6 +20,7 @@ from .states import StateError, add_states, states
 ENDINGS = (".json", ".npz", ".mat")
 MOST_ROWS = 40  # printed poles
 ROUND_OFF = 1e-10  # relative
+STEADY = 1e-6  # 1/s, relative change of A
 
 
 def add_arguments(parser):
@@ -59,14 +61,13 @@ def run(args):
     console, found = Console(file=sys.stdout), []
     for time, simulation, inside in states(args):
         system = linearise(simulation, args.inputs, args.outputs, args.independent, inside)
-        errors = pole_errors(simulation, system, inside)
-        found.append(
-            {**system.as_dict(), "time": time, "pole_errors": [x if x == x else None for x in errors.tolist()]}
-        )
+        errors, change = pole_errors(simulation, system, inside), change_along(simulation, system, inside)
+        known = [x if x == x else None for x in errors.tolist()]
+        found.append({**system.as_dict(), "time": time, "pole_errors": known, "change": change})
         if args.out is not None:
             _save(system, args.out)
         if not args.json:
-            print_system(system, time, console, errors)
+            print_system(system, time, console, errors, change)
     if args.json:
         print(json.dumps(found if len(found) > 1 else found[0], allow_nan=False))
     return 0
@@ -79,8 +80,11 @@ def _save(system, path):
         raise StateError(f"{path}: cannot be written: {error.strerror}") from None
 
 
-def print_system(system, time, console, errors=None):
-    """Print the sizes, poles and zeros of a LinearSystem; errors: of its poles, NaN if they are not known."""
+def print_system(system, time, console, errors=None, change=0.0):
+    """Print the sizes, poles and zeros of a LinearSystem.
+
+    errors : of its poles, NaN if they are not known;  change : of A along the motion, 1/s
+    """
     sizes = [counted(len(names), what) for names, what in ((system.inputs, "input"), (system.outputs, "output"))]
     states_text = counted(system.coordinates, "coordinate")
     console.print(Text(f"{system.scene} at {time:.9g} s: {states_text}, {', '.join(sizes)}", style="bold"))
@@ -94,21 +98,26 @@ def print_system(system, time, console, errors=None):
     known = errors is not None and not any(x != x for x in errors)
     for name in ("pole, 1/s and rad/s", *(["error of the pole"] if known else []), "frequency", "damping", ""):
         table.add_column(name, style="dim" if not name else "")
-    blind, deaf = system.unobservable().tolist(), system.uncontrollable().tolist()
-    poles = [
-        (k, pole if abs(pole) > system.round_off else 0j)
-        for k, pole in enumerate(system.poles.tolist())
-        if pole.imag >= 0.0
-    ]
-    for k, pole in poles[:MOST_ROWS]:
-        marks = [
-            text
-            for text, lacking in (("not controllable", deaf), ("not observable", blind))
-            if any(abs(pole - each) <= 1e-9 * abs(pole) for each in lacking)
-        ]
+    if change > STEADY:
+        console.print(
+            Text(f"A changes along the motion, by {shown(change)} 1/s: its poles are those of this instant", "yellow")
+        )
+    lacking = {"not controllable": system.uncontrollable(), "not observable": system.unobservable()}
+    poles, resting = [], system.round_off
+    for k, pole in enumerate(system.poles.tolist()):
+        if pole.imag >= 0.0 and abs(pole) > resting:
+            poles.append((k, pole, lambda each, pole=pole: np.abs(each - pole) <= 1e-9 * abs(pole), 1))
+    zeros = np.flatnonzero(np.abs(system.poles) <= resting)
+    if len(zeros):
+        poles.insert(0, (zeros[0], 0j, lambda each: np.abs(each) <= resting, len(zeros)))
+    for k, pole, is_of, count in poles[:MOST_ROWS]:
+        marks = []
+        for text, of in lacking.items():
+            if is_of(of).any():
+                marks.append(text if count == 1 else f"some {text}")
         size = abs(pole)
         table.add_row(
-            pole_text(pole),
+            pole_text(pole) + (f" ({count} times)" if count > 1 else ""),
             *([shown(errors[k])] if known else []),
             f"{size / (2.0 * math.pi):.6g} Hz" if pole.imag else "",
             damping_text(0.0 - pole.real / size) if size else "",

@@ -74,7 +74,18 @@ def robot_scene(path, args, name=None):
 
     name : name of the scene; None: name of the robot
     """
-    options = Options(
+    options = _options(args, name)
+    return scene_of(path, None if options == Options() else options)
+
+
+def refuse_robot_options(args):
+    """Raise RobotError if options are given with a file that they cannot change."""
+    if _options(args) != Options():
+        raise RobotError(f"{args.scene}: a recording has its scene: it takes no options of robot files")
+
+
+def _options(args, name=None):
+    return Options(
         base=args.base,
         pose=args.pose,
         srdf=args.srdf,
@@ -92,7 +103,6 @@ def robot_scene(path, args, name=None):
         name=name,
         xacro=_arguments(args.arguments),
     )
-    return scene_of(path, None if options == Options() else options)
 
 
 def _arguments(entries):

@@ -10,7 +10,7 @@ from liegroup_core.errors import LieGroupSimError
 from liegroup_sim_ros.playback.branch import Branches
 from liegroup_sim_ros.recording.read import read_recording
 
-from .robot_options import add_robot_options, robot_scene
+from .robot_options import add_robot_options, refuse_robot_options, robot_scene
 
 
 class StateError(LieGroupSimError):
@@ -46,6 +46,7 @@ def states(args):
     if sorted(args.at) != args.at:
         raise StateError("--at: the times must be in their order")
     if Path(args.scene).suffix == ".mcap":
+        refuse_robot_options(args)
         yield from _of_recording(args)
         return
     scene = robot_scene(args.scene, args)

@@ -2,6 +2,7 @@
 """`liegroup_sim trim`: equilibria and steady motions near a state, and the inputs that hold a pose. No ROS."""
 
 import json
+import math
 import sys
 
 import numpy as np
@@ -57,9 +58,12 @@ def _rates(given):
     for text in given:
         name, _, number = text.partition("=")
         try:
-            found[name] = float(number)
+            rate = float(number)
         except ValueError:
-            raise StateError(f"--rates: expected NAME=RATE with a number, got {text!r}") from None
+            rate = math.nan
+        if not math.isfinite(rate) or name in found:
+            raise StateError(f"--rates: expected NAME=RATE with a finite number, each once, got {text!r}")
+        found[name] = rate
     return found
 
 
@@ -72,6 +76,7 @@ def _entries(result, time):
         "undetermined": list(result.undetermined),
         "stability": stable,
         "residual": result.residual,
+        "steady": result.is_steady,
         "poses": dict(zip(result.bodies, result.pose.tolist())),
         "modes": [[mode.pole.real, mode.pole.imag] for mode in modes_of(result.system)],
     }
@@ -82,6 +87,8 @@ def _print(result, time, console):
     moving = np.abs(result.system.slope[: result.system.coordinates]).max(initial=0.0) > RESTING
     kind = "steady motion" if moving else "equilibrium"
     console.print(Text(f"{result.system.scene}: {kind}, {entries['stability']}", style="bold"))
+    if not result.is_steady:
+        console.print(Text("not steady: accelerations arise as it moves; this is one instant", style="yellow"))
     for joint, position in result.joints.items():
         console.print(Text(f"  {joint} = {position:.9g}"))
     for name, value in result.inputs.items():

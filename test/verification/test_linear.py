@@ -334,6 +334,18 @@ def test_redundant_inputs_hold_a_pose_by_the_smallest_sum_of_squares():
     assert set(result.undetermined) == {"a.effort", "b.effort"}
 
 
+def test_an_equilibrium_beyond_a_stop_is_none():
+    text = """
+name: stop
+gravity: [0, 0, -9.81]
+bodies: [{name: rod, mass: 1.5, inertia: [0.1, 0.2, 0.1], position: [0.6, 0, 0]}]
+joints:
+  - {name: hinge, type: revolute, parent: world, child: rod, parent_frame: {axis: [0, 1, 0]}, limits: {upper: 0.7}}
+"""
+    with pytest.raises(TrimError, match="is beyond a stop: hinge would be at 1.5708 rad"):
+        trim(paused(yaml_scene(text)))
+
+
 def test_no_equilibrium_is_said():
     falling = yaml_scene("name: f\ngravity: [0, 0, -9.81]\nbodies: [{name: b, mass: 1.0, inertia: [1, 1, 1]}]\n")
     with pytest.raises(TrimError, match="no equilibrium near the state"):

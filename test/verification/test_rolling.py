@@ -7,7 +7,7 @@ import scipy
 
 from liegroup_core import Simulation
 from liegroup_core.errors import SceneError
-from liegroup_core.linear import linearise
+from liegroup_core.linear import change_along, linearise, trim
 from liegroup_core.reference import integrate
 from liegroup_core.scene.load import load_scene, scene_from_text
 from liegroup_sim_ros.commands.main import main
@@ -69,6 +69,47 @@ def test_the_bicycle_has_the_published_poles_and_the_speeds_where_it_becomes_sta
     weave = scipy.optimize.brentq(lambda v: moving_poles(v)[2].real, 4.2, 4.4, xtol=1e-12)
     capsize = scipy.optimize.brentq(lambda v: np.linalg.det(lean_and_steer(v)), 5.9, 6.2, xtol=1e-12)
     assert weave == pytest.approx(WEAVE, rel=1e-9) and capsize == pytest.approx(CAPSIZE, rel=1e-9)
+
+
+def test_trim_finds_steady_motions_of_wheels():
+    """A bicycle from rest to 5 m/s has the poles there; wheels with constant speeds take a robot along a circle."""
+    result = trim(bicycle(0.0), {"frame.x": 5.0})
+    assert result.is_steady and result.twist[0, 3] == pytest.approx(5.0, rel=1e-12) and result.residual < 1e-9
+    expected = [*moving_poles(5.0), *np.zeros(6)]
+    assert np.abs(np.poly(result.system.poles) - np.poly(expected)).max() < 1e-6 * np.abs(np.poly(expected)).max()
+    robot = trim(
+        Simulation(load_scene("diff_drive")), {"left": 5.0, "right": 4.0}, inputs=["left.effort", "right.effort"]
+    )
+    forward, turning = 0.1 * (5.0 + 4.0) / 2.0, 0.1 * (4.0 - 5.0) / 0.34
+    assert robot.twist[0, 3] == pytest.approx(forward, rel=1e-9) and robot.twist[0, 2] == pytest.approx(
+        turning, rel=1e-9
+    )
+    with pytest.raises(SceneError, match="the rate of frame.x is not independent here"):
+        trim(bicycle(0.0), {"hub": 16.0, "frame.x": 5.0})
+
+
+def test_poles_in_axes_that_spin_are_said_to_change():
+    """A wheel that rolls straight: its states are in its own axes. A bicycle and one at rest do not change."""
+    text = (
+        "name: w\ngravity: [0, 0, -9.81]\nbodies: [{name: w, mass: 2, inertia: [0.05, 0.1, 0.05], "
+        "position: [0, 0, 0.3], linear_velocity: [%g, 0, 0], angular_velocity: [0, %g, 0]}]\n"
+        "joints: [{name: c, type: wheel, parent: world, "
+        "child: w, radius: 0.3, child_frame: {rotation_vector: [-1.5707963267948966, 0, 0]}}]\n"
+    )
+    changes = []
+    for speed in (0.0, 3.0):
+        simulation = Simulation(scene_from_text(text % (speed, speed / 0.3), "w"))
+        changes.append(change_along(simulation, linearise(simulation, [], [])))
+    assert changes[0] == 0.0 and changes[1] > 1.0
+    assert change_along(bicycle(5.0), linearise(bicycle(5.0), [], [])) < 1e-6
+
+
+def test_a_knife_edge_may_be_where_its_plane_is():
+    text = (
+        "name: k\ngravity: [0, 0, 0]\nbodies: [{name: b, mass: 2, inertia: [1, 1, 1]}]\njoints: [{name: c, "
+        "type: knife_edge, parent: world, child: b, child_frame: {}}]\n"
+    )
+    assert len(linearise(Simulation(scene_from_text(text, "k"))).A) == 11
 
 
 def test_a_ball_on_a_turntable_moves_in_a_circle():

@@ -98,6 +98,26 @@ def test_angles_that_pass_half_a_turn_have_no_jump():
     assert found.derivatives[0, 0, 0] == pytest.approx(1.0, rel=1e-8)
 
 
+def test_the_errors_of_long_runs_hold():
+    """x = cos(w t) with w^2 = k / m, many periods: by the mass and the stiffness."""
+    scene = scene_from_text(
+        """
+name: oscillator
+gravity: [0, 0, 0]
+bodies: [{name: car, mass: 1.0, inertia: [1, 1, 1], position: [1, 0, 0]}]
+joints: [{name: rail, type: prismatic, parent: world, child: car, parent_frame: {axis: [1, 0, 0]}, child_frame: {axis:
+  [1, 0, 0]}}]
+forces: [{name: spring, type: linear_spring_damper, joint: rail, stiffness: 100.0, damping: 0.0, rest_position: 0.0}]
+""",
+        source="t",
+    )
+    t = np.array([1.0, 20.0, 200.0])
+    found = sensitivities(scene, ["spring.stiffness", "car.mass"], t, ["rail.position"])
+    expected = np.stack([-np.sin(10.0 * t) * t / 20.0, np.sin(10.0 * t) * t * 5.0], axis=1)
+    error = np.abs(found.derivatives[:, 0] - expected)
+    assert (error <= found.errors[:, 0]).all() and (error <= 1e-7 * np.abs(expected).max(axis=1)[:, None]).all()
+
+
 def test_unknown_numbers_are_refused():
     with pytest.raises(LieGroupSimError, match="the scene has no parameter masss"):
         sensitivities(load_scene("heavy_top"), ["masss"], [1.0])
