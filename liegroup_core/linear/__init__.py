@@ -5,6 +5,7 @@ from .inverse import InverseDynamics, inverse_dynamics
 from .linear_system import LinearSystem, change_along, linearise, pole_errors
 from .modes import Mode, modes_of, shapes_of
 from .sensitivities import Sensitivities, sensitivities
+from .transition import Transition, transition
 from .trim import Trim, TrimError, trim
 
 __all__ = [
@@ -12,6 +13,7 @@ __all__ = [
     "LinearSystem",
     "Mode",
     "Sensitivities",
+    "Transition",
     "Trim",
     "TrimError",
     "change_along",
@@ -21,5 +23,6 @@ __all__ = [
     "pole_errors",
     "sensitivities",
     "shapes_of",
+    "transition",
     "trim",
 ]

@@ -9,15 +9,17 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from liegroup_core import Simulation
+from liegroup_core import Simulation, SimulationError
 from liegroup_core.engine import METHOD
-from liegroup_core.linear import linearise, modes_of, trim
+from liegroup_core.linear import linearise, modes_of, transition, trim
 from liegroup_sim_ros.numbers import shown
 from liegroup_sim_ros.signals import Signals
 
 from .linearise import damping_text, pole_text
-from .states import add_states, states
+from .states import StateError, add_states, states
 
+EXIT_STOPPED = 1
+GROWS = 1e-6  # of a magnitude: that of a double multiplier 1 has the root of round-off
 LARGEST = 4  # freedoms of a shape that are printed
 
 
@@ -28,6 +30,12 @@ def add_arguments(parser):
     )
     parser.add_argument("--trim", action="store_true", help="first go to the equilibrium near the state")
     parser.add_argument("--undamped", action="store_true", help="undamped modes")
+    parser.add_argument(
+        "--period",
+        type=float,
+        metavar="T",
+        help="of a periodic motion, s: multipliers of Floquet of the motion over this time instead of modes",
+    )
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--view", action="store_true", help="show the shapes in the browser, of one time")
     parser.add_argument(
@@ -39,6 +47,8 @@ def add_arguments(parser):
 def run(args):
     """Run the subcommand; returns the exit code."""
     console, found = Console(file=sys.stdout), []
+    if args.period is not None:
+        return _multipliers(args, console)
     for time, simulation, inside in states(args):
         if args.trim:
             found_trim = trim(simulation, time=inside)
@@ -58,6 +68,39 @@ def run(args):
             source = Modes(simulation, shown, [_title(mode) for mode in shown], inside)
             with Signals() as signals:
                 show(source, signals, args.browser)
+    if args.json:
+        print(json.dumps(found if len(found) > 1 else found[0], allow_nan=False))
+    return 0
+
+
+def _multipliers(args, console):
+    if not 0.0 < args.period < np.inf or args.trim or args.undamped or args.view:
+        raise StateError("--period takes a time greater than 0 s, without --trim, --undamped and --view")
+    found = []
+    for time, simulation, _ in states(args, running=True):
+        try:
+            result = transition(simulation, args.period)
+        except SimulationError as error:
+            print(f"liegroup_sim: {error}", file=sys.stderr)
+            return EXIT_STOPPED
+        values = result.multipliers.tolist()
+        largest = max(map(abs, values), default=0.0)
+        found.append(
+            {"time": time, "period": args.period, "states": list(result.states), "transition": result.phi.tolist()}
+            | {"multipliers": [[x.real, x.imag] for x in map(complex, values)], "error": result.error}
+        )
+        if not args.json:
+            kind = "differences grow" if largest > 1.0 + GROWS else "differences do not grow"
+            text = f"{simulation.scene.name} from {time:.9g} s, over {args.period:.9g} s: {kind}"
+            console.print(Text(text, style="bold"))
+            table = Table(box=None, padding=(0, 2, 0, 0))
+            for name in ("multiplier", "magnitude"):
+                table.add_column(name)
+            for value in map(complex, values):
+                if value.imag >= 0.0:
+                    table.add_row(pole_text(value), f"{abs(value):.9g}")
+            console.print(table)
+            console.print(Text(f"relative error of the state transition: {shown(result.error)}", style="dim"))
     if args.json:
         print(json.dumps(found if len(found) > 1 else found[0], allow_nan=False))
     return 0

@@ -35,9 +35,10 @@ def add_states(parser):
     add_robot_options(parser)
 
 
-def states(args):
+def states(args, running=False):
     """Generator of (time of the user, Simulation, time in s within its present step).
 
+    running : whether they will run on, to an accuracy
     Raises StateError, SceneError, RecordingError, ReplayError, SimulationError.
     """
     for time in args.at:
@@ -52,11 +53,11 @@ def states(args):
     scene = robot_scene(args.scene, args)
     if args.at and args.at[0] < 0.0:
         raise StateError(f"--at must be times from 0 on, got {args.at[0]:g}")
-    if not any(args.at):
+    if not any(args.at) and not running:
         yield 0.0, Simulation(scene, METHOD, STEP, estimate=False, quiet=True), None
         return
     simulation = Simulation(scene)
-    for time in args.at:
+    for time in args.at or [0.0]:
         simulation.advance_to(time)
         yield time, simulation, time
 

@@ -104,6 +104,7 @@ def test_the_energy_of_efforts_is_that_of_the_mechanism(tmp_path, capsys):
         (["linearise", "four_bar", "--independent", "ground_crank", "ground_rocker"], "the mechanism has 1 here"),
         (["linearise", "four_bar", "--out", "a.txt"], "a.txt: the name must end in .json, .npz or .mat"),
         (["linearise", "four_bar", "--at", "0", "1", "--out", "a.json"], "--out takes the system of one time"),
+        (["modes", "four_bar", "--period", "-1"], "--period takes a time greater than 0 s"),
         (["trim", "four_bar", "--rates", "crank"], "--rates: expected NAME=RATE with a finite number, each once"),
         (["trim", "four_bar", "--hold", "crank"], "unknown coordinate 'crank'"),
         (["sensitivities", "four_bar", "--by", "masss", "--at", "1"], "the scene has no parameter masss"),
@@ -142,6 +143,15 @@ def test_wrong_input_is_one_line(tmp_path, monkeypatch, capsys, arguments, text)
     assert main(arguments) == 2
     error = capsys.readouterr().err
     assert text in error and error.count("\n") == 1
+
+
+def test_multipliers_of_a_run(capsys):
+    """The product of the multipliers is the change of volume; a door that hits its stop is refused."""
+    found = answer(capsys, "modes", "double_pendulum", "--period", "0.5")
+    product = np.prod([complex(*pair) for pair in found["multipliers"]])
+    assert product.real == pytest.approx(np.linalg.det(found["transition"]), rel=1e-9) and found["error"] < 1e-9
+    assert main(["modes", "door", "--period", "5"]) == 1
+    assert "stops or friction change their modes" in capsys.readouterr().err
 
 
 def test_a_falling_body_has_no_equilibrium(tmp_path, capsys):

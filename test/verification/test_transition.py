@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""State transitions: Kapitza's pendulum, differences of runs, symplecticity."""
+
+import numpy as np
+import pytest
+import random_mechanisms
+import scipy
+
+from liegroup_core import Simulation
+from liegroup_core.errors import SceneError, SimulationError
+from liegroup_core.linear import linearise, transition
+from liegroup_core.linear.coordinates import Coordinates
+from liegroup_core.linear.probe import Probe
+from liegroup_core.scene.load import load_scene, scene_from_text
+
+GRAVITY, LENGTH, STROKE, KNOTS = 9.81, 0.5, 0.05, 12
+
+
+def driven(speed):
+    """Motion of the pivot, STROKE cos(w t), for 7/4 periods: times, positions, velocities, accelerations."""
+    t = np.linspace(0.0, 3.5 * np.pi / speed, 7 * KNOTS // 4 + 1)
+    c, s = np.cos(speed * t), np.sin(speed * t)
+    c[-1] = 0.0
+    return t, STROKE * c, -STROKE * speed * s, -STROKE * speed**2 * c
+
+
+def kapitza(speed):
+    """A pendulum that stands on a pivot which is driven up and down."""
+    t, q, v, a = (each.tolist() for each in driven(speed))
+    return scene_from_text(
+        f"""
+name: kapitza
+gravity: [0, 0, -{GRAVITY}]
+bodies:
+  - {{name: pivot, mass: 1.0, inertia: [1, 1, 1], position: [0, 0, {STROKE}]}}
+  - {{name: rod, mass: 1.0, inertia: [0, 0, 0], position: [0, 0, {STROKE + LENGTH}]}}
+joints:
+  - {{name: rail, type: prismatic, parent: world, child: pivot, parent_frame: {{}}, child_frame: {{}}, driven: true,
+     motion: {{times: {t}, positions: {q}, velocities: {v}, accelerations: {a}}}}}
+  - {{name: pin, type: revolute, parent: pivot, child: rod, parent_frame: {{axis: [0, 1, 0]}},
+     child_frame: {{position: [0, 0, -{LENGTH}], axis: [0, 1, 0]}}}}
+""",
+        source="t",
+    )
+
+
+@pytest.mark.parametrize("speed, is_stable", [(40.0, False), (100.0, True), (160.0, True)])
+def test_kapitzas_pendulum_stands_if_its_pivot_is_fast(speed, is_stable):
+    """Multipliers of l q'' = (g + z'') q, with z'' of the quintic Hermite spline of the pivot.
+
+    The method of averages has it stable above a w = sqrt(2 g l), which is w = 62.6 rad/s here.
+    """
+    t, q, v, a = driven(speed)
+    up = scipy.interpolate.BPoly.from_derivatives(t, np.stack([q, v, a], 1)).derivative(2)
+
+    def rates(time, x):
+        return [x[2], x[3], *((GRAVITY + up(time)) / LENGTH * x[:2])]
+
+    x = np.eye(2).ravel()
+    for first, last in zip(t[:KNOTS], t[1:]):
+        x = scipy.integrate.solve_ivp(rates, (first, last), x, "DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+    found = transition(Simulation(kapitza(speed)), t[KNOTS])
+    assert found.states == ("pin", "pin.rate")
+    assert np.abs(found.phi - x.reshape(2, 2)).max() < 1e-7 * np.abs(x).max()
+    assert np.linalg.det(found.phi) == pytest.approx(1.0, abs=1e-8)
+    assert bool(np.abs(found.multipliers).max() < 1.0 + 1e-6) is is_stable
+
+
+@pytest.mark.parametrize("name", ["loops", "planar loops", "couplings", "driven"])
+def test_differences_of_runs_arrive_as_the_transition_says(name):
+    """Two runs that start apart by 1e-5 along random directions of the independent coordinates and rates."""
+    scene, _ = random_mechanisms.random_mechanism(name, 5)
+    duration = 0.05
+    here = Simulation(scene, accuracy=1e-11, quiet=True)
+    before = here.sample().pose.copy()
+    found = transition(here, duration)
+    assert here.time == 0.0 and (here.sample().pose == before).all() and found.error <= 1e-9
+    m, n = found.coordinates, len(found.states)
+    start = np.linspace(1.0, 2.0, n)
+    chosen = list(found.states[:m])
+    here.advance_to(duration)
+    shown = linearise(here, [], ["twists"], chosen, duration).C
+    twists = []
+    for sign in (1.0, -1.0):
+        other = Simulation(scene, accuracy=1e-11, quiet=True)
+        probe = Probe(other)
+        coordinates = Coordinates(probe, chosen)
+        y = sum(
+            coordinates.neighbour(j % m, sign * 1e-5 * start[j] * coordinates.signs[j % m], j >= m) for j in range(n)
+        )
+        _, pose, twist = probe.closed(y)
+        other.set_state(pose, twist)
+        other.advance_to(duration)
+        twists.append(other.sample(duration).twist.ravel())
+    expected = (twists[0] - twists[1]) / 2e-5
+    assert np.abs(shown @ found.phi @ start - expected).max() < 1e-5 * np.abs(expected).max()
+
+
+def test_rests_and_jumps():
+    """At an equilibrium it is exp(A T); an impact within the time is said."""
+    simulation = Simulation(load_scene("double_pendulum"))
+    with pytest.raises(SceneError, match="greater than 0"):
+        transition(simulation, 0.0)
+    hanging = Simulation(
+        scene_from_text("name: f\ngravity: [0, 0, 0]\nbodies: [{name: b, mass: 1, inertia: [1, 1, 1]}]\n", "t")
+    )
+    found = transition(hanging, 2.0)
+    np.testing.assert_allclose(found.phi, scipy.linalg.expm(2.0 * linearise(hanging).A), atol=1e-9)
+    with pytest.raises(SimulationError, match="stops or friction change their modes before"):
+        transition(Simulation(load_scene("door")), 5.0)
