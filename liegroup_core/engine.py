@@ -14,7 +14,7 @@ from liegroup_core.compiling import warm_up
 from liegroup_core.errors import SimulationError
 from liegroup_core.fields.arguments import finite, floats, got, is_count, is_finite
 from liegroup_core.forces.instants import AFTER, BEFORE, NEVER, StepGrid
-from liegroup_core.forces.timetable import Timetable
+from liegroup_core.forces.timetable import Timetable, just_after
 from liegroup_core.inputs import Inputs
 from liegroup_core.joint_events import JointEvents
 from liegroup_core.layout import Layout, make_layout
@@ -610,6 +610,10 @@ class Engine:
         clock, whole = work.clock, h == self.step and not start.offset
         clock[COUNT], clock[OFFSET], clock[NOW] = (self.steps, 0.0, time) if whole else (0.0, time, time)
 
+    def set_inputs_from(self, instant):
+        """Set the time-dependent inputs that hold from an Instant on: a motion may have knots within the step."""
+        self._set_inputs(instant, 2.0 * (just_after(instant.time) - instant.time))
+
     def sample(self, time: float | None = None) -> Sample:
         """Create a Sample of the present state, or of one within the present step.
 
@@ -666,7 +670,7 @@ class Engine:
 
     def _modes_now(self):
         """(k, 5) modes of the joints with stops or friction, see Sample.switching."""
-        self._set_inputs(self._present(), self.step)
+        self.set_inputs_from(self._present())
         return self._switching.modes(self.time, (self._pose, self._twist, self.inputs.external))
 
     def reaction_array(self, out: Floats | None = None) -> Floats:

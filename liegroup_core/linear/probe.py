@@ -22,7 +22,6 @@ from liegroup_core.dynamics.switches import set_modes
 from liegroup_core.dynamics.trees import move_links
 from liegroup_core.engine import METHOD, Engine
 from liegroup_core.errors import SimulationError
-from liegroup_core.forces.timetable import just_after
 from liegroup_core.methods.munthe_kaas import steps
 from liegroup_core.methods.munthe_kaas.explicit import make_scheme
 from liegroup_core.methods.table import EXACT, RELATIVE, Tableau
@@ -140,7 +139,7 @@ class Probe:
             set_modes(self._model, self._work, self.base.switching)
         instant = engine.instant_of(self.base.time_ns)
         engine.inputs.update(instant)
-        self._set_inputs(instant)
+        engine.set_inputs_from(instant)
         self.external, self.wanted = engine.inputs.external.copy(), self._work.wanted.copy()
         self._scheme = make_scheme(_ONE, EXACT)
         self.freedoms = len(self._work.freedoms)
@@ -150,11 +149,7 @@ class Probe:
 
     def go_to_time(self, time):
         """Set the time in s, at which wrenches of the scene and driven joints act."""
-        self._set_inputs(self._engine._grid.instant(float(time)))
-
-    def _set_inputs(self, instant):
-        """Set the inputs that hold from an Instant on; motions have knots within a step."""
-        self._engine._set_inputs(instant, 2.0 * (just_after(instant.time) - instant.time))
+        self._engine.set_inputs_from(self._engine._grid.instant(float(time)))
 
     @property
     def held(self):

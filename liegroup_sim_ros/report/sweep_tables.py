@@ -85,9 +85,9 @@ def print_sweep(file, show, console):
         )
     )
     cpu = table["cpu_s"]
-    console.print(
-        Text(f"{shown(cpu.mean() * 1e3, 'ms')} of CPU time per run, {shown(cpu.sum(), 's')} in total", style="dim")
-    )
+    if len(cpu):
+        mean, total = shown(cpu.mean() * 1e3, "ms"), shown(cpu.sum(), "s")
+        console.print(Text(f"{mean} of CPU time per run, {total} in total", style="dim"))
     _print_reasons(console, "failed", [s for s in table["status"] if s != OK])
     _print_reasons(console, "with warning", [w for w in table["warning"] if w])
     for name in dict.fromkeys((*sweep.paths, *columns)):

@@ -401,3 +401,27 @@ def test_a_state_that_is_set_leaves_other_motions_as_they_are(method):
     other.place(joints={"elbow": (0.5, None)})
     other.advance(round(3.0 / other.step))
     assert other.sample().joint_coordinates["shoulder"] == pytest.approx((0.2, 0.0), abs=1e-12)
+
+
+def test_the_first_mode_is_that_of_the_motion_at_the_start():
+    """A stage that rests and then accelerates within the first step: its load sticks until then."""
+    scene = scene_from_text(
+        """
+name: stage
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: stage, mass: 1.0, inertia: [1, 1, 1]}
+  - {name: load, mass: 1.0, inertia: [1, 1, 1]}
+joints:
+  - {name: rail, type: prismatic, parent: world, child: stage, parent_frame: {axis: [1, 0, 0]},
+     child_frame: {axis: [1, 0, 0]}, driven: true, motion: {times: [0, 0.001, 0.002, 0.004, 0.006],
+     positions: [0, 0, 1.0e-5, 1.0e-4, 1.0e-4], velocities: [0, 0, 0.02, 0.03, 0], accelerations: [0, 0, 20, 0, 0]}}
+  - {name: slide, type: prismatic, parent: stage, child: load, parent_frame: {axis: [1, 0, 0]},
+     child_frame: {axis: [1, 0, 0]}, friction: {coulomb: 3.0}}
+""",
+        source="t",
+    )
+    simulation = Simulation(scene, "rkmk4", 0.01)
+    assert simulation.modes == {"slide": "stick"}
+    simulation.advance(1)
+    assert simulation.event_count == 2  # it slides and sticks again
