@@ -47,8 +47,7 @@ class Coordinates:
     def __init__(self, probe, chosen=None, preferred=()):
         self._probe, self.freedoms = probe, probe.layout.freedoms
         self._signs = np.array([freedom.sign for freedom in self.freedoms])
-        length = probe.layout.size
-        self._scales = np.array([1.0 if freedom.unit == "rad" else length for freedom in self.freedoms])
+        self._scales = scales_of(probe.layout)
         basis = self._velocities()
         weights = np.array([OF_JOINT if freedom.is_of_joint else 1.0 for freedom in self.freedoms])
         weights[[self.number(name) for name in preferred]] = PREFERRED
@@ -72,9 +71,14 @@ class Coordinates:
         return self._signs[self.independent]
 
     @property
-    def rate_units(self):
-        """Units of the coordinates of the independent rates."""
-        return [self.freedoms[k].unit for k in self.moving]
+    def scales(self):
+        """(m,) scales of the independent coordinates, see `scales_of`."""
+        return self._scales[self.independent]
+
+    @property
+    def rate_scales(self):
+        """(p,) scales of the independent rates."""
+        return self._scales[self.moving]
 
     @property
     def rate_signs(self):
@@ -87,7 +91,7 @@ class Coordinates:
 
     def rate_size(self, k):
         """First displacement along independent rate k."""
-        return ANGLE if self.rate_units[k] == "rad" else SHARE * self._probe.layout.size
+        return ANGLE if self.freedoms[self.moving[k]].unit == "rad" else SHARE * self._probe.layout.size
 
     def _velocities(self):
         """Basis (f, p) of the velocities that the joints allow, in the units of the freedoms."""
@@ -182,3 +186,21 @@ class Coordinates:
         y = np.zeros((self._probe.freedoms, 2))
         y[:, 0] = self.motions @ z
         return y
+
+    def with_rates(self, rates):
+        """y (f, 2) at the position of the state with independent rates (p,) in the joints: before projection."""
+        y = np.zeros((self._probe.freedoms, 2))
+        y[:, 1] = self.rates @ (self.rate_signs * rates - self._probe.closed()[0][self.moving])
+        return y
+
+    def along(self, rates):
+        """(largest of the rates (m,) relative to their scales, the y (f, 2) of a unit way along them)."""
+        speed = np.abs(rates / self.scales).max(initial=0.0)
+        if not speed:
+            return 0.0, np.zeros((self._probe.freedoms, 2))
+        return speed, sum(rate / speed * self.neighbour(k, 1.0) for k, rate in enumerate(rates))
+
+
+def scales_of(layout):
+    """(f,) scales of the degrees of freedom of the tree: 1 rad, or the mechanism's size in m."""
+    return np.array([1.0 if freedom.unit == "rad" else layout.size for freedom in layout.freedoms])

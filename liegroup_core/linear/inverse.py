@@ -77,7 +77,7 @@ def inverse_dynamics(simulation, times, positions, rates, accelerations, joints,
     channels = Inputs(probe, names)
     coordinates = Coordinates(probe, joints)
     layout = probe.layout
-    lengths = np.array([1.0 if unit == "rad" else layout.size for unit in coordinates.units])
+    lengths = coordinates.scales
     actuated = [name.removesuffix(".effort") for name in channels.names]
     if not all(name.endswith(".effort") for name in channels.names):
         raise SceneError("inverse dynamics finds efforts only: give names such as JOINT.effort")
@@ -126,8 +126,4 @@ def _go(probe, joints, q, v, lengths):
             break
     else:
         raise SimulationError(f"the positions {np.asarray(q).tolist()} of {', '.join(joints)} are not reached")
-    coordinates = Coordinates(probe, joints)
-    y = np.zeros((probe.freedoms, 2))
-    present = probe.closed()[0][coordinates.independent]
-    y[:, 1] = coordinates.motions @ (coordinates.signs * np.asarray(v) - present)
-    probe.go_to(y)
+    probe.go_to(Coordinates(probe, joints).with_rates(np.asarray(v)))

@@ -167,18 +167,19 @@ def change_along(simulation, system, time=None):
     if not largest:
         return 0.0
     chosen = [name.removesuffix(".rate") for name in system.states[m:]]
-    coordinates, kept = Coordinates(probe, chosen), probe.keep()
-    rates = coordinates.signs * system.slope[:m]
-    speed = np.abs(rates).max(initial=0.0)
-    if not speed:
-        return 0.0
-    way = sum(rate / speed * coordinates.neighbour(k, DISPLACED) for k, rate in enumerate(rates))
-    sides = []
+    coordinates = Coordinates(probe, chosen)
+    speed, way = coordinates.along(coordinates.signs * system.slope[:m])
+    return float(np.abs(_change(probe, coordinates, way)).max() * speed / largest) if speed else 0.0
+
+
+def _change(probe, coordinates, way):
+    """Derivative of A (n, n) along a way y (f, 2), by a central difference."""
+    kept, sides = probe.keep(), []
     for sign in (1.0, -1.0):
-        probe.go_to(sign * way)
-        sides.append(system_of(probe, [], [], chosen, coordinates.names).A)
+        probe.go_to(sign * DISPLACED * way)
+        sides.append(system_of(probe, [], [], coordinates.rate_names, coordinates.names).A)
         probe.restore(kept)
-    return float(np.abs(sides[0] - sides[1]).max() * speed / (2.0 * DISPLACED * largest))
+    return (sides[0] - sides[1]) / (2.0 * DISPLACED)
 
 
 def pole_errors(simulation, system, time=None):
@@ -202,14 +203,9 @@ def pole_errors(simulation, system, time=None):
     order = [int(np.argmin(np.abs(values - pole))) for pole in poles]
     product = np.einsum("ij,ij->j", left.conj(), right)
     found = system.error * np.abs(system.A).max() / np.where(product != 0.0, np.abs(product), np.nan)[order]
-    kept, coordinates = probe.keep(), Coordinates(probe, chosen)
+    coordinates = Coordinates(probe, chosen)
     for k in range(n):
-        sides = []
-        for sign in (1.0, -1.0):
-            probe.go_to(coordinates.neighbour(k - m if k >= m else k, sign * DISPLACED, k >= m))
-            sides.append(system_of(probe, [], [], chosen, coordinates.names).A)
-            probe.restore(kept)
-        change = (sides[0] - sides[1]) / (2.0 * DISPLACED)
+        change = _change(probe, coordinates, coordinates.neighbour(k - m if k >= m else k, 1.0, k >= m))
         with np.errstate(divide="ignore", invalid="ignore"):  # a pole without independent eigenvectors: NaN
             moved = np.abs(np.einsum("ij,ik,kj->j", left.conj(), change, right) / product)
         found += largest[k] * moved[order]

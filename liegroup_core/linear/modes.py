@@ -13,6 +13,7 @@ import scipy
 
 from liegroup_core.errors import SceneError, SimulationError
 
+from .coordinates import scales_of
 from .probe import Probe
 
 # Largest displacement of a shape that is drawn, rad, or share of the mechanism's size; factor if it cannot be closed.
@@ -80,9 +81,8 @@ def shapes_of(simulation, mode, count, time=None):
     time  : s, of the state that the mode is about; None: the present one
     """
     probe = Probe(simulation, time)
-    freedoms = probe.layout.freedoms
-    scales = np.array([1.0 if freedom.unit == "rad" else probe.layout.size for freedom in freedoms])
-    signs = np.array([freedom.sign for freedom in freedoms])
+    scales = scales_of(probe.layout)
+    signs = np.array([freedom.sign for freedom in probe.layout.freedoms])
     largest = np.abs(mode.shape / scales).max(initial=0.0)
     size = DRAWN / largest if largest > 0.0 else 0.0
     for _ in range(MOST_ATTEMPTS):

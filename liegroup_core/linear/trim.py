@@ -14,7 +14,7 @@ import scipy
 from liegroup_core.errors import SceneError, SimulationError
 from liegroup_core.lie.groups import within_a_turn
 from liegroup_core.placing import switch_places
-from liegroup_core.scene.switches import unit_of
+from liegroup_core.scene.switches import switches_of, unit_of
 
 from .channels import Inputs
 from .coordinates import ANGLE, Coordinates
@@ -91,9 +91,9 @@ def _found(probe, rates, held, names):
     inputs = Inputs(probe, names)
     u, limit, remaining, stops = np.zeros(len(inputs)), 0.0, np.inf, _Stops(probe)
     for _ in range(MOST_STEPS):
-        _set_rates(probe, coordinates, rates)
+        probe.go_to(coordinates.with_rates(np.array([rates.get(name, 0.0) for name in coordinates.rate_names])))
         coordinates = Coordinates(probe, preferred=preferred)
-        rows, columns = (_lengths(probe, units) for units in (coordinates.rate_units, coordinates.units))
+        rows, columns = coordinates.rate_scales, coordinates.scales
         accelerations = _accelerations(probe, coordinates, inputs, u)
         remaining = float(np.abs(accelerations / rows).max(initial=0.0))
         limit = limit or FOUND * (max(float(np.linalg.norm(probe.layout.scene.gravity)), 1.0) + remaining)
@@ -115,10 +115,6 @@ def _found(probe, rates, held, names):
         f"no equilibrium near the state: an acceleration of {remaining:.3g} rad/s^2, or times the mechanism's size in "
         f"m/s^2, remains after {MOST_STEPS} steps{kept}"
     )
-
-
-def _lengths(probe, units):
-    return np.array([1.0 if unit == "rad" else probe.layout.size for unit in units])
 
 
 def _go(probe, coordinates, z):
@@ -157,14 +153,6 @@ def _step(moved, pushed, right, same):
     growth = np.linalg.eigvals(same.T @ moved).real.max(initial=0.0)
     weight = np.linalg.norm(right) / LARGEST_TURN + 2.0 * growth
     return np.linalg.lstsq(np.hstack([moved - weight * same, pushed]), right, rcond=1e-10)[0]
-
-
-def _set_rates(probe, coordinates, rates):
-    """Give the state its constant rates; all others are zero."""
-    y = np.zeros((probe.freedoms, 2))
-    wanted = np.array([rates.get(name, 0.0) for name in coordinates.rate_names]) * coordinates.rate_signs
-    y[:, 1] = coordinates.rates @ (wanted - probe.closed()[0][coordinates.moving])
-    probe.go_to(y)
 
 
 def _accelerations(probe, coordinates, inputs, u, y=None):
@@ -230,7 +218,7 @@ class _Stops:
     def check(self):
         """Raise TrimError beyond a stop, which would act there."""
         scene = self._probe.layout.scene
-        for q, (switch, _) in zip(self._places, switch_places(self._probe.layout, self._probe.pose, self._probe.twist)):
+        for q, switch in zip(self._places, switches_of(scene)):
             if switch.limits is not None and switch.limits.excess(q) > BEYOND:
                 raise TrimError(
                     f"the equilibrium near the state is beyond a stop: {switch.name} would be at {q:.6g} "
@@ -242,15 +230,12 @@ def _is_steady(probe, coordinates, inputs, u):
     """Whether the accelerations stay zero along the motion of a state."""
     if any(abs(rate) > BEYOND for _, rate, _ in probe.base.prescribed.values()):
         return False
-    rates = probe.closed()[0][coordinates.independent]
-    lengths, rows = _lengths(probe, coordinates.units), _lengths(probe, coordinates.rate_units)
-    speed = np.abs(rates / lengths).max(initial=0.0)
+    speed, way = coordinates.along(probe.closed()[0][coordinates.independent])
     if speed <= BEYOND:
         return True
-    way = sum(rate / speed * coordinates.neighbour(k, 1.0) for k, rate in enumerate(rates))
     change, error = derivative(lambda s: _accelerations(probe, coordinates, inputs, u, s * way), ANGLE)
     limit = STEADY * max(float(np.linalg.norm(probe.layout.scene.gravity)), speed**2)
-    return bool((np.abs(change) <= rows * limit + error).all())
+    return bool((np.abs(change) <= coordinates.rate_scales * limit + error).all())
 
 
 def undetermined(pushed, names):

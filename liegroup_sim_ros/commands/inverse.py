@@ -25,10 +25,9 @@ from liegroup_sim_ros.recording.motion import Motion
 from liegroup_sim_ros.recording.read import read_recording
 
 from .robot_options import add_robot_options, robot_scene
-from .states import StateError
+from .states import StateError, stopped
 
 DEGREES = 3, 5  # of the splines whose derivatives are velocities and accelerations; the first for an error
-EXIT_STOPPED = 1
 PARTS = ("position", "velocity", "acceleration")
 
 
@@ -70,8 +69,7 @@ def run(args):
     try:
         found = inverse_dynamics(simulation, times, *parts, joints, args.inputs)
     except SimulationError as error:
-        print(f"liegroup_sim: {error}", file=sys.stderr)
-        return EXIT_STOPPED
+        return stopped(error)
     units = {joint: "N m" if unit == "rad" else "N" for joint, unit in simulation.layout.coordinates.units.items()}
     names = [name.removesuffix(".effort") for name in found.inputs]
     if args.out is not None:

@@ -16,9 +16,8 @@ from liegroup_sim_ros.numbers import shown
 from liegroup_sim_ros.signals import Signals
 
 from .linearise import damping_text, pole_text
-from .states import StateError, add_states, states
+from .states import StateError, add_states, states, stopped
 
-EXIT_STOPPED = 1
 GROWS = 1e-6  # of a magnitude: that of a double multiplier 1 has the root of round-off
 LARGEST = 4  # freedoms of a shape that are printed
 
@@ -81,8 +80,7 @@ def _multipliers(args, console):
         try:
             result = transition(simulation, args.period)
         except SimulationError as error:
-            print(f"liegroup_sim: {error}", file=sys.stderr)
-            return EXIT_STOPPED
+            return stopped(error)
         values = result.multipliers.tolist()
         largest = max(map(abs, values), default=0.0)
         found.append(

@@ -15,9 +15,7 @@ from liegroup_core.linear.channels import OUTPUTS
 from liegroup_sim_ros.numbers import shown
 
 from .robot_options import add_robot_options, robot_scene
-from .states import StateError
-
-EXIT_STOPPED = 1
+from .states import StateError, stopped
 
 
 def add_arguments(parser):
@@ -48,8 +46,7 @@ def run(args):
     try:
         found = sensitivities(robot_scene(args.scene, args), args.by, args.at, args.of)
     except SimulationError as error:
-        print(f"liegroup_sim: {error}", file=sys.stderr)
-        return EXIT_STOPPED
+        return stopped(error)
     if args.json:
         entries = {name: getattr(found, name) for name in ("times", "values", "derivatives", "errors")}
         names = {name: list(getattr(found, name)) for name in ("outputs", "parameters", "rough")}

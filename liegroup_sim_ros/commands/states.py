@@ -2,6 +2,7 @@
 """Argument of subcommands that analyse states: a scene or a recording, and times."""
 
 import math
+import sys
 from pathlib import Path
 
 from liegroup_core import Simulation
@@ -11,6 +12,8 @@ from liegroup_sim_ros.playback.branch import Branches
 from liegroup_sim_ros.recording.read import read_recording
 
 from .robot_options import add_robot_options, refuse_robot_options, robot_scene
+
+EXIT_STOPPED = 1
 
 
 class StateError(LieGroupSimError):
@@ -33,6 +36,12 @@ def add_states(parser):
         help="simulated times in s, of a recording time stamps in s, in their order (default: the start)",
     )
     add_robot_options(parser)
+
+
+def stopped(error):
+    """Print the line of an analysis that cannot continue; returns its exit code."""
+    print(f"liegroup_sim: {error}", file=sys.stderr)
+    return EXIT_STOPPED
 
 
 def states(args, running=False):

@@ -13,9 +13,8 @@ from liegroup_core.linear import TrimError, modes_of, trim
 from liegroup_sim_ros.numbers import shown
 
 from .linearise import print_system
-from .states import StateError, add_states, states
+from .states import StateError, add_states, states, stopped
 
-EXIT_STOPPED = 1
 RESTING = 1e-9  # rad/s or m/s
 
 
@@ -43,8 +42,7 @@ def run(args):
         try:
             result = trim(simulation, rates, args.hold, args.inputs, inside)
         except TrimError as error:
-            print(f"liegroup_sim: {error}", file=sys.stderr)
-            return EXIT_STOPPED
+            return stopped(error)
         found.append(_entries(result, time))
         if not args.json:
             _print(result, time, console)
