@@ -325,7 +325,7 @@ class Simulation(Engine):
                     self._control.update(self.time, running.largest, predictable, running.follows_tolerance)
                     self._choice.update()
                 self._look()
-            if self.steps >= end or (enough is not None and enough()):
+            if self.steps >= end or self._halted or (enough is not None and enough()):
                 return
 
     def _exceeded_between(self):

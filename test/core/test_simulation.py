@@ -202,3 +202,20 @@ def test_a_halted_step_leaves_the_last_valid_state_and_can_be_taken_again():
     whole.advance(1)
     assert whole.substeps[0] > 5000
     assert all(map(np.array_equal, halted.state(), whole.state()))
+
+
+def test_a_halted_run_to_an_accuracy_ends_after_a_step_that_another_run_has():
+    """No step is taken with a larger tolerance because the attempts were limited from another thread."""
+    make = functools.partial(Simulation, load_scene("heavy_top"), accuracy=1e-3, horizon=60.0, quiet=True)
+    other = make()
+    for k in range(12):
+        halted = make()
+        thread = threading.Thread(target=halted.advance, args=(10**7,))
+        thread.start()
+        thread.join(2e-3 * (k + 1))
+        while thread.is_alive():  # a halt before the thread advances has no effect
+            halted.halt()
+            thread.join(0.02)
+        other.reset()
+        other.advance(halted.steps)
+        assert all(map(np.array_equal, halted.state(), other.state())), halted.steps

@@ -83,5 +83,13 @@ def test_random_commands_are_answered_and_all_recording_parts_repeat(client, tmp
         last = stamps[-1]
         same = resimulate(recording)
         assert same["identical"] == same["samples"] >= 1, part
-    # How far the motion gets in real time, and so whether it becomes inaccurate, depends on the machine.
-    assert names - {"fault", "inaccurate"} == {"start", "pause", "resume", "step", "reset", "speed", "stop"}
+    # How far the motion gets in real time, and so what is said of its accuracy, depends on the machine.
+    assert names - {"fault", "inaccurate", "unpredictable"} == {
+        "start",
+        "pause",
+        "resume",
+        "step",
+        "reset",
+        "speed",
+        "stop",
+    }

@@ -501,10 +501,14 @@ class MuntheKaas:
                 clock[FROM], clock[TO] = begin + done, begin + done + count
             return self._take(h, count, pose, twist, external)
 
-        while self.passes and status & 0xFF in TOO_TIGHT:
+        # A halt, which sets MOST to 0 from another thread, is no reason for a larger tolerance.
+        while self.passes and status & 0xFF in TOO_TIGHT and self._control[MOST] > 0.0:
             tolerances, longest = self._control[TOLERANCES].copy(), self._control[LONGEST]
             self._control[LONGEST] = self._longest  # no errors of that size further ahead
+            one = 0
             for factor in LOOSER:
+                if self._control[MOST] == 0.0:
+                    break
                 self._control[TOLERANCES] = factor * tolerances
                 self._control[SIZE] = min(self._control[SIZE], self._longest)
                 one, status = go_on(1)
