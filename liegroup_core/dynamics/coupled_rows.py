@@ -28,11 +28,19 @@ def _second(model, work, coupling):
     return second
 
 
+@kernel
+def slopes_of(model, work, coupling):
+    """First, second and third derivative of the curve of a coupling at the stage."""
+    q, a = coupling["sign"] * _second(model, work, coupling), coupling["curve"]
+    _, slope, bend = law(coupling, q)
+    return slope, bend, 6.0 * a[2] + q * (24.0 * a[3])
+
+
 @subroutine
 def _set_slope(model, work, c):
     """Set the factor of the second rate of a curved coupling at the stage. Returns the bias of its row."""
     coupling = model.couplings[c]
-    _, slope, bend = law(coupling, coupling["sign"] * _second(model, work, coupling))
+    slope, bend, _ = slopes_of(model, work, coupling)
     work.factors[c, 1] = -slope * coupling["sign"]
     speed = work.stage_twist[len(model.parts) + coupling["links"][1], 0]
     return bend * speed * speed if coupling["order"] == 2 else 0.0

@@ -78,6 +78,15 @@ class Inputs:
                 _add(external, body, value * np.eye(6)[column])
         return external, targets
 
+    def changes(self, first):
+        """(first + k, n, COLUMNS), (first + k, s, 2) changes of external wrenches and targets, `first` of them zero."""
+        external, wanted = self._probe.external, self._probe.wanted
+        wrenches, targets = (np.zeros((first + len(self), *each.shape)) for each in (external, wanted))
+        for k, row in enumerate(np.eye(len(self))):
+            found = self.applied(row)
+            wrenches[first + k], targets[first + k] = found[0] - external, found[1] - wanted
+        return wrenches, targets
+
 
 def _add(external, body, wrench):
     """Add a wrench in body axes at the origin of the body frame."""

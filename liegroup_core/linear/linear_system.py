@@ -19,9 +19,11 @@ from liegroup_core.errors import SimulationError
 
 from .channels import Inputs, Outputs
 from .coordinates import Coordinates
-from .differences import derivative, of_values
+from .differences import derivative
 from .probe import Probe
+from .tangents import NOT_SMOOTH
 
+ROUND_OFF = 64.0 * np.finfo(float).eps  # of the largest entry of a column
 DISPLACED = 1e-4  # rad, m, and of rates, in the derivatives of A
 
 
@@ -234,11 +236,13 @@ def system_of(probe, inputs=None, outputs=None, independent=None, preferred=()):
 
     columns, errors = [], []
 
-    def add(at, h, sign=1.0, batch=None):
-        """Add a column: derivative by s of a state and its inputs at(s); batch : slopes at all distances, or None."""
-        found, error, is_small = (None, None, False) if batch is None else of_values(signs * batch[..., rows], h)
-        if not is_small:
+    def add(at, h, tangent, sign=1.0):
+        """Add a column: derivative by s of a state and its inputs at(s); tangent : its slopes and their error."""
+        if tangent is None or tangent[1] == NOT_SMOOTH:
             found, error = derivative(lambda s: moving(*at(s)), h)
+        else:
+            found = signs * tangent[0][rows]
+            error = np.full(len(rows), (tangent[1] + ROUND_OFF) * np.abs(found).max(initial=0.0))
         parts = [(found, error)]
         if len(outputs):
             parts.append(derivative(lambda s: seen(*at(s)), h))
@@ -248,21 +252,21 @@ def system_of(probe, inputs=None, outputs=None, independent=None, preferred=()):
 
     moves = [(k, False, coordinates.size(k), coordinates.signs[k]) for k in range(m)]
     moves += [(k, True, coordinates.rate_size(k), coordinates.rate_signs[k]) for k in range(states - m)]
-    sizes = np.array([size for _, _, size, _ in moves])
-    directions = [coordinates.neighbour(k, 1.0, rate) for k, rate, *_ in moves]
-    try:
-        batches = probe.slopes_along(directions, sizes) if moves else []
-    except SimulationError:  # too far away in some direction
-        batches = [None] * len(moves)
-    for (k, rate, size, sign), batch in zip(moves, batches):
-        add(lambda s, k=k, rate=rate: (coordinates.neighbour(k, s, rate),), size, sign, batch)
+    count = len(moves) + len(inputs)
+    directions = np.zeros((count, probe.freedoms, 2))
+    for d, (k, rate, *_) in enumerate(moves):
+        directions[d] = coordinates.neighbour(k, 1.0, rate)
+    sizes = np.array([*(size for _, _, size, _ in moves), *inputs.sizes])
+    tangents = probe.tangents(directions, sizes, *inputs.changes(len(moves)))
+    tangents = [None] * count if tangents is None else list(zip(*tangents))
+    for (k, rate, size, sign), tangent in zip(moves, tangents):
+        add(lambda s, k=k, rate=rate: (coordinates.neighbour(k, s, rate),), size, tangent, sign)
         if not rate:
             # In the chart that moves with the state, d/dt psi = w + [psi, V]; in the fixed one half of the bracket.
             half = sign * columns[-1][:m] - coordinates.signs * coordinates.changes[coordinates.independent, k]
             columns[-1][:m] += sign * half
-    for j in range(len(inputs)):
-        change = np.eye(len(inputs))[j]
-        add(lambda s, change=change: (None, inputs.applied(s * change)), inputs.sizes[j])
+    for change, size, tangent in zip(np.eye(len(inputs)), inputs.sizes, tangents[len(moves) :]):
+        add(lambda s, change=change: (None, inputs.applied(s * change)), size, tangent)
     matrix, error = (
         np.array(part).reshape(states + len(inputs), states + len(outputs)).T for part in (columns, errors)
     )

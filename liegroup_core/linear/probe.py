@@ -29,6 +29,8 @@ from liegroup_core.observables.sample import Sample
 from liegroup_core.reports import explain
 from liegroup_core.status import DEPENDENT_ROWS, OK
 
+from .tangents import NOT_REGULAR, tangents
+
 # Of one stage, whose displacement is its derivative.
 _ONE = Tableau(np.zeros((1, 1)), np.ones(1), np.zeros(1), np.zeros((0, 2)))
 
@@ -62,25 +64,6 @@ def _evaluate(model, work, scheme, y, pose_in, twist_in, external_in, out, pose_
         for c in range(half):
             out[r * half + c, 0], out[r * half + c, 1] = work.slopes[rows + r, c], work.slopes[rows + r, half + c]
     steps.place(model, work, pose_out, twist_out)
-    return OK
-
-
-@kernel
-def _evaluate_along(model, work, scheme, directions, sizes, pose, twist, external, y, pose_out, twist_out, out):
-    """Write y' at k h d, k = 1, -1, 2, -2, 3, -3, to out (d, 6, f, 2) for all directions d (d, f, 2) with sizes h (d,).
-
-    Returns a status.
-    """
-    for d in range(len(directions)):
-        for p in range(6):
-            distance = (1 + p // 2) * sizes[d]
-            if p % 2 == 1:
-                distance = -distance
-            for f in range(len(y)):
-                y[f, 0], y[f, 1] = distance * directions[d, f, 0], distance * directions[d, f, 1]
-            status = _evaluate(model, work, scheme, y, pose, twist, external, out[d, p], pose_out, twist_out)
-            if status != OK:
-                return status
     return OK
 
 
@@ -190,19 +173,41 @@ class Probe:
         self._call(_evaluate, y, external, wanted, out, pose, twist)
         return out.T.ravel(), pose, twist
 
-    def slopes_along(self, directions, sizes):
-        """(d, 3, 2, 2 f) psi' and w' at h, -h, 2h, -2h, 3h, -3h along directions (d, f, 2), with sizes h (d,)."""
-        count = len(directions)
-        out = np.empty((count, 6, self.freedoms, 2))
-        y, pose, twist = np.zeros((self.freedoms, 2)), self.pose.copy(), self.twist.copy()
-        work = self._work
+    def tangents(self, directions, sizes, external=None, wanted=None):
+        """(d, 2 f) derivatives of psi' and w' along directions (d, f, 2), and their errors (d,); see tangents.py.
+
+        sizes : (d,) first distances of differences
+        external, wanted : (d, n, COLUMNS), (d, k, 2) changes of the inputs; None: none
+        The error is relative, 1 where a difference has no digits. None near singular poses, and with friction by load.
+        Raises SimulationError.
+        """
+        model, work, count = self._model, self._work, len(directions)
+        if model.has_loads:
+            return None
+        n, L, m, f = len(model.parts), len(model.bodies), len(model.row_residual), self.freedoms
+        out, columns = np.zeros((count, f + 1, 2)), self.external.shape[1]
+        if external is None:
+            external = np.zeros((count, *self.external.shape))
+        if wanted is None:
+            wanted = np.zeros((count, *self.wanted.shape))
         work.wanted[:] = self.wanted
-        given = np.ascontiguousarray(directions, dtype=float), np.ascontiguousarray(sizes, dtype=float)
-        state = self.pose, self.twist, self.external
-        status = _evaluate_along(self._model, work, self._scheme, *given, *state, y, pose, twist, out)
+        scratch = np.zeros((7, L, 6)), np.zeros((3, n, columns)), np.zeros((4, m)), np.zeros((3, 6 * n + 7))
+        status = tangents(
+            model,
+            work,
+            *(np.ascontiguousarray(each, dtype=float) for each in (directions, external, wanted, sizes)),
+            self.pose,
+            self.twist,
+            self.external,
+            *scratch,
+            np.zeros((f, 2)),
+            out,
+        )
+        if status == NOT_REGULAR:
+            return None
         if status != OK or not np.isfinite(out).all():
             raise SimulationError(explain(self._engine, status), status & 0xFF)
-        return out.transpose(0, 1, 3, 2).reshape(count, 3, 2, 2 * self.freedoms)
+        return out[:, :f].transpose(0, 2, 1).reshape(count, 2 * f), out[:, f, 0]
 
     def closed(self, y=None):
         """(f,) rates of a neighbour that is projected onto the cut joints, and poses and twists of the bodies."""

@@ -1,0 +1,613 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tangents of the equations of motion: derivatives of the accelerations along directions of the state and inputs.
+
+A direction displaces link b by S psi in its joint and changes its rates by w. With twists, wrenches and
+accelerations (minus gravity) in link axes, P = X V_a and B = X Vdot_a of the parent a, from the world to the leaves
+
+    eta_b   = X eta_a + S psi
+    dV_b    = X dV_a + [P, S psi] + S w
+    dVdot_b = X dVdot_a + [B, S psi] + [dV_b, S qdot] + [V_b, S w]        for qddot that do not change
+
+With V* F = (omega x torque + v x force, omega x force), the wrench of a link is F = I Vdot + V* I V, and
+
+    dF_b = I dVdot_b + dV_b* I V_b + V_b* I dV_b
+
+The wrench T_c that child c transmits turns with it, which adds X^-T (S psi_c)* T_c to its parent. A row
+J (V_b - X V_a) of a cut joint sees the displacement kappa = X eta_a - eta_b of its parent: d(X V_a) = X dV_a + [kappa,
+X V_a]. The residuals that result are those of the sweeps in residuals.py, and are solved with the factors that the
+accelerations of the state have left: O(n) for a direction, and no factor is computed again.
+
+Forces depend on poses and twists of bodies, rows other than pairs on the pose of a cut joint: of these small functions
+differences of order six are taken (differences.py).
+"""
+
+import numpy as np
+
+from liegroup_core.compiling import kernel
+from liegroup_core.dynamics.accelerations import balance
+from liegroup_core.dynamics.algebra import (
+    Ad_inverse,
+    add,
+    add_row,
+    add_to,
+    choice,
+    column_twist,
+    link_of,
+    load,
+    product,
+    rate_twist,
+    rates_of,
+    relative,
+    spatial,
+    store,
+    sub,
+    wrench_at,
+    zero,
+)
+from liegroup_core.dynamics.coordinates import place_bodies, place_links
+from liegroup_core.dynamics.coupled_rows import slopes_of
+from liegroup_core.dynamics.couplings import add_pair, coupled_rate
+from liegroup_core.dynamics.links import body_wrench, momentum, seen_from
+from liegroup_core.dynamics.loops import close_loops
+from liegroup_core.dynamics.matrix import NEAR
+from liegroup_core.dynamics.residuals import gather_forces
+from liegroup_core.dynamics.trees import apply_wrenches, move_links, spread_response
+from liegroup_core.forces.external import set_external_wrenches
+from liegroup_core.forces.kinds import add_wrenches
+from liegroup_core.joints.elements import PAIR, WORLD
+from liegroup_core.joints.kinds import variable_row
+from liegroup_core.lie.se2 import se2_Ad, turn_back2
+from liegroup_core.lie.se3 import se3_ad, se3_Ad, se3_Ad_inverse
+from liegroup_core.lie.so3 import so3_exp
+from liegroup_core.lie.vec3 import (
+    ZERO3,
+    add3,
+    axpy3,
+    cross3,
+    dot3,
+    load3,
+    load9,
+    matmul3,
+    matrix3,
+    matvec3,
+    store3,
+    store9,
+    sub3,
+    tmatvec3,
+    vector3,
+)
+from liegroup_core.mechanism.arrays import RESTS, SIDE
+from liegroup_core.mechanism.bodies import PIVOT
+from liegroup_core.methods.munthe_kaas import steps
+from liegroup_core.status import DEPENDENT_ROWS, OK
+
+NOT_REGULAR = -1  # near a singular pose: the accelerations are those of displaced poses
+NOT_SMOOTH = 1.0  # of errors: differences of a force or a row have no digits
+SIZES = 4  # of differences, each SMALLER times the one before
+SMALLER, ENOUGH = 0.125, 1e-12
+ROUND_OFF = 4.0 * np.finfo(float).eps
+# Arrays (L, 6) of links, and arrays (m,) of rows.
+ACCELERATION, WRENCH, ETA, TWIST, MOVED, SCREW, RATE = range(7)
+RIGHT, MULTIPLIER, SLIP, SHIFT = range(4)
+
+
+@kernel
+def _bracket_in_space(model, V, W):
+    return se3_ad(V[0], V[1], W[0], W[1])
+
+
+@kernel
+def _bracket_in_plane(model, V, W):
+    return 0.0, W[0] * V[2] - V[0] * W[2], V[0] * W[1] - W[0] * V[1]
+
+
+@kernel
+def _dual_in_space(model, V, F):
+    return add3(cross3(V[0], F[0]), cross3(V[1], F[1])), cross3(V[0], F[1])
+
+
+@kernel
+def _dual_in_plane(model, V, F):
+    return V[1] * F[2] - V[2] * F[1], -V[0] * F[2], V[0] * F[1]
+
+
+@kernel
+def _Ad_in_space(model, X, V):
+    return se3_Ad(X[0], X[1], V[0], V[1])
+
+
+@kernel
+def _Ad_in_plane(model, X, V):
+    return se2_Ad(X, V)
+
+
+@kernel
+def _Ad_transpose_in_space(model, X, F):
+    return tmatvec3(X[0], sub3(F[0], cross3(X[1], F[1]))), tmatvec3(X[0], F[1])
+
+
+@kernel
+def _Ad_transpose_in_plane(model, X, F):
+    x, y = turn_back2(X[0], X[1], F[1], F[2])
+    return F[0] - (X[2] * F[2] - X[3] * F[1]), x, y
+
+
+@kernel
+def _resting_in_space(model):
+    g = load3(model.gravity, 0, 0)
+    return ZERO3, (-g[0], -g[1], -g[2])
+
+
+@kernel
+def _resting_in_plane(model):
+    return 0.0, -model.plane_gravity[0, 0], -model.plane_gravity[0, 1]
+
+
+@kernel
+def _acceleration_in_space(model, work, b):
+    return load(model, work.moved, b)
+
+
+@kernel
+def _acceleration_in_plane(model, work, b):
+    w, x, y = load(model, work.moved, b)
+    return w, x + work.drift[b, 0], y + work.drift[b, 1]
+
+
+@kernel
+def _at_own_points(model, joint, K):
+    """A ball joint moves its parent so that the joint points coincide; see rows.py."""
+    if joint["parent"] == WORLD or joint["own_points"] == 0:
+        return K
+    return K[0], cross3(vector3(model.elements[joint["element"]]["child_point"]), K[0])
+
+
+@kernel
+def _as_it_is(model, joint, K):
+    return K
+
+
+@kernel
+def _turned_in_space(model, joint, C, V, W, e):
+    turn = V[0]
+    if joint["parent"] != WORLD and joint["own_points"] == 1:
+        turn = add3(V[0], W[0])
+    return C[0], add3(C[1], cross3(turn, e[1]))
+
+
+@kernel
+def _turned_in_plane(model, joint, C, V, W, e):
+    return C[0], C[1] - V[0] * e[2], C[2] + V[0] * e[1]
+
+
+@kernel
+def _times_in_space(model, factor, V):
+    return axpy3(factor, V[0], ZERO3), axpy3(factor, V[1], ZERO3)
+
+
+@kernel
+def _times_in_plane(model, factor, V):
+    return axpy3(factor, V, ZERO3)
+
+
+@kernel
+def _row_in_space(model, rows, r):
+    return load3(rows, r, 0), load3(rows, r, 3)
+
+
+@kernel
+def _row_in_plane(model, rows, r):
+    return load3(rows, r, 2)
+
+
+# [V, W]; V* F; Ad_X V; Ad_X^T F; -g of the world; Vdot - g of a link; kappa of a row; V and e in the bias of a row.
+_bracket = choice("bracket", _bracket_in_space, _bracket_in_plane)
+_dual = choice("dual", _dual_in_space, _dual_in_plane)
+_Ad = choice("Ad", _Ad_in_space, _Ad_in_plane)
+_Ad_transpose = choice("Ad_transpose", _Ad_transpose_in_space, _Ad_transpose_in_plane)
+_resting = choice("resting", _resting_in_space, _resting_in_plane)
+_acceleration = choice("acceleration", _acceleration_in_space, _acceleration_in_plane)
+_seen = choice("seen", _at_own_points, _as_it_is)
+_turned = choice("turned", _turned_in_space, _turned_in_plane)
+_times = choice("times", _times_in_space, _times_in_plane)
+_row = choice("row", _row_in_space, _row_in_plane)
+
+
+@kernel
+def _set_forces(model, work, external, pose, twist):
+    """Write the wrenches of all forces on the bodies at given poses and twists to work.wrench."""
+    set_external_wrenches(external, pose, work.wrench)
+    add_wrenches(model.space.forces, work.angle, work.acting, work.wanted, pose, twist, work.wrench)
+
+
+@kernel
+def _set_state(model, work, pose_in, twist_in, external_in, links, rows, given):
+    """Accelerations of the state with their factors, and what tangents need of them. Returns a status."""
+    pose, twist, external, _ = steps.enter(model, work, pose_in, twist_in, external_in)
+    steps.begin(model, work, pose, twist)
+    move_links(model, work)
+    place_links(model, work)
+    place_bodies(model, work, work.space.stage_pose, work.space.stage_twist)
+    _set_forces(model, work, external, work.space.stage_pose, work.space.stage_twist)
+    apply_wrenches(model, work)
+    dependent = balance(model, work)
+    if dependent >= 0:
+        return DEPENDENT_ROWS + (model.owners[dependent] << 8)
+    if work.report[PIVOT] < NEAR:
+        return NOT_REGULAR
+    for f in range(len(work.acceleration)):
+        given[f, 0] = work.acceleration[f, 0]
+    for r in range(len(work.multipliers)):
+        rows[MULTIPLIER, r] = work.multipliers[r]
+    A, T = links[ACCELERATION], links[WRENCH]
+    for b in range(len(model.bodies)):
+        link, V = link_of(model, b), load(model, work.velocities, b)
+        store(model, _acceleration(model, work, b), A, b)
+        F = add(model, momentum(model, link, load(model, A, b)), _dual(model, V, momentum(model, link, V)))
+        store(model, sub(model, F, load(model, work.applied, b)), T, b)
+    for j in range(len(model.joints)):
+        joint = model.joints[j]
+        a, b = joint["parent"], joint["child"]
+        for r in range(joint["first"], joint["first"] + joint["rows"]):
+            add_to(model, _times(model, rows[MULTIPLIER, r], _row(model, work.child_jacobian, r)), T, b)
+            if a != WORLD:
+                add_to(model, _times(model, rows[MULTIPLIER, r], _row(model, work.parent_jacobian, r)), T, a)
+    for b in range(len(model.bodies) - 1, -1, -1):
+        a = model.bodies[b]["parent"]
+        if a != WORLD:
+            add_to(model, wrench_at(model, relative(model, work, b), load(model, T, b)), T, a)
+    return OK
+
+
+@kernel
+def _displace_links(model, work, direction, rates, links):
+    """Displacements, and changes of twists and accelerations, of all links; the change of their wrenches is added
+    to work.force.
+    """
+    n, nothing, rest = len(model.parts), zero(model), _resting(model)
+    A, T, eta, twist, moved, screws = (
+        links[ACCELERATION],
+        links[WRENCH],
+        links[ETA],
+        links[TWIST],
+        links[MOVED],
+        links[SCREW],
+    )
+    for b in range(len(model.bodies)):
+        link = link_of(model, b)
+        a, f, X = link["parent"], link["freedom"], relative(model, work, b)
+        own, rate = column_twist(model, link, direction, f), column_twist(model, link, rates, f)
+        V, S = load(model, work.velocities, b), rate_twist(model, link, work.stage_twist, n + b)
+        e, dV, dA, B = own, rate, nothing, Ad_inverse(model, X, rest)
+        if a != WORLD:
+            P = Ad_inverse(model, X, load(model, work.velocities, a))
+            e = add(model, e, Ad_inverse(model, X, load(model, eta, a)))
+            dV = add(model, dV, Ad_inverse(model, X, load(model, twist, a)))
+            dV = add(model, dV, _bracket(model, P, own))
+            B = Ad_inverse(model, X, load(model, A, a))
+            dA = Ad_inverse(model, X, load(model, moved, a))
+        dA = add(model, dA, _bracket(model, B, own))
+        dA = add(model, dA, add(model, _bracket(model, dV, S), _bracket(model, V, rate)))
+        store(model, own, screws, b)
+        store(model, e, eta, b)
+        store(model, dV, twist, b)
+        store(model, dA, moved, b)
+        F = add(model, momentum(model, link, dA), _dual(model, dV, momentum(model, link, V)))
+        F = add(model, F, _dual(model, V, momentum(model, link, dV)))
+        store(model, F, work.force, b)
+        if a != WORLD:
+            F = wrench_at(model, X, _dual(model, own, load(model, T, b)))
+            add_to(model, F, work.force, a)
+
+
+@kernel
+def _begin(orders, count):
+    for c in range(count):
+        orders[0, c] = orders[1, c] = orders[2, c] = 0.0
+
+
+@kernel
+def _add_value(orders, c, k, value):
+    """Add a value at (k + 1) h, over h, to the formulas of orders 2, 4 and 6 for entry c."""
+    if k == 0:
+        orders[0, c] += 0.5 * value
+        orders[1, c] += (2.0 / 3.0) * value
+        orders[2, c] += 0.75 * value
+    elif k == 1:
+        orders[1, c] -= value / 12.0
+        orders[2, c] -= 0.15 * value
+    else:
+        orders[2, c] += value / 60.0
+
+
+@kernel
+def _error_of(orders, count, most, size):
+    """Error of the formulas of order six, or NOT_SMOOTH; see differences.py.
+
+    most, size : largest of the added values, and h
+    The error is relative to the largest entry, or to the largest value if that is larger.
+    """
+    error = largest = 0.0
+    for c in range(count):
+        last, before = abs(orders[2, c] - orders[1, c]), abs(orders[1, c] - orders[0, c])
+        error = max(error, last * min(1.0, last / before) if before > 0.0 else last)
+        largest = max(largest, abs(orders[2, c]))
+    if error <= max(ENOUGH * largest, ROUND_OFF * most):
+        return error / max(largest, most * size) if error > 0.0 else 0.0
+    return NOT_SMOOTH
+
+
+@kernel
+def _difference_wrenches(model, work, external, more, wanted, links, bodies, orders, size):
+    """Write the changes of the wrenches of all forces to work.wrench. Returns their error, see `_error_of`.
+
+    more, wanted : changes of the external wrenches, and of the wanted values of servos
+    """
+    pose, twist, pushed, error = bodies[0], bodies[1], bodies[2], NOT_SMOOTH
+    for _ in range(SIZES):
+        _begin(orders, 6 * len(model.parts))
+        most = 0.0
+        for p in range(6):
+            k = p // 2
+            sign = 1.0 if p % 2 == 0 else -1.0
+            s = sign * (k + 1.0) * size
+            for i in range(len(model.parts)):
+                part = model.parts[i]
+                b = part["link"]
+                rot, r = load9(work.space.stage_pose, i, 0), load3(work.space.stage_pose, i, 9)
+                w, v = load3(work.space.stage_twist, i, 0), load3(work.space.stage_twist, i, 3)
+                if b != WORLD:
+                    turned, point = matrix3(part["rotation"]), vector3(part["point"])
+                    e, dV = spatial(model, load(model, links[ETA], b)), spatial(model, load(model, links[TWIST], b))
+                    e = se3_Ad_inverse(turned, point, e[0], e[1])
+                    dV = se3_Ad_inverse(turned, point, dV[0], dV[1])
+                    r = axpy3(s, matvec3(rot, e[1]), r)
+                    rot = matmul3(rot, so3_exp((s * e[0][0], s * e[0][1], s * e[0][2])))
+                    w, v = axpy3(s, dV[0], w), axpy3(s, dV[1], v)
+                store9(rot, pose, i, 0)
+                store3(r, pose, i, 9)
+                store3(w, twist, i, 0)
+                store3(v, twist, i, 3)
+                for c in range(external.shape[1]):
+                    pushed[i, c] = external[i, c] + s * more[i, c]
+            for c in range(len(wanted)):
+                work.wanted[c, 0] += s * wanted[c, 0]
+                work.wanted[c, 1] += s * wanted[c, 1]
+            _set_forces(model, work, pushed, pose, twist)
+            for c in range(len(wanted)):
+                work.wanted[c, 0] -= s * wanted[c, 0]
+                work.wanted[c, 1] -= s * wanted[c, 1]
+            for i in range(len(model.parts)):
+                for c in range(6):
+                    value = sign * work.wrench[i, c] / size
+                    most = max(most, abs(value))
+                    _add_value(orders, 6 * i + c, k, value)
+        error = _error_of(orders, 6 * len(model.parts), most, size)
+        if error != NOT_SMOOTH:
+            break
+        size *= SMALLER
+    for i in range(len(model.parts)):
+        for c in range(6):
+            work.wrench[i, c] = orders[2, 6 * i + c]
+    return error
+
+
+@kernel
+def _difference_row(element, X, error, K, change, orders, size):
+    """Write the changes of a row that is not a pair, and of its rate, to orders[2, :7]. Returns their error."""
+    found = NOT_SMOOTH
+    for _ in range(SIZES):
+        _begin(orders, 7)
+        most = 0.0
+        for p in range(6):
+            k = p // 2
+            sign = 1.0 if p % 2 == 0 else -1.0
+            s = sign * (k + 1.0) * size
+            turn = so3_exp((s * K[0][0], s * K[0][1], s * K[0][2]))
+            rot, point = matmul3(turn, X[0]), axpy3(s, K[1], matvec3(turn, X[1]))
+            w, v = axpy3(s, change[0], error[0]), axpy3(s, change[1], error[1])
+            alpha, beta, rate = variable_row(element, rot, point, w, v)
+            for c in range(3):
+                _add_value(orders, c, k, sign * alpha[c] / size)
+                _add_value(orders, 3 + c, k, sign * beta[c] / size)
+                most = max(most, max(abs(alpha[c]), abs(beta[c])) / size)
+            _add_value(orders, 6, k, sign * rate / size)
+            most = max(most, abs(rate) / size)
+        found = _error_of(orders, 7, most, size)
+        if found != NOT_SMOOTH:
+            break
+        size *= SMALLER
+    return found
+
+
+@kernel
+def _change_variable_row(model, work, joint, X, error, change, K, Y, rows, orders, size):
+    """Add what a change of a row J that is not a pair adds: to the residual and its slip, and to work.force.
+
+    Y : what J multiplies in the residual
+    returns the error
+    """
+    a, b, r = joint["parent"], joint["child"], joint["first"]
+    found = _difference_row(model.elements[joint["element"]], X, error, K, change, orders, size)
+    alpha, beta = (orders[2, 0], orders[2, 1], orders[2, 2]), (orders[2, 3], orders[2, 4], orders[2, 5])
+    rows[RIGHT, r] += dot3(alpha, Y[0]) + dot3(beta, Y[1]) + orders[2, 6]
+    rows[SLIP, r] += dot3(alpha, error[0]) + dot3(beta, error[1])
+    F = _times(model, rows[MULTIPLIER, r], (alpha, beta))
+    add_to(model, F, work.force, b)
+    if a != WORLD:
+        add_to(model, _times(model, -1.0, _Ad_transpose(model, X, F)), work.force, a)
+    return found
+
+
+@kernel
+def _no_change(model, work, joint, X, error, change, K, Y, rows, orders, size):
+    """All rows of a planar mechanism are pairs."""
+    return 0.0
+
+
+_change_row = choice("change_row", _change_variable_row, _no_change)
+
+
+@kernel
+def _change_rows(model, work, links, rows, orders, size):
+    """Changes of the residuals of all rows of cut joints, and of their wrenches, to work.force. Returns the error."""
+    nothing, rest, error = zero(model), _resting(model), 0.0
+    for j in range(len(model.joints)):
+        joint = model.joints[j]
+        a, b, first = joint["parent"], joint["child"], joint["first"]
+        for r in range(first, first + joint["rows"]):
+            rows[RIGHT, r] = rows[SLIP, r] = rows[SHIFT, r] = 0.0
+        if model.coupling[j] >= 0:
+            continue
+        V, e, dV = load(model, work.velocities, b), load(model, links[ETA], b), load(model, links[TWIST], b)
+        A, dA = load(model, links[ACCELERATION], b), load(model, links[MOVED], b)
+        X, W = seen_from(model, work, joint, a, b)
+        K, dW, B, dB = sub(model, nothing, e), nothing, rest, nothing
+        if a != WORLD:
+            K = _seen(model, joint, add(model, K, _Ad(model, X, load(model, links[ETA], a))))
+            dW = _Ad(model, X, load(model, links[TWIST], a))
+            B, dB = load(model, links[ACCELERATION], a), _Ad(model, X, load(model, links[MOVED], a))
+        B = _Ad(model, X, B)
+        dW, dB = add(model, dW, _bracket(model, K, W)), add(model, dB, _bracket(model, K, B))
+        C = add(model, _bracket(model, dV, W), _bracket(model, V, dW))
+        slip, F, gap = sub(model, dV, dW), nothing, nothing
+        Y = add(model, sub(model, A, B), _bracket(model, V, W))
+        if joint["kind"] != PAIR:
+            found = _change_row(model, work, joint, X, sub(model, V, W), slip, K, Y, rows, orders, size)
+            error = max(error, found)
+        for r in range(first, first + joint["rows"]):
+            J = _row(model, work.child_jacobian, r)
+            rows[SLIP, r] += product(model, 0.0, work.child_jacobian, r, slip)
+            rows[SHIFT, r] = -product(model, 0.0, work.child_jacobian, r, K)
+            gap = add_row(model, gap, rows[SLIP, r], work.child_jacobian, r)
+            F = add(model, F, _times(model, rows[MULTIPLIER, r], J))
+        if a != WORLD:
+            add_to(model, _Ad_transpose(model, X, _dual(model, K, F)), work.force, a)
+        dY = _turned(model, joint, add(model, sub(model, dA, dB), C), V, W, gap)
+        for r in range(first, first + joint["rows"]):
+            rows[RIGHT, r] += product(model, 0.0, work.child_jacobian, r, dY)
+    return error
+
+
+@kernel
+def _change_couplings(model, work, direction, rows, given):
+    """Changes of curved couplings: of the residuals of their rows, and of their forces."""
+    for c in range(len(model.couplings)):
+        coupling = model.couplings[c]
+        if coupling["curved"] == 0:
+            continue
+        b, r = coupling["links"][1], coupling["row"]
+        f = model.bodies[b]["freedom"]
+        _, bend, third = slopes_of(model, work, coupling)
+        speed = work.stage_twist[len(model.parts) + b, 0]
+        factor = -bend * direction[f, 0]
+        rows[RIGHT, r] += factor * given[f, 0]
+        if coupling["order"] == 2:
+            turned = coupling["sign"] * direction[f, 0]
+            rows[RIGHT, r] -= third * turned * speed * speed + 2.0 * bend * speed * direction[f, 1]
+        add_pair(model, work, b, 0, rows[MULTIPLIER, r] * factor, work.force, 1)
+
+
+@kernel
+def _change_switches(model, work, direction, rows):
+    """Changes of friction and of compliant stops: of freedoms, and of rows that are not held."""
+    for k in range(len(model.switches)):
+        switch = model.switches[k]
+        b, f, r = switch["link"], switch["freedom"], switch["row"]
+        if work.modes[k, RESTS] != 0.0 or work.held[f] != 0.0:
+            continue
+        shift, rate = (direction[f, 0], direction[f, 1]) if r < 0 else (rows[SHIFT, r], rows[SLIP, r])
+        effort = -switch["viscous"] * rate
+        if work.modes[k, SIDE] != 0.0:
+            effort -= switch["stiffness"] * shift + switch["damping"] * rate
+        if r < 0:
+            add_pair(model, work, b, switch["component"], -effort, work.force, 1)
+            continue
+        joint = model.joints[_joint_of(model, r)]
+        F = _times(model, -effort, _row(model, work.child_jacobian, r))
+        add_to(model, F, work.force, joint["child"])
+        if joint["parent"] != WORLD:
+            F = _times(model, -effort, _row(model, work.parent_jacobian, r))
+            add_to(model, F, work.force, joint["parent"])
+
+
+@kernel
+def _joint_of(model, r):
+    """Cut joint of row r."""
+    for j in range(len(model.joints)):
+        if model.joints[j]["first"] <= r < model.joints[j]["first"] + model.joints[j]["rows"]:
+            return j
+    return -1
+
+
+@kernel
+def _solve(model, work, rows):
+    """Accelerations for the residuals in work.force and in rows, with the factors of the state."""
+    gather_forces(model, work)
+    spread_response(model, work)
+    if len(model.joints) == 0:
+        return
+    for j in range(len(model.joints)):
+        joint = model.joints[j]
+        a, b = joint["parent"], joint["child"]
+        for r in range(joint["first"], joint["first"] + joint["rows"]):
+            value = product(model, rows[RIGHT, r], work.child_jacobian, r, load(model, work.moved, b))
+            if a != WORLD:
+                value = product(model, value, work.parent_jacobian, r, load(model, work.moved, a))
+            work.right[r] = value
+    for c in range(len(model.couplings)):
+        row = model.couplings[c]["row"]
+        work.right[row] = rows[RIGHT, row] + coupled_rate(model, work, work.acceleration, c)
+    close_loops(model, work)
+    spread_response(model, work)
+
+
+@kernel
+def tangents(
+    model, work, directions, more, wanted, sizes, pose, twist, external, links, bodies, rows, orders, given, out
+):
+    """Write the derivatives of psi' and w' along all directions to out (d, f + 1, 2); its last row has an error.
+
+    directions (d, f, 2), more (d, n, COLUMNS), wanted (d, k, 2) : changes of y, see probe.py, and of the inputs
+    sizes (d,)  : first distance of differences
+    pose, twist, external : state
+    links (7, L, 6), bodies (3, n, 25), rows (4, m), orders (3, 6 n + 7), given (f, 2) : scratch memory
+    returns a status, or NOT_REGULAR
+    """
+    status = _set_state(model, work, pose, twist, external, links, rows, given)
+    if status != OK:
+        return status
+    n, applies = len(model.parts), model.space.forces.exist or work.pushed[0] > 0.0
+    rates = given[:, 1:]
+    for d in range(len(directions)):
+        direction, error, pushes = directions[d], 0.0, applies
+        for b in range(len(model.bodies)):
+            store(model, zero(model), work.force, b)
+        for f in range(len(given)):
+            rates[f, 0] = direction[f, 1]
+        _displace_links(model, work, direction, rates, links)
+        for i in range(n):
+            for c in range(external.shape[1]):
+                pushes = pushes or more[d, i, c] != 0.0
+        if pushes:
+            error = _difference_wrenches(model, work, external, more[d], wanted[d], links, bodies, orders, sizes[d])
+            for i in range(n):
+                b = model.parts[i]["link"]
+                if b != WORLD:
+                    add_to(model, _times(model, -1.0, body_wrench(model, work, i)), work.force, b)
+        if len(model.joints) > 0:
+            error = max(error, _change_rows(model, work, links, rows, orders, sizes[d]))
+            _change_couplings(model, work, direction, rows, given)
+        _change_switches(model, work, direction, rows)
+        _solve(model, work, rows)
+        for b in range(len(model.bodies)):
+            link = link_of(model, b)
+            S = rate_twist(model, link, work.stage_twist, n + b)
+            rates_of(model, link, _bracket(model, load(model, links[SCREW], b), S), links[RATE], b)
+            for k in range(model.bodies[b]["freedoms"]):
+                f = model.bodies[b]["freedom"] + k
+                # dexp^-1_{-psi} (V + w) to first order
+                out[d, f, 0] = direction[f, 1] + 0.5 * links[RATE, b, k]
+                out[d, f, 1] = work.acceleration[f, 0]
+        out[d, len(given), 0] = error
+    return OK
