@@ -124,9 +124,18 @@ class Outputs:
         order = [name for kind in self._kinds for name in kinds[kind]]
         self._places = [order.index(name) for name in self.names]
         self._turns = probe.base.pose[:, :9].reshape(-1, 3, 3)
+        own = {each.name: (f, each.sign) for f, each in enumerate(layout.freedoms) if each.is_of_joint}
+        found = [(own.get(name.rpartition(".")[0]), name.endswith(".velocity")) for name in self.names]
+        self._freedoms = None
+        if self._kinds == ["joints"] and all(freedom for freedom, _ in found):
+            self._freedoms = [(f, sign, int(is_rate)) for (f, sign), is_rate in found]
 
     def __len__(self):
         return len(self.names)
+
+    def along(self, y):
+        """(k,) derivatives along y (f, 2) where all outputs are coordinates and rates of the tree, else None."""
+        return None if self._freedoms is None else np.array([sign * y[f, rate] for f, sign, rate in self._freedoms])
 
     def of(self, sample):
         """(k,) outputs of a Sample; rotation vectors are relative to the state."""

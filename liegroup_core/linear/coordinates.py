@@ -161,16 +161,15 @@ class Coordinates:
         changes = np.zeros_like(self.motions)
         if not probe.is_closed:
             return changes
-        for k in range(len(self.independent)):
-            y = np.zeros((probe.freedoms, 2))
-
-            def rates(s, direction=self.motions[:, k], y=y):
-                y[:, 0] = s * direction
-                return probe.closed(y)[0]
-
-            change, _ = derivative(rates, self.size(k))
-            changes[:, k] = change - self.rates @ change[self.moving]
-        return changes
+        # J c = -d(J V) along the independent coordinates, without a change of the independent rates.
+        count, free = len(self.independent), np.flatnonzero(~probe.held)
+        directions = np.zeros((count + len(free), probe.freedoms, 2))
+        directions[:count, :, 0] = self.motions.T
+        directions[count + np.arange(len(free)), free, 1] = self._scales[free]
+        slips = probe.tangents(directions, np.full(len(directions), ANGLE))[2]
+        found = np.linalg.lstsq(slips[count:].T, -slips[:count].T, rcond=NO_ROW)[0]
+        changes[free] = self._scales[free, None] * found
+        return changes - self.rates @ changes[self.moving]
 
     def neighbour(self, k, s, rate=False):
         """y (f, 2) a distance s along independent coordinate k, or independent rate k; for a derivative."""

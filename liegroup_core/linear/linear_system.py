@@ -236,15 +236,18 @@ def system_of(probe, inputs=None, outputs=None, independent=None, preferred=()):
 
     columns, errors = [], []
 
-    def add(at, h, tangent, sign=1.0):
+    def add(at, h, direction, tangent, sign=1.0):
         """Add a column: derivative by s of a state and its inputs at(s); tangent : its slopes and their error."""
-        if tangent is None or tangent[1] == NOT_SMOOTH:
+        if tangent[1] == NOT_SMOOTH:
             found, error = derivative(lambda s: moving(*at(s)), h)
         else:
             found = signs * tangent[0][rows]
             error = np.full(len(rows), (tangent[1] + ROUND_OFF) * np.abs(found).max(initial=0.0))
         parts = [(found, error)]
-        if len(outputs):
+        along = outputs.along(direction)
+        if along is not None:
+            parts.append((along, np.zeros(len(along))))
+        elif len(outputs):
             parts.append(derivative(lambda s: seen(*at(s)), h))
         column, uncertainty = (np.concatenate(part) for part in zip(*parts))
         columns.append(sign * column)
@@ -253,20 +256,19 @@ def system_of(probe, inputs=None, outputs=None, independent=None, preferred=()):
     moves = [(k, False, coordinates.size(k), coordinates.signs[k]) for k in range(m)]
     moves += [(k, True, coordinates.rate_size(k), coordinates.rate_signs[k]) for k in range(states - m)]
     count = len(moves) + len(inputs)
-    directions = np.zeros((count, probe.freedoms, 2))
+    directions = np.zeros((count + 1, probe.freedoms, 2))  # the last one: no displacement
     for d, (k, rate, *_) in enumerate(moves):
         directions[d] = coordinates.neighbour(k, 1.0, rate)
     sizes = np.array([*(size for _, _, size, _ in moves), *inputs.sizes])
-    tangents = probe.tangents(directions, sizes, *inputs.changes(len(moves)))
-    tangents = [None] * count if tangents is None else list(zip(*tangents))
-    for (k, rate, size, sign), tangent in zip(moves, tangents):
-        add(lambda s, k=k, rate=rate: (coordinates.neighbour(k, s, rate),), size, tangent, sign)
+    tangents = list(zip(*probe.tangents(directions[:-1], sizes, *inputs.changes(len(moves)))[:2]))
+    for (k, rate, size, sign), direction, tangent in zip(moves, directions, tangents):
+        add(lambda s, direction=direction: (s * direction,), size, direction, tangent, sign)
         if not rate:
             # In the chart that moves with the state, d/dt psi = w + [psi, V]; in the fixed one half of the bracket.
             half = sign * columns[-1][:m] - coordinates.signs * coordinates.changes[coordinates.independent, k]
             columns[-1][:m] += sign * half
     for change, size, tangent in zip(np.eye(len(inputs)), inputs.sizes, tangents[len(moves) :]):
-        add(lambda s, change=change: (None, inputs.applied(s * change)), size, tangent)
+        add(lambda s, change=change: (None, inputs.applied(s * change)), size, directions[-1], tangent)
     matrix, error = (
         np.array(part).reshape(states + len(inputs), states + len(outputs)).T for part in (columns, errors)
     )

@@ -29,7 +29,7 @@ from liegroup_core.observables.sample import Sample
 from liegroup_core.reports import explain
 from liegroup_core.status import DEPENDENT_ROWS, OK
 
-from .tangents import NOT_REGULAR, tangents
+from .tangents import NOT_REGULAR, NOT_SMOOTH, tangents
 
 # Of one stage, whose displacement is its derivative.
 _ONE = Tableau(np.zeros((1, 1)), np.ones(1), np.zeros(1), np.zeros((0, 2)))
@@ -174,40 +174,40 @@ class Probe:
         return out.T.ravel(), pose, twist
 
     def tangents(self, directions, sizes, external=None, wanted=None):
-        """(d, 2 f) derivatives of psi' and w' along directions (d, f, 2), and their errors (d,); see tangents.py.
+        """Derivatives along directions (d, f, 2) of y: of psi' and w' (d, 2 f), their errors (d,), of J V (d, m).
 
         sizes : (d,) first distances of differences
         external, wanted : (d, n, COLUMNS), (d, k, 2) changes of the inputs; None: none
-        The error is relative, 1 where a difference has no digits. None near singular poses, and with friction by load.
-        Raises SimulationError.
+        See tangents.py. The error is relative, NOT_SMOOTH where differences of a force have no digits, near singular
+        poses, and with friction by load. Raises SimulationError.
         """
         model, work, count = self._model, self._work, len(directions)
-        if model.has_loads:
-            return None
         n, L, m, f = len(model.parts), len(model.bodies), len(model.row_residual), self.freedoms
-        out, columns = np.zeros((count, f + 1, 2)), self.external.shape[1]
-        if external is None:
-            external = np.zeros((count, *self.external.shape))
-        if wanted is None:
-            wanted = np.zeros((count, *self.wanted.shape))
+        out, state = np.zeros((count, 2 * f + 1 + m)), (self.pose, self.twist, self.external)
+        external = np.zeros((count, *self.external.shape)) if external is None else external
+        wanted = np.zeros((count, *self.wanted.shape)) if wanted is None else wanted
+        moves = np.ascontiguousarray(np.swapaxes(directions, 1, 2), dtype=float).reshape(2 * count * f, 1)
         work.wanted[:] = self.wanted
-        scratch = np.zeros((7, L, 6)), np.zeros((3, n, columns)), np.zeros((4, m)), np.zeros((3, 6 * n + 7))
         status = tangents(
             model,
             work,
-            *(np.ascontiguousarray(each, dtype=float) for each in (directions, external, wanted, sizes)),
-            self.pose,
-            self.twist,
-            self.external,
-            *scratch,
-            np.zeros((f, 2)),
+            moves,
+            external.reshape(count * n, self.external.shape[1]),
+            wanted.reshape(-1, 2),
+            np.ascontiguousarray(sizes, dtype=float),
+            state,
+            np.zeros((8 * L, 6)),
+            tuple(np.zeros_like(each) for each in state),
+            np.zeros((4, m)),
+            np.zeros((3, 6 * n + 7)),
+            np.zeros((f, 1)),
             out,
         )
-        if status == NOT_REGULAR:
-            return None
-        if status != OK or not np.isfinite(out).all():
+        if status not in (OK, NOT_REGULAR) or not np.isfinite(out).all():
             raise SimulationError(explain(self._engine, status), status & 0xFF)
-        return out[:, :f].transpose(0, 2, 1).reshape(count, 2 * f), out[:, f, 0]
+        if status == NOT_REGULAR or model.has_loads:
+            out[:, 2 * f] = NOT_SMOOTH
+        return out[:, : 2 * f], out[:, 2 * f], out[:, 2 * f + 1 :]
 
     def closed(self, y=None):
         """(f,) rates of a neighbour that is projected onto the cut joints, and poses and twists of the bodies."""

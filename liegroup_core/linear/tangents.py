@@ -23,7 +23,7 @@ differences of order six are taken (differences.py).
 
 import numpy as np
 
-from liegroup_core.compiling import kernel
+from liegroup_core.compiling import borrowed, kernel
 from liegroup_core.dynamics.accelerations import balance
 from liegroup_core.dynamics.algebra import (
     Ad_inverse,
@@ -49,7 +49,7 @@ from liegroup_core.dynamics.coupled_rows import slopes_of
 from liegroup_core.dynamics.couplings import add_pair, coupled_rate
 from liegroup_core.dynamics.links import body_wrench, momentum, seen_from
 from liegroup_core.dynamics.loops import close_loops
-from liegroup_core.dynamics.matrix import NEAR
+from liegroup_core.dynamics.matrix import NEAR, is_off
 from liegroup_core.dynamics.residuals import gather_forces
 from liegroup_core.dynamics.trees import apply_wrenches, move_links, spread_response
 from liegroup_core.forces.external import set_external_wrenches
@@ -87,7 +87,7 @@ SIZES = 4  # of differences, each SMALLER times the one before
 SMALLER, ENOUGH = 0.125, 1e-12
 ROUND_OFF = 4.0 * np.finfo(float).eps
 # Arrays (L, 6) of links, and arrays (m,) of rows.
-ACCELERATION, WRENCH, ETA, TWIST, MOVED, SCREW, RATE = range(7)
+ACCELERATION, WRENCH, ETA, TWIST, MOVED, SCREW, RATE, STILL = range(8)
 RIGHT, MULTIPLIER, SLIP, SHIFT = range(4)
 
 
@@ -233,70 +233,77 @@ def _set_state(model, work, pose_in, twist_in, external_in, links, rows, given):
     dependent = balance(model, work)
     if dependent >= 0:
         return DEPENDENT_ROWS + (model.owners[dependent] << 8)
-    if work.report[PIVOT] < NEAR:
-        return NOT_REGULAR
     for f in range(len(work.acceleration)):
         given[f, 0] = work.acceleration[f, 0]
     for r in range(len(work.multipliers)):
         rows[MULTIPLIER, r] = work.multipliers[r]
-    A, T = links[ACCELERATION], links[WRENCH]
-    for b in range(len(model.bodies)):
+    L = len(model.bodies)
+    for b in range(L):
         link, V = link_of(model, b), load(model, work.velocities, b)
-        store(model, _acceleration(model, work, b), A, b)
-        F = add(model, momentum(model, link, load(model, A, b)), _dual(model, V, momentum(model, link, V)))
-        store(model, sub(model, F, load(model, work.applied, b)), T, b)
+        A = _acceleration(model, work, b)
+        store(model, A, links, ACCELERATION * L + b)
+        F = add(model, momentum(model, link, A), _dual(model, V, momentum(model, link, V)))
+        store(model, sub(model, F, load(model, work.applied, b)), links, WRENCH * L + b)
     for j in range(len(model.joints)):
         joint = model.joints[j]
         a, b = joint["parent"], joint["child"]
         for r in range(joint["first"], joint["first"] + joint["rows"]):
-            add_to(model, _times(model, rows[MULTIPLIER, r], _row(model, work.child_jacobian, r)), T, b)
+            F = _times(model, rows[MULTIPLIER, r], _row(model, work.child_jacobian, r))
+            add_to(model, F, links, WRENCH * L + b)
             if a != WORLD:
-                add_to(model, _times(model, rows[MULTIPLIER, r], _row(model, work.parent_jacobian, r)), T, a)
+                F = _times(model, rows[MULTIPLIER, r], _row(model, work.parent_jacobian, r))
+                add_to(model, F, links, WRENCH * L + a)
     for b in range(len(model.bodies) - 1, -1, -1):
         a = model.bodies[b]["parent"]
         if a != WORLD:
-            add_to(model, wrench_at(model, relative(model, work, b), load(model, T, b)), T, a)
+            F = wrench_at(model, relative(model, work, b), load(model, links, WRENCH * L + b))
+            add_to(model, F, links, WRENCH * L + a)
     return OK
 
 
 @kernel
-def _displace_links(model, work, direction, rates, links):
-    """Displacements, and changes of twists and accelerations, of all links; the change of their wrenches is added
-    to work.force.
+def _displace_links(model, work, moves, at, links):
+    """Displacements, and changes of twists and accelerations, of all links, and of their wrenches in work.force.
+
+    moves : psi of all freedoms from row `at` on, then w
     """
-    n, nothing, rest = len(model.parts), zero(model), _resting(model)
-    A, T, eta, twist, moved, screws = (
-        links[ACCELERATION],
-        links[WRENCH],
-        links[ETA],
-        links[TWIST],
-        links[MOVED],
-        links[SCREW],
-    )
-    for b in range(len(model.bodies)):
+    n, L, f_all, nothing, rest = len(model.parts), len(model.bodies), len(work.freedoms), zero(model), _resting(model)
+    for b in range(L):
+        store(model, nothing, work.force, b)
+    for b in range(L):
         link = link_of(model, b)
-        a, f, X = link["parent"], link["freedom"], relative(model, work, b)
-        own, rate = column_twist(model, link, direction, f), column_twist(model, link, rates, f)
+        a, f = link["parent"], at + link["freedom"]
+        still = True
+        for k in range(link["freedoms"]):
+            still = still and moves[f + k, 0] == moves[f + f_all + k, 0] == 0.0
+        still = still and (a == WORLD or links[STILL * L + a, 0] == 1.0)
+        links[STILL * L + b, 0] = 1.0 if still else 0.0
+        if still:
+            for c in (SCREW, ETA, TWIST, MOVED):
+                store(model, nothing, links, c * L + b)
+            continue
+        X = relative(model, work, b)
+        own, rate = column_twist(model, link, moves, f), column_twist(model, link, moves, f + f_all)
         V, S = load(model, work.velocities, b), rate_twist(model, link, work.stage_twist, n + b)
-        e, dV, dA, B = own, rate, nothing, Ad_inverse(model, X, rest)
+        e, dV, dA, B = own, rate, nothing, rest
         if a != WORLD:
             P = Ad_inverse(model, X, load(model, work.velocities, a))
-            e = add(model, e, Ad_inverse(model, X, load(model, eta, a)))
-            dV = add(model, dV, Ad_inverse(model, X, load(model, twist, a)))
+            e = add(model, e, Ad_inverse(model, X, load(model, links, ETA * L + a)))
+            dV = add(model, dV, Ad_inverse(model, X, load(model, links, TWIST * L + a)))
             dV = add(model, dV, _bracket(model, P, own))
-            B = Ad_inverse(model, X, load(model, A, a))
-            dA = Ad_inverse(model, X, load(model, moved, a))
-        dA = add(model, dA, _bracket(model, B, own))
+            dA = Ad_inverse(model, X, load(model, links, MOVED * L + a))
+            B = load(model, links, ACCELERATION * L + a)
+        dA = add(model, dA, _bracket(model, Ad_inverse(model, X, B), own))
         dA = add(model, dA, add(model, _bracket(model, dV, S), _bracket(model, V, rate)))
-        store(model, own, screws, b)
-        store(model, e, eta, b)
-        store(model, dV, twist, b)
-        store(model, dA, moved, b)
+        store(model, own, links, SCREW * L + b)
+        store(model, e, links, ETA * L + b)
+        store(model, dV, links, TWIST * L + b)
+        store(model, dA, links, MOVED * L + b)
         F = add(model, momentum(model, link, dA), _dual(model, dV, momentum(model, link, V)))
         F = add(model, F, _dual(model, V, momentum(model, link, dV)))
-        store(model, F, work.force, b)
+        add_to(model, F, work.force, b)
         if a != WORLD:
-            F = wrench_at(model, X, _dual(model, own, load(model, T, b)))
+            F = wrench_at(model, X, _dual(model, own, load(model, links, WRENCH * L + b)))
             add_to(model, F, work.force, a)
 
 
@@ -338,27 +345,29 @@ def _error_of(orders, count, most, size):
 
 
 @kernel
-def _difference_wrenches(model, work, external, more, wanted, links, bodies, orders, size):
+def _difference_wrenches(model, work, external, more, wanted, d, links, pose, twist, pushed, orders, size):
     """Write the changes of the wrenches of all forces to work.wrench. Returns their error, see `_error_of`.
 
-    more, wanted : changes of the external wrenches, and of the wanted values of servos
+    more, wanted : changes of the external wrenches, and of the wanted values of servos, of all directions d
+    pose, twist, pushed : scratch memory
     """
-    pose, twist, pushed, error = bodies[0], bodies[1], bodies[2], NOT_SMOOTH
+    L, n, k_all, error = len(model.bodies), len(model.parts), len(work.wanted), NOT_SMOOTH
     for _ in range(SIZES):
-        _begin(orders, 6 * len(model.parts))
+        _begin(orders, 6 * n)
         most = 0.0
         for p in range(6):
             k = p // 2
             sign = 1.0 if p % 2 == 0 else -1.0
             s = sign * (k + 1.0) * size
-            for i in range(len(model.parts)):
+            for i in range(n):
                 part = model.parts[i]
                 b = part["link"]
                 rot, r = load9(work.space.stage_pose, i, 0), load3(work.space.stage_pose, i, 9)
                 w, v = load3(work.space.stage_twist, i, 0), load3(work.space.stage_twist, i, 3)
                 if b != WORLD:
                     turned, point = matrix3(part["rotation"]), vector3(part["point"])
-                    e, dV = spatial(model, load(model, links[ETA], b)), spatial(model, load(model, links[TWIST], b))
+                    e, dV = load(model, links, ETA * L + b), load(model, links, TWIST * L + b)
+                    e, dV = spatial(model, e), spatial(model, dV)
                     e = se3_Ad_inverse(turned, point, e[0], e[1])
                     dV = se3_Ad_inverse(turned, point, dV[0], dV[1])
                     r = axpy3(s, matvec3(rot, e[1]), r)
@@ -369,24 +378,24 @@ def _difference_wrenches(model, work, external, more, wanted, links, bodies, ord
                 store3(w, twist, i, 0)
                 store3(v, twist, i, 3)
                 for c in range(external.shape[1]):
-                    pushed[i, c] = external[i, c] + s * more[i, c]
-            for c in range(len(wanted)):
-                work.wanted[c, 0] += s * wanted[c, 0]
-                work.wanted[c, 1] += s * wanted[c, 1]
+                    pushed[i, c] = external[i, c] + s * more[d * n + i, c]
+            for c in range(k_all):
+                work.wanted[c, 0] += s * wanted[d * k_all + c, 0]
+                work.wanted[c, 1] += s * wanted[d * k_all + c, 1]
             _set_forces(model, work, pushed, pose, twist)
-            for c in range(len(wanted)):
-                work.wanted[c, 0] -= s * wanted[c, 0]
-                work.wanted[c, 1] -= s * wanted[c, 1]
-            for i in range(len(model.parts)):
+            for c in range(k_all):
+                work.wanted[c, 0] -= s * wanted[d * k_all + c, 0]
+                work.wanted[c, 1] -= s * wanted[d * k_all + c, 1]
+            for i in range(n):
                 for c in range(6):
                     value = sign * work.wrench[i, c] / size
                     most = max(most, abs(value))
                     _add_value(orders, 6 * i + c, k, value)
-        error = _error_of(orders, 6 * len(model.parts), most, size)
+        error = _error_of(orders, 6 * n, most, size)
         if error != NOT_SMOOTH:
             break
         size *= SMALLER
-    for i in range(len(model.parts)):
+    for i in range(n):
         for c in range(6):
             work.wrench[i, c] = orders[2, 6 * i + c]
     return error
@@ -451,7 +460,7 @@ _change_row = choice("change_row", _change_variable_row, _no_change)
 @kernel
 def _change_rows(model, work, links, rows, orders, size):
     """Changes of the residuals of all rows of cut joints, and of their wrenches, to work.force. Returns the error."""
-    nothing, rest, error = zero(model), _resting(model), 0.0
+    L, nothing, rest, error = len(model.bodies), zero(model), _resting(model), 0.0
     for j in range(len(model.joints)):
         joint = model.joints[j]
         a, b, first = joint["parent"], joint["child"], joint["first"]
@@ -459,14 +468,16 @@ def _change_rows(model, work, links, rows, orders, size):
             rows[RIGHT, r] = rows[SLIP, r] = rows[SHIFT, r] = 0.0
         if model.coupling[j] >= 0:
             continue
-        V, e, dV = load(model, work.velocities, b), load(model, links[ETA], b), load(model, links[TWIST], b)
-        A, dA = load(model, links[ACCELERATION], b), load(model, links[MOVED], b)
+        V = load(model, work.velocities, b)
+        e, dV = load(model, links, ETA * L + b), load(model, links, TWIST * L + b)
+        A, dA = load(model, links, ACCELERATION * L + b), load(model, links, MOVED * L + b)
         X, W = seen_from(model, work, joint, a, b)
         K, dW, B, dB = sub(model, nothing, e), nothing, rest, nothing
         if a != WORLD:
-            K = _seen(model, joint, add(model, K, _Ad(model, X, load(model, links[ETA], a))))
-            dW = _Ad(model, X, load(model, links[TWIST], a))
-            B, dB = load(model, links[ACCELERATION], a), _Ad(model, X, load(model, links[MOVED], a))
+            K = _seen(model, joint, add(model, K, _Ad(model, X, load(model, links, ETA * L + a))))
+            dW = _Ad(model, X, load(model, links, TWIST * L + a))
+            B = load(model, links, ACCELERATION * L + a)
+            dB = _Ad(model, X, load(model, links, MOVED * L + a))
         B = _Ad(model, X, B)
         dW, dB = add(model, dW, _bracket(model, K, W)), add(model, dB, _bracket(model, K, B))
         C = add(model, _bracket(model, dV, W), _bracket(model, V, dW))
@@ -490,33 +501,36 @@ def _change_rows(model, work, links, rows, orders, size):
 
 
 @kernel
-def _change_couplings(model, work, direction, rows, given):
-    """Changes of curved couplings: of the residuals of their rows, and of their forces."""
+def _change_couplings(model, work, moves, at, rows, given):
+    """Changes of the rates of all couplings; of curved ones also of the residuals of their rows, and of their forces."""
+    rates = at + len(work.freedoms)
     for c in range(len(model.couplings)):
         coupling = model.couplings[c]
+        b, r = coupling["links"][1], coupling["row"]
+        first, f = model.bodies[coupling["links"][0]]["freedom"], model.bodies[b]["freedom"]
+        rows[SLIP, r] = work.factors[c, 0] * moves[rates + first, 0] + work.factors[c, 1] * moves[rates + f, 0]
         if coupling["curved"] == 0:
             continue
-        b, r = coupling["links"][1], coupling["row"]
-        f = model.bodies[b]["freedom"]
         _, bend, third = slopes_of(model, work, coupling)
         speed = work.stage_twist[len(model.parts) + b, 0]
-        factor = -bend * direction[f, 0]
+        factor = -bend * moves[at + f, 0]
+        rows[SLIP, r] += factor * speed
         rows[RIGHT, r] += factor * given[f, 0]
         if coupling["order"] == 2:
-            turned = coupling["sign"] * direction[f, 0]
-            rows[RIGHT, r] -= third * turned * speed * speed + 2.0 * bend * speed * direction[f, 1]
+            turned = coupling["sign"] * moves[at + f, 0]
+            rows[RIGHT, r] -= third * turned * speed * speed + 2.0 * bend * speed * moves[rates + f, 0]
         add_pair(model, work, b, 0, rows[MULTIPLIER, r] * factor, work.force, 1)
 
 
 @kernel
-def _change_switches(model, work, direction, rows):
+def _change_switches(model, work, moves, at, rows):
     """Changes of friction and of compliant stops: of freedoms, and of rows that are not held."""
     for k in range(len(model.switches)):
         switch = model.switches[k]
         b, f, r = switch["link"], switch["freedom"], switch["row"]
         if work.modes[k, RESTS] != 0.0 or work.held[f] != 0.0:
             continue
-        shift, rate = (direction[f, 0], direction[f, 1]) if r < 0 else (rows[SHIFT, r], rows[SLIP, r])
+        shift, rate = (moves[at + f, 0], moves[at + len(work.freedoms) + f, 0]) if r < 0 else (rows[SHIFT, r], rows[SLIP, r])
         effort = -switch["viscous"] * rate
         if work.modes[k, SIDE] != 0.0:
             effort -= switch["stiffness"] * shift + switch["damping"] * rate
@@ -563,51 +577,56 @@ def _solve(model, work, rows):
 
 
 @kernel
-def tangents(
-    model, work, directions, more, wanted, sizes, pose, twist, external, links, bodies, rows, orders, given, out
-):
-    """Write the derivatives of psi' and w' along all directions to out (d, f + 1, 2); its last row has an error.
+def tangents(model, work, moves, more, wanted, sizes, state, links, bodies, rows, orders, given, out):
+    """Write the derivatives of psi' and w' along d directions to out (d, 2 f + 1 + m), their error, and those of J V.
 
-    directions (d, f, 2), more (d, n, COLUMNS), wanted (d, k, 2) : changes of y, see probe.py, and of the inputs
+    moves (2 d f, 1) : psi of all freedoms, then w, see probe.py, for one direction after the other
+    more (d n, COLUMNS), wanted (d k, 2) : changes of the inputs
     sizes (d,)  : first distance of differences
-    pose, twist, external : state
-    links (7, L, 6), bodies (3, n, 25), rows (4, m), orders (3, 6 n + 7), given (f, 2) : scratch memory
-    returns a status, or NOT_REGULAR
+    state       : pose, twist, external wrenches
+    bodies      : scratch memory of the same shapes
+    links (8 L, 6), rows (4, m), orders (3, 6 n + 7), given (f, 1) : scratch memory
+    returns a status; NOT_REGULAR: only the derivatives of J V are valid
     """
-    status = _set_state(model, work, pose, twist, external, links, rows, given)
+    moves, more, wanted, sizes = borrowed(moves), borrowed(more), borrowed(wanted), borrowed(sizes)
+    links, rows, orders, given, out = borrowed(links), borrowed(rows), borrowed(orders), borrowed(given), borrowed(out)
+    external, shown_pose, shown_twist, pushed = borrowed(state[2]), borrowed(bodies[0]), borrowed(bodies[1]), bodies[2]
+    pushed = borrowed(pushed)
+    status = _set_state(model, work, borrowed(state[0]), borrowed(state[1]), external, links, rows, given)
     if status != OK:
         return status
-    n, applies = len(model.parts), model.space.forces.exist or work.pushed[0] > 0.0
-    rates = given[:, 1:]
-    for d in range(len(directions)):
-        direction, error, pushes = directions[d], 0.0, applies
-        for b in range(len(model.bodies)):
-            store(model, zero(model), work.force, b)
-        for f in range(len(given)):
-            rates[f, 0] = direction[f, 1]
-        _displace_links(model, work, direction, rates, links)
+    is_regular = work.report[PIVOT] >= NEAR
+    n, L, f_all = len(model.parts), len(model.bodies), len(given)
+    applies = model.space.forces.exist or work.pushed[0] > 0.0
+    for d in range(len(sizes)):
+        at, error, pushes = 2 * d * f_all, 0.0, applies
+        _displace_links(model, work, moves, at, links)
         for i in range(n):
-            for c in range(external.shape[1]):
-                pushes = pushes or more[d, i, c] != 0.0
+            for c in range(6):
+                pushes = pushes or more[d * n + i, c] != 0.0
         if pushes:
-            error = _difference_wrenches(model, work, external, more[d], wanted[d], links, bodies, orders, sizes[d])
+            error = _difference_wrenches(
+                model, work, external, more, wanted, d, links, shown_pose, shown_twist, pushed, orders, sizes[d]
+            )
             for i in range(n):
                 b = model.parts[i]["link"]
                 if b != WORLD:
                     add_to(model, _times(model, -1.0, body_wrench(model, work, i)), work.force, b)
         if len(model.joints) > 0:
             error = max(error, _change_rows(model, work, links, rows, orders, sizes[d]))
-            _change_couplings(model, work, direction, rows, given)
-        _change_switches(model, work, direction, rows)
+            _change_couplings(model, work, moves, at, rows, given)
+        _change_switches(model, work, moves, at, rows)
         _solve(model, work, rows)
-        for b in range(len(model.bodies)):
+        for b in range(L):
             link = link_of(model, b)
             S = rate_twist(model, link, work.stage_twist, n + b)
-            rates_of(model, link, _bracket(model, load(model, links[SCREW], b), S), links[RATE], b)
-            for k in range(model.bodies[b]["freedoms"]):
-                f = model.bodies[b]["freedom"] + k
+            rates_of(model, link, _bracket(model, load(model, links, SCREW * L + b), S), links, RATE * L + b)
+            for k in range(link["freedoms"]):
+                f = link["freedom"] + k
                 # dexp^-1_{-psi} (V + w) to first order
-                out[d, f, 0] = direction[f, 1] + 0.5 * links[RATE, b, k]
-                out[d, f, 1] = work.acceleration[f, 0]
-        out[d, len(given), 0] = error
-    return OK
+                out[d, f] = moves[at + f_all + f, 0] + 0.5 * links[RATE * L + b, k]
+                out[d, f_all + f] = work.acceleration[f, 0]
+        out[d, 2 * f_all] = error
+        for r in range(rows.shape[1]):
+            out[d, 2 * f_all + 1 + r] = 0.0 if is_off(model, work, r) else rows[SLIP, r]
+    return OK if is_regular else NOT_REGULAR
