@@ -9,6 +9,7 @@ the polynomial without the middle node estimates the error.
 times.py confirms and locates the suspected crossings.
 """
 
+import functools
 import math
 
 import numpy as np
@@ -29,7 +30,12 @@ def rows_and_weights(times):
     times : (s + 1,) of the stages and of the end, as fractions of the step
     The weights give the polynomials through all nodes, and through all but the middle one.
     """
-    stages = len(times) - 1
+    return _rows_and_weights(tuple(np.asarray(times).tolist()))
+
+
+@functools.cache
+def _rows_and_weights(times):
+    times, stages = np.array(times), len(times) - 1
     chosen = [0, stages]
     for stage in reversed(range(1, stages)):
         if len(chosen) < NODES and np.abs(times[stage] - times[chosen]).min() >= APART:

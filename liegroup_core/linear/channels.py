@@ -127,15 +127,18 @@ class Outputs:
         own = {each.name: (f, each.sign) for f, each in enumerate(layout.freedoms) if each.is_of_joint}
         found = [(own.get(name.rpartition(".")[0]), name.endswith(".velocity")) for name in self.names]
         self._freedoms = None
-        if self._kinds == ["joints"] and all(freedom for freedom, _ in found):
+        if set(self._kinds) <= {"joints"} and all(freedom for freedom, _ in found):
             self._freedoms = [(f, sign, int(is_rate)) for (f, sign), is_rate in found]
 
     def __len__(self):
         return len(self.names)
 
-    def along(self, y):
-        """(k,) derivatives along y (f, 2) where all outputs are coordinates and rates of the tree, else None."""
-        return None if self._freedoms is None else np.array([sign * y[f, rate] for f, sign, rate in self._freedoms])
+    def along(self, directions):
+        """(d, k) derivatives along directions (d, f, 2) where all outputs are coordinates and rates, else None."""
+        if self._freedoms is None:
+            return None
+        rows = [sign * directions[:, f, rate] for f, sign, rate in self._freedoms]
+        return np.reshape(rows, (len(rows), len(directions))).T
 
     def of(self, sample):
         """(k,) outputs of a Sample; rotation vectors are relative to the state."""

@@ -15,8 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from liegroup_core.errors import SimulationError
-
 from .channels import Inputs, Outputs
 from .coordinates import Coordinates
 from .differences import derivative
@@ -227,51 +225,34 @@ def system_of(probe, inputs=None, outputs=None, independent=None, preferred=()):
     signs = np.concatenate([coordinates.signs, coordinates.rate_signs])
     m, states = len(coordinates.independent), len(rows)
 
-    def moving(y, applied=(None, None)):
-        return signs * probe.slopes(y, *applied)[0][rows]
+    moves = [(coordinates.neighbour(k, 1.0), coordinates.size(k)) for k in range(m)]
+    moves += [(coordinates.neighbour(k, 1.0, True), coordinates.rate_size(k)) for k in range(states - m)]
+    count = len(moves) + len(inputs)
+    directions, sizes = np.zeros((count, probe.freedoms, 2)), np.concatenate([[h for _, h in moves], inputs.sizes])
+    directions[: len(moves)] = np.reshape([y for y, _ in moves], (len(moves), probe.freedoms, 2))
+    slopes, uncertain, _ = probe.tangents(directions, sizes, *inputs.changes(len(moves)))
+    found = signs * slopes[:, rows]
+    errors = (uncertain + ROUND_OFF)[:, None] * np.abs(found).max(axis=1, initial=0.0)[:, None] * np.ones(states)
 
-    def seen(y, applied=(None, None)):
-        _, pose, twist = probe.slopes(y, *applied)
+    def at(d, s):
+        """(slopes, poses, twists) at a distance s along direction d, and the inputs there."""
+        applied = (None, None) if d < len(moves) else inputs.applied(s * np.eye(len(inputs))[d - len(moves)])
+        return probe.slopes(s * directions[d], *applied), applied
+
+    def seen(d, s):
+        (_, pose, twist), applied = at(d, s)
         return outputs.of(probe.sample(pose, twist, *applied))
 
-    columns, errors = [], []
-
-    def add(at, h, direction, tangent, sign=1.0):
-        """Add a column: derivative by s of a state and its inputs at(s); tangent : its slopes and their error."""
-        if tangent[1] == NOT_SMOOTH:
-            found, error = derivative(lambda s: moving(*at(s)), h)
-        else:
-            found = signs * tangent[0][rows]
-            error = np.full(len(rows), (tangent[1] + ROUND_OFF) * np.abs(found).max(initial=0.0))
-        parts = [(found, error)]
-        along = outputs.along(direction)
-        if along is not None:
-            parts.append((along, np.zeros(len(along))))
-        elif len(outputs):
-            parts.append(derivative(lambda s: seen(*at(s)), h))
-        column, uncertainty = (np.concatenate(part) for part in zip(*parts))
-        columns.append(sign * column)
-        errors.append(uncertainty)
-
-    moves = [(k, False, coordinates.size(k), coordinates.signs[k]) for k in range(m)]
-    moves += [(k, True, coordinates.rate_size(k), coordinates.rate_signs[k]) for k in range(states - m)]
-    count = len(moves) + len(inputs)
-    directions = np.zeros((count + 1, probe.freedoms, 2))  # the last one: no displacement
-    for d, (k, rate, *_) in enumerate(moves):
-        directions[d] = coordinates.neighbour(k, 1.0, rate)
-    sizes = np.array([*(size for _, _, size, _ in moves), *inputs.sizes])
-    tangents = list(zip(*probe.tangents(directions[:-1], sizes, *inputs.changes(len(moves)))[:2]))
-    for (k, rate, size, sign), direction, tangent in zip(moves, directions, tangents):
-        add(lambda s, direction=direction: (s * direction,), size, direction, tangent, sign)
-        if not rate:
-            # In the chart that moves with the state, d/dt psi = w + [psi, V]; in the fixed one half of the bracket.
-            half = sign * columns[-1][:m] - coordinates.signs * coordinates.changes[coordinates.independent, k]
-            columns[-1][:m] += sign * half
-    for change, size, tangent in zip(np.eye(len(inputs)), inputs.sizes, tangents[len(moves) :]):
-        add(lambda s, change=change: (None, inputs.applied(s * change)), size, directions[-1], tangent)
-    matrix, error = (
-        np.array(part).reshape(states + len(inputs), states + len(outputs)).T for part in (columns, errors)
-    )
+    for d in np.flatnonzero(uncertain == NOT_SMOOTH):
+        found[d], errors[d] = derivative(lambda s, d=d: signs * at(d, s)[0][0][rows], sizes[d])
+    # In the chart that moves with the state, d/dt psi = w + [psi, V]; in the fixed one half of the bracket.
+    found[:m, :m] += found[:m, :m] - (coordinates.signs * coordinates.changes[coordinates.independent].T)
+    shown, doubt = outputs.along(directions), np.zeros((count, len(outputs)))
+    if shown is None:
+        parts = [derivative(lambda s, d=d: seen(d, s), sizes[d]) for d in range(count)]
+        shown, doubt = (np.reshape(part, (count, len(outputs))) for part in zip(*parts)) if parts else (doubt, doubt)
+    matrix, error = np.hstack([found, shown]).T, np.hstack([errors, doubt]).T
+    matrix[:, :states] *= signs
     # Round-off of entries that are zero would couple what is not: eigenvectors depend on it.
     matrix[np.abs(matrix) <= error] = 0.0
     own, rest = slice(0, states), slice(states, None)

@@ -57,7 +57,7 @@ from liegroup_core.forces.kinds import add_wrenches
 from liegroup_core.joints.elements import PAIR, WORLD
 from liegroup_core.joints.kinds import variable_row
 from liegroup_core.lie.se2 import se2_Ad, turn_back2
-from liegroup_core.lie.se3 import se3_ad, se3_Ad, se3_Ad_inverse
+from liegroup_core.lie.se3 import se3_Ad, se3_ad, se3_Ad_inverse
 from liegroup_core.lie.so3 import so3_exp
 from liegroup_core.lie.vec3 import (
     ZERO3,
@@ -530,7 +530,9 @@ def _change_switches(model, work, moves, at, rows):
         b, f, r = switch["link"], switch["freedom"], switch["row"]
         if work.modes[k, RESTS] != 0.0 or work.held[f] != 0.0:
             continue
-        shift, rate = (moves[at + f, 0], moves[at + len(work.freedoms) + f, 0]) if r < 0 else (rows[SHIFT, r], rows[SLIP, r])
+        shift, rate = (
+            (moves[at + f, 0], moves[at + len(work.freedoms) + f, 0]) if r < 0 else (rows[SHIFT, r], rows[SLIP, r])
+        )
         effort = -switch["viscous"] * rate
         if work.modes[k, SIDE] != 0.0:
             effort -= switch["stiffness"] * shift + switch["damping"] * rate
