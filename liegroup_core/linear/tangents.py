@@ -502,7 +502,7 @@ def _change_rows(model, work, links, rows, orders, size):
 
 @kernel
 def _change_couplings(model, work, moves, at, rows, given):
-    """Changes of the rates of all couplings; of curved ones also of the residuals of their rows, and of their forces."""
+    """Changes of the rates of all couplings; of curved ones also of the residuals and forces of their rows."""
     rates = at + len(work.freedoms)
     for c in range(len(model.couplings)):
         coupling = model.couplings[c]

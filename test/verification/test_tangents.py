@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tangents of the equations of motion, against differences of the accelerations that engine and tests share.
+
+The accelerations themselves are compared with exact ones elsewhere (test_linear.py, test_accelerations.py).
+"""
+
+import numpy as np
+import pytest
+import random_mechanisms
+import stop_scenes
+
+from liegroup_core import Simulation
+from liegroup_core.errors import SimulationError
+from liegroup_core.linear.channels import Inputs
+from liegroup_core.linear.coordinates import Coordinates
+from liegroup_core.linear.differences import derivative
+from liegroup_core.linear.probe import Probe
+from liegroup_core.linear.tangents import NOT_SMOOTH
+from liegroup_core.scene.load import load_scene, scene_from_text
+
+# Differences of order six have the error of h^6 / 140, h = 0.01, of the seventh derivative, and 2 eps / h of the
+# accelerations: about 1e-12 of the largest entry, more where these are much larger than their changes.
+DIGITS = 1e-10
+# With masses 1e6 apart the solve without refinement has fewer digits than the refined one of the accelerations.
+DIGITS_OF = {"mass ratios": 1e-9}
+CLASSES = [name for name in random_mechanisms.CLASSES if name != "large"]
+
+
+def differ(simulation, digits=DIGITS):
+    """Compare all columns; returns their number."""
+    probe = Probe(simulation)
+    coordinates, inputs = Coordinates(probe), Inputs(probe, ["efforts", "targets", "wrenches"])
+    moves = [(coordinates.neighbour(k, 1.0), coordinates.size(k)) for k in range(len(coordinates.independent))]
+    moves += [(coordinates.neighbour(k, 1.0, True), coordinates.rate_size(k)) for k in range(len(coordinates.moving))]
+    count = len(moves)
+    directions = np.zeros((count + len(inputs), probe.freedoms, 2))
+    directions[:count] = np.reshape([y for y, _ in moves], (count, probe.freedoms, 2))
+    sizes = np.array([*(h for _, h in moves), *inputs.sizes])
+    found, errors, _ = probe.tangents(directions, sizes, *inputs.changes(count))
+    expected = []
+    for d in range(len(directions)):
+        applied = (None, None) if d < count else np.eye(len(inputs))[d - count]
+
+        def slopes(s, d=d, applied=applied):
+            given = applied if d < count else inputs.applied(s * applied)
+            return probe.slopes(s * directions[d], *given)[0]
+
+        # Accelerations are linear in the inputs, up to the limits of servos.
+        expected.append(derivative(slopes, sizes[d] if d < count else 1e-3)[0])
+    for part in (slice(0, count), slice(count, None)):
+        smooth = errors[part] != NOT_SMOOTH
+        wanted = np.reshape(expected[part], found[part].shape)[smooth]
+        size = np.abs(wanted).max(initial=0.0) + np.abs(probe.slopes()[0]).max(initial=0.0)
+        off = np.abs(found[part][smooth] - wanted)
+        assert off.max(initial=0.0) <= digits * size, (part, np.unravel_index(off.argmax(), off.shape), size)
+    return np.sum(errors != NOT_SMOOTH)
+
+
+@pytest.mark.parametrize("name", CLASSES)
+def test_tangents_of_random_mechanisms_are_the_derivatives_of_their_accelerations(name):
+    """With forces of all kinds, along every independent coordinate, rate and input."""
+    compared = 0
+    for seed in range(6):
+        scene, _ = random_mechanisms.random_mechanism(name, seed)
+        try:
+            compared += differ(
+                Simulation(scene, "rkmk4", 1e-3, estimate=False, quiet=True), DIGITS_OF.get(name, DIGITS)
+            )
+        except SimulationError:
+            continue  # a singular pose
+    assert compared > 40
+
+
+@pytest.mark.parametrize("name", ["bicycle", "diff_drive", "cable", "driven_arm", "flyball_governor", "stick_slip"])
+def test_tangents_of_scenes(name):
+    """Rolling, cables, couplings, driven joints and friction, in motion."""
+    simulation = Simulation(load_scene(name), "rkmk4", 1e-4, estimate=False, quiet=True)
+    simulation.advance(200)
+    assert differ(simulation) > 0
+
+
+def test_tangents_of_curved_couplings_and_of_switches():
+    """A coupling q_1 = 0.7 q_2 + 0.3 q_2^2 - 0.2 q_2^3, sliding friction, a compliant stop, and held joints."""
+    text = (
+        "name: c\ngravity: [0, 0, -9.81]\nbodies:\n"
+        "  - {name: a, mass: 1.0, inertia: [0.02, 0.03, 0.02], com: [0.1, 0, 0], angular_velocity: [0, 0.42, 0.56]}\n"
+        "  - {name: b, mass: 1.5, inertia: [0.02, 0.03, 0.02], com: [0.2, 0.1, 0], angular_velocity: [0, 1, 0]}\n"
+        "  - {name: c, mass: 0.5, inertia: [0.02, 0.03, 0.02], com: [0.1, 0.1, 0], angular_velocity: [0.0, 2.0, 0]}\n"
+        "joints:\n"
+        "  - {name: one, type: revolute, parent: world, child: a, child_frame: {axis: [0, 0.6, 0.8]}}\n"
+        "  - {name: two, type: revolute, parent: world, child: b, child_frame: {axis: [0, 1, 0]}}\n"
+        "  - {name: three, type: revolute, parent: world, child: c, child_frame: {axis: [0, 1, 0]},\n"
+        "     friction: {coulomb: 0.1, viscous: 0.3}, limits: {lower: -1, upper: 0.02, stiffness: 300.0, damping: 2.0}}\n"
+        "couplings: [{name: cam, joint: one, other: two, ratio: 0.7, curve: [0.3, -0.2]}]\n"
+    )
+    simulation = Simulation(scene_from_text(text, "test"), "rkmk4", 1e-4, estimate=False, quiet=True)
+    simulation.advance(200)
+    assert differ(simulation) > 0
+    simulation = Simulation(scene_from_text(stop_scenes.PRESS, "test"), "rkmk4", 1e-4, estimate=False, quiet=True)
+    simulation.advance(400)
+    assert differ(simulation) > 0
