@@ -90,7 +90,8 @@ def test_tangents_of_curved_couplings_and_of_switches():
         "  - {name: one, type: revolute, parent: world, child: a, child_frame: {axis: [0, 0.6, 0.8]}}\n"
         "  - {name: two, type: revolute, parent: world, child: b, child_frame: {axis: [0, 1, 0]}}\n"
         "  - {name: three, type: revolute, parent: world, child: c, child_frame: {axis: [0, 1, 0]},\n"
-        "     friction: {coulomb: 0.1, viscous: 0.3}, limits: {lower: -1, upper: 0.02, stiffness: 300.0, damping: 2.0}}\n"
+        "     friction: {coulomb: 0.1, viscous: 0.3},\n"
+        "     limits: {lower: -1, upper: 0.02, stiffness: 300.0, damping: 2.0}}\n"
         "couplings: [{name: cam, joint: one, other: two, ratio: 0.7, curve: [0.3, -0.2]}]\n"
     )
     simulation = Simulation(scene_from_text(text, "test"), "rkmk4", 1e-4, estimate=False, quiet=True)
