@@ -46,7 +46,7 @@ class Trim:
     undetermined : names of inputs that can change together without effect on the equilibrium
     residual  : largest acceleration that remains, rad/s^2 or m/s^2
     is_steady : whether the accelerations stay zero while it moves; False where driven joints move
-    system    : LinearSystem there, with the inputs that were asked for
+    system    : LinearSystem there, with the inputs to find; with the default ones if there are none
     """
 
     bodies: tuple
@@ -198,7 +198,7 @@ def _trim(probe, coordinates, inputs, u, pushed, accelerations):
         undetermined=undetermined(pushed, inputs.names),
         residual=float(np.abs(accelerations).max(initial=0.0)),
         is_steady=_is_steady(probe, coordinates, inputs, u),
-        system=system_of(probe),
+        system=system_of(probe, inputs.names or None),
     )
 
 

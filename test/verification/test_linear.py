@@ -332,6 +332,7 @@ def test_redundant_inputs_hold_a_pose_by_the_smallest_sum_of_squares():
     assert result.inputs["a.effort"] == pytest.approx(0.5 * sign * abs(torque), rel=1e-9)
     assert result.inputs["b.effort"] == pytest.approx(result.inputs["a.effort"], rel=1e-9)
     assert set(result.undetermined) == {"a.effort", "b.effort"}
+    assert result.system.inputs == ("a.effort", "b.effort")  # not that of joint c
 
 
 def test_an_equilibrium_beyond_a_stop_is_none():
