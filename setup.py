@@ -42,6 +42,8 @@ setup(
     ],
     extras_require={
         "figures": ["matplotlib", "mpmath"],
+        # Design of controllers: LinearSystem.to_control.
+        "control": ["control"],
         # exact: exact solutions in `liegroup_sim analyze`. many: many recordings or runs on a
         # cluster, and the files of `liegroup_sim sweep`. remote: recordings at http(s) addresses;
         # other kinds need their own package, such as s3fs for s3://.
@@ -58,6 +60,7 @@ setup(
         "test": [
             "aiohttp",
             "av",
+            "control",
             "dask",
             "distributed",
             "fast-simplification",

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""docs/how-to/design.md: trim, LQR, closed loop of two processes over DDS, and the check of its recording."""
+
+import re
+import shlex
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from node_process import COMPILING, NODE, PUSH, python
+from rosgraph_msgs.msg import Clock
+
+from liegroup_sim_ros.commands.main import main
+from liegroup_sim_ros.recording import read_recording
+
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "how-to" / "design.md").read_text()
+FILES = dict(re.findall(r"^`(\w+\.\w+)`[^`\n]*:\n\n```\w+\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL))
+COMMANDS = [
+    shlex.split(line)
+    for line in re.findall(r"^    ((?:sim_node|python|liegroup_sim) .*)$", PAGE.replace("\\\n", ""), re.MULTILINE)
+]
+SLOWER = ("-p", "real_time_factor:=0.5")  # a busy machine delays the controller by half as much of its time
+
+
+def test_the_page_designs_a_controller_and_the_recording_agrees(tmp_path, monkeypatch, capsys, client):
+    pytest.importorskip("control")
+    monkeypatch.chdir(tmp_path)
+    assert list(FILES) == ["cart_pole.yaml", "design.py", "controller.py", "check.py"]
+    for name, text in FILES.items():
+        Path(name).write_text(text)
+    (block,) = re.findall(r"^```sh\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+    (command,) = [shlex.split(line) for line in block.splitlines()]
+    assert command[0] == "liegroup_sim" and main(command[1:]) == 0
+    printed = capsys.readouterr().out
+    shown = re.search(r"^```$\n\n((?:    .*\n)+)", PAGE[PAGE.index(block) :], re.MULTILINE)[1]
+    assert len(shown.splitlines()) == 4 and all(line.strip() in printed for line in shown.splitlines())
+
+    exec(compile(FILES["design.py"], "design.py", "exec"), names := {})
+    design = np.load("design.npz")
+    unstable, real, imaginary = map(
+        float, re.search(r"pole at ([\d.]+)/s is unstable.* are ([-\d.]+) ± ([\d.]+)i", PAGE, re.DOTALL).groups()
+    )
+    assert names["plant"].poles().real.max() == pytest.approx(unstable, abs=5e-3)
+    assert names["found"].system.states == ("rail", "pivot", "rail.rate", "pivot.rate")  # x of controller.py
+    assert max(design["poles"], key=lambda p: (p.real, p.imag)) == pytest.approx(complex(real, imaginary), abs=7e-3)
+
+    (_, *node), (_, controller), (_, *push) = COMMANDS
+    clock = client.listen("/clock", Clock, 1)
+
+    def passed(seconds):
+        end = now() + seconds
+        client.until(lambda: now() > end, COMPILING, f"{seconds} s of simulated time")
+
+    def now():
+        return clock[-1].clock.sec + 1e-9 * clock[-1].clock.nanosec if clock else 0.0
+
+    simulation = python(NODE, *node, *SLOWER)
+    controller = python(Path(controller).read_text())
+    try:
+        passed(4.0)
+        pushed = python(PUSH, *push)
+        output, errors = pushed.communicate(timeout=60)
+        assert pushed.returncode == 0, errors
+        passed(5.0)
+        for process in (simulation, controller):
+            process.send_signal(signal.SIGINT)
+            _, errors = process.communicate(timeout=30)
+            assert process.returncode == 0, errors
+    finally:
+        simulation.kill()
+        controller.kill()
+
+    exec(compile(FILES["check.py"], "check.py", "exec"), names := {})
+    said = capsys.readouterr().out
+    assert re.search(r"deviation .* at the end: .*\nslowest poles: .* designed: .*\n", said), said
+    # A delay of 10 ms, which a busy machine may have, changes the slowest poles by 2 %.
+    np.testing.assert_allclose(
+        *(np.sort_complex(each)[-2:] for each in (names["measured"], design["poles"])), rtol=0.05
+    )
+    states = read_recording("run.mcap").joint_states
+    x = np.hstack([states.position, states.velocity]) - design["x"]
+    assert states.names == ("rail", "pivot") and np.abs(x[0]).max() == pytest.approx(0.0997, abs=1e-4)
+    after = states.time > names["end"]
+    assert np.abs(x[after]).max() > 0.2 and np.abs(x[-1]).max() < 0.01
