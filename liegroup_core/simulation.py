@@ -160,7 +160,9 @@ class Simulation(Engine):
         self.undo()
         if self._control is None:
             raise ValueError("`set_accuracy` needs a simulation made with an accuracy; this one has a method")
-        self._control.change(_checked(accuracy), self.time, self.largest_error)
+        accuracy = _checked(accuracy)
+        self._running.meet()  # its tolerances change at this time, however far it has come
+        self._control.change(accuracy, self.time, self.largest_error)
         self._warned = self.accurate_until <= self.time
 
     @property

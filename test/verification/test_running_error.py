@@ -191,6 +191,26 @@ def test_the_companion_shares_out_its_work_over_the_steps():
     assert max(blocks) > running.ours
 
 
+def test_another_accuracy_comes_at_one_time_for_the_companion_too():
+    """Efforts at 500 Hz have the same result as they come and known before each step, as when a run is repeated."""
+    runs = []
+    for known in (False, True):
+        simulation, states = Simulation(load_scene("double_pendulum"), quiet=True), []
+        for k in range(1000):
+            if not known:
+                instant = simulation.instant_of(2_000_000 * k)
+                simulation.reach(instant)
+                simulation.sample_at(instant if instant.offset else None)
+            simulation.apply_effort("shoulder", 8.0 * math.sin(0.06 * k), start=2 * k / 1000)
+            if k == 300:
+                simulation.set_accuracy(1e-3)
+            if k % 5 == 4:
+                simulation.advance(1)
+                states.append(simulation.state()[0].copy())
+        runs.append(states)
+    np.testing.assert_array_equal(*runs)
+
+
 def test_a_companion_that_fails_between_checkpoints_is_noticed_at_the_next(monkeypatch):
     """However the steps are asked for."""
     ends = []
