@@ -29,7 +29,7 @@ def add_arguments(parser):
         "Linearise the equations of motion at a state: d/dt dx = A dx + B du, dy = C dx + D du, with loops in "
         "independent coordinates. Stops and friction keep their modes."
     )
-    parser.add_argument("--out", metavar="FILE", help="file (*.json, *.npz or *.mat) of the system; of one time")
+    add_out(parser)
     parser.add_argument(
         "--inputs",
         nargs="*",
@@ -49,8 +49,13 @@ def add_arguments(parser):
     add_states(parser)
 
 
-def run(args):
-    """Run the subcommand; returns the exit code."""
+def add_out(parser):
+    """Argument of a file for a LinearSystem."""
+    parser.add_argument("--out", metavar="FILE", help="file (*.json, *.npz or *.mat) of the system; of one time")
+
+
+def check_out(args):
+    """Raise StateError if the file cannot take the system."""
     if args.out is not None:
         if Path(args.out).suffix not in ENDINGS:
             raise StateError(f"{args.out}: the name must end in {', '.join(ENDINGS[:-1])} or {ENDINGS[-1]}")
@@ -58,6 +63,11 @@ def run(args):
             raise StateError("--out takes the system of one time: give one --at, or --json")
         if Path(args.out).exists():
             raise StateError(f"{args.out}: exists already; choose another name")
+
+
+def run(args):
+    """Run the subcommand; returns the exit code."""
+    check_out(args)
     console, found = Console(file=sys.stdout), []
     for time, simulation, inside in states(args):
         system = linearise(simulation, args.inputs, args.outputs, args.independent, inside)
@@ -65,7 +75,7 @@ def run(args):
         known = [x if x == x else None for x in errors.tolist()]
         found.append({**system.as_dict(), "time": time, "pole_errors": known, "change": change})
         if args.out is not None:
-            _save(system, args.out)
+            save(system, args.out)
         if not args.json:
             print_system(system, time, console, errors, change)
     if args.json:
@@ -73,7 +83,8 @@ def run(args):
     return 0
 
 
-def _save(system, path):
+def save(system, path):
+    """Write a LinearSystem. Raises StateError."""
     try:
         system.save(path)
     except OSError as error:

@@ -12,7 +12,7 @@ from rich.text import Text
 from liegroup_core.linear import TrimError, modes_of, trim
 from liegroup_sim_ros.numbers import shown
 
-from .linearise import print_system
+from .linearise import add_out, check_out, print_system, save
 from .states import StateError, add_states, states, stopped
 
 RESTING = 1e-9  # rad/s or m/s
@@ -31,12 +31,14 @@ def add_arguments(parser):
     parser.add_argument(
         "--inputs", nargs="+", default=[], metavar="NAME", help="inputs to find, as of `liegroup_sim linearise`"
     )
+    add_out(parser)
     parser.add_argument("--json", action="store_true", help="print JSON")
     add_states(parser)
 
 
 def run(args):
     """Run the subcommand; returns the exit code."""
+    check_out(args)
     rates, console, found = _rates(args.rates), Console(file=sys.stdout), []
     for time, simulation, inside in states(args):
         try:
@@ -44,6 +46,8 @@ def run(args):
         except TrimError as error:
             return stopped(error)
         found.append(_entries(result, time))
+        if args.out is not None:
+            save(result.system, args.out)
         if not args.json:
             _print(result, time, console)
     if args.json:

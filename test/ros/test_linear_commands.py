@@ -93,6 +93,14 @@ def test_the_energy_of_efforts_is_that_of_the_mechanism(tmp_path, capsys):
     assert main(["inverse", str(scene), "--motion", str(table), "--out", str(out)]) == 2
 
 
+def test_trim_writes_the_system_of_the_equilibrium(tmp_path, capsys):
+    held = ["--hold", "shoulder", "elbow", "--inputs", "shoulder.effort", "elbow.effort"]
+    answer(capsys, "trim", "double_pendulum", *held, "--out", str(tmp_path / "held.json"))
+    system = json.loads((tmp_path / "held.json").read_text())
+    assert system["inputs"] == ["shoulder.effort", "elbow.effort"]
+    assert np.abs(system["slope"]).max() < 1e-8
+
+
 @pytest.mark.parametrize(
     "arguments, text",
     [
@@ -107,6 +115,7 @@ def test_the_energy_of_efforts_is_that_of_the_mechanism(tmp_path, capsys):
         (["modes", "four_bar", "--period", "-1"], "--period takes a time greater than 0 s"),
         (["trim", "four_bar", "--rates", "crank"], "--rates: expected NAME=RATE with a finite number, each once"),
         (["trim", "four_bar", "--hold", "crank"], "unknown coordinate 'crank'"),
+        (["trim", "four_bar", "--out", "a.txt"], "a.txt: the name must end in .json, .npz or .mat"),
         (["sensitivities", "four_bar", "--by", "masss", "--at", "1"], "the scene has no parameter masss"),
         (["sensitivities", "heavy_top", "--by", "top.mass", "--at", "2", "1"], "--at must be times in s from 0 on"),
         (["inverse", "four_bar", "--motion", "none.csv"], "none.csv: cannot be read: No such file or directory"),
