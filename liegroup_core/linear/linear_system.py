@@ -6,7 +6,7 @@
 with independent coordinates z in the chart that moves with the state (probe.py, coordinates.py): X = X_0(t) exp
 psi. At an equilibrium or a steady motion they describe small motions about it, elsewhere the growth of small
 differences at that instant.
-Entries are derivatives of the equations that the engine integrates (differences.py).
+Entries of A and B are tangents of the equations that the engine integrates (tangents.py).
 """
 
 import json
