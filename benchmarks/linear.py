@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cost of linear systems: time of `linearise`, of its derivatives alone, and of an evaluation, with growth in size.
+"""Cost of linear systems: of `linearise`, of the tangents alone, and of an evaluation, with growth in size.
 
     python benchmarks/linear.py
 
-With Pinocchio installed (pip install pin) also its computeABADerivatives on the same chains. Medians of runs.
+Tangents: derivatives of all accelerations with respect to all coordinates and rates, in machine code, from the
+difference of calls with these directions once and 21 times. Evaluation: a stage of the method rkmk4. With Pinocchio
+installed (pip install pin example-robot-data) also its computeABADerivatives of the same chains and robots, which is
+C++. Medians of runs.
 """
 
 import statistics
 import time
 from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 
@@ -32,10 +36,8 @@ def median(call):
     return 1e6 * statistics.median(times)
 
 
-def pinocchio_us(links):
-    """Time of computeABADerivatives for a chain of hinges, us; nan without Pinocchio."""
-    if find_spec("pinocchio") is None:
-        return float("nan")
+def chain_of_peer(links):
+    """Pinocchio's model of a chain of hinges."""
     import pinocchio as pin
 
     model, joint = pin.Model(), 0
@@ -43,29 +45,65 @@ def pinocchio_us(links):
         place = pin.SE3(np.eye(3), np.array([0.1 if k else 0.0, 0.0, 0.0]))
         joint = model.addJoint(joint, pin.JointModelRY(), place, f"j{k}")
         model.appendBodyToJoint(joint, pin.Inertia(0.1, np.array([0.05, 0, 0]), 1e-4 * np.eye(3)), pin.SE3.Identity())
+    return model
+
+
+def pinocchio_us(model):
+    """Time of computeABADerivatives, us."""
+    import pinocchio as pin
+
     data, rng = model.createData(), np.random.default_rng(0)
-    q, v, tau = rng.normal(size=(3, links))
+    q, v, tau = pin.neutral(model), rng.normal(size=model.nv), rng.normal(size=model.nv)
     return median(lambda: pin.computeABADerivatives(model, data, q, v, tau))
 
 
-def row(name, scene, links=0):
-    simulation = Simulation(scene, "rkmk4", 1e-3, estimate=False, quiet=True)
+def tangents_us(probe):
+    """Time of the tangents along all coordinates and rates of the tree, us."""
+    f = probe.freedoms
+    directions = np.eye(2 * f).reshape(2 * f, 2, f).swapaxes(1, 2)
+    many = np.concatenate(21 * [directions])
+    calls = [
+        lambda each=each, sizes=np.full(len(each), 1e-2): probe.tangents(each, sizes) for each in (directions, many)
+    ]
+    once, often = map(median, calls)
+    return (often - once) / 20.0
+
+
+def robots():
+    """URDF files of an arm with six hinges, one with seven, and a humanoid with 32, as far as they are installed."""
+    spec = find_spec("cmeel")
+    if spec is None:
+        return []
+    folder = Path(spec.origin).parents[1] / "cmeel.prefix" / "share" / "example-robot-data" / "robots"
+    names = ("ur_description/urdf/ur5_robot", "panda_description/urdf/panda", "talos_data/robots/talos_reduced")
+    return [path for path in (folder / f"{name}.urdf" for name in names) if path.is_file()]
+
+
+def row(name, scene, peer=None):
+    simulation = Simulation(scene, "rkmk4", 1e-5, estimate=False, quiet=True)
     probe = Probe(simulation)
-    evaluation = median(probe.slopes)
-    system = linearise(simulation)
-    whole, states = median(lambda: linearise(simulation)), median(lambda: linearise(simulation, [], []))
-    peer = pinocchio_us(links) if links else float("nan")
+    evaluation = median(lambda: simulation.advance(50)) / 200.0
+    system, tangents = linearise(simulation), tangents_us(probe)
+    whole = median(lambda: linearise(simulation))
+    other = pinocchio_us(peer) if peer is not None else float("nan")
     print(
-        f"{name:<22} {len(system.A):6d} {evaluation:11.1f} {states / 1e3:12.2f} {whole / 1e3:12.2f} "
-        f"{states / evaluation / max(1, len(system.A)):18.1f} {peer:12.1f}"
+        f"{name:<22} {len(system.A):6d} {evaluation:11.2f} {tangents:12.1f} {tangents / evaluation:12.1f} "
+        f"{whole / 1e3:10.2f} {other:14.1f} {tangents / other:7.1f}"
     )
 
 
 def main():
     """Print the table."""
-    print("mechanism              states  evaluation   A only, ms    whole, ms  evaluations/state  Pinocchio, us")
+    peer = find_spec("pinocchio") is not None
+    print("mechanism              states  evaluation  tangents, us  evaluations  whole, ms  Pinocchio, us   ratio")
     for links in (2, 5, 10, 20, 40):
-        row(f"{links} hinges", chain(links, "revolute"), links)
+        row(f"{links} hinges", chain(links, "revolute"), chain_of_peer(links) if peer else None)
+    for path in robots() if peer else ():
+        import pinocchio as pin
+
+        joint = pin.JointModelFreeFlyer() if "talos" in path.name else None
+        arguments = (str(path), joint) if joint else (str(path),)
+        row(path.stem, load_scene(str(path)), pin.buildModelFromUrdf(*arguments))
     for windows in (1, 5, 20):
         row(f"{windows} four-bar windows", four_bar_windows(windows))
     for name in ("bicycle", "flyball_governor", "andrews_squeezer"):

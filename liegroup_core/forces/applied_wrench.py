@@ -102,3 +102,19 @@ def power(rows, acting, pose, twist):
             torque, force = _in_body(rows[e], pose)
             total += dot3(torque, load3(twist, body, 0)) + dot3(force, load3(twist, body, 3))
     return total
+
+
+@kernel
+def add_change(rows, acting, pose, moves, wrench_out):
+    """Add the changes of the wrenches in world axes along displacements, see changes.py."""
+    for e in range(len(rows)):
+        row = rows[e]
+        if acting[e] and row["world_axes"] == 1:
+            body = row["body"]
+            rot, turn = load9(pose, body, 0), load3(moves, body, 0)
+            torque = cross3(tmatvec3(rot, vector3(row["torque"])), turn)
+            force = cross3(tmatvec3(rot, vector3(row["force"])), turn)
+            torque = add3(torque, cross3(vector3(row["point"]), force))
+            for c in range(3):
+                wrench_out[body, c] += torque[c]
+                wrench_out[body, 3 + c] += force[c]

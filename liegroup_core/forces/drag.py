@@ -79,3 +79,19 @@ def power(rows, twist):
         angular, linear = _factors(row, w, v)
         total -= angular * dot3(w, w) + linear * dot3(v, v)
     return total
+
+
+@kernel
+def add_change(rows, twist, rates, wrench_out):
+    """Add the changes of the wrenches with the twists, see changes.py."""
+    for e in range(len(rows)):
+        row = rows[e]
+        body = row["body"]
+        w, v, dw, dv = load3(twist, body, 0), load3(twist, body, 3), load3(rates, body, 0), load3(rates, body, 3)
+        angular, linear = _factors(row, w, v)
+        turns, moves = math.sqrt(dot3(w, w)), math.sqrt(dot3(v, v))
+        more = row["angular_quadratic"] * dot3(w, dw) / turns if turns > 0.0 else 0.0
+        further = row["quadratic"] * dot3(v, dv) / moves if moves > 0.0 else 0.0
+        for c in range(3):
+            wrench_out[body, c] -= angular * dw[c] + more * w[c]
+            wrench_out[body, 3 + c] -= linear * dv[c] + further * v[c]

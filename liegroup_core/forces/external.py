@@ -90,3 +90,25 @@ def parts_of_wrench(wrench, axes, point):
     if axes == "body":
         return [(axes, np.concatenate([torque + _moment(np.array(point), force), force]))]
     return [(axes, wrench), ("levers", np.outer(point, force).ravel())]
+
+
+@kernel
+def set_changes(external, more, at, pose, moves, wrench_out):
+    """Write the changes of the external wrenches along displacements, see changes.py, to wrench_out (n, 6).
+
+    more : changes of their columns in body axes, from row `at` on
+    """
+    for i in range(len(wrench_out)):
+        torque, force = load3(more, at + i, 0), load3(more, at + i, 3)
+        if external[i, 15] != 0.0:
+            rot, turn = load9(pose, i, 0), load3(moves, i, 0)
+            moved = cross3(tmatvec3(rot, load3(external, i, 9)), turn)
+            moment = cross3(tmatvec3(rot, load3(external, i, 6)), turn)
+            torque = add3(torque, sub3(moment, cross3(load3(external, i, 12), moved)))
+            force = add3(force, moved)
+            if external[i, 15] == 2.0:
+                x, y, z = turn
+                levers = matmul3(matmul3(load9(external, i, 16), rot), (0.0, -z, y, z, 0.0, -x, -y, x, 0.0))
+                torque = add3(torque, (levers[5] - levers[7], levers[6] - levers[2], levers[1] - levers[3]))
+        store3(torque, wrench_out, i, 0)
+        store3(force, wrench_out, i, 3)

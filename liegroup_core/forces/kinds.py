@@ -7,6 +7,7 @@ A kind is a file with
     ROW                     record of one force for kernels
     make_row(force, ...)    makes this record from a force of the scene
     add_wrench(rows, ...)   adds wrenches in body axes about the centre of mass
+    add_change(rows, ...)   adds their derivatives along displacements of the bodies, see changes.py
     energy(rows, ...)       potential energy, J; omitted for forces without a potential
     power(rows, ...)        power of the part without a potential, W; omitted if there is none
 and its lines below: import, __all__, FORCES and Forces in the same order, add_wrenches, energy,
@@ -164,6 +165,27 @@ def _add_wrenches(forces, angle, acting, wanted, pose, twist, wrench_out):
     linear_servo.add_wrench(forces.linear_servo, wanted, pose, twist, wrench_out)
     drag.add_wrench(forces.drag, twist, wrench_out)
     applied_wrench.add_wrench(forces.applied_wrench, acting, pose, wrench_out)
+    return 0
+
+
+@shared
+def add_changes(forces, angle, acting, wanted, pose, twist, moves, rates, targets, at, wrench_out):
+    """Add the derivatives of the wrenches along displacements, and changes of twists and targets: see changes.py.
+
+    targets : changes of the targets of all servos, from row `at` on
+    """
+    angle, acting, wanted = borrowed(angle), borrowed(acting), borrowed(wanted)
+    pose, twist, moves, rates = borrowed(pose), borrowed(twist), borrowed(moves), borrowed(rates)
+    targets, wrench_out = borrowed(targets), borrowed(wrench_out)
+    spring_damper.add_change(forces.spring_damper, pose, twist, moves, rates, wrench_out)
+    torsional_spring_damper.add_change(forces.torsional_spring_damper, angle, pose, twist, moves, rates, wrench_out)
+    linear_spring_damper.add_change(forces.linear_spring_damper, pose, twist, moves, rates, wrench_out)
+    motor.add_change(forces.motor, pose, twist, moves, rates, wrench_out)
+    linear_motor.add_change(forces.linear_motor, pose, twist, moves, rates, wrench_out)
+    servo.add_change(forces.servo, angle, wanted, pose, twist, moves, rates, targets, at, wrench_out)
+    linear_servo.add_change(forces.linear_servo, wanted, pose, twist, moves, rates, targets, at, wrench_out)
+    drag.add_change(forces.drag, twist, rates, wrench_out)
+    applied_wrench.add_change(forces.applied_wrench, acting, pose, moves, wrench_out)
     return 0
 
 

@@ -65,3 +65,12 @@ def power(rows, pose, twist):
         rate = slide.rate(row, pose, twist)
         total += (row["force"] - row["slope"] * rate) * rate
     return total
+
+
+@kernel
+def add_change(rows, pose, twist, moves, rates, wrench_out):
+    """Add the changes of the wrenches along displacements, see changes.py."""
+    for e in range(len(rows)):
+        row = rows[e]
+        _, d_rate = slide.changes(row, pose, twist, moves, rates)
+        slide.apply_change(row, pose, moves, effort(row, pose, twist), -row["slope"] * d_rate, wrench_out)

@@ -13,7 +13,7 @@ from liegroup_core.compiling import kernel
 from liegroup_core.fields.values import NotNegative, Number, Positive
 
 from . import slide
-from .servo import LAW, law, limited
+from .servo import LAW, change_of_limited, law, limited
 from .slide import SlideForce
 
 ROW = np.dtype(slide.FIELDS + LAW, align=True)
@@ -67,3 +67,18 @@ def power(rows, wanted, pose, twist):
         force = _effort(rows[e], wanted[first + e, 0], wanted[first + e, 1], pose, twist)
         total += force * slide.rate(rows[e], pose, twist)
     return total
+
+
+@kernel
+def add_change(rows, wanted, pose, twist, moves, rates, targets, at, wrench_out):
+    """Add the changes of the wrenches along displacements, see changes.py.
+
+    targets : changes of the targets of all servos, from row `at` on; the last ones are of these rows
+    """
+    first = len(wanted) - len(rows)
+    for e in range(len(rows)):
+        row, k = rows[e], at + first + e
+        force = _effort(row, wanted[first + e, 0], wanted[first + e, 1], pose, twist)
+        ds, d_rate = slide.changes(row, pose, twist, moves, rates)
+        change = change_of_limited(row, force, targets[k, 0] - ds, targets[k, 1] - d_rate)
+        slide.apply_change(row, pose, moves, force, change, wrench_out)

@@ -78,3 +78,13 @@ def power(rows, pose, twist):
         rate = slide.rate(row, pose, twist)
         total -= row["damping"] * rate * rate
     return total
+
+
+@kernel
+def add_change(rows, pose, twist, moves, rates, wrench_out):
+    """Add the changes of the wrenches along displacements, see changes.py."""
+    for e in range(len(rows)):
+        row = rows[e]
+        ds, d_rate = slide.changes(row, pose, twist, moves, rates)
+        change = -row["stiffness"] * ds - row["damping"] * d_rate
+        slide.apply_change(row, pose, moves, effort(row, pose, twist), change, wrench_out)

@@ -68,3 +68,14 @@ def power(rows, pose, twist):
         rate = turn.rate(row, pose, twist, turn.axis(row, pose))
         total += (row["torque"] - row["slope"] * rate) * rate
     return total
+
+
+@kernel
+def add_change(rows, pose, twist, moves, rates, wrench_out):
+    """Add the changes of the torques along displacements, see changes.py."""
+    for e in range(len(rows)):
+        row = rows[e]
+        n = turn.axis(row, pose)
+        _, d_rate, dn = turn.changes(row, pose, twist, moves, rates, n)
+        torque = effort(row, pose, twist, n)
+        turn.apply_change(row, pose, moves, n, dn, torque, -row["slope"] * d_rate, wrench_out)

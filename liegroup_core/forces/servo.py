@@ -58,6 +58,14 @@ def limited(row, position_error, velocity_error):
 
 
 @kernel
+def change_of_limited(row, effort, position_error, velocity_error):
+    """Change of the effort of a servo with those of its errors; zero at its limit."""
+    if abs(effort) >= row["limit"]:
+        return 0.0
+    return row["stiffness"] * position_error + row["damping"] * velocity_error
+
+
+@kernel
 def _effort(row, near, position, velocity, pose, twist, n):
     return limited(row, position - turn.angle(row, pose, near), velocity - turn.rate(row, pose, twist, n))
 
@@ -95,3 +103,19 @@ def power(rows, angle, wanted, pose, twist):
         torque = _effort(rows[e], angle[first + e], wanted[e, 0], wanted[e, 1], pose, twist, n)
         total += torque * turn.rate(rows[e], pose, twist, n)
     return total
+
+
+@kernel
+def add_change(rows, angle, wanted, pose, twist, moves, rates, targets, at, wrench_out):
+    """Add the changes of the torques along displacements, see changes.py.
+
+    targets : changes of the targets of all servos, from row `at` on
+    """
+    first = len(angle) - len(rows)
+    for e in range(len(rows)):
+        row = rows[e]
+        n = turn.axis(row, pose)
+        torque = _effort(row, angle[first + e], wanted[e, 0], wanted[e, 1], pose, twist, n)
+        d_angle, d_rate, dn = turn.changes(row, pose, twist, moves, rates, n)
+        change = change_of_limited(row, torque, targets[at + e, 0] - d_angle, targets[at + e, 1] - d_rate)
+        turn.apply_change(row, pose, moves, n, dn, torque, change, wrench_out)

@@ -15,8 +15,9 @@ from pydantic import Field
 
 from liegroup_core.compiling import kernel
 from liegroup_core.fields.values import NotNegative, Text, Vector3
-from liegroup_core.lie.vec3 import dot3, scale3, sub3, vector3
+from liegroup_core.lie.vec3 import axpy3, dot3, scale3, sub3, vector3
 
+from .changes import apply_change_of_force, change_of_velocity, shift
 from .described import Force
 from .points import apply_force, point, point_velocity
 
@@ -124,3 +125,31 @@ def power(rows, pose, twist):
             along = dot3(d, _line_rate(row, pose, twist))
             total -= row["damping"] * along * along / squared
     return total
+
+
+@kernel
+def add_change(rows, pose, twist, moves, rates, wrench_out):
+    """Add the changes of the wrenches along displacements, see changes.py."""
+    for e in range(len(rows)):
+        row = rows[e]
+        a, b, at_a, at_b = row["parent"], row["child"], vector3(row["parent_point"]), vector3(row["child_point"])
+        d, moved = _line(row, pose), sub3(shift(pose, moves, b, at_b), shift(pose, moves, a, at_a))
+        factor, change = row["stiffness"], 0.0
+        length = math.sqrt(dot3(d, d))
+        if length > 0.0:
+            longer = dot3(d, moved) / length
+            factor -= row["stiffness"] * row["rest_length"] / length
+            change += row["stiffness"] * row["rest_length"] * longer / (length * length)
+            if row["damping"] > 0.0:
+                ddot = _line_rate(row, pose, twist)
+                faster = sub3(
+                    change_of_velocity(pose, twist, moves, rates, b, at_b),
+                    change_of_velocity(pose, twist, moves, rates, a, at_a),
+                )
+                along = dot3(d, ddot) / length
+                factor += row["damping"] * along / length
+                along = dot3(moved, ddot) + dot3(d, faster) - 2.0 * along * longer
+                change += row["damping"] * along / (length * length)
+        force, dF = scale3(-factor, d), axpy3(-change, d, scale3(-factor, moved))
+        apply_change_of_force(pose, moves, b, at_b, force, dF, wrench_out)
+        apply_change_of_force(pose, moves, a, at_a, scale3(-1.0, force), scale3(-1.0, dF), wrench_out)

@@ -86,3 +86,14 @@ def power(rows, pose, twist):
         rate = turn.rate(row, pose, twist, turn.axis(row, pose))
         total -= row["damping"] * rate * rate
     return total
+
+
+@kernel
+def add_change(rows, angle, pose, twist, moves, rates, wrench_out):
+    """Add the changes of the torques along displacements, see changes.py."""
+    for e in range(len(rows)):
+        row = rows[e]
+        n = turn.axis(row, pose)
+        d_angle, d_rate, dn = turn.changes(row, pose, twist, moves, rates, n)
+        change = -row["stiffness"] * d_angle - row["damping"] * d_rate
+        turn.apply_change(row, pose, moves, n, dn, effort(row, angle[e], pose, twist, n), change, wrench_out)

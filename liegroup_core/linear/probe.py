@@ -178,7 +178,7 @@ class Probe:
 
         sizes : (d,) first distances of differences
         external, wanted : (d, n, COLUMNS), (d, k, 2) changes of the inputs; None: none
-        See tangents.py. The error is relative, NOT_SMOOTH where differences of a force have no digits, near singular
+        See tangents.py. The error is relative, NOT_SMOOTH where differences of a row have no digits, near singular
         poses, and with friction by load. Raises SimulationError.
         """
         model, work, count = self._model, self._work, len(directions)
@@ -197,9 +197,9 @@ class Probe:
             np.ascontiguousarray(sizes, dtype=float),
             state,
             np.zeros((8 * L, 6)),
-            tuple(np.zeros_like(each) for each in state),
+            np.zeros((2, n, 6)),
             np.zeros((4, m)),
-            np.zeros((3, 6 * n + 7)),
+            np.zeros((3, 7)),
             np.zeros((f, 1)),
             out,
         )

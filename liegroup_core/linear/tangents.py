@@ -17,7 +17,7 @@ J (V_b - X V_a) of a cut joint sees the displacement kappa = X eta_a - eta_b of 
 X V_a]. The residuals that result are those of the sweeps in residuals.py, and are solved with the factors that the
 accelerations of the state have left: O(n) for a direction, and no factor is computed again.
 
-Forces depend on poses and twists of bodies, rows other than pairs on the pose of a cut joint: of these small functions
+Forces have their own derivatives (forces/changes.py). Of rows other than pairs, functions of the pose of a cut joint,
 differences of order six are taken (differences.py).
 """
 
@@ -52,8 +52,8 @@ from liegroup_core.dynamics.loops import close_loops
 from liegroup_core.dynamics.matrix import NEAR, is_off
 from liegroup_core.dynamics.residuals import gather_forces
 from liegroup_core.dynamics.trees import apply_wrenches, move_links, spread_response
-from liegroup_core.forces.external import set_external_wrenches
-from liegroup_core.forces.kinds import add_wrenches
+from liegroup_core.forces.external import set_changes, set_external_wrenches
+from liegroup_core.forces.kinds import add_changes, add_wrenches
 from liegroup_core.joints.elements import PAIR, WORLD
 from liegroup_core.joints.kinds import variable_row
 from liegroup_core.lie.se2 import se2_Ad, turn_back2
@@ -66,12 +66,10 @@ from liegroup_core.lie.vec3 import (
     cross3,
     dot3,
     load3,
-    load9,
     matmul3,
     matrix3,
     matvec3,
     store3,
-    store9,
     sub3,
     tmatvec3,
     vector3,
@@ -82,7 +80,7 @@ from liegroup_core.methods.munthe_kaas import steps
 from liegroup_core.status import DEPENDENT_ROWS, OK
 
 NOT_REGULAR = -1  # near a singular pose: the accelerations are those of displaced poses
-NOT_SMOOTH = 1.0  # of errors: differences of a force or a row have no digits
+NOT_SMOOTH = 1.0  # of errors: differences of a row have no digits
 SIZES = 4  # of differences, each SMALLER times the one before
 SMALLER, ENOUGH = 0.125, 1e-12
 ROUND_OFF = 4.0 * np.finfo(float).eps
@@ -345,60 +343,33 @@ def _error_of(orders, count, most, size):
 
 
 @kernel
-def _difference_wrenches(model, work, external, more, wanted, d, links, pose, twist, pushed, orders, size):
-    """Write the changes of the wrenches of all forces to work.wrench. Returns their error, see `_error_of`.
+def _change_wrenches(model, work, external, more, wanted, d, links, moves, rates):
+    """Add the changes of the wrenches of all forces to work.force.
 
     more, wanted : changes of the external wrenches, and of the wanted values of servos, of all directions d
-    pose, twist, pushed : scratch memory
+    moves, rates : scratch memory (n, 6)
     """
-    L, n, k_all, error = len(model.bodies), len(model.parts), len(work.wanted), NOT_SMOOTH
-    for _ in range(SIZES):
-        _begin(orders, 6 * n)
-        most = 0.0
-        for p in range(6):
-            k = p // 2
-            sign = 1.0 if p % 2 == 0 else -1.0
-            s = sign * (k + 1.0) * size
-            for i in range(n):
-                part = model.parts[i]
-                b = part["link"]
-                rot, r = load9(work.space.stage_pose, i, 0), load3(work.space.stage_pose, i, 9)
-                w, v = load3(work.space.stage_twist, i, 0), load3(work.space.stage_twist, i, 3)
-                if b != WORLD:
-                    turned, point = matrix3(part["rotation"]), vector3(part["point"])
-                    e, dV = load(model, links, ETA * L + b), load(model, links, TWIST * L + b)
-                    e, dV = spatial(model, e), spatial(model, dV)
-                    e = se3_Ad_inverse(turned, point, e[0], e[1])
-                    dV = se3_Ad_inverse(turned, point, dV[0], dV[1])
-                    r = axpy3(s, matvec3(rot, e[1]), r)
-                    rot = matmul3(rot, so3_exp((s * e[0][0], s * e[0][1], s * e[0][2])))
-                    w, v = axpy3(s, dV[0], w), axpy3(s, dV[1], v)
-                store9(rot, pose, i, 0)
-                store3(r, pose, i, 9)
-                store3(w, twist, i, 0)
-                store3(v, twist, i, 3)
-                for c in range(external.shape[1]):
-                    pushed[i, c] = external[i, c] + s * more[d * n + i, c]
-            for c in range(k_all):
-                work.wanted[c, 0] += s * wanted[d * k_all + c, 0]
-                work.wanted[c, 1] += s * wanted[d * k_all + c, 1]
-            _set_forces(model, work, pushed, pose, twist)
-            for c in range(k_all):
-                work.wanted[c, 0] -= s * wanted[d * k_all + c, 0]
-                work.wanted[c, 1] -= s * wanted[d * k_all + c, 1]
-            for i in range(n):
-                for c in range(6):
-                    value = sign * work.wrench[i, c] / size
-                    most = max(most, abs(value))
-                    _add_value(orders, 6 * i + c, k, value)
-        error = _error_of(orders, 6 * n, most, size)
-        if error != NOT_SMOOTH:
-            break
-        size *= SMALLER
+    L, n = len(model.bodies), len(model.parts)
     for i in range(n):
-        for c in range(6):
-            work.wrench[i, c] = orders[2, 6 * i + c]
-    return error
+        part, b, e, dV = model.parts[i], model.parts[i]["link"], (ZERO3, ZERO3), (ZERO3, ZERO3)
+        if b != WORLD:
+            rot, point = matrix3(part["rotation"]), vector3(part["point"])
+            e = spatial(model, load(model, links, ETA * L + b))
+            dV = spatial(model, load(model, links, TWIST * L + b))
+            e, dV = se3_Ad_inverse(rot, point, e[0], e[1]), se3_Ad_inverse(rot, point, dV[0], dV[1])
+        store3(e[0], moves, i, 0)
+        store3(e[1], moves, i, 3)
+        store3(dV[0], rates, i, 0)
+        store3(dV[1], rates, i, 3)
+    pose, twist, forces = work.space.stage_pose, work.space.stage_twist, model.space.forces
+    set_changes(external, more, d * n, pose, moves, work.wrench)
+    if forces.exist:
+        at = d * len(work.wanted)
+        add_changes(forces, work.angle, work.acting, work.wanted, pose, twist, moves, rates, wanted, at, work.wrench)
+    for i in range(n):
+        b = model.parts[i]["link"]
+        if b != WORLD:
+            add_to(model, _times(model, -1.0, body_wrench(model, work, i)), work.force, b)
 
 
 @kernel
@@ -586,14 +557,12 @@ def tangents(model, work, moves, more, wanted, sizes, state, links, bodies, rows
     more (d n, COLUMNS), wanted (d k, 2) : changes of the inputs
     sizes (d,)  : first distance of differences
     state       : pose, twist, external wrenches
-    bodies      : scratch memory of the same shapes
-    links (8 L, 6), rows (4, m), orders (3, 6 n + 7), given (f, 1) : scratch memory
+    bodies (2, n, 6), links (8 L, 6), rows (4, m), orders (3, 7), given (f, 1) : scratch memory
     returns a status; NOT_REGULAR: only the derivatives of J V are valid
     """
     moves, more, wanted, sizes = borrowed(moves), borrowed(more), borrowed(wanted), borrowed(sizes)
     links, rows, orders, given, out = borrowed(links), borrowed(rows), borrowed(orders), borrowed(given), borrowed(out)
-    external, shown_pose, shown_twist, pushed = borrowed(state[2]), borrowed(bodies[0]), borrowed(bodies[1]), bodies[2]
-    pushed = borrowed(pushed)
+    external, body_moves, body_rates = borrowed(state[2]), borrowed(bodies[0]), borrowed(bodies[1])
     status = _set_state(model, work, borrowed(state[0]), borrowed(state[1]), external, links, rows, given)
     if status != OK:
         return status
@@ -607,15 +576,9 @@ def tangents(model, work, moves, more, wanted, sizes, state, links, bodies, rows
             for c in range(6):
                 pushes = pushes or more[d * n + i, c] != 0.0
         if pushes:
-            error = _difference_wrenches(
-                model, work, external, more, wanted, d, links, shown_pose, shown_twist, pushed, orders, sizes[d]
-            )
-            for i in range(n):
-                b = model.parts[i]["link"]
-                if b != WORLD:
-                    add_to(model, _times(model, -1.0, body_wrench(model, work, i)), work.force, b)
+            _change_wrenches(model, work, external, more, wanted, d, links, body_moves, body_rates)
         if len(model.joints) > 0:
-            error = max(error, _change_rows(model, work, links, rows, orders, sizes[d]))
+            error = _change_rows(model, work, links, rows, orders, sizes[d])
             _change_couplings(model, work, moves, at, rows, given)
         _change_switches(model, work, moves, at, rows)
         _solve(model, work, rows)

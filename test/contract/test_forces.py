@@ -12,7 +12,7 @@ import pytest
 from naive import displaced
 
 from liegroup_core import Simulation
-from liegroup_core.forces import gravity, kinds
+from liegroup_core.forces import external, gravity, kinds
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.groups import SE3
 from liegroup_core.mechanism.body_model import build_model
@@ -176,6 +176,44 @@ def difference(state, motion):
     return (
         state.energy(-2 * motion) - 8 * state.energy(-motion) + 8 * state.energy(motion) - state.energy(2 * motion)
     ) / 12
+
+
+@pytest.mark.parametrize("kind", kinds.KINDS)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_change_of_the_wrench_is_its_derivative(kind, seed):
+    """Along random displacements of all bodies, and changes of twists and targets, also of joints that drift.
+
+    Five-point differences of step 1e-3 leave 1e-12 of the fifth derivative, and eps / 1e-3 of the wrench: 1e-9 of it.
+    """
+    state, rng = State(kind, seed), np.random.default_rng([seed, 9])
+    moves, rates, targets = rng.normal(size=(3, 6)), rng.normal(size=(3, 6)), rng.normal(size=state.wanted.shape)
+    found, sums, at = np.zeros((3, 6)), np.zeros((3, 6)), np.zeros((1, 2))  # an offset of one row
+    given = state.forces, state.angle, state.acting, state.wanted, flat(state.matrices), state.twist
+    kinds.add_changes(*given, moves, rates, np.concatenate([at, targets]), 1, found)
+    for step, weight in ((-2, 1.0), (-1, -8.0), (1, 8.0), (2, -1.0)):
+        s, out = 1e-3 * step, np.zeros((3, 6))
+        moved = flat([displaced(matrix, s * twist) for matrix, twist in zip(state.matrices, moves)])
+        wanted, twist = state.wanted + s * targets, state.twist + s * rates
+        kinds.add_wrenches(state.forces, state.angle, state.acting, wanted, moved, twist, out)
+        sums += weight * out / 12e-3
+    size = max(1.0, np.abs(sums).max(), np.abs(state.wrench(state.twist)).max())
+    assert np.abs(found - sums).max() <= 1e-8 * size
+    assert np.abs(found).max() > 0.1 or kind in ("servo", "linear_servo")  # at their limits
+
+
+def test_external_wrenches_change_with_the_attitude():
+    """Parts in body and in world axes, and a force at a point; differences as above."""
+    rng = np.random.default_rng(8)
+    pose, moves, more = mechanisms.random_pose(rng), rng.normal(size=(1, 6)), rng.normal(size=(1, 25))
+    given, found, sums = rng.normal(size=(1, 25)), np.zeros((1, 6)), np.zeros((1, 6))
+    given[0, 15] = 2.0
+    external.set_changes(given, more, 0, flat([pose]), moves, found)
+    for step, weight in ((-2, 1.0), (-1, -8.0), (1, 8.0), (2, -1.0)):
+        s, out, pushed = 1e-3 * step, np.zeros((1, 6)), given.copy()
+        pushed[:, :6] += s * more[:, :6]
+        external.set_external_wrenches(pushed, flat([displaced(pose, s * moves[0])]), out)
+        sums += weight * out / 12e-3
+    assert np.abs(found - sums).max() <= 1e-9 * np.abs(sums).max()
 
 
 def test_gravity_is_minus_the_gradient_of_its_energy():
