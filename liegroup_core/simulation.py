@@ -8,6 +8,8 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from numpy.typing import ArrayLike
+
 from liegroup_core.accuracy import DEFAULT, LONGEST, METHOD, MINUTE, SMALLEST, AccuracyControl
 from liegroup_core.engine import Engine
 from liegroup_core.errors import SimulationError
@@ -284,6 +286,17 @@ class Simulation(Engine):
         if self._control is not None:
             self._choice.restart()
             self._control.restart(self.time)
+
+    def sensitivities(self, names: Sequence[str], times: ArrayLike, outputs: Sequence[str] | None = None) -> Any:
+        """Derivatives of the run from the start of its scene by numbers of the scene: linear.Sensitivities.
+
+        names, times, outputs : of `linear.sensitivities`
+        With a method the runs have this method and step, else an accuracy of 1e-12. Raises SceneError, SimulationError.
+        """
+        settings = {} if self.promise else self.arguments
+        return importlib.import_module("liegroup_core.linear").sensitivities(
+            self.scene, names, times, outputs, **settings
+        )
 
     def view(self, **options: Any) -> Any:
         """Live page of a copy that continues from the present state; a notebook cell that ends with it displays it.

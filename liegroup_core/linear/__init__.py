@@ -3,6 +3,7 @@
 
 from .inverse import InverseDynamics, inverse_dynamics
 from .linear_system import LinearSystem, change_along, linearise, pole_errors
+from .misfit import Misfit
 from .modes import Mode, modes_of, shapes_of
 from .sensitivities import Sensitivities, sensitivities
 from .transition import Transition, transition
@@ -11,6 +12,7 @@ from .trim import Trim, TrimError, trim
 __all__ = [
     "InverseDynamics",
     "LinearSystem",
+    "Misfit",
     "Mode",
     "Sensitivities",
     "Transition",

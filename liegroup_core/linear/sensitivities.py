@@ -37,6 +37,7 @@ class Sensitivities:
     values     : (k, p) outputs, SI units
     derivatives, errors : (k, p, q)
     rough      : parameters with different numbers of events on both sides
+    angles     : (p,) whether an output is an angle, which values have modulo 2 pi
     """
 
     times: np.ndarray
@@ -46,6 +47,7 @@ class Sensitivities:
     derivatives: np.ndarray
     errors: np.ndarray
     rough: tuple
+    angles: np.ndarray
 
 
 def sensitivities(scene, names, times, outputs=None, **settings):
@@ -72,9 +74,7 @@ def sensitivities(scene, names, times, outputs=None, **settings):
         """(changes of the outputs, number of events, errors) of the run with another number."""
         other = scene_from_text(changed(written, {path: number}).text, source=scene.source)
         found, _, _, count, noise = _run(other, times, outputs, settings)
-        difference = found - values
-        difference[:, turning] = (difference[:, turning] + np.pi) % (2.0 * np.pi) - np.pi
-        return difference, count, noise
+        return difference(found, values, turning), count, noise
 
     for path in paths:
         if known[path] is None:
@@ -98,7 +98,14 @@ def sensitivities(scene, names, times, outputs=None, **settings):
         errors.append(found[1])
     shape = len(paths), len(times), len(labels)
     derivatives, errors = (np.array(part).reshape(shape).transpose(1, 2, 0) for part in (derivatives, errors))
-    return Sensitivities(times, labels, paths, values, derivatives, errors, tuple(rough))
+    return Sensitivities(times, labels, paths, values, derivatives, errors, tuple(rough), turning)
+
+
+def difference(found, values, angles):
+    """Differences (k, p) of outputs, of angles modulo 2 pi."""
+    apart = found - values
+    apart[:, angles] = (apart[:, angles] + np.pi) % (2.0 * np.pi) - np.pi
+    return apart
 
 
 def _run(scene, times, wanted, settings):

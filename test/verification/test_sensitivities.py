@@ -3,9 +3,11 @@
 
 import numpy as np
 import pytest
+import scipy
 
+from liegroup_core import Simulation
 from liegroup_core.errors import LieGroupSimError
-from liegroup_core.linear import sensitivities
+from liegroup_core.linear import Misfit, sensitivities
 from liegroup_core.scene.load import load_scene, scene_from_text
 
 TIMES = [0.4, 1.0, 1.7]
@@ -121,3 +123,41 @@ forces: [{name: spring, type: linear_spring_damper, joint: rail, stiffness: 100.
 def test_unknown_numbers_are_refused():
     with pytest.raises(LieGroupSimError, match="the scene has no parameter masss"):
         sensitivities(load_scene("heavy_top"), ["masss"], [1.0])
+
+
+@pytest.mark.parametrize("gaps", [False, True])
+def test_numbers_of_a_scene_are_found_from_measurements(gaps):
+    """Torque and damping of a rotor, from its angle (modulo 2 pi) and rate in closed form."""
+    tau, d, inertia = 2.0, 0.7, 0.4
+    text = """
+name: rotor
+gravity: [0, 0, 0]
+bodies: [{name: wheel, mass: 1.0, inertia: [0.4, 0.4, 0.4]}]
+joints: [{name: axle, type: revolute, parent: world, child: wheel, child_frame: {}}]
+forces:
+  - {name: motor, type: motor, joint: axle, torque: 1.7}
+  - {name: bearing, type: torsional_spring_damper, joint: axle, stiffness: 0.0, damping: 0.9}
+"""
+    t = np.linspace(0.2, 3.0, 8)
+    e = np.exp(-d * t / inertia)
+    measured = np.stack([tau / d * (t - inertia / d * (1 - e)), tau / d * (1 - e)], 1)
+    measured[:, 0] = np.angle(np.exp(1j * measured[:, 0]))
+    if gaps:
+        measured[::2, 0] = measured[1::3, 1] = np.nan
+    names, outputs = ["motor.torque", "bearing.damping"], ["axle.position", "axle.velocity"]
+    misfit = Misfit(scene_from_text(text, "t"), names, t, measured, outputs, [0.01, 0.1])
+    found = scipy.optimize.least_squares(misfit.residuals, misfit.start, misfit.jacobian, xtol=1e-12, ftol=1e-14)
+    assert misfit.start.tolist() == [1.7, 0.9] and np.abs(found.x - [tau, d]).max() < 1e-8
+    cost, gradient = misfit.cost(misfit.start)
+    near = [misfit.cost(misfit.start + h)[0] for h in ([1e-4, 0], [-1e-4, 0], [0, 1e-4], [0, -1e-4])]
+    slopes = np.subtract(near[::2], near[1::2]) / 2e-4  # a central difference: 1e-8 of the third derivative
+    assert cost > 1.0 and np.abs(gradient - slopes).max() < 1e-5 * np.abs(gradient).max()
+
+
+def test_a_simulation_has_the_sensitivities_of_its_run():
+    simulation, text = Simulation(load_scene("double_pendulum"), "rkmk8", 1e-2, estimate=False), "bodies.upper.mass"
+    simulation.advance(3)
+    found = simulation.sensitivities([text], [0.3], ["elbow.position"])
+    expected = sensitivities(simulation.scene, [text], [0.3], ["elbow.position"])
+    assert found.derivatives[0, 0, 0] == pytest.approx(expected.derivatives[0, 0, 0], rel=1e-6)
+    assert simulation.steps == 3

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Difference of a run to measured outputs, with derivatives by numbers of the scene, for scipy.optimize."""
+
+import numpy as np
+
+from liegroup_core.errors import SceneError
+from liegroup_core.scene.load import scene_as_written, scene_from_text
+from liegroup_core.study.sweep.parameters import changed, parameters, path_of
+
+from .sensitivities import difference, sensitivities
+
+
+class Misfit:
+    """Weighted residuals (outputs - measured) / deviation of a run, as functions of numbers x (q,) of its scene.
+
+    scene     : Scene with the first values
+    names     : of q numbers, as `liegroup_sim sweep --vary` takes them
+    times     : (k,) s, that do not decrease
+    measured  : (k, p) in SI units, NaN where nothing was measured
+    outputs   : names of the p outputs, see channels.py
+    deviation : standard deviations of the measurements, (p,) or a number
+    settings  : of Simulation; default: accuracy 1e-12
+
+    start     : (q,) present numbers of the scene
+        least_squares(misfit.residuals, misfit.start, misfit.jacobian)
+        minimize(misfit.cost, misfit.start, jac=True)
+    Raises SceneError, also in the methods for numbers that the scene cannot have; SimulationError.
+    Accuracy: test/verification/test_sensitivities.py.
+    """
+
+    def __init__(self, scene, names, times, measured, outputs, deviation=1.0, **settings):
+        self._written, self._source = scene_as_written(scene.text, scene.source), scene.source
+        self.paths = tuple(path_of(self._written, name) for name in names)
+        known = parameters(self._written)
+        if missing := [path for path in self.paths if known[path] is None]:
+            raise SceneError(f"the scene has no value of {missing[0]}: give it there")
+        self.start = np.array([known[path] for path in self.paths], dtype=float)
+        self._times, self._outputs, self._settings = np.atleast_1d(times), list(outputs), settings
+        self._measured = np.reshape(np.asarray(measured, dtype=float), (len(self._times), len(self._outputs)))
+        self._weights = np.where(np.isnan(self._measured), 0.0, 1.0 / np.broadcast_to(deviation, self._measured.shape))
+        self._last = None
+
+    def _at(self, x):
+        """Sensitivities of the run with numbers x; those of the last x are kept."""
+        key = tuple(np.asarray(x, dtype=float).tolist())
+        if self._last is None or self._last[0] != key:
+            text = changed(self._written, dict(zip(self.paths, key))).text
+            scene = scene_from_text(text, source=self._source)
+            self._last = key, sensitivities(scene, self.paths, self._times, self._outputs, **self._settings)
+        return self._last[1]
+
+    def residuals(self, x):
+        """(k p,) weighted residuals."""
+        found = self._at(x)
+        return (self._weights * difference(found.values, np.nan_to_num(self._measured), found.angles)).ravel()
+
+    def jacobian(self, x):
+        """(k p, q) derivatives of the residuals."""
+        return (self._weights[..., None] * self._at(x).derivatives).reshape(-1, len(self.paths))
+
+    def cost(self, x):
+        """Half the sum of the squares of the residuals, and its gradient (q,)."""
+        residuals = self.residuals(x)
+        return 0.5 * float(residuals @ residuals), residuals @ self.jacobian(x)
