@@ -16,9 +16,10 @@ import numpy as np
 from liegroup_core.compiling import borrowed, kernel
 from liegroup_core.dynamics.coordinates import lift_links, place_links
 from liegroup_core.dynamics.coupled_rows import set_gap
+from liegroup_core.dynamics.loads import FOUND, find_loads, gather_lacking
 from liegroup_core.dynamics.loops import project
 from liegroup_core.dynamics.matrix import is_off
-from liegroup_core.dynamics.switches import set_modes
+from liegroup_core.dynamics.switches import modes_of, set_modes, set_rates
 from liegroup_core.dynamics.trees import move_links
 from liegroup_core.engine import METHOD, Engine
 from liegroup_core.errors import SimulationError
@@ -157,6 +158,33 @@ class Probe:
         return self._work.held[: self.freedoms] != 0.0
 
     @property
+    def modes(self):
+        """(k, 5) modes of the joints with stops or friction, as Sample.switching."""
+        return modes_of(self._model, self._work)
+
+    @modes.setter
+    def modes(self, modes):
+        set_modes(self._model, self._work, modes)
+        self._work.known[0] = 0.0
+
+    def switch_rates(self):
+        """(k,) rates of the coordinates with stops or friction, rad/s or m/s."""
+        self.slopes()
+        out = np.empty((len(self.layout.switches), 2))
+        set_rates(self._model, self._work, out)
+        return self._model.switches["sign"] * out[:, 0]
+
+    def largest_friction(self, external=None, wanted=None):
+        """(k,) largest friction at rest of the coordinates with stops or friction, N m or N, with inputs."""
+        table, most = self._model.switches, self._model.switches["static"].copy()
+        if self._model.has_loads:
+            self.slopes(None, external, wanted)
+            gather_lacking(self._model, self._work)
+            find_loads(self._model, self._work)
+            most += table["static_by_load"] * self._work.loads[:, FOUND]
+        return most
+
+    @property
     def angles(self):
         """(k,) unwrapped angles of the state, as Sample.angles."""
         return self._work.angle
@@ -229,11 +257,13 @@ class Probe:
         """Sample of a neighbour with its inputs; poses and twists as from `slopes`."""
         base = self.base
         found = Sample(self.layout, base.time, base.time_ns, base.steps, pose, twist, self._work.angle.copy())
-        for name in ("external", "joint_efforts", "wanted", "switching", "motions"):
+        for name in ("external", "joint_efforts", "wanted", "motions"):
             if name in vars(base):
                 setattr(found, name, getattr(base, name))
         if external is not None:
             found.external = external
         if wanted is not None:
             found.wanted = wanted
+        if base.switching is not None:
+            found.switching = self.modes
         return found

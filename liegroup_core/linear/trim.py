@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from liegroup_core.dynamics.switches import MOVES
 from liegroup_core.errors import SceneError, SimulationError
 from liegroup_core.lie.groups import within_a_turn
 from liegroup_core.placing import switch_places
@@ -19,6 +20,7 @@ from liegroup_core.scene.switches import switches_of, unit_of
 from .channels import Inputs
 from .coordinates import ANGLE, Coordinates
 from .differences import derivative
+from .friction import Resting
 from .linear_system import LinearSystem, system_of
 from .probe import Probe
 
@@ -43,6 +45,8 @@ class Trim:
     pose, twist : (n, 12), (n, 6) of the body frames
     joints    : {joint: position} of the joints with one coordinate, rad or m
     inputs    : {name: value} that were found, in addition to those that act
+    intervals : {name: (least, largest) of inputs for which the pose rests, the others as found}, where joints rest by
+                dry friction or at a stop; nan: not found
     undetermined : names of inputs that can change together without effect on the equilibrium
     residual  : largest acceleration that remains, rad/s^2 or m/s^2
     is_steady : whether the accelerations stay zero while it moves; False where driven joints move
@@ -54,6 +58,7 @@ class Trim:
     twist: np.ndarray
     joints: dict
     inputs: dict
+    intervals: dict
     undetermined: tuple
     residual: float
     is_steady: bool
@@ -72,7 +77,8 @@ def trim(simulation, rates=None, held=(), inputs=None, time=None):
     time   : s, of a state within the present step; None: the present state
     rates  : {coordinate: rate} that stay constant, rad/s or m/s; the other rates are zero
     held   : coordinates that keep their positions, such as those that inputs hold
-    inputs : names of inputs to find, see channels.py; those of the smallest sum of squares
+    inputs : names of inputs to find, see channels.py; those of the smallest sum of squares. Dry friction of joints
+             that rest holds only what they cannot
     Raises SceneError for unknown names, TrimError if there is no equilibrium near the state.
     """
     probe = Probe(simulation, time)
@@ -81,18 +87,11 @@ def trim(simulation, rates=None, held=(), inputs=None, time=None):
 
 def _found(probe, rates, held, names):
     preferred = (*rates, *held)
-    coordinates = Coordinates(probe, preferred=preferred)
-    fixed = [coordinates.number(name) for name in preferred]
-    for name, rate in rates.items():
-        if not np.isfinite(rate):
-            raise SceneError(f"the rate of {name} must be a finite number, got {rate}")
-        if name not in coordinates.rate_names:
-            raise SceneError(f"the rate of {name} is not independent here; {', '.join(coordinates.rate_names)} are")
     inputs = Inputs(probe, names)
     u, limit, remaining, stops = np.zeros(len(inputs)), 0.0, np.inf, _Stops(probe)
     for _ in range(MOST_STEPS):
-        probe.go_to(coordinates.with_rates(np.array([rates.get(name, 0.0) for name in coordinates.rate_names])))
-        coordinates = Coordinates(probe, preferred=preferred)
+        coordinates = _at_rates(probe, rates, preferred)
+        fixed = [coordinates.number(name) for name in preferred]
         rows, columns = coordinates.rate_scales, coordinates.scales
         accelerations = _accelerations(probe, coordinates, inputs, u)
         remaining = float(np.abs(accelerations / rows).max(initial=0.0))
@@ -100,7 +99,7 @@ def _found(probe, rates, held, names):
         moved, pushed = _moved(probe, coordinates, inputs, u), _pushed(probe, coordinates, inputs, u)
         if remaining <= limit:
             stops.check()
-            return _trim(probe, coordinates, inputs, u, pushed, accelerations)
+            return _trim(probe, preferred, inputs, u)
         free = scipy.linalg.null_space(coordinates.motions[fixed] * columns) if fixed else np.eye(len(columns))
         scaled = moved / rows[:, None] * columns @ free
         effects = pushed / rows[:, None]
@@ -115,6 +114,29 @@ def _found(probe, rates, held, names):
         f"no equilibrium near the state: an acceleration of {remaining:.3g} rad/s^2, or times the mechanism's size in "
         f"m/s^2, remains after {MOST_STEPS} steps{kept}"
     )
+
+
+def _at_rates(probe, rates, preferred):
+    """Coordinates at the given rates, with dry friction against the motion. Raises SceneError."""
+    modes, moves = probe.modes, any(rates.values())
+    if moves:
+        released = modes.copy()
+        released[modes[:, 2] == 0.0, 0] = 0.0
+        probe.modes = released
+    coordinates = Coordinates(probe, preferred=preferred)
+    for name, rate in rates.items():
+        coordinates.number(name)
+        if not np.isfinite(rate):
+            raise SceneError(f"the rate of {name} must be a finite number, got {rate}")
+        if name not in coordinates.rate_names:
+            raise SceneError(f"the rate of {name} is not independent here; {', '.join(coordinates.rate_names)} are")
+    probe.go_to(coordinates.with_rates(np.array([rates.get(name, 0.0) for name in coordinates.rate_names])))
+    if moves:
+        speeds = probe.switch_rates()
+        moving = np.abs(speeds) > MOVES
+        modes[moving, 0], modes[moving, 1] = 0.0, np.sign(speeds[moving])
+        probe.modes = modes
+    return Coordinates(probe, preferred=preferred)
 
 
 def _go(probe, coordinates, z):
@@ -184,7 +206,31 @@ def _pushed(probe, coordinates, inputs, u):
     return np.array(columns).reshape(len(inputs), len(coordinates.moving)).T
 
 
-def _trim(probe, coordinates, inputs, u, pushed, accelerations):
+def _trim(probe, preferred, inputs, u):
+    resting = Resting(probe)
+    coordinates = Coordinates(probe, preferred=preferred)
+    rows = coordinates.rate_scales
+
+    def accelerations(u):
+        return _accelerations(probe, coordinates, inputs, u) / rows
+
+    def pushed(u):
+        return _pushed(probe, coordinates, inputs, u) / rows[:, None]
+
+    effects = pushed(u)
+    found = resting.hold(accelerations, u, effects, inputs)
+    if found is None:
+        raise TrimError(
+            f"dry friction and stops of {', '.join(resting.names)} cannot hold the equilibrium near the state: start "
+            "nearer to another one"
+        )
+    u, efforts = found
+    ends = {
+        name: tuple(float(resting.end(sign, j, u, efforts, accelerations, pushed, inputs)) for sign in (-1.0, 1.0))
+        for j, name in enumerate(inputs.names if resting.names else ())
+    }
+    resting.settle(efforts)
+    coordinates = Coordinates(probe, preferred=preferred)
     probe.external, probe.wanted = inputs.applied(u)
     _, pose, twist = probe.slopes()
     sample = probe.sample(pose, twist, probe.external, probe.wanted)
@@ -195,9 +241,10 @@ def _trim(probe, coordinates, inputs, u, pushed, accelerations):
         twist=sample.twist.copy(),
         joints={joint: values[0] for joint, values in sample.joint_coordinates.items()},
         inputs=dict(zip(inputs.names, u.tolist())),
-        undetermined=undetermined(pushed, inputs.names),
-        residual=float(np.abs(accelerations).max(initial=0.0)),
-        is_steady=_is_steady(probe, coordinates, inputs, u),
+        intervals=ends,
+        undetermined=undetermined(effects, inputs.names),
+        residual=float(np.abs(_accelerations(probe, coordinates, inputs, 0.0 * u)).max(initial=0.0)),
+        is_steady=_is_steady(probe, coordinates, inputs, 0.0 * u),
         system=system_of(probe),
     )
 
