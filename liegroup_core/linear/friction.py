@@ -13,10 +13,14 @@ import numpy as np
 import scipy
 
 from liegroup_core.dynamics.switches import MOVES
+from liegroup_core.lie.groups import within_a_turn
+from liegroup_core.placing import switch_places
+from liegroup_core.scene.switches import unit_of
 
 DEPENDENT = 1e-9  # relative singular value of efforts that balance each other
 MOST_REPEATS, SAME = 50, 1e-11
 AVOIDED = 1e3  # cost of friction beyond its bounds
+BEYOND_STOP = 1e-9  # rad or m: round-off
 BEYOND = 1e-7  # of the largest friction: tolerance of the linear program
 
 
@@ -124,6 +128,28 @@ class Resting:
             if abs(found[0]) <= SAME * max(1.0, abs(u[j])):
                 return u[j]
         return np.nan
+
+
+class Stops:
+    """Coordinates of the stops, with their turns along the path of a Probe."""
+
+    def __init__(self, probe):
+        self._probe = probe
+        self._places = probe.base.switching[:, 3].copy() if probe.layout.switches else np.empty(0)
+
+    def follow(self):
+        """Take the coordinates of the present state."""
+        if len(self._places):
+            for k, (switch, q) in enumerate(switch_places(self._probe.layout, self._probe.pose, self._probe.twist)):
+                self._places[k] = within_a_turn(q, self._places[k]) if switch.is_angle else q
+
+    def beyond(self):
+        """Text of a stop that the state is beyond, where it would act; or None."""
+        layout = self._probe.layout
+        for q, switch in zip(self._places, layout.switches):
+            if switch.limits is not None and switch.limits.excess(q) > BEYOND_STOP:
+                return f"{switch.name} would be at {q:.6g} {unit_of(switch, layout.scene)}"
+        return None
 
 
 def _remaining(columns, right):

@@ -19,10 +19,11 @@ from liegroup_core.dynamics.coupled_rows import set_gap
 from liegroup_core.dynamics.loads import FOUND, find_loads, gather_lacking
 from liegroup_core.dynamics.loops import project
 from liegroup_core.dynamics.matrix import is_off
-from liegroup_core.dynamics.switches import modes_of, set_modes, set_rates
+from liegroup_core.dynamics.switches import MOVES, modes_of, set_modes, set_rates
 from liegroup_core.dynamics.trees import move_links
 from liegroup_core.engine import METHOD, Engine
 from liegroup_core.errors import SimulationError
+from liegroup_core.joints.stops import SLIDE, TURN
 from liegroup_core.methods.munthe_kaas import steps
 from liegroup_core.methods.munthe_kaas.explicit import make_scheme
 from liegroup_core.methods.table import EXACT, RELATIVE, Tableau
@@ -158,6 +159,11 @@ class Probe:
         return self._work.held[: self.freedoms] != 0.0
 
     @property
+    def has_loads(self):
+        """Whether friction depends on the load."""
+        return self._model.has_loads
+
+    @property
     def modes(self):
         """(k, 5) modes of the joints with stops or friction, as Sample.switching."""
         return modes_of(self._model, self._work)
@@ -166,6 +172,21 @@ class Probe:
     def modes(self, modes):
         set_modes(self._model, self._work, modes)
         self._work.known[0] = 0.0
+
+    def release(self, stops=False):
+        """Let joints that rest by dry friction move without it, and with `stops` those at their stops."""
+        modes = self.modes
+        own = np.array([stops and switch.kind in (TURN, SLIDE) for switch in self.layout.switches], dtype=bool)
+        modes[own | (modes[:, 2] == 0.0), :3] = 0.0
+        self.modes = modes
+
+    def oppose(self, modes):
+        """Set dry friction against the rates of the state; joints at rest have given modes (k, 5)."""
+        rates = self.switch_rates()
+        moves = np.abs(rates) > MOVES
+        modes = modes.copy()
+        modes[moves, 0], modes[moves, 1] = 0.0, np.sign(rates[moves])
+        self.modes = modes
 
     def switch_rates(self):
         """(k,) rates of the coordinates with stops or friction, rad/s or m/s."""

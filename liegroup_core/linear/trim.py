@@ -13,14 +13,11 @@ import scipy
 
 from liegroup_core.dynamics.switches import MOVES
 from liegroup_core.errors import SceneError, SimulationError
-from liegroup_core.lie.groups import within_a_turn
-from liegroup_core.placing import switch_places
-from liegroup_core.scene.switches import switches_of, unit_of
 
 from .channels import Inputs
 from .coordinates import ANGLE, Coordinates
 from .differences import derivative
-from .friction import Resting
+from .friction import Resting, Stops
 from .linear_system import LinearSystem, system_of
 from .probe import Probe
 
@@ -30,7 +27,6 @@ NO_INFLUENCE = 1e-9  # relative singular value of a free motion
 FOUND = 1e-10  # of the first accelerations plus gravity
 STEADY = 1e-6  # of these: largest change over the motion by a radian, or the mechanism's size
 PART, MOST_PARTS = 0.5, 10
-BEYOND = 1e-9  # rad or m beyond a stop: round-off
 
 
 class TrimError(SimulationError):
@@ -88,7 +84,7 @@ def trim(simulation, rates=None, held=(), inputs=None, time=None):
 def _found(probe, rates, held, names):
     preferred = (*rates, *held)
     inputs = Inputs(probe, names)
-    u, limit, remaining, stops = np.zeros(len(inputs)), 0.0, np.inf, _Stops(probe)
+    u, limit, remaining, stops = np.zeros(len(inputs)), 0.0, np.inf, Stops(probe)
     for _ in range(MOST_STEPS):
         coordinates = _at_rates(probe, rates, preferred)
         fixed = [coordinates.number(name) for name in preferred]
@@ -98,7 +94,9 @@ def _found(probe, rates, held, names):
         limit = limit or FOUND * (max(float(np.linalg.norm(probe.layout.scene.gravity)), 1.0) + remaining)
         moved, pushed = _moved(probe, coordinates, inputs, u), _pushed(probe, coordinates, inputs, u)
         if remaining <= limit:
-            stops.check()
+            if beyond := stops.beyond():
+                advice = "start at the stop, or nearer to another equilibrium"
+                raise TrimError(f"the equilibrium near the state is beyond a stop: {beyond}; {advice}")
             return _trim(probe, preferred, inputs, u)
         free = scipy.linalg.null_space(coordinates.motions[fixed] * columns) if fixed else np.eye(len(columns))
         scaled = moved / rows[:, None] * columns @ free
@@ -120,9 +118,7 @@ def _at_rates(probe, rates, preferred):
     """Coordinates at the given rates, with dry friction against the motion. Raises SceneError."""
     modes, moves = probe.modes, any(rates.values())
     if moves:
-        released = modes.copy()
-        released[modes[:, 2] == 0.0, 0] = 0.0
-        probe.modes = released
+        probe.release()
     coordinates = Coordinates(probe, preferred=preferred)
     for name, rate in rates.items():
         coordinates.number(name)
@@ -132,10 +128,7 @@ def _at_rates(probe, rates, preferred):
             raise SceneError(f"the rate of {name} is not independent here; {', '.join(coordinates.rate_names)} are")
     probe.go_to(coordinates.with_rates(np.array([rates.get(name, 0.0) for name in coordinates.rate_names])))
     if moves:
-        speeds = probe.switch_rates()
-        moving = np.abs(speeds) > MOVES
-        modes[moving, 0], modes[moving, 1] = 0.0, np.sign(speeds[moving])
-        probe.modes = modes
+        probe.oppose(modes)
     return Coordinates(probe, preferred=preferred)
 
 
@@ -249,36 +242,12 @@ def _trim(probe, preferred, inputs, u):
     )
 
 
-class _Stops:
-    """Coordinates of the stops, with their turns along the way of a Probe."""
-
-    def __init__(self, probe):
-        self._probe = probe
-        self._places = probe.base.switching[:, 3].copy() if probe.layout.switches else np.empty(0)
-
-    def follow(self):
-        """Take the coordinates of the present state."""
-        if len(self._places):
-            for k, (switch, q) in enumerate(switch_places(self._probe.layout, self._probe.pose, self._probe.twist)):
-                self._places[k] = within_a_turn(q, self._places[k]) if switch.is_angle else q
-
-    def check(self):
-        """Raise TrimError beyond a stop, which would act there."""
-        scene = self._probe.layout.scene
-        for q, switch in zip(self._places, switches_of(scene)):
-            if switch.limits is not None and switch.limits.excess(q) > BEYOND:
-                raise TrimError(
-                    f"the equilibrium near the state is beyond a stop: {switch.name} would be at {q:.6g} "
-                    f"{unit_of(switch, scene)}; start at the stop, or nearer to another equilibrium"
-                )
-
-
 def _is_steady(probe, coordinates, inputs, u):
     """Whether the accelerations stay zero along the motion of a state."""
-    if any(abs(rate) > BEYOND for _, rate, _ in probe.base.prescribed.values()):
+    if any(abs(rate) > MOVES for _, rate, _ in probe.base.prescribed.values()):
         return False
     speed, way = coordinates.along(probe.closed()[0][coordinates.independent])
-    if speed <= BEYOND:
+    if speed <= MOVES:
         return True
     change, error = derivative(lambda s: _accelerations(probe, coordinates, inputs, u, s * way), ANGLE)
     limit = STEADY * max(float(np.linalg.norm(probe.layout.scene.gravity)), speed**2)

@@ -4,8 +4,9 @@
 import numpy as np
 import pytest
 
-from liegroup_core import Simulation, load_scene
+from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.linear import inverse_dynamics
+from liegroup_core.scene.load import scene_from_text
 
 SCENES = {"double_pendulum": ["shoulder", "elbow"], "four_bar": ["ground_crank"]}
 
@@ -76,3 +77,39 @@ def test_efforts_are_those_of_driven_joints(name):
     found = inverse_dynamics(start, times, *np.array(motion).transpose(2, 0, 1), joints)
     assert np.abs(found.efforts - efforts).max() < 1e-12 * np.abs(efforts).max()
     assert found.residual.max() < 1e-11
+
+
+PENDULUM = """
+name: pendulum
+gravity: [0, 0, -9.81]
+bodies: [{name: rod, mass: 1.0, inertia: [0.02, 0.02, 0.01], position: [0, 0, -0.5]}]
+joints:
+  - {name: pin, type: revolute, parent: world, child: rod, friction: {FRICTION}, limits: {lower: -1.0, upper: 1.0},
+     parent_frame: {rotation_vector: [-1.5707963267948966, 0, 0]},
+     child_frame: {position: [0, 0, 0.5], rotation_vector: [-1.5707963267948966, 0, 0]}}
+"""
+
+
+def test_a_motion_leaves_a_stop():
+    """From a stop that holds the rod at the start."""
+    text = PENDULUM.replace("{FRICTION}", "{viscous: 0.1}").replace("lower: -1.0", "lower: 0.0")
+    start = simulation_of(scene_from_text(text, source="test"))
+    found = inverse_dynamics(start, [0.0], [[0.2]], [[0.3]], [[2.0]], ["pin"])
+    assert found.efforts[0, 0] == pytest.approx(0.27 * 2.0 + 0.1 * 0.3 + 9.81 * 0.5 * np.sin(0.2), rel=1e-12)
+
+
+@pytest.mark.parametrize("mu", [0.0, 0.3])
+def test_friction_opposes_the_motion(mu):
+    """From a state at rest, in both directions: m g l sin(q) + I a + friction; by load with the force on the pin."""
+    friction = f"coulomb: 0.7, viscous: 0.1, mu: {mu}, radius: 0.05"
+    start = simulation_of(scene_from_text(PENDULUM.replace("FRICTION", friction), source="test"))
+    times, motion = [0.0, 1.0, 2.0], np.array([[0.3, 0.5, 0.2], [0.3, -0.5, 0.2], [-0.2, 0.0, 3.0]])
+    found = inverse_dynamics(start, times, *motion.T[..., None], ["pin"])
+    q, v, a = motion.T
+    along, across = 0.5 * v**2 + 9.81 * np.cos(q), 0.5 * a + 9.81 * np.sin(q)
+    expected = 0.27 * a + 9.81 * 0.5 * np.sin(q) + 0.1 * v
+    expected += np.sign(v) * (0.7 + mu * 0.05 * np.hypot(along, across))
+    assert found.efforts[:, 0] == pytest.approx(expected, rel=1e-12)
+    assert found.residual.max() < 1e-11
+    with pytest.raises(SimulationError, match="the motion is beyond a stop at 0 s: pin would be at 1.2 rad"):
+        inverse_dynamics(start, [0.0], [[1.2]], [[0.0]], [[0.0]], ["pin"])

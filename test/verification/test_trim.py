@@ -297,3 +297,20 @@ joints:
     assert result.inputs["hinge.effort"] == pytest.approx(0.0, abs=1e-12)
     least, most = result.intervals["hinge.effort"]
     assert least == pytest.approx(-1.5 * 9.81 * 0.6, rel=1e-12) and most == np.inf
+
+
+@pytest.mark.parametrize("rate", [5.0, -5.0])
+@pytest.mark.parametrize("start", [0.0, 5.0])
+def test_friction_opposes_given_rates(start, rate):
+    """A rotor, at rest or not: its motor supplies the sliding and the viscous friction."""
+    text = f"""
+name: rotor
+gravity: [0, 0, -9.81]
+bodies: [{{name: rotor, mass: 1.0, inertia: [0.02, 0.02, 0.03], angular_velocity: [0, 0, {start}]}}]
+joints:
+  - {{name: shaft, type: revolute, parent: world, child: rotor, child_frame: {{}},
+     friction: {{coulomb: 0.3, static: 0.5, viscous: 0.1}}}}
+"""
+    result = trim(paused(scene_from_text(text, source="test")), {"shaft": rate}, inputs=["shaft.effort"])
+    assert result.inputs["shaft.effort"] == pytest.approx(0.3 * np.sign(rate) + 0.1 * rate, rel=1e-12)
+    assert result.is_steady and not result.intervals
