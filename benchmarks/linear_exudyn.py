@@ -13,8 +13,8 @@ The script adds it as derivative of C' lambda, with the multipliers of the equil
 Differences of poles, relative to the largest pole, with Exudyn 1.13.6:
 
     scene          poles   largest pole   difference   without d(C' lambda)/dq
-    bricard            2         1.2413      2.5e-12                  1.0
-    slider_crank       2         7.0711      2.1e-12                  1.0
+    bricard            2         1.2413      2.5e-12              1.0e+00
+    slider_crank       2         7.0711      2.1e-12              1.0e+00
     five_bar           4        12.9157      3.0e-14                  4.2e-01
     scissor_lift       2         7.3269      3.5e-13                  1.2e-01
     stewart           12        19.7807      2.4e-13                  2.5e-02

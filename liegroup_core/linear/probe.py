@@ -57,6 +57,9 @@ def _evaluate(model, work, scheme, y, pose_in, twist_in, external_in, out, pose_
     dependent = steps.accelerate(model, work, external)
     if dependent >= 0:
         return DEPENDENT_ROWS + (dependent << 8)
+    if model.has_loads:
+        gather_lacking(model, work)
+        find_loads(model, work)
     steps.store_slopes(model, work, scheme, 1)
     half = work.slopes.shape[1] // 2
     rows = len(y) // half
@@ -200,8 +203,6 @@ class Probe:
         table, most = self._model.switches, self._model.switches["static"].copy()
         if self._model.has_loads:
             self.slopes(None, external, wanted)
-            gather_lacking(self._model, self._work)
-            find_loads(self._model, self._work)
             most += table["static_by_load"] * self._work.loads[:, FOUND]
         return most
 

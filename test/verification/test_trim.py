@@ -314,3 +314,19 @@ joints:
     result = trim(paused(scene_from_text(text, source="test")), {"shaft": rate}, inputs=["shaft.effort"])
     assert result.inputs["shaft.effort"] == pytest.approx(0.3 * np.sign(rate) + 0.1 * rate, rel=1e-12)
     assert result.is_steady and not result.intervals
+
+
+@pytest.mark.parametrize("angle, mu", [(0.7, 0.2), (2.5, 0.4)])
+def test_a_run_rests_within_the_interval_and_moves_beyond_it(angle, mu):
+    """Friction by load in all joints of a slider-crank: the load at the ends of the interval depends on the effort."""
+    scene = slider_crank(angle, 0.0, {})
+    radius = {"revolute": {"radius": 0.02}, "prismatic": {}}
+    scene = scene.remade(joints=[j.remade(friction={"mu": mu, **radius[j.type]}) for j in scene.joints])
+    interval = trim(paused(scene), held=["main"], inputs=["main.effort"]).intervals["main.effort"]
+    inwards = 1e-7 * (interval[1] - interval[0])
+    for effort, rests in zip((*interval, *interval), (True, True, False, False)):
+        change = inwards if (effort == interval[0]) is rests else -inwards
+        run = paused(scene)
+        run.apply_effort("main", effort + change)
+        run.advance(5)
+        assert (set(run.sample().modes.values()) == {"stick"}) is rests
