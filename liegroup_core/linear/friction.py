@@ -112,7 +112,7 @@ class Resting:
         u = u.copy()
         for _ in range(MOST_REPEATS):
             least, most = self.bounds(efforts, inputs.applied(u))
-            effects, column = self.effects(accelerations, u), pushed(u)[:, j]
+            effects, column = self.effects(accelerations, u), pushed(u, [j])
             right = -(accelerations(u) + effects @ efforts)
             rows = np.hstack([np.zeros((2 * len(most), 1)), np.vstack([np.eye(len(most)), -np.eye(len(most))])])
             room = np.concatenate([most - efforts, efforts - least])

@@ -84,6 +84,7 @@ def trim(simulation, rates=None, held=(), inputs=None, time=None):
 def _found(probe, rates, held, names):
     preferred = (*rates, *held)
     inputs = Inputs(probe, names)
+    _stick(probe, held, preferred)
     u, limit, remaining, stops = np.zeros(len(inputs)), 0.0, np.inf, Stops(probe)
     for _ in range(MOST_STEPS):
         coordinates = _at_rates(probe, rates, preferred)
@@ -112,6 +113,15 @@ def _found(probe, rates, held, names):
         f"no equilibrium near the state: an acceleration of {remaining:.3g} rad/s^2, or times the mechanism's size in "
         f"m/s^2, remains after {MOST_STEPS} steps{kept}"
     )
+
+
+def _stick(probe, held, preferred):
+    """Let dry friction hold the coordinates that keep their positions; whether it can is checked at the end."""
+    if probe.layout.switches:
+        modes, independent = probe.modes, set(Coordinates(probe, preferred=preferred).rate_names) & set(held)
+        sticks = [switch.name in independent for switch in probe.layout.switches] & (probe.largest_friction() > 0.0)
+        modes[sticks, 0], modes[sticks, 1] = 1.0, 0.0
+        probe.modes = modes
 
 
 def _at_rates(probe, rates, preferred):
@@ -187,16 +197,17 @@ def _moved(probe, coordinates, inputs, u):
     return np.array(columns).reshape(len(columns), len(coordinates.moving)).T
 
 
-def _pushed(probe, coordinates, inputs, u):
+def _pushed(probe, coordinates, inputs, u, chosen=None):
+    """(p, k) derivatives of the accelerations by the inputs, or by chosen ones."""
     columns = []
-    for j in range(len(inputs)):
+    for j in range(len(inputs)) if chosen is None else chosen:
         change = np.eye(len(inputs))[j]
         columns.append(
             derivative(
                 lambda s, change=change: _accelerations(probe, coordinates, inputs, u + s * change), inputs.sizes[j]
             )[0]
         )
-    return np.array(columns).reshape(len(inputs), len(coordinates.moving)).T
+    return np.array(columns).reshape(len(columns), len(coordinates.moving)).T
 
 
 def _trim(probe, preferred, inputs, u):
@@ -207,8 +218,8 @@ def _trim(probe, preferred, inputs, u):
     def accelerations(u):
         return _accelerations(probe, coordinates, inputs, u) / rows
 
-    def pushed(u):
-        return _pushed(probe, coordinates, inputs, u) / rows[:, None]
+    def pushed(u, chosen=None):
+        return _pushed(probe, coordinates, inputs, u, chosen) / rows[:, None]
 
     effects = pushed(u)
     found = resting.hold(accelerations, u, effects, inputs)

@@ -284,6 +284,28 @@ def test_a_joint_without_a_motor_rests_by_its_friction():
         trim(paused(scene), held=hinges(scene), inputs=[f"{joint}.effort" for joint in motors])
 
 
+def test_friction_holds_what_it_does_not_hold_without_the_inputs():
+    """A rod hangs from a horizontal one: its joint slides if this falls, and needs no effort if a motor holds it."""
+    text = """
+name: double
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: upper, mass: 2.0, inertia: [0.02, 0.03, 0.01], com: [0.4, 0, 0]}
+  - {name: lower, mass: 1.5, inertia: [0.05, 0.05, 0.01], position: [0.8, 0, 0], com: [0, 0, -0.3]}
+joints:
+  - {name: shoulder, type: revolute, parent: world, child: upper, child_frame: {axis: [0, 1, 0]}}
+  - {name: elbow, type: revolute, parent: upper, child: lower, child_frame: {axis: [0, 1, 0]},
+     friction: {coulomb: 0.1}}
+"""
+    simulation = paused(scene_from_text(text, source="test"))
+    assert simulation.sample().modes == {"elbow": "free"}
+    result = trim(simulation, held=["shoulder", "elbow"], inputs=["shoulder.effort"])
+    effort = -9.81 * (2.0 * 0.4 + 1.5 * 0.8)
+    assert result.inputs["shoulder.effort"] == pytest.approx(effort, rel=1e-12)
+    assert result.intervals["shoulder.effort"] == pytest.approx((effort, effort), rel=1e-12)
+    assert result.system.states == ("shoulder", "shoulder.rate")
+
+
 def test_a_stop_holds_in_one_direction():
     """A horizontal rod on its stop rests until an effort lifts its weight."""
     text = """
