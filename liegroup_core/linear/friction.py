@@ -99,9 +99,15 @@ class Resting:
                 if abs(cost @ found - before) <= SAME * (before if before < np.inf else 0.0):
                     break
                 before = cost @ found
+        self.apply(0.0 * efforts)
         right = -a - effects @ efforts
         across = np.eye(len(a)) - effects[:, stops] @ np.linalg.pinv(effects[:, stops])
-        u = _smallest(across @ pushed, u, across @ right)
+        smallest = _smallest(across @ pushed, u, across @ right)
+        # A servo at its limit has no effect here, but elsewhere.
+        terms = np.abs(pushed) @ np.abs(smallest) + np.abs(effects) @ np.abs(efforts)
+        rest = across @ (accelerations(smallest) + effects @ efforts)
+        if np.abs(rest).max(initial=0.0) <= DEPENDENT * terms.max(initial=0.0):
+            u = smallest
         efforts[stops] = np.linalg.lstsq(effects[:, stops], -accelerations(u) - effects @ efforts)[0]
         least, most = self.bounds(efforts, inputs.applied(u))
         beyond = BEYOND * np.abs(efforts).max(initial=0.0)

@@ -321,6 +321,22 @@ joints:
     assert least == pytest.approx(-1.5 * 9.81 * 0.6, rel=1e-12) and most == np.inf
 
 
+def test_stops_and_friction_hold_together():
+    """Of two rods on their hinges one rests on its stop, the other one by friction that no motor replaces."""
+    rods = [
+        f"  - {{name: b{k}, mass: 1.5, inertia: [0.1, 0.2, 0.1], position: [0.6, {k}, 0], com: [{com}, 0, 0]}}\n"
+        for k, com in enumerate((0.0, -0.5))
+    ]
+    text = "name: rods\ngravity: [0, 0, -9.81]\nbodies:\n" + "".join(rods) + "joints:\n"
+    for k, key in enumerate(("limits: {upper: 0}", "friction: {coulomb: 2.0}")):
+        frame = f"{{position: [0, {k}, 0], axis: [0, 1, 0]}}"
+        text += f"  - {{name: j{k}, type: revolute, parent: world, child: b{k}, parent_frame: {frame}, {key}}}\n"
+    result = trim(paused(scene_from_text(text, source="test")), inputs=["j0.effort"])
+    assert result.inputs["j0.effort"] == pytest.approx(0.0, abs=1e-12)
+    assert result.intervals["j0.effort"] == pytest.approx((-1.5 * 9.81 * 0.6, np.inf), rel=1e-12)
+    assert result.residual < 1e-12
+
+
 @pytest.mark.parametrize("rate", [5.0, -5.0])
 @pytest.mark.parametrize("start", [0.0, 5.0])
 def test_friction_opposes_given_rates(start, rate):
