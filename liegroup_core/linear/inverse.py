@@ -6,8 +6,8 @@ coordinates, and closed. The accelerations are affine in the efforts u,
 
     z'' = a + B u ,
 
-so that those of the smallest sum of squares follow from B. What the efforts cannot produce remains as a
-residual acceleration.
+so that those of the smallest sum of squares follow from B; where friction depends on the load, by iteration. What
+the efforts cannot produce remains as a residual acceleration. Dry friction opposes the rates and is zero at rest.
 """
 
 from dataclasses import dataclass
@@ -19,11 +19,13 @@ from liegroup_core.errors import SceneError, SimulationError
 
 from .channels import Inputs
 from .coordinates import Coordinates
+from .friction import Stops
 from .probe import Probe
 from .trim import undetermined
 
 LARGEST = 0.2  # rad, or share of the mechanism's size, in a step towards a far position
 REACHED, MOST_STEPS = 1e-9, 1000
+SAME, MOST_REPEATS = 1e-12, 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +68,7 @@ def inverse_dynamics(simulation, times, positions, rates, accelerations, joints,
     joints : names of the m independent coordinates
     inputs : names of efforts, see channels.py; None: those of the joints
     Raises SceneError for unknown or dependent names and for wheels, which have no positions of their own,
-    SimulationError where the loops cannot be closed.
+    SimulationError where the loops cannot be closed, and beyond a stop. Taut cables stay taut.
     """
     probe = Probe(simulation)
     if probe.layout.rolls:
@@ -75,6 +77,8 @@ def inverse_dynamics(simulation, times, positions, rates, accelerations, joints,
         raise SceneError("inverse dynamics needs at least one independent joint")
     names = [f"{joint}.effort" for joint in joints] if inputs is None else inputs
     channels = Inputs(probe, names)
+    probe.release(stops=True)
+    released, stops = probe.modes, Stops(probe)
     coordinates = Coordinates(probe, joints)
     layout = probe.layout
     lengths = coordinates.scales
@@ -85,22 +89,18 @@ def inverse_dynamics(simulation, times, positions, rates, accelerations, joints,
     for time, q, v, a in zip(times, positions, rates, accelerations):
         probe.go_to_time(time)
         _go(probe, joints, q, v, lengths)
+        stops.follow()
+        if beyond := stops.beyond():
+            raise SimulationError(f"the motion is beyond a stop at {time:.9g} s: {beyond}")
+        probe.oppose(released)
         coordinates = Coordinates(probe, joints)
-        rows = probe.freedoms + coordinates.independent
-        free = coordinates.signs * probe.slopes()[0][rows]
-        columns = []
-        for j in range(len(channels)):
-            change = np.eye(len(channels))[j]
-            columns.append(coordinates.signs * probe.slopes(None, *channels.applied(change))[0][rows] - free)
-        B = np.array(columns).reshape(len(channels), len(rows)).T
-        wanted = (np.asarray(a) - free) / lengths
-        u = np.linalg.lstsq(B / lengths[:, None], wanted, rcond=1e-10)[0]
+        u, B, rest = _efforts(probe, coordinates, channels, np.asarray(a) / lengths, lengths)
         efforts.append(u)
-        residuals.append(np.abs(B @ u - wanted * lengths).max(initial=0.0))
+        residuals.append(np.abs(rest * lengths).max(initial=0.0))
         _, pose, twist = probe.slopes()
         found = layout.coordinates.at(pose, twist, probe.angles)
         speeds.append([found[name][1] for name in actuated])
-        loose += [name for name in undetermined(B, channels.names) if name not in loose]
+        loose += [name for name in undetermined(B * lengths[:, None], channels.names) if name not in loose]
     return InverseDynamics(
         np.asarray(times, dtype=float),
         tuple(channels.names),
@@ -109,6 +109,23 @@ def inverse_dynamics(simulation, times, positions, rates, accelerations, joints,
         np.array(residuals),
         tuple(loose),
     )
+
+
+def _efforts(probe, coordinates, channels, wanted, lengths):
+    """Efforts, their effects B on the accelerations, and what is missing of those wanted; divided by lengths."""
+    rows = probe.freedoms + coordinates.independent
+
+    def accelerations(u):
+        return coordinates.signs * probe.slopes(None, *channels.applied(u))[0][rows] / lengths
+
+    u = np.zeros(len(channels))
+    for _ in range(MOST_REPEATS):
+        now, before = accelerations(u), u
+        B = np.array([accelerations(u + one) - now for one in np.eye(len(u))]).reshape(len(u), len(rows)).T
+        u = np.linalg.lstsq(B, wanted - now + B @ u, rcond=1e-10)[0]
+        if not probe.has_loads or np.abs(u - before).max(initial=0.0) <= SAME * np.abs(u).max(initial=0.0):
+            break
+    return u, B, wanted - accelerations(u)
 
 
 def _go(probe, joints, q, v, lengths):

@@ -16,12 +16,14 @@ import numpy as np
 from liegroup_core.compiling import borrowed, kernel
 from liegroup_core.dynamics.coordinates import lift_links, place_links
 from liegroup_core.dynamics.coupled_rows import set_gap
+from liegroup_core.dynamics.loads import FOUND, find_loads, gather_lacking
 from liegroup_core.dynamics.loops import project
 from liegroup_core.dynamics.matrix import is_off
-from liegroup_core.dynamics.switches import set_modes
+from liegroup_core.dynamics.switches import MOVES, modes_of, set_modes, set_rates
 from liegroup_core.dynamics.trees import move_links
 from liegroup_core.engine import METHOD, Engine
 from liegroup_core.errors import SimulationError
+from liegroup_core.joints.stops import SLIDE, TURN
 from liegroup_core.methods.munthe_kaas import steps
 from liegroup_core.methods.munthe_kaas.explicit import make_scheme
 from liegroup_core.methods.table import EXACT, RELATIVE, Tableau
@@ -57,6 +59,9 @@ def _evaluate(model, work, scheme, y, pose_in, twist_in, external_in, out, pose_
     dependent = steps.accelerate(model, work, external)
     if dependent >= 0:
         return DEPENDENT_ROWS + (dependent << 8)
+    if model.has_loads:
+        gather_lacking(model, work)
+        find_loads(model, work)
     steps.store_slopes(model, work, scheme, 1)
     half = work.slopes.shape[1] // 2
     rows = len(y) // half
@@ -138,6 +143,51 @@ class Probe:
     def held(self):
         """(f,) whether stops or friction hold a degree of freedom."""
         return self._work.held[: self.freedoms] != 0.0
+
+    @property
+    def has_loads(self):
+        """Whether friction depends on the load."""
+        return self._model.has_loads
+
+    @property
+    def modes(self):
+        """(k, 5) modes of the joints with stops or friction, as Sample.switching."""
+        return modes_of(self._model, self._work)
+
+    @modes.setter
+    def modes(self, modes):
+        set_modes(self._model, self._work, modes)
+        self._work.known[0] = 0.0
+
+    def release(self, stops=False):
+        """Let joints that rest by dry friction move without it, and with `stops` those at their stops."""
+        modes = self.modes
+        own = np.array([stops and switch.kind in (TURN, SLIDE) for switch in self.layout.switches], dtype=bool)
+        modes[own | (modes[:, 2] == 0.0), :3] = 0.0
+        self.modes = modes
+
+    def oppose(self, modes):
+        """Set dry friction against the rates of the state; joints at rest have given modes (k, 5)."""
+        rates = self.switch_rates()
+        moves = np.abs(rates) > MOVES
+        modes = modes.copy()
+        modes[moves, 0], modes[moves, 1] = 0.0, np.sign(rates[moves])
+        self.modes = modes
+
+    def switch_rates(self):
+        """(k,) rates of the coordinates with stops or friction, rad/s or m/s."""
+        self.slopes()
+        out = np.empty((len(self.layout.switches), 2))
+        set_rates(self._model, self._work, out)
+        return self._model.switches["sign"] * out[:, 0]
+
+    def largest_friction(self, external=None, wanted=None):
+        """(k,) largest friction at rest of the coordinates with stops or friction, N m or N, with inputs."""
+        table, most = self._model.switches, self._model.switches["static"].copy()
+        if self._model.has_loads:
+            self.slopes(None, external, wanted)
+            most += table["static_by_load"] * self._work.loads[:, FOUND]
+        return most
 
     @property
     def angles(self):
@@ -234,11 +284,13 @@ class Probe:
         """Sample of a neighbour with its inputs; poses and twists as from `slopes`."""
         base = self.base
         found = Sample(self.layout, base.time, base.time_ns, base.steps, pose, twist, self._work.angle.copy())
-        for name in ("external", "joint_efforts", "wanted", "switching", "motions"):
+        for name in ("external", "joint_efforts", "wanted", "motions"):
             if name in vars(base):
                 setattr(found, name, getattr(base, name))
         if external is not None:
             found.external = external
         if wanted is not None:
             found.wanted = wanted
+        if base.switching is not None:
+            found.switching = self.modes
         return found

@@ -11,14 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from liegroup_core.dynamics.switches import MOVES
 from liegroup_core.errors import SceneError, SimulationError
-from liegroup_core.lie.groups import within_a_turn
-from liegroup_core.placing import switch_places
-from liegroup_core.scene.switches import switches_of, unit_of
 
 from .channels import Inputs
 from .coordinates import ANGLE, Coordinates
 from .differences import derivative
+from .friction import Resting, Stops
 from .linear_system import LinearSystem, system_of
 from .probe import Probe
 
@@ -28,7 +27,6 @@ NO_INFLUENCE = 1e-9  # relative singular value of a free motion
 FOUND = 1e-10  # of the first accelerations plus gravity
 STEADY = 1e-6  # of these: largest change over the motion by a radian, or the mechanism's size
 PART, MOST_PARTS = 0.5, 10
-BEYOND = 1e-9  # rad or m beyond a stop: round-off
 
 
 class TrimError(SimulationError):
@@ -43,6 +41,8 @@ class Trim:
     pose, twist : (n, 12), (n, 6) of the body frames
     joints    : {joint: position} of the joints with one coordinate, rad or m
     inputs    : {name: value} that were found, in addition to those that act
+    intervals : {name: (least, largest) of inputs for which the pose rests, the others as found}, where joints rest by
+                dry friction or at a stop; nan: not found
     undetermined : names of inputs that can change together without effect on the equilibrium
     residual  : largest acceleration that remains, rad/s^2 or m/s^2
     is_steady : whether the accelerations stay zero while it moves; False where driven joints move
@@ -54,6 +54,7 @@ class Trim:
     twist: np.ndarray
     joints: dict
     inputs: dict
+    intervals: dict
     undetermined: tuple
     residual: float
     is_steady: bool
@@ -72,7 +73,8 @@ def trim(simulation, rates=None, held=(), inputs=None, time=None):
     time   : s, of a state within the present step; None: the present state
     rates  : {coordinate: rate} that stay constant, rad/s or m/s; the other rates are zero
     held   : coordinates that keep their positions, such as those that inputs hold
-    inputs : names of inputs to find, see channels.py; those of the smallest sum of squares
+    inputs : names of inputs to find, see channels.py; those of the smallest sum of squares. Dry friction of joints
+             that rest holds only what they cannot
     Raises SceneError for unknown names, TrimError if there is no equilibrium near the state.
     """
     probe = Probe(simulation, time)
@@ -81,26 +83,22 @@ def trim(simulation, rates=None, held=(), inputs=None, time=None):
 
 def _found(probe, rates, held, names):
     preferred = (*rates, *held)
-    coordinates = Coordinates(probe, preferred=preferred)
-    fixed = [coordinates.number(name) for name in preferred]
-    for name, rate in rates.items():
-        if not np.isfinite(rate):
-            raise SceneError(f"the rate of {name} must be a finite number, got {rate}")
-        if name not in coordinates.rate_names:
-            raise SceneError(f"the rate of {name} is not independent here; {', '.join(coordinates.rate_names)} are")
     inputs = Inputs(probe, names)
-    u, limit, remaining, stops = np.zeros(len(inputs)), 0.0, np.inf, _Stops(probe)
+    _stick(probe, held, preferred)
+    u, limit, remaining, stops = np.zeros(len(inputs)), 0.0, np.inf, Stops(probe)
     for _ in range(MOST_STEPS):
-        probe.go_to(coordinates.with_rates(np.array([rates.get(name, 0.0) for name in coordinates.rate_names])))
-        coordinates = Coordinates(probe, preferred=preferred)
+        coordinates = _at_rates(probe, rates, preferred)
+        fixed = [coordinates.number(name) for name in preferred]
         rows, columns = coordinates.rate_scales, coordinates.scales
         accelerations = _accelerations(probe, coordinates, inputs, u)
         remaining = float(np.abs(accelerations / rows).max(initial=0.0))
         limit = limit or FOUND * (max(float(np.linalg.norm(probe.layout.scene.gravity)), 1.0) + remaining)
         moved, pushed = _moved(probe, coordinates, inputs, u), _pushed(probe, coordinates, inputs, u)
         if remaining <= limit:
-            stops.check()
-            return _trim(probe, coordinates, inputs, u, pushed, accelerations)
+            if beyond := stops.beyond():
+                advice = "start at the stop, or nearer to another equilibrium"
+                raise TrimError(f"the equilibrium near the state is beyond a stop: {beyond}; {advice}")
+            return _trim(probe, preferred, inputs, u)
         free = scipy.linalg.null_space(coordinates.motions[fixed] * columns) if fixed else np.eye(len(columns))
         scaled = moved / rows[:, None] * columns @ free
         effects = pushed / rows[:, None]
@@ -115,6 +113,33 @@ def _found(probe, rates, held, names):
         f"no equilibrium near the state: an acceleration of {remaining:.3g} rad/s^2, or times the mechanism's size in "
         f"m/s^2, remains after {MOST_STEPS} steps{kept}"
     )
+
+
+def _stick(probe, held, preferred):
+    """Let dry friction hold the coordinates that keep their positions; whether it can is checked at the end."""
+    if probe.layout.switches:
+        modes, independent = probe.modes, set(Coordinates(probe, preferred=preferred).rate_names) & set(held)
+        sticks = [switch.name in independent for switch in probe.layout.switches] & (probe.largest_friction() > 0.0)
+        modes[sticks, 0], modes[sticks, 1] = 1.0, 0.0
+        probe.modes = modes
+
+
+def _at_rates(probe, rates, preferred):
+    """Coordinates at the given rates, with dry friction against the motion. Raises SceneError."""
+    modes, moves = probe.modes, any(rates.values())
+    if moves:
+        probe.release()
+    coordinates = Coordinates(probe, preferred=preferred)
+    for name, rate in rates.items():
+        coordinates.number(name)
+        if not np.isfinite(rate):
+            raise SceneError(f"the rate of {name} must be a finite number, got {rate}")
+        if name not in coordinates.rate_names:
+            raise SceneError(f"the rate of {name} is not independent here; {', '.join(coordinates.rate_names)} are")
+    probe.go_to(coordinates.with_rates(np.array([rates.get(name, 0.0) for name in coordinates.rate_names])))
+    if moves:
+        probe.oppose(modes)
+    return Coordinates(probe, preferred=preferred)
 
 
 def _go(probe, coordinates, z):
@@ -172,19 +197,44 @@ def _moved(probe, coordinates, inputs, u):
     return np.array(columns).reshape(len(columns), len(coordinates.moving)).T
 
 
-def _pushed(probe, coordinates, inputs, u):
+def _pushed(probe, coordinates, inputs, u, chosen=None):
+    """(p, k) derivatives of the accelerations by the inputs, or by chosen ones."""
     columns = []
-    for j in range(len(inputs)):
+    for j in range(len(inputs)) if chosen is None else chosen:
         change = np.eye(len(inputs))[j]
         columns.append(
             derivative(
                 lambda s, change=change: _accelerations(probe, coordinates, inputs, u + s * change), inputs.sizes[j]
             )[0]
         )
-    return np.array(columns).reshape(len(inputs), len(coordinates.moving)).T
+    return np.array(columns).reshape(len(columns), len(coordinates.moving)).T
 
 
-def _trim(probe, coordinates, inputs, u, pushed, accelerations):
+def _trim(probe, preferred, inputs, u):
+    resting = Resting(probe)
+    coordinates = Coordinates(probe, preferred=preferred)
+    rows = coordinates.rate_scales
+
+    def accelerations(u):
+        return _accelerations(probe, coordinates, inputs, u) / rows
+
+    def pushed(u, chosen=None):
+        return _pushed(probe, coordinates, inputs, u, chosen) / rows[:, None]
+
+    effects = pushed(u)
+    found = resting.hold(accelerations, u, effects, inputs)
+    if found is None:
+        raise TrimError(
+            f"dry friction and stops of {', '.join(resting.names)} cannot hold the equilibrium near the state: start "
+            "nearer to another one"
+        )
+    u, efforts = found
+    ends = {
+        name: tuple(float(resting.end(sign, j, u, efforts, accelerations, pushed, inputs)) for sign in (-1.0, 1.0))
+        for j, name in enumerate(inputs.names if resting.names else ())
+    }
+    resting.settle(efforts)
+    coordinates = Coordinates(probe, preferred=preferred)
     probe.external, probe.wanted = inputs.applied(u)
     _, pose, twist = probe.slopes()
     sample = probe.sample(pose, twist, probe.external, probe.wanted)
@@ -195,43 +245,20 @@ def _trim(probe, coordinates, inputs, u, pushed, accelerations):
         twist=sample.twist.copy(),
         joints={joint: values[0] for joint, values in sample.joint_coordinates.items()},
         inputs=dict(zip(inputs.names, u.tolist())),
-        undetermined=undetermined(pushed, inputs.names),
-        residual=float(np.abs(accelerations).max(initial=0.0)),
-        is_steady=_is_steady(probe, coordinates, inputs, u),
+        intervals=ends,
+        undetermined=undetermined(effects, inputs.names),
+        residual=float(np.abs(_accelerations(probe, coordinates, inputs, 0.0 * u)).max(initial=0.0)),
+        is_steady=_is_steady(probe, coordinates, inputs, 0.0 * u),
         system=system_of(probe, inputs.names or None),
     )
 
 
-class _Stops:
-    """Coordinates of the stops, with their turns along the way of a Probe."""
-
-    def __init__(self, probe):
-        self._probe = probe
-        self._places = probe.base.switching[:, 3].copy() if probe.layout.switches else np.empty(0)
-
-    def follow(self):
-        """Take the coordinates of the present state."""
-        if len(self._places):
-            for k, (switch, q) in enumerate(switch_places(self._probe.layout, self._probe.pose, self._probe.twist)):
-                self._places[k] = within_a_turn(q, self._places[k]) if switch.is_angle else q
-
-    def check(self):
-        """Raise TrimError beyond a stop, which would act there."""
-        scene = self._probe.layout.scene
-        for q, switch in zip(self._places, switches_of(scene)):
-            if switch.limits is not None and switch.limits.excess(q) > BEYOND:
-                raise TrimError(
-                    f"the equilibrium near the state is beyond a stop: {switch.name} would be at {q:.6g} "
-                    f"{unit_of(switch, scene)}; start at the stop, or nearer to another equilibrium"
-                )
-
-
 def _is_steady(probe, coordinates, inputs, u):
     """Whether the accelerations stay zero along the motion of a state."""
-    if any(abs(rate) > BEYOND for _, rate, _ in probe.base.prescribed.values()):
+    if any(abs(rate) > MOVES for _, rate, _ in probe.base.prescribed.values()):
         return False
     speed, way = coordinates.along(probe.closed()[0][coordinates.independent])
-    if speed <= BEYOND:
+    if speed <= MOVES:
         return True
     change, error = derivative(lambda s: _accelerations(probe, coordinates, inputs, u, s * way), ANGLE)
     limit = STEADY * max(float(np.linalg.norm(probe.layout.scene.gravity)), speed**2)

@@ -157,7 +157,9 @@ def _followed(simulation, columns):
     given = [name.removesuffix(".position") for name in columns if name.endswith(".position")]
     known = [freedom.name for freedom in simulation.layout.freedoms]
     usable = [name for name in given if name in known]
-    coordinates = Coordinates(Probe(simulation), preferred=usable)
+    probe = Probe(simulation)
+    probe.release(stops=True)
+    coordinates = Coordinates(probe, preferred=usable)
     if set(coordinates.names) <= set(given):
         return coordinates.names
     count = counted(len(coordinates.names), "independent coordinate")

@@ -22,7 +22,8 @@ def add_arguments(parser):
     """Arguments of the subcommand."""
     parser.description = (
         "Find the equilibrium, or the steady motion with given rates, that is near a state, with its stability. "
-        "With inputs: those of the smallest sum of squares that hold it."
+        "With inputs: those of the smallest sum of squares that hold it; with dry friction or stops also the interval "
+        "of each one in which it rests."
     )
     parser.add_argument(
         "--rates", nargs="+", default=[], metavar="NAME=RATE", help="rates that stay constant, rad/s or m/s"
@@ -75,6 +76,9 @@ def _entries(result, time):
         "time": time,
         "joints": result.joints,
         "inputs": result.inputs,
+        "intervals": {
+            name: [end if math.isfinite(end) else None for end in ends] for name, ends in result.intervals.items()
+        },
         "undetermined": list(result.undetermined),
         "stability": stable,
         "residual": result.residual,
@@ -95,6 +99,7 @@ def _print(result, time, console):
         console.print(Text(f"  {joint} = {position:.9g}"))
     for name, value in result.inputs.items():
         remark = " (others can take its part)" if name in result.undetermined else ""
-        console.print(Text(f"  {name} = {value:.9g}{remark}"))
+        ends = "rests from {:.9g} to {:.9g}".format(*result.intervals[name]) if result.intervals else ""
+        console.print(Text(f"  {name} = {value:.9g}  {ends}{remark}".rstrip()))
     console.print(Text(f"remaining acceleration: {shown(result.residual)}", style="dim"))
     print_system(result.system, time, console)

@@ -163,6 +163,14 @@ def test_multipliers_of_a_run(capsys):
     assert "stops or friction change their modes" in capsys.readouterr().err
 
 
+def test_friction_gives_intervals_of_inputs(capsys):
+    """A block on a belt: 3 N of friction at rest."""
+    found = answer(capsys, "trim", "stick_slip", "--inputs", "contact.effort")
+    assert found["intervals"]["contact.effort"] == pytest.approx([-3.0, 3.0], abs=1e-9)
+    assert main(["trim", "stick_slip", "--inputs", "contact.effort"]) == 0
+    assert "contact.effort = 0  rests from -3 to 3" in capsys.readouterr().out
+
+
 def test_a_falling_body_has_no_equilibrium(tmp_path, capsys):
     scene = tmp_path / "falling.yaml"
     scene.write_text("name: f\ngravity: [0, 0, -9.81]\nbodies: [{name: b, mass: 1.0, inertia: [1, 1, 1]}]\n")
