@@ -104,6 +104,13 @@ def _gaps(model, work, scheme, y, pose_in, twist_in, external_in, gaps_out):
     return OK
 
 
+class _Still(Engine):
+    """Engine that takes no step: kernels of steps and samples are not needed."""
+
+    def _touch(self):
+        self.reset()
+
+
 class Probe:
     """Neighbours of a state of a simulation, which does not change.
 
@@ -117,7 +124,7 @@ class Probe:
     """
 
     def __init__(self, simulation, time=None):
-        engine = Engine(
+        engine = _Still(
             simulation.scene, METHOD, simulation.step, RELATIVE, "none", quiet=True, layout=simulation.layout
         )
         self.base, self._engine, self.layout = simulation.sample(time), engine, simulation.layout
