@@ -13,6 +13,18 @@ from .points import point_velocity, world_axes
 
 
 @kernel
+def stay(moves, rates, a, b):
+    """Whether two bodies keep pose and twist, so that a force between them does not change."""
+    total = 0.0
+    for c in range(6):
+        if a != WORLD:
+            total += abs(moves[a, c]) + abs(rates[a, c])
+        if b != WORLD:
+            total += abs(moves[b, c]) + abs(rates[b, c])
+    return total == 0.0
+
+
+@kernel
 def turning(pose, moves, body):
     """Rotation vector of a body."""
     return ZERO3 if body == WORLD else matvec3(load9(pose, body, 0), load3(moves, body, 0))

@@ -13,6 +13,7 @@ from liegroup_core.compiling import kernel
 from liegroup_core.fields.values import NotNegative, Number, Positive
 
 from . import slide
+from .changes import stay
 from .servo import LAW, change_of_limited, law, limited
 from .slide import SlideForce
 
@@ -78,6 +79,8 @@ def add_change(rows, wanted, pose, twist, moves, rates, targets, at, wrench_out)
     first = len(wanted) - len(rows)
     for e in range(len(rows)):
         row, k = rows[e], at + first + e
+        if targets[k, 0] == targets[k, 1] == 0.0 and stay(moves, rates, row["parent"], row["child"]):
+            continue
         force = _effort(row, wanted[first + e, 0], wanted[first + e, 1], pose, twist)
         ds, d_rate = slide.changes(row, pose, twist, moves, rates)
         change = change_of_limited(row, force, targets[k, 0] - ds, targets[k, 1] - d_rate)

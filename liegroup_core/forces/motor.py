@@ -15,6 +15,7 @@ from liegroup_core.compiling import kernel
 from liegroup_core.fields.values import Number, Positive
 
 from . import turn
+from .changes import stay
 from .turn import TurnForce
 
 ROW = np.dtype(
@@ -75,6 +76,8 @@ def add_change(rows, pose, twist, moves, rates, wrench_out):
     """Add the changes of the torques along displacements, see changes.py."""
     for e in range(len(rows)):
         row = rows[e]
+        if stay(moves, rates, row["parent"], row["child"]):
+            continue
         n = turn.axis(row, pose)
         _, d_rate, dn = turn.changes(row, pose, twist, moves, rates, n)
         torque = effort(row, pose, twist, n)

@@ -16,6 +16,7 @@ from liegroup_core.compiling import kernel
 from liegroup_core.fields.values import NotNegative, Number, Positive
 
 from . import turn
+from .changes import stay
 from .turn import TurnForce
 
 LAW = [
@@ -113,7 +114,9 @@ def add_change(rows, angle, wanted, pose, twist, moves, rates, targets, at, wren
     """
     first = len(angle) - len(rows)
     for e in range(len(rows)):
-        row = rows[e]
+        row, targets_stay = rows[e], targets[at + e, 0] == targets[at + e, 1] == 0.0
+        if targets_stay and stay(moves, rates, row["parent"], row["child"]):
+            continue
         n = turn.axis(row, pose)
         torque = _effort(row, angle[first + e], wanted[e, 0], wanted[e, 1], pose, twist, n)
         d_angle, d_rate, dn = turn.changes(row, pose, twist, moves, rates, n)

@@ -17,7 +17,7 @@ from liegroup_core.compiling import kernel
 from liegroup_core.fields.values import NotNegative, Text, Vector3
 from liegroup_core.lie.vec3 import axpy3, dot3, scale3, sub3, vector3
 
-from .changes import apply_change_of_force, change_of_velocity, shift
+from .changes import apply_change_of_force, change_of_velocity, shift, stay
 from .described import Force
 from .points import apply_force, point, point_velocity
 
@@ -132,6 +132,8 @@ def add_change(rows, pose, twist, moves, rates, wrench_out):
     """Add the changes of the wrenches along displacements, see changes.py."""
     for e in range(len(rows)):
         row = rows[e]
+        if stay(moves, rates, row["parent"], row["child"]):
+            continue
         a, b, at_a, at_b = row["parent"], row["child"], vector3(row["parent_point"]), vector3(row["child_point"])
         d, moved = _line(row, pose), sub3(shift(pose, moves, b, at_b), shift(pose, moves, a, at_a))
         factor, change = row["stiffness"], 0.0

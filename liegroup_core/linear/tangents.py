@@ -352,7 +352,7 @@ def _change_wrenches(model, work, external, more, wanted, d, links, moves, rates
     L, n = len(model.bodies), len(model.parts)
     for i in range(n):
         part, b, e, dV = model.parts[i], model.parts[i]["link"], (ZERO3, ZERO3), (ZERO3, ZERO3)
-        if b != WORLD:
+        if b != WORLD and links[STILL * L + b, 0] == 0.0:
             rot, point = matrix3(part["rotation"]), vector3(part["point"])
             e = spatial(model, load(model, links, ETA * L + b))
             dV = spatial(model, load(model, links, TWIST * L + b))
@@ -584,8 +584,11 @@ def tangents(model, work, moves, more, wanted, sizes, state, links, bodies, rows
         _solve(model, work, rows)
         for b in range(L):
             link = link_of(model, b)
-            S = rate_twist(model, link, work.stage_twist, n + b)
-            rates_of(model, link, _bracket(model, load(model, links, SCREW * L + b), S), links, RATE * L + b)
+            for k in range(link["freedoms"]):
+                links[RATE * L + b, k] = 0.0
+            if links[STILL * L + b, 0] == 0.0:
+                S = rate_twist(model, link, work.stage_twist, n + b)
+                rates_of(model, link, _bracket(model, load(model, links, SCREW * L + b), S), links, RATE * L + b)
             for k in range(link["freedoms"]):
                 f = link["freedom"] + k
                 # dexp^-1_{-psi} (V + w) to first order
