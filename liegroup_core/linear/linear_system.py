@@ -19,9 +19,7 @@ from .channels import Inputs, Outputs
 from .coordinates import Coordinates
 from .differences import derivative
 from .probe import Probe
-from .tangents import NOT_SMOOTH
 
-ROUND_OFF = 64.0 * np.finfo(float).eps  # of the largest entry of a column
 DISPLACED = 1e-4  # rad, m, and of rates, in the derivatives of A
 
 
@@ -230,21 +228,14 @@ def system_of(probe, inputs=None, outputs=None, independent=None, preferred=()):
     count = len(moves) + len(inputs)
     directions, sizes = np.zeros((count, probe.freedoms, 2)), np.concatenate([[h for _, h in moves], inputs.sizes])
     directions[: len(moves)] = np.reshape([y for y, _ in moves], (len(moves), probe.freedoms, 2))
-    slopes, uncertain, _ = probe.tangents(directions, sizes, *inputs.changes(len(moves)))
-    found = signs * slopes[:, rows]
-    errors = (uncertain + ROUND_OFF)[:, None] * np.abs(found).max(axis=1, initial=0.0)[:, None] * np.ones(states)
-
-    def at(d, s):
-        """(slopes, poses, twists) at a distance s along direction d, and the inputs there."""
-        applied = (None, None) if d < len(moves) else inputs.applied(s * np.eye(len(inputs))[d - len(moves)])
-        return probe.slopes(s * directions[d], *applied), applied
+    slopes, errors = probe.derivatives(directions, sizes, *inputs.changes(len(moves)))
+    found, errors = signs * slopes[:, rows], errors[:, rows]
 
     def seen(d, s):
-        (_, pose, twist), applied = at(d, s)
+        applied = (None, None) if d < len(moves) else inputs.applied(s * np.eye(len(inputs))[d - len(moves)])
+        _, pose, twist = probe.slopes(s * directions[d], *applied)
         return outputs.of(probe.sample(pose, twist, *applied))
 
-    for d in np.flatnonzero(uncertain == NOT_SMOOTH):
-        found[d], errors[d] = derivative(lambda s, d=d: signs * at(d, s)[0][0][rows], sizes[d])
     # In the chart that moves with the state, d/dt psi = w + [psi, V]; in the fixed one half of the bracket.
     found[:m, :m] += found[:m, :m] - (coordinates.signs * coordinates.changes[coordinates.independent].T)
     shown, doubt = outputs.along(directions), np.zeros((count, len(outputs)))

@@ -31,8 +31,10 @@ from liegroup_core.observables.sample import Sample
 from liegroup_core.reports import explain
 from liegroup_core.status import DEPENDENT_ROWS, OK
 
+from .differences import derivative
 from .tangents import NOT_REGULAR, NOT_SMOOTH, tangents
 
+ROUND_OFF = 64.0 * np.finfo(float).eps  # of the largest entry of a tangent
 # Of one stage, whose displacement is its derivative.
 _ONE = Tableau(np.zeros((1, 1)), np.ones(1), np.zeros(1), np.zeros((0, 2)))
 
@@ -265,6 +267,23 @@ class Probe:
         if status == NOT_REGULAR or model.has_loads:
             out[:, 2 * f] = NOT_SMOOTH
         return out[:, : 2 * f], out[:, 2 * f], out[:, 2 * f + 1 :]
+
+    def derivatives(self, directions, sizes, external=None, wanted=None):
+        """(d, 2 f) derivatives of psi' and w' along directions of y and the inputs, and their errors (d, 2 f).
+
+        Arguments as of `tangents`; differences of the accelerations where those have no digits. Raises SimulationError.
+        """
+        found, uncertain, _ = self.tangents(directions, sizes, external, wanted)
+        errors = (uncertain + ROUND_OFF)[:, None] * np.abs(found).max(axis=1, initial=0.0)[:, None] + 0.0 * found
+
+        def slopes(d, s):
+            more, targets = (None if each is None else s * each[d] for each in (external, wanted))
+            given = None if more is None else self.external + more, None if targets is None else self.wanted + targets
+            return self.slopes(s * directions[d], *given)[0]
+
+        for d in np.flatnonzero(uncertain == NOT_SMOOTH):
+            found[d], errors[d] = derivative(lambda s, d=d: slopes(d, s), sizes[d])
+        return found, errors
 
     def closed(self, y=None):
         """(f,) rates of a neighbour that is projected onto the cut joints, and poses and twists of the bodies."""

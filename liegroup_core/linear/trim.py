@@ -2,7 +2,7 @@
 """Trim: equilibria and steady motions near a state, and the inputs that hold a pose.
 
 An equilibrium has z' = 0 and z'' = 0; in a steady motion given rates stay constant and all other coordinates
-rest. Newton's method finds it on the closed mechanism, with the derivatives of differences.py. Where a
+rest. Newton's method finds it on the closed mechanism, with the derivatives of tangents.py. Where a
 coordinate has no influence (a free motion), the nearest solution is taken.
 """
 
@@ -93,7 +93,7 @@ def _found(probe, rates, held, names):
         accelerations = _accelerations(probe, coordinates, inputs, u)
         remaining = float(np.abs(accelerations / rows).max(initial=0.0))
         limit = limit or FOUND * (max(float(np.linalg.norm(probe.layout.scene.gravity)), 1.0) + remaining)
-        moved, pushed = _moved(probe, coordinates, inputs, u), _pushed(probe, coordinates, inputs, u)
+        moved, pushed = _derivatives(probe, coordinates, inputs, u)
         if remaining <= limit:
             if beyond := stops.beyond():
                 advice = "start at the stop, or nearer to another equilibrium"
@@ -185,29 +185,20 @@ def _accelerations(probe, coordinates, inputs, u, y=None):
     return slopes[probe.freedoms + coordinates.moving]
 
 
-def _moved(probe, coordinates, inputs, u):
-    columns = []
-    for k in range(len(coordinates.independent)):
-        columns.append(
-            derivative(
-                lambda s, k=k: _accelerations(probe, coordinates, inputs, u, coordinates.neighbour(k, s)),
-                coordinates.size(k),
-            )[0]
-        )
-    return np.array(columns).reshape(len(columns), len(coordinates.moving)).T
-
-
-def _pushed(probe, coordinates, inputs, u, chosen=None):
-    """(p, k) derivatives of the accelerations by the inputs, or by chosen ones."""
-    columns = []
-    for j in range(len(inputs)) if chosen is None else chosen:
-        change = np.eye(len(inputs))[j]
-        columns.append(
-            derivative(
-                lambda s, change=change: _accelerations(probe, coordinates, inputs, u + s * change), inputs.sizes[j]
-            )[0]
-        )
-    return np.array(columns).reshape(len(columns), len(coordinates.moving)).T
+def _derivatives(probe, coordinates, inputs, u):
+    """Derivatives of the accelerations (p,) by the coordinates (p, m) and by the inputs (p, k)."""
+    m = len(coordinates.independent)
+    directions = np.zeros((m + len(inputs), probe.freedoms, 2))
+    for k in range(m):
+        directions[k] = coordinates.neighbour(k, 1.0)
+    sizes = np.array([*map(coordinates.size, range(m)), *inputs.sizes])
+    changes, present = inputs.changes(m), (probe.external, probe.wanted)
+    probe.external, probe.wanted = inputs.applied(u)
+    try:
+        found = probe.derivatives(directions, sizes, *changes)[0][:, probe.freedoms + coordinates.moving].T
+    finally:
+        probe.external, probe.wanted = present
+    return found[:, :m], found[:, m:]
 
 
 def _trim(probe, preferred, inputs, u):
@@ -219,7 +210,8 @@ def _trim(probe, preferred, inputs, u):
         return _accelerations(probe, coordinates, inputs, u) / rows
 
     def pushed(u, chosen=None):
-        return _pushed(probe, coordinates, inputs, u, chosen) / rows[:, None]
+        found = _derivatives(probe, coordinates, inputs, u)[1] / rows[:, None]
+        return found if chosen is None else found[:, chosen]
 
     effects = pushed(u)
     found = resting.hold(accelerations, u, effects, inputs)

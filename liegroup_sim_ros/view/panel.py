@@ -127,15 +127,15 @@ class Panel:
         return f"continues from {branch.frame().time:.6g} s, paused; the former motion is the pale one"
 
     def _motion(self):
-        gui, layout = self._gui, self._page.source.layout
-        self._error = self._plot("log10 of the error in m", ("estimated", "requested", *WITH_GAPS))
-        self._energy = self._plot("change of the energy, J", ("energy",))
+        gui, layout, moves = self._gui, self._page.source.layout, self._page.source.is_motion
+        self._error = self._plot("log10 of the error in m", ("estimated", "requested", *WITH_GAPS)) if moves else None
+        self._energy = self._plot("change of the energy, J", ("energy",)) if moves else None
         names = layout.coordinates.names
         self._joint = gui.add_dropdown("joint", tuple(names), initial_value=names[0]) if names else None
         self._position = self._plot("position", ("position",)) if names else None
         self._velocity = self._plot("velocity", ("velocity",)) if names else None
-        self._effort = self._plot("effort of servo, drive and command", ("effort",)) if names else None
-        held = [joint.name for joint in layout.scene.joints]
+        self._effort = self._plot("effort of servo, drive and command", ("effort",)) if names and moves else None
+        held = [joint.name for joint in layout.scene.joints] if moves else []
         self._held = gui.add_dropdown("reaction of", tuple(held), initial_value=held[0]) if held else None
         self._reaction = (
             self._plot("reaction as far as it is determined, N and N m", ("force", "torque")) if held else None
@@ -363,7 +363,9 @@ class Panel:
 
     @staticmethod
     def _draw(plot, history, since, values):
-        """Draw {key: function of a Frame} in a plot, see History.curve."""
+        """Draw {key: function of a Frame} in a plot, see History.curve; None: no plot."""
+        if plot is None:
+            return
         curves = [history.curve(value, since, key) for key, value in values.items()]
         times = curves[0][0]
         if len(times) < 2:

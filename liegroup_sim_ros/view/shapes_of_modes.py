@@ -18,7 +18,7 @@ class Modes(Source):
     titles : texts of the modes
     """
 
-    is_live = polled = False
+    is_live = is_motion = polled = False
 
     def __init__(self, simulation, modes, titles, time=None):
         super().__init__(simulation.layout, f"{simulation.scene.name}: modes")
@@ -42,4 +42,4 @@ class Modes(Source):
 
     def status(self):
         """Status."""
-        return Status("recorded", None, None, "")
+        return Status("shapes", None, None, "")

@@ -33,7 +33,7 @@ class Frame(NamedTuple):
 class Status(NamedTuple):
     """How a live source runs."""
 
-    state: str  # "running", "paused" or "faulted"; of a recording "recorded"
+    state: str  # "running", "paused" or "faulted"; of a recording "recorded", else one word
     factor: float | None  # achieved real-time factor
     latency: float | None  # s, by which the newest frame arrived later than the fastest one
     text: str  # what else is known, one line
@@ -49,11 +49,12 @@ class Source:
              "servo" and "driven" (joint, value); "push", if it takes wrenches; "method", if `with_method` works;
              "reference", if `reference` does
     is_live: whether frames arrive while it runs; else `history` is complete from the start
+    is_motion : whether its frames are a motion, which has an energy, errors, efforts and reactions
     polled : whether the page adds the newest frame to `history` at its rate; else the source adds all frames
     """
 
     takes = frozenset()
-    is_live = polled = True
+    is_live = is_motion = polled = True
 
     def __init__(self, layout, title):
         self.layout, self.title = layout, title

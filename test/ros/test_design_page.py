@@ -49,6 +49,8 @@ def test_the_page_designs_a_controller_and_the_recording_agrees(tmp_path, monkey
     clock = client.listen("/clock", Clock, 1)
 
     def passed(seconds):
+        clock.clear()  # nothing was received while other processes were waited for
+        client.until(lambda: clock, COMPILING, "the clock")
         end = now() + seconds
         client.until(lambda: now() > end, COMPILING, f"{seconds} s of simulated time")
 
@@ -62,7 +64,7 @@ def test_the_page_designs_a_controller_and_the_recording_agrees(tmp_path, monkey
         pushed = python(PUSH, *push)
         output, errors = pushed.communicate(timeout=60)
         assert pushed.returncode == 0, errors
-        passed(5.0)
+        passed(6.0)
         for process in (simulation, controller):
             process.send_signal(signal.SIGINT)
             _, errors = process.communicate(timeout=30)

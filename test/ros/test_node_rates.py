@@ -44,6 +44,7 @@ def test_every_topic_has_its_own_rate_and_the_recording_repeats(client, tmp_path
         for _ in range(25):
             push(body, force=tuple(rng.uniform(-0.3, 0.3) for _ in range(3)))
             client.spin(rng.uniform(0.0, 0.03))
+        client.until(lambda: stamp_ns(clock[-1].clock) > 300_000_000)  # 23 periods of the recording
         before = stamp_ns(clock[-1].clock)
         assert client.call(f"{NODE}/pause").success
         assert client.call(f"{NODE}/save_snapshot").success
