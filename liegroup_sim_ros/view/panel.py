@@ -133,7 +133,7 @@ class Panel:
         names = layout.coordinates.names
         self._joint = gui.add_dropdown("joint", tuple(names), initial_value=names[0]) if names else None
         self._position = self._plot("position", ("position",)) if names else None
-        self._velocity = self._plot("velocity", ("velocity",)) if names else None
+        self._velocity = self._plot("velocity", ("velocity",)) if names and moves else None
         self._effort = self._plot("effort of servo, drive and command", ("effort",)) if names and moves else None
         held = [joint.name for joint in layout.scene.joints] if moves else []
         self._held = gui.add_dropdown("reaction of", tuple(held), initial_value=held[0]) if held else None
