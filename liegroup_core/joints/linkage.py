@@ -16,6 +16,7 @@ from liegroup_core.lie.groups import SE3
 
 from .coupling import coordinate, difference, gap, rate_row, turns
 from .kinds import forbidden_rows, position_residual
+from .rolling import is_holonomic
 
 # Smallest singular value, for unit rows, that counts as independent. Independent rows rarely have one below
 # 1e-3. In a singular pose, a residual of CLOSED gives sqrt(CLOSED) = 1e-6 instead of zero.
@@ -103,6 +104,12 @@ class Linkage:
     def _to_joint(self):
         """[(6, 6)] for each joint: transforms twists from the child's body frame to its joint frame."""
         return [SE3.Ad(inverse(child)) for _, child in self.frames]
+
+    @cached_property
+    def _is_holonomic(self):
+        """(rows,) whether a row is the derivative of a residual: those of rolling forbid velocities only."""
+        kinds = [is_holonomic(part.kind) for parts in self.parts for part in parts for _ in part.names]
+        return np.array(kinds + [True] * len(self.couplings), dtype=bool)
 
     def velocity_rows(self, poses):
         """Rows (rows, 6 bodies) of all joints, then of all couplings, for twists of the bodies."""
@@ -227,7 +234,9 @@ class Linkage:
                 break
             # The rows are the derivative of the residual only where it vanishes. Elsewhere, finite
             # differences may converge although the rows do not.
-            better = self._step(poses, gap, self.velocity_rows(poses))
+            rows = self.velocity_rows(poses)
+            rows[~self._is_holonomic] = 0.0
+            better = self._step(poses, gap, rows)
             if better is None and not self._is_small(gap, poses, CLOSED):
                 better = self._step(poses, gap, self._differences(poses))
             if better is None:
