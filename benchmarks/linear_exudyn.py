@@ -107,6 +107,7 @@ def exudyn_poles(scene, result, reactions=True):
     container, mbs = exudyn_model(scene, result)
     settings = exu.SimulationSettings()
     settings.staticSolver.verboseMode = 0
+    settings.solutionSettings.writeSolutionToFile = False
     start = mbs.systemData.GetODE2Coordinates(exu.ConfigurationType.Initial).copy()
 
     def linearised():
