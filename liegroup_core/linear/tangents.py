@@ -24,7 +24,7 @@ differences of order six are taken (differences.py).
 import numpy as np
 
 from liegroup_core.compiling import borrowed, kernel
-from liegroup_core.dynamics.accelerations import balance
+from liegroup_core.dynamics.accelerations import apply_forces, balance
 from liegroup_core.dynamics.algebra import (
     Ad_inverse,
     add,
@@ -44,16 +44,16 @@ from liegroup_core.dynamics.algebra import (
     wrench_at,
     zero,
 )
-from liegroup_core.dynamics.coordinates import place_bodies, place_links
+from liegroup_core.dynamics.coordinates import place_links
 from liegroup_core.dynamics.coupled_rows import slopes_of
 from liegroup_core.dynamics.couplings import add_pair, coupled_rate
 from liegroup_core.dynamics.links import body_wrench, momentum, seen_from
 from liegroup_core.dynamics.loops import close_loops
 from liegroup_core.dynamics.matrix import NEAR, is_off
-from liegroup_core.dynamics.residuals import gather_forces
-from liegroup_core.dynamics.trees import apply_wrenches, move_links, spread_response
-from liegroup_core.forces.external import set_changes, set_external_wrenches
-from liegroup_core.forces.kinds import add_changes, add_wrenches
+from liegroup_core.dynamics.residuals import add_multipliers, add_own_forces, gather_forces
+from liegroup_core.dynamics.trees import move_links, spread_response
+from liegroup_core.forces.external import set_changes
+from liegroup_core.forces.kinds import add_changes
 from liegroup_core.joints.elements import PAIR, WORLD
 from liegroup_core.joints.kinds import variable_row
 from liegroup_core.lie.se2 import se2_Ad, turn_back2
@@ -212,22 +212,13 @@ _row = choice("row", _row_in_space, _row_in_plane)
 
 
 @kernel
-def _set_forces(model, work, external, pose, twist):
-    """Write the wrenches of all forces on the bodies at given poses and twists to work.wrench."""
-    set_external_wrenches(external, pose, work.wrench)
-    add_wrenches(model.space.forces, work.angle, work.acting, work.wanted, pose, twist, work.wrench)
-
-
-@kernel
 def _set_state(model, work, pose_in, twist_in, external_in, links, rows, given):
     """Accelerations of the state with their factors, and what tangents need of them. Returns a status."""
     pose, twist, external, _ = steps.enter(model, work, pose_in, twist_in, external_in)
     steps.begin(model, work, pose, twist)
     move_links(model, work)
     place_links(model, work)
-    place_bodies(model, work, work.space.stage_pose, work.space.stage_twist)
-    _set_forces(model, work, external, work.space.stage_pose, work.space.stage_twist)
-    apply_wrenches(model, work)
+    apply_forces(model, work, external)
     dependent = balance(model, work)
     if dependent >= 0:
         return DEPENDENT_ROWS + (model.owners[dependent] << 8)
@@ -237,20 +228,12 @@ def _set_state(model, work, pose_in, twist_in, external_in, links, rows, given):
         rows[MULTIPLIER, r] = work.multipliers[r]
     L = len(model.bodies)
     for b in range(L):
-        link, V = link_of(model, b), load(model, work.velocities, b)
-        A = _acceleration(model, work, b)
-        store(model, A, links, ACCELERATION * L + b)
-        F = add(model, momentum(model, link, A), _dual(model, V, momentum(model, link, V)))
-        store(model, sub(model, F, load(model, work.applied, b)), links, WRENCH * L + b)
-    for j in range(len(model.joints)):
-        joint = model.joints[j]
-        a, b = joint["parent"], joint["child"]
-        for r in range(joint["first"], joint["first"] + joint["rows"]):
-            F = _times(model, rows[MULTIPLIER, r], _row(model, work.child_jacobian, r))
-            add_to(model, F, links, WRENCH * L + b)
-            if a != WORLD:
-                F = _times(model, rows[MULTIPLIER, r], _row(model, work.parent_jacobian, r))
-                add_to(model, F, links, WRENCH * L + a)
+        store(model, _acceleration(model, work, b), links, ACCELERATION * L + b)
+        store(model, zero(model), work.force, b)
+    add_own_forces(model, work)
+    add_multipliers(model, work)
+    for b in range(L):
+        store(model, load(model, work.force, b), links, WRENCH * L + b)
     for b in range(len(model.bodies) - 1, -1, -1):
         a = model.bodies[b]["parent"]
         if a != WORLD:
