@@ -13,7 +13,6 @@ from liegroup_core.compiling import kernel
 from liegroup_core.fields.values import Number, Positive
 
 from . import slide
-from .changes import stay
 from .slide import SlideForce
 
 ROW = np.dtype(
@@ -73,7 +72,4 @@ def add_change(rows, pose, twist, moves, rates, wrench_out):
     """Add the changes of the wrenches along displacements, see changes.py."""
     for e in range(len(rows)):
         row = rows[e]
-        if stay(moves, rates, row["parent"], row["child"]):
-            continue
-        _, d_rate = slide.changes(row, pose, twist, moves, rates)
-        slide.apply_change(row, pose, moves, effort(row, pose, twist), -row["slope"] * d_rate, wrench_out)
+        slide.add_change(row, pose, twist, moves, rates, effort(row, pose, twist), 0.0, row["slope"], 0.0, wrench_out)

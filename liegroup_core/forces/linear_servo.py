@@ -13,8 +13,7 @@ from liegroup_core.compiling import kernel
 from liegroup_core.fields.values import NotNegative, Number, Positive
 
 from . import slide
-from .changes import stay
-from .servo import LAW, change_of_limited, law, limited
+from .servo import LAW, gains, law, limited
 from .slide import SlideForce
 
 ROW = np.dtype(slide.FIELDS + LAW, align=True)
@@ -78,10 +77,7 @@ def add_change(rows, wanted, pose, twist, moves, rates, targets, at, wrench_out)
     """
     first = len(wanted) - len(rows)
     for e in range(len(rows)):
-        row, k = rows[e], at + first + e
-        if targets[k, 0] == targets[k, 1] == 0.0 and stay(moves, rates, row["parent"], row["child"]):
-            continue
+        row, own = rows[e], at + first + e
         force = _effort(row, wanted[first + e, 0], wanted[first + e, 1], pose, twist)
-        ds, d_rate = slide.changes(row, pose, twist, moves, rates)
-        change = change_of_limited(row, force, targets[k, 0] - ds, targets[k, 1] - d_rate)
-        slide.apply_change(row, pose, moves, force, change, wrench_out)
+        k, c, given = gains(row, force, targets[own, 0], targets[own, 1])
+        slide.add_change(row, pose, twist, moves, rates, force, k, c, given, wrench_out)

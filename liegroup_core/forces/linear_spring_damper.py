@@ -10,7 +10,6 @@ from liegroup_core.compiling import kernel
 from liegroup_core.fields.values import NotNegative, Number
 
 from . import slide
-from .changes import stay
 from .slide import SlideForce
 
 ROW = np.dtype(
@@ -86,8 +85,5 @@ def add_change(rows, pose, twist, moves, rates, wrench_out):
     """Add the changes of the wrenches along displacements, see changes.py."""
     for e in range(len(rows)):
         row = rows[e]
-        if stay(moves, rates, row["parent"], row["child"]):
-            continue
-        ds, d_rate = slide.changes(row, pose, twist, moves, rates)
-        change = -row["stiffness"] * ds - row["damping"] * d_rate
-        slide.apply_change(row, pose, moves, effort(row, pose, twist), change, wrench_out)
+        force = effort(row, pose, twist)
+        slide.add_change(row, pose, twist, moves, rates, force, row["stiffness"], row["damping"], 0.0, wrench_out)

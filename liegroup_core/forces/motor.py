@@ -15,7 +15,6 @@ from liegroup_core.compiling import kernel
 from liegroup_core.fields.values import Number, Positive
 
 from . import turn
-from .changes import stay
 from .turn import TurnForce
 
 ROW = np.dtype(
@@ -76,9 +75,6 @@ def add_change(rows, pose, twist, moves, rates, wrench_out):
     """Add the changes of the torques along displacements, see changes.py."""
     for e in range(len(rows)):
         row = rows[e]
-        if stay(moves, rates, row["parent"], row["child"]):
-            continue
         n = turn.axis(row, pose)
-        _, d_rate, dn = turn.changes(row, pose, twist, moves, rates, n)
         torque = effort(row, pose, twist, n)
-        turn.apply_change(row, pose, moves, n, dn, torque, -row["slope"] * d_rate, wrench_out)
+        turn.add_change(row, pose, twist, moves, rates, n, torque, 0.0, row["slope"], 0.0, wrench_out)

@@ -16,7 +16,6 @@ from liegroup_core.compiling import kernel
 from liegroup_core.fields.values import NotNegative, Number, Positive
 
 from . import turn
-from .changes import stay
 from .turn import TurnForce
 
 LAW = [
@@ -59,11 +58,11 @@ def limited(row, position_error, velocity_error):
 
 
 @kernel
-def change_of_limited(row, effort, position_error, velocity_error):
-    """Change of the effort of a servo with those of its errors; zero at its limit."""
+def gains(row, effort, position, velocity):
+    """Present gains of a servo, and the change of its effort with its targets; zeros at its limit."""
     if abs(effort) >= row["limit"]:
-        return 0.0
-    return row["stiffness"] * position_error + row["damping"] * velocity_error
+        return 0.0, 0.0, 0.0
+    return row["stiffness"], row["damping"], row["stiffness"] * position + row["damping"] * velocity
 
 
 @kernel
@@ -114,11 +113,8 @@ def add_change(rows, angle, wanted, pose, twist, moves, rates, targets, at, wren
     """
     first = len(angle) - len(rows)
     for e in range(len(rows)):
-        row, targets_stay = rows[e], targets[at + e, 0] == targets[at + e, 1] == 0.0
-        if targets_stay and stay(moves, rates, row["parent"], row["child"]):
-            continue
+        row = rows[e]
         n = turn.axis(row, pose)
         torque = _effort(row, angle[first + e], wanted[e, 0], wanted[e, 1], pose, twist, n)
-        d_angle, d_rate, dn = turn.changes(row, pose, twist, moves, rates, n)
-        change = change_of_limited(row, torque, targets[at + e, 0] - d_angle, targets[at + e, 1] - d_rate)
-        turn.apply_change(row, pose, moves, n, dn, torque, change, wrench_out)
+        k, c, given = gains(row, torque, targets[at + e, 0], targets[at + e, 1])
+        turn.add_change(row, pose, twist, moves, rates, n, torque, k, c, given, wrench_out)

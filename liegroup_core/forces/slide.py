@@ -16,7 +16,15 @@ from liegroup_core.compiling import kernel
 from liegroup_core.fields.values import Text
 from liegroup_core.lie.vec3 import ZERO3, axpy3, cross3, dot3, scale3, sub3, vector3
 
-from .changes import angular_velocity, apply_change_of_force, apply_change_of_torque, change_of_velocity, shift, turning
+from .changes import (
+    angular_velocity,
+    apply_change_of_force,
+    apply_change_of_torque,
+    change_of_velocity,
+    shift,
+    stay,
+    turning,
+)
 from .described import Force
 from .points import apply_force, place_of, point, point_velocity, world_axes
 
@@ -77,35 +85,29 @@ def apply(row, pose, force, wrench_out):
 
 
 @kernel
-def changes(row, pose, twist, moves, rates):
-    """Changes of coordinate and rate along displacements, see changes.py."""
+def add_change(row, pose, twist, moves, rates, force, stiffness, damping, given, wrench_out):
+    """Add the change of `apply` along displacements, see changes.py.
+
+    stiffness, damping : minus the derivatives of the force by coordinate and rate; given : its change by other causes
+    """
     a, b, place = row["parent"], row["child"], vector3(row["child_origin"])
+    if given == 0.0 and stay(moves, rates, a, b):
+        return
     z = world_axes(pose, a, vector3(row["axis"]))
     dz = cross3(turning(pose, moves, a), z)
     origin, at = vector3(row["parent_origin"]), point(pose, b, place)
-    line = sub3(at, point(pose, a, origin))
     moved = shift(pose, moves, b, place)
-    s = dot3(dz, line) + dot3(z, sub3(moved, shift(pose, moves, a, origin)))
+    s = dot3(dz, sub3(at, point(pose, a, origin))) + dot3(z, sub3(moved, shift(pose, moves, a, origin)))
     # Of the parent's point that is at the child's: its place in the parent changes, too.
     there = place_of(pose, a, at)
     apart = sub3(moved, shift(pose, moves, a, there))
     speed = sub3(point_velocity(pose, twist, b, place), point_velocity(pose, twist, a, there))
-    change = sub3(
+    faster = sub3(
         change_of_velocity(pose, twist, moves, rates, b, place), change_of_velocity(pose, twist, moves, rates, a, there)
     )
-    change = sub3(change, cross3(angular_velocity(pose, twist, a), apart))
-    return s, dot3(dz, speed) + dot3(z, change)
-
-
-@kernel
-def apply_change(row, pose, moves, force, change, wrench_out):
-    """Add the change of `apply`; change : that of the force."""
-    a, b, place = row["parent"], row["child"], vector3(row["child_origin"])
-    z = world_axes(pose, a, vector3(row["axis"]))
-    pull, moved = scale3(force, z), axpy3(change, z, scale3(force, cross3(turning(pose, moves, a), z)))
-    apply_change_of_force(pose, moves, b, place, pull, moved, wrench_out)
-    there = place_of(pose, a, point(pose, b, place))
-    apart = sub3(shift(pose, moves, b, place), shift(pose, moves, a, there))
-    apply_change_of_force(pose, moves, a, there, scale3(-1.0, pull), scale3(-1.0, moved), wrench_out)
-    # The point of the parent moves in it.
+    faster = sub3(faster, cross3(angular_velocity(pose, twist, a), apart))
+    change = given - stiffness * s - damping * (dot3(dz, speed) + dot3(z, faster))
+    pull, changed = scale3(force, z), axpy3(change, z, scale3(force, dz))
+    apply_change_of_force(pose, moves, b, place, pull, changed, wrench_out)
+    apply_change_of_force(pose, moves, a, there, scale3(-1.0, pull), scale3(-1.0, changed), wrench_out)
     apply_change_of_torque(pose, moves, a, ZERO3, cross3(pull, apart), wrench_out)

@@ -15,7 +15,6 @@ from liegroup_core.compiling import kernel
 from liegroup_core.fields.values import NotNegative, Number
 
 from . import turn
-from .changes import stay
 from .turn import TurnForce
 
 ROW = np.dtype(
@@ -94,9 +93,6 @@ def add_change(rows, angle, pose, twist, moves, rates, wrench_out):
     """Add the changes of the torques along displacements, see changes.py."""
     for e in range(len(rows)):
         row = rows[e]
-        if stay(moves, rates, row["parent"], row["child"]):
-            continue
         n = turn.axis(row, pose)
-        d_angle, d_rate, dn = turn.changes(row, pose, twist, moves, rates, n)
-        change = -row["stiffness"] * d_angle - row["damping"] * d_rate
-        turn.apply_change(row, pose, moves, n, dn, effort(row, angle[e], pose, twist, n), change, wrench_out)
+        torque = effort(row, angle[e], pose, twist, n)
+        turn.add_change(row, pose, twist, moves, rates, n, torque, row["stiffness"], row["damping"], 0.0, wrench_out)

@@ -22,7 +22,7 @@ from liegroup_core.fields.values import Text
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.vec3 import add3, axpy3, cross3, dot3, load3, load9, matmul3, matrix3, scale3, sub3, tmatmul3
 
-from .changes import angular_velocity, apply_change_of_torque, change_of_angular_velocity, turning
+from .changes import angular_velocity, apply_change_of_torque, change_of_angular_velocity, stay, turning
 from .described import Force
 from .points import apply_torque, world_axes
 
@@ -101,9 +101,14 @@ def apply(row, pose, n, torque, wrench_out):
 
 
 @kernel
-def changes(row, pose, twist, moves, rates, n):
-    """Changes of angle, rate and n along displacements, see changes.py."""
+def add_change(row, pose, twist, moves, rates, n, torque, stiffness, damping, given, wrench_out):
+    """Add the change of `apply` along displacements, see changes.py.
+
+    stiffness, damping : minus the derivatives of the torque by angle and rate; given : its change by other causes
+    """
     a, b, u, v = row["parent"], row["child"], row["parent_axes"], row["child_axes"]
+    if given == 0.0 and stay(moves, rates, a, b):
+        return
     z_a, z_b = world_axes(pose, a, (u[2], u[5], u[8])), world_axes(pose, b, (v[2], v[5], v[8]))
     turn_a, turn_b = turning(pose, moves, a), turning(pose, moves, b)
     d_a, d_b = cross3(turn_a, z_a), cross3(turn_b, z_b)
@@ -111,19 +116,15 @@ def changes(row, pose, twist, moves, rates, n):
     inverse = 1.0 / both if both > 0.0 else 0.0
     dn = scale3(inverse, axpy3(-(dot3(d_a, z_b) + dot3(z_a, d_b)), n, add3(d_a, d_b)))
     speed = sub3(angular_velocity(pose, twist, b), angular_velocity(pose, twist, a))
-    change = sub3(
+    faster = sub3(
         change_of_angular_velocity(pose, twist, moves, rates, b),
         change_of_angular_velocity(pose, twist, moves, rates, a),
     )
-    return dot3(n, sub3(turn_b, turn_a)), dot3(dn, speed) + dot3(n, change), dn
-
-
-@kernel
-def apply_change(row, pose, moves, n, dn, torque, change, wrench_out):
-    """Add the change of `apply`; dn, change : those of n and of the torque."""
-    vector, moved = scale3(torque, n), axpy3(change, n, scale3(torque, dn))
-    apply_change_of_torque(pose, moves, row["child"], vector, moved, wrench_out)
-    apply_change_of_torque(pose, moves, row["parent"], scale3(-1.0, vector), scale3(-1.0, moved), wrench_out)
+    turned, rate = dot3(n, sub3(turn_b, turn_a)), dot3(dn, speed) + dot3(n, faster)
+    vector, change = scale3(torque, n), given - stiffness * turned - damping * rate
+    moved = axpy3(change, n, scale3(torque, dn))
+    apply_change_of_torque(pose, moves, b, vector, moved, wrench_out)
+    apply_change_of_torque(pose, moves, a, scale3(-1.0, vector), scale3(-1.0, moved), wrench_out)
 
 
 @kernel
