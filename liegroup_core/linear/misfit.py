@@ -3,11 +3,10 @@
 
 import numpy as np
 
-from liegroup_core.errors import SceneError
-from liegroup_core.scene.load import scene_as_written, scene_from_text
-from liegroup_core.study.sweep.parameters import changed, parameters, path_of
+from liegroup_core.scene.load import scene_from_text
+from liegroup_core.study.sweep.parameters import changed
 
-from .sensitivities import difference, sensitivities
+from .sensitivities import difference, numbers_of, sensitivities
 
 
 class Misfit:
@@ -29,12 +28,8 @@ class Misfit:
     """
 
     def __init__(self, scene, names, times, measured, outputs, deviation=1.0, **settings):
-        self._written, self._source = scene_as_written(scene.text, scene.source), scene.source
-        self.paths = tuple(path_of(self._written, name) for name in names)
-        known = parameters(self._written)
-        if missing := [path for path in self.paths if known[path] is None]:
-            raise SceneError(f"the scene has no value of {missing[0]}: give it there")
-        self.start = np.array([known[path] for path in self.paths], dtype=float)
+        self._written, self.paths, known = numbers_of(scene, names)
+        self._source, self.start = scene.source, np.array([known[path] for path in self.paths], dtype=float)
         self._times, self._outputs, self._settings = np.atleast_1d(times), list(outputs), settings
         self._measured = np.reshape(np.asarray(measured, dtype=float), (len(self._times), len(self._outputs)))
         self._weights = np.where(np.isnan(self._measured), 0.0, 1.0 / np.broadcast_to(deviation, self._measured.shape))

@@ -50,6 +50,15 @@ class Sensitivities:
     angles: np.ndarray
 
 
+def numbers_of(scene, names):
+    """(the scene as it is written, paths, {path: number}) of numbers with these names. Raises ParameterError, SceneError."""
+    written = scene_as_written(scene.text, scene.source)
+    paths, known = tuple(path_of(written, name) for name in names), parameters(written)
+    if missing := [path for path in paths if known[path] is None]:
+        raise SceneError(f"the scene has no value of {missing[0]}: give it there")
+    return written, paths, known
+
+
 def sensitivities(scene, names, times, outputs=None, **settings):
     """Sensitivities of the run of a scene from its start.
 
@@ -61,9 +70,7 @@ def sensitivities(scene, names, times, outputs=None, **settings):
     Accuracy: test/verification/test_sensitivities.py.
     """
     settings = settings or {"accuracy": TIGHT}
-    written = scene_as_written(scene.text, scene.source)
-    paths = tuple(path_of(written, name) for name in names)
-    known = parameters(written)
+    written, paths, known = numbers_of(scene, names)
     times = np.atleast_1d(np.asarray(times, dtype=float))
     if not len(times):
         raise SceneError("sensitivities need at least one time")
@@ -77,8 +84,6 @@ def sensitivities(scene, names, times, outputs=None, **settings):
         return difference(found, values, turning), count, noise
 
     for path in paths:
-        if known[path] is None:
-            raise SceneError(f"the scene has no value of {path}: give it there")
         h = CHANGE * (abs(known[path]) or 1.0)
         found = np.zeros_like(values), np.full_like(values, np.inf)
         for _ in range(MOST_CHANGES):
