@@ -51,7 +51,7 @@ class Sensitivities:
 
 
 def numbers_of(scene, names):
-    """(the scene as it is written, paths, {path: number}) of numbers with these names. Raises ParameterError, SceneError."""
+    """(scene as written, paths, {path: number}) of numbers with these names. Raises ParameterError, SceneError."""
     written = scene_as_written(scene.text, scene.source)
     paths, known = tuple(path_of(written, name) for name in names), parameters(written)
     if missing := [path for path in paths if known[path] is None]:
