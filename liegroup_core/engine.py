@@ -507,10 +507,13 @@ class Engine:
 
     def _next_change(self):
         """Instant after the present one before which no input changes."""
+        return self.change_after(self._present())
+
+    def change_after(self, instant):
+        """First Instant after another at which an input changes, or AFTER."""
         if not (self._timetable or self.inputs.schedule):
             return AFTER
-        present = self._present()
-        return min(self._timetable.next_after(present), self.inputs.schedule.next_after(present))
+        return min(self._timetable.next_after(instant), self.inputs.schedule.next_after(instant))
 
     def _state_inside(self, end):
         """Pose, twist and angles at an Instant before which no input changes, from the integration that runs ahead.

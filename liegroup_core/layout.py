@@ -80,6 +80,13 @@ class Layout:
             return self.relative
         return self._with_usual_pivot(relative_model(self.centred, self.model, in_space=True))
 
+    @cached_property
+    def in_space(self):
+        """The same Layout with a `relative` that is not a PlaneModel, and its freedoms."""
+        layout = replace(self)
+        layout.__dict__["relative"] = self.relative_in_space
+        return layout
+
     def floating(self, group):
         """RelativeModel with an empty tree, on a group of FLOATING: all bodies float, all joints are cut."""
         if group not in self._floating:

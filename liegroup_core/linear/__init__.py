@@ -5,7 +5,7 @@ from .inverse import InverseDynamics, inverse_dynamics
 from .linear_system import LinearSystem, change_along, linearise, pole_errors
 from .misfit import Misfit
 from .modes import Mode, modes_of, shapes_of
-from .sensitivities import Sensitivities, sensitivities
+from .sensitivities import Sensitivities, outputs_of, sensitivities
 from .transition import Transition, transition
 from .trim import Trim, TrimError, trim
 
@@ -22,6 +22,7 @@ __all__ = [
     "inverse_dynamics",
     "linearise",
     "modes_of",
+    "outputs_of",
     "pole_errors",
     "sensitivities",
     "shapes_of",

@@ -8,6 +8,8 @@ acceleration of the body frame in body axes; JOINT.torque_x .. JOINT.force_z, th
 reaction on the child in its joint frame; SENSOR.0, SENSOR.1, ..., without noise and steps of resolution.
 """
 
+from functools import cached_property
+
 import numpy as np
 import scipy
 
@@ -100,13 +102,14 @@ class Outputs:
     """Outputs of a Probe, as functions of a Sample.
 
     wanted : names, or those of OUTPUTS that stand for many; None: joints
+    turns  : (n, 3, 3) attitudes to which rotation vectors refer; None: those of the state
     names  : of the outputs
     Raises SceneError for an unknown name.
     """
 
-    def __init__(self, probe, wanted=None):
+    def __init__(self, probe, wanted=None, turns=None):
         layout, scene = probe.layout, probe.layout.scene
-        joints = layout.coordinates.names
+        joints, self._units = layout.coordinates.names, layout.coordinates.units
         bodies = layout.body_names
         self._ideal = [_ideal(sensor) for sensor in scene.sensors]
         sizes = [len(np.atleast_1d(sensor.measure(probe.base))) for sensor in self._ideal]
@@ -123,7 +126,7 @@ class Outputs:
         self._kinds = [kind for kind, names in kinds.items() if chosen & set(names)]
         order = [name for kind in self._kinds for name in kinds[kind]]
         self._places = [order.index(name) for name in self.names]
-        self._turns = probe.base.pose[:, :9].reshape(-1, 3, 3)
+        self.turns = probe.base.pose[:, :9].reshape(-1, 3, 3) if turns is None else turns
         own = {each.name: (f, each.sign) for f, each in enumerate(layout.freedoms) if each.is_of_joint}
         found = [(own.get(name.rpartition(".")[0]), name.endswith(".velocity")) for name in self.names]
         self._freedoms = None
@@ -140,8 +143,18 @@ class Outputs:
         rows = [sign * directions[:, f, rate] for f, sign, rate in self._freedoms]
         return np.reshape(rows, (len(rows), len(directions))).T
 
+    @cached_property
+    def angles(self):
+        """(k,) whether an output is an angle, which values have modulo 2 pi."""
+        units = self._units
+        return np.array([name.endswith(".position") and units.get(name[:-9]) == "rad" for name in self.names], bool)
+
+    def apart(self, values, base):
+        """Differences (..., k) of outputs, of angles modulo 2 pi."""
+        return apart(values, base, self.angles)
+
     def of(self, sample):
-        """(k,) outputs of a Sample; rotation vectors are relative to the state."""
+        """(k,) outputs of a Sample."""
         parts = [getattr(self, f"_{kind}")(sample) for kind in self._kinds]
         return np.concatenate(parts)[self._places] if parts else np.empty(0)
 
@@ -149,7 +162,7 @@ class Outputs:
         return np.array(list(sample.joint_coordinates.values())).ravel()
 
     def _bodies(self, sample):
-        turns = self._turns.transpose(0, 2, 1) @ sample.pose[:, :9].reshape(-1, 3, 3)
+        turns = self.turns.transpose(0, 2, 1) @ sample.pose[:, :9].reshape(-1, 3, 3)
         vectors = scipy.spatial.transform.Rotation.from_matrix(turns).as_rotvec()
         return np.hstack([vectors, sample.pose[:, 9:]]).ravel()
 
@@ -164,6 +177,13 @@ class Outputs:
 
     def _sensors(self, sample):
         return np.concatenate([np.atleast_1d(sensor.measure(sample)) for sensor in self._ideal])
+
+
+def apart(values, base, angles):
+    """Differences (..., k) of outputs, of those that are angles (k,) modulo 2 pi."""
+    found = values - base
+    found[..., angles] = (found[..., angles] + np.pi) % (2.0 * np.pi) - np.pi
+    return found
 
 
 def _ideal(sensor):

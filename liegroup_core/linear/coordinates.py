@@ -34,6 +34,7 @@ class Coordinates:
 
     chosen : names of freedoms that are independent; None: those with the best condition
     preferred : names that are among them if they can be
+    displaced : True: coordinates that stops or friction hold are among them, without a rate
 
     freedoms : [Freedom]
     independent, moving : indices of the independent coordinates and of the independent rates
@@ -44,7 +45,7 @@ class Coordinates:
     Raises SceneError for unknown or dependent names.
     """
 
-    def __init__(self, probe, chosen=None, preferred=()):
+    def __init__(self, probe, chosen=None, preferred=(), displaced=False):
         self._probe, self.freedoms = probe, probe.layout.freedoms
         self._signs = np.array([freedom.sign for freedom in self.freedoms])
         self._scales = scales_of(probe.layout)
@@ -52,9 +53,9 @@ class Coordinates:
         weights = np.array([OF_JOINT if freedom.is_of_joint else 1.0 for freedom in self.freedoms])
         weights[[self.number(name) for name in preferred]] = PREFERRED
         wanted = None if chosen is None else np.array([self.number(name) for name in chosen], dtype=int)
-        if probe.layout.rolls:
-            places = self._positions()
-            if wanted is not None and len(wanted) == places.shape[1] != basis.shape[1]:
+        if probe.layout.rolls or displaced and (probe.held.any() or probe.is_switched.any()):
+            places = self._positions(displaced)
+            if not displaced and wanted is not None and len(wanted) == places.shape[1] != basis.shape[1]:
                 raise SceneError("with rolling, choose as many coordinates as there are independent rates")
             self.moving, self.rates = self._independent(basis, wanted, weights)
             weights[self.moving] = np.maximum(weights[self.moving], MOVING)
@@ -110,20 +111,27 @@ class Coordinates:
         left, sizes, _ = np.linalg.svd(np.array(columns).reshape(-1, f).T, full_matrices=False)
         return left[:, sizes > 0.5]
 
-    def _positions(self):
-        """Basis (f, m) of the displacements that the joints allow, in the units of the freedoms."""
-        probe = self._probe
-        f = probe.freedoms
-        rows = []
-        for k in range(f):
-            y = np.zeros((f, 2))
+    @cached_property
+    def _gaps(self):
+        """(f, m) changes of the position residuals with all freedoms, in the units of the freedoms."""
+        probe, rows = self._probe, []
+        if not probe.layout.rolls:
+            return self._slips
+        for k in range(probe.freedoms):
+            y = np.zeros((probe.freedoms, 2))
 
             def gaps(s, y=y, k=k):
                 y[k, 0] = s * self._scales[k]
                 return probe.gaps(y)
 
             rows.append(derivative(gaps, ANGLE)[0])
-        rows = np.vstack([np.array(rows).T, np.eye(f)[probe.held]])
+        return np.array(rows)
+
+    def _positions(self, displaced):
+        """Basis (f, m) of the displacements that the joints allow, in the units of the freedoms."""
+        probe, rows = self._probe, self._gaps.T
+        f = probe.freedoms
+        rows = rows[~probe.is_switched] if displaced else np.vstack([rows, np.eye(f)[probe.held]])
         sizes = np.linalg.norm(rows, axis=1)
         rows = rows[sizes > NO_ROW * sizes.max(initial=0.0)]
         rows /= np.linalg.norm(rows, axis=1, keepdims=True)
@@ -132,6 +140,8 @@ class Coordinates:
     def _independent(self, basis, wanted, weights):
         """(indices, matrix) of the rows of a basis that are independent: those wanted, or the best with weights."""
         count = basis.shape[1]
+        if count == len(basis) and (wanted is None or (wanted == np.arange(count)).all()):
+            return np.arange(count), np.eye(count)
         if wanted is None:
             order = scipy.linalg.qr((basis * weights[:, None]).T, pivoting=True, mode="r")[1]
             picked = np.sort(order[:count])
@@ -162,14 +172,41 @@ class Coordinates:
         if not probe.is_closed:
             return changes
         # J c = -d(J V) along the independent coordinates, without a change of the independent rates.
-        count, free = len(self.independent), np.flatnonzero(~probe.held)
-        directions = np.zeros((count + len(free), probe.freedoms, 2))
-        directions[:count, :, 0] = self.motions.T
-        directions[count + np.arange(len(free)), free, 1] = self._scales[free]
+        directions = np.zeros((len(self.independent), probe.freedoms, 2))
+        directions[:, :, 0] = self.motions.T
         slips = probe.tangents(directions, np.full(len(directions), ANGLE))[2]
-        found = np.linalg.lstsq(slips[count:].T, -slips[:count].T, rcond=NO_ROW)[0]
-        changes[free] = self._scales[free, None] * found
-        return changes - self.rates @ changes[self.moving]
+        return self._rates_against(slips, ~probe.held).T
+
+    @cached_property
+    def _slips(self):
+        """(f, m) changes of the rates J V with those of all freedoms, in the units of the freedoms."""
+        f = self._probe.freedoms
+        directions = np.zeros((f, f, 2))
+        directions[np.arange(f), np.arange(f), 1] = self._scales
+        return self._probe.tangents(directions, np.full(f, ANGLE))[2]
+
+    def _rates_against(self, slips, free):
+        """(d, f) changes of rates that take back changes (d, m) of J V, without one of the independent rates."""
+        changes = np.zeros((len(slips), self._probe.freedoms))
+        found = np.linalg.lstsq(self._slips[free].T, -slips.T, rcond=NO_ROW)[0]
+        changes[:, free] = (self._scales[free, None] * found).T
+        return changes - changes[:, self.moving] @ self.rates.T
+
+    def closing(self, gaps, slips):
+        """Changes (d, f, 2) of the dependent freedoms and rates that take back changes (d, m) of residuals and of J V.
+
+        For numbers of the scene: the independent coordinates do not change.
+        """
+        probe = self._probe
+        changes = np.zeros((len(gaps), probe.freedoms, 2))
+        if not probe.is_closed:
+            return changes
+        rest = ~probe.is_switched
+        found = (self._scales[:, None] * np.linalg.lstsq(self._gaps[:, rest].T, -gaps[:, rest].T, rcond=NO_ROW)[0]).T
+        changes[:, :, 0] = found - found[:, self.independent] @ self.motions.T
+        moved = probe.tangents(changes, ANGLE / np.maximum(np.abs(changes).max(axis=(1, 2)), ANGLE))[2]
+        changes[:, :, 1] = self._rates_against(slips + moved, ~probe.held)
+        return changes
 
     def neighbour(self, k, s, rate=False):
         """y (f, 2) a distance s along independent coordinate k, or independent rate k; for a derivative."""

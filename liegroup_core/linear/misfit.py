@@ -3,10 +3,9 @@
 
 import numpy as np
 
-from liegroup_core.scene.load import scene_from_text
-from liegroup_core.study.sweep.parameters import changed
-
-from .sensitivities import difference, numbers_of, sensitivities
+from .channels import apart
+from .numbers import Numbers
+from .sensitivities import sensitivities
 
 
 class Misfit:
@@ -28,8 +27,8 @@ class Misfit:
     """
 
     def __init__(self, scene, names, times, measured, outputs, deviation=1.0, **settings):
-        self._written, self.paths, known = numbers_of(scene, names)
-        self._source, self.start = scene.source, np.array([known[path] for path in self.paths], dtype=float)
+        self._numbers = Numbers(scene, names)
+        self.paths, self.start = self._numbers.paths, self._numbers.values
         self._times, self._outputs, self._settings = np.atleast_1d(times), list(outputs), settings
         self._measured = np.reshape(np.asarray(measured, dtype=float), (len(self._times), len(self._outputs)))
         self._weights = np.where(np.isnan(self._measured), 0.0, 1.0 / np.broadcast_to(deviation, self._measured.shape))
@@ -39,15 +38,14 @@ class Misfit:
         """Sensitivities of the run with numbers x; those of the last x are kept."""
         key = tuple(np.asarray(x, dtype=float).tolist())
         if self._last is None or self._last[0] != key:
-            text = changed(self._written, dict(zip(self.paths, key))).text
-            scene = scene_from_text(text, source=self._source)
+            scene = self._numbers.scene_at(key)
             self._last = key, sensitivities(scene, self.paths, self._times, self._outputs, **self._settings)
         return self._last[1]
 
     def residuals(self, x):
         """(k p,) weighted residuals."""
         found = self._at(x)
-        return (self._weights * difference(found.values, np.nan_to_num(self._measured), found.angles)).ravel()
+        return (self._weights * apart(found.values, np.nan_to_num(self._measured), found.angles)).ravel()
 
     def jacobian(self, x):
         """(k p, q) derivatives of the residuals."""

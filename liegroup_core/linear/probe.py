@@ -11,14 +11,17 @@ with the accelerations of the engine: loops, forces, couplings, driven joints, a
 hold at the state. For joints with one coordinate psi is the change of that coordinate.
 """
 
+import dataclasses
+
 import numpy as np
 
-from liegroup_core.compiling import borrowed, kernel
+from liegroup_core.compiling import SameTypes, Struct, borrowed, kernel
 from liegroup_core.dynamics.coordinates import lift_links, place_links
 from liegroup_core.dynamics.coupled_rows import set_gap
 from liegroup_core.dynamics.loads import FOUND, find_loads, gather_lacking
 from liegroup_core.dynamics.loops import project
 from liegroup_core.dynamics.matrix import is_off
+from liegroup_core.dynamics.state import leave
 from liegroup_core.dynamics.switches import MOVES, modes_of, set_modes, set_rates
 from liegroup_core.dynamics.trees import move_links
 from liegroup_core.engine import METHOD, Engine
@@ -106,6 +109,44 @@ def _gaps(model, work, scheme, y, pose_in, twist_in, external_in, gaps_out):
     return OK
 
 
+def _structure(value):
+    """Type, shapes and whole numbers of a model."""
+    if isinstance(value, Struct):
+        parts = (getattr(value, field.name) for field in dataclasses.fields(value))
+        return type(value).__name__, *map(_structure, parts)
+    if not isinstance(value, np.ndarray):
+        return value if isinstance(value, (bool, int)) else None
+    names = value.dtype.names
+    if names:
+        return value.shape, *(_structure(value[name]) for name in names)
+    return value.shape, None if value.dtype.kind == "f" else value.tobytes()
+
+
+@kernel
+def _equations(model, work, pose, twist, external, own_pose, own_twist, out):
+    """Write w' (f,), position residuals (m,) and J V (m,) at the links' rows of pose and twist. Returns a status."""
+    external = steps.enter(model, work, borrowed(own_pose), borrowed(own_twist), borrowed(external))[2]
+    steps.begin(model, work, pose, twist)
+    dependent = steps.accelerate(model, work, external)
+    if dependent >= 0:
+        return DEPENDENT_ROWS + (dependent << 8)
+    if model.has_loads:
+        gather_lacking(model, work)
+        find_loads(model, work)
+    f, m = len(work.freedoms), len(model.row_residual)
+    for k in range(f):
+        out[k] = work.acceleration[k, 0]
+    if m == 0:
+        return OK
+    for r in range(m):
+        out[f + m + r] = 0.0 if is_off(model, work, r) else work.slip[r]
+    lift_links(model, work)
+    set_gap(model, work)
+    for r in range(m):
+        out[f + r] = 0.0 if is_off(model, work, r) else work.gap[model.row_residual[r]]
+    return OK
+
+
 class _Still(Engine):
     """Engine that takes no step: kernels of steps and samples are not needed."""
 
@@ -118,6 +159,7 @@ class Probe:
 
     simulation : Simulation or Engine
     time       : s, of a state within the present step; None: the present state
+    in_space   : True: the freedoms of a planar mechanism are those of its joints in space, whatever its numbers
     external   : (n, COLUMNS) external wrenches, see forces/external.py
     wanted     : (k, 2) wanted positions and velocities of the servos
     base       : Sample of the state
@@ -125,24 +167,65 @@ class Probe:
     Raises SimulationError where the accelerations of the state cannot be computed.
     """
 
-    def __init__(self, simulation, time=None):
-        engine = _Still(
-            simulation.scene, METHOD, simulation.step, RELATIVE, "none", quiet=True, layout=simulation.layout
-        )
-        self.base, self._engine, self.layout = simulation.sample(time), engine, simulation.layout
+    def __init__(self, simulation, time=None, in_space=False):
+        self.layout = simulation.layout.in_space if in_space else simulation.layout
+        engine = _Still(simulation.scene, METHOD, simulation.step, RELATIVE, "none", quiet=True, layout=self.layout)
+        self._engine = engine
         engine.start_from(simulation, simulation.steps)
         self._model, self._work = engine._integrator.links
+        self._scheme = make_scheme(_ONE, EXACT)
+        self.freedoms = len(self._work.freedoms)
+        self._zeros, self._equations = np.zeros((self.freedoms, 2)), SameTypes(_equations)
+        self.take(simulation.sample(time))
+
+    def take(self, sample):
+        """Go to the state of a Sample of the simulation, with the inputs of its time."""
+        self.base, engine = sample, self._engine
         if engine.layout.switches:
-            set_modes(self._model, self._work, self.base.switching)
+            set_modes(self._model, self._work, sample.switching)
+        self._take_inputs()
+        self.pose, self.twist = (array.copy() for array in sample._state)
+        self._work.angle[:] = sample.angles
+        self._work.known[0] = 0.0
+
+    def _take_inputs(self):
+        engine = self._engine
         instant = engine.instant_of(self.base.time_ns)
         engine.inputs.update(instant)
         engine.set_inputs_from(instant)
         self.external, self.wanted = engine.inputs.external.copy(), self._work.wanted.copy()
-        self._scheme = make_scheme(_ONE, EXACT)
-        self.freedoms = len(self._work.freedoms)
-        self.pose, self.twist = (array.copy() for array in self.base._state)
-        self._work.angle[:] = self.base.angles
-        self._zeros = np.zeros((self.freedoms, 2))
+
+    def _meet(self, other):
+        """Take the time, modes and angles of a Probe of a scene with other numbers."""
+        if self.base.time_ns != other.base.time_ns or self._model.switches.size:
+            self.base = other.base
+            if self.layout.switches:
+                self.modes = other.modes
+            self._take_inputs()
+        self._work.angle[:] = other._work.angle
+
+    def follow(self, other):
+        """Take time, modes and the joints' coordinates and rates of a Probe of a scene with other numbers."""
+        other.closed()
+        self._meet(other)
+        pose, twist = self.pose.copy(), self.twist.copy()
+        leave(self._model, self._work, other._work.pose, other._work.twist, pose, twist)
+        time, angles = other.base.time, self._work.angle.copy()
+        self.base = base = Sample(
+            self.layout, time, other.base.time_ns, other.base.steps, pose.copy(), twist.copy(), angles
+        )
+        self.pose, self.twist = pose, twist
+        self._work.known[0] = 0.0
+        base.external, base.wanted, base.switching = (
+            self.external,
+            self.wanted,
+            self.modes if self.layout.switches else None,
+        )
+        base.motions = self.layout.motions_at(time, self._engine.inputs.commanded)
+
+    def has_structure_of(self, other):
+        """Whether the model of another Probe differs in numbers only."""
+        return _structure(self._model) == _structure(other._model)
 
     def go_to_time(self, time):
         """Set the time in s, at which wrenches of the scene and driven joints act."""
@@ -213,6 +296,17 @@ class Probe:
         _, self.pose, self.twist = self.closed(y)
         self._work.angle[:] = self.layout.angles(self.pose, self._work.angle)
         self._work.known[0] = 0.0
+
+    def beside(self, y):
+        """Rates, poses and twists as from `closed`, where stops and friction hold nothing."""
+        modes = self.modes
+        free = modes.copy()
+        free[:, :3] = 0.0
+        try:
+            self.modes = free
+            return self.closed(y)
+        finally:
+            self.modes = modes
 
     def keep(self):
         """The state, for `restore`."""
@@ -291,20 +385,39 @@ class Probe:
         self._call(_close, y, None, None, rates, pose, twist)
         return rates, pose, twist
 
-    def gaps(self, y):
+    def gaps(self, y=None):
         """(m,) position residuals of all rows of cut joints at a neighbour, rad and m."""
         gaps = np.empty(len(self._model.row_residual))
         self._call(_gaps, y, None, None, gaps)
         return gaps
+
+    def equations(self, other):
+        """(f + 2 m,) w', position residuals and J V at the coordinates of another Probe, which was evaluated."""
+        self._meet(other)
+        out = np.empty(self.freedoms + 2 * len(self._model.row_residual))
+        given = other._work.pose, other._work.twist, self.external, self.pose, self.twist, out
+        self._done(self._equations(self._model, self._work, *given), out)
+        return out
+
+    @property
+    def is_switched(self):
+        """(m,) whether a row is that of a stop or of friction."""
+        return self._model.switched != 0
 
     def _call(self, kernel, y, external, wanted, *out):
         work = self._work
         work.wanted[:] = self.wanted if wanted is None else wanted
         y = self._zeros if y is None else np.ascontiguousarray(y, dtype=float)
         external = self.external if external is None else external
-        status = kernel(self._model, work, self._scheme, y, self.pose, self.twist, external, *out)
+        self._done(kernel(self._model, work, self._scheme, y, self.pose, self.twist, external, *out), *out)
+
+    def _done(self, status, *out):
         if status != OK or not all(np.isfinite(array).all() for array in out):
             raise SimulationError(explain(self._engine, status), status & 0xFF)
+
+    def neighbour(self, y=None):
+        """Sample of a neighbour y (f, 2); None: of the state."""
+        return self.sample(*self.slopes(y)[1:])
 
     def sample(self, pose, twist, external=None, wanted=None):
         """Sample of a neighbour with its inputs; poses and twists as from `slopes`."""

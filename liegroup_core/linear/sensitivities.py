@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sensitivities of a run: derivatives of its outputs with respect to numbers of the scene.
 
-Each is a central difference of order six from six runs to a tight accuracy. Its error is the difference to that of
-order four, and the estimated errors of the runs over the change. Runs are repeated as a whole, so that events (stops,
-friction) act as they do: the derivative of the time of an impact is included. Where the numbers of events differ, the
-run is not smooth in this number.
+They follow from the variational equations along the run (variations.py), events included. A number whose change gives
+the mechanism another structure, or other times of its inputs, has central differences of order six between runs.
 """
 
 from dataclasses import dataclass
@@ -12,16 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from liegroup_core.errors import SceneError
-from liegroup_core.scene.load import scene_as_written, scene_from_text
 from liegroup_core.simulation import Simulation
-from liegroup_core.study.sweep.parameters import changed, parameters, path_of
 
 from .channels import Outputs
 from .differences import SMALLER, WEIGHTS
+from .numbers import Numbers, OtherStructure
 from .probe import Probe
+from .variations import Variations
 
-# Accuracy of the runs; relative change of a number, and the change of one that is zero: at 1e-3 both errors of a smooth
-# function, 1e-3 to the sixth power times its seventh derivative and 1e-12 / 1e-3 times it, are below 1e-8.
+# Of differences between runs: their accuracy, and the relative change of a number, or the change of one that is zero.
 TIGHT, CHANGE = 1e-12, 1e-3
 # Where a run depends on a number more strongly, smaller changes follow, until the relative error is small.
 ENOUGH, MOST_CHANGES = 1e-7, 4
@@ -35,8 +32,8 @@ class Sensitivities:
     outputs    : names of p outputs, see channels.py
     parameters : paths of q numbers of the scene
     values     : (k, p) outputs, SI units
-    derivatives, errors : (k, p, q)
-    rough      : parameters with different numbers of events on both sides
+    derivatives, errors : (k, p, q); NaN from a time on at which a run has no derivative
+    rough      : parameters with other events in neighbouring runs
     angles     : (p,) whether an output is an angle, which values have modulo 2 pi
     """
 
@@ -50,15 +47,6 @@ class Sensitivities:
     angles: np.ndarray
 
 
-def numbers_of(scene, names):
-    """(scene as written, paths, {path: number}) of numbers with these names. Raises ParameterError, SceneError."""
-    written = scene_as_written(scene.text, scene.source)
-    paths, known = tuple(path_of(written, name) for name in names), parameters(written)
-    if missing := [path for path in paths if known[path] is None]:
-        raise SceneError(f"the scene has no value of {missing[0]}: give it there")
-    return written, paths, known
-
-
 def sensitivities(scene, names, times, outputs=None, **settings):
     """Sensitivities of the run of a scene from its start.
 
@@ -69,62 +57,90 @@ def sensitivities(scene, names, times, outputs=None, **settings):
     Raises ParameterError, SceneError for unknown names or numbers that cannot change, SimulationError.
     Accuracy: test/verification/test_sensitivities.py.
     """
-    settings = settings or {"accuracy": TIGHT}
-    written, paths, known = numbers_of(scene, names)
-    times = np.atleast_1d(np.asarray(times, dtype=float))
-    if not len(times):
-        raise SceneError("sensitivities need at least one time")
-    values, labels, turning, events, noise = _run(scene, times, outputs, settings)
-    derivatives, errors, rough = [], [], []
+    run = _Run(scene, names, times, outputs, settings or {"accuracy": TIGHT})
+    numbers, shape = run.numbers, (*run.values.shape, len(run.numbers))
+    found, errors, rough = np.zeros(shape), np.zeros(shape), np.zeros(len(numbers), dtype=bool)
+    other = []
+    while len(other) < len(numbers):
+        smooth = [path for path in numbers.paths if path not in other]
+        mask = np.array([path in smooth for path in numbers.paths])
+        try:
+            found[:, :, mask], errors[:, :, mask], rough[mask] = run.variations(Numbers(scene, smooth))
+            break
+        except OtherStructure as error:
+            other.append(error.path)
+    for path in other:
+        k = numbers.paths.index(path)
+        found[:, :, k], errors[:, :, k], rough[k] = run.differences(k)
+    names = tuple(path for path, is_rough in zip(numbers.paths, rough) if is_rough)
+    return Sensitivities(run.times, run.outputs, numbers.paths, run.values, found, errors, names, run.seen.angles)
 
-    def moved(path, number):
-        """(changes of the outputs, number of events, errors) of the run with another number."""
-        other = scene_from_text(changed(written, {path: number}).text, source=scene.source)
-        found, _, _, count, noise = _run(other, times, outputs, settings)
-        return difference(found, values, turning), count, noise
 
-    for path in paths:
-        h = CHANGE * (abs(known[path]) or 1.0)
-        found = np.zeros_like(values), np.full_like(values, np.inf)
+def outputs_of(simulation, names):
+    """Names of single outputs for names that may stand for many. Raises SceneError."""
+    return tuple(Outputs(Probe(simulation), names).names)
+
+
+class _Run:
+    """A run at times, with values (k, p) of its outputs."""
+
+    def __init__(self, scene, names, times, outputs, settings):
+        self.numbers, self.settings = Numbers(scene, names), settings
+        self.times = np.atleast_1d(np.asarray(times, dtype=float))
+        if not len(self.times):
+            raise SceneError("sensitivities need at least one time")
+        self._wanted, self.seen = outputs, None
+        self.values, self._events, self._noise, self.seen = self._run(scene)
+        self.outputs = tuple(self.seen.names)
+
+    def _run(self, scene):
+        """(outputs (k, p), number of events, errors of the states (k,), Outputs) of the run of a scene."""
+        simulation = Simulation(scene, quiet=True, **self.settings)
+        outputs = self._outputs(Probe(simulation))
+        values, noise = [], []
+        for sample in simulation.samples(self.times):
+            values.append(outputs.of(sample))
+            noise.append(np.nan if sample.errors is None else np.max(sample.errors, initial=0.0))
+        values = np.array(values).reshape(len(self.times), -1)
+        return values, simulation.event_count, np.nan_to_num(noise), outputs
+
+    def _outputs(self, probe):
+        return Outputs(probe, self._wanted, None if self.seen is None else self.seen.turns)
+
+    def variations(self, numbers):
+        """Derivatives (k, p, q) by numbers, their errors, and which of them are rough (q,)."""
+        simulation = Simulation(self.numbers.scene, quiet=True, **self.settings)
+        instants = [simulation.instant_of(round(time * 1e9)) for time in self.times]
+        times = [round(instant.time * 1e9) for instant in instants]
+        variations = Variations(simulation, times[-1], None, numbers)
+        outputs, found, errors = self._outputs(variations.probe), [], []
+        for _, noise in zip(variations.through(times), self._noise):
+            derivatives, error = variations.of_outputs(outputs)
+            lost = np.where(variations.rough, np.nan, 1.0) / numbers.scales
+            found.append(derivatives.T * lost)
+            # The second derivatives are taken as large as the first ones, per rad or m.
+            errors.append((error.T + noise * np.abs(derivatives.T)) * lost)
+        found = np.array(found)
+        return found, np.array(errors), np.isnan(found).any(axis=(0, 1))
+
+    def differences(self, k):
+        """Derivatives (k, p) by number k, their errors, and whether it is rough, from other runs."""
+        h, counts = CHANGE, set()
+        best = np.zeros_like(self.values), np.full_like(self.values, np.inf)
         for _ in range(MOST_CHANGES):
-            moves, counts, noises = zip(*(moved(path, known[path] + step * h) for step in (1, -1, 2, -2, 3, -3)))
-            fourth, sixth = (
-                np.tensordot(weights, np.subtract(moves[::2], moves[1::2]), 1) / h for weights in WEIGHTS[1:]
-            )
-            truncation, rounding = np.abs(sixth - fourth), np.max([noise, *noises], axis=0)[:, None] / h
-            is_better = truncation + rounding < found[1]
-            found = np.where(is_better, sixth, found[0]), np.where(is_better, truncation + rounding, found[1])
+            moves, noises, counts = [], [self._noise], set()
+            for step in (1, -1, 2, -2, 3, -3):
+                values, events, noise, _ = self._run(self.numbers.beside(k, step * h))
+                moves.append(self.seen.apart(values, self.values))
+                noises.append(noise)
+                counts.add(events)
+            step = h * self.numbers.scales[k]
+            apart = np.subtract(moves[::2], moves[1::2])
+            fourth, sixth = (np.tensordot(weights, apart, 1) / step for weights in WEIGHTS[1:])
+            truncation, rounding = np.abs(sixth - fourth), np.max(noises, axis=0)[:, None] / step
+            is_better = truncation + rounding < best[1]
+            best = np.where(is_better, sixth, best[0]), np.where(is_better, truncation + rounding, best[1])
             if not is_better.any() or (truncation <= ENOUGH * np.abs(sixth) + rounding).all():
                 break
             h /= SMALLER
-        if any(count != events for count in counts):
-            rough.append(path)
-        derivatives.append(found[0])
-        errors.append(found[1])
-    shape = len(paths), len(times), len(labels)
-    derivatives, errors = (np.array(part).reshape(shape).transpose(1, 2, 0) for part in (derivatives, errors))
-    return Sensitivities(times, labels, paths, values, derivatives, errors, tuple(rough), turning)
-
-
-def difference(found, values, angles):
-    """Differences (k, p) of outputs, of angles modulo 2 pi."""
-    apart = found - values
-    apart[:, angles] = (apart[:, angles] + np.pi) % (2.0 * np.pi) - np.pi
-    return apart
-
-
-def _run(scene, times, wanted, settings):
-    """(outputs (k, p), names, mask of the angles, number of events, error of the states (k,)) of a run."""
-    simulation = Simulation(scene, quiet=True, **settings)
-    outputs = Outputs(Probe(simulation), wanted)
-    values, noise = [], []
-    for sample in simulation.samples(times):
-        values.append(outputs.of(sample))
-        noise.append(np.nan if sample.errors is None else np.max(sample.errors, initial=0.0))
-    values = np.array(values).reshape(len(times), -1)
-    units = simulation.layout.coordinates.units
-    turning = np.array(
-        [name.endswith(".position") and units.get(name.removesuffix(".position")) == "rad" for name in outputs.names],
-        dtype=bool,
-    )
-    return values, tuple(outputs.names), turning, simulation.event_count, np.nan_to_num(noise)
+        return *best, counts != {self._events}

@@ -5,6 +5,7 @@ import json
 import math
 import sys
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -22,7 +23,7 @@ def add_arguments(parser):
     """Arguments of the subcommand."""
     parser.description = (
         "Derivatives of a run's outputs with respect to masses, lengths, stiffnesses, start values and other numbers "
-        "of the scene, impacts included."
+        "of the scene, impacts and friction included."
     )
     parser.add_argument("scene", metavar="SCENE", help="path of a scene or robot file, or name of an example scene")
     parser.add_argument(
@@ -48,9 +49,11 @@ def run(args):
     except SimulationError as error:
         return stopped(error)
     if args.json:
-        entries = {name: getattr(found, name) for name in ("times", "values", "derivatives", "errors")}
+        arrays = (getattr(found, name) for name in ("times", "values", "derivatives", "errors"))
+        entries = [np.where(np.isnan(array), None, array).tolist() for array in arrays]  # JSON has no NaN
         names = {name: list(getattr(found, name)) for name in ("outputs", "parameters", "rough")}
-        print(json.dumps(names | {name: array.tolist() for name, array in entries.items()}, allow_nan=False))
+        entries = dict(zip(("times", "values", "derivatives", "errors"), entries))
+        print(json.dumps(names | entries, allow_nan=False))
         return 0
     console = Console(file=sys.stdout)
     for k, time in enumerate(found.times):
@@ -62,7 +65,6 @@ def run(args):
             table.add_row(name, f"{found.values[k, p]:.6g}", *cells)
         console.print(table)
     if found.rough:
-        console.print(
-            Text(f"not smooth, because the numbers of events differ nearby: {', '.join(found.rough)}", style="yellow")
-        )
+        names = ", ".join(found.rough)
+        console.print(Text(f"no derivative, because neighbouring runs have other events: {names}", style="yellow"))
     return 0

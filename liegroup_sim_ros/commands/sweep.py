@@ -12,6 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.engine import STEP
+from liegroup_core.linear.channels import OUTPUTS
 from liegroup_core.scene.consistency import AT_POSES, AT_VELOCITIES
 from liegroup_core.scene.load import scene_as_written
 from liegroup_core.study.sweep.file import SweepFile
@@ -73,6 +74,14 @@ def add_arguments(parser):
         "--reactions",
         action="store_true",
         help="add the largest reactions of all joints at the times of --keep (nan: undetermined)",
+    )
+    parser.add_argument(
+        "--gradient",
+        nargs="+",
+        default=[],
+        metavar="OUTPUT",
+        help="add the derivatives of outputs at the end by all varied numbers: "
+        f"{', '.join(OUTPUTS)}, or single ones, as of `liegroup_sim linearise --outputs`",
     )
     parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one per core)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tls://host:8786")
@@ -145,7 +154,8 @@ def _sweep_of(scene, args):
             every,
             args.assemble,
             settings,
-            args.reactions,
+            reactions=args.reactions,
+            gradient=args.gradient,
         )
     except (ParameterError, RunError):
         raise

@@ -10,6 +10,7 @@ Run k depends only on the sweep and on k, not on other runs, workers or scheduli
 start or stops early gives a row with the reason as its status.
 """
 
+import importlib
 import math
 import time
 from dataclasses import dataclass
@@ -62,6 +63,7 @@ class Sweep:
     keep     : whether the states at these times are saved
     assemble : whether sampled poses and velocities are corrected to satisfy the joints
     reactions : whether the largest reactions of all joints are columns
+    gradient : names of outputs, as of linear.sensitivities, whose derivatives at the end are columns
     settings : ((name, value), ...), arguments of Simulation, including the step
     sources  : digest of the sources, which must be the same on a worker
     """
@@ -76,14 +78,28 @@ class Sweep:
     keep: bool
     assemble: bool
     reactions: bool
+    gradient: tuple
     settings: tuple
     sources: str
 
     @classmethod
-    def of(cls, scene, vary, samples, steps, seed=0, every=None, assemble=False, settings=None, reactions=False):
+    def of(
+        cls,
+        scene,
+        vary,
+        samples,
+        steps,
+        seed=0,
+        every=None,
+        assemble=False,
+        settings=None,
+        reactions=False,
+        gradient=(),
+    ):
         """Sweep of a Scene with ranges as texts, see parameters.range_of; other arguments as above.
 
         every : None: a tenth of the run, and states are not saved
+        extra : reactions, and gradient, with names that may stand for many
         raises ParameterError, SceneError, and ValueError for a configuration that does not suit the scene
         """
         for number, least, what in (
@@ -110,8 +126,11 @@ class Sweep:
         # This compiles the kernels and checks the configuration.
         simulation = Simulation(scene, **(settings or {}))
         settings = simulation.arguments
+        reactions, gradient = extra.get("reactions", False), extra.get("gradient", ())
         if reactions:
             simulation.layout.reactions.warm_up()
+        if gradient:
+            gradient = _linear().outputs_of(simulation, gradient)
         return cls(
             scene.text,
             scene.name,
@@ -123,6 +142,7 @@ class Sweep:
             bool(every),
             assemble,
             reactions,
+            tuple(gradient),
             tuple(sorted(settings.items())),
             source_digest(),
         )
@@ -136,6 +156,11 @@ class Sweep:
     def values(self):
         """Sampled values (samples, parameters), a Latin hypercube."""
         return _values(self.ranges, self.samples, self.seed)
+
+    @property
+    def derivatives(self):
+        """Names of the columns of the derivatives: of one output by all parameters, then of the next."""
+        return [f"d {output} / d {path}" for output in self.gradient for path in self.paths]
 
     def scene(self, k):
         """Scene of run k; its `text` is a scene file. Raises SceneError."""
@@ -181,7 +206,7 @@ class Sweep:
             largest += [f"{force}.effort" for force in names_of_forces(scene)]
         if has_impacts(scene):
             largest += [f"{joint}.impulse_{part}" for joint in joints for part in WRENCH]
-        floats = ("time", *state, "energy_start", "energy_drift", "joints", *largest)
+        floats = ("time", *state, "energy_start", "energy_drift", "joints", *largest, *self.derivatives)
         return (
             {"run": "int"}
             | dict.fromkeys(self.paths, "float")
@@ -333,9 +358,27 @@ def _run(sweep, values):
         states = np.array([_state(sample) for sample in (looks if sweep.keep else looks[-1:])])
         names = ["time", *(f"{body}.{part}" for body in looks[0].body_names for part in POSE + TWIST)]
         found |= dict(zip(names, states[-1]))
+        if sweep.gradient and status == OK:
+            try:
+                found |= _gradient(sweep, scene)
+            except LieGroupSimError as error:
+                found["warning"] = found["warning"] or " ".join(f"no derivatives: {error}".split())
         if sweep.keep:
             found |= {f"samples.{name}": column for name, column in zip(names, states.T.copy())}
     return found | {"cpu_s": time.thread_time() - start}
+
+
+def _linear():
+    """liegroup_core.linear, which takes the parameters of this package."""
+    return importlib.import_module("liegroup_core.linear")
+
+
+def _gradient(sweep, scene):
+    """{column: derivative} at the end of a run."""
+    settings = dict(sweep.settings)
+    end = sweep.steps * settings["step"]
+    found = _linear().sensitivities(scene, sweep.paths, [end], sweep.gradient, **settings)
+    return dict(zip(sweep.derivatives, found.derivatives[0].ravel()))
 
 
 def _look(simulation, reactions):
@@ -368,6 +411,7 @@ def describe(sweep):
         "keep": sweep.keep,
         "assemble": sweep.assemble,
         "reactions": sweep.reactions,
+        "gradient": list(sweep.gradient),
         "settings": dict(sweep.settings),
         "sources": sweep.sources,
     }
@@ -387,6 +431,7 @@ def described(entries):
         entries["keep"],
         entries["assemble"],
         entries.get("reactions", False),
+        tuple(entries.get("gradient", ())),
         tuple(sorted(entries["settings"].items())),
         entries["sources"],
     )

@@ -1,0 +1,385 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Variational equations of a run: how small differences of its start, and of numbers of its scene, arrive later,
+
+    dx' = A(t) dx + F(t) dp ,   x = (z, z')
+
+with A of linear_system.py in the chart that moves with the state, and F the derivative of the accelerations at the
+state by the numbers p (numbers.py). They are solved by collocation at Gauss points of intervals, whose length follows
+the last coefficients of the polynomials.
+
+The differences are displacements and rates of all freedoms of the tree. Each interval has independent coordinates of
+its own; those that stops or friction hold are among them, as they may differ, too.
+
+At an event of stops or dry friction differences jump: the event comes earlier or later. From a step before it to a
+step after it they are differences of order six between neighbouring runs, so that every event acts as it does.
+"""
+
+import math
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from liegroup_core.errors import SimulationError
+from liegroup_core.forces.instants import AFTER
+from liegroup_core.simulation import Simulation
+
+from .channels import Outputs
+from .coordinates import ANGLE, Coordinates, scales_of
+from .differences import derivative
+from .numbers import Sides
+from .probe import Probe
+
+LOCAL = 1e-11  # largest relative error of an interval
+FIRST, MOST = 1e-2, 4.0  # s: first interval; growth from one to the next
+SHORTEST = 100  # ns
+MARGIN = 0.25  # of a step, between an event and the ends of the steps that cross it
+TIGHT = 1e-13  # tolerances of the run and of neighbouring runs
+NEAR = 1e-3  # rad, and of the mechanism's size: first distance of neighbouring runs
+FEW = 1e-12  # relative size of a singular value that is round-off
+BODIES = ("bodies", "twists")
+POINTS = 10  # of Gauss in an interval
+NODES = 0.5 + 0.5 * legendre.leggauss(POINTS)[0]
+TINY = 1e-300
+
+
+class Variations:
+    """Differences (c, f, 2), displacements and rates of all freedoms of the tree, along a run.
+
+    simulation : Simulation, whose state is the start; it does not change
+    end_ns     : ns, the latest time
+    differences: (c, f, 2) at the start, of the freedoms of a Probe in space
+    numbers    : Numbers of the scene, whose q columns follow, by value / scale; None: none
+
+    probe   : at the present state
+    columns : (c + q, f, 2) differences now
+    doubt   : (c + q, f, 2) those with all errors
+    rough   : (c + q,) whether neighbouring runs have other events, so that a column has no meaning any more
+    Raises SimulationError, OtherStructure. Accuracy: test/verification/test_transition.py, test_sensitivities.py.
+    """
+
+    def __init__(self, simulation, end_ns, differences=None, numbers=None):
+        self._settings = _settings(simulation)
+        self._run, self._near = (self._copy(simulation) for _ in range(2))
+        self.time_ns, self._h = simulation.time_ns, FIRST
+        self._windows = self._events(end_ns)
+        self.probe = Probe(self._run, in_space=True)
+        self._scales = scales_of(self.probe.layout)
+        self._sides = None if numbers is None else Sides(numbers, self._run, self._settings)
+        f = self.probe.freedoms
+        self.columns = np.zeros((0, f, 2)) if differences is None else np.asarray(differences, dtype=float)
+        self._first, self._count = len(self.columns), 0 if numbers is None else len(numbers)
+        self.doubt = self.columns.copy()
+        if self._count:
+            outputs = Outputs(self.probe, BODIES)
+            shown, error = self._sides.at_start(outputs)
+            own, doubt = (self._from_bodies(self.probe, outputs, each) for each in (shown, shown + error))
+            self.columns, self.doubt = np.concatenate([self.columns, own]), np.concatenate([self.doubt, doubt])
+        self.rough = np.zeros(len(self.columns), dtype=bool)
+
+    def _copy(self, simulation):
+        copy = Simulation(simulation.scene, quiet=True, **self._settings)
+        copy.start_from(simulation, simulation.steps)
+        return copy
+
+    def _events(self, end_ns):
+        """[(start, end)] in ns of the steps of the run that cross events up to a time."""
+        run, found = self._near, []
+        if not run.layout.switches:
+            return found
+        start = run.snapshot()
+        run.drain_instants()  # kept from now on
+        run.reach(run.instant_of(end_ns))
+        run.advance()
+        for event in run.drain_instants()[1:]:
+            first = max(math.floor(event.time / run.step - MARGIN), start.parts["steps"])
+            last = math.ceil(event.time / run.step + MARGIN)
+            if found and first <= found[-1][1]:
+                found[-1][1] = max(last, found[-1][1])
+            else:
+                found.append([first, last])
+        run.restore(start)
+        return [tuple(run.step_ns(step) for step in window) for window in found]
+
+    def through(self, times_ns):
+        """Yield a Sample at times in ns that do not decrease; `columns` and `doubt` are there."""
+        waiting = list(times_ns)
+        parts = iter(())
+        while waiting:
+            if waiting[0] <= self.time_ns:
+                waiting.pop(0)
+                yield self.probe.base
+                continue
+            part = next(parts, None)
+            if part is None:
+                parts = self._part(waiting)
+                continue
+            sample, self.columns, self.doubt = part
+            self.probe.take(sample)
+            self.time_ns = sample.time_ns
+
+    def _part(self, waiting):
+        """[(Sample, columns, doubt)] at the waiting times in the next part of the run, and at its end."""
+        window = next(((a, b) for a, b in self._windows if b > self.time_ns), (waiting[-1], waiting[-1]))
+        if window[0] <= self.time_ns:
+            return self._cross([time for time in waiting if time < window[1]], window[1])
+        change = self._run.change_after(self._run.instant_of(self.time_ns))
+        limits = [waiting[-1], window[0], *([] if change is AFTER else [round(1e9 * change.time)])]
+        return self._interval(waiting, min(limit for limit in limits if limit > self.time_ns))
+
+    def _interval(self, waiting, limit_ns):
+        """[(Sample, columns, doubt)] at those of the waiting times that are in an interval, and at its end."""
+        state, began = self._run.snapshot(), self.time_ns
+        coordinates = Coordinates(self.probe, displaced=True)
+        start = np.hstack([self._state(coordinates, each) for each in (self.columns, self.doubt)])
+        left, count = limit_ns - began, len(self.columns)
+        while True:
+            h = round(self._h * 1e9)
+            h = left if h >= left else max(min(h, left // 2), min(SHORTEST, left))
+            times = sorted({*(time for time in waiting if time < began + h), began + h})
+            error = np.inf
+            try:
+                samples, u, matrices, kept, noise = self._look(began, h, times, coordinates)
+                found = _Collocation(u, matrices, 1e-9 * h, start)
+                size, n = np.abs(found.at(1.0)), len(found.error)
+                error = (found.error.max(axis=0, initial=0.0) / (size[:n].max(axis=0, initial=0.0) + TINY)).max()
+            except SimulationError:
+                if h <= SHORTEST:
+                    raise
+            self._h = 1e-9 * h * float(np.clip(0.9 * (LOCAL / max(error, TINY)) ** (1.0 / (POINTS + 2)), 0.1, MOST))
+            if error <= LOCAL or h <= SHORTEST:
+                break
+            self._run.restore(state)
+        for time in times:
+            x = found.at((time - began) / h)
+            if time == began + h:
+                x[:n, count:] += found.error[:, :count]
+                x[:n, count + self._first :] += noise
+            yield samples[time], *(self._columns(*kept[time], part) for part in (x[:, :count], x[:, count:]))
+
+    def _look(self, began, h, times, coordinates):
+        """What an interval of h ns needs.
+
+        returns {time: Sample}, points u (s,) with [A F], {time: (Coordinates, changes, offsets)}, errors (n, q) by F
+        """
+        nodes = [began + min(max(round(part * h), 1), h) for part in (NODES if h >= SHORTEST else [0.5])]
+        samples = self._samples(sorted({*nodes, *times}))
+        matrices, noises, kept = [], [], {}
+        for time, sample in samples.items():
+            self.probe.take(sample)
+            here = Coordinates(self.probe, coordinates.rate_names, coordinates.names, displaced=True)
+            by_numbers = self._by_numbers(here)
+            if time in nodes:
+                matrix, noise = self._matrix(here, *by_numbers)
+                matrices.append(matrix)
+                noises.append(noise)
+            kept[time] = here, here.changes, by_numbers[0]
+        noise = np.max(noises, axis=0) * h * 1e-9
+        return samples, (np.array(nodes) - began) / h, np.array(matrices), kept, noise
+
+    def _samples(self, times):
+        """{time in ns: Sample} of the run, which goes to the last one."""
+        found = {}
+        for time in times:
+            instant = self._run.instant_of(time)
+            self._run.reach(instant)
+            found[time] = self._run.sample_at(instant)
+        return found
+
+    def _by_numbers(self, coordinates):
+        """Changes with the numbers at the state of the probe: of dependent freedoms, of accelerations, its error."""
+        probe, f = self.probe, self.probe.freedoms
+        if not self._count:
+            return np.zeros((0, f, 2)), np.zeros((0, f)), np.zeros((0, f))
+        found, error = self._sides.of_equations(probe)
+        gaps, slips = np.split(found[:, f:], 2, axis=1)
+        return coordinates.closing(gaps, slips), found[:, :f], error[:, :f]
+
+    def _matrix(self, coordinates, offsets, accelerations, error):
+        """[A F] (n, n + q) at the state of the probe, and errors (n, q) of F."""
+        probe, f = self.probe, self.probe.freedoms
+        m, r, q = len(coordinates.independent), len(coordinates.moving), self._count
+        n = m + r
+        directions = np.zeros((n + q, f, 2))
+        directions[:m, :, 0], directions[:m, :, 1] = coordinates.motions.T, coordinates.changes.T
+        directions[m:n, :, 1], directions[n:] = coordinates.rates.T, offsets
+        slopes = np.zeros((n + q, 2 * f))
+        slopes[n:, f:] = accelerations
+        moving = directions.any(axis=(1, 2))
+        if moving.any():
+            ways = directions[moving]
+            sizes = ANGLE / np.abs(ways / self._scales[:, None]).max(axis=(1, 2))
+            found = probe.derivatives(ways, sizes)[0]
+            # In the chart that moves with the state, d/dt psi = w + [psi, V]; in the fixed one half of the bracket.
+            found[:, :f] += found[:, :f] - ways[:, :, 1]
+            slopes[moving] += found
+        rows = np.concatenate([coordinates.independent, f + coordinates.moving])
+        return slopes[:, rows].T, np.vstack([np.zeros((m, q)), error[:, coordinates.moving].T])
+
+    def matrix(self, coordinates):
+        """A (n, n) of Coordinates at the present state."""
+        found = self._matrix(coordinates, *self._by_numbers(coordinates))[0]
+        return found[:, : len(found)]
+
+    def _state(self, coordinates, columns):
+        """(n + q, c + q) independent coordinates of columns (c + q, f, 2), and 1 for each number."""
+        x = [columns[:, coordinates.independent, 0].T, columns[:, coordinates.moving, 1].T]
+        return np.vstack([*x, np.eye(self._count, len(columns), self._first)])
+
+    def _columns(self, coordinates, changes, offsets, x):
+        """(c + q, f, 2) of independent coordinates and numbers (n + q, c + q)."""
+        m = len(coordinates.independent)
+        n = m + len(coordinates.moving)
+        columns = np.tensordot(x[n:].T, offsets, 1)
+        columns[:, :, 0] += (coordinates.motions @ x[:m]).T
+        columns[:, :, 1] += (changes @ x[:m] + coordinates.rates @ x[m:n]).T
+        return columns
+
+    def _cross(self, inside, end_ns):
+        """[(Sample, columns, doubt)] at times inside a window of events and at its end, from neighbouring runs."""
+        run, probe, start, times = self._run, self.probe, self._run.snapshot(), [*inside, end_ns]
+        angles, near = probe.base.angles.copy(), probe.base.switching[:, 3].copy()
+        run.drain_instants()
+        samples = self._samples(times)
+        expected = self._events_at(run, self.time_ns, times)
+        self._near.restore(start)
+        probes = [Probe(self._near, in_space=True) for _ in times]
+        for one, time in zip(probes, times):
+            one.take(samples[time])
+        outputs = [Outputs(one, BODIES) for one in probes]
+
+        def arrivals(c, s):
+            """(k, 12 n) poses and twists of the run that starts at s times column c; NaN between its and our event."""
+            other, beside = (self._near, probe) if c < self._first else self._sides.at(c - self._first, s)
+            if beside is not probe:
+                beside.follow(probe)
+            _, *state = beside.beside(s * self.columns[c])
+            commands = other.inputs.commands
+            other.drain_instants()
+            other.set_state(*state, start.parts["steps"], angles, near)
+            other.inputs.commands = commands
+            met = []
+            for time, seen in zip(times, outputs):
+                instant = other.instant_of(time)
+                other.reach(instant)
+                met.append(seen.of(other.sample_at(instant)))
+            events = self._events_at(other, self.time_ns, times)
+            if events[-1] != expected[-1]:
+                raise SimulationError("neighbouring runs have other events")
+            return np.where([[mine == own] for mine, own in zip(events, expected)], met, np.nan)
+
+        def crossed(c):
+            try:
+                return derivative(lambda s: arrivals(c, s), NEAR / max(largest[c], 1.0))
+            except SimulationError:
+                self.rough[c] = True
+                return np.zeros((2, len(times), len(outputs[0])))
+
+        largest = np.abs(self.columns / self._scales[:, None]).max(axis=(1, 2))
+        found, error = (np.array(part).swapaxes(0, 1) for part in zip(*map(crossed, range(len(largest)))))
+        before = np.abs((self.doubt - self.columns) / self._scales[:, None]).max(axis=(1, 2))
+        for shown, doubt, one, seen, time in zip(found, error, probes, outputs, times):
+            columns, other = (self._from_bodies(one, seen, each) for each in (shown, shown + doubt))
+            # What was wrong before grows as its column does.
+            after = np.abs(columns / self._scales[:, None]).max(axis=(1, 2))
+            grown = before * np.divide(after, largest, out=np.ones_like(after), where=largest > 0.0)
+            yield samples[time], columns, other + grown[:, None, None] * self._scales[:, None]
+
+    @staticmethod
+    def _events_at(run, start_ns, times):
+        """For each time in ns: modes and events after each change of the modes since the start."""
+        found = [
+            (1e9 * instant.time, instant.modes[:, :3].tolist(), [(each.joint, each.kind) for each in instant.events])
+            for instant in run.drain_instants()
+        ]
+        return [[rest for when, *rest in found if start_ns < when <= time] for time in times]
+
+    def of_outputs(self, outputs):
+        """(c + q, p) changes of Outputs of the probe, and their errors."""
+        found, doubt = (outputs.along(columns) for columns in (self.columns, self.doubt))
+        if found is None:
+            frame = self._frame(self.probe, outputs)
+            found, doubt = (self._flat(columns) @ frame for columns in (self.columns, self.doubt))
+            if self._count:
+                own, error = self._sides.of_outputs(self.probe, outputs)
+                found[self._first :] += own
+                doubt[self._first :] += own + error
+        return found, np.abs(doubt - found)
+
+    def _flat(self, columns):
+        """(c, 2 f) columns (c, f, 2) in the units of the freedoms."""
+        return (columns / self._scales[:, None]).swapaxes(1, 2).reshape(len(columns), -1)
+
+    def _frame(self, probe, outputs):
+        """(2 f, p) derivatives of Outputs along the freedoms and their rates, in the units of the freedoms."""
+        f, base = probe.freedoms, outputs.of(probe.neighbour())
+        ways = np.eye(2 * f).reshape(2 * f, 2, f).swapaxes(1, 2) * self._scales[:, None]
+        parts = [
+            derivative(lambda s, w=w: outputs.apart(outputs.of(probe.neighbour(s * w)), base), ANGLE) for w in ways
+        ]
+        return np.array([part for part, _ in parts])
+
+    def _from_bodies(self, probe, outputs, shown):
+        """Columns (c, f, 2) whose changes of all poses and twists are (c, 12 n); those of numbers are the last."""
+        if self._count:
+            shown = shown.copy()
+            shown[len(shown) - self._count :] -= self._sides.of_outputs(probe, outputs)[0]
+        known = np.isfinite(shown).all(axis=1)
+        x = np.full((2 * probe.freedoms, len(shown)), np.nan)
+        x[:, known] = np.linalg.lstsq(self._frame(probe, outputs).T, shown[known].T, rcond=FEW)[0]
+        return x.T.reshape(-1, 2, probe.freedoms).swapaxes(1, 2) * self._scales[:, None]
+
+
+def _settings(simulation):
+    """Settings of the same Simulation without an estimate, and with tight tolerances instead of an accuracy."""
+    if simulation.promise is None:
+        return simulation.arguments | {"estimate": False}
+    common = {name: simulation.arguments[name] for name in ("step", "group", "stabilisation", "baumgarte_time")}
+    return common | {"method": simulation.method, "rtol": TIGHT, "atol": TIGHT, "estimate": False}
+
+
+class _Polynomial:
+    """Polynomials through points u (s,) of an interval, in Legendre's basis."""
+
+    def __init__(self, u):
+        self._inverse = np.linalg.inv(legendre.legvander(2.0 * u - 1.0, len(u) - 1))
+
+    def coefficients(self, values):
+        """(s, ...) of values (s, ...)."""
+        return np.tensordot(self._inverse, values, 1)
+
+    def integrals(self, u):
+        """(k, s) weights of the values in integrals from 0 to u (k,)."""
+        x, s = 2.0 * np.atleast_1d(u) - 1.0, len(self._inverse)
+        basis = legendre.legvander(x, s)
+        # Integrals of P_k over the interval are (P_k+1 - P_k-1) / (2 (2 k + 1)), and x + 1 of P_0.
+        found = np.empty((len(x), s))
+        found[:, 0] = 0.5 * (x + 1.0)
+        found[:, 1:] = 0.5 * (basis[:, 2:] - basis[:, : s - 1]) / (2.0 * np.arange(1, s) + 1.0)
+        return found @ self._inverse
+
+
+class _Collocation:
+    """Collocation polynomials x (n + q, c) of x' = A x + F p over an interval of h s.
+
+    u, matrices : (s,) points of the interval, and [A F] (s, n, n + q) there
+    start       : (n + q, c), with constant p
+    error       : (n, c), from the coefficients of x'
+    """
+
+    def __init__(self, u, matrices, h, start):
+        s, n, _ = matrices.shape
+        self._polynomial, self._start, self._h = _Polynomial(u), start, h
+        weights = self._polynomial.integrals(u)
+        left = np.eye(s * n) - h * np.einsum("iab,ij->iajb", matrices[:, :, :n], weights).reshape(s * n, s * n)
+        self._rates = np.linalg.solve(left, (matrices @ start).reshape(s * n, -1)).reshape(s, n, -1)
+        # The coefficients decrease like a geometric sequence; two of them, as every second one may be zero.
+        sizes = np.abs(self._polynomial.coefficients(self._rates))
+        last, before = sizes[-2:].sum(axis=0), sizes[-4:-2].sum(axis=0)
+        ratio = np.divide(last, before, out=np.zeros_like(last), where=before > 0.0)
+        self.error = h * last * np.minimum(ratio, 1.0) / (2.0 * s)
+
+    def at(self, u):
+        """x at a part u of the interval."""
+        x, n = self._start.copy(), self._rates.shape[1]
+        x[:n] += self._h * np.tensordot(self._polynomial.integrals(u)[0], self._rates, 1)
+        return x
