@@ -3,12 +3,16 @@
 
 import numpy as np
 import pytest
+import random_mechanisms
 import scipy
 
 from liegroup_core import Simulation
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.linear import Misfit, sensitivities
-from liegroup_core.scene.load import load_scene, scene_from_text
+from liegroup_core.linear.channels import Outputs
+from liegroup_core.linear.probe import Probe
+from liegroup_core.scene.load import load_scene, scene_as_written, scene_from_text
+from liegroup_core.study.sweep.parameters import changed, parameters
 
 TIMES = [0.4, 1.0, 1.7]
 
@@ -118,6 +122,65 @@ forces: [{name: spring, type: linear_spring_damper, joint: rail, stiffness: 100.
     expected = np.stack([-np.sin(10.0 * t) * t / 20.0, np.sin(10.0 * t) * t * 5.0], axis=1)
     error = np.abs(found.derivatives[:, 0] - expected)
     assert (error <= found.errors[:, 0]).all() and (error <= 1e-7 * np.abs(expected).max(axis=1)[:, None]).all()
+
+
+def differences(scene, path, times, outputs, h=1e-3):
+    """Central differences of order four between runs at tolerances of 1e-12: errors near h^4 and 1e-12 / h."""
+    written = scene_as_written(scene.text, scene.source)
+    value = parameters(written)[path]
+
+    def values(step):
+        other = scene_from_text(changed(written, {path: value + step * h * abs(value)}).text, source=scene.source)
+        run = Simulation(other, "rkmk853", 1e-2, rtol=1e-12, atol=1e-12, estimate=False, quiet=True)
+        seen = Outputs(Probe(run), outputs)
+        return np.array([seen.of(sample) for sample in run.samples(times)])
+
+    near, far = values(1) - values(-1), values(2) - values(-2)
+    return (near * (2.0 / 3.0) - far / 12.0) / (h * abs(value))
+
+
+@pytest.mark.parametrize(
+    "name, number, times, outputs",
+    [
+        ("four_bar", "joints.ground_rocker.parent_frame.position.0", [0.2, 0.5], "joints"),
+        ("four_bar", "bodies.crank.shape.size.0", [0.2, 0.5], "twists"),
+        ("slider_crank", "gravity.2", [0.3, 0.5], "accelerations"),
+        # Impacts at 0.8 s, 2.4 s and 7.1 s; friction reverses at 4.7 s.
+        ("door", "joints.hinges.friction.coulomb", [0.5, 2.0, 8.0], "joints"),
+        ("door", "joints.hinges.limits.restitution", [0.5, 2.0, 8.0], "joints"),
+        ("door", "joints.hinges.limits.upper", [0.5, 2.0, 8.0], "joints"),
+        ("stick_slip", "forces.spring.stiffness", [1.0, 1.6, 2.5], "joints"),
+        ("diff_drive", "gravity.2", [0.1, 0.2], "joints"),
+    ],
+)
+def test_the_derivatives_are_those_of_neighbouring_runs(name, number, times, outputs):
+    scene = load_scene(name)
+    found, expected = sensitivities(scene, [number], times, [outputs]), differences(scene, number, times, [outputs])
+    error, size = np.abs(found.derivatives[:, :, 0] - expected), np.abs(expected).max()
+    assert not found.rough and error.max() < 1e-7 * max(size, 1e-3)
+
+
+@pytest.mark.parametrize("name", ["tree", "loops", "planar loops", "couplings", "driven"])
+def test_the_derivatives_of_random_mechanisms_are_those_of_neighbouring_runs(name):
+    scene, _ = random_mechanisms.random_mechanism(name, 5)
+    known = parameters(scene_as_written(scene.text, scene.source))
+    forces = [path for path, value in known.items() if path.startswith("forces.") and value]
+    for number in ("bodies.b1.mass", forces[0], forces[-1]):
+        found = sensitivities(scene, [number], [0.04, 0.1], ["twists"])
+        expected = differences(scene, number, [0.04, 0.1], ["twists"])
+        error = np.abs(found.derivatives[:, :, 0] - expected).max()
+        assert error < 1e-7 * max(np.abs(expected).max(), 1e-2)
+
+
+def test_numbers_that_change_the_times_of_inputs_have_differences_of_runs():
+    """A force F that acts for a time d: v = F d / m at its end."""
+    scene = scene_from_text(
+        "name: push\ngravity: [0, 0, 0]\nbodies: [{name: b, mass: 2.0, inertia: [1, 1, 1]}]\n"
+        "forces: [{name: push, type: applied_wrench, body: b, force: [3, 0, 0], start: 0.1, end: 0.5}]\n",
+        source="t",
+    )
+    found = sensitivities(scene, ["push.end", "push.force.0"], [1.0], ["b.vx"])
+    np.testing.assert_allclose(found.derivatives[0, 0], [1.5, 0.2], rtol=1e-7)
 
 
 def test_unknown_numbers_are_refused():

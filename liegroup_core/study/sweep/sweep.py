@@ -99,7 +99,7 @@ class Sweep:
         """Sweep of a Scene with ranges as texts, see parameters.range_of; other arguments as above.
 
         every : None: a tenth of the run, and states are not saved
-        extra : reactions, and gradient, with names that may stand for many
+        gradient : names that stand for many are allowed
         raises ParameterError, SceneError, and ValueError for a configuration that does not suit the scene
         """
         for number, least, what in (
@@ -126,7 +126,6 @@ class Sweep:
         # This compiles the kernels and checks the configuration.
         simulation = Simulation(scene, **(settings or {}))
         settings = simulation.arguments
-        reactions, gradient = extra.get("reactions", False), extra.get("gradient", ())
         if reactions:
             simulation.layout.reactions.warm_up()
         if gradient:
