@@ -347,7 +347,7 @@ def test_curves_compute_no_value_twice():
 
 
 def test_a_node_is_shown_pulled_and_paused(opened, client, tmp_path):
-    from node_process import COMPILING, ENVIRONMENT, NodeProcess
+    from node_process import ENVIRONMENT, NodeProcess
 
     from liegroup_sim_ros.view.remote import Remote
 
@@ -356,7 +356,7 @@ def test_a_node_is_shown_pulled_and_paused(opened, client, tmp_path):
     with NodeProcess({"scene": scene, "record": path}), pytest.MonkeyPatch.context() as patch:
         for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
             patch.setenv(name, ENVIRONMENT[name])
-        client.until(path.exists, COMPILING, "recording")
+        client.until(path.exists, "recording")
         source = Remote("/sim_node")
         page, shown = opened(source)
         until(lambda: source.frame() is not None, "frame")
