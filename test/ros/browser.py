@@ -11,8 +11,9 @@ import subprocess
 import sys
 import time
 
+from waiting import PATIENCE
+
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-PATIENCE = 60.0  # s, for an answer; a shared machine may be slow
 # No network but what a page asks for: nothing is to be left on the machine, nor fetched.
 OPTIONS = (
     "--headless=new",

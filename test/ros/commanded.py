@@ -2,10 +2,9 @@
 """Client of a node that takes commands for joints, for the tests."""
 
 import json
-import signal
 
 from diagnostic_msgs.msg import DiagnosticArray
-from node_process import COMPILING, stamp_ns
+from node_process import figures_of, stamp_of
 from sensor_msgs.msg import JointState
 
 from liegroup_sim_ros.commands.main import main
@@ -16,37 +15,56 @@ STEP = 1e-3  # s, of the node
 
 
 class Commanded:
-    """Running node with a publisher of commands; joint states and given commands as they come."""
+    """Paused node with a publisher of commands; joint states and given commands as they come."""
 
     def __init__(self, client, node):
         self.client, self.node = client, node
         self.states = client.listen(f"{node}/joint_states", JointState)
         self.given = client.given(node)
         self.figures = client.listen(f"{node}/state", DiagnosticArray)
-        self.publisher = client.node.create_publisher(JointState, f"{node}/joint_commands", 100)
-        client.until(self.publisher.get_subscription_count, COMPILING, "the subscription")
+        self._publish = client.publisher(f"{node}/joint_commands", JointState)
 
     def command(self, stamp=0, **fields):
+        """Command joints; the node has it before anything that it is asked for later."""
         message = JointState(**fields)
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
-        self.publisher.publish(message)
+        self._publish(message)
 
     def figure(self, name):
-        return int({v.key: v.value for v in self.figures[-1].status[0].values}[name])
+        return int(figures_of(self.figures[-1])[name])
 
     def now(self):
-        return stamp_ns(self.states[-1].header.stamp)
+        return stamp_of(self.states[-1])
+
+    def restart(self):
+        """Reset the node, and clear the commands up to then."""
+        self.given.present = None
+        self._arrive(self.client.command(f"{self.node}/reset"))
+        self.client.until(lambda: self.given.present is not None, "the commands that act")
+        self.given.clear()
 
     def steps(self, count):
-        """Take steps while paused; the joint state after them."""
+        """Take steps; the joint state after them."""
         assert self.client.set(self.node, step_count=count).successful
-        self.client.spin(0.1)  # commands have arrived before it is asked for steps
-        before = self.now()
-        assert self.client.call(f"{self.node}/step").success
-        end = before + round(count * STEP * 1e9)
-        return self.client.until(
-            lambda: next((s for s in reversed(self.states) if stamp_ns(s.header.stamp) == end), None)
-        )
+        self._arrive(self.client.command(f"{self.node}/step"))
+        return self.states[-1]
+
+    def _arrive(self, stamp):
+        topics = self.states, self.figures
+        self.client.until(lambda: all(m and stamp_of(m[-1]) == stamp for m in topics), f"states at {stamp}")
+
+    def check_refusals(self, cases, topic="joint_commands", command=None):
+        """Each of the cases (reason, fields of a command) is counted as refused for its reason, none as accepted."""
+        before = figures_of(self.figures[-1])
+        for _, fields in cases:
+            (command or self.command)(**fields)
+        self.steps(1)
+        reasons = [reason for reason, _ in cases]
+        for name, count in {"accepted": 0, "refused": len(cases)}.items():
+            assert self.figure(f"{topic}_{name}") == int(before[f"{topic}_{name}"]) + count, name
+        for reason in reasons:
+            count = f"{topic}_refused_{reason}"
+            assert self.figure(count) == int(before.get(count, 0)) + reasons.count(reason), reason
 
 
 def coordinates(state):
@@ -58,9 +76,7 @@ def finished_parts(process):
 
     process : with the NodeProcess `process` and the `folder` of its recording
     """
-    process.process.send(signal.SIGINT)
-    code, log = process.process.wait()
-    assert code == 0, log
+    log = process.process.end()
     paths = sorted(process.folder.glob("*.mcap"))
     assert len(paths) > 4
     recordings = [read_recording(path) for path in paths]

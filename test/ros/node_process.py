@@ -5,9 +5,12 @@ Everything runs in one ROS domain that no other test run on this machine has.
 """
 
 import fcntl
+import gc
 import json
+import logging
 import math
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -16,15 +19,24 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
+import pytest
 import rclpy
 from geometry_msgs.msg import WrenchStamped
+from rcl_interfaces.msg import Log
 from rcl_interfaces.srv import SetParameters
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
+from waiting import PATIENCE, wait_for
 
 from liegroup_core.forces.commands import Command
+from liegroup_sim_ros.commands import push
+from liegroup_sim_ros.commands.main import main
+from liegroup_sim_ros.node import node as nodes
+from liegroup_sim_ros.signals import Signals
 
 # Two free bodies without gravity: a push has a closed form. `cube` tumbles, `puck` is at rest.
 SCENE = """
@@ -36,9 +48,8 @@ bodies:
      angular_velocity: [0.4, 1.1, 0.3], linear_velocity: [0.1, 0.2, 0.3]}
 """
 
-PATIENCE = 30.0  # s; for what takes at most 3 s on an idle machine
-COMPILING = 180.0  # s; the first start on a machine compiles
 UNDISCOVERED = 10.0  # s
+LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def _free_domain():
@@ -131,6 +142,42 @@ class NodeProcess:
         _, errors = self.process.communicate(timeout=PATIENCE)
         return self.process.returncode, errors
 
+    def end(self, number=signal.SIGINT, code=0):
+        """Send a signal; returns what the node has logged, after checking its exit code."""
+        self.send(number)
+        found, errors = self.wait()
+        assert found == code and "Traceback" not in errors, errors
+        return errors
+
+
+def output_of(process):
+    """stdout of a process that ends with exit code 0."""
+    output, errors = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0, errors
+    return output
+
+
+def refusal(capfd, parameters):
+    """Line with which a node refuses its parameters, before anything else; it runs in this process."""
+    own_context().try_shutdown()  # for the ROS domain of the tests
+    capfd.readouterr()
+    loggers = [logging.getLogger(name) for name in ("liegroup_core", "liegroup_sim_ros")]
+    handlers, interval = [logger.handlers[:] for logger in loggers], sys.getswitchinterval()
+    arguments = [part for name, value in parameters.items() for part in ("-p", f"{name}:={value}")]
+    try:
+        with Signals() as signals:
+            assert nodes.run(["sim_node", "--ros-args", *arguments], signals) == nodes.EXIT_WRONG_INPUT
+    finally:
+        sys.setswitchinterval(interval)
+        for logger, before in zip(loggers, handlers):
+            logger.handlers[:] = before
+        gc.collect()  # two nodes of one name would be a warning
+    lines = [line for line in capfd.readouterr().err.splitlines() if not line.startswith("[INFO]")]
+    assert len(lines) == 1, lines
+    (line,) = lines
+    assert line.startswith("sim_node: ")
+    return line
+
 
 class Client:
     """ROS node in this process that subscribes, calls services and publishes wrenches."""
@@ -147,32 +194,40 @@ class Client:
         self.node.destroy_node()
         self._context.try_shutdown()
 
-    def listen(self, topic, message_class, qos=200):
+    def listen(self, topic, message_class, qos=10_000):
         """A list that grows with the messages of a topic."""
         messages = []
         self.node.create_subscription(message_class, topic, messages.append, qos)
         return messages
 
-    def given(self, node, qos=200):
+    def events(self, node):
+        """A list that grows with the events of a node, from its start."""
+        return self.listen(f"{node}/events", Log, LATCHED)
+
+    def given(self, node, qos=10_000):
         """Given of the commands of a node as they come."""
         given = Given()
         self.node.create_subscription(String, f"{node}/inputs", given.take, qos)
         return given
 
-    def until(self, condition, seconds=PATIENCE, what="what was waited for"):
-        """Spin until condition() is true, and return that; fail after so many seconds."""
-        end = time.monotonic() + seconds
-        while not (result := condition()):
-            for node in NodeProcess.running:
-                assert node.process.poll() is None, node.process.communicate()[1]
-            assert time.monotonic() < end, f"{what} did not happen within {seconds} s"
-            self._executor.spin_once(timeout_sec=0.05)
-        return result
+    def until(self, condition, what="what was waited for"):
+        """Spin until condition() is true, and return that; fail if a node ends."""
+        return wait_for(condition, what, self.turn)
 
-    def spin(self, seconds):
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            self._executor.spin_once(timeout_sec=0.02)
+    def turn(self):
+        """Run the callbacks of what has come, or wait a moment; fail if a node has ended."""
+        for node in NodeProcess.running:
+            assert node.process.poll() is None, node.process.communicate()[1]
+        self._executor.spin_once(timeout_sec=0.05)
+
+    def until_stamp(self, stamp, *topics):
+        """Spin until the last message of each list has a stamp in ns, or a later one."""
+        self.until(lambda: all(m and stamp_of(m[-1]) >= stamp for m in topics), f"stamp {stamp}")
+
+    def pass_time(self, messages, seconds):
+        """Spin until the stamps of a list of messages are later by so many s of simulated time."""
+        self.until(lambda: messages)
+        self.until_stamp(stamp_of(messages[-1]) + round(seconds * 1e9), messages)
 
     def call(self, name, service=Trigger, request=None, again=math.inf):
         """Response of a service.
@@ -185,7 +240,7 @@ class Client:
             # The answer to the first request is lost if the service has not yet discovered the client.
             again = min(again, UNDISCOVERED)
         client = self._clients[name]
-        self.until(client.service_is_ready, COMPILING, f"service {name}")
+        self.until(client.service_is_ready, f"service {name}")
         futures, sent = [], -math.inf
 
         def answered():
@@ -197,6 +252,12 @@ class Client:
 
         return self.until(answered, what=f"answer of {name}").result()
 
+    def command(self, name):
+        """Stamp in ns at which a node has executed a service such as /node/pause."""
+        response = self.call(name)
+        assert response.success, response.message
+        return stamp_in(response.message)
+
     def set(self, node, **values):
         """Result of setting one parameter, or more."""
         request = SetParameters.Request(
@@ -204,24 +265,67 @@ class Client:
         )
         return self.call(f"{node}/set_parameters", SetParameters, request).results[-1]
 
-    def pusher(self, node, topic="wrench"):
-        """push(frame_id, torque, force, stamp_ns) for a node, connected both ways."""
-        publisher = self.node.create_publisher(WrenchStamped, f"{node}/{topic}", 100)
-        self.until(publisher.get_subscription_count, COMPILING, f"subscription of {node}")
+    def publisher(self, topic, message_class):
+        """Function that publishes a message and returns when all subscribers have it: services come after it."""
+        # Subscribers acknowledge at once only what fills the history.
+        publisher = self.node.create_publisher(message_class, topic, 1)
+        self.until(publisher.get_subscription_count, f"subscription of {topic}")
 
-        def push(body, torque=(0.0, 0.0, 0.0), force=(0.0, 0.0, 0.0), stamp_ns=0):
+        def publish(message):
+            publisher.publish(message)
+            assert publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
+
+        return publish
+
+    def pusher(self, node, topic="wrench"):
+        """push(frame_id, torque, force, stamp_ns) for a node, as `publisher`."""
+        publish = self.publisher(f"{node}/{topic}", WrenchStamped)
+
+        def push_one(body, torque=(0.0, 0.0, 0.0), force=(0.0, 0.0, 0.0), stamp_ns=0):
             message = WrenchStamped()
             message.header.frame_id = body
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
             for vector, values in ((message.wrench.torque, torque), (message.wrench.force, force)):
                 vector.x, vector.y, vector.z = values
-            publisher.publish(message)
+            publish(message)
 
-        return push
+        return push_one
+
+
+def push_command(*arguments):
+    """Run `liegroup_sim push` in this process, with all the time that a slow node needs for its answers."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("ANSWER", "DISCOVERY"):
+            patch.setattr(push, name, PATIENCE)
+        return main(["push", *map(str, arguments)])
 
 
 def stamp_ns(stamp):
     return stamp.sec * 10**9 + stamp.nanosec
+
+
+def stamp_of(message):
+    """Stamp in ns of any message of a node."""
+    if hasattr(message, "markers"):
+        message = message.markers[0]
+    found = message.header.stamp if hasattr(message, "header") else getattr(message, "clock", None) or message.stamp
+    return stamp_ns(found)
+
+
+def stamp_in(text):
+    """Stamp in ns in the answer to a command, such as "paused at 0.19 s"."""
+    return round(float(re.search(r" (?:at|from) ([0-9.e-]+) s", text)[1]) * 1e9)
+
+
+def on_grid(stamps, period):
+    """Whether stamps increase by multiples of a period in ns, and some by one: others may be lost on their way."""
+    steps = [after - before for before, after in zip(stamps, stamps[1:])]
+    return min(steps) == period and not any(step % period for step in steps)
+
+
+def figures_of(diagnostics):
+    """{name: text} of a DiagnosticArray."""
+    return {pair.key: pair.value for pair in diagnostics.status[0].values}
 
 
 class Order(NamedTuple):

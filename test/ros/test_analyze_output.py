@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from made_run import PACING, PAIR, record
 from rich.console import Console
+from waiting import PATIENCE
 
 from liegroup_core import Simulation
 from liegroup_core.scene.load import scene_from_text
@@ -100,7 +101,7 @@ def test_files_are_written_although_stdout_is_closed(tmp_path):
         text=True,
     )
     child.stdout.close()
-    assert child.wait(120) != 0
+    assert child.wait(PATIENCE) != 0
     assert "Traceback" not in child.stderr.read()
     assert page.stat().st_size > 1_000_000
     assert json.loads(figures.read_text())["logs"][0]["scene"] == "pair"

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
-from node_process import COMPILING, PUSH, NodeProcess, python, stamp_ns
+from node_process import PUSH, NodeProcess, output_of, python, refusal, stamp_ns
 
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.playback.branch import Branches
@@ -19,7 +19,7 @@ from liegroup_sim_ros.recording import checkpoints
 from liegroup_sim_ros.recording.errors import RecordingError
 from liegroup_sim_ros.recording.read import read_recording
 
-REACHED = 0.2  # s, for any instant of an hour
+REACHED = 0.03  # part of the CPU time of a run of an hour, for any of its instants
 
 
 def run(path, *arguments):
@@ -95,11 +95,11 @@ def test_the_code_of_the_page_runs(tmp_path, monkeypatch):
     assert names["simulation"].steps == 1350
 
 
-@pytest.mark.parametrize("at", [-0.1, 2.5, 1e300, float("nan"), float("inf")])
-def test_an_instant_outside_the_recording_is_refused(tmp_path, at):
-    recording = run(tmp_path / "run.mcap", *CASES["relative"], "--duration", "2")
-    with pytest.raises(ReplayError, match=r"is not in the recording, which is from 0 to 2 s"):
-        Branches(recording).at(at)
+def test_an_instant_outside_the_recording_is_refused(tmp_path):
+    branches = Branches(run(tmp_path / "run.mcap", *CASES["relative"], "--duration", "2"))
+    for at in (-0.1, 2.5, 1e300, float("nan"), float("inf")):
+        with pytest.raises(ReplayError, match=r"is not in the recording, which is from 0 to 2 s"):
+            branches.at(at)
 
 
 def test_a_damaged_checkpoint_is_one_line(tmp_path, many_checkpoints):
@@ -126,18 +126,20 @@ def test_a_damaged_checkpoint_is_one_line(tmp_path, many_checkpoints):
 
 def test_any_instant_of_an_hour_is_reached_at_once(tmp_path):
     """CPU time, so that other processes do not matter."""
+    start = time.process_time()
     recording = run(
         tmp_path / "hour.mcap",
         *["heavy_top", "--method", "rkmk4", "--step", "0.002", "--no-estimate"],
         *["--every", "100", "--duration", "3600"],
     )
+    allowed = REACHED * (time.process_time() - start)
     branches = Branches(recording)
     branches.at(1.0)
     rng = np.random.default_rng(0)
     for at in [*rng.uniform(0.0, 3600.0, 30), 3600.0]:
         start = time.process_time()
         simulation, stamp_ns = branches.at(float(at))
-        assert time.process_time() - start <= REACHED
+        assert time.process_time() - start <= allowed
         assert 0 <= at * 1e9 - stamp_ns < 2_000_001 and simulation.time_ns == stamp_ns
     check_branch(recording, branches, 3590.0, 9.0)
 
@@ -167,8 +169,7 @@ def recorded(client, scene, tmp_path_factory):
         push("puck", force=(0.0, 2.0, 0.0))
         client.until(lambda: client.call("/original/step").success and len(given) > 2)
         step(200)
-        process.send(signal.SIGINT)
-        assert process.wait()[0] == 0
+        process.end()
     assert now < 1_000_000_000
     return path
 
@@ -215,14 +216,12 @@ def test_a_node_goes_on_from_an_instant(client, recorded, tmp_path, capsys, at):
         "record": path,
     }
     with NodeProcess(parameters, [f"__node:={name[1:]}"]) as process:
-        client.until(lambda: poses and stamp_ns(poses[-1].header.stamp) > original.last_ns, COMPILING)
+        client.until(lambda: poses and stamp_ns(poses[-1].header.stamp) > original.last_ns)
         # A reset goes to the start of the scene, a reload to the instant again.
         assert client.call(f"{name}/pause").success
         answer = client.call(f"{name}/reload")
         assert answer.success and answer.message.endswith(", paused")
-        process.send(signal.SIGINT)
-        code, errors = process.wait()
-        assert code == 0 and "Traceback" not in errors, errors
+        process.end()
     branch = read_recording(path)
     begin_ns = branch.initial_state["stamp_ns"]
     assert 0 <= at * 1e9 - begin_ns < 10_000_000
@@ -243,11 +242,9 @@ def test_replay_from_an_instant_starts_a_node(client, recorded, tmp_path):
         push = client.pusher("/sim_node", "wrench/persistent")
         push("puck", force=(-5.0, 0.0, 0.0))
         assert client.set("/sim_node", step_count=30).successful
-        client.spin(0.2)
         assert client.call("/sim_node/step").success
         process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=30)
-        assert process.returncode == 0, errors
+        output_of(process)
     finally:
         process.kill()
     branch, original = read_recording(path), read_recording(recorded)
@@ -269,11 +266,8 @@ def test_replay_from_an_instant_starts_a_node(client, recorded, tmp_path):
         ({"continue_from": "no.mcap"}, "parameter continue_from: no.mcap: "),
     ],
 )
-@pytest.mark.volume(2)
-def test_a_continuation_that_is_not_possible_is_refused(recorded, parameters, text):
-    with NodeProcess({"continue_from": recorded, **parameters}) as process:
-        code, errors = process.wait()
-    assert code == 2 and text in errors and len(errors.strip().splitlines()) == 1, errors
+def test_a_continuation_that_is_not_possible_is_refused(recorded, capfd, parameters, text):
+    assert text in refusal(capfd, {"continue_from": recorded, **parameters})
 
 
 @pytest.mark.parametrize(

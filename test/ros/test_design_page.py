@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from node_process import COMPILING, NODE, PUSH, python
+from node_process import NODE, PUSH, output_of, python
 from rosgraph_msgs.msg import Clock
 
 from liegroup_sim_ros.commands.main import main
@@ -50,9 +50,9 @@ def test_the_page_designs_a_controller_and_the_recording_agrees(tmp_path, monkey
 
     def passed(seconds):
         clock.clear()  # nothing was received while other processes were waited for
-        client.until(lambda: clock, COMPILING, "the clock")
+        client.until(lambda: clock, "the clock")
         end = now() + seconds
-        client.until(lambda: now() > end, COMPILING, f"{seconds} s of simulated time")
+        client.until(lambda: now() > end, f"{seconds} s of simulated time")
 
     def now():
         return clock[-1].clock.sec + 1e-9 * clock[-1].clock.nanosec if clock else 0.0
@@ -62,13 +62,11 @@ def test_the_page_designs_a_controller_and_the_recording_agrees(tmp_path, monkey
     try:
         passed(4.0)
         pushed = python(PUSH, *push)
-        output, errors = pushed.communicate(timeout=60)
-        assert pushed.returncode == 0, errors
+        output_of(pushed)
         passed(6.0)
         for process in (simulation, controller):
             process.send_signal(signal.SIGINT)
-            _, errors = process.communicate(timeout=30)
-            assert process.returncode == 0, errors
+            output_of(process)
     finally:
         simulation.kill()
         controller.kill()

@@ -9,9 +9,7 @@ from pathlib import Path
 import pandas
 import pytest
 from geometry_msgs.msg import WrenchStamped
-from node_process import COMPILING, NODE, NodeProcess, python
-from rcl_interfaces.msg import Log
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from node_process import NODE, NodeProcess, output_of, python
 from sensor_msgs.msg import Imu, JointState
 
 from liegroup_sim_ros.commands.main import main
@@ -28,23 +26,18 @@ def test_the_page_contains_commands_and_python_code():
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-@pytest.mark.volume(2)
+@pytest.mark.volume(1)
 def test_a_command_of_the_page_starts_a_node(client, tmp_path, command):
     command = command.replace("config/", f"{SOURCE / 'config'}/").replace("run.mcap", str(tmp_path / "run.mcap"))
     if "continue_from" in command:
         assert main(["run", "heavy_top", "--duration", "1", "--out", str(tmp_path / "run.mcap")]) == 0
     namespace = re.search(r"__ns:=(\S+)", command)
-    events = client.listen(
-        f"{namespace[1] if namespace else ''}/sim_node/events",
-        Log,
-        QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL),
-    )
+    events = client.events(f"{namespace[1] if namespace else ''}/sim_node")
     process = python(NODE, *shlex.split(command))
     try:
-        client.until(lambda: events, COMPILING)
+        client.until(lambda: events)
         process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=30)
-        assert process.returncode == 0, errors
+        output_of(process)
     finally:
         process.kill()
 
@@ -53,10 +46,8 @@ def test_the_python_code_of_the_page_runs(tmp_path):
     path = tmp_path / "run.mcap"
     with NodeProcess({"scene": "heavy_top", "record": path}) as process:
         script = python(SCRIPT)
-        output, errors = script.communicate(timeout=COMPILING)
-        assert script.returncode == 0, errors
-        process.send(signal.SIGINT)
-        assert process.wait()[0] == 0
+        output = output_of(script)
+        process.end()
     lines = output.splitlines()
     assert len(lines) == 12 and lines[0].startswith("paused at")
     assert lines[6].startswith("saved 'before the push' at")
@@ -130,9 +121,8 @@ def test_the_sensors_of_the_page_on_reactions_run(tmp_path, monkeypatch, capsys,
                 ("hinge/wrench", WrenchStamped),
             )
         ]
-        client.until(lambda: all(heard), COMPILING, "a message of each sensor")
+        client.until(lambda: all(heard), "a message of each sensor")
         process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=30)
-        assert process.returncode == 0, errors
+        output_of(process)
     finally:
         process.kill()

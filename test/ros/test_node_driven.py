@@ -7,8 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from commanded import STEP, Commanded, coordinates, finished_parts
-from node_process import NodeProcess
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from node_process import LATCHED, NodeProcess
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -16,7 +15,6 @@ from liegroup_core.joints.motion import at, through
 from liegroup_sim_ros.playback.branch import Branches
 
 NODE = "/prescribed"
-LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 MOTION_TIME = 0.04
 # Wheel of 0.5 kg m^2 that turns at 1.5 rad/s, cart with a motion of its own and a pendulum.
 SCENE = """
@@ -62,8 +60,7 @@ def process(client, tmp_path_factory):
 @pytest.fixture
 def node(client, process):
     """At the initial state."""
-    assert client.call(f"{NODE}/reset").success
-    client.spin(0.2)
+    process.node.restart()
     return process.node
 
 
@@ -104,8 +101,7 @@ def test_after_the_timeout_a_joint_comes_to_rest(client, node):
 def test_a_reset_returns_to_the_motion_of_the_scene(client, node):
     node.command(name=["slide", "hinge"], position=[0.3, 0.0])
     node.steps(300)
-    assert client.call(f"{NODE}/reset").success
-    client.spin(0.2)
+    node.restart()
     state = node.steps(600)
     assert coordinates(state)[0] == pytest.approx((0.9, 1.5), abs=1e-12)
     assert state.position[1] == pytest.approx(0.2, abs=1e-12)
@@ -123,9 +119,8 @@ def trajectory(names, *points):
 
 
 def test_a_trajectory_is_followed_exactly(client, node):
-    publisher = client.node.create_publisher(JointTrajectory, f"{NODE}/joint_trajectory", 10)
-    client.until(publisher.get_subscription_count, what="the subscription")
-    publisher.publish(trajectory(["slide"], (0.2, [0.1], [0.5]), (0.5, [0.3], [0.0])))
+    lead = client.publisher(f"{NODE}/joint_trajectory", JointTrajectory)
+    lead(trajectory(["slide"], (0.2, [0.1], [0.5]), (0.5, [0.3], [0.0])))
     state = node.steps(200)
     assert coordinates(state)[1] == pytest.approx((0.1, 0.5), abs=1e-12)
     state = node.steps(400)
@@ -133,38 +128,30 @@ def test_a_trajectory_is_followed_exactly(client, node):
 
 
 def test_what_a_driven_joint_cannot_do_is_refused(client, node):
-    for reason, fields in (
-        ("no_servo", {"name": ["hook"], "position": [1.0]}),
-        ("not_finite", {"name": ["hinge"], "position": [math.inf]}),
-        ("jump_too_large", {"name": ["slide"], "position": [1.0]}),
-        ("beyond_limits", {"name": ["slide"], "velocity": [1e12]}),
-        ("beyond_limits", {"name": ["hinge", "slide"], "position": [0.1, 1.3], "velocity": [0.0, 0.0]}),
-    ):
-        assert client.set(NODE, command_jump=0.5).successful
-        count = f"joint_commands_refused_{reason}"
-        known = node.figure(count)
-        node.command(**fields)
-        client.until(lambda: node.steps(100) and node.figure(count) == known + 1, what=reason)
+    assert client.set(NODE, command_jump=0.5).successful
+    node.check_refusals(
+        [
+            ("no_servo", {"name": ["hook"], "position": [1.0]}),
+            ("not_finite", {"name": ["hinge"], "position": [math.inf]}),
+            ("jump_too_large", {"name": ["slide"], "position": [1.0]}),
+            ("beyond_limits", {"name": ["slide"], "velocity": [1e12]}),
+            ("beyond_limits", {"name": ["hinge", "slide"], "position": [0.1, 1.3], "velocity": [0.0, 0.0]}),
+        ]
+    )
     assert client.set(NODE, command_jump=0.0).successful
     assert node.states[-1].velocity[0] == pytest.approx(1.5, abs=1e-12)
 
 
 def test_a_far_position_is_refused_without_any_parameter(client, node):
     """Of a trajectory, too; the joint goes on as before."""
-    refused = "joint_commands_refused_beyond_limits", "joint_trajectories_refused_beyond_limits"
-    publisher = client.node.create_publisher(JointTrajectory, f"{NODE}/joint_trajectory", 10)
-    client.until(publisher.get_subscription_count, what="the subscription")
-    node.steps(100)
-    known = [node.figure(count) for count in refused]
-    node.command(name=["hinge"], position=[1e12])
-    publisher.publish(trajectory(["slide", "hinge"], (0.2, [0.1, 1e12], [])))
-    client.until(
-        lambda: node.steps(100) and [node.figure(c) for c in refused] == [k + 1 for k in known], what="the refusals"
-    )
-    before, after = node.states[-1], node.steps(100)
+    lead = client.publisher(f"{NODE}/joint_trajectory", JointTrajectory)
+    before = node.steps(100)
+    node.check_refusals([("beyond_limits", {"name": ["hinge"], "position": [1e12]})])
+    far = trajectory(["slide", "hinge"], (0.2, [0.1, 1e12], []))
+    node.check_refusals([("beyond_limits", {"message": far})], "joint_trajectories", lead)
+    after = node.steps(98)
     assert after.velocity[0] == pytest.approx(1.5, abs=1e-12)
-    turned = after.position[0] - before.position[0]
-    assert turned == pytest.approx(0.15, abs=1e-12)
+    assert after.position[0] - before.position[0] == pytest.approx(0.15, abs=1e-12)
 
 
 def test_every_part_of_the_recording_is_repeated_and_analysed(process, node):

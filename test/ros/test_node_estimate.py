@@ -1,16 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node that carries an estimate of its error: topics, diagnostics, covariances, the event."""
 
-import signal
-
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
-from node_process import COMPILING, NodeProcess, stamp_ns
-from rcl_interfaces.msg import Log
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from node_process import NodeProcess, figures_of, stamp_of
 from std_msgs.msg import Float64MultiArray
 
 from liegroup_core import Simulation, load_scene
@@ -24,7 +20,7 @@ def test_estimates_are_served_recorded_and_end_with_an_event(client, tmp_path):
     """A double pendulum at 8 ms leaves its motion within seconds."""
     path = tmp_path / "run.mcap"
     states = client.listen("/doubtful/state", DiagnosticArray)
-    events = client.listen("/doubtful/events", Log, QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+    events = client.events("/doubtful")
     parameters = {
         "scene": "double_pendulum",
         "method": "rkmk4",
@@ -37,33 +33,34 @@ def test_estimates_are_served_recorded_and_end_with_an_event(client, tmp_path):
         "clock_rate": 125.0,
         "state_rate": 12.5,
         "record": path,
-        "real_time_factor": 4.0,
+        "start_paused": True,
+        "step_count": 250,
     }
+    body = "upper"
+    errors = client.listen("/doubtful/errors", Float64MultiArray)
+    poses = client.listen(f"/doubtful/{body}/pose_with_covariance", PoseWithCovarianceStamped)
+    odometry = client.listen(f"/doubtful/{body}/odometry", Odometry)
     with NodeProcess(parameters, remap=["__node:=doubtful"]) as node:
-        client.until(lambda: events, COMPILING, "the start")
-        body = "upper"
-        client.until(lambda: states, what="states")
-        figures = {pair.key: pair.value for pair in states[-1].status[0].values}
+
+        def step():
+            client.until_stamp(client.command("/doubtful/step"), states, poses, odometry)
+
+        step()
+        step()
+        figures = figures_of(states[-1])
         assert {"position_error_m", "attitude_error_rad", "predictable_until_s"} <= set(figures)
-        client.until(
-            lambda: {pair.key: pair.value for pair in states[-1].status[0].values}["worst_body"] in ("upper", "lower"),
-            what="the worst body",
-        )
-        errors = client.listen("/doubtful/errors", Float64MultiArray)
-        poses = client.listen(f"/doubtful/{body}/pose_with_covariance", PoseWithCovarianceStamped)
-        odometry = client.listen(f"/doubtful/{body}/odometry", Odometry)
+        assert figures["worst_body"] in ("upper", "lower")
         # In the first steps the error is not known.
-        client.until(lambda: odometry and max(odometry[-1].pose.covariance) < UNKNOWN, what="covariances")
+        assert max(odometry[-1].pose.covariance) < UNKNOWN
         covariance = np.reshape(odometry[-1].pose.covariance, (6, 6))
         assert (np.diag(covariance) > 0.0).all() and np.count_nonzero(covariance) == 6
-        both = client.until(lambda: _at_one_stamp(poses, odometry), what="a stamp of both")
+        both = client.until(lambda: _at_one_stamp(poses, odometry), "a stamp of both")
         assert both[0].header == both[1].header and both[0].pose == both[1].pose
-        client.until(lambda: any(e.name == "unpredictable" for e in events), what="the event")
-        assert errors
+        while not any(e.name == "unpredictable" for e in events):
+            step()
+        client.until(lambda: errors)
         assert np.isfinite([m.pose.covariance for m in (*poses, *odometry)]).all()
-        node.send(signal.SIGINT)
-        code, said = node.wait()
-        assert code == 0, said
+        node.end()
     recording = read_recording(path)
     (event,) = [event for event in recording.events if event.name == "unpredictable"]
     assert "too large for the motion to be known" in event.text
@@ -75,8 +72,8 @@ def test_estimates_are_served_recorded_and_end_with_an_event(client, tmp_path):
 
 def _at_one_stamp(poses, odometry):
     """The last pose and odometry with the same stamp, or None."""
-    by_stamp = {stamp_ns(message.header.stamp): message for message in list(odometry)}
-    both = [(pose, by_stamp.get(stamp_ns(pose.header.stamp))) for pose in list(poses)]
+    by_stamp = {stamp_of(message): message for message in list(odometry)}
+    both = [(pose, by_stamp.get(stamp_of(pose))) for pose in list(poses)]
     return next((pair for pair in reversed(both) if pair[1] is not None), None)
 
 
@@ -106,8 +103,8 @@ def _check_worst_body(recording, states):
     errors = dict(zip(recording.errors.stamp_ns.tolist(), recording.errors.errors))
     named = set()
     for message in states:
-        figures = {pair.key: pair.value for pair in message.status[0].values}
-        position = errors[stamp_ns(message.header.stamp)][:, 0]
+        figures = figures_of(message)
+        position = errors[stamp_of(message)][:, 0]
         if np.isfinite(position).all() and position.any():
             assert figures["worst_body"] == recording.bodies[int(position.argmax())]
             assert float(figures["position_error_m"]) == pytest.approx(position.max(), rel=1e-8)

@@ -2,10 +2,9 @@
 """Concurrent commands in random order: each is answered, and every recording repeats."""
 
 import random
-import signal
 
 import numpy as np
-from node_process import COMPILING, NodeProcess, stamp_ns
+from node_process import NodeProcess, stamp_ns
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
@@ -41,7 +40,7 @@ def test_random_commands_are_answered_and_all_recording_parts_repeat(client, tmp
         push = client.pusher(NODE, "wrench/persistent")
         services = {name: client.node.create_client(Trigger, f"{NODE}/{name}") for name in COMMANDS}
         parameters = client.node.create_client(SetParameters, f"{NODE}/set_parameters")
-        client.until(lambda: all(each.service_is_ready() for each in (parameters, *services.values())), COMPILING)
+        client.until(lambda: all(each.service_is_ready() for each in (parameters, *services.values())))
         for _ in range(60):
             asked = []
             for _ in range(3):
@@ -59,7 +58,7 @@ def test_random_commands_are_answered_and_all_recording_parts_repeat(client, tmp
                 torque=(0.0, rng.choice([0.0, 0.0, 0.0, 1e306]), 0.0),
             )
             # A reload may have to compile.
-            client.until(lambda: all(future.done() for _, future in asked), COMPILING, "all answers")
+            client.until(lambda: all(future.done() for _, future in asked), "all answers")
             for given, future in asked:
                 if given is None:
                     answer = future.result()
@@ -67,9 +66,7 @@ def test_random_commands_are_answered_and_all_recording_parts_repeat(client, tmp
                 else:
                     (result,) = future.result().results
                     assert result.successful == (given not in REFUSED), (given, result)
-        process.send(signal.SIGINT)
-        code, errors = process.wait()
-    assert code == 0 and "Traceback" not in errors, errors
+        process.end()
     assert (np.diff([stamp_ns(message.clock) for message in clock]) >= 0).all()
     parts = sorted(tmp_path.glob("*.mcap"), key=lambda path: (len(path.stem), path.stem))
     assert len(parts) > 10
@@ -84,7 +81,7 @@ def test_random_commands_are_answered_and_all_recording_parts_repeat(client, tmp
         same = resimulate(recording)
         assert same["identical"] == same["samples"] >= 1, part
     # How far the motion gets in real time, and so what is said of its accuracy, depends on the machine.
-    assert names - {"fault", "inaccurate", "unpredictable"} == {
+    assert names - {"fault", "inaccurate", "unpredictable", "slow"} == {
         "start",
         "pause",
         "resume",

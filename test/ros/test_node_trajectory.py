@@ -2,13 +2,12 @@
 """Trajectories and arrays of commands of a running node, over DDS, and their recording."""
 
 import math
-import signal
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from commanded import STEP, Commanded
-from node_process import NodeProcess, stamp_ns
+from node_process import NodeProcess, refusal, stamp_ns
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -48,17 +47,14 @@ def process(client, tmp_path_factory):
     }
     with NodeProcess(parameters, remap=[f"__node:={NODE[1:]}"]) as process:
         node = Commanded(client, NODE)
-        lead = client.node.create_publisher(JointTrajectory, f"{NODE}/joint_trajectory", 10)
-        array = client.node.create_publisher(Float64MultiArray, f"{NODE}/commands", 10)
-        for publisher in (lead, array):
-            client.until(publisher.get_subscription_count, what="a subscription")
+        lead = client.publisher(f"{NODE}/joint_trajectory", JointTrajectory)
+        array = client.publisher(f"{NODE}/commands", Float64MultiArray)
         yield SimpleNamespace(process=process, node=node, lead=lead, array=array, folder=folder)
 
 
 @pytest.fixture
 def node(client, process):
-    assert client.call(f"{NODE}/reset").success
-    client.spin(0.2)
+    process.node.restart()
     del process.node.states[:-1]
     return process.node
 
@@ -90,7 +86,7 @@ def test_servos_follow_a_trajectory_from_its_stamp(process, node):
         (1.0, [0.2, 0.5], [0.0, 0.0], [0.0, 0.0]),
         stamp=start,
     )
-    process.lead.publish(message)
+    process.lead(message)
     node.steps(1200)
     times, found = motion(node, start)
     t = np.clip(times, 0.0, 0.5)[:, None]
@@ -105,7 +101,7 @@ def test_servos_follow_a_trajectory_from_its_stamp(process, node):
 def test_a_restored_snapshot_continues_its_trajectory(client, process, node):
     """Bit for bit, both one that is followed and one that waits."""
     start = node.now() + 50_300_000
-    process.lead.publish(trajectory(["elbow", "shoulder"], (0.5, [0.4, -0.3]), stamp=start))
+    process.lead(trajectory(["elbow", "shoulder"], (0.5, [0.4, -0.3]), stamp=start))
     for steps in (20, 200):  # before it starts, and within
         node.steps(steps)
         assert client.call(f"{NODE}/save_snapshot").success
@@ -124,7 +120,7 @@ def test_a_restored_snapshot_continues_its_trajectory(client, process, node):
 
 
 def test_a_position_command_takes_its_joint_from_the_trajectory(process, node):
-    process.lead.publish(trajectory(["elbow", "shoulder"], (1.0, [0.5, 0.5], [0.0, 0.0])))
+    process.lead(trajectory(["elbow", "shoulder"], (1.0, [0.5, 0.5], [0.0, 0.0])))
     node.steps(200)
     node.command(name=["elbow"], position=[-0.2])
     node.steps(1200)
@@ -132,42 +128,38 @@ def test_a_position_command_takes_its_joint_from_the_trajectory(process, node):
 
 
 def test_an_array_commands_the_joints_of_the_parameter(process, node):
-    process.array.publish(Float64MultiArray(data=[0.3, math.nan]))
+    process.array(Float64MultiArray(data=[0.3, math.nan]))
     state = node.steps(500)
     assert list(state.position) == pytest.approx([0.0, 0.3], abs=1e-4)
-    process.array.publish(Float64MultiArray(data=[0.1, -0.2]))
+    process.array(Float64MultiArray(data=[0.1, -0.2]))
     state = node.steps(500)
     assert list(state.position) == pytest.approx([-0.2, 0.1], abs=1e-4)
 
 
-def test_wrong_trajectories_are_counted_and_change_nothing(client, process, node):
-    for reason, message in (
+def test_wrong_trajectories_are_counted_and_change_nothing(process, node):
+    cases = (
         ("moving_at_end", trajectory(["elbow"], (1.0, [1.0], [1.0]))),
         ("wrong_times", trajectory(["elbow"], (1.0, [1.0]), (1.0, [2.0]))),
         ("unknown_joint", trajectory(["wrist"], (1.0, [1.0]))),
         ("not_finite", trajectory(["elbow"], (1.0, [math.nan]))),
         ("wrong_length", trajectory(["elbow"], (1.0, [1.0, 2.0]))),
-    ):
-        count = f"joint_trajectories_refused_{reason}"
-        known = node.figure(count) if node.figures else 0
-        process.lead.publish(message)
-        client.until(lambda: node.steps(100) and node.figure(count) == known + 1, what=reason)
-    process.array.publish(Float64MultiArray(data=[0.3]))
-    client.until(lambda: node.steps(100) and node.figure("joint_commands_refused_wrong_length") == 1)
+    )
+    given = [(reason, {"message": message}) for reason, message in cases]
+    node.check_refusals(given, "joint_trajectories", process.lead)
+    node.check_refusals([("wrong_length", {"message": Float64MultiArray(data=[0.3])})], "joint_commands", process.array)
     assert not any(node.states[-1].velocity)
 
 
 def test_a_reset_ends_a_trajectory(process, client, node):
-    process.lead.publish(trajectory(["elbow"], (1.0, [1.0], [0.0])))
+    process.lead(trajectory(["elbow"], (1.0, [1.0], [0.0])))
     node.steps(100)
     assert client.call(f"{NODE}/reset").success
     assert list(node.steps(300).position) == [0.0, 0.0]
 
 
 def test_the_recording_is_repeated_bit_by_bit(process):
-    process.process.send(signal.SIGINT)
-    code, log = process.process.wait()
-    assert code == 0 and log.count("joint trajectory refused") == 5, log
+    log = process.process.end()
+    assert log.count("joint trajectory refused") == 5, log
     recording = read_recording(process.folder / "run.mcap")
     figures = resimulate(recording)
     assert figures["identical"] == figures["samples"] > 300 and figures["must_be_equal"]
@@ -187,9 +179,6 @@ def test_the_recording_is_repeated_bit_by_bit(process):
         ({"trajectory_period": 0.0}, "trajectory_period: must be at least 1e-05"),
     ],
 )
-@pytest.mark.volume(2)
-def test_wrong_parameters_are_refused_in_one_line(tmp_path, parameters, text):
+def test_wrong_parameters_are_refused_in_one_line(tmp_path, capfd, parameters, text):
     (tmp_path / "arm.yaml").write_text(SCENE)
-    with NodeProcess({"scene": tmp_path / "arm.yaml", **parameters}) as process:
-        code, errors = process.wait()
-    assert code == 2 and text in errors.splitlines()[-1], errors
+    assert text in refusal(capfd, {"scene": tmp_path / "arm.yaml", **parameters})

@@ -7,15 +7,14 @@ import signal
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, TwistStamped
-from node_process import COMPILING, NodeProcess, python, stamp_ns
+from node_process import NodeProcess, python, stamp_of
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from scipy.spatial.transform import Rotation
 from std_msgs.msg import String
 
-from liegroup_sim_ros.messages.topics import INPUTS
-
 STEP_NS = 1_000_000
 NODE = "/pushed"
+KEPT = 40  # messages of ~/inputs for late subscribers
 COMMANDER = """
 import rclpy, time
 from geometry_msgs.msg import WrenchStamped
@@ -38,13 +37,12 @@ class Pushed:
         self.given = client.given(NODE)
         self.pose = client.listen(f"{NODE}/cube/pose", PoseStamped)
         self.twist = client.listen(f"{NODE}/cube/twist", TwistStamped)
+        self.puck = client.listen(f"{NODE}/puck/twist", TwistStamped)
         self.to = {
             topic: client.pusher(NODE, topic) for topic in ("wrench", "wrench/persistent", "puck/wrench", "cube/wrench")
         }
         self.clear = client.node.create_publisher(String, f"{NODE}/wrench/clear", 10)
-        client.until(
-            lambda: self.pose and self.twist and self.clear.get_subscription_count(), COMPILING, "poses and twists"
-        )
+        client.until(lambda: self.pose and self.twist and self.clear.get_subscription_count(), "poses and twists")
 
     def forces(self, body):
         """x of the total force of all sources on a body at rest, in body and in world axes, after each command."""
@@ -72,29 +70,30 @@ class Pushed:
         q = self.pose[-1].pose.orientation
         return Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
 
-    def stand_still(self):
-        """Pause, with the last pose and twist there."""
-        assert self.client.call(f"{NODE}/pause").success
-        self.client.spin(0.1)
-        self.client.until(lambda: self.pose[-1].header.stamp == self.twist[-1].header.stamp)
-
 
 @pytest.fixture(scope="module")
 def process(client, scene):
     with NodeProcess(
-        {"scene": scene, "method": "rkmk4", "step": 1e-3, "wrench_hold": "until_replaced"},
+        {
+            "scene": scene,
+            "method": "rkmk4",
+            "step": 1e-3,
+            "wrench_hold": "until_replaced",
+            f"qos_overrides.{NODE}/inputs.publisher.depth": KEPT,
+        },
         remap=[f"__node:={NODE[1:]}"],
     ) as process:
         yield process, Pushed(client)
-        process.send(signal.SIGTERM)
-        assert process.wait()[0] == 0
+        process.end(signal.SIGTERM)
 
 
 @pytest.fixture
 def node(client, process):
     pushed = process[1]
-    assert client.call(f"{NODE}/reset").success and client.call(f"{NODE}/resume").success
-    client.spin(0.1)
+    pushed.given.present = None
+    client.until_stamp(client.command(f"{NODE}/reset"), pushed.pose, pushed.twist)
+    client.until(lambda: pushed.given.present is not None)
+    assert client.call(f"{NODE}/resume").success
     pushed.given.clear()
     return pushed
 
@@ -113,13 +112,10 @@ def test_a_late_subscriber_learns_what_acts_behind_many_changes(client, node):
     """More changes on one body than the topic keeps do not displace what acts on another."""
     node.to["wrench/persistent"]("cube/late", force=(7.0, 0.0, 0.0))
     node.until_forces("cube", [7.0])
-    changes = 0
-    while len(node.forces("puck")) < INPUTS.depth + 100:
-        changes += 1
-        assert changes < 10 * INPUTS.depth, "the changes do not arrive"
-        node.to["puck/wrench"]("puck", force=(changes * 1e-6, 0.0, 0.0))
-        client.spin(0.004)
-    late = client.given(NODE, QoSProfile(depth=INPUTS.depth, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+    for change in range(1, KEPT + 100):
+        node.to["puck/wrench"]("puck", force=(change * 1e-6, 0.0, 0.0))
+        client.until(lambda: node.given[-1].values[3] == change * 1e-6)
+    late = client.given(NODE, QoSProfile(depth=KEPT, durability=DurabilityPolicy.TRANSIENT_LOCAL))
     acting = "cube", (0.0, 0.0, 0.0, 7.0, 0.0, 0.0)
     client.until(lambda: acting in [order[1:3] for order in late.present or ()], what="what acts on the cube")
 
@@ -178,14 +174,12 @@ def test_force_in_world_axes_keeps_its_direction(client, node):
     Seen from the body it rotates by w h = 1.3e-3 in every step. RKMK4 has an error of (w h)^5 / 120
     of it there, below round-off: 500 roundings of velocities below 10 m/s.
     """
-    node.stand_still()
+    client.until_stamp(client.command(f"{NODE}/pause"), node.pose, node.twist)
     before, force = node.world_velocity(), np.array([3.0, 0.0, -4.0])
     assert client.set(NODE, step_count=500).successful
     node.to["cube/wrench"]("world", force=force.tolist(), stamp_ns=1)
-    client.spin(0.1)  # it has arrived before it is asked for steps
-    assert client.call(f"{NODE}/step").success
+    client.until_stamp(client.command(f"{NODE}/step"), node.pose, node.twist)
     client.until(lambda: node.given)
-    node.stand_still()
     velocity = node.world_velocity() - before
     assert np.abs(velocity - force * 0.5 / 1.0).max() < 500 * 10 * 2.2e-16 * 8
     assert (node.given[0].name, node.given[0].axes, node.given[0].values) == ("cube", "world", (0, 0, 0, *force))
@@ -195,16 +189,15 @@ def test_the_wrench_of_a_killed_publisher_ends(client, node):
     assert client.set(NODE, wrench_hold="timeout").successful
     commander = python(COMMANDER)
     try:
-        client.until(lambda: len(node.given) > 20, what="pushes")
-        # 20 ms between messages, 100 ms of hold: no gap
-        assert all(after.start <= before.end for before, after in zip(node.given, node.given[1:]))
+        client.until(lambda: len(node.given) > 20, "pushes")
     finally:
         os.killpg(commander.pid, signal.SIGKILL)
         commander.communicate()
-    client.spin(0.1)  # the poses that arrived while nobody read them
-    died = stamp_ns(node.pose[-1].header.stamp)
-    # 100 ms after the last message; ten periods more for those under way on a busy machine.
-    assert node.given[-1].end - died < (100 + 10 * 10) * STEP_NS
-    client.until(lambda: stamp_ns(node.pose[-1].header.stamp) > node.given[-1].end + 200 * STEP_NS)
-    assert node.given[-1].start <= died + 10 * 10 * STEP_NS
+    client.until(lambda: stamp_of(node.pose[-1]) > node.given[-1].end + 200 * STEP_NS, "the end of the last push")
+    assert {order.end - order.start for order in node.given} == {100 * STEP_NS}
+    held = node.given[-1].end - node.given[0].start
+    speed = client.until(lambda: next((m for m in node.puck if stamp_of(m) > node.given[-1].end), None)).twist.linear
+    assert 0.0 < speed.y <= 1.0 / 2.0 * held * 1e-9 * (1.0 + 1e-12)  # a gap between two messages makes it less
+    client.until(lambda: stamp_of(node.puck[-1]) > node.given[-1].end + 200 * STEP_NS)
+    assert node.puck[-1].twist.linear.y == speed.y
     assert client.set(NODE, wrench_hold="until_replaced").successful

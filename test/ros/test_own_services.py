@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """~/set_state and ~/apply_wrench of a running node, over DDS, and in its recording."""
 
-import signal
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -75,10 +75,14 @@ def own(client, tmp_path_factory):
         own = Own(client, folder)
         client.call(f"{NODE}/pause")
         yield own
-        process.send(signal.SIGINT)
-        code, errors = process.wait()
-        assert code == 0 and "Traceback" not in errors, errors
+        process.end()
         assert main(["replay", str(own.record), "--resimulate"]) == 0
+
+
+@pytest.mark.skipif(find_spec("simulation_interfaces") is not None, reason="simulation_interfaces is installed here")
+def test_without_simulation_interfaces_the_node_has_its_own_services_only(client, own):
+    names = {name for name, _ in client.node.get_service_names_and_types()}
+    assert f"{NODE}/reset" in names and f"{NODE}/get_simulator_features" not in names
 
 
 def test_a_state_is_set_and_joints_stay_closed(own):

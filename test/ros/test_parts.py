@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 import yaml
 from mcap.reader import make_reader
-from node_process import COMPILING, NodeProcess
-from rcl_interfaces.msg import Log
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from node_process import NodeProcess
 from rosbags.highlevel import AnyReader
 
 from liegroup_core import Simulation
@@ -111,14 +109,13 @@ def test_every_part_alone_repeats_bit_for_bit(client, tmp_path):
         },
         remap=["__node:=parted"],
     ) as node:
-        events = client.listen("/parted/events", Log, QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL))
-        client.until(lambda: events, COMPILING)
+        events = client.events("/parted")
+        client.until(lambda: events)
         push = client.pusher("/parted", "free/wrench")
         push("world", torque=(0.0, 0.3, 0.0), force=(0.5, 0.0, 1.0))
         client.until(lambda: (bag / "run_part3.mcap").exists())
-        assert client.call("/parted/pause").success
-        client.spin(0.5)  # a part that is due may be on its way to the disk
-        paused = len(list(bag.glob("*.mcap")))
+        paused = client.command("/parted/pause") // 250_000_000 + 1
+        client.until((bag / f"run_part{paused}.mcap").exists)  # it may be on its way to the disk
         assert client.call("/parted/step").success
         assert client.set("/parted", real_time_factor=0.5).successful
         assert client.call("/parted/resume").success
@@ -126,9 +123,7 @@ def test_every_part_alone_repeats_bit_for_bit(client, tmp_path):
         assert client.call("/parted/reset").success
         push("free", force=(0.0, 0.0, 2.0))
         client.until(lambda: (bag / f"run_part{paused + 3}.mcap").exists())
-        node.send(2)
-        code, errors = node.wait()
-        assert code == 0, errors
+        node.end()
     parts = sorted(bag.glob("*.mcap"), key=lambda path: (len(path.name), path.name))
     assert len(parts) >= paused + 3 >= 6
     samples = [same_bits(path) for path in parts]

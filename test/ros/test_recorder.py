@@ -8,10 +8,10 @@ import threading
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 from example_run import SCENE, python
 from mcap.reader import make_reader
+from waiting import PATIENCE, wait_for
 
 from liegroup_sim_ros.messages.codecs import ClockCodec, PoseStampedCodec
 from liegroup_sim_ros.recording.read import RecordingError, read_recording
@@ -19,42 +19,31 @@ from liegroup_sim_ros.recording.write import Recorder, RecorderError
 from liegroup_sim_ros.recording.write_mcap import CHUNK_SIZE, LARGEST_CHUNK
 
 
-def test_a_killed_process_loses_at_most_the_flush_interval(tmp_path):
-    """Stamps are the machine's monotonic clock, so the parent can measure the loss."""
+def test_a_killed_process_has_written_what_is_older_than_the_flush_interval(tmp_path):
+    """The process writes messages that fill no chunk, then none: only time brings them to the disk."""
     path = tmp_path / "killed.mcap"
-    flush_interval, duration = 0.2, 1.0
     child = python(
         """
         import sys, time
         from example_run import PoseStampedCodec, Recorder, attachments
-        recorder = Recorder(sys.argv[1], attachments(), flush_interval=float(sys.argv[2]))
+        recorder = Recorder(sys.argv[1], attachments(), flush_interval=0.2)
         channel = recorder.add_channel("/sim_node/top/pose", PoseStampedCodec.TYPE)
-        print("running", flush=True)
-        while True:
-            now = time.monotonic_ns()
-            recorder.write(channel, now, PoseStampedCodec("world").encode(
-                now, (0, 0, 0), (0, 0, 0, 1)))
-            time.sleep(5e-3)              # too few to fill a chunk: only time closes one
+        for stamp in range(100):
+            recorder.write(channel, stamp, PoseStampedCodec("world").encode(stamp, (0, 0, 0), (0, 0, 0, 1)))
+            time.sleep(5e-3)
+        print("written", flush=True)
+        sys.stdin.read()
         """,
         path,
-        flush_interval,
     )
-    assert child.stdout.readline() == "running\n"
-    started = time.monotonic_ns()
-    time.sleep(duration)
-    killed = time.monotonic_ns()
+    assert child.stdout.readline() == "written\n"
+    wait_for(lambda: len(read_recording(path).pose["top"].stamp_ns) == 100, "the flush")
     child.send_signal(signal.SIGKILL)
-    child.communicate(timeout=20)
-
+    child.communicate(timeout=PATIENCE)
     recording = read_recording(path)
-    stamps = recording.pose["top"].stamp_ns
     assert not recording.complete and "not finished" in recording.problem
     assert recording.scene_text == SCENE and recording.pacing is None
-    assert recording.lost == {} and (np.diff(stamps) > 0).all()
-    assert stamps[0] < started + 0.5e9
-    # 0.5 s more than promised, for a machine so busy that the recorder's thread has to wait.
-    assert killed - stamps[-1] < (flush_interval + 0.5) * 1e9
-    assert len(stamps) > 100
+    assert recording.lost == {} and recording.pose["top"].stamp_ns.tolist() == list(range(100))
 
 
 def test_a_full_disk_ends_the_recording_but_not_the_run(tmp_path):
@@ -78,7 +67,7 @@ def test_a_full_disk_ends_the_recording_but_not_the_run(tmp_path):
         """,
         path,
     )
-    output, errors = child.communicate(timeout=60)
+    output, errors = child.communicate(timeout=PATIENCE)
     assert child.returncode == 0, errors
     written, lost, queued, failure = json.loads(output)
     assert errors.splitlines() == [failure]
@@ -109,7 +98,7 @@ def test_a_disk_that_is_full_on_close_is_detected(tmp_path):
         """,
         tmp_path,
     )
-    size, short, failure = json.loads(child.communicate(timeout=60)[0])
+    size, short, failure = json.loads(child.communicate(timeout=PATIENCE)[0])
     assert short == size - 3 and "File too large" in failure
 
 
@@ -139,14 +128,10 @@ def test_a_file_that_is_lost_while_it_is_written_is_reported(tmp_path, caplog, h
         recorder.write(channel, 1, ClockCodec.encode(1))
         recorder.divide({})
         recorder.write(channel, 2, ClockCodec.encode(2))
-        started = time.monotonic()
-        while not recorder.path.name.endswith("_part2.mcap"):
-            time.sleep(0.001)
+        wait_for(lambda: recorder.path.name.endswith("_part2.mcap"), "the second part")
         (tmp_path / "run.mcap").unlink()
         harm(recorder.path)
-        while not at_the_end and recorder.failure is None:
-            assert time.monotonic() < started + 20.0
-            time.sleep(0.001)
+        wait_for(lambda: at_the_end or recorder.failure, "the failure")
         recorder.write(channel, 3, ClockCodec.encode(3))
     assert said in recorder.failure and recorder.is_lost and recorder.failure in caplog.text
     assert (recorder.written, recorder.lost, recorder.queued) == (1, 2, 0)
@@ -173,7 +158,7 @@ def test_a_fast_producer_blocks_and_no_message_is_lost(tmp_path):
 def test_many_threads_share_one_recorder(tmp_path):
     path = tmp_path / "threads.mcap"
     started = time.monotonic()
-    with Recorder(path, queue_size=100, flush_interval=60.0) as recorder:
+    with Recorder(path, queue_size=100, flush_interval=2.0 * PATIENCE) as recorder:
         shared = recorder.add_channel("/clock", ClockCodec.TYPE)
 
         def produce():
@@ -187,7 +172,7 @@ def test_many_threads_share_one_recorder(tmp_path):
         recorder.write(late, 7, ClockCodec.encode(7))
         for thread in threads:
             thread.join()
-    assert time.monotonic() - started < 30.0  # no thread waits for the flush
+    assert time.monotonic() - started < PATIENCE  # no thread waits for the flush
     with open(path, "rb") as stream:
         messages = [
             (channel.topic, message.sequence)
@@ -223,7 +208,7 @@ def test_an_exception_in_the_run_completes_the_file(tmp_path):
         """,
         tmp_path / "run.mcap",
     )
-    assert child.communicate(timeout=20) == ("", "") and child.returncode == 5
+    assert child.communicate(timeout=PATIENCE) == ("", "") and child.returncode == 5
     with open(tmp_path / "run.mcap", "rb") as stream:
         assert make_reader(stream).get_summary().statistics.message_count == 1
 
@@ -268,7 +253,7 @@ def test_reading_and_recording_import_no_ros():
         print([name for name in sys.modules if name.split(".")[0] in
                ("rclpy", "geometry_msgs", "std_msgs", "rosidl_parser", "ament_index_python")])
         """)
-    assert child.communicate(timeout=20) == ("[]\n", "")
+    assert child.communicate(timeout=PATIENCE) == ("[]\n", "")
 
 
 def chunks_of(path):
@@ -282,10 +267,10 @@ def chunks_of(path):
 
 
 def test_chunks_end_between_two_time_stamps(tmp_path):
-    """Also if a full queue or a flush ends them."""
+    """Also if the queue is full."""
     path = tmp_path / "run.mcap"
     payload = PoseStampedCodec("world").encode(0, (1, 2, 3), (0, 0, 0, 1))
-    with Recorder(path, queue_size=2000, flush_interval=0.03) as recorder:
+    with Recorder(path, queue_size=2000, flush_interval=PATIENCE) as recorder:
         channels = [recorder.add_channel(f"/{k}", PoseStampedCodec.TYPE) for k in range(7)]
         for stamp in range(6000):
             for channel in channels:
@@ -293,8 +278,7 @@ def test_chunks_end_between_two_time_stamps(tmp_path):
     chunks = chunks_of(path)
     assert len(chunks) >= 6000 * 7 * len(payload) / CHUNK_SIZE
     gaps = [start - end for (_, end, _), (start, _, _) in zip(chunks, chunks[1:])]
-    # A busy machine may stop this thread within an instant for so long that the flush divides it.
-    assert min(gaps) >= 0 and gaps.count(0) <= 2
+    assert min(gaps) > 0
     assert max(size for _, _, size in chunks) < CHUNK_SIZE + 7 * (len(payload) + 31) + 5000
 
 

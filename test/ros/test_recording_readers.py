@@ -3,17 +3,15 @@
 
 import importlib
 import importlib.util
-import signal
 from types import SimpleNamespace
 
 import pytest
 import small_mcap
+from diagnostic_msgs.msg import DiagnosticArray
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
-from node_process import COMPILING, NodeProcess
+from node_process import NodeProcess
 from pybag.mcap_reader import McapFileReader
-from rcl_interfaces.msg import Log
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from rosbags.highlevel import AnyReader
 
@@ -34,18 +32,24 @@ def log(client, tmp_path_factory):
     parameters = {f"{name}_rate": 50.0 for name in OPTIONAL}
     parameters |= {"scene": "four_bar", "record": path, "record_flush_interval": 0.2}
     parameters |= {"estimate": True, "body_topics": "crank,coupler"}
+    sizes = set()
+
+    def flushed():
+        """Whether the file has grown several times."""
+        sizes.add(path.stat().st_size)
+        return len(sizes) > 8
+
     with NodeProcess(parameters, remap=["__node:=all_topics"]) as node:
-        qos = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        events = client.listen("/all_topics/events", Log, qos)
-        client.until(lambda: events, COMPILING)
+        events = client.events("/all_topics")
+        diagnostics = client.listen("/diagnostics", DiagnosticArray)
+        client.until(lambda: events)
         push = client.pusher("/all_topics")
         push("coupler", force=(1.0, 0.0, 0.0))
-        client.spin(1.2)
+        client.until(flushed)
         assert client.call("/all_topics/pause").success
-        client.spin(1.2)  # for /diagnostics, once a second
-        node.send(signal.SIGINT)
-        code, errors = node.wait()
-        assert code == 0, errors
+        count = len(diagnostics)
+        client.until(lambda: len(diagnostics) > count)
+        node.end()
     return path
 
 

@@ -2,14 +2,13 @@
 """`liegroup_sim replay` in a separate process, received over DDS."""
 
 import signal
+import time
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
 from made_run import PAIR, record
-from node_process import PATIENCE, PUSH, python, stamp_ns
-from rcl_interfaces.msg import Log
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from node_process import PATIENCE, PUSH, python, stamp_of
 from rosgraph_msgs.msg import Clock
 
 from liegroup_core.scene.load import scene_from_text
@@ -34,11 +33,9 @@ class Replay:
 
     def __init__(self, client, log, *options):
         self.client = client
-        self.poses = client.listen("/sim_node/left/pose", PoseStamped, 1000)
-        self.clock = client.listen("/clock", Clock, 1000)
-        self.events = client.listen(
-            "/sim_node/events", Log, QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        )
+        self.poses = client.listen("/sim_node/left/pose", PoseStamped)
+        self.clock = client.listen("/clock", Clock)
+        self.events = client.events("/sim_node")
         # SIGINT ignored, as a shell starts a process in the background.
         under = ("sh", "-c", "trap '' INT; exec \"$@\"", "sh")
         self.process = python(PUSH, "replay", log, "--start-paused", *options, under=under)
@@ -55,13 +52,13 @@ class Replay:
         return self.client.call(f"/replay/{name}").message
 
     def stamps(self):
-        return [stamp_ns(message.header.stamp) for message in self.poses]
+        return [stamp_of(message) for message in self.poses]
 
     def heard(self):
         """Both ends know of each other."""
+        # It knows the client of the service, so also the subscriptions made before.
         self.client.call("/replay/pause", again=3.0)
         self.client.until(lambda: self.client.node.count_publishers("/sim_node/left/pose"), what="discovery")
-        self.client.spin(0.5)
 
 
 def test_every_message_is_published_with_its_stamp_and_clock(client, log):
@@ -71,43 +68,43 @@ def test_every_message_is_published_with_its_stamp_and_clock(client, log):
         replay.heard()
         assert replay.stamps() == []
         assert replay.call("resume").startswith("playing at 0 s")
-        client.until(lambda: replay.process.poll() is not None, what="the end of the replay")
-        client.spin(0.2)
+        client.until(lambda: replay.process.poll() is not None, "the end of the replay")
         out, err = replay.process.communicate()
         assert (replay.process.returncode, err) == (0, "")
         total = sum(recording.topics.values())
         assert f"{total} messages of 7 topics published" in out
-        assert replay.stamps() == recording.pose["left"].stamp_ns.tolist()
-        numbers = [[m.pose.position.x, m.pose.orientation.w] for m in replay.poses]
         pose = recording.pose["left"]
-        assert np.array_equal(numbers, np.stack([pose.position[:, 0], pose.quaternion[:, 3]], 1))
+        client.until_stamp(pose.stamp_ns[-1], replay.poses, replay.clock)
+        # A busy machine may lose some on their way.
+        rows = np.searchsorted(pose.stamp_ns, replay.stamps())
+        assert replay.stamps() == pose.stamp_ns[rows].tolist() and len(rows) > 50 and (np.diff(rows) > 0).all()
+        numbers = [[m.pose.position.x, m.pose.orientation.w] for m in replay.poses]
+        assert np.array_equal(numbers, np.stack([pose.position[rows, 0], pose.quaternion[rows, 3]], 1))
         assert [event.name for event in replay.events] == ["start", "stop"]
         # The recording has no clock: one of 100 Hz is made, up to the last message.
-        ticks = [stamp_ns(message.clock) for message in replay.clock]
-        assert ticks == sorted(ticks) and ticks[-1] == recording.pose["left"].stamp_ns[-1]
-        assert len(ticks) >= 400
+        ticks = [stamp_of(message) for message in replay.clock]
+        assert ticks == sorted(ticks) and ticks[-1] == pose.stamp_ns[-1]
+        assert len(ticks) >= 100
 
 
 def test_seek_step_rate_and_the_end(client, log):
     with Replay(client, log) as replay:
         replay.heard()
         assert client.set("/replay", position=2.0).successful
-        client.spin(0.1)
         replay.call("play_next")
-        client.until(replay.stamps, what="one sample")
+        client.until(replay.stamps, "one sample")
         assert min(replay.stamps()) >= 2 * 10**9
         for wrong in ({"position": 100.0}, {"position": -1.0}, {"rate": float("nan")}):
             assert "must be a number from 0 to" in client.set("/replay", **wrong).reason
         assert client.set("/replay", rate=0.5).successful
+        first, start = replay.stamps()[-1], time.monotonic()
         assert replay.call("toggle_paused").endswith("rate 0.5")
-        first = len(replay.poses)
-        client.spin(1.0)
-        # 50 samples a second at this rate is 25; a busy machine takes longer, never shorter.
-        assert 0 < len(replay.poses) - first <= 30
+        client.until_stamp(first + 4 * 10**8, replay.poses)
+        assert time.monotonic() - start > 0.4 / 0.5 - 0.1  # never faster
         replay.call("pause")  # or a busy machine would let it come to its end
         assert client.set("/replay", position=0.0).successful
         replay.call("play_next")
-        client.until(lambda: replay.stamps()[-1] < 10**9, what="samples of the beginning")
+        client.until(lambda: replay.stamps()[-1] < 10**9, "samples of the beginning")
         replay.process.send_signal(signal.SIGINT)
         out, err = replay.process.communicate(timeout=PATIENCE)
         assert replay.process.returncode == 130 and "Traceback" not in err

@@ -1,23 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings of the node simulated again: bit-identical with every method and event.
-
-The node's own parts run here without its process: SceneRun with its thread, its topics, its
-pacing and its recorder, which divides the recording.
-"""
-
-import time
-from types import SimpleNamespace
+"""Recordings of the node simulated again: bit-identical with every method and event."""
 
 import pytest
 from made_run import record
+from scene_runs import Run
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.methods.table import METHODS
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.commands.main import main
-from liegroup_sim_ros.node.parameters import RATES, TABLE
-from liegroup_sim_ros.node.scene_run import SceneRun
-from liegroup_sim_ros.node.wrench_input import Push
+from liegroup_sim_ros.node.parameters import RATES
 from liegroup_sim_ros.playback.resimulate import report, resimulate
 from liegroup_sim_ros.recording.read import read_recording
 
@@ -42,57 +34,33 @@ bodies:
 """
 
 
-def values(path):
-    """Parameters of a node that samples every second step."""
-    found = SimpleNamespace(**{entry.name: entry.default for entry in TABLE})
-    found.record, found.real_time_factor = str(path), 2.0
-    found.record_split_duration = 0.05
-    found.publish_rate, found.qos = 1.0 / (2 * STEP), []
-    found.rates = dict.fromkeys(RATES, 0.0) | {"publish_rate": found.publish_rate, "clock_rate": 1.0 / (5 * STEP)}
-    return found
-
-
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.volume(5)
 def test_resimulation_is_bit_identical_with_every_method(ros_node, tmp_path, method):
-    run = SceneRun(ros_node, values(tmp_path / "run.mcap"), Simulation(scene_from_text(TOP), method, STEP))
-    run.start()
-
-    def call(*command):
-        return run.server.call(*command).result(30.0)
-
-    def push(body, wrench, duration=0.05, axes="body", ahead=0.0, source="test", point=None):
-        start = run.server.stamp_ns + round(ahead * 1e9) if ahead else 0
-        run.server.push([Push(source, body, wrench, axes, start, point)], duration)
-
-    try:
-        time.sleep(0.02)
-        push("top", (0.3, 0, 0.1, 0, 2.0, 0))
-        push("top", (0, 0, 0, 1.0, 0, 0), axes="world", ahead=0.0130002, source="other")
-        push("top", (0, 0, 0, 0, 2.0, 1.0), 0.08, "world", 0.0130002, "end", (0.1, 0.2, 0.3))
-        time.sleep(0.03)
-        call("pause")
-        call("step", 7)  # ends between two samples
-        call("speed", 0.0)
-        call("resume")
-        time.sleep(0.02)
-        push("top", (0, 0.2, 0, 0, 0, 1.0), duration=None, source="lasting")
-        call("speed", 5.0)
-        time.sleep(0.02)
-        call("reset")  # while a wrench acts
-        push("top", (0, 0, 0.1, 0, 0, 0), duration=0.01)
-        time.sleep(0.03)
-        call("hold")
-        reloaded = SceneRun(
-            ros_node, values(tmp_path / "run.mcap"), Simulation(scene_from_text(FREE), method, STEP), run
-        )
-        run.close()
-        run = reloaded
-        run.start()
-        push("box", (0.1, 0, 0, 0, 0, 3.0), duration=0.02)
-        time.sleep(0.04)
-    finally:
-        run.close()
+    given = dict.fromkeys(RATES, 0.0) | {"publish_rate": 1.0 / (2 * STEP), "clock_rate": 1.0 / (5 * STEP)}
+    given |= {"record": tmp_path / "run.mcap", "record_split_duration": 0.05, "real_time_factor": 2.0}
+    with Run(ros_node, Simulation(scene_from_text(TOP), method, STEP), **given) as run:
+        run.pass_time(0.03)
+        run.push("top", (0.3, 0, 0.1, 0, 2.0, 0))
+        run.push("top", (0, 0, 0, 1.0, 0, 0), source="other", axes="world", ahead=0.0130002)
+        run.push("top", (0, 0, 0, 0, 2.0, 1.0), 0.08, "end", "world", 0.0130002, (0.1, 0.2, 0.3))
+        run.pass_time(0.06)
+        run.call("pause")
+        run.call("step", 7)  # ends between two samples
+        run.call("speed", 0.0)
+        run.call("resume")
+        run.pass_time(0.04)
+        run.push("top", (0, 0.2, 0, 0, 0, 1.0), None, "lasting")
+        run.call("speed", 5.0)
+        run.pass_time(0.08)
+        run.call("reset")  # while a wrench acts
+        run.push("top", (0, 0, 0.1, 0, 0, 0), 0.01)
+        run.pass_time(0.06)
+        run.call("hold")
+        reloaded = Run(ros_node, Simulation(scene_from_text(FREE), method, STEP), run, **given)
+    with reloaded as run:
+        run.push("box", (0.1, 0, 0, 0, 0, 3.0), 0.02)
+        run.pass_time(0.06)
     files = [read_recording(path) for path in tmp_path.glob("*.mcap")]
     names = {event.name for recording in files for event in recording.events}
     assert {"start", "pause", "resume", "reset", "step", "speed", "stop"} <= names

@@ -10,7 +10,7 @@ from robot_texts import ARM_MJCF, ARM_SDF, ARM_URDF
 from volume import VERIFY
 
 COUNT = 200 if VERIFY else 40
-SECONDS = 20.0  # a file; far above the time of a correct one, also on a loaded machine
+SECONDS = 20.0  # of CPU time for a file; far above that of a correct one
 # MiB above what the program has after a correct file, and those of a compiler of its own process.
 MEMORY, COMPILER = 50.0, 400.0
 TEXTS = {"urdf": ARM_URDF, "sdf": ARM_SDF, "xml": ARM_MJCF.format(upper="0.02 0.03 0.025 0.001 -0.002 0.0015")}
@@ -38,9 +38,9 @@ assert run()[0] == 0
 before, slowest, refused = peak(), 0.0, 0
 for k in range(count):
     path.write_text(mutated(text, rng))
-    start = time.perf_counter()
+    start = time.process_time()
     code, said = run()
-    slowest = max(slowest, time.perf_counter() - start)
+    slowest = max(slowest, time.process_time() - start)
     if code:
         refused += 1
         assert code == 2, (code, said)
@@ -57,10 +57,7 @@ def test_damaged_files_end_import_with_2_and_one_line(kind, tmp_path):
     path.write_text(TEXTS[kind])
     folder = str(Path(__file__).resolve().parents[1])
     done = subprocess.run(
-        [sys.executable, "-P", "-c", CODE, str(path), str(COUNT), folder],
-        capture_output=True,
-        text=True,
-        timeout=COUNT * SECONDS,
+        [sys.executable, "-P", "-c", CODE, str(path), str(COUNT), folder], capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr[-2000:]
     refused, slowest, before, after, child = map(float, done.stdout.split())

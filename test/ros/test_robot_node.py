@@ -1,16 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot's URDF file in a running node: what RViz and robot_state_publisher take from it."""
 
-import signal
-
 import numpy as np
 import pytest
-from node_process import COMPILING, NodeProcess
+from node_process import LATCHED, NodeProcess
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from robot_texts import ARM_SDF, ARM_URDF, five_bar_urdf, scissor_lift, stewart_sdf
 from rosbags.typesys import Stores, get_typestore
+from scene_runs import Run
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -23,34 +21,18 @@ from liegroup_sim_ros.messages.description import robot_description
 from liegroup_sim_ros.messages.markers import CUBE, MESH, Markers
 from liegroup_sim_ros.messages.samples import joint_states, transforms
 
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-
 
 def moved(states):
     """True if a joint has moved, in any of the messages."""
     return any(np.abs(state.velocity).max() > 1e-3 for state in states)
 
 
-def test_a_node_serves_a_urdf_file_to_rviz(client, tmp_path):
-    path = tmp_path / "arm.urdf"
-    path.write_text(ARM_URDF)
-    parameters = {"scene": path, "joint_state_rate": 100.0, "record": tmp_path / "a.mcap"}
-    with NodeProcess(parameters, remap=["__node:=arm"]):
-        states = client.listen("/arm/joint_states", JointState)
-        client.until(lambda: moved(states), COMPILING, "motion")
-        # A late subscriber still gets the description.
-        texts = client.listen("/arm/robot_description", String, LATCHED)
-        client.until(lambda: texts, 10.0, "the description")
-    assert texts[0].data == ARM_URDF
-    assert states[-1].name == ["shoulder", "extend", "tip_joint"]
-    assert states[-1].position[2] == states[-1].velocity[2] == 0.0
-
-
-def test_links_and_joints_of_the_file_are_named_in_wrenches_and_states(client, tmp_path):
+def test_a_node_serves_a_urdf_file_whose_links_and_joints_are_named_in_wrenches_and_states(client, tmp_path):
     """The tool is merged into the slide: a wrench on it acts at its origin, in its axes."""
     path = tmp_path / "arm.urdf"
     path.write_text(ARM_URDF)
     parameters = {"scene": path, "joint_state_rate": 100.0, "start_paused": True, "method": "rkmk4"}
+    parameters["record"] = tmp_path / "a.mcap"
     body, place = load_scene(path).robot.frames["tool"]
     assert body == "slide" and np.abs(place - np.eye(4)).max() > 0.1
 
@@ -71,10 +53,15 @@ def test_links_and_joints_of_the_file_are_named_in_wrenches_and_states(client, t
     with NodeProcess(parameters, remap=["__node:=links"]):
         states = client.listen("/links/joint_states", JointState)
         given = client.given("/links", LATCHED)
-        # Paused, it publishes joint states only at steps and states that are set.
-        client.until(lambda: states or client.call("/links/step") is None, COMPILING, "joint states")
+        client.until_stamp(client.command("/links/step"), states)
+        # A late subscriber still gets the description.
+        texts = client.listen("/links/robot_description", String, LATCHED)
+        client.until(lambda: texts, "the description")
+        assert texts[0].data == ARM_URDF and moved(states)
+        assert states[-1].name == ["shoulder", "extend", "tip_joint"]
+        assert states[-1].position[2] == states[-1].velocity[2] == 0.0
         assert ask("set_state", **{"shoulder/position": 0.4, "extend/velocity": -0.3}).successful
-        client.until(lambda: states and states[-1].velocity[1] == pytest.approx(-0.3, abs=1e-12))
+        client.until(lambda: states[-1].velocity[1] == pytest.approx(-0.3, abs=1e-12))
         assert states[-1].position[0] == pytest.approx(0.4, abs=1e-12)
         done = ask("apply_wrench", body="tool", force=[1.0, 2.0, 3.0], point=[0.0, 0.0, 0.1], duration=1.0)
         assert done.successful, done.reason
@@ -84,7 +71,6 @@ def test_links_and_joints_of_the_file_are_named_in_wrenches_and_states(client, t
         assert given[-1].name == "slide" and total(given[-1]) == pytest.approx(expected, abs=1e-14)
         push, count = client.pusher("/links"), len(given)
         push("tool", torque=(0.5, 0.0, 0.0), force=(0.0, 7.0, 0.0))
-        client.spin(0.3)
         client.call("/links/step")
         client.until(lambda: len(given) > count)
         expected = moved_to_body([0.5, 0.0, 0.0], [0.0, 7.0, 0.0])
@@ -362,27 +348,20 @@ def platform(folder):
         (platform, [f"leg{k}" for k in range(6)]),
     ],
 )
-def test_the_node_runs_closed_loops(make, joints, client, tmp_path):
+def test_the_node_runs_closed_loops(make, joints, client, ros_node, tmp_path):
     path = make(tmp_path)
-    name = make.__name__
-    parameters = {"scene": path, "joint_state_rate": 50.0}
-    sample = Simulation(load_scene(path)).sample()
-    start = np.array([position for position, _ in sample.joint_coordinates.values()])
-
-    def displaced():
-        # The platform comes to rest: a late listener sees no velocity.
-        return states and np.abs(np.array(states[-1].position) - start).max() > 1e-3
-
-    with NodeProcess(parameters, remap=[f"__node:={name}"]):
-        states = client.listen(f"/{name}/joint_states", JointState)
-        texts = client.listen(f"/{name}/robot_description", String, LATCHED)
-        client.until(lambda: texts and displaced(), COMPILING, "the description and motion")
-    assert states[-1].name == joints
+    states = client.listen("/sim_node/joint_states", JointState)
+    texts = client.listen("/sim_node/robot_description", String, LATCHED)
+    with Run(ros_node, path, joint_state_rate=50.0):
+        client.until(lambda: texts and states, "the description and states")
+        start, count = np.array(states[0].position), len(states)
+        client.until(lambda: np.abs(np.array(states[-1].position) - start).max() > 1e-3, "motion")
+    assert len(states) > count and states[-1].name == joints
     # The joints of the description are those of the joint states, or its frames come from /tf.
     described = tmp_path / "described.urdf"
     described.write_text(texts[0].data)
     robot = read_robot(described)
-    if name == "platform":
+    if make is platform:
         assert set(robot.links) == {"world", "plate"} | {f"{p}{k}" for p in ("lower", "upper") for k in range(6)}
     else:
         own = {joint.name for joint in robot.joints if joint.type != "fixed"}
@@ -406,7 +385,7 @@ def test_a_wrong_file_beside_the_robot_keeps_the_scene_that_runs(client, tmp_pat
     right = path.read_text()
     with NodeProcess({"scene": path, "joint_state_rate": 50.0}, remap=["__node:=reloaded"]) as node:
         states = client.listen("/reloaded/joint_states", JointState)
-        client.until(lambda: moved(states), COMPILING, "motion")
+        client.until(lambda: moved(states), "motion")
         for text, line, expected in WRONG_ADDITIONS:
             path.write_text(f"{right}{text}\n")
             answer = client.call("/reloaded/reload")
@@ -424,9 +403,7 @@ def test_a_wrong_file_beside_the_robot_keeps_the_scene_that_runs(client, tmp_pat
         (tmp_path / "five_bar.urdf").write_text(five_bar_urdf())
         path.write_text(f"{right}start: {{left_crank: 0.1}}\n")
         assert client.call("/reloaded/reload").success
-        node.send(signal.SIGINT)
-        code, errors = node.wait()
-        assert code == 0 and "Traceback" not in errors
+        node.end()
 
 
 @pytest.mark.parametrize("angles", [(0.3, -1.2, 2.9), (0.7, np.pi / 2, 0.0), (-2.0, -np.pi / 2, 0.0)])

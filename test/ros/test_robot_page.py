@@ -5,13 +5,12 @@ import base64
 import re
 import shlex
 import shutil
-import signal
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from node_process import COMPILING, NodeProcess
+from node_process import NodeProcess
 from robot_texts import ARM_URDF, five_bar_urdf
 from sensor_msgs.msg import JointState
 
@@ -70,24 +69,17 @@ def test_a_recording_is_repeated_without_the_robots_file(folder):
     assert figures["identical"] == figures["samples"] > 10
 
 
-def test_the_node_takes_the_robots_file(folder, client):
-    assert ["sim_node", "--ros-args", "-p", "scene:=arm.urdf"] in LINES
-    with NodeProcess({"scene": folder / "arm.urdf"}) as process:
-        states = client.listen("/sim_node/joint_states", JointState)
-        client.until(lambda: states, COMPILING, "joint states")
-        assert states[-1].name == ["shoulder", "elbow"]
-        process.send(signal.SIGINT)
-        assert process.wait()[0] == 0
-
-
 def test_the_command_beside_robot_state_publisher(folder, client):
     """/tf needs tf2_msgs, which is not on PyPI: without it the node publishes the rest."""
+    assert ["sim_node", "--ros-args", "-p", "scene:=arm.urdf"] in LINES
     ((command, publisher),) = re.findall(r"^ +sim_node (.*)\n +ros2 run (.*)$", PAGE, re.MULTILINE)
     parameters = dict(re.findall(r"-p (\w+):=(\S+)", command))
-    assert parameters["tf_links"] == "roots"
-    with NodeProcess(parameters):
+    assert parameters["tf_links"] == "roots" and parameters["scene"] == "arm.urdf"
+    with NodeProcess(parameters) as process:
         states = client.listen("/sim_node/joint_states", JointState)
-        client.until(lambda: states, COMPILING, "joint states")
+        client.until(lambda: states, "joint states")
+        process.end()
+    assert states[-1].name == ["shoulder", "elbow"]
     assert publisher.startswith("robot_state_publisher robot_state_publisher arm.urdf ")
 
 

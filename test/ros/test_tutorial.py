@@ -3,10 +3,9 @@
 
 import re
 import shlex
-import signal
 from pathlib import Path
 
-from node_process import COMPILING, PUSH, NodeProcess, python
+from node_process import NodeProcess, push_command
 
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.recording import read_recording
@@ -36,16 +35,13 @@ def test_all_tutorial_commands_without_ros(tmp_path, monkeypatch, capsys):
     }
 
 
-def test_the_node_runs_the_tutorial_scene_with_a_wrench(tmp_path):
+def test_the_node_runs_the_tutorial_scene_with_a_wrench(client, tmp_path):
     scene, live = tmp_path / "crane.yaml", tmp_path / "live.mcap"
     scene.write_text(SCENE)
     assert ["sim_node", "--ros-args", "-p", "scene:=crane.yaml", "-p", "record:=live.mcap"] in LINES
-    [push] = [line[1:] for line in LINES if line[:2] == ["liegroup_sim", "push"]]
+    [push] = [line[2:] for line in LINES if line[:2] == ["liegroup_sim", "push"]]
     with NodeProcess({"scene": scene, "record": live}) as process:
-        pushing = python(PUSH, *push)
-        output, errors = pushing.communicate(timeout=COMPILING)
-        assert pushing.returncode == 0, errors
-        process.send(signal.SIGINT)
-        assert process.wait()[0] == 0
+        assert push_command(*push) == 0
+        process.end()
     recording = read_recording(live)
     assert recording.complete and max(command.values[3] for command in recording.inputs) == 100.0

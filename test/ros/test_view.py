@@ -16,6 +16,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from waiting import PATIENCE, wait_for
 
 from liegroup_core import Simulation, load_scene
 from liegroup_core.errors import LieGroupSimError
@@ -37,7 +38,6 @@ from liegroup_sim_ros.view.server import close_server, open_server  # noqa: E402
 from liegroup_sim_ros.view.source import History  # noqa: E402
 
 CHROMIUM = shutil.which("chromium")
-PATIENCE = 40.0  # s: a browser without a GPU on a busy machine
 DRAWS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 SIZE = {"width": 1280, "height": 800}  # of the picture
 BLOCK = """
@@ -53,14 +53,6 @@ forces:
 """
 BOX = "box"
 CODE = "<img src=x onerror=alert(1)>{x}"  # a text that a page must not take for code
-
-
-def until(done, what):
-    """Wait until done() is true."""
-    end = time.monotonic() + PATIENCE
-    while not done():
-        assert time.monotonic() < end, f"no {what} within {PATIENCE:g} s"
-        time.sleep(0.02)
 
 
 @pytest.fixture(scope="module")
@@ -84,10 +76,11 @@ def opened(browser):
         page.start()
         shown = browser.new_page(viewport=SIZE)
         pages.append((page, shown))
+        shown.set_default_timeout(1e3 * PATIENCE)
         shown.errors = []
         shown.on("pageerror", lambda error: shown.errors.append(str(error)))
         shown.goto(page.address)
-        until(page.clients, "page")
+        wait_for(page.clients, "page")
         return page, shown
 
     yield show
@@ -111,7 +104,9 @@ def pixel(page):
 def pull(page, shown, across=150, up=-80):
     """Press the mouse on the first body and draw it aside; returns when a wrench acts."""
     page.clients()[0].get_render(height=90, width=160, timeout=PATIENCE)  # the first picture takes seconds
-    for _ in range(5):
+
+    def press():
+        """Draw the mouse from the body once; whether the page has taken it for a pull."""
         x, y = pixel(page)
         shown.mouse.move(x, y)
         shown.mouse.down()
@@ -120,10 +115,12 @@ def pull(page, shown, across=150, up=-80):
             time.sleep(0.06)
         for _ in range(60):
             if page._hand.shown:
-                return
+                return True
             time.sleep(0.05)
         shown.mouse.up()
-    raise AssertionError("the mouse did not pick the body")
+        return False
+
+    wait_for(press, "pull of the body")
 
 
 def test_a_scene_is_pulled_by_the_mouse_and_repeats_bit_by_bit(opened, tmp_path):
@@ -133,26 +130,24 @@ def test_a_scene_is_pulled_by_the_mouse_and_repeats_bit_by_bit(opened, tmp_path)
     source.tell(0.0, "event", CODE)
     page, shown = opened(source)
     pull(page, shown)
-    until(lambda: source.frame().sample.positions[BOX][0:3].any(), "motion")
+    wait_for(lambda: source.frame().sample.positions[BOX][0:3].any(), "motion")
     shown.mouse.up()
-    until(lambda: not page._hand.shown, "release")
-    time.sleep(0.5)
-    moved = np.linalg.norm(source.frame().sample.positions[BOX])
+    wait_for(lambda: not page._hand.shown, "release")
+    wait_for(lambda: np.linalg.norm(source.frame().sample.positions[BOX]) > 1e-3, "way of the body")
     shown.get_by_role("button", name="Pause").click()
-    until(lambda: source.status().state == "paused", "pause")
-    time.sleep(0.2)
+    wait_for(lambda: source.status().state == "paused", "pause")
+    stamp = source.server.call("sample").result(PATIENCE).stamp_ns
+    wait_for(lambda: round(source.frame().time * 1e9) == stamp, "last frame")
     before = source.frame()
-    time.sleep(0.3)
-    assert source.frame().time == before.time and moved > 1e-3
     shown.get_by_role("button", name="Step").click()
-    until(lambda: source.frame().time > before.time, "step")
+    wait_for(lambda: source.frame().time > before.time, "step")
     shown.get_by_role("tab", name="Joints").click()
     shown.get_by_role("button", name="Run").click()
     slider = shown.get_by_role("slider").last
     slider.focus()
     for _ in range(5):
         slider.press("ArrowRight")
-    until(lambda: source.frame().sample.wanted[0, 0] > 0.0, "command of the slider")
+    wait_for(lambda: source.frame().sample.wanted[0, 0] > 0.0, "command of the slider")
     shown.get_by_role("tab", name="Events").click()
     shown.get_by_text("paused at step").first.wait_for()
     assert shown.get_by_text(CODE).count() and not shown.locator("img[src=x]").count()
@@ -170,14 +165,14 @@ def test_a_recording_plays_goes_back_and_branches(opened, tmp_path):
     path = tmp_path / "run.mcap"
     assert main(["run", "double_pendulum", "--duration", "20", "--out", str(path)]) == 0
     page, shown = opened(Recorded(path))
-    until(lambda: page.cursor is not None and page.cursor > 0.2, "playing")
+    wait_for(lambda: page.cursor is not None and page.cursor > 0.2, "playing")
     shown.get_by_role("button", name="Play / pause").click()
-    until(lambda: not page.playing, "pause")
+    wait_for(lambda: not page.playing, "pause")
     at = page.cursor
     recorded = page.source.history.at(at).sample
     shown.get_by_role("tab", name="What if").click()
     shown.get_by_role("button", name="Branch from here").click()
-    until(lambda: isinstance(page.source, Local) and page.source.frame() is not None, "branch")
+    wait_for(lambda: isinstance(page.source, Local) and page.source.frame() is not None, "branch")
     branch = page.source
     assert branch.status().state == "paused"
     # The state itself is exact; a recorded attitude is a quaternion, which rounds.
@@ -188,18 +183,18 @@ def test_a_recording_plays_goes_back_and_branches(opened, tmp_path):
         5.0,
     )
     shown.get_by_role("button", name="Run").click()
-    until(lambda: branch.frame().time > at + 0.5, "motion of the branch")
+    wait_for(lambda: branch.frame().time > at + 0.5, "motion of the branch")
     frame = branch.frame()
     assert page.other(frame) is not None and page.distance(frame) > 1e-3  # 5 N m for half a second
     shown.get_by_role("tab", name="What if").click()
     page.cursor = at + 0.2
     shown.get_by_role("button", name="Continue with this method").click()
-    until(lambda: page.source is not branch, "method")
+    wait_for(lambda: page.source is not branch, "method")
     other = page.source
     assert other.how == "rkmk4, step 0.001 s" and other.status().state == "paused"
     assert at - 0.01 <= other.frame().time <= at + 0.2 and page.distance(other.frame()) < 1e-9
     shown.get_by_role("button", name="Step").click()
-    until(lambda: other.frame().sample.time > 0.0 and page.source.history.times, "step")
+    wait_for(lambda: other.frame().sample.time > 0.0 and page.source.history.times, "step")
 
 
 def test_a_reference_is_shown_beside_a_recording(tmp_path):
@@ -245,13 +240,13 @@ def test_a_branch_of_a_live_scene_is_at_the_distance_zero():
     source = Local(Simulation(load_scene("double_pendulum")), "pendulum", factor=4.0)
     page = Page(source, port=8200)
     try:
-        until(lambda: source.frame().time > 3.0 and len(source._marks) > 3, "marks")
+        wait_for(lambda: source.frame().time > 3.0 and len(source._marks) > 3, "marks")
         source.ask("pause")
         page.cursor = source._marks[2][0] * 1e-9
         page._panel._branch()
         began = source.frame().time
         source.ask("resume")
-        until(lambda: source.frame().time > began + 1.0, "motion")
+        wait_for(lambda: source.frame().time > began + 1.0, "motion")
         source.ask("pause")
         distances = [page.distance(frame) for frame in list(source.history.frames)]
         times = list(source.history.times)
@@ -326,9 +321,9 @@ def test_a_simulation_continues_with_another_method():
         try:
             assert np.array_equal(other.frame().sample.pose, simulation.sample().pose)
             other.ask("step", 3)
-            until(lambda: other.frame().sample.time > simulation.time, "step")
+            wait_for(lambda: other.frame().sample.time > simulation.time, "step")
             twin.advance(3)
-            assert np.array_equal(other.server.call("sample").result(5.0).sample.pose, twin.sample().pose)
+            assert np.array_equal(other.server.call("sample").result(PATIENCE).sample.pose, twin.sample().pose)
         finally:
             other.close()
     finally:
@@ -347,7 +342,7 @@ def test_curves_compute_no_value_twice():
 
 
 def test_a_node_is_shown_pulled_and_paused(opened, client, tmp_path):
-    from node_process import COMPILING, ENVIRONMENT, NodeProcess
+    from node_process import ENVIRONMENT, NodeProcess
 
     from liegroup_sim_ros.view.remote import Remote
 
@@ -356,21 +351,21 @@ def test_a_node_is_shown_pulled_and_paused(opened, client, tmp_path):
     with NodeProcess({"scene": scene, "record": path}), pytest.MonkeyPatch.context() as patch:
         for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
             patch.setenv(name, ENVIRONMENT[name])
-        client.until(path.exists, COMPILING, "recording")
+        client.until(path.exists, "recording")
         source = Remote("/sim_node")
         page, shown = opened(source)
-        until(lambda: source.frame() is not None, "frame")
+        wait_for(lambda: source.frame() is not None, "frame")
         pull(page, shown)
-        until(lambda: np.abs(source.frame().sample.positions["box"]).max() > 1e-3, "motion")
+        wait_for(lambda: np.abs(source.frame().sample.positions["box"]).max() > 1e-3, "motion")
         shown.mouse.up()
-        until(lambda: not page._hand.shown, "release")
+        wait_for(lambda: not page._hand.shown, "release")
         source.ask("servo", "hinge", 0.5)
-        until(lambda: source.frame().sample.all_efforts["hinge"] > 0.1, "effort")
+        wait_for(lambda: source.frame().sample.all_efforts["hinge"] > 0.1, "effort")
         found = source.frame().sample
         position, velocity = found.joint_coordinates["hinge"][:2]
         assert found.all_efforts["hinge"] == pytest.approx(4.0 * (0.5 - position) - 3.0 * velocity, rel=1e-12)
         shown.get_by_role("button", name="Pause").click()
-        until(lambda: source.status().state == "paused", "pause")
+        wait_for(lambda: source.status().state == "paused", "pause")
         assert source.ask("resume").startswith("running")
         with pytest.raises(LieGroupSimError, match="unknown"):
             source.ask("restore", "nothing")
@@ -378,7 +373,7 @@ def test_a_node_is_shown_pulled_and_paused(opened, client, tmp_path):
         received = page.seen().sample
         shown.get_by_role("tab", name="What if").click()
         shown.get_by_role("button", name="Branch from here").click()
-        until(lambda: isinstance(page.source, Local), "branch")
+        wait_for(lambda: isinstance(page.source, Local), "branch")
         branched = page.source.frame().sample
         assert np.abs(branched.rows - received.rows).max() < 1e-12 and page.source.status().state == "paused"
     recording = read_recording(path)
@@ -390,13 +385,13 @@ def test_a_node_is_shown_pulled_and_paused(opened, client, tmp_path):
 def test_a_time_line_goes_back_and_the_motion_continues_from_there():
     source = Local(Simulation(load_scene("double_pendulum")), "pendulum")
     try:
-        until(lambda: (source.frame() or source).time > 1.0 if source.frame() else False, "second")
+        wait_for(lambda: (source.frame() or source).time > 1.0 if source.frame() else False, "second")
         source.ask("pause")
-        until(lambda: source._marks, "state")
+        wait_for(lambda: source._marks, "state")
         mark = source._marks[1]
         kept, now = source.ask("back", mark[0] * 1e-9 + 0.1)
         assert kept == mark[0] * 1e-9 and now > kept
-        pose = source.server.call("sample").result(5.0).sample.pose
+        pose = source.server.call("sample").result(PATIENCE).sample.pose
         twin = Simulation(load_scene("double_pendulum"))
         twin.advance(round(kept / twin.step))
         assert np.array_equal(pose, twin.sample().pose)
@@ -472,7 +467,7 @@ async def _socket(address, origin, send=None):
             await found.recv()
             if send is not None:
                 await found.send(send)
-                await asyncio.wait_for(found.wait_closed(), 5.0)
+                await asyncio.wait_for(found.wait_closed(), PATIENCE)
             return True
     except websockets.exceptions.InvalidStatus:
         return False
