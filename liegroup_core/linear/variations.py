@@ -291,7 +291,7 @@ class Variations:
             (1e9 * instant.time, instant.modes[:, :3].tolist(), [(each.joint, each.kind) for each in instant.events])
             for instant in run.drain_instants()
         ]
-        return [[rest for when, *rest in found if start_ns < when <= time] for time in times]
+        return [[rest for when, *rest in found if start_ns + 0.5 < when <= time] for time in times]
 
     def of_outputs(self, outputs):
         """(c + q, p) changes of Outputs of the probe, and their errors."""

@@ -45,12 +45,14 @@ class Inbox:
         # While the simulation is paused, a later command with the same start replaces the earlier
         # one, so that the queue is bounded.
         with self._lock:
-            first = not self._pushes
+            waiting = [push.start_ns or 0 for push, *_ in self._pushes.values()]
+            starts = [push.start_ns or 0 for push in pushes]
             for push in pushes:
                 if self._pushes.pop(push.key, None) is not None:
                     self.replaced += 1
                 self._pushes[push.key] = push, duration, refuse
-        if first:  # once per delivery, so that a burst does not wake the thread for every message
+        # Only if none that waits starts as early: a burst does not wake the thread for every message.
+        if starts and (not waiting or min(starts) < min(waiting)):
             self._wake()
 
     def follow(self, trajectory, refuse=log.warning):
