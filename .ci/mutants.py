@@ -183,7 +183,7 @@ MUTANTS = [
     Mutant("drag, quadratic part without the speed", "forces/drag.py",
            'row["linear"] + row["quadratic"] * math.sqrt(dot3(v, v))',
            'row["linear"] + row["quadratic"]',
-           ("verification/test_force_motions.py", "-k", "drag")),
+           ("verification/test_reference_kinds.py", "-k", "closed_forms and drag")),
     Mutant("applied wrench, other axes", "forces/applied_wrench.py",
            'row["world_axes"] == 1', 'row["world_axes"] == 0', FORCES),
     Mutant("applied wrench, sign of the moment", "forces/applied_wrench.py",

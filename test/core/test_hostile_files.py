@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hostile import expression, xacro_text
+from robot_texts import written
 
 from liegroup_core import SceneError, load_scene
 from liegroup_core.robots import access, apart
@@ -160,8 +161,7 @@ def test_unchecked_code_in_a_xacro_file_can_do_no_harm(code, value, tmp_path):
     ],
 )
 def test_a_hostile_xacro_file_is_refused_in_one_line(value, expected, tmp_path, monkeypatch):
-    outside = tmp_path / "outside.yaml"
-    outside.write_text("secret")
+    outside = written(tmp_path / "outside.yaml", "secret")
     path = tmp_path / "ws" / "package" / "arm.xacro"
     path.parent.mkdir(parents=True)
     path.write_text(xacro_text(value.replace("OUTSIDE", str(outside))))

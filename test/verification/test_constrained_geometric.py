@@ -8,6 +8,7 @@ import engine
 import mechanisms
 import numpy as np
 import pytest
+from convergence import order_by_count
 
 from liegroup_core import Scene, Simulation, SimulationError, load_scene
 from liegroup_core.forces.external import no_wrenches
@@ -23,10 +24,6 @@ UNIT = 2.0**-53
 # Steps per second by order.
 TIME = 0.5  # s
 RATES = {2: (256, 512, 1024), 4: (64, 128, 256), 8: (40, 48, 64)}
-
-
-def slope(rates, errors):
-    return -np.polyfit(np.log(rates), np.log(errors), 1)[0]
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +65,7 @@ def test_order_with_velocity_dependent_forces(driven, method, group):
             ]
         )
     for errors in np.transpose(found):
-        assert slope(RATES[order], errors) == pytest.approx(order, abs=0.2)
+        assert order_by_count(RATES[order], errors) == pytest.approx(order, abs=0.2)
 
 
 @pytest.mark.parametrize("name", ["net", "every kind", "floating"])
