@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Applied wrenches: schedule, and momentum after a known impulse."""
 
-import json
-
 import numpy as np
 import pytest
 
@@ -137,37 +135,6 @@ def test_wrenches_in_world_and_body_axes_of_two_sources_add():
     assert np.abs(momentum / 1e-9 - (1, 0, 3, 0, 2, 0)).max() < 1e-12
     with pytest.raises(ValueError, match="axes must be 'body' or 'world', got 'top'"):
         simulation.apply_wrench("body", PUSH, axes="top")
-
-
-@pytest.mark.parametrize("method", ["rkmk4", "rkmk54", "generalized_alpha", "constrained_rattle"])
-@pytest.mark.parametrize("at_once", [1, 13, 400])
-def test_the_commands_repeat_a_run_bit_by_bit(method, at_once):
-    """Wrenches inside steps, that replace each other, that cancel, and that end unnoticed."""
-
-    def pushes(simulation):
-        push = simulation.apply_wrench
-        push("top", (0.3, 0, 0, 0, 50.0, 0), start=0.0501234, duration=0.1, axes="world")
-        push("top", (0, 0, 0.1, 9.0, 0, 0), duration=0.0901, source="other")
-        push("top", (0, 0, 0.1, 9.0, 0, 0), start=0.0304, duration=0.2, source="other")
-        push("top", (0.2, 0, 0, 0, 0, 0), start=0.3003, source="one")
-        push("top", (-0.2, 0, 0, 0, 0, 0), start=0.3003, source="two")
-        push("top", (0, 0.2, 0, 0, 0, 0), start=0.3003, duration=1e-5, source="short")
-        push("top", (0, 0, 0, 7.0, 0, 3.0), 0.2, 0.1002, "end", "world", (0.1, -0.02, 0.3))
-
-    first = Simulation(load_scene("heavy_top"), method=method, step=1e-3)
-    pushes(first)
-    first.advance(400)
-    second = Simulation(load_scene("heavy_top"), method=method, step=1e-3)
-    commands = first.drain_applied()
-    assert [c.start_ns for c in commands] == [50_123_400, 0, 30_400_000, *[300_300_000] * 3, 200_000_000]
-    assert commands[-1].point == (0.1, -0.02, 0.3)
-    for command in commands:
-        Command.from_json(json.loads(json.dumps(command.as_json()))).repeat(second)
-    for _ in range(400 // at_once):
-        second.advance(at_once)
-    second.advance(400 - second.steps)
-    for mine, theirs in zip(first.state(), second.state()):
-        assert mine.tobytes() == theirs.tobytes()
 
 
 @pytest.mark.parametrize("wrench", [(1, 2, 3), (np.nan, 0, 0, 0, 0, 0), (0, 0, 0, np.inf, 0, 0)])

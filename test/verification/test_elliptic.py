@@ -62,6 +62,7 @@ def test_lagrangian_top_at_its_golden_end_state():
     [("0.3", "1.2", "0.1"), ("-0.7", "0.5", "-1.4"), ("2", "-0.4", "0.3"), ("0", "1", "1e-9"), ("1e-25", "1", "0")],
     ids=["below", "above", "below, fast", "separatrix", "nearer"],
 )
+@pytest.mark.volume(2)
 def test_free_body_in_every_regime_against_taylor_series(omega):
     """Also at 1e-9 and 1e-25 from the unstable axis: the modulus differs from 1 by the squares."""
     diagonal = ("0.9144", "1.098", "1.66")

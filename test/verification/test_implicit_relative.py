@@ -31,6 +31,7 @@ def end(scene, time, step, method=METHOD, **settings):
 
 @pytest.mark.parametrize("name", LOOPS)
 @pytest.mark.parametrize("space", ["auto", "space"])
+@pytest.mark.volume(3)
 def test_order_two_in_loops(name, space):
     scene, (time, counts) = load_scene(name), LOOPS[name]
     reference = end(scene, time, 1e-4, "rkmk8", group="se3", stabilisation="projection")
@@ -100,6 +101,7 @@ def test_stiff_mechanisms_are_as_accurate_as_on_se3(name):
 
 
 @pytest.mark.parametrize("seed", range(6))
+@pytest.mark.volume(3)
 def test_planar_mechanisms_move_alike_in_their_plane_and_in_space(seed):
     """To what fifty steps make of the tolerance of Newton's method."""
     scene = random_mechanisms.random_mechanism("planar loops", seed)[0]

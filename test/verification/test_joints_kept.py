@@ -56,6 +56,7 @@ def opening(kind, group, step, seed, method, steps=1000):
 
 @pytest.mark.parametrize("method", [name for name, method in METHODS.items() if method.family != "rotation"])
 @pytest.mark.parametrize("kind", LOWER_PAIRS)
+@pytest.mark.volume(30)
 def test_every_lower_pair_to_ground_holds_on_se3(kind, method):
     """Also with methods that enforce joints themselves, on their own group.
 
@@ -103,6 +104,7 @@ def drift(name, group, step, time, seed):
     ],
 )
 @pytest.mark.parametrize("group", ["se3", "so3xr3"])
+@pytest.mark.volume(8)
 def test_other_joints_drift_at_order_four(name, group):
     drifts = {h: drift(name, group, h, 0.4, 1) for h in (4e-3, 2e-3, 1e-3)}
     assert order_of(drifts) == pytest.approx(4.0, abs=0.2), drifts

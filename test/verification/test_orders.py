@@ -306,6 +306,7 @@ def test_every_method_is_covered_on_its_groups_and_between_bodies():
 
 
 @pytest.mark.parametrize("problem, method, group", CASES)
+@pytest.mark.volume(40)
 def test_fitted_order_is_the_stated_order(references, problem, method, group):
     scene, attitudes = references[problem]
     _, time, floor = PROBLEMS[problem]
@@ -329,6 +330,7 @@ def test_error_floors_are_reached_by_order_eight(references):
 
 @pytest.mark.parametrize("method", ["rkmk3", "rkmk4", "rkmk54", "rkmk8"])
 @pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.volume(3)
 def test_dexpinv_truncated_at_the_order_keeps_the_order(references, method, group):
     """Powers of ad up to p - 2 suffice for order p, with an error of the same size."""
     scene, attitudes = references["double pendulum"]
@@ -358,6 +360,7 @@ def test_each_power_of_ad_adds_one_order(references, highest, order):
 
 @pytest.mark.parametrize("problem", ["heavy top", "Lagrangian top", "double pendulum"])
 @pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.volume(2)
 def test_error_follows_the_tolerance(references, problem, group):
     """rkmk54: error proportional to tolerance, substeps proportional to tolerance^(-1/5)."""
     scene, attitudes = references[problem]
@@ -397,6 +400,7 @@ def test_generalized_alpha_has_order_two_for_every_damping(references, group, rh
 
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
 @pytest.mark.parametrize("group", ALL_GROUPS)
+@pytest.mark.volume(20)
 def test_generalized_alpha_satisfies_all_constraints(name, group):
     """Position level, trees and loops. Tolerance: Newton ends at about ten pose round-offs."""
     simulation = Simulation(mechanisms.named(name), method="generalized_alpha", step=2e-3, group=group)

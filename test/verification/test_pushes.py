@@ -58,6 +58,7 @@ def reference(scene, axes):
 
 @pytest.mark.parametrize("axes", ["body", "world"])
 @pytest.mark.parametrize("method", [name for name in METHODS if name != "rkmk853"])
+@pytest.mark.volume(14)
 def test_a_wrench_that_starts_and_ends_inside_a_step_costs_no_order(method, axes):
     """Half an order is left for higher powers of h; a wrench held over a step has order 1 or less.
 
@@ -125,6 +126,7 @@ def test_forces_in_world_axes_at_points_of_a_body_cost_no_order(method, group):
 @pytest.mark.parametrize("beside", [1e-9, -1e-9, 1e-6])
 @pytest.mark.parametrize("name, body", [("four_bar", "crank"), ("bricard", "rod2")])
 @pytest.mark.parametrize("method", ["constrained_rattle", "constrained_rattle4", "constrained_rattle8"])
+@pytest.mark.volume(6)
 def test_a_wrench_right_beside_a_step_is_no_obstacle(method, name, body, beside):
     """Substeps of 1e-10 s say nothing about those of 1 ms that follow, whose initial guess they gave.
 

@@ -135,6 +135,7 @@ hinge_chain lagrangian_top n_four_bar slider_crank"""
 
 
 @pytest.mark.parametrize("name", EXAMPLES.split())
+@pytest.mark.volume(4)
 def test_every_example_scene(name):
     step = STEPS.get(name, 1e-3)
     assert_agreement(load_scene(name), np.linspace(0.0, 100 * step, 3), step)

@@ -79,6 +79,7 @@ def test_the_tree_has_all_groups():
 
 @pytest.mark.parametrize("problem", LINKS)
 @pytest.mark.parametrize("method", ON_LINKS)
+@pytest.mark.volume(9)
 def test_fitted_order_in_relative_coordinates(references, problem, method):
     """Fitted within 0.2 of the order; the smallest error is above ten times the reference's."""
     scene, exact, uncertainty = references[problem]

@@ -45,6 +45,7 @@ def coupled():
 
 
 @pytest.mark.parametrize("method", ROTATION)
+@pytest.mark.volume(5)
 def test_order_with_bodies_coupled_by_springs_and_dampers(coupled, method):
     """Position of the free body, attitude and velocity of all bodies.
 
@@ -63,13 +64,13 @@ def test_order_with_bodies_coupled_by_springs_and_dampers(coupled, method):
             ]
         )
     for of_one_kind in np.transpose(errors):
-        assert order_by_count(RATES[order], of_one_kind) == pytest.approx(order, abs=1.5 if order == 8 else 0.25), (
-            errors
-        )
+        found = order_by_count(RATES[order], of_one_kind)
+        assert found == pytest.approx(order, abs=1.5 if order == 8 else 0.25), errors
 
 
 @pytest.mark.parametrize("held", [False, True])
 @pytest.mark.parametrize("method", ROTATION)
+@pytest.mark.volume(8)
 def test_order_with_drag(method, held):
     """Linear and quadratic drag of rotation and translation; reference: DOP853 in R, r, w, v."""
     d = np.array([0.3, -0.2, 0.4]) if held else np.zeros(3)
@@ -139,6 +140,7 @@ def test_the_spherical_joint_holds_to_round_off(method):
 
 
 @pytest.mark.parametrize("method", ROTATION)
+@pytest.mark.volume(5)
 def test_pivot_methods_agree_with_rkmk8(method):
     """Heavy top with spring; rkmk8 uses another formulation of the joint."""
     scene = load_scene("heavy_top")
@@ -150,6 +152,7 @@ def test_pivot_methods_agree_with_rkmk8(method):
 
 
 @pytest.mark.parametrize("method", ROTATION)
+@pytest.mark.volume(5)
 def test_wrenches_starting_and_ending_within_steps_keep_the_order(method):
     """Torque and force in world axes from 0.3 s to 0.7137 s; reference: piecewise DOP853."""
     torque, force, mass = np.array([0.4, -0.3, 0.5]), np.array([1.0, 2.0, -0.5]), 2.0
