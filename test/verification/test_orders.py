@@ -28,8 +28,6 @@ from liegroup_core.methods.table import METHODS
 from liegroup_core.scene.description import Body, ConstantWrench, Frame, Joint, SpringDamper, TorsionalSpringDamper
 
 GROUPS = ("se3", "so3xr3")
-
-
 ALL_GROUPS = (*GROUPS, "relative")
 
 
@@ -62,23 +60,11 @@ class Pair:
         def inertia(I):
             return [*np.diag(I), I[0, 1], I[0, 2], I[1, 2]]
 
+        first = {"position": cls.a1, "angular_velocity": cls.w1, "linear_velocity": np.cross(cls.w1, cls.a1)}
+        second = {"position": place_2, "angular_velocity": cls.w2, "linear_velocity": velocity_2}
         return [
-            Body(
-                name="first",
-                mass=cls.m1,
-                inertia=inertia(cls.I1),
-                position=cls.a1,
-                angular_velocity=cls.w1,
-                linear_velocity=np.cross(cls.w1, cls.a1),
-            ),
-            Body(
-                name="second",
-                mass=cls.m2,
-                inertia=inertia(cls.I2),
-                position=place_2,
-                angular_velocity=cls.w2,
-                linear_velocity=velocity_2,
-            ),
+            Body(name="first", mass=cls.m1, inertia=inertia(cls.I1), **first),
+            Body(name="second", mass=cls.m2, inertia=inertia(cls.I2), **second),
         ]
 
     root = Joint(name="root", type="spherical", parent="world", child="first", child_frame=Frame(position=-a1))
@@ -92,21 +78,12 @@ def double_pendulum():
     (sum m J^T J + I) wdot = sum m J^T (g - g_i) - w x I w.
     """
     p = Pair
+    frames = {"parent_frame": Frame(position=p.b1 - p.a1), "child_frame": Frame(position=-p.a2)}
     scene = Scene(
         name="two",
         gravity=GRAVITY,
         bodies=p.bodies(p.b1 + p.a2, np.cross(p.w1, p.b1) + np.cross(p.w2, p.a2)),
-        joints=[
-            p.root,
-            Joint(
-                name="elbow",
-                type="spherical",
-                parent="first",
-                child="second",
-                parent_frame=Frame(position=p.b1 - p.a1),
-                child_frame=Frame(position=-p.a2),
-            ),
-        ],
+        joints=[p.root, Joint(name="elbow", type="spherical", parent="first", child="second", **frames)],
     )
 
     def rate(_, y):
