@@ -6,6 +6,7 @@ from typing import get_args
 
 import naive
 import numpy as np
+import yaml
 from scipy.integrate import solve_ivp
 from scipy.linalg import null_space
 
@@ -16,6 +17,7 @@ from liegroup_core.lie.groups import SE3, SO3
 from liegroup_core.methods.table import METHODS
 from liegroup_core.scene.consistency import resolve_elements, resolve_frames
 from liegroup_core.scene.description import Body, Frame, Joint, SpringDamper
+from liegroup_core.scene.load import scene_from_text
 
 GRAVITY = (0.3, -0.2, -9.81)
 KINDS = tuple(CONSTRAINTS)
@@ -115,16 +117,8 @@ def mechanism(rng, links, springs=2, loops=(), place=random_pose, start=None):
             continue
         at_parent, at_child = place(rng, 0.4), place(rng, 0.4)
         poses[child] = poses[parent] @ at_parent @ allowed_motion(rng, kind) @ np.linalg.inv(at_child)
-        joints.append(
-            joint(
-                kind,
-                name=f"j{len(joints)}",
-                parent=parent,
-                child=child,
-                parent_frame=frame(at_parent),
-                child_frame=frame(at_child),
-            )
-        )
+        ends = {"name": f"j{len(joints)}", "parent": parent, "child": child}
+        joints.append(joint(kind, **ends, parent_frame=frame(at_parent), child_frame=frame(at_child)))
     for parent, child, kind in loops:
         keys = {"child_frame": frame(place(rng, 0.5))} if kind == "distance" else {}
         joints.append(
@@ -137,18 +131,9 @@ def mechanism(rng, links, springs=2, loops=(), place=random_pose, start=None):
     for i in range(springs):
         parent, child = rng.choice(len(names)), rng.choice(len(bodies))
         if parent != child:
-            forces.append(
-                SpringDamper(
-                    name=f"s{i}",
-                    parent=names[parent],
-                    child=names[child],
-                    parent_point=rng.normal(size=3),
-                    child_point=rng.normal(size=3),
-                    stiffness=50.0,
-                    damping=float(i),
-                    rest_length=0.4 * i,
-                )
-            )
+            ends = {"parent": names[parent], "child": names[child]}
+            ends |= {"parent_point": rng.normal(size=3), "child_point": rng.normal(size=3)}
+            forces.append(SpringDamper(name=f"s{i}", stiffness=50.0, damping=float(i), rest_length=0.4 * i, **ends))
     scene = Scene(name="made", gravity=GRAVITY, bodies=bodies, joints=joints, forces=forces)
     return (start or moving)(rng, scene)
 
@@ -192,16 +177,8 @@ def chain(n, kind="spherical", length=0.1, mass=0.1):
     inertia = (mass * length**2 / 600, mass * length**2 / 12, mass * length**2 / 12)
     bodies = [Body(name=f"rod{i}", mass=mass, inertia=inertia, position=((i + 0.5) * length, 0, 0)) for i in range(n)]
     names = ["world"] + [body.name for body in bodies]
-    joints = [
-        Joint(
-            name=f"pin{i}",
-            type=kind,
-            parent=names[i],
-            child=names[i + 1],
-            child_frame=Frame(position=(-length / 2, 0, 0), axis=(0, 1, 0)),
-        )
-        for i in range(n)
-    ]
+    end = Frame(position=(-length / 2, 0, 0), axis=(0, 1, 0))
+    joints = [Joint(name=f"pin{i}", type=kind, parent=names[i], child=names[i + 1], child_frame=end) for i in range(n)]
     return Scene(name="chain", gravity=(0, 0, -9.81), bodies=bodies, joints=joints)
 
 
@@ -211,34 +188,21 @@ def two_links(second_length):
     corner = np.array([np.cos(angle), np.sin(angle), 0.0])
     pin = np.array([2.0, 0.0, 0.0])
     other = np.arctan2(*(corner - pin)[[1, 0]])
-    inertia = (0.05, 0.1, 0.1)
-    return Scene(
-        name="links",
-        gravity=(0, 0, -9.81),
-        bodies=[
-            Body(name="first", mass=1.0, inertia=inertia, position=corner / 2, rotation_vector=(0, 0, angle)),
-            Body(name="second", mass=1.0, inertia=inertia, position=(corner + pin) / 2, rotation_vector=(0, 0, other)),
-        ],
-        joints=[
-            Joint(
-                name="left", type="spherical", parent="world", child="first", child_frame=Frame(position=(-0.5, 0, 0))
-            ),
-            Joint(
-                name="right",
-                type="spherical",
-                parent="world",
-                child="second",
-                child_frame=Frame(position=(-second_length / 2, 0, 0)),
-            ),
-            Joint(
-                name="middle",
-                type="spherical",
-                parent="first",
-                child="second",
-                parent_frame=Frame(position=(0.5, 0, 0)),
-            ),
-        ],
-    )
+    text = f"""
+name: links
+gravity: [0, 0, -9.81]
+bodies:
+  - {{name: first, mass: 1, inertia: [0.05, 0.1, 0.1], position: {(corner / 2).tolist()},
+     rotation_vector: [0, 0, {float(angle)!r}]}}
+  - {{name: second, mass: 1, inertia: [0.05, 0.1, 0.1], position: {((corner + pin) / 2).tolist()},
+     rotation_vector: [0, 0, {float(other)!r}]}}
+joints:
+  - {{name: left, type: spherical, parent: world, child: first, child_frame: {{position: [-0.5, 0, 0]}}}}
+  - {{name: right, type: spherical, parent: world, child: second,
+     child_frame: {{position: [{-second_length / 2}, 0, 0]}}}}
+  - {{name: middle, type: spherical, parent: first, child: second, parent_frame: {{position: [0.5, 0, 0]}}}}
+"""
+    return scene_from_text(text)
 
 
 TREE = [
@@ -280,6 +244,18 @@ MECHANISMS = {
     ),
 }
 
+FORCES_ON_HINGES = yaml.safe_load("""
+- {name: coil, type: torsional_spring_damper, joint: j0, stiffness: 3, damping: 0.05, rest_angle: 8}
+- {name: inner, type: torsional_spring_damper, joint: j1, stiffness: 2, damping: 0.02, rest_angle: -4}
+- {name: motor, type: motor, joint: j2, torque: 0.7, rate_limit: 9}
+- {name: push, type: motor, joint: j1, torque: -0.3}
+- {name: hold, type: servo, joint: j1, stiffness: 1.5, damping: 0.1, position: 3, velocity: 0.2}
+- {name: air, type: drag, body: b, linear: 0.1, quadratic: 0.02, angular: 0.01, angular_quadratic: 0.003}
+- {name: wind, type: applied_wrench, body: c, torque: [0.1, 0, 0], force: [1, 0.5, 0], point: [0.1, 0, 0.2],
+   axes: world}
+- {name: jet, type: applied_wrench, body: a, force: [0.4, 0.1, 0], point: [0, 0, 0.3]}
+""")
+
 # Those without a joint that welds bodies together.
 UNWELDED = [name for name, joints in MECHANISMS.items() if not any(kind == "fixed" for _, _, kind in sum(joints, []))]
 
@@ -289,6 +265,12 @@ def named(name, seed=0):
     """Mechanism of MECHANISMS, random with a fixed seed."""
     links, loops = MECHANISMS[name]
     return mechanism(np.random.default_rng([seed, len(name)]), links, loops=loops)
+
+
+def under_many_forces():
+    """Chain with three revolute joints and every kind of force that applies to them."""
+    scene = named("chain of hinges")
+    return scene.remade(forces=[*scene.forces, *FORCES_ON_HINGES])
 
 
 @functools.lru_cache(maxsize=None)

@@ -59,30 +59,37 @@ def joint_residual(joint, parent, child, length):
     )
 
 
+def _joints(scene, frames):
+    """[(joint, frames of its ends, length)]; a length that is not given is the initial distance."""
+    starts = {body.name: body.pose for body in scene.bodies} | {"world": np.eye(4)}
+    for joint, (parent, child) in zip(scene.joints, frames):
+        apart = (starts[joint.parent] @ parent)[:3, 3] - (starts[joint.child] @ child)[:3, 3]
+        yield joint, parent, child, getattr(joint, "length", None) or np.linalg.norm(apart)
+
+
 def residual(scene, frames, matrices):
     """Residuals of all joints, one below the other; matrices {body: (4, 4)}."""
     matrices = {**matrices, "world": np.eye(4)}
-    starts = {body.name: body.pose for body in scene.bodies} | {"world": np.eye(4)}
     parts = [np.zeros(0)]
-    for joint, (parent, child) in zip(scene.joints, frames):
-        # default of a length: the initial distance
-        length = getattr(joint, "length", None) or np.linalg.norm(
-            (starts[joint.parent] @ parent)[:3, 3] - (starts[joint.child] @ child)[:3, 3]
-        )
+    for joint, parent, child, length in _joints(scene, frames):
         parts.append(joint_residual(joint, matrices[joint.parent] @ parent, matrices[joint.child] @ child, length))
     return np.concatenate(parts)
 
 
 def jacobian(scene, frames, matrices, step=1e-6):
     """d residual / d (body twists) by central differences, (rows, 6 n)."""
-    columns = []
-    for name in matrices:
-        for c in range(6):
-            nudge = step * np.eye(6)[c]
-            ahead = residual(scene, frames, {**matrices, name: displaced(matrices[name], nudge)})
-            behind = residual(scene, frames, {**matrices, name: displaced(matrices[name], -nudge)})
-            columns.append((ahead - behind) / (2 * step))
-    return np.array(columns).T
+    nudges = step * np.concatenate([np.eye(6), -np.eye(6)])
+    moved = {name: [displaced(matrix, nudge) for nudge in nudges] for name, matrix in matrices.items()}
+    matrices, rows = {**matrices, "world": np.eye(4)}, [np.zeros((0, 6 * len(moved)))]
+    for joint, parent, child, length in _joints(scene, frames):
+        block = {}
+        for name in (joint.parent, joint.child):
+            ends = [{**matrices, name: matrix} for matrix in moved.get(name, [])]
+            found = [joint_residual(joint, at[joint.parent] @ parent, at[joint.child] @ child, length) for at in ends]
+            block[name] = (np.array(found[:6]) - np.array(found[6:])).T / (2 * step)
+        empty = np.zeros((len(max(block.values(), key=len)), 6))
+        rows.append(np.hstack([block.get(name, empty) for name in moved]))
+    return np.concatenate(rows)
 
 
 def applied_wrenches(scene, matrices, twists):

@@ -161,25 +161,13 @@ def forced(rng, scene):
     for joint in scene.joints:
         some = rng.uniform(0.1, 3.0, size=8)
         if TYPES[joint.type].turns:
-            add(
-                TorsionalSpringDamper,
-                0.3,
-                joint=joint.name,
-                stiffness=5 * some[0],
-                damping=some[1],
-                rest_angle=some[2] - 1.5,
-            )
+            coil = {"stiffness": 5 * some[0], "damping": some[1], "rest_angle": some[2] - 1.5}
+            add(TorsionalSpringDamper, 0.3, joint=joint.name, **coil)
             add(Motor, 0.2, joint=joint.name, torque=some[3])
             add(Motor, 0.2, joint=joint.name, torque=-some[3], rate_limit=some[4])
         if TYPES[joint.type].slides:
-            add(
-                LinearSpringDamper,
-                0.3,
-                joint=joint.name,
-                stiffness=20 * some[5],
-                damping=some[6],
-                rest_position=some[7] - 1.5,
-            )
+            spring = {"stiffness": 20 * some[5], "damping": some[6], "rest_position": some[7] - 1.5}
+            add(LinearSpringDamper, 0.3, joint=joint.name, **spring)
             add(LinearMotor, 0.2, joint=joint.name, force=-some[3])
             add(LinearMotor, 0.2, joint=joint.name, force=some[3], speed_limit=some[4])
     # Numbers of their own, so that those of the other forces are what they were without servos.
@@ -191,17 +179,9 @@ def forced(rng, scene):
         moves = TYPES[joint.type].turns, TYPES[joint.type].slides
         for kind, allowed in zip((Servo, LinearServo), moves):
             if allowed and some[0] < 0.6:
-                forces.append(
-                    kind(
-                        name=f"f{len(forces)}",
-                        joint=joint.name,
-                        stiffness=3 * some[1],
-                        damping=some[2],
-                        position=some[3] - 1.5,
-                        velocity=some[4] - 1.5,
-                        effort_limit=some[5],
-                    )
-                )
+                law = {"stiffness": 3 * some[1], "damping": some[2], "effort_limit": some[5]}
+                law |= {"position": some[3] - 1.5, "velocity": some[4] - 1.5}
+                forces.append(kind(name=f"f{len(forces)}", joint=joint.name, **law))
                 break
     for body in scene.bodies:
         some = rng.uniform(0.0, 0.5, size=4)

@@ -115,6 +115,12 @@ ARM_MJCF = """<mujoco model="arm">
 """
 
 
+def written(path, text):
+    """Path of a file to which a text is written."""
+    path.write_text(text)
+    return path
+
+
 def rotation(roll, pitch, yaw):
     """(3, 3) Rz(yaw) Ry(pitch) Rx(roll), written out for each axis."""
     (cr, cp, cy), (sr, sp, sy) = np.cos((roll, pitch, yaw)), np.sin((roll, pitch, yaw))

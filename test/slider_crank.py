@@ -24,33 +24,15 @@ def slider_crank(angle, rate, friction, upper=None, restitution=0.0):
     rod |= {"position": [CRANK * math.cos(angle), CRANK * math.sin(angle), 0]}
     rod |= {"rotation_vector": [0, 0, tilt]}
     ram = {"name": "ram", "mass": 2.0, "inertia": [0.02] * 3, "position": [end, 0, 0]}
-    joints = [
-        {"name": "main", "type": "revolute", "parent": "world", "child": "crank", "child_frame": {}},
-        {
-            "name": "pin",
-            "type": "revolute",
-            "parent": "crank",
-            "child": "rod",
-            "parent_frame": {"position": [CRANK, 0, 0]},
-            "child_frame": {},
-        },
-        {
-            "name": "wrist",
-            "type": "revolute",
-            "parent": "rod",
-            "child": "ram",
-            "parent_frame": {"position": [ROD, 0, 0]},
-            "child_frame": {},
-        },
-        {
-            "name": "slide",
-            "type": "prismatic",
-            "parent": "world",
-            "child": "ram",
-            "parent_frame": {"axis": [1, 0, 0]},
-            "child_frame": {"axis": [1, 0, 0]},
-        },
-    ]
+    joints = yaml.safe_load(f"""
+- {{name: main, type: revolute, parent: world, child: crank, child_frame: {{}}}}
+- {{name: pin, type: revolute, parent: crank, child: rod, parent_frame: {{position: [{CRANK}, 0, 0]}},
+   child_frame: {{}}}}
+- {{name: wrist, type: revolute, parent: rod, child: ram, parent_frame: {{position: [{ROD}, 0, 0]}},
+   child_frame: {{}}}}
+- {{name: slide, type: prismatic, parent: world, child: ram, parent_frame: {{axis: [1, 0, 0]}},
+   child_frame: {{axis: [1, 0, 0]}}}}
+""")
     for joint in joints:
         if joint["name"] in friction:
             joint["friction"] = {"coulomb": friction[joint["name"]]}

@@ -1,14 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Properties of every kind of force. A new kind only needs examples in EXAMPLES."""
 
-import os
-import subprocess
-import sys
-from pathlib import Path
-
 import mechanisms
 import numpy as np
 import pytest
+import yaml
 from naive import displaced
 
 from liegroup_core import Simulation
@@ -16,17 +12,7 @@ from liegroup_core.forces import external, gravity, kinds
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.lie.groups import SE3
 from liegroup_core.mechanism.body_model import build_model
-from liegroup_core.scene import (
-    ConstantWrench,
-    Drag,
-    LinearMotor,
-    LinearServo,
-    LinearSpringDamper,
-    Motor,
-    Servo,
-    SpringDamper,
-    TorsionalSpringDamper,
-)
+from liegroup_core.scene import ConstantWrench
 from liegroup_core.scene.description import FORCES
 
 BODIES = ("a", "b", "c")
@@ -34,52 +20,38 @@ INDEX = {"a": 0, "b": 1, "c": 2, "world": WORLD}
 ON_JOINTS = {"between": ("a", "b"), "ground": ("world", "c")}
 
 # Of each kind one force between bodies, if possible, and one to the world.
-EXAMPLES = {
-    "spring_damper": [
-        SpringDamper(
-            name="s",
-            parent="a",
-            child="b",
-            parent_point=(0.1, 0.2, 0.3),
-            child_point=(0.4, -0.2, 0.1),
-            stiffness=50,
-            damping=3,
-            rest_length=0.7,
-        ),
-        SpringDamper(
-            name="t", parent="world", child="c", parent_point=(0, 0, 1), child_point=(0.4, 0, 0), stiffness=20
-        ),
-    ],
-    "torsional_spring_damper": [
-        TorsionalSpringDamper(name="s", joint="between", stiffness=4, damping=0.3, rest_angle=9),
-        TorsionalSpringDamper(name="t", joint="ground", stiffness=2, damping=0.1),
-    ],
-    "linear_spring_damper": [
-        LinearSpringDamper(name="s", joint="between", stiffness=40, damping=3, rest_position=0.3),
-        LinearSpringDamper(name="t", joint="ground", stiffness=20, damping=1),
-    ],
-    "motor": [Motor(name="s", joint="between", torque=-4, rate_limit=3), Motor(name="t", joint="ground", torque=3)],
-    "linear_motor": [
-        LinearMotor(name="s", joint="between", force=-4, speed_limit=3),
-        LinearMotor(name="t", joint="ground", force=3),
-    ],
-    "servo": [
-        Servo(name="s", joint="between", stiffness=4, damping=0.3, position=9, velocity=2),
-        Servo(name="t", joint="ground", stiffness=2, damping=1, position=-3, effort_limit=0.7),
-    ],
-    "linear_servo": [
-        LinearServo(name="s", joint="between", stiffness=40, damping=3, position=0.3, velocity=-1),
-        LinearServo(name="t", joint="ground", stiffness=20, position=2, effort_limit=0.9),
-    ],
-    "drag": [
-        Drag(name="s", body="a", linear=2, quadratic=3, angular=0.5, angular_quadratic=0.7),
-        Drag(name="t", body="b", quadratic=1),
-    ],
-    "applied_wrench": [
-        ConstantWrench(name="s", body="a", torque=(1, 2, 3), force=(4, 5, -6), point=(1, 0.2, 3)),
-        ConstantWrench(name="t", body="b", torque=(1, 2, 3), force=(4, 5, -6), point=(1, 0.2, 3), axes="world"),
-    ],
-}
+EXAMPLES = yaml.safe_load("""
+spring_damper:
+  - {name: s, parent: a, child: b, parent_point: [0.1, 0.2, 0.3], child_point: [0.4, -0.2, 0.1], stiffness: 50,
+     damping: 3, rest_length: 0.7}
+  - {name: t, parent: world, child: c, parent_point: [0, 0, 1], child_point: [0.4, 0, 0], stiffness: 20}
+torsional_spring_damper:
+  - {name: s, joint: between, stiffness: 4, damping: 0.3, rest_angle: 9}
+  - {name: t, joint: ground, stiffness: 2, damping: 0.1}
+linear_spring_damper:
+  - {name: s, joint: between, stiffness: 40, damping: 3, rest_position: 0.3}
+  - {name: t, joint: ground, stiffness: 20, damping: 1}
+motor:
+  - {name: s, joint: between, torque: -4, rate_limit: 3}
+  - {name: t, joint: ground, torque: 3}
+linear_motor:
+  - {name: s, joint: between, force: -4, speed_limit: 3}
+  - {name: t, joint: ground, force: 3}
+servo:
+  - {name: s, joint: between, stiffness: 4, damping: 0.3, position: 9, velocity: 2}
+  - {name: t, joint: ground, stiffness: 2, damping: 1, position: -3, effort_limit: 0.7}
+linear_servo:
+  - {name: s, joint: between, stiffness: 40, damping: 3, position: 0.3, velocity: -1}
+  - {name: t, joint: ground, stiffness: 20, position: 2, effort_limit: 0.9}
+drag:
+  - {name: s, body: a, linear: 2, quadratic: 3, angular: 0.5, angular_quadratic: 0.7}
+  - {name: t, body: b, quadratic: 1}
+applied_wrench:
+  - {name: s, body: a, torque: [1, 2, 3], force: [4, 5, -6], point: [1, 0.2, 3]}
+  - {name: t, body: b, torque: [1, 2, 3], force: [4, 5, -6], point: [1, 0.2, 3], axes: world}
+""")
+CLASSES = {cls.model_fields["type"].default: cls for cls in FORCES}
+EXAMPLES = {kind: [CLASSES[kind](**entry) for entry in entries] for kind, entries in EXAMPLES.items()}
 DRIVEN = ("motor", "linear_motor", "servo", "linear_servo", "applied_wrench")  # their power may be positive
 ELASTIC = [kind for kind, module in kinds.KINDS.items() if hasattr(module, "energy")]
 SEEDS = range(4)
@@ -297,30 +269,13 @@ def test_a_wrench_in_body_axes_is_that_in_world_axes_turned(seed):
 # ---------------------------------------------------------------- along a motion
 
 
-def busy_scene():
-    """Chain with three revolute joints and every kind of force that applies to them."""
-    scene = mechanisms.named("chain of hinges")
-    forces = [
-        *scene.forces,
-        TorsionalSpringDamper(name="coil", joint="j0", stiffness=3, damping=0.05, rest_angle=8),
-        TorsionalSpringDamper(name="inner", joint="j1", stiffness=2, damping=0.02, rest_angle=-4),
-        Motor(name="motor", joint="j2", torque=0.7, rate_limit=9),
-        Motor(name="push", joint="j1", torque=-0.3),
-        Servo(name="hold", joint="j1", stiffness=1.5, damping=0.1, position=3, velocity=0.2),
-        Drag(name="air", body="b", linear=0.1, quadratic=0.02, angular=0.01, angular_quadratic=0.003),
-        ConstantWrench(name="wind", body="c", torque=(0.1, 0, 0), force=(1, 0.5, 0), point=(0.1, 0, 0.2), axes="world"),
-        ConstantWrench(name="jet", body="a", force=(0.4, 0.1, 0), point=(0, 0, 0.3)),
-    ]
-    return scene.model_copy(update={"forces": tuple(forces)})
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("group", ["se3", "so3xr3"])
 def test_energy_changes_by_the_power(group):
     """E(T) - E(0) = integral of the power; step and Simpson's rule are both of order 4."""
     gaps = []
     for steps in (500, 1000):
-        simulation = Simulation(busy_scene(), method="rkmk4", step=1.0 / steps, group=group)
+        simulation = Simulation(mechanisms.under_many_forces(), method="rkmk4", step=1.0 / steps, group=group)
         samples = [simulation.sample()]
         for _ in range(steps):
             simulation.advance()
@@ -330,41 +285,3 @@ def test_energy_changes_by_the_power(group):
         gaps.append(abs(samples[-1].energy - samples[0].energy - integral))
     assert np.abs(power).mean() > 1.0
     assert gaps[1] < gaps[0] / 12 and gaps[1] < 1e-5 * np.abs(power).mean()
-
-
-@pytest.mark.parametrize("group", ["se3", "so3xr3"])
-def test_the_same_bits_however_the_steps_are_asked_for(group):
-    whole, pieces = (Simulation(busy_scene(), method="rkmk4", step=2e-3, group=group) for _ in range(2))
-    whole.advance(1500)
-    for _ in range(2):
-        pieces.reset()
-        for count in (1, 0, 7, 492, 1000):
-            pieces.advance(count)
-        for mine, theirs in zip(whole.state(), pieces.state()):
-            assert mine.tobytes() == theirs.tobytes()
-        assert whole.sample().angles.tobytes() == pieces.sample().angles.tobytes()
-
-
-@pytest.mark.slow
-def test_without_the_compiler_the_same_numbers():
-    """Plain Python has the round-off of machine code; the last bit of libm may differ."""
-    code = (
-        "import sys; sys.path[:0] = sys.argv[1:]; import test_forces; "
-        "s = test_forces.Simulation(test_forces.busy_scene()); s.advance(20); "
-        "p = s.sample(); print(p.pose.tobytes().hex(), p.energy.hex(), p.power.hex())"
-    )
-    here = Path(__file__).parent
-
-    def run(disable):
-        out = subprocess.run(
-            [sys.executable, "-c", code, str(here), str(here.parent)],
-            capture_output=True,
-            text=True,
-            check=True,
-            env={**os.environ, "NUMBA_DISABLE_JIT": disable},
-        ).stdout.split()
-        return np.frombuffer(bytes.fromhex(out[0])), *map(float.fromhex, out[1:])
-
-    plain, fast = run("1"), run("0")
-    assert np.abs(plain[0] - fast[0]).max() <= 1e-13
-    assert plain[1:] == pytest.approx(fast[1:], rel=1e-12)

@@ -14,6 +14,7 @@ import mechanisms
 import numpy as np
 import pytest
 from scipy.integrate import RK45
+from volume import some
 
 from liegroup_core import Simulation, SimulationError, load_scene
 from liegroup_core.methods.families import FAMILIES, NOT_ON_SE3, ON_JOINTS, check_options
@@ -39,6 +40,9 @@ ON_GROUPS = [
     for group in CONFIGURATION_GROUPS
     if group == "so3xr3" or (method.family in ON_JOINTS if group == RELATIVE else method.family not in NOT_ON_SE3)
 ]
+OF_FAMILY = {}
+for each in METHODS:
+    OF_FAMILY.setdefault(METHODS[each].family, []).append(each)
 UNIT = 2.0**-53
 
 
@@ -161,22 +165,31 @@ def test_method_entry_is_complete(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name, group", ON_GROUPS)
+@pytest.mark.volume(12)
 def test_runs_are_bit_identical_however_the_steps_are_split(name, group):
-    """Also with a wrench that starts and ends between the calls, and after a reset."""
-    scene = mechanisms.fitting(name)
+    """Also with a wrench that starts and ends between the calls, and after a reset.
+
+    In space, with forces of all kinds; and in a plane, where coordinates of a loop are found from the poses at the
+    end of every step.
+    """
+    scenes = [mechanisms.fitting(name)]
+    if METHODS[name].family != "rotation":
+        scenes += [load_scene("four_bar"), mechanisms.under_many_forces()]
 
     def run(simulation, counts):
         simulation.reset()
-        simulation.apply_wrench("b", (0.1, 0.2, -0.3, 1.0, 2.0, 3.0), start=0.02, duration=0.03)
+        body = simulation.layout.body_names[1]
+        simulation.apply_wrench(body, (0.1, 0.2, -0.3, 1.0, 2.0, 3.0), start=0.02, duration=0.03)
         for count in counts:
             simulation.advance(count)
-        return b"".join(part.tobytes() for part in simulation.state())
+        return *(part.tobytes() for part in simulation.state()), simulation.sample().angles.tobytes()
 
-    whole, pieces = (Simulation(scene, method=name, group=group, step=2e-3) for _ in range(2))
-    expected = run(whole, [60])
-    assert run(pieces, [1, 2, 0, 7, 0, 20, 30]) == expected
-    assert run(pieces, [30, 30]) == expected
-    assert whole.steps == 60
+    for scene in scenes:
+        whole, pieces = (Simulation(scene, method=name, group=group, step=1e-3) for _ in range(2))
+        expected = run(whole, [60])
+        assert run(pieces, [1, 2, 0, 7, 0, 20, 30]) == expected
+        assert run(pieces, [30, 30]) == expected
+        assert whole.steps == 60
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -388,10 +401,12 @@ from liegroup_core.engine import Engine
 from liegroup_core.methods.families import ON_JOINTS
 from liegroup_core.methods.table import METHODS
 
-for name, method in METHODS.items():
+for name in sys.argv[2:]:
+    method = METHODS[name]
     scenes = [(mechanisms.fitting(name, "chain of balls"), "auto")]
     if method.family in ON_JOINTS:
         scenes += [(load_scene(scene), "relative") for scene in ("four_bar", "bricard")]
+        scenes += [(mechanisms.under_many_forces(), "relative")]
     for scene, group in scenes:
         engine = Engine(scene, name, 5e-3, group, quiet=True)
         engine.advance(4)
@@ -399,21 +414,23 @@ for name, method in METHODS.items():
 """
 
 
+def lines_of(code, names, **environment):
+    """What a program prints, in another process."""
+    return subprocess.run(
+        [sys.executable, "-c", code, os.path.dirname(os.path.dirname(__file__)), *names],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, **environment},
+    ).stdout.splitlines()
+
+
 @pytest.mark.slow
 def test_plain_python_gives_the_same_bits():
-    """Without fast-math both round alike, and both use the functions of libm."""
-
-    def run(disable):
-        return subprocess.run(
-            [sys.executable, "-c", PLAIN, os.path.dirname(os.path.dirname(__file__))],
-            capture_output=True,
-            text=True,
-            check=True,
-            env={**os.environ, "NUMBA_DISABLE_JIT": disable},
-        ).stdout.splitlines()
-
-    plain, fast = run("1"), run("0")
-    assert len(plain) > len(METHODS)
+    """Without fast-math both round alike, and both use the functions of libm. One method of each family a day."""
+    names = [name for group in OF_FAMILY.values() for name in some(group, 1)]
+    plain, fast = (lines_of(PLAIN, names, NUMBA_DISABLE_JIT=disable) for disable in ("1", "0"))
+    assert len(plain) > len(names)
     assert plain == fast
 
 
@@ -427,7 +444,8 @@ from liegroup_core.engine import Engine
 from liegroup_core.methods.families import NOT_ON_SE3, ON_JOINTS
 from liegroup_core.methods.table import METHODS
 
-for name, method in METHODS.items():
+for name in sys.argv[2:]:
+    method = METHODS[name]
     # In their plane, in space with redundant rows, and without joints that close loops.
     cases = [(mechanisms.rotors(), "auto", "none")]
     if method.family != "rotation":
@@ -453,15 +471,9 @@ for name, method in METHODS.items():
 
 
 def test_steps_allocate_nothing():
-    """Numba's allocation count is the same for 10 and for 200 steps in one call."""
-    run = subprocess.run(
-        [sys.executable, "-c", ALLOCATIONS, os.path.dirname(os.path.dirname(__file__))],
-        capture_output=True,
-        text=True,
-        check=True,
-        env={**os.environ, "NUMBA_NRT_STATS": "1"},
-    )
-    found = [line.split() for line in run.stdout.splitlines()]
-    assert {line[0] for line in found} == set(METHODS)
+    """Numba's allocation count is the same for 10 and for 200 steps in one call. One method of each family a day."""
+    names = [name for group in OF_FAMILY.values() for name in some(group, 1)]
+    found = [line.split() for line in lines_of(ALLOCATIONS, names, NUMBA_NRT_STATS="1")]
+    assert {line[0] for line in found} == set(names)
     assert {line[2] for line in found} == set(CONFIGURATION_GROUPS)
     assert [line for line in found if line[-2] != line[-1]] == []

@@ -57,6 +57,7 @@ def test_accelerations_are_the_derivatives_of_the_motion(name, axes):
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("name", ["tree", "loops", "couplings"])
+@pytest.mark.volume(4)
 def test_accelerations_of_random_mechanisms(name, seed):
     check(*random_mechanisms.random_mechanism(name, seed))
 

@@ -134,22 +134,6 @@ def test_efforts_are_internal_and_do_their_work(method, group):
 
 
 @pytest.mark.parametrize("group", ["relative", "se3", "so3xr3"])
-def test_an_effort_is_a_motor_with_constant_torque(group):
-    """The same motion as with a motor and a linear motor of the scene, which act at every stage."""
-    text = FLOATING + (
-        "forces:\n  - {name: m, type: motor, joint: shoulder, torque: 0.8}\n"
-        "  - {name: l, type: linear_motor, joint: slide, force: -1.2}\n"
-    )
-    driven, commanded = (made(t, "rkmk8", group) for t in (text, FLOATING))
-    commanded.apply_effort("shoulder", 0.8)
-    commanded.apply_effort("slide", -1.2)
-    for simulation in (driven, commanded):
-        simulation.advance(300)
-    for one, other in zip(driven.state(), commanded.state()):
-        assert np.abs(one - other).max() <= 1e-12
-
-
-@pytest.mark.parametrize("group", ["relative", "se3", "so3xr3"])
 def test_the_work_on_the_crank_of_a_loop_is_its_energy(group):
     """Four-bar linkage, 1.6 turns of the crank, by error control: 1e-9 of the energy."""
     options = {"group": group, "stabilisation": "projection", "rtol": 1e-12, "atol": 1e-12}
@@ -162,48 +146,6 @@ def test_the_work_on_the_crank_of_a_loop_is_its_energy(group):
     turned = np.unwrap(angles)[-1] - angles[0]
     assert turned > 10.0
     assert abs(simulation.energy() - start - 5.0 * turned) <= 1e-9 * simulation.energy()
-
-
-@pytest.mark.parametrize("method", ["rkmk4", "rkmk54", "generalized_alpha", "constrained_rattle"])
-@pytest.mark.parametrize("at_once", [1, 13, 300])
-def test_the_recorded_changes_repeat_a_run_with_efforts_bit_by_bit(method, at_once):
-    """Efforts and wrenches on the same bodies, inside steps, that replace each other and end."""
-
-    def commands(simulation):
-        apply = simulation.apply_effort
-        apply("shoulder", 0.3, start=0.0501234, duration=0.1)
-        apply("shoulder", 0.7, duration=0.0901, source="other")
-        apply("slide", -0.4, start=0.0304)
-        apply("slide", 0.9, start=0.12)
-        apply("slide", 0.0, start=0.2002)
-        simulation.apply_wrench("arm", (0.1, 0, 0, 0, 2.0, 0), start=0.07, duration=0.09)
-
-    first, second = (made(FLOATING, method, "auto") for _ in range(2))
-    commands(first)
-    first.advance(300)
-    changes = first.drain_applied()
-    assert [change.name for change in changes] == [*["shoulder"] * 2, *["slide"] * 3, "arm"]
-    for change in changes:
-        change.repeat(second)
-    for _ in range(300 // at_once):
-        second.advance(at_once)
-    second.advance(300 - second.steps)
-    for mine, theirs in zip(first.state(), second.state()):
-        assert mine.tobytes() == theirs.tobytes()
-
-
-def test_the_estimate_of_the_error_follows_efforts():
-    """The companion has them too: the estimate is within a factor of 10 of the true error."""
-    scene = scene_from_text(FLOATING)
-    simulation = Simulation(scene, "rkmk4", 0.02)
-    reference = Simulation(scene, "rkmk853", 1e-3, estimate=False, rtol=1e-13, atol=1e-13)
-    for each in (simulation, reference):
-        each.apply_effort("shoulder", 8.0, start=0.1003, duration=0.5)
-        each.apply_effort("slide", -12.0, start=0.2)
-        each.advance(round(0.8 / each.step))
-    sample, true = simulation.sample(), reference.sample()
-    error = np.linalg.norm(sample.pose[:, 9:] - true.pose[:, 9:], axis=1).max()
-    assert error > 1e-8 and 0.1 < sample.errors[:, 0].max() / error < 10.0
 
 
 def test_sources_add_and_replace_and_zero_ends():

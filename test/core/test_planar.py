@@ -254,18 +254,6 @@ def test_trees_stay_closed_to_round_off(name, normal):
     assert simulation.sample().constraint_residual <= 1e-14 * distance
 
 
-def test_a_planar_run_does_not_depend_on_the_advance_calls():
-    """Coordinates are found from the poses at the end of every step."""
-    for normal in ("x", "tilted"):
-        for method in ("rkmk4", "rkmk54"):
-            scene = mechanism("chain with a loop", normal)
-            whole, parts = (Simulation(scene, method=method) for _ in range(2))
-            whole.advance(30)
-            for _ in range(30):
-                parts.advance(1)
-            assert all((a == b).all() for a, b in zip(whole.state(), parts.state()))
-
-
 def test_out_of_plane_components_stay_zero():
     """A normal along a world axis and axes of the bodies: no round-off leaves the plane."""
     simulation = Simulation(mechanism("chain", "z"), method="rkmk4")

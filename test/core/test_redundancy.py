@@ -109,14 +109,6 @@ def test_a_four_bar_on_a_bar_of_another_one_loses_its_own_three_rows():
     assert np.linalg.matrix_rank(jacobian, tol=1e-12) == len(kept) == 34
 
 
-def test_the_planar_four_bar_eliminates_its_out_of_plane_row():
-    """Three revolute joints and a spherical joint: 18 rows of rank 17."""
-    layout = Simulation(
-        parallelogram(1.0, 2.0, ("revolute", "revolute", "spherical", "revolute")), method="rkmk4"
-    ).layout
-    assert layout.dropped_rows == [("c", "vz")]
-
-
 @pytest.mark.parametrize("angle", [1.0, 0.0])
 def test_a_singular_start_does_not_change_the_redundancy(angle):
     """Four revolute joints: 20 rows of rank 17, also for a flat start, where the rank is 16."""

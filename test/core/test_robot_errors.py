@@ -10,7 +10,7 @@ import time
 import numpy as np
 import pytest
 from robot_damage import mutated
-from robot_texts import ARM_MJCF, ARM_SDF, ARM_URDF, MJCF_WITH_ALL_JOINTS, five_bar_urdf, mimic_urdf
+from robot_texts import ARM_MJCF, ARM_SDF, ARM_URDF, MJCF_WITH_ALL_JOINTS, five_bar_urdf, mimic_urdf, written
 from volume import VERIFY, some
 
 from liegroup_core import SceneError, Simulation, load_scene
@@ -37,8 +37,7 @@ def refusal(path):
 def urdf(tmp_path, old, new):
     """Path of the arm's URDF with one change."""
     assert ARM_URDF.count(old) >= 1
-    path = tmp_path / "arm.urdf"
-    path.write_text(ARM_URDF.replace(old, new, 1))
+    path = written(tmp_path / "arm.urdf", ARM_URDF.replace(old, new, 1))
     return path
 
 
@@ -95,8 +94,7 @@ def test_a_moving_link_needs_mass(tmp_path):
     ],
 )
 def test_hostile_and_empty_files_are_refused(text, tmp_path):
-    path = tmp_path / "robot.xml"
-    path.write_text(text)
+    path = written(tmp_path / "robot.xml", text)
     start = time.perf_counter()
     assert "passwd" not in refusal(path) and "root:" not in refusal(path)
     assert time.perf_counter() - start < SECONDS
@@ -117,15 +115,12 @@ SDF_ERRORS = [
 
 @pytest.mark.parametrize("old, new, expected", SDF_ERRORS)
 def test_a_wrong_sdf_file_has_one_line(old, new, expected, tmp_path):
-    path = tmp_path / "arm.sdf"
-    path.write_text(ARM_SDF.replace(old, new, 1))
-    text = refusal(path)
+    text = refusal(written(tmp_path / "arm.sdf", ARM_SDF.replace(old, new, 1)))
     assert expected in text and re.match(r".*?arm\.sdf:\d+: ", text), text
 
 
 def test_the_message_of_mujocos_compiler_is_passed_on(tmp_path):
-    path = tmp_path / "arm.xml"
-    path.write_text(ARM_MJCF.format(upper="1 1 1 0 0 0").replace("hinge", "wheel"))
+    path = written(tmp_path / "arm.xml", ARM_MJCF.format(upper="1 1 1 0 0 0").replace("hinge", "wheel"))
     text = refusal(path)
     line = path.read_text().split("wheel")[0].count("\n") + 1
     assert text.startswith(f"{path}:{line}: mjcf: ") and "invalid keyword: 'wheel'" in text
@@ -154,8 +149,7 @@ OWN = '<inertial pos="0 0 0.5" mass="2" diaginertia="1 1 1"/>'
     ],
 )
 def test_a_mesh_of_mjcf_may_be_missing_unless_a_mass_follows_from_it(inertial, mass, rule, expected, tmp_path):
-    path = tmp_path / "mesh.xml"
-    path.write_text(MESHES.format(inertial=inertial, mass=mass, rule=rule))
+    path = written(tmp_path / "mesh.xml", MESHES.format(inertial=inertial, mass=mass, rule=rule))
     if expected is None:
         text = refusal(path)
         assert text.startswith(f"{path}:2: mjcf: mesh file 'meshes/nope.stl' does not exist"), text
@@ -180,8 +174,7 @@ XACRO = """<robot name="two" xmlns:xacro="http://www.ros.org/wiki/xacro">
 
 
 def test_xacro_files(tmp_path):
-    path = tmp_path / "two.urdf.xacro"
-    path.write_text(XACRO)
+    path = written(tmp_path / "two.urdf.xacro", XACRO)
     scene = load_scene(path)
     assert scene.bodies[0].com == (0.25, 0.0, 0.0) and "two.urdf.xacro" in scene.description
     path.write_text(XACRO.replace("length / 2", "lenght / 2"))
@@ -259,16 +252,15 @@ def test_a_model_that_needs_too_much_memory_is_refused(tmp_path):
     text = '<body><freejoint/><geom size="0.1"/></body>'
     for _ in range(3):
         text = f'<replicate count="200" offset="1 0 0">{text}</replicate>'
-    path = tmp_path / "many.xml"
-    path.write_text(f"<mujoco><worldbody>{text}</worldbody></mujoco>")
+    path = written(tmp_path / "many.xml", f"<mujoco><worldbody>{text}</worldbody></mujoco>")
     assert "mjcf needs more than 1 GiB of memory" in refusal(path)
 
 
 # Texts, and how many damaged ones there are and are tried on a day.
 TEXTS = {
-    "urdf": (ARM_URDF, 300, 100),
-    "sdf": (ARM_SDF, 300, 100),
-    "xml": (ARM_MJCF.format(upper="0.02 0.03 0.025 0.001 -0.002 0.0015"), 200, 20),
+    "urdf": (ARM_URDF, 300, 30),
+    "sdf": (ARM_SDF, 300, 30),
+    "xml": (ARM_MJCF.format(upper="0.02 0.03 0.025 0.001 -0.002 0.0015"), 200, 8),
 }
 
 
@@ -333,8 +325,7 @@ LARGE = {
 @pytest.mark.volume(3)
 def test_a_large_file_takes_bounded_memory(kind, what, tmp_path):
     head, content, said = LARGE[what]
-    path = tmp_path / f"robot.{kind}"
-    path.write_text(head + OPENINGS[kind].format(content))
+    path = written(tmp_path / f"robot.{kind}", head + OPENINGS[kind].format(content))
     done = subprocess.run([sys.executable, "-P", "-c", MEASURE, str(path)], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr[-500:]
     memory, text = done.stdout.split("\n", 1)
@@ -346,15 +337,13 @@ def test_a_large_file_takes_bounded_memory(kind, what, tmp_path):
 def test_a_tool_that_prints_too_much_is_refused(tmp_path, monkeypatch):
     """The limit holds in the process of the tool: it cannot fill this one's memory."""
     monkeypatch.setattr(apart, "LARGEST_OUTPUT", 1000)
-    path = tmp_path / "arm.xml"
-    path.write_text(ARM_MJCF.format(upper="0.02 0.03 0.025 0.001 -0.002 0.0015"))
+    path = written(tmp_path / "arm.xml", ARM_MJCF.format(upper="0.02 0.03 0.025 0.001 -0.002 0.0015"))
     with pytest.raises(SceneError, match="mjcf wrote more than"):
         load_scene(path)
 
 
 def test_a_robot_beside_yaml_that_is_not_there(tmp_path):
-    path = tmp_path / "robot.yaml"
-    path.write_text("robot: missing.urdf\n")
+    path = written(tmp_path / "robot.yaml", "robot: missing.urdf\n")
     with pytest.raises(SceneError, match="missing.urdf is not a file"):
         load_scene(path)
     with pytest.raises(SceneError, match="the package 'nowhere' is not found"):
@@ -431,8 +420,7 @@ VALUES += ["[1e99, 1e99, 1e99]", "{a: 1}", "left_crank", "left", "ground", "worl
 )
 def test_values_beside_a_robot_are_checked_with_their_place(old, new, line, expected, tmp_path):
     (tmp_path / "five_bar.urdf").write_text(five_bar_urdf())
-    path = tmp_path / "beside.yaml"
-    path.write_text(BESIDE)
+    path = written(tmp_path / "beside.yaml", BESIDE)
     load_scene(path)
     assert BESIDE.count(old) == 1
     path.write_text(BESIDE.replace(old, new))
@@ -446,7 +434,7 @@ def test_any_value_beside_a_robot_loads_or_has_one_line(tmp_path):
     # Values of keys: lists of numbers, mappings without further ones, words.
     places = [found.span(1) for found in re.finditer(r": (\[[^\]]*\]|\{[^{}]*\}|[^\s,{}]+)", BESIDE)]
     refused = 0
-    for start, end in places:
+    for start, end in some(places, 8):
         for value in VALUES:
             path.write_text(f"{BESIDE[:start]}{value}{BESIDE[end:]}")
             try:
@@ -454,7 +442,7 @@ def test_any_value_beside_a_robot_loads_or_has_one_line(tmp_path):
             except SceneError as error:
                 refused += 1
                 assert re.match(r"\S+: ", str(error)) and "\n" not in str(error), error
-    assert refused > len(places) * len(VALUES) // 2
+    assert refused > (len(places) * len(VALUES) // 2 if VERIFY else 0)
 
 
 def test_a_spring_between_a_link_and_one_that_stays(tmp_path):
@@ -471,10 +459,10 @@ def test_a_spring_between_a_link_and_one_that_stays(tmp_path):
 
 
 def test_a_moving_end_needs_mass(tmp_path):
-    path = tmp_path / "light.urdf"
-    path.write_text(
+    path = written(
+        tmp_path / "light.urdf",
         '<robot name="r"><link name="base"/>\n<link name="a"/>\n<joint name="j" type="continuous">'
-        '<parent link="base"/><child link="a"/></joint></robot>'
+        '<parent link="base"/><child link="a"/></joint></robot>',
     )
     assert refusal(path).startswith(f'{path}:2: link "a" at the end of joint "j" has no mass')
 
@@ -489,8 +477,7 @@ BARE = """<robot name="r"><link name="base"><inertial><mass value="9"/></inertia
 
 def test_links_without_inertia_are_fixed_to_the_world_or_merged(tmp_path):
     """Of the base nothing counts; the load is a point mass, which the parallel axis theorem adds."""
-    path = tmp_path / "bare.urdf"
-    path.write_text(BARE.format("fixed"))
+    path = written(tmp_path / "bare.urdf", BARE.format("fixed"))
     scene = load_scene(path)
     (body,) = scene.bodies
     com = 0.2 * np.array([0.2, 0.3, 0.1])
@@ -507,8 +494,7 @@ def test_links_without_inertia_are_fixed_to_the_world_or_merged(tmp_path):
 
 
 def test_what_is_cut_does_not_change_the_base(tmp_path):
-    path = tmp_path / "five_bar.urdf"
-    path.write_text(five_bar_urdf())
+    path = written(tmp_path / "five_bar.urdf", five_bar_urdf())
     with pytest.raises(SceneError, match="has no link that moves: .* keep more links with only"):
         scene_from_robot(path, Options(only=["ground"]))
 
@@ -559,11 +545,11 @@ def test_unknown_parts_that_define_the_motion_change_it(tmp_path, old, new, part
 
 @pytest.mark.parametrize("kind, noted", [("revolute", True), ("prismatic", True), ("continuous", False)])
 def test_a_joint_without_its_limit_is_noted(tmp_path, kind, noted):
-    path = tmp_path / "free.urdf"
-    path.write_text(
+    path = written(
+        tmp_path / "free.urdf",
         '<robot name="r"><link name="base"/><link name="a"><inertial><mass value="1"/>'
         '<inertia ixx="1" iyy="1" izz="1"/></inertial></link>'
-        f'<joint name="j" type="{kind}"><parent link="base"/><child link="a"/></joint></robot>'
+        f'<joint name="j" type="{kind}"><parent link="base"/><child link="a"/></joint></robot>',
     )
     note = "unlimited, because the <limit> that URDF requires is missing: j"
     assert (note in load_scene(path).notes) is noted
@@ -571,9 +557,7 @@ def test_a_joint_without_its_limit_is_noted(tmp_path, kind, noted):
 
 def test_a_mimic_of_a_fixed_joint_holds_nothing(tmp_path):
     text = five_bar_urdf().replace('<child link="left_end"/>', '<child link="left_end"/><mimic joint="left_crank"/>')
-    path = tmp_path / "five_bar.urdf"
-    path.write_text(text)
-    scene = load_scene(path)
+    scene = load_scene(written(tmp_path / "five_bar.urdf", text))
     assert len(scene.bodies) == 4
     assert "left out: 1 couplings of fixed joints, which cannot follow (left_tip)" in scene.notes
 
@@ -584,8 +568,7 @@ def test_limits_without_a_range_are_noted_with_the_reason(tmp_path):
 
 
 def test_a_start_outside_the_limits_is_noted(tmp_path):
-    path = tmp_path / "arm.urdf"
-    path.write_text(ARM_URDF)
+    path = written(tmp_path / "arm.urdf", ARM_URDF)
     for shoulder, extend, expected in (
         (2, -1, []),
         (2.5, 0, ["shoulder at 2.5 (from -1 to 2)"]),
@@ -647,8 +630,7 @@ def test_a_point_mass_on_axes_that_meet_is_noted(tmp_path):
 
 def test_collision_shapes_of_links_that_are_cut_are_not_counted(tmp_path):
     shape = '<collision><geometry><sphere radius="1"/></geometry></collision></link>'
-    path = tmp_path / "robot.urdf"
-    path.write_text(ARM_URDF.replace("</link>", shape))
+    path = written(tmp_path / "robot.urdf", ARM_URDF.replace("</link>", shape))
     contact = [
         [note for note in scene_from_robot(path, options).notes if "no contact" in note]
         for options in (Options(), Options(only=["upper"]))
@@ -691,8 +673,10 @@ def test_names_that_yaml_takes_for_values(tmp_path):
 
 
 def test_included_models_that_are_missing_have_a_line(tmp_path):
-    path = tmp_path / "w.sdf"
-    path.write_text('<sdf version="1.9"><world name="w">\n<include><uri>model://nope</uri></include></world></sdf>')
+    path = written(
+        tmp_path / "w.sdf",
+        '<sdf version="1.9"><world name="w">\n<include><uri>model://nope</uri></include></world></sdf>',
+    )
     assert refusal(path).startswith(f"{path}:2: ")
 
 
@@ -708,8 +692,7 @@ joints:
 def test_a_loop_keeps_the_start_values_that_are_given(start, tmp_path):
     """The five-bar has two freedoms: up to two coordinates can be chosen."""
     (tmp_path / "five_bar.urdf").write_text(five_bar_urdf())
-    path = tmp_path / "loop.yaml"
-    path.write_text(LOOP.format(str(start).replace("'", "")))
+    path = written(tmp_path / "loop.yaml", LOOP.format(str(start).replace("'", "")))
     found = Simulation(load_scene(path), "rkmk4", 1e-3).sample()
     for name, value in start.items():
         assert found.joint_coordinates[name][0] == pytest.approx(value, abs=1e-13)
@@ -753,8 +736,7 @@ def test_start_values_that_a_loop_cannot_keep_are_refused_with_the_nearest(tmp_p
 def test_rounded_start_values_of_a_loop_are_moved(digits, moved, tmp_path):
     """All five angles of a closed five-bar, which has two freedoms, with few digits."""
     (tmp_path / "five_bar.urdf").write_text(five_bar_urdf())
-    path = tmp_path / "loop.yaml"
-    path.write_text(LOOP.format("{left_crank: 0.2, right_crank: -0.1}"))
+    path = written(tmp_path / "loop.yaml", LOOP.format("{left_crank: 0.2, right_crank: -0.1}"))
     exact = Simulation(load_scene(path), "rkmk4", 1e-3).sample().joint_coordinates
     names = ("left_crank", "left_elbow", "right_crank", "right_elbow")
     start = {name: round(float(exact[name][0]), digits) for name in names}
@@ -776,14 +758,12 @@ def test_rounded_start_values_of_a_loop_are_moved(digits, moved, tmp_path):
 
 def test_errors_have_the_names_of_the_robots_file(tmp_path):
     (tmp_path / "five_bar.urdf").write_text(five_bar_urdf().replace("left_crank", "left-crank"))
-    path = tmp_path / "loop.yaml"
-    path.write_text(LOOP.format("{left-crank: 0.1, left_elbow: 0.1, right_crank: 0.1}"))
+    path = written(tmp_path / "loop.yaml", LOOP.format("{left-crank: 0.1, left_elbow: 0.1, right_crank: 0.1}"))
     assert re.search(r"nearest ones: left-crank -?[\d.]+, ", refusal(path))
 
 
 def test_a_loop_that_cannot_close_names_the_closing_joint(tmp_path):
-    path = tmp_path / "five_bar.urdf"
-    path.write_text(five_bar_urdf())
+    path = written(tmp_path / "five_bar.urdf", five_bar_urdf())
     (tmp_path / "loop.yaml").write_text(
         LOOP.format("").replace("child_frame: {}", "child_frame: {position: [9, 0, 0]}")
     )
@@ -825,12 +805,12 @@ def test_a_coordinate_is_of_joints_that_have_one(tmp_path):
 )
 def test_a_joint_without_limits_or_friction_cannot_have_them(options, message, tmp_path):
     link = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
-    path = tmp_path / "two.urdf"
-    path.write_text(
+    path = written(
+        tmp_path / "two.urdf",
         f"""<robot name="two"><link name="base"/><link name="a">{link}</link><link name="b">{link}</link>
         <joint name="elbow" type="revolute"><parent link="base"/><child link="a"/><dynamics friction="1"/>
         <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
-        <joint name="tip" type="continuous"><parent link="a"/><child link="b"/></joint></robot>"""
+        <joint name="tip" type="continuous"><parent link="a"/><child link="b"/></joint></robot>""",
     )
     with pytest.raises(SceneError, match=message):
         scene_from_robot(path, Options(**options))

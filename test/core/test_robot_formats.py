@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from robot_texts import ARM_SDF, ARM_URDF, bar
+from robot_texts import ARM_SDF, ARM_URDF, bar, written
 from scipy.integrate import solve_ivp
 
 from liegroup_core import SceneError, Simulation, load_scene
@@ -23,8 +23,7 @@ def freedoms(simulation):
 
 def sdf(folder, text, version="1.9"):
     """Path of an SDF file."""
-    path = folder / "model.sdf"
-    path.write_text(f'<sdf version="{version}">{text}</sdf>')
+    path = written(folder / "model.sdf", f'<sdf version="{version}">{text}</sdf>')
     return path
 
 
@@ -156,8 +155,7 @@ FOUR_BAR = """<mujoco><option gravity="0 -9.81 0"/><worldbody>
 
 
 def test_loops_and_welds_of_mjcf(tmp_path):
-    path = tmp_path / "four_bar.xml"
-    path.write_text(FOUR_BAR.format(more=""))
+    path = written(tmp_path / "four_bar.xml", FOUR_BAR.format(more=""))
     simulation = Simulation(load_scene(path), "rkmk4", 1e-3)
     assert freedoms(simulation) == 1
     start = simulation.energy()
@@ -197,8 +195,7 @@ def test_a_tendon_of_fixed_length_is_a_rod(longer, tmp_path):
     x = L cos(q), z = L sin(q). With equal masses the kinetic energy is m L^2 q'^2 / 2, so that
     q'' = -g / L cos(q), the equation of a pendulum.
     """
-    path = tmp_path / "trammel.xml"
-    path.write_text(TRAMMEL.format(tendon="rope", longer=longer))
+    path = written(tmp_path / "trammel.xml", TRAMMEL.format(tendon="rope", longer=longer))
     scene = scene_from_robot(path, Options(pose="tilted"))
     (rod,) = [joint for joint in scene.joints if joint.type == "distance"]
     assert rod.name == "rod" and rod.length == 1.0 + longer
@@ -226,9 +223,7 @@ def test_a_tendon_of_fixed_length_is_a_rod(longer, tmp_path):
 
 
 def test_a_bent_tendon_of_fixed_length_is_left_out(tmp_path):
-    path = tmp_path / "bent.xml"
-    path.write_text(TRAMMEL.format(tendon="bent", longer=0.0))
-    scene = load_scene(path)
+    scene = load_scene(written(tmp_path / "bent.xml", TRAMMEL.format(tendon="bent", longer=0.0)))
     assert [joint.type for joint in scene.joints] == ["prismatic", "prismatic"]
     assert "changes the motion: equality constraints of tendons, left out: rod" in scene.notes
 
@@ -236,8 +231,7 @@ def test_a_bent_tendon_of_fixed_length_is_left_out(tmp_path):
 def test_group_states_of_srdf(tmp_path):
     (tmp_path / "arm.urdf").write_text(ARM_URDF)
     (tmp_path / "arm.srdf").write_text(SRDF)
-    path = tmp_path / "ready.yaml"
-    path.write_text("robot: arm.urdf\nsrdf: arm.srdf\npose: ready\nname: ready_arm\n")
+    path = written(tmp_path / "ready.yaml", "robot: arm.urdf\nsrdf: arm.srdf\npose: ready\nname: ready_arm\n")
     scene = load_scene(path)
     found = Simulation(scene, "rkmk4", 1e-3).sample().joint_coordinates
     assert found["shoulder"][0] == pytest.approx(0.4, abs=1e-14)
@@ -257,8 +251,7 @@ def test_a_group_state_has_the_pose_of_a_floating_root_link(virtual, tmp_path):
         '<joint name="top" value="1 2 3 0 0 0.6 0.8"/><joint name="hip" value="0.5"/>'
         "</group_state></robot>"
     )
-    path = tmp_path / "up.yaml"
-    path.write_text("robot: two.urdf\nsrdf: two.srdf\npose: up\nbase: floating\n")
+    path = written(tmp_path / "up.yaml", "robot: two.urdf\nsrdf: two.srdf\npose: up\nbase: floating\n")
     scene = load_scene(path)
     root = next(body for body in scene.bodies if body.name == "root")
     assert root.position == pytest.approx((1, 2, 3), abs=1e-15)
@@ -269,15 +262,15 @@ def test_a_group_state_has_the_pose_of_a_floating_root_link(virtual, tmp_path):
 
 
 def test_names_that_are_no_names_of_a_scene(tmp_path):
-    path = tmp_path / "odd.urdf"
-    path.write_text(
+    path = written(
+        tmp_path / "odd.urdf",
         f'<robot name="my robot"><link name="base"/>{bar("left-arm", 1.0)}{bar("left_arm", 1.0)}'
         f"{bar('true', 1.0)}"
         + "".join(
             f'<joint name="{name}" type="continuous"><parent link="base"/><child link="{child}"/></joint>'
             for name, child in (("1", "left-arm"), ("j", "left_arm"), ("null", "true"))
         )
-        + "</robot>"
+        + "</robot>",
     )
     scene = load_scene(path)
     assert scene.name == "my_robot"
@@ -382,9 +375,7 @@ UNUSUAL = """<sdf version="1.9"><model name="m"><self_collide>true</self_collide
 
 
 def test_what_sdf_has_and_a_scene_has_not_is_noted(tmp_path):
-    path = tmp_path / "unusual.sdf"
-    path.write_text(UNUSUAL)
-    notes = load_scene(path).notes
+    notes = load_scene(written(tmp_path / "unusual.sdf", UNUSUAL)).notes
     for what in (
         "changes the motion: fluid_added_mass of links, left out: a",
         "changes the motion: kinematic of links, left out: a",
@@ -456,10 +447,12 @@ HELD = """<model name="m">{}<link name="a"><inertial><mass>2</mass><inertia><ixx
 def test_a_position_controller_of_gazebo_is_a_servo_if_it_equals_one(kind, more, effort, tmp_path):
     path = sdf(tmp_path, HELD.format(HOLD.format(more)))
     if kind == "urdf":
-        path = tmp_path / "hold.urdf"
-        path.write_text(f"""<robot name="m"><link name="base"/><link name="a"><inertial><mass value="2"/>
+        path = written(
+            tmp_path / "hold.urdf",
+            f"""<robot name="m"><link name="base"/><link name="a"><inertial><mass value="2"/>
 <inertia ixx="0.3" iyy="1" izz="1"/></inertial></link><joint name="j" type="continuous"><parent link="base"/>
-<child link="a"/></joint><gazebo>{HOLD.format(more)}</gazebo></robot>""")
+<child link="a"/></joint><gazebo>{HOLD.format(more)}</gazebo></robot>""",
+        )
     at = {"start": {"j": 0.4}, "start_velocity": {"j": 1.5}}
     scene = scene_from_robot(path, Options(**at))
     noted = [note for note in scene.notes if note.startswith("changes the motion: plugins")]
@@ -509,9 +502,7 @@ def test_links_without_gravity_and_springs_of_gazebo_have_mujocos_accelerations(
 <implicitSpringDamper>1</implicitSpringDamper></gazebo><ros2_control name="hw" type="system">
 <joint name="j"><state_interface name="position"><param name="initial_value">0.4</param></state_interface>
 <state_interface name="velocity"><param name="initial_value">-1.5</param></state_interface></joint></ros2_control>"""
-    path = tmp_path / "swing.urdf"
-    path.write_text(SWING.format(more=more))
-    scene = load_scene(path)
+    scene = load_scene(written(tmp_path / "swing.urdf", SWING.format(more=more)))
     assert "start values of the file: j = 0.4" in scene.notes
     assert not any("changes the motion" in note for note in scene.notes)
     sample = Simulation(scene, "rkmk4", 1e-3, estimate=False, quiet=True).sample()
@@ -559,8 +550,9 @@ def acceleration_of_mujoco(model, data, pose):
 @pytest.mark.parametrize("kind", IN_MUJOCO)
 def test_joints_of_drake_have_mujocos_accelerations(kind, tmp_path):
     mujoco = pytest.importorskip("mujoco")
-    path = tmp_path / "drake.urdf"
-    path.write_text(DRAKE.format(kind, "<dynamics damping='0 0 0'/>" if kind == "planar" else ""))
+    path = written(
+        tmp_path / "drake.urdf", DRAKE.format(kind, "<dynamics damping='0 0 0'/>" if kind == "planar" else "")
+    )
     sample = Simulation(load_scene(path), "rkmk4", 1e-3, estimate=False, quiet=True).sample()
     model = mujoco.MjModel.from_xml_string(f"""<mujoco><compiler angle="radian" eulerseq="XYZ"/><worldbody>
 <body name="a" pos="0 0 1" euler="0.3 0.2 0.1">{IN_MUJOCO[kind]}<inertial pos="0.1 0 -0.2" mass="1"
@@ -570,8 +562,7 @@ diaginertia="0.01 0.02 0.025"/></body></worldbody></mujoco>""")
 
 
 def test_a_screw_of_drake_has_its_pitch_in_m_per_turn(tmp_path):
-    path = tmp_path / "drake.urdf"
-    path.write_text(DRAKE.format("screw", '<drake:screw_thread_pitch value="0.005"/>'))
+    path = written(tmp_path / "drake.urdf", DRAKE.format("screw", '<drake:screw_thread_pitch value="0.005"/>'))
     (joint,) = load_scene(path).joints
     assert (joint.type, joint.pitch) == ("screw", pytest.approx(0.005 / (2 * np.pi), rel=1e-15))
     path.write_text(DRAKE.format("screw", ""))
@@ -690,8 +681,7 @@ DRIVEN = """<mujoco><option><flag contact="disable" {flag}/></option><worldbody>
 )
 def test_actuators_of_mjcf(actuators, forces, data, notes, tmp_path):
     """(stiffness, damping, limit) of servos, the range of commands, and what is said."""
-    path = tmp_path / "driven.xml"
-    path.write_text(DRIVEN.format(flag="", actuators=actuators, key=""))
+    path = written(tmp_path / "driven.xml", DRIVEN.format(flag="", actuators=actuators, key=""))
     scene = load_scene(path)
     assert [(each.name, each.stiffness, each.damping, each.effort_limit) for each in scene.forces] == forces
     assert scene.joints[0].data == data
@@ -859,11 +849,11 @@ def test_axes_that_a_joint_cannot_use_are_refused_or_noted(tmp_path):
 
 def test_a_limit_of_a_ball_joint_of_mjcf_is_no_cone(tmp_path):
     """MuJoCo limits the angle of the rotation about any axis, also about the bone."""
-    path = tmp_path / "ball.xml"
-    path.write_text(
+    path = written(
+        tmp_path / "ball.xml",
         """<mujoco><compiler angle="radian"/><worldbody><body pos="0 0 1">
         <joint name="s" type="ball" range="0 0.7"/><geom size="0.1" mass="1" pos="0 0 -0.4"/>
-        </body></worldbody></mujoco>"""
+        </body></worldbody></mujoco>""",
     )
     scene = scene_from_robot(path, Options(stops=["all"]))
     assert scene.joints[0].limits is None
@@ -875,11 +865,11 @@ def test_a_limit_of_a_ball_joint_of_mjcf_is_no_cone(tmp_path):
 
 def test_springs_and_servos_act_from_the_start_of_a_joint_beyond_half_a_turn(tmp_path):
     """A scene counts their angle from (-pi, pi]: 4 rad are 4 - 2 pi."""
-    path = tmp_path / "wound.xml"
-    path.write_text(
+    path = written(
+        tmp_path / "wound.xml",
         """<mujoco><compiler angle="radian"/><worldbody><body><joint name="j" stiffness="2" springref="0.5"/>
         <geom size="0.1" pos="0.3 0 0"/></body></worldbody><actuator><position joint="j" kp="3"/></actuator>
-        <keyframe><key name="k" qpos="4" ctrl="5"/></keyframe></mujoco>"""
+        <keyframe><key name="k" qpos="4" ctrl="5"/></keyframe></mujoco>""",
     )
     spring, servo = scene_from_robot(path, Options(pose="k")).forces
     angle = 4.0 - 2.0 * np.pi
@@ -909,8 +899,7 @@ def test_straight_tendons_move_as_in_mujoco(tmp_path):
         '<spatial stiffness="40" springlength="1.037 1.05"><site site="sa"/><site site="sc"/></spatial>',
         "",
     )
-    path = tmp_path / "pulled.xml"
-    path.write_text(text)
+    path = written(tmp_path / "pulled.xml", text)
     scene = load_scene(path)
     assert [joint.type for joint in scene.joints] == ["revolute"] * 3 + ["cable", "cable", "strut"]
     assert not [note for note in scene.differences if "collision" not in note]
@@ -934,8 +923,8 @@ def test_straight_tendons_move_as_in_mujoco(tmp_path):
 
 def test_limits_and_equalities_of_tendons(tmp_path):
     """Limits are a cable and a strut. Lengths count from the pose of the file; 3 joints are no coupling."""
-    path = tmp_path / "coupled.xml"
-    path.write_text(
+    path = written(
+        tmp_path / "coupled.xml",
         TENDONS.format(
             '<spatial name="l" range="0.3 3"><site site="sa"/><site site="sc"/></spatial>'
             '<fixed name="t"><joint joint="ja" coef="1"/><joint joint="jc" coef="-2"/></fixed>'
@@ -944,7 +933,7 @@ def test_limits_and_equalities_of_tendons(tmp_path):
             "</fixed>",
             '<tendon tendon1="t" polycoef="0.3 0 0 0 0"/><tendon tendon1="u" tendon2="v" polycoef="0.1 0.5 0 0 0"/>'
             '<tendon name="three" tendon1="x"/>',
-        )
+        ),
     )
     scene = load_scene(path)
     # ja - 2 jc = 0.3 ,   2 jb = 0.1 + 0.5 * 3 jc
@@ -975,8 +964,7 @@ frictionloss="0.1"/><geom name="g" size="0.1" pos="0.3 0 0" {solid}/></body></wo
 )
 def test_flags_and_contact_pairs_of_mjcf(flag, height, changes, acting, tmp_path):
     """What a flag switches off has no effect and no note; a contact pair acts on shapes that collide with no other."""
-    path = tmp_path / "flags.xml"
-    path.write_text(HINGE.format(flag=flag, height=height, solid='contype="0" conaffinity="0"'))
+    path = written(tmp_path / "flags.xml", HINGE.format(flag=flag, height=height, solid='contype="0" conaffinity="0"'))
     scene = load_scene(path)
     assert len(scene.differences) == len(changes)
     assert all(what in note for what, note in zip(changes, scene.differences))
@@ -991,11 +979,11 @@ def test_a_weld_of_mjcf_may_close_a_loop_of_joints_with_rotors(tmp_path):
     joint = '<joint name="j_{0}" axis="0 1 0" armature="{2}" range="-170 170"/><geom size="0.05"/>'
     bar = f'<body name="{{0}}" pos="{{1}}">{joint}'
     bars = bar.format("a", "0 0 0", 0.3) + bar.format("b", "0.4 0 0", 0.1) + bar.format("c", "0 0 0.4", 0.2)
-    path = tmp_path / "welded.xml"
-    path.write_text(
+    path = written(
+        tmp_path / "welded.xml",
         f"""<mujoco><worldbody><body name="target" mocap="true" pos="0.2 0 0.4"/>{bars}
         {bar.format("d", "-0.2 0 0", 0.2)}</body></body></body></body></worldbody>
-        <equality><weld body1="target" body2="d"/></equality></mujoco>"""
+        <equality><weld body1="target" body2="d"/></equality></mujoco>""",
     )
     scene = load_scene(path)
     assert [joint.name for joint in scene.joints if joint.rotor] == ["j_a", "j_c", "j_d"]
@@ -1009,11 +997,13 @@ def test_a_weld_of_mjcf_may_close_a_loop_of_joints_with_rotors(tmp_path):
 def test_gravity_compensation_of_mjcf(tmp_path):
     """A part of the weight, none of it, and more than all: MuJoCo's accelerations, to round-off."""
     mujoco = pytest.importorskip("mujoco")
-    path = tmp_path / "lifted.xml"
-    path.write_text("""<mujoco><worldbody><body name="a" gravcomp="0.3"><joint axis="0 1 0"/>
+    path = written(
+        tmp_path / "lifted.xml",
+        """<mujoco><worldbody><body name="a" gravcomp="0.3"><joint axis="0 1 0"/>
 <geom size="0.1" pos="0.2 0 0"/><body name="b" pos="0.5 0 0" gravcomp="1"><joint axis="0 1 0.2"/>
 <geom size="0.1" pos="0.2 0 0.1"/></body></body><body name="c" gravcomp="1.5"><freejoint/><geom size="0.1"/></body>
-</worldbody></mujoco>""")
+</worldbody></mujoco>""",
+    )
     scene = load_scene(path)
     assert {"without gravity: b", "with a part of its weight: a, c"} <= set(scene.notes)
     found = Simulation(scene, "rkmk4", 1e-3, estimate=False, quiet=True).sample().accelerations

@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from robot_texts import written
 
 from liegroup_core import SceneError, Simulation, load_scene
 from liegroup_core.lie.groups import SO3
@@ -32,8 +33,7 @@ MOVING = Options(start={"shoulder": 0.3}, start_velocity={"shoulder": 2.0})
 
 
 def arm(tmp_path, more="", name="arm.urdf"):
-    path = tmp_path / name
-    path.write_text(ARM.format(more=more))
+    path = written(tmp_path / name, ARM.format(more=more))
     return path
 
 
@@ -74,9 +74,7 @@ def test_a_base_that_is_fixed_to_the_world_shows_what_it_carries(tmp_path):
         '<joint name="foot" type="fixed"><parent link="floor"/><child link="base"/></joint><joint name="shoulder"',
         1,
     )
-    path = tmp_path / "stand.urdf"
-    path.write_text(text)
-    sample = sampled(scene_of(path, Options(keep=["foot"])))
+    sample = sampled(scene_of(written(tmp_path / "stand.urdf", text), Options(keep=["foot"])))
     pressed = sample.reactions["shoulder"][3:]
     frame = sample.child_frames["shoulder"][:3, :3]
     onto = sample.poses["upper"][:3, :3] @ frame @ pressed
@@ -158,8 +156,7 @@ BASES = {
 @pytest.mark.parametrize("base", BASES)
 def test_a_force_torque_sensor_of_sdf_has_its_axes_its_point_and_its_sign(tmp_path, base, frame, direction, sign):
     """The torque is about the origin of the sensor, in all axes."""
-    path = tmp_path / "arm.sdf"
-    path.write_text(SDF.format(**OF_CELL | {"base": base, "frame": frame, "direction": direction}))
+    path = written(tmp_path / "arm.sdf", SDF.format(**OF_CELL | {"base": base, "frame": frame, "direction": direction}))
     sample = sampled(load_scene(path))
     wrench = tool_wrench(sample)
     R, p = BASES[base]
@@ -208,8 +205,7 @@ def test_placed_sensors_of_sdf_and_urdf_show_what_mujoco_shows(tmp_path):
 <measure_direction>parent_to_child</measure_direction></force_torque></sensor></gazebo></robot>"""
     of_cell = {"base": ' relative_to="mark"', "frame": "sensor", "direction": "parent_to_child"}
     for name, text in (("arm.sdf", SDF.format(**OF_CELL | of_cell)), ("arm.urdf", urdf)):
-        path = tmp_path / name
-        path.write_text(text)
+        path = written(tmp_path / name, text)
         values = sampled(scene_of(path, Options(start_velocity={"shoulder": 2.0}))).sensors
         assert values["imu"][4:] == pytest.approx(expected["imu"], rel=1e-10, abs=1e-10), name
         assert values["cell"] == pytest.approx(expected["cell"], rel=1e-10, abs=1e-10), name
@@ -254,8 +250,7 @@ MJCF = """<mujoco><worldbody>
 
 def test_sensors_of_mjcf_show_what_mujoco_shows(tmp_path):
     mujoco = pytest.importorskip("mujoco")
-    path = tmp_path / "arm.xml"
-    path.write_text(MJCF)
+    path = written(tmp_path / "arm.xml", MJCF)
     start, rates = {"swing": 0.3, "lift": -0.2}, {"swing": 2.0, "lift": 0.7}
     scene = scene_of(path, Options(start=start, start_velocity=rates))
     assert [(sensor.name, sensor.type) for sensor in scene.sensors] == [
@@ -300,8 +295,7 @@ sensors:
 
 def test_sensors_beside_a_robot_name_its_links_and_joints(tmp_path, capsys):
     arm(tmp_path)
-    path = tmp_path / "sensed.yaml"
-    path.write_text(ADDED)
+    path = written(tmp_path / "sensed.yaml", ADDED)
     scene = load_scene(path)
     sample = sampled(scene)
     wrench = tool_wrench(sample)
@@ -333,8 +327,7 @@ def test_sensors_beside_a_robot_name_its_links_and_joints(tmp_path, capsys):
 )
 def test_a_sensor_that_does_not_fit_the_robot_is_refused_with_its_line(tmp_path, entry, text):
     arm(tmp_path)
-    path = tmp_path / "sensed.yaml"
-    path.write_text(f"robot: arm.urdf\nsensors:\n  - {entry}\n")
+    path = written(tmp_path / "sensed.yaml", f"robot: arm.urdf\nsensors:\n  - {entry}\n")
     with pytest.raises(SceneError) as error:
         load_scene(path)
     assert text in str(error.value) and ":3: " in str(error.value)

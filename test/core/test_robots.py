@@ -20,6 +20,7 @@ from robot_texts import (
     rotation,
     scissor_lift,
     stewart_sdf,
+    written,
 )
 
 from liegroup_core import Scene, SceneError, Simulation, load_scene
@@ -49,8 +50,7 @@ def arm_in(folder, kind):
         text = ARM_MJCF.format(upper=" ".join(map(repr, tensor.tolist())))
     else:
         text = {"urdf": ARM_URDF, "sdf": ARM_SDF}[kind]
-    path = folder / f"arm.{'xml' if kind == 'mjcf' else kind}"
-    path.write_text(text)
+    path = written(folder / f"arm.{'xml' if kind == 'mjcf' else kind}", text)
     return path
 
 
@@ -162,15 +162,13 @@ def test_the_text_of_a_robot_reads_back_bit_identical(tmp_path):
 
 @pytest.mark.parametrize("seed", range(6))
 def test_random_urdf_trees_have_mujocos_accelerations(seed, tmp_path):
-    path = tmp_path / "random.urdf"
-    path.write_text(random_urdf(np.random.default_rng(seed), 8))
+    path = written(tmp_path / "random.urdf", random_urdf(np.random.default_rng(seed), 8))
     scene = scene_from_robot(path, Options(stops=[], friction=[]))
     assert peers().against_mujoco(path, scene, 10) < 1e-12
 
 
 def test_joints_of_mjcf_have_mujocos_accelerations(tmp_path):
-    path = tmp_path / "all.xml"
-    path.write_text(MJCF_WITH_ALL_JOINTS)
+    path = written(tmp_path / "all.xml", MJCF_WITH_ALL_JOINTS)
     scene = scene_from_robot(path, Options(stops=[], friction=[]))
     assert peers().against_mujoco(path, scene, 20) < 1e-12
     assert [joint.name for joint in scene.joints if joint.rotor] == ["wrist"]
@@ -182,8 +180,7 @@ def test_joints_of_mjcf_have_mujocos_accelerations(tmp_path):
 @pytest.mark.parametrize("key", [None, "k"])
 def test_actuators_have_mujocos_accelerations(key, tmp_path):
     """Servos and motors with gears, limits and commands; also through tendons, of coupled joints, too."""
-    path = tmp_path / "driven.xml"
-    path.write_text(MJCF_WITH_ACTUATORS)
+    path = written(tmp_path / "driven.xml", MJCF_WITH_ACTUATORS)
     scene = scene_from_robot(path, Options(pose=key))
     assert not [note for note in scene.differences if "collision" not in note]
     assert peers().against_mujoco(path, scene, 20, key) < 1e-12
@@ -196,8 +193,7 @@ def coordinates(scene):
 
 
 def test_start_values_poses_and_locked_joints(tmp_path):
-    path = tmp_path / "all.xml"
-    path.write_text(MJCF_WITH_ALL_JOINTS)
+    path = written(tmp_path / "all.xml", MJCF_WITH_ALL_JOINTS)
     home = coordinates(scene_from_robot(path, Options(pose="home", start={"turn": 0.7})))
     # Coordinates count from the pose of the file, where the wrist is at 20 degrees.
     expected = {"x": 0.1, "y": 0.2, "turn": 0.7, "wrist": 0.4 - np.radians(20), "twist": 0.5}
@@ -244,8 +240,7 @@ def test_a_keyframe_is_mujocos_state(tmp_path):
     key = f'qvel="{values}" qpos="0.1 0.2 0.3  0.8 0 -0.48 0.36  0.4 0.5  1 2 1 0.6 0.64 0 0.48"'
     text = MJCF_WITH_ALL_JOINTS.replace('qpos="0.1 0.2 0.3  1 0 0 0  0.4 0.5  1 0 1 1 0 0 0"', key)
     assert key in text
-    path = tmp_path / "all.xml"
-    path.write_text(text)
+    path = written(tmp_path / "all.xml", text)
     scene = scene_from_robot(path, Options(pose="home"))
     model = mujoco.MjModel.from_xml_path(str(path))
     data = mujoco.MjData(model)
@@ -268,10 +263,10 @@ TURN = [0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5)]  # x, y, z, w
 def test_starts_of_floating_links_and_of_joints_with_several_coordinates(tmp_path):
     """In a file beside the robot, and with the option --start; keys that are not given stay."""
     (tmp_path / "all.xml").write_text(MJCF_WITH_ALL_JOINTS)
-    beside = tmp_path / "placed.yaml"
-    beside.write_text(
+    beside = written(
+        tmp_path / "placed.yaml",
         f"robot: all.xml\nstart:\n  ball_free: {{quaternion: {TURN}, linear_velocity: [1, 0, 0]}}\n"
-        "  ball: {rotation_vector: [0, 0, 0.3], angular_velocity: [0, 0, 2]}\n  x: 0.5\n"
+        "  ball: {rotation_vector: [0, 0, 0.3], angular_velocity: [0, 0, 2]}\n  x: 0.5\n",
     )
     scene = load_scene(beside)
     bodies = {body.name: body for body in scene.bodies}
@@ -335,8 +330,7 @@ UNIVERSAL_SDF = """<sdf version="1.9"><model name="m"><link name="a"><pose>1 2 3
 )
 def test_starts_satisfy_the_type_of_their_joint(text, good, bad, tmp_path):
     """A scene that loads satisfies its joints at the start, poses and velocities."""
-    path = tmp_path / ("r.urdf" if "robot" in text else "r.sdf")
-    path.write_text(text)
+    path = written(tmp_path / ("r.urdf" if "robot" in text else "r.sdf"), text)
     still = scene_from_robot(path).bodies[0]
     start = Start(**good)
     body = scene_from_robot(path, Options(start={"j": start})).bodies[0]
@@ -398,8 +392,7 @@ TIP = Joint(name="tip", type="revolute", parent="left_end", child="right_end", p
     ],
 )
 def test_joint_coordinates_count_what_floats(text, options, file, scene, tmp_path):
-    path = tmp_path / f"robot.{'sdf' if text.startswith('<sdf') else 'urdf'}"
-    path.write_text(text)
+    path = written(tmp_path / f"robot.{'sdf' if text.startswith('<sdf') else 'urdf'}", text)
     saved = describe(make_layout(scene_from_robot(path, options)))["import"]
     assert (saved["file_coordinates"], saved["coordinates"]) == (file, scene)
 
@@ -450,8 +443,8 @@ def test_bases_and_chains(tmp_path):
 
 def test_a_yaml_file_closes_a_loop_and_adds_a_spring(tmp_path):
     (tmp_path / "five_bar.urdf").write_text(five_bar_urdf())
-    path = tmp_path / "closed.yaml"
-    path.write_text(
+    path = written(
+        tmp_path / "closed.yaml",
         "robot: five_bar.urdf\n"
         "gravity: [0, -9.81, 0]\n"
         "start: {left_crank: 0.05}\n"
@@ -460,7 +453,7 @@ def test_a_yaml_file_closes_a_loop_and_adds_a_spring(tmp_path):
         " child_frame: {}}\n"
         "forces:\n"
         "  - {name: spring, type: torsional_spring_damper, joint: left_crank, stiffness: 5}\n"
-        "  - {name: pull, type: applied_wrench, body: left_end, force: [0, 2, 0]}\n"
+        "  - {name: pull, type: applied_wrench, body: left_end, force: [0, 2, 0]}\n",
     )
     scene = load_scene(path)
     simulation = Simulation(scene, "rkmk4", 1e-3)
@@ -502,9 +495,7 @@ def freedoms(simulation):
 
 
 def test_a_stewart_platform_from_sdf(tmp_path):
-    path = tmp_path / "stewart.sdf"
-    path.write_text(stewart_sdf())
-    scene = load_scene(path)
+    scene = load_scene(written(tmp_path / "stewart.sdf", stewart_sdf()))
     simulation = Simulation(scene, "rkmk4", 1e-3)
     assert len(scene.bodies) == 13 and len(scene.forces) == 6 and freedoms(simulation) == 6
     start = simulation.energy()
@@ -587,8 +578,7 @@ def test_mimic_joints_are_couplings(tmp_path):
 def test_coupled_joints_have_mujocos_accelerations(curve, tmp_path):
     """MuJoCo without its soft equality, with exact rows of the couplings; the start satisfies its own equality."""
     mujoco = pytest.importorskip("mujoco")
-    path = tmp_path / "geared.xml"
-    path.write_text(EQUALITY_MJCF.replace("0.1 -0.3 0 0 0", f"0.1 -0.3 {curve}"))
+    path = written(tmp_path / "geared.xml", EQUALITY_MJCF.replace("0.1 -0.3 0 0 0", f"0.1 -0.3 {curve}"))
     scene = load_scene(path)
     assert len(scene.couplings) == 2
     assert peers().against_mujoco(path, scene, 20) < 1e-12
@@ -607,10 +597,10 @@ def test_coupled_joints_have_mujocos_accelerations(curve, tmp_path):
 def test_couplings_beside_a_robot(tmp_path):
     """By names of the robot's joints; without an offset the start values define it."""
     path = arm_in(tmp_path, "urdf")
-    beside = tmp_path / "geared.yaml"
-    beside.write_text(
+    beside = written(
+        tmp_path / "geared.yaml",
         f"robot: {path.name}\nstart: {{shoulder: 0.3, extend: 0.1}}\n"
-        "couplings:\n  - {name: rack, joint: extend, other: shoulder, ratio: 0.5}\n"
+        "couplings:\n  - {name: rack, joint: extend, other: shoulder, ratio: 0.5}\n",
     )
     scene = load_scene(beside)
     assert scene.couplings[0].offset == pytest.approx(0.1 - 0.5 * 0.3, abs=1e-15)
@@ -682,8 +672,7 @@ CHAIN = """<joint name="j" type="continuous"><parent link="a"/><child link="b"/>
 @pytest.mark.parametrize("order", ["abc", "bac", "cba"])
 @pytest.mark.parametrize("lock", [{}, {"k": 0.3}, {"j": 0.4}])
 def test_the_root_link_of_a_floating_robot_stays_whatever_the_order(order, lock, tmp_path):
-    path = tmp_path / "chain.urdf"
-    path.write_text(f'<robot name="r">{"".join(LINKS[name] for name in order)}{CHAIN}</robot>')
+    path = written(tmp_path / "chain.urdf", f'<robot name="r">{"".join(LINKS[name] for name in order)}{CHAIN}</robot>')
     start = {name: value for name, value in {"j": 0.4, "k": 0.3}.items() if name not in lock}
     options = Options(base="floating", start=start, start_velocity=dict.fromkeys(start, 2.0), lock=lock)
     poses, twists = placed_links(scene_from_robot(path, options))
@@ -695,12 +684,14 @@ def test_the_root_link_of_a_floating_robot_stays_whatever_the_order(order, lock,
 
 @pytest.mark.parametrize(("canonical", "still"), [("", "b"), ('canonical_link="a"', "a")])
 def test_the_canonical_link_of_a_floating_model_stays(canonical, still, tmp_path):
-    path = tmp_path / "two.sdf"
-    path.write_text(f"""<sdf version="1.9"><model name="m" {canonical}>
+    path = written(
+        tmp_path / "two.sdf",
+        f"""<sdf version="1.9"><model name="m" {canonical}>
 <link name="b"><pose>0 0 1 0 0 0</pose><inertial><mass>1</mass></inertial></link>
 <link name="a"><pose>1 0 0 0 0 0</pose><inertial><mass>5</mass></inertial></link>
 <joint name="j" type="revolute"><parent>a</parent><child>b</child><axis><xyz>0 1 0</xyz></axis>
-</joint></model></sdf>""")
+</joint></model></sdf>""",
+    )
     options = Options(start={"j": 0.5}, start_velocity={"j": 1.0})
     poses, twists = placed_links(scene_from_robot(path, options))
     expected = {"a": [1, 0, 0], "b": [0, 0, 1]}[still]
@@ -741,11 +732,11 @@ def test_assembly_keeps_the_start_of_a_floating_link(tmp_path):
         <body name="thigh" pos="0.2 0 0"><joint name="hip" axis="0 1 0"/><geom size="0.1" pos="0 0 -0.1"/></body></body>
         </worldbody><keyframe><key name="k" qpos="0 0 1 1 0 0 0 0.5" qvel="1 0 0 0 0 0 2"/></keyframe></mujoco>"""
     )
-    beside = tmp_path / "held.yaml"
-    beside.write_text(
+    beside = written(
+        tmp_path / "held.yaml",
         "robot: leg.xml\npose: k\nstart: {trunk: {position: [0, 0, 1.1], linear_velocity: [0, 0, 0]}}\njoints:\n"
         "  - {name: rod, type: distance, parent: world, child: thigh, parent_frame: {},\n"
-        "     child_frame: {position: [0, 0, -0.3]}, length: 1.0}\n"
+        "     child_frame: {position: [0, 0, -0.3]}, length: 1.0}\n",
     )
     trunk, thigh = load_scene(beside).bodies
     assert trunk.position == (0.0, 0.0, 1.1) and not trunk.twist.any()

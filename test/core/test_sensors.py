@@ -21,29 +21,14 @@ def about_y(angle):
 
 def pendulum(*sensors, angle=0.4, rate=1.3):
     """Rod that hangs from a hinge at the origin, its mass at LENGTH below."""
+    rod = {"name": "rod", "mass": 2.0, "inertia": [0.3, 0.3, 0.1], "com": (0, 0, -LENGTH)}
+    rod |= {"quaternion": about_y(angle), "angular_velocity": (0, rate, 0)}
+    hinge = {"name": "hinge", "type": "revolute", "parent": "world", "child": "rod"}
     return Scene(
         name="rod",
         gravity=(0, 0, -G),
-        bodies=[
-            {
-                "name": "rod",
-                "mass": 2.0,
-                "inertia": [0.3, 0.3, 0.1],
-                "com": (0, 0, -LENGTH),
-                "quaternion": about_y(angle),
-                "angular_velocity": (0, rate, 0),
-            }
-        ],
-        joints=[
-            {
-                "name": "hinge",
-                "type": "revolute",
-                "parent": "world",
-                "child": "rod",
-                "parent_frame": AXIS,
-                "child_frame": AXIS,
-            }
-        ],
+        bodies=[rod],
+        joints=[hinge | {"parent_frame": AXIS, "child_frame": AXIS}],
         sensors=[{"name": f"s{k}", **sensor} for k, sensor in enumerate(sensors)],
     )
 

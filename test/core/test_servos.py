@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Servos: closed forms with commands and limits, turns, exact repetition, refusals."""
 
+import json
+
 import numpy as np
 import pytest
 from given import reference_inputs
 from scipy.linalg import expm
 
 from liegroup_core import SceneError, Simulation, load_scene
+from liegroup_core.forces.commands import Command
 from liegroup_core.reference import integrate
 from liegroup_core.scene.load import scene_from_text
 
@@ -159,20 +162,35 @@ def test_servos_follow_the_independent_reference(group):
 
 @pytest.mark.parametrize("method", ["rkmk4", "rkmk54", "generalized_alpha", "constrained_rattle", None])
 @pytest.mark.parametrize("at_once", [1, 13])
-def test_the_recorded_changes_repeat_a_run_with_servos_bit_by_bit(method, at_once):
+def test_the_recorded_changes_repeat_a_run_bit_by_bit(method, at_once):
+    """Servos, efforts and wrenches inside steps, that replace each other, that cancel, and that end unnoticed."""
     made = scene(ARM, *both(", effort_limit: 9"))
     options = {"method": method, "step": 1e-3} if method else {"accuracy": 1e-5, "step": 1e-3}
-    first, second = (Simulation(made, **options) for _ in range(2))
+    first, second = (Simulation(scene_from_text(made.text), **options) for _ in range(2))
+    push, effort = first.apply_wrench, first.apply_effort
     first.command_servo("hinge", -0.6, 0.2, start=0.0501234)
     first.command_servo("hinge", 0.3, start=0.12)
     first.command_servo("slide", 0.2, start=0.07, duration=0.09)
-    first.apply_effort("slide", 3.0, start=0.0304, duration=0.1)
-    first.apply_wrench("hand", (0, 0, 0, 0, 2.0, 0), start=0.1, duration=0.07)
+    effort("slide", 3.0, start=0.0304, duration=0.1)
+    effort("hinge", 0.7, duration=0.0901, source="other")
+    effort("slide", 0.9, start=0.09)
+    effort("slide", 0.0, start=0.1402)
+    push("hand", (0, 0, 0, 0, 2.0, 0), start=0.1, duration=0.07)
+    push("upper", (0.3, 0, 0, 0, 5.0, 0), start=0.0501234, duration=0.1, axes="world")
+    push("upper", (0, 0, 0.1, 0.9, 0, 0), duration=0.0901, source="other")
+    push("upper", (0, 0, 0.1, 0.9, 0, 0), start=0.0304, duration=0.2, source="other")
+    push("hand", (0.2, 0, 0, 0, 0, 0), start=0.1803, source="one")
+    push("hand", (-0.2, 0, 0, 0, 0, 0), start=0.1803, source="two")
+    push("hand", (0, 0.2, 0, 0, 0, 0), start=0.1803, duration=1e-5, source="short")
+    push("hand", (0, 0, 0, 0.7, 0, 0.3), 0.12, 0.1002, "end", "world", (0.1, -0.02, 0.3))
     first.advance(260)
     changes = first.drain_applied()
-    assert sum(change.kind == "target" for change in changes) == 4
+    assert [change.kind for change in changes].count("target") == 4
+    starts = [change.start_ns for change in changes if change.name == "upper"]
+    assert starts == [50_123_400, 0, 30_400_000]
+    assert [change.point for change in changes if change.point] == [(0.1, -0.02, 0.3)]
     for change in changes:
-        change.repeat(second)
+        Command.from_json(json.loads(json.dumps(change.as_json()))).repeat(second)
     for _ in range(260 // at_once):
         second.advance(at_once)
     for mine, theirs in zip(first.state(), second.state()):
@@ -189,6 +207,7 @@ def test_the_estimate_of_the_error_follows_commands():
     for each in (simulation, reference):
         each.command_servo("slide", 0.2)
         each.command_servo("hinge", -1.0, 0.2, start=0.1003)
+        each.apply_effort("slide", -5.0, start=0.15, duration=0.2)
         each.advance(round(0.4 / each.step))
     sample, true = simulation.sample(), reference.sample()
     error = np.linalg.norm(sample.pose[:, 9:] - true.pose[:, 9:], axis=1).max()

@@ -108,6 +108,7 @@ def test_rows_of_windows_pass_all_their_flat_poses(n):
 @pytest.mark.parametrize("horizon", [1.0, 3.0, 10.0])
 @pytest.mark.parametrize("accuracy", [1e-4, 1e-6])
 @pytest.mark.parametrize("n", [1, 5])
+@pytest.mark.volume(4)
 def test_no_accuracy_is_given_up_that_is_kept(n, accuracy, horizon):
     """The estimate stays below the accuracy at the steps of a long and of a short horizon, too."""
     for step in (0.01, horizon / 50.0):

@@ -4,6 +4,7 @@
 import mpmath as mp
 import numpy as np
 import pytest
+from golden import DIGITS
 
 from liegroup_core.reference.elliptic import free_body, heavy_top, to_floats
 
@@ -11,25 +12,6 @@ INERTIA, OMEGA = ("0.9144", "1.098", "1.66"), ("0.45549", "0.82623", "0.03476")
 TOP = ("15.234375", "0.46875", 15, (0, 1, 0), ("0", "0", "-9.81"))
 TOP_OMEGA = ("0", "150", "-4.61538")
 START = np.eye(3).tolist()
-# Taylor series of the polynomial equations of motion in 45 digits, as rows of R, then w.
-FREE_1 = (
-    "0.67948695072138193 0.15978651402103335 0.71607663956895312 "
-    "0.18508239274714739 0.90710109646680989 -0.37803717897014038 "
-    "-0.70995914790525023 0.3894045078394925 0.5867896876905163 "
-    "0.44832395111839394 0.83054914365814067 -0.0065366678179422367"
-)
-FREE_10 = (
-    "0.19178161690691239 0.77079260376254685 -0.60753483307669178 "
-    "0.85411011090955504 -0.436001649248976 -0.28354625776800601 "
-    "-0.48344154750976658 -0.46452268387789887 -0.74195885755494269 "
-    "0.90423322093210655 -0.092267277872608393 -0.3331830261298791"
-)
-TOP_1 = (
-    "0.22929964080360759 0.17334396409838604 0.95779619170155087 "
-    "-0.76534074220468094 0.64008859207056878 0.067380580456872719 "
-    "-0.60139439891715374 -0.74849079113358131 0.27943928238402867 "
-    "-0.82207810168270446 150.0 -5.9232913481173362"
-)
 
 
 def numbers(found):
@@ -60,7 +42,7 @@ def by_series(inertia, omega, time, torque=lambda R: mp.zeros(3, 1)):
         return end[:9], end[9:]
 
 
-@pytest.mark.parametrize("time, golden", [(1, FREE_1), (10, FREE_10)])
+@pytest.mark.parametrize("time, golden", [(1, DIGITS["free_body", 1]), (10, DIGITS["free_body", 10])])
 def test_free_body_at_golden_end_states(time, golden):
     """Tolerance: golden numbers below 1 have 17 digits, half a unit of the last one."""
     with mp.workdps(40):
@@ -72,7 +54,7 @@ def test_lagrangian_top_at_its_golden_end_state():
     """Tolerance: |w| = 150 rad/s with 17 digits per component, the largest exact."""
     with mp.workdps(40):
         found = heavy_top(*TOP, START, TOP_OMEGA, 1)
-        assert max(abs(a - mp.mpf(b)) for a, b in zip(numbers(found), TOP_1.split())) <= 5e-16
+        assert max(abs(a - mp.mpf(b)) for a, b in zip(numbers(found), DIGITS["lagrangian_top", 1].split())) <= 5e-16
 
 
 @pytest.mark.parametrize(
@@ -80,6 +62,7 @@ def test_lagrangian_top_at_its_golden_end_state():
     [("0.3", "1.2", "0.1"), ("-0.7", "0.5", "-1.4"), ("2", "-0.4", "0.3"), ("0", "1", "1e-9"), ("1e-25", "1", "0")],
     ids=["below", "above", "below, fast", "separatrix", "nearer"],
 )
+@pytest.mark.volume(2)
 def test_free_body_in_every_regime_against_taylor_series(omega):
     """Also at 1e-9 and 1e-25 from the unstable axis: the modulus differs from 1 by the squares."""
     diagonal = ("0.9144", "1.098", "1.66")

@@ -1,38 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motions under springs, motors, drag and timed wrenches against closed forms."""
+"""Turns of wound springs, the line of a motor, and wrenches with times.
 
-from dataclasses import replace
+Motions under every kind of force against closed forms: test_reference_kinds.py; orders with wrenches that
+start and end inside steps: test_pushes.py.
+"""
 
-import mechanisms
 import numpy as np
 import pytest
+from convergence import order_of
 
 from liegroup_core import Scene, Simulation, SimulationError
 from liegroup_core.forces import kinds
 from liegroup_core.forces.instants import StepGrid
 from liegroup_core.forces.timetable import Timetable
-from liegroup_core.scene import (
-    Body,
-    ConstantWrench,
-    Drag,
-    Frame,
-    Joint,
-    LinearMotor,
-    LinearSpringDamper,
-    Motor,
-    SpringDamper,
-    TorsionalSpringDamper,
-)
+from liegroup_core.scene import Body, ConstantWrench, Frame, Joint, Motor, TorsionalSpringDamper
 from liegroup_core.status import ROTATION_TOO_LARGE, TURNS_NOT_COUNTED
 
 EPS = 2.0**-52
 BOTH = pytest.mark.parametrize("group", ["se3", "so3xr3"])
 AXIS = np.array([1.0, 2.0, 2.0]) / 3.0
 START = {"quaternion": (0.1, -0.5, 0.1, 0.8544003745)}  # of no special direction
-
-
-def slope(errors):
-    return np.polyfit(np.log(list(errors)), np.log(list(errors.values())), 1)[0]
 
 
 # ---------------------------------------------------------------- on hinges
@@ -115,7 +102,7 @@ def test_torsional_oscillator_over_many_turns(made, group):
             assert abs(gap - round(gap)) < 1e-12
         errors[h] = worst
     assert largest > 10 * 2 * np.pi
-    assert slope(errors) == pytest.approx(4.0, abs=0.1)
+    assert order_of(errors) == pytest.approx(4.0, abs=0.1)
     # The classical method on theta'' = -w^2 theta loses (h w)^4 w t / 120 of the phase.
     bound = 2 * rest * (2e-3 * w) ** 4 * w * 4.0 / 120
     assert errors[2e-3] < 1.5 * bound
@@ -191,171 +178,11 @@ def test_turns_that_cannot_be_counted_stop_the_run():
     assert slower.sample().angles[0] == pytest.approx(70.0 / w * np.sin(4.0 * w), rel=1e-9)
 
 
-@BOTH
-@pytest.mark.parametrize("made", [hinged, pair])
-def test_motor_with_a_rate_limit_spins_up_exponentially(made, group):
-    """w = limit (1 - e^{-t/T}) with T = I limit / |torque|, backwards here."""
-    torque, limit = -0.8, 12.0
-    scene, inertia = made(Motor(name="drive", joint="hinge", torque=torque, rate_limit=limit))
-    constant = inertia * limit / abs(torque)
-    errors = {}
-    for h in (0.16, 0.08, 0.04):
-        simulation = Simulation(scene, method="rkmk4", step=h, group=group)
-        simulation.advance(round(4.8 / h))
-        twists = simulation.sample().twists
-        rate = AXIS @ twists["arm"][:3] if made is hinged else twists["second"][2] - twists["first"][2]
-        wanted = -limit * (1.0 - np.exp(-4.8 / constant))
-        errors[h] = abs(rate - wanted)
-        assert rate > -limit
-    # Local error (h/T)^5 / 120 of limit, fading: at most t/T e^{-t/T} (h/T)^4 / 120 <= .37 / 120.
-    assert errors[0.04] <= 1.5 * limit * (0.04 / constant) ** 4 * 0.37 / 120
-    assert slope(errors) == pytest.approx(4.0, abs=0.2)
-
-
-def test_a_motor_without_a_limit_gives_constant_torque():
-    scene, inertia = hinged(Motor(name="drive", joint="hinge", torque=0.8))
-    simulation = Simulation(scene, method="rkmk4", step=0.01)
-    simulation.advance(500)
-    sample = simulation.sample()
-    # 500 additions of the size of the sum, each half an eps, in each of some ten operations
-    assert AXIS @ sample.twists["arm"][:3] == pytest.approx(0.8 / inertia * 5.0, rel=5000 * EPS)
-    assert sample.power == pytest.approx(0.8 * 0.8 / inertia * 5.0, rel=5000 * EPS)
-    assert sample.energy == pytest.approx(0.5 * (0.8 * 5.0) ** 2 / inertia, rel=10000 * EPS)
-
-
 @pytest.mark.parametrize("rate, wanted", [(0.0, 2.0), (6.0, 1.0), (12.0, 0.0), (18.0, -1.0), (-12.0, 4.0)])
 def test_the_torque_speed_line_of_a_motor(rate, wanted):
     """Zero at the speed limit, braking beyond, above the stall torque in reverse rotation."""
     scene, inertia = hinged(Motor(name="drive", joint="hinge", torque=2.0, rate_limit=12.0), spin=rate)
     assert Simulation(scene, method="rkmk4").sample().power == pytest.approx(wanted * rate, abs=1e-13)
-
-
-# ---------------------------------------------------------------- on sliders
-
-
-def along_z(force, joint_type):
-    """(simulation of two bodies that move along the z axis of a joint, reduced mass).
-
-    joint_type None: two free bodies and the force on a line through their centres of mass, which
-    stay on it
-    """
-    bodies = [
-        Body(name="first", mass=2.0, inertia=INERTIA, **START),
-        Body(name="second", mass=1.0, inertia=(0.1, 0.1, 0.2), position=0.5 * AXIS, **START),
-    ]
-    ground = Frame(axis=bodies[0].rotation.T @ AXIS)
-    joint = mechanisms.joint(
-        joint_type or "spherical",
-        name="slider",
-        parent="first",
-        child="second",
-        parent_frame=ground,
-        child_frame=Frame(axis=ground.axis) if joint_type else None,
-    )
-    scene = Scene(
-        name="line",
-        gravity=(0, 0, 0),
-        bodies=bodies,
-        joints=[joint] if joint_type else [],
-        forces=[force] if joint_type else [],
-    )
-    simulation = Simulation(scene, method="rkmk4", step=0.02, group="se3")
-    if joint_type is None:
-        ends = {"slider": (0, 1, ground.pose, ground.pose)}
-        forces = kinds.make_forces([force], {"first": 0, "second": 1}, ends)
-        simulation.layout = replace(simulation.layout, model=simulation.layout.model.replace(forces=forces))
-        model = simulation._integrator.links[0].replace(space=simulation.layout.model)
-        simulation._integrator._model = model
-    return simulation, 1.0 / (1.0 / 2.0 + 1.0 / 1.0)
-
-
-def slides(kind):
-    return mechanisms.directions(kind).tolist()
-
-
-ON_A_LINE = pytest.mark.parametrize(
-    "joint_type", [None, *(kind for kind in mechanisms.FREE if mechanisms.VZ.tolist() in slides(kind))]
-)
-
-
-def separation(sample):
-    return (sample.positions["second"] - sample.positions["first"]) @ AXIS
-
-
-@ON_A_LINE
-def test_linear_spring_damper_has_the_closed_form(joint_type):
-    stiffness, damping, rest = 30.0, 1.0, 0.8
-    simulation, mass = along_z(
-        LinearSpringDamper(name="coil", joint="slider", stiffness=stiffness, damping=damping, rest_position=rest),
-        joint_type,
-    )
-    assert simulation.sample().energy == pytest.approx(0.5 * stiffness * 0.3**2, rel=1e-14)
-    d = damping / (2 * mass)
-    w = np.sqrt(stiffness / mass - d * d)
-    simulation.advance(100)
-    wanted = rest - 0.3 * np.exp(-2 * d) * (np.cos(2 * w) + d / w * np.sin(2 * w))
-    # Phase error (h w)^4 w t / 120, times the amplitude left; the same again from the damping.
-    bound = 2 * 0.3 * np.exp(-2 * d) * (0.02 * w) ** 4 * 2 * w / 120
-    assert separation(simulation.sample()) == pytest.approx(wanted, abs=bound)
-    positions = simulation.sample().positions
-    # the centre of mass of both stays: internal forces, to a few roundings a step
-    assert np.abs(2.0 * positions["first"] + positions["second"] - 0.5 * AXIS).max() < 400 * EPS
-
-
-@ON_A_LINE
-@pytest.mark.parametrize("force", [3.0, -3.0])
-def test_linear_motor_approaches_its_speed_limit_exponentially(joint_type, force):
-    """v = limit (1 - e^{-t/T}) with T = m limit / |force|, in the direction of the force."""
-    limit = 2.0
-    simulation, mass = along_z(LinearMotor(name="drive", joint="slider", force=force, speed_limit=limit), joint_type)
-    constant = mass * limit / abs(force)
-    simulation.advance(100)
-    wanted = 0.5 + np.sign(force) * limit * (2.0 - constant * (1.0 - np.exp(-2.0 / constant)))
-    # local errors (h/T)^5 / 120 of the speed, summed with what is left of them, over the time T
-    bound = 2 * limit * constant * (0.02 / constant) ** 4 / 120
-    assert separation(simulation.sample()) == pytest.approx(wanted, abs=bound)
-
-
-# ---------------------------------------------------------------- drag
-
-
-def dragged(v=(0, 0, 0), w=(0, 0, 0), **drag):
-    body = Body(name="b", mass=2.0, inertia=INERTIA, linear_velocity=v, angular_velocity=w)
-    return Scene(name="dragged", gravity=(0, 0, 0), bodies=[body], forces=[Drag(name="air", body="b", **drag)])
-
-
-@BOTH
-def test_linear_drag_decays_exponentially(group):
-    """v = v0 e^{-c t / m}; the spin about a principal axis likewise with its inertia."""
-    simulation = Simulation(dragged(v=(3, -2, 1), linear=4.0), method="rkmk4", step=0.01, group=group)
-    simulation.advance(100)
-    bound = (0.01 * 2.0) ** 4 * 2.0 / 120  # (h c/m)^4 (c/m) t / 120 relative
-    np.testing.assert_allclose(
-        simulation.sample().twists["b"][3:], np.exp(-2.0) * np.array([3, -2, 1]), rtol=1.1 * bound
-    )
-    travelled = (1.0 - np.exp(-2.0)) / 2.0 * np.array([3, -2, 1])
-    np.testing.assert_allclose(simulation.sample().positions["b"], travelled, rtol=1.1 * bound)
-    simulation = Simulation(dragged(w=(0, 5, 0), angular=0.8), method="rkmk4", step=0.01, group=group)
-    simulation.advance(100)
-    assert simulation.sample().twists["b"][1] == pytest.approx(5 * np.exp(-2.0), rel=1.1 * bound)
-
-
-@BOTH
-def test_quadratic_drag_decays_like_a_hyperbola(group):
-    """v = v0 / (1 + k v0 t), k = c/m, distance ln(1 + k v0 t) / k; the spin likewise."""
-    speed = np.sqrt(14.0)
-    scene = dragged(v=(3, -2, 1), quadratic=1.0)
-    errors = {}
-    for h in (0.08, 0.04, 0.02):
-        simulation = Simulation(scene, method="rkmk4", step=h, group=group)
-        simulation.advance(round(2.4 / h))
-        sample = simulation.sample()
-        errors[h] = abs(np.linalg.norm(sample.twists["b"][3:]) - speed / (1 + 0.5 * speed * 2.4))
-        assert np.linalg.norm(sample.positions["b"]) == pytest.approx(np.log(1 + 0.5 * speed * 2.4) / 0.5, rel=1e-4)
-    assert slope(errors) == pytest.approx(4.0, abs=0.3) and errors[0.02] < 1e-8
-    simulation = Simulation(dragged(w=(0, 0, 4), angular_quadratic=0.25), method="rkmk4", step=0.01, group=group)
-    simulation.advance(100)
-    assert simulation.sample().twists["b"][2] == pytest.approx(4 / (1 + 0.5 * 4), rel=1e-8)
 
 
 # ---------------------------------------------------------------- wrenches with times
@@ -395,78 +222,6 @@ def test_impulse_is_force_times_time(start, end, group, spin):
     assert np.abs(momentum - lasting * np.array([3.0, -1.0, 2.0])).max() <= 4000 * EPS
 
 
-def test_a_torque_at_rest_gives_its_impulse():
-    simulation = pushed(
-        0.01, 0.1234567, 0.7654321, spin=(0, 0, 0), torque=(0, 0, 2.0), force=(0, 0, 1.0), point=(0, 0, 4.0)
-    )
-    simulation.advance(100)
-    twist = simulation.sample().twists["b"]
-    wanted = [0, 0, 2.0 * 0.6419754 / 0.5, 0, 0, 0.6419754 / 2.0]
-    np.testing.assert_allclose(twist, wanted, atol=4000 * EPS)
-
-
-def test_an_eccentric_force_equals_central_force_plus_torque():
-    """Both descriptions of the wrench give the same motion."""
-    point, force = np.array([0.3, -0.2, 0.5]), np.array([1.0, 2.0, -3.0])
-    one = pushed(0.01, 0.0, 0.55555, force=force, point=point)
-    two = pushed(0.01, 0.0, 0.55555, force=force, torque=np.cross(point, force))
-    for simulation in (one, two):
-        simulation.advance(100)
-    np.testing.assert_allclose(one.state()[0], two.state()[0], atol=1e-12)
-    assert not np.allclose(one.state()[0], pushed(0.01, 0.0, 0.55555, force=force).state()[0], atol=1e-3)
-
-
-def oscillator(step, **times):
-    """Mass of 2 kg on a spring of 18 N/m (3 rad/s), with 5 N along x during `times`."""
-    forces = [
-        SpringDamper(
-            name="spring", parent="world", child="b", parent_point=(0, 0, 0), child_point=(0, 0, 0), stiffness=18.0
-        )
-    ]
-    if times:
-        forces.append(ConstantWrench(name="push", body="b", force=(5.0, 0, 0), **times))
-    return Simulation(
-        Scene(name="oscillator", gravity=(0, 0, 0), bodies=[Body(name="b", mass=2.0, inertia=INERTIA)], forces=forces),
-        method="rkmk4",
-        step=step,
-    )
-
-
-STEPS = {h: round(4.0 / h) for h in (0.1, 0.025, 0.00625)}
-ON, OFF = 2.0 / 3.0, 7.0 / 3.0  # always at 2/3 and 1/3 of a step
-
-
-def pushed_place(t):
-    """Position: f/k (1 - cos w (t - on)), minus the same response from `off` on."""
-    return 5.0 / 18.0 * ((t > ON) * (1 - np.cos(3.0 * (t - ON))) - (t > OFF) * (1 - np.cos(3.0 * (t - OFF))))
-
-
-def worst_of_run(simulation, steps):
-    worst = 0.0
-    for _ in range(steps):
-        simulation.advance()
-        sample = simulation.sample()
-        worst = max(worst, abs(sample.positions["b"][0] - pushed_place(sample.time)))
-    return worst
-
-
-def test_a_wrench_between_steps_keeps_the_order():
-    """Of the scene or from outside: order 4 is reached because steps are split at both times.
-
-    Over whole steps the same push would be off by up to half a step in time: of order 1.
-    """
-    scene, outside = {}, {}
-    for h, steps in STEPS.items():
-        scene[h] = worst_of_run(oscillator(h, start=ON, end=OFF), steps)
-        pushed = oscillator(h)
-        pushed.apply_wrench("b", (0, 0, 0, 5.0, 0, 0), start=ON, duration=OFF - ON)
-        outside[h] = worst_of_run(pushed, steps)
-    for errors in (scene, outside):
-        assert slope(errors) == pytest.approx(4.0, abs=0.1)
-        # phase error (h w)^4 w t / 120 of an amplitude of at most 2 f/k
-        assert errors[0.00625] < 2 * 5 / 18 * (0.00625 * 3) ** 4 * 12 / 120
-
-
 def test_a_failed_split_step_leaves_the_last_valid_state():
     """The first part of step 2 succeeds; the second part rotates the body beyond the limit."""
     simulation = pushed(0.1, 0.25, None, torque=(0, 0, 1e6))
@@ -481,7 +236,7 @@ def test_a_failed_split_step_leaves_the_last_valid_state():
 
 def test_wrench_times_follow_the_step_count():
     """After set_state and reset, and in the power of a sample."""
-    simulation = oscillator(0.1, start=0.25, end=0.5)
+    simulation = pushed(0.1, 0.25, 0.5, spin=(0, 0, 0), force=(5.0, 0, 0))
     simulation.advance(10)
     end = simulation.state()
     simulation.reset()

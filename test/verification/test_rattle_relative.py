@@ -12,6 +12,7 @@ import mechanisms
 import numpy as np
 import pytest
 import random_mechanisms
+from volume import VERIFY, some
 
 from liegroup_core import Scene, load_scene
 from liegroup_core.engine import Engine
@@ -46,7 +47,7 @@ def scenes():
         "every joint, a loop": mechanisms.mechanism(np.random.default_rng(3), every, loops=[("f", "h", "spherical")]),
     }
     for name in ("loops", "planar loops", "spherical loops"):
-        for seed in range(10):
+        for seed in some(range(10), 3):
             found[f"{name} {seed}"] = random_mechanisms.random_mechanism(name, seed)[0]
     for name in ("four_bar", "slider_crank", "double_pendulum", "bricard", "free_body"):
         found[name] = load_scene(name)
@@ -64,7 +65,7 @@ def test_the_scenes_have_all_groups_of_joints_and_planes():
     models = [Engine(scene, METHOD, group="relative", quiet=True).layout.relative for scene in scenes().values()]
     groups = {group for model in models for group in model.bodies["group"].tolist()}
     assert groups == set(range(len(FREEDOMS))) - {DIRECT}
-    assert sum(isinstance(model, PlaneModel) for model in models) >= 10
+    assert sum(isinstance(model, PlaneModel) for model in models) >= (10 if VERIFY else 5)
 
 
 def test_relative_and_absolute_trajectories_are_the_same():
@@ -122,25 +123,6 @@ def test_a_floating_tree_keeps_its_momentum(method, kinds):
     off = np.abs(end_of_run.spatial_momentum - start.spatial_momentum).max()
     assert off <= roundings * UNIT * size
     assert np.abs(end_of_run.pose - start.pose).max() > 0.1
-
-
-@pytest.mark.parametrize("group, space", [("relative", "auto"), ("relative", "space")])
-@pytest.mark.parametrize("name", ["four_bar", "every joint, a loop"])
-def test_calls_may_be_divided_and_resumed_bit_identically(name, group, space):
-    """Also from a state with the memory of the method, in another simulation."""
-    scene = scenes()[name]
-    whole, parts, resumed = (
-        Engine(scene, "constrained_rattle4", 1e-3, group, space=space, quiet=True) for _ in range(3)
-    )
-    whole.advance(40)
-    for count in (1, 2, 17):
-        parts.advance(count)
-    resumed.restore(parts.snapshot())
-    parts.advance(20)
-    resumed.advance(20)
-    for other in (parts, resumed):
-        for here, there in zip(whole.state(), other.state()):
-            assert here.tobytes() == there.tobytes()
 
 
 def test_strong_dampers_converge():

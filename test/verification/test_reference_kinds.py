@@ -8,6 +8,7 @@ the difference of its runs at h and h / 2, which the better one's error is far b
 import mechanisms
 import numpy as np
 import pytest
+import yaml
 
 from liegroup_core import Scene, Simulation, SimulationError, load_scene
 from liegroup_core.mechanism.body_model import initial_state
@@ -19,10 +20,8 @@ from liegroup_core.scene import (
     Frame,
     Joint,
     LinearMotor,
-    LinearServo,
     LinearSpringDamper,
     Motor,
-    Servo,
     SpringDamper,
     TorsionalSpringDamper,
 )
@@ -34,9 +33,9 @@ AXIS = np.array([1.0, 2.0, 2.0]) / 3.0
 MASS, INERTIA = 2.0, 0.4
 
 
-def engine(scene, times, step):
+def engine(scene, times, step, group="auto"):
     """Trajectory of rkmk8 with projection after every step."""
-    simulation = Simulation(scene, method="rkmk8", step=step, stabilisation="projection")
+    simulation = Simulation(scene, method="rkmk8", step=step, group=group, stabilisation="projection")
     samples = []
     for time in times:
         simulation.advance(round(time / step) - simulation.steps)
@@ -68,89 +67,59 @@ def assert_agreement(scene, times, step, rounding=1e-12):
     assert max(moved.position.max(), moved.angle.max()) > 1e-3
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        *(
-            f"{kind} {where}"
-            for kind in mechanisms.KINDS
-            for where in ("to ground", "between bodies")
-            if (kind, where) != ("fixed", "to ground")
-        ),
-        "every kind",
-        "floating",
-        "net",
-        "loop of hinges and balls",
-    ],
-)
+PAIRS = [f"{kind} {where}" for kind in mechanisms.KINDS for where in ("to ground", "between bodies")]
+PAIRS.remove("fixed to ground")
+
+
+@pytest.mark.parametrize("name", [*PAIRS, "every kind", "floating", "net", "loop of hinges and balls"])
 def test_every_kind_of_joint(name):
     assert_agreement(mechanisms.named(name), np.linspace(0.0, 0.2, 5), 1e-3)
 
 
 # On the mechanism with every kind of joint: j0 a sleeve to ground, j2 a screw, j3 a plate, j4 a
 # slider, j7 a hinge between bodies.
-ON_EVERY_KIND = {
-    "spring_damper": [
-        SpringDamper(
-            name="s",
-            parent="a",
-            child="c",
-            parent_point=(0.1, 0.2, 0.3),
-            child_point=(0.4, -0.2, 0.1),
-            stiffness=50,
-            damping=3,
-            rest_length=0.7,
-        ),
-        SpringDamper(
-            name="t", parent="world", child="h", parent_point=(0, 0, 1), child_point=(0.4, 0, 0), stiffness=20
-        ),
-    ],
-    "torsional_spring_damper": [
-        TorsionalSpringDamper(name=f"on_{j}", joint=j, stiffness=4, damping=0.3, rest_angle=9)
-        for j in ("j0", "j2", "j3", "j7")
-    ],
-    "linear_spring_damper": [
-        LinearSpringDamper(name=f"on_{j}", joint=j, stiffness=40, damping=3, rest_position=0.3)
-        for j in ("j0", "j2", "j4")
-    ],
-    "motor": [
-        Motor(name="s", joint="j0", torque=-4, rate_limit=3),
-        Motor(name="t", joint="j7", torque=3),
-        Motor(name="u", joint="j2", torque=2),
-    ],
-    "linear_motor": [
-        LinearMotor(name="s", joint="j4", force=-4, speed_limit=3),
-        LinearMotor(name="t", joint="j0", force=3),
-    ],
-    "servo": [
-        Servo(name="s", joint="j0", stiffness=4, damping=0.3, position=9, velocity=2),
-        Servo(name="t", joint="j7", stiffness=20, position=-40, effort_limit=3),
-        Servo(name="u", joint="j2", stiffness=0, damping=0.5, velocity=4),
-    ],
-    "linear_servo": [
-        LinearServo(name="s", joint="j4", stiffness=40, damping=3, position=0.3, velocity=-1),
-        LinearServo(name="t", joint="j0", stiffness=20, position=9, effort_limit=4),
-    ],
-    "drag": [
-        Drag(name="s", body="a", linear=2, quadratic=3, angular=0.5, angular_quadratic=0.7),
-        Drag(name="t", body="h", quadratic=1),
-    ],
-    "applied_wrench": [
-        ConstantWrench(
-            name="s", body="a", torque=(1, 2, 3), force=(4, 5, -6), point=(1, 0.2, 3), start=0.0303, end=0.0811
-        ),
-        ConstantWrench(
-            name="t", body="g", torque=(1, 2, 3), force=(4, 5, -6), point=(1, 0.2, 3), axes="world", end=0.0507
-        ),
-    ],
-}
+ON_EVERY_KIND = yaml.safe_load("""
+spring_damper:
+  - {name: s, parent: a, child: c, parent_point: [0.1, 0.2, 0.3], child_point: [0.4, -0.2, 0.1], stiffness: 50,
+     damping: 3, rest_length: 0.7}
+  - {name: t, parent: world, child: h, parent_point: [0, 0, 1], child_point: [0.4, 0, 0], stiffness: 20}
+torsional_spring_damper:
+  - {name: r, joint: j0, stiffness: 4, damping: 0.3, rest_angle: 9}
+  - {name: s, joint: j2, stiffness: 4, damping: 0.3, rest_angle: 9}
+  - {name: t, joint: j3, stiffness: 4, damping: 0.3, rest_angle: 9}
+  - {name: u, joint: j7, stiffness: 4, damping: 0.3, rest_angle: 9}
+linear_spring_damper:
+  - {name: s, joint: j0, stiffness: 40, damping: 3, rest_position: 0.3}
+  - {name: t, joint: j2, stiffness: 40, damping: 3, rest_position: 0.3}
+  - {name: u, joint: j4, stiffness: 40, damping: 3, rest_position: 0.3}
+motor:
+  - {name: s, joint: j0, torque: -4, rate_limit: 3}
+  - {name: t, joint: j7, torque: 3}
+  - {name: u, joint: j2, torque: 2}
+linear_motor:
+  - {name: s, joint: j4, force: -4, speed_limit: 3}
+  - {name: t, joint: j0, force: 3}
+servo:
+  - {name: s, joint: j0, stiffness: 4, damping: 0.3, position: 9, velocity: 2}
+  - {name: t, joint: j7, stiffness: 20, position: -40, effort_limit: 3}
+  - {name: u, joint: j2, stiffness: 0, damping: 0.5, velocity: 4}
+linear_servo:
+  - {name: s, joint: j4, stiffness: 40, damping: 3, position: 0.3, velocity: -1}
+  - {name: t, joint: j0, stiffness: 20, position: 9, effort_limit: 4}
+drag:
+  - {name: s, body: a, linear: 2, quadratic: 3, angular: 0.5, angular_quadratic: 0.7}
+  - {name: t, body: h, quadratic: 1}
+applied_wrench:
+  - {name: s, body: a, torque: [1, 2, 3], force: [4, 5, -6], point: [1, 0.2, 3], start: 0.0303, end: 0.0811}
+  - {name: t, body: g, torque: [1, 2, 3], force: [4, 5, -6], point: [1, 0.2, 3], axes: world, end: 0.0507}
+""")
 
 
 @pytest.mark.parametrize("kind", ON_EVERY_KIND)
 def test_every_kind_of_force(kind):
     """The force must have an effect: without it the motion differs."""
     plain = mechanisms.named("every kind")
-    scene = plain.model_copy(update={"forces": tuple(ON_EVERY_KIND[kind])})
+    scene = plain.remade(forces=[force | {"type": kind} for force in ON_EVERY_KIND[kind]])
     times = np.linspace(0.0, 0.15, 4)
     assert_agreement(scene, times, 1e-3)
     without = reference(plain.model_copy(update={"forces": ()}), times)[0]
@@ -161,23 +130,12 @@ def test_every_kind_of_force(kind):
 STEPS = {"andrews_squeezer": 1e-5, "flyball_governor": 5e-5, "lagrangian_top": 2e-4, "four_bar": 2e-4}
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "andrews_squeezer",
-        "ball_chain",
-        "bricard",
-        "double_pendulum",
-        "flyball_governor",
-        "four_bar",
-        "free_body",
-        "heavy_top",
-        "hinge_chain",
-        "lagrangian_top",
-        "n_four_bar",
-        "slider_crank",
-    ],
-)
+EXAMPLES = """andrews_squeezer ball_chain bricard double_pendulum flyball_governor four_bar free_body heavy_top
+hinge_chain lagrangian_top n_four_bar slider_crank"""
+
+
+@pytest.mark.parametrize("name", EXAMPLES.split())
+@pytest.mark.volume(4)
 def test_every_example_scene(name):
     step = STEPS.get(name, 1e-3)
     assert_agreement(load_scene(name), np.linspace(0.0, 100 * step, 3), step)
@@ -220,6 +178,16 @@ def approach(t, size, force, limit):
 
 
 CLOSED_FORMS = {
+    "spring to a point of the world": (
+        on_joint(
+            "prismatic",
+            SpringDamper(
+                **{"name": "f", "parent": "world", "child": "a", "parent_point": -AXIS, "child_point": (0, 0, 0)},
+                **{"stiffness": 30, "damping": 0.8, "rest_length": 1.3},
+            ),
+        ),
+        lambda t: oscillation(t, MASS, 30, 0.8, 0.3),
+    ),
     "coil over many turns": (
         on_joint("revolute", TorsionalSpringDamper(name="f", joint="j", stiffness=3, damping=0.05, rest_angle=40)),
         lambda t: oscillation(t, INERTIA, 3, 0.05, 40),
@@ -262,31 +230,33 @@ CLOSED_FORMS = {
 }
 
 
+def way_along_axis(scene, trajectory):
+    """(k,) position of the only joint, rad or m: less than half a turn between two times."""
+    if scene.joints[0].type != "revolute":
+        return trajectory.position[:, 0] @ AXIS
+    turns = np.einsum("kab,kac->kbc", trajectory.rotation[:-1, 0], trajectory.rotation[1:, 0])
+    sine = (turns[:, [2, 0, 1], [1, 2, 0]] - turns[:, [1, 2, 0], [2, 0, 1]]) @ AXIS / 2
+    return np.cumsum([0, *np.arctan2(sine, (np.trace(turns, axis1=1, axis2=2) - 1) / 2)])
+
+
 @pytest.mark.parametrize("name", CLOSED_FORMS)
-def test_reference_integration_agrees_with_closed_forms(name):
-    """Tolerance: the reported uncertainty plus round-off of values up to 100."""
+def test_reference_integration_and_engine_agree_with_closed_forms(name):
+    """Tolerance: the reported uncertainty plus round-off of values up to 100.
+
+    Engine: the difference of its runs at h and h / 2, which the better one's error is far below.
+    """
     scene, way = CLOSED_FORMS[name]
     times = np.linspace(0.0, 3.0, 121)
+    exact = way(times)
+    size = np.abs(exact).max()
     found, known = reference(scene, times)
-    if scene.joints[0].type == "revolute":
-        # the angle goes on: less than half a turn between two times
-        turns = np.einsum("kab,kac->kbc", found.rotation[:-1, 0], found.rotation[1:, 0])
-        sine = (
-            np.stack(
-                [turns[:, 2, 1] - turns[:, 1, 2], turns[:, 0, 2] - turns[:, 2, 0], turns[:, 1, 0] - turns[:, 0, 1]],
-                axis=1,
-            )
-            @ AXIS
-            / 2
-        )
-        cosine = (np.trace(turns, axis1=1, axis2=2) - 1) / 2
-        found, bound = np.cumsum([0, *np.arctan2(sine, cosine)]), known.angle.max()
-    else:
-        found, bound = found.position[:, 0] @ AXIS, known.position.max()
-    size = np.abs(way(times)).max()
-    assert bound <= 1e-10 * size
-    np.testing.assert_allclose(found, way(times), atol=3.0 * bound + 1e-13 * size)
-    assert size > 0.5
+    bound = (known.angle if scene.joints[0].type == "revolute" else known.position).max()
+    assert bound <= 1e-10 * size and size > 0.5
+    np.testing.assert_allclose(way_along_axis(scene, found), exact, atol=3.0 * bound + 1e-13 * size)
+    for group in ("relative", "se3", "so3xr3"):
+        coarse, fine = (way_along_axis(scene, engine(scene, times, h, group)) for h in (0.025, 0.0125))
+        bound = np.abs(coarse - fine).max() + 1e-12 * size
+        assert bound <= 1e-8 * size and np.abs(fine - exact).max() <= bound, group
 
 
 def parallelogram(angle):

@@ -10,6 +10,8 @@ import re
 import mechanisms
 import numpy as np
 import pytest
+from convergence import order_by_count
+from naive import hat
 from scipy.integrate import solve_ivp
 
 from liegroup_core import Scene, Simulation, SimulationError, load_scene
@@ -24,14 +26,6 @@ INERTIA = np.array([[0.9, 0.1, -0.05], [0.1, 1.1, 0.08], [-0.05, 0.08, 1.6]])
 SIX = [0.9, 1.1, 1.6, 0.1, -0.05, 0.08]
 # Steps per second by order.
 RATES = {2: (512, 1024, 2048), 4: (128, 256, 512), 8: (32, 64, 96)}
-
-
-def hat(w):
-    return np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
-
-
-def slope(rates, errors):
-    return -np.polyfit(np.log(rates), np.log(errors), 1)[0]
 
 
 def end(scene, method, rate, time=1.0):
@@ -51,6 +45,7 @@ def coupled():
 
 
 @pytest.mark.parametrize("method", ROTATION)
+@pytest.mark.volume(5)
 def test_order_with_bodies_coupled_by_springs_and_dampers(coupled, method):
     """Position of the free body, attitude and velocity of all bodies.
 
@@ -69,11 +64,13 @@ def test_order_with_bodies_coupled_by_springs_and_dampers(coupled, method):
             ]
         )
     for of_one_kind in np.transpose(errors):
-        assert slope(RATES[order], of_one_kind) == pytest.approx(order, abs=1.5 if order == 8 else 0.25), errors
+        found = order_by_count(RATES[order], of_one_kind)
+        assert found == pytest.approx(order, abs=1.5 if order == 8 else 0.25), errors
 
 
 @pytest.mark.parametrize("held", [False, True])
 @pytest.mark.parametrize("method", ROTATION)
+@pytest.mark.volume(8)
 def test_order_with_drag(method, held):
     """Linear and quadratic drag of rotation and translation; reference: DOP853 in R, r, w, v."""
     d = np.array([0.3, -0.2, 0.4]) if held else np.zeros(3)
@@ -105,7 +102,7 @@ def test_order_with_drag(method, held):
     poses = [end(scene, method, count, 4)[0][0] for count in rates]
     for part in (slice(0, 9), slice(9, 12)):
         off = [np.abs(pose[part] - found[part]).max() for pose in poses]
-        assert slope(rates, off) == pytest.approx(order, abs=1.0 if order == 8 else 0.2), off
+        assert order_by_count(rates, off) == pytest.approx(order, abs=1.0 if order == 8 else 0.2), off
 
 
 @pytest.mark.parametrize("method", ROTATION)
@@ -143,6 +140,7 @@ def test_the_spherical_joint_holds_to_round_off(method):
 
 
 @pytest.mark.parametrize("method", ROTATION)
+@pytest.mark.volume(5)
 def test_pivot_methods_agree_with_rkmk8(method):
     """Heavy top with spring; rkmk8 uses another formulation of the joint."""
     scene = load_scene("heavy_top")
@@ -150,10 +148,11 @@ def test_pivot_methods_agree_with_rkmk8(method):
     order = METHODS[method].order
     rates = {2: (1000, 2000, 4000), 4: (250, 500, 1000), 8: (100, 150, 200)}[order]
     off = [np.abs(end(scene, method, rate, 0.5)[0] - exact[0]).max() for rate in rates]
-    assert slope(rates, off) == pytest.approx(order, abs=0.7 if order == 8 else 0.2), off
+    assert order_by_count(rates, off) == pytest.approx(order, abs=0.7 if order == 8 else 0.2), off
 
 
 @pytest.mark.parametrize("method", ROTATION)
+@pytest.mark.volume(5)
 def test_wrenches_starting_and_ending_within_steps_keep_the_order(method):
     """Torque and force in world axes from 0.3 s to 0.7137 s; reference: piecewise DOP853."""
     torque, force, mass = np.array([0.4, -0.3, 0.5]), np.array([1.0, 2.0, -0.5]), 2.0
@@ -181,7 +180,7 @@ def test_wrenches_starting_and_ending_within_steps_keep_the_order(method):
     if order == 8:
         assert off[-1] < 1e-10
     else:
-        assert slope(rates, off) == pytest.approx(order, abs=0.25), off
+        assert order_by_count(rates, off) == pytest.approx(order, abs=0.25), off
     # A constant force is integrated exactly by all of them: x = f/m (t1^2/2 + t1 t2).
     held, after = 0.7137 - 0.3, 1 - 0.7137
     for pose in poses:

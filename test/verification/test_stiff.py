@@ -49,46 +49,16 @@ class Sliders:
             self._system[n : 2 * n, 2 * n] = inverse * force
         matrix = np.array(self._system.tolist(), dtype=float)
         self.rates = np.linalg.eigvals(matrix[: 2 * n, : 2 * n])
-        names = [f"b{i}" for i in range(n)]
-        velocities = below @ rate
-        self.scene = scene_from_text(
-            yaml.safe_dump(
-                {
-                    "name": "sliders",
-                    "gravity": [0.0, 0.0, -GRAVITY],
-                    "bodies": [
-                        {
-                            "name": name,
-                            "mass": float(mass[i]),
-                            "inertia": [0.01, 0.01, 0.01],
-                            "linear_velocity": [0.0, 0.0, float(velocities[i])],
-                        }
-                        for i, name in enumerate(names)
-                    ],
-                    "joints": [
-                        {
-                            "name": f"j{i}",
-                            "type": "prismatic",
-                            "parent": "world" if i == 0 else names[i - 1],
-                            "child": name,
-                            "parent_frame": {"axis": [0.0, 0.0, 1.0]},
-                        }
-                        for i, name in enumerate(names)
-                    ],
-                    "forces": [
-                        {
-                            "name": f"f{i}",
-                            "type": "linear_spring_damper",
-                            "joint": f"j{i}",
-                            "stiffness": float(stiffness[i]),
-                            "damping": float(damping[i]),
-                            "rest_position": -float(start[i]),
-                        }
-                        for i in range(n)
-                    ],
-                }
-            )
-        )
+        bodies, joints, forces = [], [], []
+        for i, velocity in enumerate(below @ rate):
+            body = {"name": f"b{i}", "mass": float(mass[i]), "inertia": [0.01, 0.01, 0.01]}
+            bodies.append(body | {"linear_velocity": [0.0, 0.0, float(velocity)]})
+            ends = {"parent": f"b{i - 1}" if i else "world", "child": f"b{i}"}
+            joints.append({"name": f"j{i}", "type": "prismatic", **ends, "parent_frame": {"axis": [0.0, 0.0, 1.0]}})
+            law = {"stiffness": float(stiffness[i]), "damping": float(damping[i]), "rest_position": -float(start[i])}
+            forces.append({"name": f"f{i}", "type": "linear_spring_damper", "joint": f"j{i}", **law})
+        scene = {"name": "sliders", "gravity": [0.0, 0.0, -GRAVITY], "bodies": bodies, "joints": joints}
+        self.scene = scene_from_text(yaml.safe_dump(scene | {"forces": forces}))
 
     def positions(self, time):
         """Exact positions of the bodies in m."""
@@ -113,6 +83,7 @@ def off(sliders, simulation):
 
 
 @pytest.mark.parametrize("seed", range(4))
+@pytest.mark.volume(2)
 def test_steps_of_the_implicit_method_do_not_depend_on_stiffness(seed):
     """Steps of a thousand and more time constants of the fast motion, at tolerances of the slow one."""
     sliders, step = random_sliders(seed), 0.01
@@ -127,6 +98,7 @@ def test_steps_of_the_implicit_method_do_not_depend_on_stiffness(seed):
 
 @pytest.mark.parametrize("accuracy", [1e-4, 1e-6, 1e-8])
 @pytest.mark.parametrize("seed", range(4))
+@pytest.mark.volume(4)
 def test_an_accuracy_takes_the_implicit_method_and_is_kept(seed, accuracy):
     """Against the matrix exponential; estimates at least half of all errors that are not tiny."""
     sliders = random_sliders(10 + seed)
@@ -159,46 +131,18 @@ def test_a_light_body_that_a_damper_stops_at_once(accuracy, horizon):
 
 def chain(stiffness, damping, n=3):
     """Bodies on hinges in space whose axes are not parallel, with a stiff torsional spring in each."""
-    axes = [[0.0, 1.0, 0.2 * i] for i in range(n)]
-    return scene_from_text(
-        yaml.safe_dump(
-            {
-                "name": "chain",
-                "gravity": [0.0, 0.0, -GRAVITY],
-                "bodies": [
-                    {
-                        "name": f"b{i}",
-                        "mass": 1.0,
-                        "inertia": [0.01, 0.02, 0.025],
-                        "com": [0.5, 0.0, 0.05],
-                        "position": [float(i), 0.0, 0.0],
-                    }
-                    for i in range(n)
-                ],
-                "joints": [
-                    {
-                        "name": f"j{i}",
-                        "type": "revolute",
-                        "parent": "world" if i == 0 else f"b{i - 1}",
-                        "child": f"b{i}",
-                        "parent_frame": {"position": [float(i > 0), 0.0, 0.0], "axis": axes[i]},
-                        "child_frame": {"axis": axes[i]},
-                    }
-                    for i in range(n)
-                ],
-                "forces": [
-                    {
-                        "name": f"s{i}",
-                        "type": "torsional_spring_damper",
-                        "joint": f"j{i}",
-                        "stiffness": stiffness,
-                        "damping": damping,
-                    }
-                    for i in range(n)
-                ],
-            }
-        )
-    )
+    bodies, joints, forces = [], [], []
+    for i in range(n):
+        body = {"name": f"b{i}", "mass": 1.0, "inertia": [0.01, 0.02, 0.025], "com": [0.5, 0.0, 0.05]}
+        bodies.append(body | {"position": [float(i), 0.0, 0.0]})
+        joint = {"name": f"j{i}", "type": "revolute", "parent": f"b{i - 1}" if i else "world", "child": f"b{i}"}
+        axis = [0.0, 1.0, 0.2 * i]
+        joint["parent_frame"] = {"position": [float(i > 0), 0.0, 0.0], "axis": axis}
+        joints.append(joint | {"child_frame": {"axis": axis}})
+        law = {"stiffness": stiffness, "damping": damping}
+        forces.append({"name": f"s{i}", "type": "torsional_spring_damper", "joint": f"j{i}", **law})
+    scene = {"name": "chain", "gravity": [0.0, 0.0, -GRAVITY], "bodies": bodies, "joints": joints, "forces": forces}
+    return scene_from_text(yaml.safe_dump(scene))
 
 
 @pytest.fixture(scope="module")

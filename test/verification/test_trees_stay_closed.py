@@ -145,6 +145,7 @@ def assert_closed(scene, method, step):
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.volume(3)
 def test_joints_of_every_kind_stay_closed(kind):
     """Trees of four bodies; between bodies and to ground, in both directions."""
     done = [
