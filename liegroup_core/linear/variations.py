@@ -138,10 +138,12 @@ class Variations:
             times = sorted({*(time for time in waiting if time < began + h), began + h})
             error = np.inf
             try:
-                samples, u, matrices, kept, noise = self._look(began, h, times, coordinates)
+                samples, u, matrices, doubts, kept = self._look(began, h, times, coordinates)
                 found = _Collocation(u, matrices, 1e-9 * h, start)
-                size, n = np.abs(found.at(1.0)), len(found.error)
-                error = (found.error.max(axis=0, initial=0.0) / (size[:n].max(axis=0, initial=0.0) + TINY)).max()
+                # What errors of the derivatives allow is not resolved.
+                noise = 1e-9 * h * (doubts @ np.maximum(np.abs(start), np.abs(found.at(1.0))))
+                size, allowed = (np.abs(x).max(axis=0, initial=TINY) for x in (found.at(1.0)[: len(noise)], noise))
+                error = (found.error.max(axis=0, initial=0.0) / (size + allowed / LOCAL)).max(initial=0.0)
             except SimulationError:
                 if h <= SHORTEST:
                     raise
@@ -152,29 +154,26 @@ class Variations:
         for time in times:
             x = found.at((time - began) / h)
             if time == began + h:
-                x[:n, count:] += found.error[:, :count]
-                x[:n, count + self._first :] += noise
+                x[: len(noise), count:] += found.error[:, :count] + noise[:, :count]
             yield samples[time], *(self._columns(*kept[time], part) for part in (x[:, :count], x[:, count:]))
 
     def _look(self, began, h, times, coordinates):
         """What an interval of h ns needs.
 
-        returns {time: Sample}, points u (s,) with [A F], {time: (Coordinates, changes, offsets)}, errors (n, q) by F
+        returns {time: Sample}; points u (s,), [A F] there, errors (n, n + q); {time: (Coordinates, changes, offsets)}
         """
         nodes = [began + min(max(round(part * h), 1), h) for part in (NODES if h >= SHORTEST else [0.5])]
         samples = self._samples(sorted({*nodes, *times}))
-        matrices, noises, kept = [], [], {}
+        matrices, kept = [], {}
         for time, sample in samples.items():
             self.probe.take(sample)
             here = Coordinates(self.probe, coordinates.rate_names, coordinates.names, displaced=True)
             by_numbers = self._by_numbers(here)
             if time in nodes:
-                matrix, noise = self._matrix(here, *by_numbers)
-                matrices.append(matrix)
-                noises.append(noise)
+                matrices.append(self._matrix(here, *by_numbers))
             kept[time] = here, here.changes, by_numbers[0]
-        noise = np.max(noises, axis=0) * h * 1e-9
-        return samples, (np.array(nodes) - began) / h, np.array(matrices), kept, noise
+        matrices, doubts = np.array(matrices).swapaxes(0, 1)
+        return samples, (np.array(nodes) - began) / h, matrices, doubts.max(axis=0), kept
 
     def _samples(self, times):
         """{time in ns: Sample} of the run, which goes to the last one."""
@@ -195,25 +194,26 @@ class Variations:
         return coordinates.closing(gaps, slips), found[:, :f], error[:, :f]
 
     def _matrix(self, coordinates, offsets, accelerations, error):
-        """[A F] (n, n + q) at the state of the probe, and errors (n, q) of F."""
+        """[A F] (n, n + q) at the state of the probe, and their errors."""
         probe, f = self.probe, self.probe.freedoms
         m, r, q = len(coordinates.independent), len(coordinates.moving), self._count
         n = m + r
         directions = np.zeros((n + q, f, 2))
         directions[:m, :, 0], directions[:m, :, 1] = coordinates.motions.T, coordinates.changes.T
         directions[m:n, :, 1], directions[n:] = coordinates.rates.T, offsets
-        slopes = np.zeros((n + q, 2 * f))
-        slopes[n:, f:] = accelerations
+        slopes, doubts = np.zeros((2, n + q, 2 * f))
+        slopes[n:, f:], doubts[n:, f:] = accelerations, error
         moving = directions.any(axis=(1, 2))
         if moving.any():
             ways = directions[moving]
             sizes = ANGLE / np.abs(ways / self._scales[:, None]).max(axis=(1, 2))
-            found = probe.derivatives(ways, sizes)[0]
+            found, doubt = probe.derivatives(ways, sizes)
             # In the chart that moves with the state, d/dt psi = w + [psi, V]; in the fixed one half of the bracket.
             found[:, :f] += found[:, :f] - ways[:, :, 1]
             slopes[moving] += found
+            doubts[moving] += doubt
         rows = np.concatenate([coordinates.independent, f + coordinates.moving])
-        return slopes[:, rows].T, np.vstack([np.zeros((m, q)), error[:, coordinates.moving].T])
+        return slopes[:, rows].T, doubts[:, rows].T
 
     def matrix(self, coordinates):
         """A (n, n) of Coordinates at the present state."""
@@ -307,7 +307,7 @@ class Variations:
 
     def _flat(self, columns):
         """(c, 2 f) columns (c, f, 2) in the units of the freedoms."""
-        return (columns / self._scales[:, None]).swapaxes(1, 2).reshape(len(columns), -1)
+        return (columns / self._scales[:, None]).swapaxes(1, 2).reshape(len(columns), 2 * len(self._scales))
 
     def _frame(self, probe, outputs):
         """(2 f, p) derivatives of Outputs along the freedoms and their rates, in the units of the freedoms."""
@@ -316,7 +316,7 @@ class Variations:
         parts = [
             derivative(lambda s, w=w: outputs.apart(outputs.of(probe.neighbour(s * w)), base), ANGLE) for w in ways
         ]
-        return np.array([part for part, _ in parts])
+        return np.reshape([part for part, _ in parts], (2 * f, len(outputs)))
 
     def _from_bodies(self, probe, outputs, shown):
         """Columns (c, f, 2) whose changes of all poses and twists are (c, 12 n); those of numbers are the last."""
@@ -326,7 +326,7 @@ class Variations:
         known = np.isfinite(shown).all(axis=1)
         x = np.full((2 * probe.freedoms, len(shown)), np.nan)
         x[:, known] = np.linalg.lstsq(self._frame(probe, outputs).T, shown[known].T, rcond=FEW)[0]
-        return x.T.reshape(-1, 2, probe.freedoms).swapaxes(1, 2) * self._scales[:, None]
+        return x.T.reshape(len(shown), 2, probe.freedoms).swapaxes(1, 2) * self._scales[:, None]
 
 
 def _settings(simulation):
@@ -371,7 +371,8 @@ class _Collocation:
         self._polynomial, self._start, self._h = _Polynomial(u), start, h
         weights = self._polynomial.integrals(u)
         left = np.eye(s * n) - h * np.einsum("iab,ij->iajb", matrices[:, :, :n], weights).reshape(s * n, s * n)
-        self._rates = np.linalg.solve(left, (matrices @ start).reshape(s * n, -1)).reshape(s, n, -1)
+        count = start.shape[1]
+        self._rates = np.linalg.solve(left, (matrices @ start).reshape(s * n, count)).reshape(s, n, count)
         # The coefficients decrease like a geometric sequence; two of them, as every second one may be zero.
         sizes = np.abs(self._polynomial.coefficients(self._rates))
         last, before = sizes[-2:].sum(axis=0), sizes[-4:-2].sum(axis=0)
