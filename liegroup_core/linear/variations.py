@@ -4,7 +4,7 @@
     dx' = A(t) dx + F(t) dp ,   x = (z, z')
 
 with A of linear_system.py in the chart that moves with the state, and F the derivative of the accelerations at the
-state by the numbers p (numbers.py). They are solved by collocation at Gauss points of intervals, whose length follows
+state by the numbers p (numbers.py). They are solved by collocation at Lobatto points of intervals, whose length follows
 the last coefficients of the polynomials.
 
 The differences are displacements and rates of all freedoms of the tree. Each interval has independent coordinates of
@@ -37,8 +37,9 @@ TIGHT = 1e-13  # tolerances of the run and of neighbouring runs
 NEAR = 1e-3  # rad, and of the mechanism's size: first distance of neighbouring runs
 FEW = 1e-12  # relative size of a singular value that is round-off
 BODIES = ("bodies", "twists")
-POINTS = 10  # of Gauss in an interval
-NODES = 0.5 + 0.5 * legendre.leggauss(POINTS)[0]
+# Of Lobatto: at the ends, too, so that no jump of A falls between two intervals.
+POINTS = 10
+NODES = 0.5 + 0.5 * np.array([-1.0, *legendre.Legendre.basis(POINTS - 1).deriv().roots(), 1.0])
 TINY = 1e-300
 
 
@@ -154,7 +155,9 @@ class Variations:
         for time in times:
             x = found.at((time - began) / h)
             if time == began + h:
-                x[: len(noise), count:] += found.error[:, :count] + noise[:, :count]
+                # A jump of A may lie anywhere in a shortest interval.
+                rest = found.error if error <= LOCAL else found.range
+                x[: len(noise), count:] += (rest + noise)[:, :count]
             yield samples[time], *(self._columns(*kept[time], part) for part in (x[:, :count], x[:, count:]))
 
     def _look(self, began, h, times, coordinates):
@@ -162,7 +165,8 @@ class Variations:
 
         returns {time: Sample}; points u (s,), [A F] there, errors (n, n + q); {time: (Coordinates, changes, offsets)}
         """
-        nodes = [began + min(max(round(part * h), 1), h) for part in (NODES if h >= SHORTEST else [0.5])]
+        # The last one is before the end, where inputs may change.
+        nodes = [began + min(round(part * h), h - 1) for part in (NODES if h >= SHORTEST else [0.5])]
         samples = self._samples(sorted({*nodes, *times}))
         matrices, kept = [], {}
         for time, sample in samples.items():
@@ -364,6 +368,7 @@ class _Collocation:
     u, matrices : (s,) points of the interval, and [A F] (s, n, n + q) there
     start       : (n + q, c), with constant p
     error       : (n, c), from the coefficients of x'
+    range       : (n, c), of x' times h
     """
 
     def __init__(self, u, matrices, h, start):
@@ -377,7 +382,7 @@ class _Collocation:
         sizes = np.abs(self._polynomial.coefficients(self._rates))
         last, before = sizes[-2:].sum(axis=0), sizes[-4:-2].sum(axis=0)
         ratio = np.divide(last, before, out=np.zeros_like(last), where=before > 0.0)
-        self.error = h * last * np.minimum(ratio, 1.0) / (2.0 * s)
+        self.error, self.range = h * last * np.minimum(ratio, 1.0) / (2.0 * s), h * np.ptp(self._rates, axis=0)
 
     def at(self, u):
         """x at a part u of the interval."""
