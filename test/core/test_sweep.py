@@ -355,6 +355,19 @@ def test_a_folder_without_a_sweep_is_not_touched(tmp_path):
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["a.parquet", "b.parquet", "notes.txt"]
 
 
+def test_derivatives_by_the_sampled_numbers_are_columns():
+    """x = x0 cos(w t), w^2 = k / m: by x0, k and m, for each sample."""
+    sweep = oscillator(4, gradient=["ball.x", "ball.vx"])
+    columns = {name: np.array(values) for name, values in joined(sweep.run(range(4), workers=1)).items()}
+    paths = ["bodies.ball.mass", "forces.spring.stiffness", "bodies.ball.position.0"]
+    m, k, x = (columns[path] for path in paths)
+    w = np.sqrt(k / m)
+    slope = -x * TIME * np.sin(w * TIME)
+    for path, expected in zip(paths, (-0.5 * slope * w / m, 0.5 * slope * w / k, np.cos(w * TIME))):
+        np.testing.assert_allclose(columns[f"d ball.x / d {path}"], expected, rtol=1e-8, atol=1e-9)
+    assert list(sweep.columns) == [*columns, "cpu_s"] and described(describe(sweep)) == sweep
+
+
 def test_the_largest_reactions_of_each_run_are_columns():
     """For three masses of the crank, they are those of a simulation at the same times."""
     sweep = Sweep.of(
