@@ -12,6 +12,7 @@ hold at the state. For joints with one coordinate psi is the change of that coor
 """
 
 import dataclasses
+import math
 
 import numpy as np
 
@@ -197,12 +198,14 @@ class Probe:
 
     def _meet(self, other):
         """Take the time, modes and angles of a Probe of a scene with other numbers."""
-        if self.base.time_ns != other.base.time_ns or self._model.switches.size:
+        engine, work = self._engine, self._work
+        if self.layout.switches:
+            self.modes = other.modes
+        if self.base.time_ns != other.base.time_ns:
             self.base = other.base
-            if self.layout.switches:
-                self.modes = other.modes
-            self._take_inputs()
-        self._work.angle[:] = other._work.angle
+            if len(work.acting) or len(work.motions) or engine.inputs.schedule:
+                self._take_inputs()
+        work.angle[:] = other._work.angle
 
     def follow(self, other):
         """Take time, modes and the joints' coordinates and rates of a Probe of a scene with other numbers."""
@@ -412,7 +415,7 @@ class Probe:
         self._done(kernel(self._model, work, self._scheme, y, self.pose, self.twist, external, *out), *out)
 
     def _done(self, status, *out):
-        if status != OK or not all(np.isfinite(array).all() for array in out):
+        if status != OK or not all(math.isfinite(array.sum()) for array in out):
             raise SimulationError(explain(self._engine, status), status & 0xFF)
 
     def neighbour(self, y=None):

@@ -11,6 +11,7 @@ import numpy as np
 
 from liegroup_core.errors import SceneError
 from liegroup_core.simulation import Simulation
+from liegroup_core.threads import one_blas_thread
 
 from .channels import Outputs
 from .differences import SMALLER, WEIGHTS
@@ -47,6 +48,7 @@ class Sensitivities:
     angles: np.ndarray
 
 
+@one_blas_thread()
 def sensitivities(scene, names, times, outputs=None, **settings):
     """Sensitivities of the run of a scene from its start.
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from liegroup_core.errors import SceneError, SimulationError
+from liegroup_core.threads import one_blas_thread
 
 from .coordinates import Coordinates
 from .probe import Probe
@@ -44,6 +45,7 @@ class Transition:
         return found[np.lexsort((-found.imag, np.abs(found).round(12)))]
 
 
+@one_blas_thread()
 def transition(simulation, duration, independent=None):
     """Transition along the next part of a run; the simulation does not change. Events of stops and friction included.
 

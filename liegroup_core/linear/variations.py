@@ -14,6 +14,7 @@ At an event of stops or dry friction differences jump: the event comes earlier o
 step after it they are differences of order six between neighbouring runs, so that every event acts as it does.
 """
 
+import contextlib
 import math
 
 import numpy as np
@@ -90,7 +91,8 @@ class Variations:
         start = run.snapshot()
         run.drain_instants()  # kept from now on
         run.reach(run.instant_of(end_ns))
-        run.advance()
+        with contextlib.suppress(SimulationError):  # after the end
+            run.advance()
         for event in run.drain_instants()[1:]:
             first = max(math.floor(event.time / run.step - MARGIN), start.parts["steps"])
             last = math.ceil(event.time / run.step + MARGIN)
