@@ -7,6 +7,9 @@ Tangents: derivatives of all accelerations with respect to all coordinates and r
 difference of calls with these directions once and 21 times. Evaluation: a stage of the method rkmk4. With Pinocchio
 installed (pip install pin example-robot-data) also its computeABADerivatives of the same chains and robots, which is
 C++. Medians of runs.
+
+Then sensitivities of a run of 1 s to the masses of all bodies, beside six runs for each of them, which differences
+of order six take.
 """
 
 import statistics
@@ -17,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from liegroup_core import Simulation
-from liegroup_core.linear import linearise
+from liegroup_core.linear import linearise, sensitivities
 from liegroup_core.linear.probe import Probe
 from liegroup_core.scene.library import chain, four_bar_windows
 from liegroup_core.scene.load import load_scene
@@ -92,8 +95,21 @@ def row(name, scene, peer=None):
     )
 
 
+def run_row(name, scene):
+    """Print the cost of the sensitivities of a run, and that of runs for differences, in s."""
+    key = [f"bodies.{body.name}.{'shape.' if body.shape else ''}mass" for body in scene.bodies]
+    times = np.linspace(0.05, 1.0, 20)
+
+    def one_run():
+        for _ in Simulation(scene, accuracy=1e-12, quiet=True).samples(times):
+            pass
+
+    found, run = median(lambda: sensitivities(scene, key, times)), median(one_run)
+    print(f"{name:<22} {len(key):7d} {found / 1e6:18.2f} {6 * len(key) * run / 1e6:8.2f}")
+
+
 def main():
-    """Print the table."""
+    """Print the tables."""
     peer = find_spec("pinocchio") is not None
     print("mechanism              states  evaluation  tangents, us  evaluations  whole, ms  Pinocchio, us   ratio")
     for links in (2, 5, 10, 20, 40):
@@ -108,6 +124,9 @@ def main():
         row(f"{windows} four-bar windows", four_bar_windows(windows))
     for name in ("bicycle", "flyball_governor", "andrews_squeezer"):
         row(name, load_scene(name))
+    print("\nmechanism              numbers   sensitivities, s  runs, s")
+    for name in ("heavy_top", "double_pendulum", "four_bar", "hinge_chain", "door"):
+        run_row(name, load_scene(name))
 
 
 if __name__ == "__main__":
