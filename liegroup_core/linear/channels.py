@@ -193,6 +193,8 @@ def _ideal(sensor):
 
 def _expanded(wanted, kinds, what):
     """Names, each once, in which names of kinds stand for all of them."""
+    if isinstance(wanted, str):
+        raise SceneError(f"{what}s must be a list of names, got the text {wanted!r}")
     known = {name for names in kinds.values() for name in names}
     found = []
     for name in wanted:

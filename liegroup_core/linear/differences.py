@@ -16,6 +16,8 @@ WEIGHTS = np.array([[0.5, 0.0, 0.0], [2.0 / 3.0, -1.0 / 12.0, 0.0], [0.75, -0.15
 SMALLER = 8.0  # factor between two sizes
 MOST_SIZES = 8
 ENOUGH = 1e-12  # relative error at which no smaller h is tried
+KINK = 0.01  # second difference at a kink, relative to the first; h f'' / (2 f') is below 1e-3
+RUN_NOISE = 1e-11  # of values of a run to 1e-13, relative
 ROUND_OFF = 4.0 * np.finfo(float).eps  # of a value; the weights add up to less than 2
 
 
@@ -30,15 +32,31 @@ def of_values(values, h):
     ratio = np.divide(last, before, out=np.zeros_like(last), where=before > 0.0)
     rounding = ROUND_OFF * np.abs(values).max(axis=(0, 1)) / h
     error = last * np.minimum(ratio, 1.0) + rounding
-    size = np.max(np.abs(sixth), initial=0.0)
-    return sixth, error, error.max(initial=0.0) <= max(ENOUGH * size, 2.0 * rounding.max(initial=0.0))
+    size = _largest(np.abs(sixth))
+    return sixth, error, _largest(error) <= max(ENOUGH * size, 2.0 * _largest(rounding))
 
 
-def derivative(function, h):
+def _largest(values):
+    """Largest of values >= 0, without those that are NaN: outputs that are undetermined."""
+    return np.nan_to_num(values).max(initial=0.0)
+
+
+def kinked(values, base):
+    """Whether a function has a kink at 0: its second difference grows with the distance, not with its square.
+
+    values : (2, 2, ...) at (h, -h), (2h, -2h);  base : at 0
+    """
+    near, far = (np.abs(pair[0] + pair[1] - 2.0 * base) for pair in values[:2])
+    first, size = _largest(np.abs(values[0][0] - values[0][1])), max(1.0, _largest(np.abs(base)))
+    return (near > KINK * first) & (near > RUN_NOISE * size) & (far < 3.0 * near)
+
+
+def derivative(function, h, base=None):
     """Derivative of a function of one number at 0, and an estimate of its error.
 
     function : returns an array; may raise SimulationError away from 0
     h        : first distance of the values
+    base     : the value at 0; if it is given, a function with a kink there has no derivative
     returns (derivative, error), arrays of the same shape; the error is inf if no distance has values
     """
     best = None
@@ -48,8 +66,11 @@ def derivative(function, h):
         except SimulationError:
             h /= SMALLER
             continue
+        if base is not None and kinked(values, base).any():
+            h /= SMALLER
+            continue
         found, error, is_small = of_values(values, h)
-        if best is None or error.max(initial=0.0) < best[1].max(initial=0.0):
+        if best is None or _largest(error) < _largest(best[1]):
             best = found, error
         if is_small:
             break

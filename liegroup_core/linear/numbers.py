@@ -37,7 +37,11 @@ class Numbers:
 
     def __init__(self, scene, names):
         self.scene, self._written = scene, scene_as_written(scene.text, scene.source)
+        if isinstance(names, str):
+            raise SceneError(f"numbers must be a list of names, got the text {names!r}")
         self.paths, known = tuple(path_of(self._written, name) for name in names), parameters(self._written)
+        if twice := [path for path in self.paths if self.paths.count(path) > 1]:
+            raise SceneError(f"{twice[0]} is given twice")
         if missing := [path for path in self.paths if known[path] is None]:
             raise SceneError(f"the scene has no value of {missing[0]}: give it there")
         self.values = np.array([known[path] for path in self.paths], dtype=float)
@@ -49,6 +53,11 @@ class Numbers:
     def scene_at(self, values):
         """Scene with other values (q,). Raises SceneError."""
         return scene_from_text(changed(self._written, dict(zip(self.paths, values))).text, source=self.scene.source)
+
+    def refused(self, k, error):
+        """SceneError for a number that cannot be changed to both sides."""
+        path, value = self.paths[k], self.values[k]
+        return SceneError(f"{path} = {value:g} has no values on both sides, so that it has no derivative: {error}")
 
     def beside(self, k, s):
         """Scene with number k changed by s scales. Raises SceneError."""
@@ -78,7 +87,10 @@ class Sides:
     def at(self, k, s):
         """(Simulation, Probe) of the scene with number k changed by s scales."""
         if (k, s) not in self._sides:
-            other = Simulation(self._numbers.beside(k, s), quiet=True, **self._settings)
+            try:
+                other = Simulation(self._numbers.beside(k, s), quiet=True, **self._settings)
+            except SceneError as error:
+                raise self._numbers.refused(k, error) from None
             other.inputs.commands = self._run.inputs.commands
             probe = Probe(other, in_space=True)
             if not probe.has_structure_of(self._own) or _times(other.layout) != _times(self._run.layout):
@@ -121,7 +133,7 @@ def _derivatives(values):
     near, far = (values[:, 0] - values[:, 1]) / CHANGE
     found = near * (2.0 / 3.0) - far / 12.0
     last = np.abs(found - 0.5 * near)
-    size = np.abs(found).max(axis=1, initial=0.0, keepdims=True) + np.finfo(float).tiny
+    size = np.nan_to_num(np.abs(found)).max(axis=1, initial=0.0, keepdims=True) + np.finfo(float).tiny
     return found, last * np.minimum(4.0 * last / size, 1.0) + ROUND_OFF * np.abs(values[0, 0]) / CHANGE
 
 

@@ -10,11 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from liegroup_core.errors import SceneError
+from liegroup_core.fields.arguments import floats
+from liegroup_core.forces.instants import LATEST
 from liegroup_core.simulation import Simulation
 from liegroup_core.threads import one_blas_thread
 
 from .channels import Outputs
-from .differences import SMALLER, WEIGHTS
+from .differences import SMALLER, WEIGHTS, kinked
 from .numbers import Numbers, OtherStructure
 from .probe import Probe
 from .variations import Variations
@@ -88,9 +90,10 @@ class _Run:
 
     def __init__(self, scene, names, times, outputs, settings):
         self.numbers, self.settings = Numbers(scene, names), settings
-        self.times = np.atleast_1d(np.asarray(times, dtype=float))
-        if not len(self.times):
-            raise SceneError("sensitivities need at least one time")
+        self.times = floats("times must be finite numbers", times).ravel()
+        steps = np.diff(self.times, prepend=0.0)
+        if not (len(steps) and (steps >= 0.0).all() and self.times[-1] <= LATEST):
+            raise SceneError(f"sensitivities need times from 0 to {LATEST:g} s that do not decrease")
         self._wanted, self.seen = outputs, None
         self.values, self._events, self._noise, self.seen = self._run(scene)
         self.outputs = tuple(self.seen.names)
@@ -123,7 +126,11 @@ class _Run:
             # The second derivatives are taken as large as the first ones, per rad or m.
             errors.append((error.T + noise * np.abs(derivatives.T)) * lost)
         found = np.array(found)
-        return found, np.array(errors), np.isnan(found).any(axis=(0, 1))
+        return found, np.array(errors), self._is_rough(found)
+
+    def _is_rough(self, found):
+        """(q,) which numbers have no derivative (k, p, q), where the output has a value."""
+        return (np.isnan(found) & np.isfinite(self.values)[:, :, None]).any(axis=(0, 1))
 
     def differences(self, k):
         """Derivatives (k, p) by number k, their errors, and whether it is rough, from other runs."""
@@ -138,11 +145,16 @@ class _Run:
                 counts.add(events)
             step = h * self.numbers.scales[k]
             apart = np.subtract(moves[::2], moves[1::2])
-            fourth, sixth = (np.tensordot(weights, apart, 1) / step for weights in WEIGHTS[1:])
-            truncation, rounding = np.abs(sixth - fourth), np.max(noises, axis=0)[:, None] / step
+            second, fourth, sixth = (np.tensordot(weights, apart, 1) / step for weights in WEIGHTS)
+            # Orders that do not converge are those of a function that is smooth on each side only.
+            last, before = np.abs(sixth - fourth), np.abs(fourth - second)
+            truncation = np.where(last > 0.1 * before, 10.0, 1.0) * last
+            rounding = np.max(noises, axis=0)[:, None] / step
+            bent = kinked(np.reshape(moves[:4], (2, 2, *self.values.shape)), np.zeros_like(self.values))
             is_better = truncation + rounding < best[1]
             best = np.where(is_better, sixth, best[0]), np.where(is_better, truncation + rounding, best[1])
             if not is_better.any() or (truncation <= ENOUGH * np.abs(sixth) + rounding).all():
                 break
             h /= SMALLER
-        return *best, counts != {self._events}
+        found = np.where(bent, np.nan, best[0])
+        return found, best[1], counts != {self._events} or self._is_rough(found[:, :, None])[0]

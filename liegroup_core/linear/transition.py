@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from liegroup_core.errors import SceneError, SimulationError
+from liegroup_core.forces.instants import LATEST
 from liegroup_core.threads import one_blas_thread
 
 from .coordinates import Coordinates
@@ -52,11 +53,11 @@ def transition(simulation, duration, independent=None):
     duration    : s, greater than 0
     independent : names of the coordinates, which must be independent at the end, too; None: those with the best
                   condition now
-    Raises SceneError for wrong names, SimulationError where neighbouring runs have other events, and where stops or
+    Raises SceneError for wrong names, SimulationError where runs to both sides behave differently, and where stops or
     friction hold other joints at the end. Accuracy: test/verification/test_transition.py.
     """
-    if not 0.0 < duration < np.inf:
-        raise SceneError(f"the duration must be a number of seconds greater than 0, got {duration:g}")
+    if not 0.0 < duration <= LATEST - simulation.time:
+        raise SceneError(f"the duration must be greater than 0 and end before {LATEST:g} s, got {duration:g} s")
     first = Coordinates(Probe(simulation, in_space=True), independent)
     m, states = len(first.independent), len(first.independent) + len(first.moving)
     signs = np.concatenate([first.signs, first.rate_signs])
@@ -68,7 +69,9 @@ def transition(simulation, duration, independent=None):
     for _ in run.through([end_ns]):
         pass
     if run.rough.any() or not np.isfinite(run.columns).all():
-        raise SimulationError("the run has no state transition: at an event, neighbouring runs have other events")
+        raise SimulationError(
+            "the run has no state transition: at a stop or in friction, runs to both sides behave differently"
+        )
     last = Coordinates(run.probe, first.rate_names, first.names)
     if last.names != first.names or last.rate_names != first.rate_names:
         raise SimulationError("stops or friction hold other joints at the end of the run than at its start")

@@ -93,10 +93,12 @@ class Variations:
         run.reach(run.instant_of(end_ns))
         with contextlib.suppress(SimulationError):  # after the end
             run.advance()
+        # At the start neighbouring states may move where this one is at rest.
+        found.append([start.parts["steps"], start.parts["steps"] + 1])
         for event in run.drain_instants()[1:]:
             first = max(math.floor(event.time / run.step - MARGIN), start.parts["steps"])
             last = math.ceil(event.time / run.step + MARGIN)
-            if found and first <= found[-1][1]:
+            if first <= found[-1][1]:
                 found[-1][1] = max(last, found[-1][1])
             else:
                 found.append([first, last])
@@ -253,12 +255,13 @@ class Variations:
             one.take(samples[time])
         outputs = [Outputs(one, BODIES) for one in probes]
 
-        def arrivals(c, s):
-            """(k, 12 n) poses and twists of the run that starts at s times column c; NaN between its and our event."""
-            other, beside = (self._near, probe) if c < self._first else self._sides.at(c - self._first, s)
+        base = np.array([seen.of(samples[time]) for time, seen in zip(times, outputs)])
+
+        def arrivals(other, beside, way, s):
+            """(k, 12 n) poses and twists of the run that starts s ways beside; NaN between its and our event."""
             if beside is not probe:
                 beside.follow(probe)
-            _, *state = beside.beside(s * self.columns[c])
+            _, *state = beside.beside(s * way)
             commands = other.inputs.commands
             other.drain_instants()
             other.set_state(*state, start.parts["steps"], angles, near)
@@ -273,22 +276,37 @@ class Variations:
                 raise SimulationError("neighbouring runs have other events")
             return np.where([[mine == own] for mine, own in zip(events, expected)], met, np.nan)
 
+        def values(c, s):
+            sides = (self._near, probe) if c < self._first else self._sides.at(c - self._first, s)
+            return arrivals(*sides, self.columns[c], s)
+
         def crossed(c):
             try:
-                return derivative(lambda s: arrivals(c, s), NEAR / max(largest[c], 1.0))
+                return derivative(lambda s: values(c, s), NEAR / max(self._sizes(self.columns)[c], 1.0), base)
             except SimulationError:
                 self.rough[c] = True
                 return np.zeros((2, len(times), len(outputs[0])))
 
-        largest = np.abs(self.columns / self._scales[:, None]).max(axis=(1, 2))
-        found, error = (np.array(part).swapaxes(0, 1) for part in zip(*map(crossed, range(len(largest)))))
-        before = np.abs((self.doubt - self.columns) / self._scales[:, None]).max(axis=(1, 2))
+        def carried(error, size):
+            """(k, 12 n) what an error before the events is after them."""
+            if size == 0.0:
+                return np.zeros((len(times), len(outputs[0])))
+            h = NEAR / size
+            try:
+                sides = (arrivals(self._near, probe, error, sign * h) for sign in (1, -1))
+                return np.nan_to_num(np.subtract(*sides)) / (2.0 * h)
+            except SimulationError:
+                return np.full((len(times), len(outputs[0])), size)
+
+        found, error = (np.array(part).swapaxes(0, 1) for part in zip(*map(crossed, range(len(self.columns)))))
+        before = self.doubt - self.columns
+        error += np.abs(np.array(list(map(carried, before, self._sizes(before))))).swapaxes(0, 1)
         for shown, doubt, one, seen, time in zip(found, error, probes, outputs, times):
-            columns, other = (self._from_bodies(one, seen, each) for each in (shown, shown + doubt))
-            # What was wrong before grows as its column does.
-            after = np.abs(columns / self._scales[:, None]).max(axis=(1, 2))
-            grown = before * np.divide(after, largest, out=np.ones_like(after), where=largest > 0.0)
-            yield samples[time], columns, other + grown[:, None, None] * self._scales[:, None]
+            yield samples[time], *(self._from_bodies(one, seen, each) for each in (shown, shown + doubt))
+
+    def _sizes(self, columns):
+        """(c,) largest entries of columns, in the units of the freedoms."""
+        return np.abs(columns / self._scales[:, None]).max(axis=(1, 2), initial=0.0)
 
     @staticmethod
     def _events_at(run, start_ns, times):

@@ -66,5 +66,5 @@ def run(args):
         console.print(table)
     if found.rough:
         names = ", ".join(found.rough)
-        console.print(Text(f"no derivative, because neighbouring runs have other events: {names}", style="yellow"))
+        console.print(Text(f"no derivative, because runs to both sides behave differently: {names}", style="yellow"))
     return 0

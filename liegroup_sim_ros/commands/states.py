@@ -8,6 +8,7 @@ from pathlib import Path
 from liegroup_core import Simulation
 from liegroup_core.engine import METHOD, STEP
 from liegroup_core.errors import LieGroupSimError
+from liegroup_core.forces.instants import LATEST
 from liegroup_sim_ros.playback.branch import Branches
 from liegroup_sim_ros.recording.read import read_recording
 
@@ -60,8 +61,9 @@ def states(args, running=False):
         yield from _of_recording(args)
         return
     scene = robot_scene(args.scene, args)
-    if args.at and args.at[0] < 0.0:
-        raise StateError(f"--at must be times from 0 on, got {args.at[0]:g}")
+    for time in (min(args.at, default=0.0), max(args.at, default=0.0)):
+        if not 0.0 <= time <= LATEST:
+            raise StateError(f"--at must be times from 0 to {LATEST:g} s, got {time:g}")
     if not any(args.at) and not running:
         yield 0.0, Simulation(scene, METHOD, STEP, estimate=False, quiet=True), None
         return

@@ -183,6 +183,48 @@ def test_numbers_that_change_the_times_of_inputs_have_differences_of_runs():
     np.testing.assert_allclose(found.derivatives[0, 0], [1.5, 0.2], rtol=1e-7)
 
 
+SLIDERS = """
+name: sliders
+gravity: [0, 0, 0]
+bodies:
+  - {name: a, mass: 1.0, inertia: [1, 1, 1], linear_velocity: [0, 0, 0]}
+  - {name: b, mass: 1.0, inertia: [1, 1, 1], linear_velocity: [1, 0, 0]}
+joints:
+  - {name: ja, type: prismatic, parent: world, child: a, child_frame: {axis: [1, 0, 0]}, friction: {coulomb: 2.0}}
+  - {name: jb, type: prismatic, parent: a, child: b, child_frame: {axis: [1, 0, 0]}}
+forces: [{name: push, type: applied_wrench, body: a, force: [PUSH, 0, 0], start: 0.0, end: 0.8}]
+"""
+
+
+def test_a_start_velocity_that_friction_takes_away_changes_nothing():
+    """a rests, and comes to rest at once if it moves; b slides on it without friction."""
+    scene = scene_from_text(SLIDERS.replace("PUSH", "1"), source="t")
+    found = sensitivities(scene, ["a.linear_velocity.0"], [0.5, 1.0], ["a.x", "b.x", "b.vx"])
+    assert np.abs(found.derivatives).max() < 1e-8 and (np.abs(found.derivatives) <= found.errors + 1e-12).all()
+
+
+@pytest.mark.parametrize("number, times", [("a.linear_velocity.0", [0.5]), ("push.end", [0.8])])
+def test_a_number_with_another_slope_on_either_side_has_no_derivative(number, times):
+    """From rest a starts to slide; a velocity against the push is braked first. v = 2 t ends at the end of the push."""
+    scene = scene_from_text(SLIDERS.replace("PUSH", "4"), source="t")
+    found = sensitivities(scene, [number], times, ["ja.velocity"])
+    assert found.rough and np.isnan(found.derivatives).all()
+
+
+def test_undetermined_outputs_leave_the_others_their_errors():
+    """A planar four-bar has redundant rows: reactions normal to its plane are undetermined."""
+    found = sensitivities(load_scene("four_bar"), ["crank.shape.mass"], [0.1], ["ground_crank.force_z", "crank.rz"])
+    assert np.isnan(found.derivatives[0, 0, 0]) and not found.rough
+    assert np.isfinite(found.derivatives[0, 1, 0]) and found.errors[0, 1, 0] < 1e-9
+
+
+def test_errors_do_not_grow_where_friction_makes_differences_small():
+    """The block sticks, slides and sticks again: at rest on the belt its place does not depend on the spring."""
+    found = sensitivities(load_scene("stick_slip"), ["spring.rest_length"], [3.3, 5.0], ["block.x"])
+    expected = differences(load_scene("stick_slip"), "forces.spring.rest_length", [3.3, 5.0], ["block.x"], 1e-4)
+    assert np.abs(found.derivatives[:, :, 0] - expected).max() < 1e-6 and found.errors.max() < 1e-6
+
+
 def test_unknown_numbers_are_refused():
     with pytest.raises(LieGroupSimError, match="the scene has no parameter masss"):
         sensitivities(load_scene("heavy_top"), ["masss"], [1.0])

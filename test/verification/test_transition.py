@@ -110,7 +110,7 @@ def test_an_impact_changes_its_time():
     found = transition(Simulation(scene_from_text(text, "t")), 1.0)
     assert np.abs(found.phi - [[-0.6, -0.6], [0.0, -0.6]]).max() < 1e-9
     # At the impact itself, neighbouring runs are before it or after it.
-    with pytest.raises(SimulationError, match="neighbouring runs have other events"):
+    with pytest.raises(SimulationError, match="runs to both sides behave differently"):
         transition(Simulation(scene_from_text(text, "t")), 0.2)
 
 
