@@ -59,7 +59,7 @@ class Chunk:
 
     def __init__(self):
         self.parts, self.size, self.count, self.index = [], 0, 0, {}
-        self.limit, self._last_ns = CHUNK_SIZE, None
+        self.limit, self._last_ns = CHUNK_SIZE, -1
 
     def ends_before(self, stamp_ns):
         """Whether a message with this stamp belongs in the next chunk; if not, it must be added."""
@@ -67,8 +67,6 @@ class Chunk:
 
     def may_end_before(self, stamp_ns):
         """Whether no message has this stamp or a later one; if not, the message must be added."""
-        if self._last_ns is None:  # computed here, once: `add` is called much more often
-            self._last_ns = max(max(each[::2]) for each in self.index.values())
         return stamp_ns > self._last_ns or self.size > LARGEST_CHUNK
 
     def add(self, channel, stamp_ns, data, sequence, publish_ns=None):
@@ -89,6 +87,8 @@ class Chunk:
         )
         self.size += _MESSAGE.size + len(data)
         self.count += 1
+        if stamp_ns > self._last_ns:
+            self._last_ns = stamp_ns
 
 
 def _appending(path, flags):

@@ -16,7 +16,7 @@ from waiting import PATIENCE, wait_for
 from liegroup_sim_ros.messages.codecs import ClockCodec, PoseStampedCodec
 from liegroup_sim_ros.recording.read import RecordingError, read_recording
 from liegroup_sim_ros.recording.write import Recorder, RecorderError
-from liegroup_sim_ros.recording.write_mcap import CHUNK_SIZE, LARGEST_CHUNK
+from liegroup_sim_ros.recording.write_mcap import CHUNK_SIZE, LARGEST_CHUNK, Chunk
 
 
 def test_a_killed_process_has_written_what_is_older_than_the_flush_interval(tmp_path):
@@ -280,6 +280,15 @@ def test_chunks_end_between_two_time_stamps(tmp_path):
     gaps = [start - end for (_, end, _), (start, _, _) in zip(chunks, chunks[1:])]
     assert min(gaps) > 0
     assert max(size for _, _, size in chunks) < CHUNK_SIZE + 7 * (len(payload) + 31) + 5000
+
+
+def test_a_chunk_knows_its_last_stamp_after_every_message():
+    """Also if it was asked before: a queue that is full for a moment would divide the next instant."""
+    chunk = Chunk()
+    for stamp in (1, 2):
+        assert chunk.may_end_before(stamp)
+        chunk.add(0, stamp, b"", 0)
+        assert not chunk.may_end_before(stamp)
 
 
 def test_messages_of_one_stamp_beyond_the_chunk_size_are_split(tmp_path):
