@@ -57,17 +57,26 @@ def _set_neighbour(model, work, scheme, y, pose_in, twist_in, external_in):
 
 
 @kernel
-def _evaluate(model, work, scheme, y, pose_in, twist_in, external_in, out, pose_out, twist_out):
-    """Write y' (f, 2) at a neighbour, and poses and twists of the bodies there. Returns a status."""
-    external, status = _set_neighbour(model, work, scheme, y, pose_in, twist_in, external_in)
-    if status != OK:
-        return status
+def _accelerate(model, work, external):
+    """Accelerations of the stage, and the loads of its friction. Returns a status."""
     dependent = steps.accelerate(model, work, external)
     if dependent >= 0:
         return DEPENDENT_ROWS + (dependent << 8)
     if model.has_loads:
         gather_lacking(model, work)
         find_loads(model, work)
+    return OK
+
+
+@kernel
+def _evaluate(model, work, scheme, y, pose_in, twist_in, external_in, out, pose_out, twist_out):
+    """Write y' (f, 2) at a neighbour, and poses and twists of the bodies there. Returns a status."""
+    external, status = _set_neighbour(model, work, scheme, y, pose_in, twist_in, external_in)
+    if status != OK:
+        return status
+    status = _accelerate(model, work, external)
+    if status != OK:
+        return status
     steps.store_slopes(model, work, scheme, 1)
     half = work.slopes.shape[1] // 2
     rows = len(y) // half
@@ -128,12 +137,9 @@ def _equations(model, work, pose, twist, external, own_pose, own_twist, out):
     """Write w' (f,), position residuals (m,) and J V (m,) at the links' rows of pose and twist. Returns a status."""
     external = steps.enter(model, work, borrowed(own_pose), borrowed(own_twist), borrowed(external))[2]
     steps.begin(model, work, pose, twist)
-    dependent = steps.accelerate(model, work, external)
-    if dependent >= 0:
-        return DEPENDENT_ROWS + (dependent << 8)
-    if model.has_loads:
-        gather_lacking(model, work)
-        find_loads(model, work)
+    status = _accelerate(model, work, external)
+    if status != OK:
+        return status
     f, m = len(work.freedoms), len(model.row_residual)
     for k in range(f):
         out[k] = work.acceleration[k, 0]

@@ -74,7 +74,7 @@ class Variations:
         if self._count:
             outputs = Outputs(self.probe, BODIES)
             shown, error = self._sides.at_start(outputs)
-            own, doubt = (self._from_bodies(self.probe, outputs, each) for each in (shown, shown + error))
+            own, doubt = self._from_bodies(self.probe, outputs, shown, error)
             self.columns, self.doubt = np.concatenate([self.columns, own]), np.concatenate([self.doubt, doubt])
         self.rough = np.zeros(len(self.columns), dtype=bool)
 
@@ -302,7 +302,7 @@ class Variations:
         before = self.doubt - self.columns
         error += np.abs(np.array(list(map(carried, before, self._sizes(before))))).swapaxes(0, 1)
         for shown, doubt, one, seen, time in zip(found, error, probes, outputs, times):
-            yield samples[time], *(self._from_bodies(one, seen, each) for each in (shown, shown + doubt))
+            yield samples[time], *self._from_bodies(one, seen, shown, doubt)
 
     def _sizes(self, columns):
         """(c,) largest entries of columns, in the units of the freedoms."""
@@ -342,15 +342,22 @@ class Variations:
         ]
         return np.reshape([part for part, _ in parts], (2 * f, len(outputs)))
 
-    def _from_bodies(self, probe, outputs, shown):
-        """Columns (c, f, 2) whose changes of all poses and twists are (c, 12 n); those of numbers are the last."""
+    def _from_bodies(self, probe, outputs, shown, error):
+        """Columns (c, f, 2) whose changes of all poses and twists are (c, 12 n), and those with the errors of these.
+
+        Those of numbers are the last.
+        """
+        frame, own = self._frame(probe, outputs), np.zeros_like(shown)
         if self._count:
-            shown = shown.copy()
-            shown[len(shown) - self._count :] -= self._sides.of_outputs(probe, outputs)[0]
-        known = np.isfinite(shown).all(axis=1)
-        x = np.full((2 * probe.freedoms, len(shown)), np.nan)
-        x[:, known] = np.linalg.lstsq(self._frame(probe, outputs).T, shown[known].T, rcond=FEW)[0]
-        return x.T.reshape(len(shown), 2, probe.freedoms).swapaxes(1, 2) * self._scales[:, None]
+            own[len(own) - self._count :] = self._sides.of_outputs(probe, outputs)[0]
+
+        def columns(values):
+            known = np.isfinite(values).all(axis=1)
+            x = np.full((2 * probe.freedoms, len(values)), np.nan)
+            x[:, known] = np.linalg.lstsq(frame.T, values[known].T, rcond=FEW)[0]
+            return x.T.reshape(len(values), 2, probe.freedoms).swapaxes(1, 2) * self._scales[:, None]
+
+        return columns(shown - own), columns(shown + error - own)
 
 
 def _settings(simulation):
