@@ -130,7 +130,7 @@ class Outputs:
         own = {each.name: (f, each.sign) for f, each in enumerate(layout.freedoms) if each.is_of_joint}
         found = [(own.get(name.rpartition(".")[0]), name.endswith(".velocity")) for name in self.names]
         self._freedoms = None
-        if set(self._kinds) <= {"joints"} and all(freedom for freedom, _ in found):
+        if self.are_joints and all(freedom for freedom, _ in found):
             self._freedoms = [(f, sign, int(is_rate)) for (f, sign), is_rate in found]
 
     def __len__(self):
@@ -142,6 +142,26 @@ class Outputs:
             return None
         rows = [sign * directions[:, f, rate] for f, sign, rate in self._freedoms]
         return np.reshape(rows, (len(rows), len(directions))).T
+
+    @property
+    def are_joints(self):
+        """Whether all outputs are coordinates and rates of joints."""
+        return set(self._kinds) <= {"joints"}
+
+    def of_joints(self, found):
+        """(r, k) outputs, from positions and velocities (r, j, 2) of the joints."""
+        return found.reshape(len(found), -1)[:, self._places]
+
+    @property
+    def quaternions(self):
+        """[four places of outputs that are the quaternion of a sensor]."""
+        found = []
+        for each in self._ideal:
+            first = next((k for k, part in enumerate(each.parts) if part == "qx"), None)
+            names = [] if first is None else [f"{each.name}.{first + k}" for k in range(4)]
+            if names and set(names) <= set(self.names):
+                found.append([self.names.index(name) for name in names])
+        return found
 
     @cached_property
     def angles(self):

@@ -118,6 +118,16 @@ class JointCoordinates:
         """Names of the joints whose angle is unwrapped."""
         return {*self._counted, *(name for name, *_ in self._coupled)}
 
+    def write(self, pose, twist, angles, out):
+        """Write positions and velocities (j, 2) in the order of `names`; arguments as of `at`."""
+        if self._counted or self._coupled:
+            out[:] = list(self.at(pose, twist, angles).values())
+        elif self.names:
+            self._write(pose, twist, out)
+
+    def _write(self, pose, twist, out):
+        _coordinates(self._ends, self._slides, self._frames, pose, twist, out)
+
     def at(self, pose, twist, angles):
         """{joint: (position, velocity)}: rad and rad/s, or m and m/s.
 
@@ -127,7 +137,7 @@ class JointCoordinates:
         if not self.names:
             return {}
         out = np.empty((len(self.names), 2))
-        _coordinates(self._ends, self._slides, self._frames, pose, twist, out)
+        self._write(pose, twist, out)
         found = dict(zip(self.names, map(tuple, out.tolist())))
         for name, number in self._counted.items():
             angle, rate = found[name]

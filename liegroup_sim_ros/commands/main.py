@@ -40,6 +40,8 @@ COMMANDS = {
     "trim": "find equilibria, steady motions, and the inputs that hold a pose",
     "inverse": "the efforts that a motion needs, with energy and power",
     "sensitivities": "derivatives of a run by numbers of the scene",
+    "compare": "compare a bag of a real machine with a scene: noise, numerics, and what the model lacks",
+    "identify": "find numbers of a scene from a bag, with intervals",
     "run": "simulate offline and write the trajectory to a file (no ROS needed)",
     "analyze": "report the numerical error of recordings",
     "replay": "publish a recording again, or simulate it again and compare",
@@ -51,7 +53,15 @@ COMMANDS = {
 }
 # Subcommands that read scenes and robots.
 READERS = ("import", "describe", "trade", "extremes", "sweep", "run", "view", "analyze")
-ANALYSES = ("linearise", "modes", "trim", "inverse", "sensitivities")  # of states and runs; they read scenes, too
+ANALYSES = (
+    "linearise",
+    "modes",
+    "trim",
+    "inverse",
+    "sensitivities",
+    "compare",
+    "identify",
+)  # of states and runs; they read scenes, too
 FULL = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)  # stdout is redirected to a file that cannot grow
 EXIT_WRONG_INPUT, EXIT_INTERRUPTED, EXIT_UNREAD = 2, 130, 141
 

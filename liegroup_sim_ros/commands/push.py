@@ -143,10 +143,12 @@ def _push(args):
         vector.x, vector.y, vector.z = values
     start, sent = time.monotonic(), 0
     try:
-        while sent / args.rate < args.duration:
+        # A simulation that is behind real time must take the wrench before its end arrives.
+        while sent / args.rate < args.duration or not applied and time.monotonic() - start < ANSWER:
             publisher.publish(message)
             sent += 1
-            due = start + min(sent / args.rate, args.duration)
+            planned = sent / args.rate
+            due = start + (planned if planned - args.duration > 1.0 / args.rate else min(planned, args.duration))
             spin_until(lambda: False, due - time.monotonic())
             if time.monotonic() - start > UNKNOWN:
                 refuse_unknown()

@@ -62,7 +62,7 @@ def make_plots(analysis, bodies=False):
                 for value, colour in ((accuracy * promise["length"], "--blue"), (accuracy, "--orange")):
                     lines.append((value, colour, since, until))
             remark += f"; horizontal: accuracy requested for the first {promise['horizon']:g} s"
-        plots.append(("Error", remark, _with_lines(_plane(traces, bands, "m, rad", log=True), lines)))
+        plots.append(("Error", remark, _with_lines(plane(traces, bands, "m, rad", log=True), lines)))
         ratios = _coverage_traces(curves.get("reference") or [])
         if ratios:
             plots.append(
@@ -70,7 +70,7 @@ def make_plots(analysis, bodies=False):
                     "Coverage",
                     f"estimate / error, where the error exceeds the uncertainty; lines at {LEAST:g} and {MOST:g}",
                     _with_lines(
-                        _plane(ratios, bands, "estimate / error", log=True),
+                        plane(ratios, bands, "estimate / error", log=True),
                         [(value, "--grey", None, None) for value in (LEAST, MOST)],
                     ),
                 )
@@ -85,7 +85,7 @@ def make_plots(analysis, bodies=False):
             (
                 "Conserved momentum components",
                 "change since the start of each interval without applied wrenches",
-                _plane(
+                plane(
                     _interval_traces(conserved[:6]),
                     bands,
                     "N m s" if all(entry["unit"] == "N m s" for entry in figures["momentum"][:6]) else "N m s, N s",
@@ -97,20 +97,20 @@ def make_plots(analysis, bodies=False):
             (
                 "Constraint residuals",
                 "largest of all joints",
-                _plane(_interval_traces([("residual", curves["joints"])]), bands, "m, rad", log=True),
+                plane(_interval_traces([("residual", curves["joints"])]), bands, "m, rad", log=True),
             )
         )
     for title, unit, part in (("forces", "N", slice(3, 6)), ("torques", "N m", slice(0, 3))):
         traces = _reaction_traces(analysis.recording.reactions, part)
         if traces:
             remark = "norm of the determined components, for the joints with the largest ones"
-            plots.append((f"Reaction {title}", remark, _plane(traces, bands, unit)))
+            plots.append((f"Reaction {title}", remark, plane(traces, bands, unit)))
     late = _lateness_traces(analysis.recording.diagnostics)
     if late:
-        plots.append(("Scheduling latency", "of all ticks since the start", _plane(late, bands, "µs", log=True)))
+        plots.append(("Scheduling latency", "of all ticks since the start", plane(late, bands, "µs", log=True)))
     entries = [_event_entry(figures, marks)] if marks is not None and len(marks) else []
     if len(restarts):
-        entries.append(_line("resets and set states", [math.nan], [math.nan], "--violet"))
+        entries.append(line("resets and set states", [math.nan], [math.nan], "--violet"))
     for *_, plot in plots:
         plot["data"] += entries
     return plots
@@ -158,7 +158,7 @@ def _accuracies(promise, motion):
 def _error_traces(parts, names):
     times = _joined([part[0] for part in parts])
     return [
-        _line(name, times, _joined([part[k + 1] for part in parts]), colour, dash)
+        line(name, times, _joined([part[k + 1] for part in parts]), colour, dash)
         for k, (name, colour, dash) in enumerate(names[: len(parts[0]) - 1])
     ]
 
@@ -176,7 +176,7 @@ def _coverage_traces(parts):
             with np.errstate(invalid="ignore", divide="ignore"):
                 ratios.append(np.where(error > uncertainty, estimate / error, np.nan))
         if any(np.isfinite(ratio).any() for ratio in ratios):
-            traces.append(_line(name, times, _joined(ratios), colour))
+            traces.append(line(name, times, _joined(ratios), colour))
     return traces
 
 
@@ -219,7 +219,7 @@ def _joint_plots(analysis, bands):
         curves = {name: joints[name][:, k] for name in kinds.get(kind, joints) if np.isfinite(joints[name][:, k]).any()}
         if curves:
             traces = _many_traces(times, curves, looks, chosen, jump=np.pi if unit == "rad" else np.inf)
-            plots.append((title, remark, {**_plane(traces, bands, unit), "pick": "Joints"}))
+            plots.append((title, remark, {**plane(traces, bands, unit), "pick": "Joints"}))
     return plots
 
 
@@ -233,7 +233,7 @@ def _body_plots(analysis, bands):
     plots = []
     for k, axis in enumerate("xyz"):
         traces = _many_traces(times, {name: places[:, n, k] for n, name in enumerate(names)}, looks, chosen)
-        plot = {**_plane(traces, bands, f"{axis} / m"), "pick": "Bodies"}
+        plot = {**plane(traces, bands, f"{axis} / m"), "pick": "Bodies"}
         plots.append((f"Body positions, {axis}", "origins of the body frames, world axes", plot))
     return plots
 
@@ -243,8 +243,8 @@ def _many_traces(times, curves, looks, chosen, jump=np.inf):
     traces = []
     for name, y in curves.items():
         gaps = np.flatnonzero(np.abs(np.diff(y)) > jump) + 1
-        line = _line(name, np.insert(times, gaps, np.nan), np.insert(y, gaps, np.nan), *looks[name], digits=5)
-        traces.append({**line, "visible": name in chosen, "showlegend": False})
+        drawn = line(name, np.insert(times, gaps, np.nan), np.insert(y, gaps, np.nan), *looks[name], digits=5)
+        traces.append({**drawn, "visible": name in chosen, "showlegend": False})
     return traces
 
 
@@ -268,17 +268,17 @@ def _energy_plots(balance, parts, bands):
     stored, works, remainder = (_joined([part[k] for part in parts]) for k in (1, 2, 3))
     named = dict(zip((*STORES, *(f"work of {name}" for name in WORKS)), (*stored.T, *works.T)))
     looks = _looks(named)
-    traces = [_line(name, times, y, *looks[name]) for name, y in named.items() if np.nanmax(abs(y)) > 0.0]
+    traces = [line(name, times, y, *looks[name]) for name, y in named.items() if np.nanmax(abs(y)) > 0.0]
     error = f"; estimated error of the work {shown(balance['quadrature_J'], 'J')}" if balance["quadrature_J"] else ""
-    plots = [("Energy", "change since the start", _plane(traces, bands, "J"))] if len(traces) > 1 else []
+    plots = [("Energy", "change since the start", plane(traces, bands, "J"))] if len(traces) > 1 else []
     remark = f"change of the energy minus the work done{error}"
-    return [*plots, ("Energy error", remark, _plane([_line("error", times, remainder, "--blue")], bands, "J"))]
+    return [*plots, ("Energy error", remark, plane([line("error", times, remainder, "--blue")], bands, "J"))]
 
 
 def _interval_traces(named):
     """One curve per name, with gaps between its intervals."""
     return [
-        _line(
+        line(
             name,
             _joined([times for times, _ in part]),
             _joined([change for _, change in part]),
@@ -295,7 +295,7 @@ def _reaction_traces(reactions, part):
         for joint, track in reactions.items()
     }
     largest = sorted(sizes, key=lambda joint: -sizes[joint][1].max(initial=0.0))[: len(COLOURS)]
-    return [_line(joint, *sizes[joint], COLOURS[k]) for k, joint in enumerate(largest)]
+    return [line(joint, *sizes[joint], COLOURS[k]) for k, joint in enumerate(largest)]
 
 
 def _lateness_traces(diagnostics):
@@ -304,7 +304,7 @@ def _lateness_traces(diagnostics):
         field = f"lateness_{key}_us"
         values = [(stamp * 1e-9, float(entry[field])) for stamp, entry in diagnostics if field in entry]
         if values:
-            traces.append({**_line(name, *np.array(values).T, colour), "mode": "lines+markers"})
+            traces.append({**line(name, *np.array(values).T, colour), "mode": "lines+markers"})
     return traces
 
 
@@ -331,13 +331,11 @@ def difference_plot(curve):
     """[(title, remark, plot)] of the curves of a comparison; empty if all differences are zero."""
     if not any((values > 0.0).any() for _, values in curve):
         return []
-    traces = [
-        _line(name, *part, colour) for name, part, colour in zip(("position, m", "attitude, rad"), curve, COLOURS)
-    ]
-    return [("Difference of the two recordings", "largest of all bodies", _plane(traces, [], "m, rad", log=True))]
+    traces = [line(name, *part, colour) for name, part, colour in zip(("position, m", "attitude, rad"), curve, COLOURS)]
+    return [("Difference of the two recordings", "largest of all bodies", plane(traces, [], "m, rad", log=True))]
 
 
-def _plane(traces, bands, unit, log=False):
+def plane(traces, bands, unit, log=False):
     """Plot of curves over time; a log axis shows positive values only."""
     axis = {"gridcolor": "--grid", "zerolinecolor": "--grid", "linecolor": "--grid", "automargin": True}
     return {
@@ -423,10 +421,10 @@ def _event_entry(figures, times):
     """Invisible curve that gives the lines at joint events an entry in the legend."""
     count = figures["joint_events"]["instants"]
     some = "" if len(times) == count else f", {len(times)} of {count}"
-    return _line(f"events at joints{some}", [math.nan], [math.nan], "--grey")
+    return line(f"events at joints{some}", [math.nan], [math.nan], "--grey")
 
 
-def _line(name, x, y, colour, dash="solid", digits=7):
+def line(name, x, y, colour, dash="solid", digits=7):
     """Trace of a curve. Long curves are reduced to minimum, maximum and a gap of each bin."""
     if len(x) > 2 * BINS:
         pick = _extremes(y)

@@ -1,0 +1,8 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Logs of real machines against scenes: comparison, and identification of numbers of the scene."""
+
+from .comparison import Comparison, compare
+from .identification import Identification, identify
+from .log import Given, Log, Measured
+
+__all__ = ["Comparison", "Given", "Identification", "Log", "Measured", "compare", "identify"]

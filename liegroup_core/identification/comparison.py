@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Comparison of a log with a scene: what noise, errors of the integration, and the model account for."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from liegroup_core.errors import SceneError, SimulationError
+
+from .contradictions import Effect, Effects, channel_fits
+from .fit import Fit, Solution
+from .runs import Point, Runs
+from .starts import first_states
+
+LENGTH = 2.0  # s, of a segment
+LEVELS = (1 / 16, 1 / 4, 1)  # of the length: segments with which fits begin, as short ones need no good start
+LEAST = 20  # measurements in a segment
+LINEAR = 0.01  # of the spread of an output: largest rms that is not noise, for effects to be linear
+LONGEST = 0.01  # s, first longest step; it is halved until the errors are a small part of the noise
+PART = 0.1  # of the noise: largest error of the integration
+MOST_HALVES = 8
+RANGE, LAGS = 1.0, 41  # s, and number of delays that are tried in it
+CLEARLY = 0.25  # of the mean square without a delay
+FEW = 1.0  # s of the log in which they are tried, at least
+ORDER = 4
+ROUGHLY = 1e-3  # relative decrease of the sum of squares in the last step: effects are judged by larger ones
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Comparison of a log with a scene.
+
+    fit, solution : Fit, Solution
+    channels : [ChannelFit]
+    effects  : [Effect] that explain residuals, one after the other
+    alone    : [Effect], each alone, by share
+    numerics : [(p,)] largest estimated error of the integration by the noise, of each Measured
+    """
+
+    fit: Fit
+    solution: Solution
+    channels: list
+    effects: list[Effect]
+    alone: list[Effect]
+    numerics: list
+
+    @property
+    def worst(self):
+        """ChannelFit with the largest residuals by its noise."""
+        return max(self.channels, key=lambda channel: channel.chi / channel.limit)
+
+    @property
+    def agrees(self):
+        """Whether the residuals are as small as the noise, and no effect explains them."""
+        return bool(self.worst.chi <= self.worst.limit) and not self.effects
+
+    @property
+    def delays(self):
+        """{topic: (s, standard deviation)} of the clocks; the deviation is 0 where the delay was given."""
+        found, variances, k = {}, np.diag(self.solution.covariance), 0
+        chi = max(1.0, self.reduced)
+        for each, delay, free in zip(self.fit.runs.log.measured, self.solution.point.delays, self.fit.free):
+            found[each.name] = float(delay), float(np.sqrt(variances[k] * chi)) if free else 0.0
+            k += bool(free)
+        return found
+
+    @property
+    def reduced(self):
+        """Sum of the squares of the weighted residuals by the degrees of freedom."""
+        unknowns = sum(basis.shape[1] for basis in self.solution.bases) + self.solution.columns.shape[1]
+        count = sum(int(np.isfinite(part).sum()) for parts in self.solution.residuals for part in parts)
+        return float(self.solution.left @ self.solution.left) / max(count - unknowns, 1)
+
+    @property
+    def verdict(self):
+        """One line: what the largest contradiction is."""
+        worst, solution = self.worst, self.solution
+        if self.agrees:
+            return "The measurements agree with the model: what is left is noise."
+        text = f"{worst.name} is {worst.chi:.3g} times its noise off (rms {worst.rms:.3g})."
+        if not self.effects:
+            return text + " No single effect explains it."
+        first = self.effects[0]
+        share = f"{100.0 * first.share:.3g} % of the sum of squares"
+        text += f" {first.text[0].upper()}{first.text[1:]}, {_sized(first)}, would explain {share}"
+        others = [each for each in self.alone if each.text != first.text and each.share > 0.9 * first.share]
+        if others:
+            text += f"; so would {others[0].text}, {_sized(others[0])}, for {100.0 * others[0].share:.3g} %"
+        more = self.effects[1:]
+        text += f"; after it {', '.join(f'{each.text} ({_sized(each)})' for each in more)}." if more else "."
+        return text if solution.converged else text + " The fit of the starts did not converge."
+
+
+def _sized(effect):
+    return f"{effect.value:.3g} {effect.unit}".strip().removesuffix(" 1")
+
+
+def compare(scene, log, length=LENGTH, workers=None):
+    """Comparison of a Log with a Scene.
+
+    length  : s, of the longest segments, each of which starts anew; shorter ones where the model is far off
+    workers : processes; None: as many as cores
+    Raises SceneError for unknown channels, SimulationError if the scene cannot be simulated from the measured start.
+    """
+    found = None
+    for fit, point in levels(scene, log, (), length, workers):
+        solution = fit.solve(point if found is None else continued(fit, point, found), ROUGHLY)
+        if found is not None and (not solution.converged or excess(fit, solution) > LINEAR):
+            break
+        if found is None:
+            fit.refine(solution)
+            solution = fit.solve(solution.point, ROUGHLY)
+        found = solution
+    return judged(fit, found)
+
+
+def continued(fit, point, solution):
+    """Point with the delays and numbers of a Solution of shorter segments."""
+    given = solution.point
+    states = first_states(fit.runs, point.bounds, given.delays, given.values)
+    halves = max(point.halves, given.halves)
+    return Point(point.bounds, given.delays, given.values, states, halves)
+
+
+def excess(fit, solution):
+    """Largest rms of residuals beyond the noise, by the spread of the output."""
+    found = 0.0
+    for t, (each, sigma) in enumerate(zip(fit.runs.log.measured, fit.deviation)):
+        rest = np.concatenate([part[t] for part in solution.residuals])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            beyond = np.sqrt(np.maximum(np.nanmean(rest**2, axis=0) - sigma**2, 0.0))
+            found = max(found, np.nan_to_num(beyond / np.nanstd(each.values, axis=0)).max(initial=0.0))
+    return found
+
+
+def judged(fit, solution):
+    """Comparison of a Solution."""
+    effects, alone = Effects(fit, solution).find()
+    channels = channel_fits(fit, solution)
+    return Comparison(fit, solution, channels, effects, alone, numerics(fit, solution.point, solution.outputs))
+
+
+def levels(scene, log, names=(), length=LENGTH, workers=None, limits=None, priors=None):
+    """(Fit, first Point) for segments of growing length; steps are short enough for the noise.
+
+    names, limits, priors : of Runs and Fit
+    """
+    if not (np.isfinite(length) and length > 0.0):
+        raise SceneError(f"the length of segments must be a positive number of seconds, got {length}")
+    runs = Runs(scene, log, names, LONGEST)
+    free = [each.delay is None for each in log.measured]
+    fit = Fit(runs, [each.noise for each in log.measured], free, limits, priors, workers)
+    first, last = log.span
+    delays, halves = np.array([each.delay or 0.0 for each in log.measured]), None
+    most = max(len(each.times) for each in log.measured)
+    counts = [max(1, round((last - first) / (part * length))) for part in LEVELS]
+    for count in dict.fromkeys(count for count in counts if count * LEAST <= most or count == counts[-1]):
+        bounds = np.linspace(first, last + 1e-6, count + 1)
+        if halves is None:
+            delays = _rough_delays(fit, bounds, delays)
+        point = Point(bounds, delays, runs.numbers.values, first_states(runs, bounds, delays), halves or 0)
+        while halves is None and point.halves < MOST_HALVES and _largest(numerics(fit, point)) > PART:
+            point = replace(point, halves=point.halves + 1)
+        halves = point.halves
+        yield fit, point
+
+
+def _largest(parts):
+    return max(part.max(initial=0.0) for part in parts)
+
+
+def numerics(fit, point, outputs=None):
+    """[(p,)] largest estimated error of the integration by the noise, from steps of half the size."""
+    outputs = fit.runs.base(point) if outputs is None else outputs
+    finer = fit.runs.base(replace(point, halves=point.halves + 1))
+    found = []
+    for t, (apart, sigma) in enumerate(zip(fit.apart, fit.deviation)):
+        off = [np.abs(apart(a[t], b[t])) for a, b in zip(outputs, finer)]
+        error = np.concatenate(off).max(axis=0, initial=0.0) * 2**ORDER / (2**ORDER - 1)
+        found.append(error / sigma)
+    return found
+
+
+def _rough_delays(fit, bounds, delays):
+    """Delays with the smallest residuals on a grid: a common one of all free clocks, then each alone."""
+    runs, free = fit.runs, np.flatnonzero(fit.free)
+    if not len(free):
+        return delays
+    few = bounds[: 2 + int(FEW / (bounds[1] - bounds[0]))]
+
+    def cost(of, lag):
+        """Mean square of what the best starts leave of the same measurements."""
+        trial = delays + np.where(np.isin(np.arange(len(delays)), of), lag, 0.0)
+        window = few - lag if len(of) == len(free) else few
+        try:
+            point = Point(window, trial, runs.numbers.values, first_states(runs, window, trial))
+            left = fit.projected(point)
+        except SimulationError:
+            return np.inf
+        return float(left @ left) / max(np.count_nonzero(left), 1)
+
+    def best(of):
+        grid = np.linspace(-RANGE, RANGE, LAGS)
+        costs = [cost(of, lag) for lag in grid]
+        k = int(np.argmin(costs))
+        # Starts absorb a common delay where little acts: without a clear minimum stamps are right.
+        clear = costs[k] < CLEARLY * costs[LAGS // 2]
+        return delays + np.where(np.isin(np.arange(len(delays)), of) & clear, grid[k], 0.0)
+
+    delays = best(free)
+    if len(free) > 1 and len(delays) > 1:
+        for t in free:
+            delays = best(np.array([t]))
+    return delays

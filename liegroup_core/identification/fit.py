@@ -1,0 +1,318 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Weighted least squares: starts of all segments, delays of the clocks and numbers of the scene, from a log.
+
+    minimise  sum over segments of | (measured - outputs) / deviation |^2  +  priors
+
+by the method of Levenberg and Marquardt. Starts belong to one segment each. Their columns are eliminated there by an
+orthogonal projection, so that the rest has as many unknowns as there are delays and numbers (variable projection). A
+segment does not have to continue where the one before it ends: an error of the model does not add up along the log.
+"""
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from liegroup_core.errors import SceneError, SimulationError
+from liegroup_core.study import tasks
+from liegroup_core.threads import one_blas_thread
+
+from .machine import Apart
+from .runs import CHANGE, start_scales
+
+UNSEEN = 1e-9  # relative singular value of a direction that no measurement shows
+MOST_STEPS, MOST_TRIES = 40, 12
+SAME = 1e-7  # relative decrease of the sum of squares in the last step
+CLOSE = 0.01  # of the standard deviations: last step
+WORTH = 10.0  # s of work, from which on several processes are faster
+FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Result of a fit.
+
+    point      : Point
+    residuals  : [[(r, p)]] of each segment and Measured, measured minus outputs, NaN where nothing was measured
+    outputs    : [[(r, p)]]
+    left       : (N,) weighted residuals without what changes of the starts explain
+    columns    : (N, g) changes of the weighted outputs with the free delays, then the numbers by their scales, likewise
+    bases      : [(N_s, c)] orthonormal directions of the weighted outputs that changes of each start give
+    converged  : whether the last step was small
+    """
+
+    point: object
+    residuals: list
+    outputs: list
+    left: np.ndarray
+    columns: np.ndarray
+    bases: list
+    converged: bool
+
+    @property
+    def covariance(self):
+        """(g, g) of free delays in s, then of numbers by their scales; infinite variances where nothing shows them."""
+        return covariance(self.columns)
+
+
+def covariance(columns):
+    """Inverse of J^T J for columns J (N, g); inf on the diagonal for directions without influence."""
+    sizes = np.linalg.norm(columns, axis=0)
+    seen = sizes > 0.0
+    found = np.diag(np.where(seen, 0.0, np.inf))
+    if not seen.any():
+        return found
+    _, singular, V = np.linalg.svd(columns[:, seen] / sizes[seen], full_matrices=False)
+    good = singular > UNSEEN * singular[0]
+    part = (V[good].T / singular[good] ** 2) @ V[good]
+    part[np.diag_indices_from(part)] += np.where((np.abs(V[~good]) > 1e-3).any(axis=0), np.inf, 0.0)
+    with np.errstate(invalid="ignore"):
+        found[np.ix_(seen, seen)] = part / np.outer(sizes[seen], sizes[seen])
+    return found
+
+
+class Fit:
+    """Least squares of a log.
+
+    runs     : Runs
+    deviation: [(p,)] of each Measured
+    free     : (t,) whether the delay of each Measured is unknown
+    limits   : (q, 2) least and largest numbers of the scene
+    priors   : (q, 2) expected values and their standard deviations, inf: none
+    workers  : processes; None: as many as cores
+    """
+
+    def __init__(self, runs, deviation, free, limits=None, priors=None, workers=None):
+        q = len(runs.numbers)
+        self.runs, self.deviation, self.free, self._workers = runs, deviation, np.asarray(free, dtype=bool), workers
+        self.limits = np.tile([-np.inf, np.inf], (q, 1)) if limits is None else np.asarray(limits, dtype=float)
+        self.priors = np.tile([0.0, np.inf], (q, 1)) if priors is None else np.asarray(priors, dtype=float)
+        self._seconds, machine = 0.0, runs.machine(runs.numbers.values)
+        self.apart = [Apart(outputs) for outputs in machine.outputs]
+
+    @one_blas_thread()
+    def solve(self, point, same=SAME):
+        """Solution from a Point on. Raises SimulationError if the run of the point fails.
+
+        same : relative decrease of the sum of squares in the last step, unless it is small against the noise
+        """
+        damping, cost, began = 0.0, None, time.perf_counter()
+        outputs = self.runs.base(point)
+        self._seconds = time.perf_counter() - began
+        for _ in range(MOST_STEPS):
+            residuals = self.residuals(point, outputs)
+            cost = self.cost(point, residuals)
+            parts = self._linear(point, outputs, residuals)
+            done = False
+            for _ in range(MOST_TRIES):
+                changes, step, small = self._step(point, parts, damping)
+                try:
+                    other = self._moved(point, changes, step)
+                    trial = self.runs.base(other)
+                    lower = self.cost(other, self.residuals(other, trial))
+                except (SimulationError, SceneError):
+                    lower = np.inf
+                if lower <= cost * (1.0 + 1e-12) or small:
+                    break
+                damping = max(10.0 * damping, FIRST_DAMPING)
+            else:
+                done = True
+            if lower <= cost * (1.0 + 1e-12):
+                done = done or small or cost - lower <= same * cost
+                point, outputs = other, trial
+                damping = 0.0 if damping < LEAST_DAMPING else 0.1 * damping
+            else:
+                done = True
+            if done:
+                break
+        else:
+            return self._solution(point, outputs, False)
+        return self._solution(point, outputs, bool(np.isfinite(lower)))
+
+    def refine(self, solution):
+        """Estimate the noise again, from the residuals of a Solution, in which there is less motion."""
+        for t, each in enumerate(self._log):
+            own = each.noise_of([parts[t] for parts in solution.residuals])
+            self.deviation[t] = np.minimum(own, self.deviation[t])
+
+    def columns(self, point):
+        """[(N_s, c)] changes of the weighted outputs with starts, delays and numbers, for each segment."""
+        outputs = self.runs.base(point)
+        parts = self._linear(point, outputs, self.residuals(point, outputs))
+        return [np.hstack(columns) for _, *columns in parts]
+
+    def projected(self, point):
+        """(N,) weighted residuals of a Point without what changes of the starts explain."""
+        outputs = self.runs.base(point)
+        parts = self._linear(point, outputs, self.residuals(point, outputs), with_numbers=False)
+        ranges = [(r, _range(J_x)) for r, J_x, _ in parts]
+        return np.concatenate([r - U @ (U.T @ r) for r, U in ranges])
+
+    def _solution(self, point, outputs, converged):
+        residuals = self.residuals(point, outputs)
+        parts = self._linear(point, outputs, residuals)
+        left, columns, bases = [], [], []
+        for r, J_x, J_g in parts:
+            U = _range(J_x)
+            left.append(r - U @ (U.T @ r))
+            columns.append(J_g - U @ (U.T @ J_g))
+            bases.append(U)
+        return Solution(point, residuals, outputs, np.concatenate(left), np.vstack(columns), bases, converged)
+
+    def residuals(self, point, outputs):
+        """[[(r, p)]] measured minus outputs."""
+        segments = self.runs.segments(point)
+        return [
+            [apart(each.values[rows], values) for apart, each, rows, values in zip(self.apart, self._log, *parts)]
+            for parts in zip((segment.rows for segment in segments), outputs)
+        ]
+
+    @property
+    def _log(self):
+        return self.runs.log.measured
+
+    def weighted(self, parts):
+        """(N_s,) residuals of one segment, or differences of outputs, by their deviations; 0 for NaN."""
+        rows = [np.nan_to_num(part / sigma).ravel() for part, sigma in zip(parts, self.deviation)]
+        return np.concatenate(rows)
+
+    def cost(self, point, residuals):
+        """Mean square of the weighted residuals, with the priors."""
+        total = sum(float(np.sum(self.weighted(parts) ** 2)) for parts in residuals)
+        count = sum(int(np.isfinite(part).sum()) for parts in residuals for part in parts)
+        return (total + float(np.sum(self._prior(point) ** 2))) / max(count, 1)
+
+    def _prior(self, point):
+        """(q,) deviations of the numbers from their priors."""
+        return (self.priors[:, 0] - point.values) / self.priors[:, 1]
+
+    def beside(self, outputs, other, residuals):
+        """[(N_s,)] changes of the weighted outputs between two runs; 0 where nothing was measured."""
+        return [
+            self.weighted([np.where(np.isfinite(r), apart(b, a), 0.0) for apart, a, b, r in zip(self.apart, *each)])
+            for each in zip(outputs, other, residuals)
+        ]
+
+    def tasks(self, function, items):
+        """Results of function(item) in the order of the items, on all workers."""
+        # Processes take some seconds to start.
+        workers = 1 if len(items) * self._seconds < WORTH else self._workers
+        found = dict(tasks.run(function, items, workers=workers))
+        return [found[k] for k in range(len(items))]
+
+    def _linear(self, point, outputs, residuals, with_numbers=True):
+        """For each segment weighted residuals (N_s,), columns of its start (N_s, c), and of delays and numbers."""
+        runs, machine = self.runs, self.runs.machine(point.values)
+        scales = [start_scales(machine, machine.coordinates(state)) for state in point.states]
+        most = max(map(len, scales))
+        count = len(runs.numbers) if with_numbers else 0
+        items = [("start", k) for k in range(most)] + [("number", k) for k in range(count)]
+        found = self.tasks(_Change(runs, point), items)
+        starts = [self.beside(outputs, other, residuals) for other in found[:most]]
+        numbers = [[way * part for part in self.beside(outputs, other, residuals)] for way, other in found[most:]]
+        parts = []
+        for s, (segment, one) in enumerate(zip(runs.segments(point), residuals)):
+            r = self.weighted(one)
+            J_x = np.array([column[s] for column in starts]).reshape(most, len(r)).T / CHANGE
+            late = self._late(segment, outputs[s], one)
+            J_n = np.array([column[s] for column in numbers]).reshape(len(numbers), len(r)).T / CHANGE
+            parts.append((r, J_x[:, : len(scales[s])], np.hstack([late, J_n])))
+        return parts
+
+    def _late(self, segment, outputs, residuals):
+        """(N_s, d) changes of the weighted outputs with the free delays, per s: minus their rates."""
+        free = np.flatnonzero(self.free)
+        columns = np.zeros((len(self.weighted(residuals)), len(free)))
+        begin = 0
+        for t, (values, rest, apart, places, sigma) in enumerate(
+            zip(outputs, residuals, self.apart, segment.places, self.deviation)
+        ):
+            size = values.size
+            if t in free and len(values) > 2:
+                times = segment.times[places]
+                rates = np.gradient(
+                    np.cumsum(np.vstack([values[:1], apart(values[1:], values[:-1])]), axis=0), times, axis=0
+                )
+                column = np.where(np.isfinite(rest), np.nan_to_num(-rates / sigma), 0.0)
+                columns[begin : begin + size, list(free).index(t)] = column.ravel()
+            begin += size
+        return columns
+
+    def _step(self, point, parts, damping):
+        """Changes [(c,)] of the starts by their scales, step (g,) of delays and numbers, and whether all are small."""
+        q = len(self.runs.numbers)
+        g = parts[0][2].shape[1]
+        eliminated, rows, right = [], [], []
+        for r, J_x, J_g in parts:
+            sizes = np.linalg.norm(J_x, axis=0)
+            more = np.sqrt(damping) * np.diag(np.maximum(sizes, 1e-300)) if damping else np.zeros((0, len(sizes)))
+            A = np.vstack([J_x, more])
+            U, singular, V = np.linalg.svd(A, full_matrices=False)
+            good = singular > UNSEEN * singular[:1].max(initial=0.0)
+            U, singular, V = U[:, good], singular[good], V[good]
+            U = U[: len(r)]
+            eliminated.append((U, singular, V))
+            rows.append(J_g - U @ (U.T @ J_g))
+            right.append(r - U @ (U.T @ r))
+        step = np.zeros(g)
+        if g:
+            J, r = np.vstack(rows), np.concatenate(right)
+            sizes = np.linalg.norm(J, axis=0)
+            scales = self.runs.numbers.scales
+            prior = np.zeros((q, g))
+            prior[:, g - q :] = np.diag(scales / self.priors[:, 1])
+            J = np.vstack([J, prior, np.sqrt(damping) * np.diag(sizes)])
+            r = np.concatenate([r, self._prior(point), np.zeros(g)])
+            low, high = np.full(g, -np.inf), np.full(g, np.inf)
+            low[g - q :], high[g - q :] = ((limit - point.values) / scales for limit in self.limits.T)
+            sizes = np.linalg.norm(J, axis=0)
+            seen = sizes > UNSEEN * sizes.max(initial=0.0)
+            R = np.linalg.qr(np.column_stack([J[:, seen] / sizes[seen], r]), mode="r")
+            A, b = R[:, :-1], R[:, -1]
+            found = np.linalg.lstsq(A, b, rcond=UNSEEN)[0]
+            limits = low[seen] * sizes[seen], high[seen] * sizes[seen]
+            if (found < limits[0]).any() or (found > limits[1]).any():
+                found = scipy.optimize.lsq_linear(A, b, limits, method="bvls").x
+            step[seen] = found / sizes[seen]
+        changes, small = [], True
+        spread = np.sqrt(sum(float(r @ r) for r in right) / max(sum(map(len, right)), 1))
+        for (r, _, J_g), (U, singular, V) in zip(parts, eliminated):
+            part = U.T @ (r - J_g @ step)
+            small = small and bool(np.abs(part).max(initial=0.0) < CLOSE * spread)
+            changes.append(V.T @ (part / singular))
+        if g:
+            small = small and bool((np.abs(step) * np.linalg.norm(np.vstack(rows), axis=0) < CLOSE * spread).all())
+        return changes, step, small
+
+    def _moved(self, point, changes, step):
+        """Point after a step."""
+        runs, machine = self.runs, self.runs.machine(point.values)
+        scaled = [
+            change * start_scales(machine, machine.coordinates(state)) for state, change in zip(point.states, changes)
+        ]
+        q, free = len(runs.numbers), np.flatnonzero(self.free)
+        delays = point.delays.copy()
+        delays[free] += step[: len(free)]
+        values = np.clip(point.values + step[len(step) - q :] * runs.numbers.scales, *self.limits.T)
+        moved = replace(point, states=runs.moved(point, scaled))
+        return replace(moved, delays=delays, values=values, states=runs.followed(moved, values))
+
+
+class _Change:
+    """Run with one change; the function of a task."""
+
+    def __init__(self, runs, point):
+        self._runs, self._point = runs, point
+
+    def __call__(self, item):
+        kind, k = item
+        return (self._runs.beside_start if kind == "start" else self._runs.beside_number)(self._point, k)
+
+
+def _range(J):
+    """Orthonormal basis of the range of J (N, c)."""
+    if not J.shape[1]:
+        return J
+    U, singular, _ = np.linalg.svd(J, full_matrices=False)
+    return U[:, singular > UNSEEN * singular.max(initial=0.0)]

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs of all segments of a log, with changed starts, numbers or forces; each one is a task for a worker."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from liegroup_core.errors import SceneError, SimulationError
+from liegroup_core.linear.coordinates import scales_of
+from liegroup_core.linear.numbers import Numbers
+
+from .machine import Machine, segments_of
+
+# Of starts, in rad and sizes of the mechanism and per s, and of numbers, relative: runs repeat to round-off.
+CHANGE = 1e-6
+_machines = {}  # of this process
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Unknowns of a fit.
+
+    bounds : (s + 1,) s, of the segments
+    delays : (t,) s, of each Measured
+    values : (q,) numbers of the scene
+    states : [State] at the start of each segment, of the scene with these numbers
+    halves : how often the longest steps are halved
+    """
+
+    bounds: np.ndarray
+    delays: np.ndarray
+    values: np.ndarray
+    states: tuple
+    halves: int = 0
+
+
+class Runs:
+    """Runs of a scene over a log, as a function of a Point and a change.
+
+    scene : Scene
+    log   : Log
+    names : of numbers that vary, as `liegroup_sim sweep --vary` takes them
+    longest : s, longest step
+    """
+
+    def __init__(self, scene, log, names=(), longest=2e-3):
+        self.scene, self.log, self.names, self.longest = scene, log, tuple(names), longest
+        self.numbers = Numbers(scene, list(names))
+        self._in_space, self._segments = False, (None, None)
+        self._key = hash((scene.text, self.names, longest, id(log)))
+        self._in_space = not all(self._is_alike(k) for k in range(len(self.numbers)))
+
+    def _is_alike(self, k):
+        """Whether the scene with number k changed has the same structure as it is."""
+        machine, (_, other) = self.machine(self.numbers.values), self._beside(self.numbers.values, k)
+        return other.probe.has_structure_of(machine.probe)
+
+    def machine(self, values):
+        """Machine with numbers (q,) of the scene. Raises SceneError."""
+        key = self._key, self._in_space, tuple(np.asarray(values, dtype=float).tolist())
+        if key not in _machines:
+            while len(_machines) > 2 * len(self.names) + 8:
+                del _machines[next(iter(_machines))]
+            is_given = np.array_equal(values, self.numbers.values)
+            scene = self.scene if is_given else self.numbers.scene_at(values)
+            turns = None if is_given else self.machine(self.numbers.values).turns
+            _machines[key] = Machine(scene, self.log, self.longest, self._in_space, turns)
+        return _machines[key]
+
+    def segments(self, point):
+        """[Segment] of a Point."""
+        key = point.bounds.tobytes(), point.delays.tobytes()
+        if self._segments[0] != key:
+            self._segments = key, segments_of(self.machine(point.values), point.bounds, point.delays)
+        return self._segments[1]
+
+    def __getstate__(self):
+        return vars(self) | {"_segments": (None, None)}
+
+    def base(self, point):
+        """[[(r, p)]] outputs of each segment and Measured. Raises SimulationError."""
+        machine = self.machine(point.values)
+        return [
+            self._checked(machine, segment, state, point) for segment, state in zip(self.segments(point), point.states)
+        ]
+
+    @staticmethod
+    def _checked(machine, segment, state, point):
+        try:
+            return machine.run(segment, state, halves=point.halves)
+        except SimulationError as error:
+            raise SimulationError(f"the run from {segment.start:.9g} s on: {error}", error.status) from None
+
+    def beside_start(self, point, k):
+        """As `base`, with coordinate or rate k of each start changed by CHANGE times its scale."""
+        machine, found = self.machine(point.values), []
+        for segment, state in zip(self.segments(point), point.states):
+            coordinates = machine.coordinates(state)
+            change = np.zeros(len(coordinates.independent) + len(coordinates.moving))
+            if k < len(change):
+                change[k] = CHANGE * start_scales(machine, coordinates)[k]
+            found.append(self._checked(machine, segment, machine.beside(state, coordinates, change), point))
+        return found
+
+    def beside_number(self, point, k):
+        """As `base`, with number k changed by CHANGE times its scale."""
+        machine, (way, other) = self.machine(point.values), self._beside(point.values, k)
+        if not other.probe.has_structure_of(machine.probe):
+            raise SceneError(f"{self.numbers.paths[k]} changes the structure of the mechanism: it cannot be identified")
+        runs = [
+            self._checked(other, segment, other.follow(machine, state), point)
+            for segment, state in zip(self.segments(point), point.states)
+        ]
+        return way, runs
+
+    def _beside(self, values, k):
+        """(1 or -1, Machine) with number k changed by CHANGE times its scale; it may be at the edge of its range."""
+        for way in (1.0, -1.0):
+            other = np.array(values, dtype=float)
+            other[k] += way * CHANGE * self.numbers.scales[k]
+            try:
+                return way, self.machine(other)
+            except SceneError:
+                if way < 0.0:
+                    raise
+        return None
+
+    def followed(self, point, values):
+        """States of the starts with other numbers of the scene."""
+        machine, other = self.machine(point.values), self.machine(values)
+        return tuple(other.follow(machine, state) for state in point.states)
+
+    def moved(self, point, changes):
+        """States of the starts with changes [(2 m,)] of their coordinates."""
+        machine = self.machine(point.values)
+        return tuple(
+            machine.beside(state, machine.coordinates(state), change) for state, change in zip(point.states, changes)
+        )
+
+
+def start_scales(machine, coordinates):
+    """(2 m,) scales of coordinates and rates: 1 rad, or the mechanism's size, and per s."""
+    scales = scales_of(machine.layout)
+    return np.concatenate([scales[coordinates.independent], scales[coordinates.moving]])

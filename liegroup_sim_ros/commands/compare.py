@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`liegroup_sim compare`: a bag of a real machine against a scene. No ROS."""
+
+import json
+import sys
+
+from rich.console import Console
+
+from liegroup_core import SimulationError
+from liegroup_core.errors import LieGroupSimError
+from liegroup_core.identification import compare
+from liegroup_core.identification.comparison import LENGTH
+from liegroup_core.layout import make_layout
+from liegroup_core.scene.yaml_text import read_yaml
+from liegroup_sim_ros.logs.bag import open_bag
+from liegroup_sim_ros.logs.load import load_log
+from liegroup_sim_ros.logs.map import Map, load_map
+from liegroup_sim_ros.logs.suggest import suggest
+from liegroup_sim_ros.report.compare_page import document, make_page, print_comparison
+from liegroup_sim_ros.report.files import check_files, write_text
+
+from .robot_options import add_robot_options, robot_scene
+from .states import stopped
+
+
+class LogError(LieGroupSimError):
+    """Arguments do not fit a log; one line of text, exit code 2."""
+
+
+def add_log(parser):
+    """Add the arguments that name a scene and bags."""
+    parser.add_argument("scene", metavar="SCENE", help="path of a scene or robot file, or name of an example scene")
+    parser.add_argument("bag", metavar="BAG", help="MCAP or SQLite file, or folder of `ros2 bag record`")
+    parser.add_argument(
+        "--map", metavar="FILE", help="what the topics are in the scene (*.yaml; default: that of --suggest)"
+    )
+    parser.add_argument(
+        "--segment",
+        type=float,
+        default=LENGTH,
+        metavar="S",
+        help="length in s of the parts of the log that each start anew (default: %(default)g)",
+    )
+    parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one per core)")
+    parser.add_argument("--json", metavar="FILE", help="write all figures as JSON; - prints it")
+    parser.add_argument("--html", metavar="PAGE", help="write a self-contained HTML page")
+    add_robot_options(parser)
+
+
+def add_arguments(parser):
+    """Arguments of the subcommand."""
+    parser.description = (
+        "Compare a bag with the simulation of its inputs: residuals against noise, errors of the integration, delays "
+        "of the clocks, and which effects (friction, inertia, mass, scales, offsets) would explain what is left."
+    )
+    parser.add_argument("--suggest", action="store_true", help="only print a map of the bag, found by types and names")
+    add_log(parser)
+
+
+def run(args):
+    """Run the subcommand; returns the exit code."""
+    check_log(args)
+    scene = robot_scene(args.scene, args)
+    if args.suggest:
+        with open_bag(args.bag) as bag:
+            text, notes = suggest(bag, scene, make_layout(scene))
+        print(text, end="")
+        for note in notes:
+            print(f"# {note}")
+        return 0
+    log = log_of(args, scene)
+    try:
+        with Console(stderr=True).status("comparing"):
+            found = compare(scene, log, args.segment, args.workers)
+    except SimulationError as error:
+        return stopped(error)
+    show(found, args, scene)
+    return 0
+
+
+def check_log(args):
+    """Raise LogError or ReportError for wrong arguments, before the work."""
+    check_files(None if args.json == "-" else args.json, args.html)
+    if args.workers is not None and args.workers < 1:
+        raise LogError(f"--workers must be at least 1, got {args.workers}")
+    if not 0.0 < args.segment < 1e9:
+        raise LogError(f"--segment must be a positive number of seconds, got {args.segment:g}")
+
+
+def log_of(args, scene):
+    """Log of the arguments. Raises BagError, SceneError."""
+    layout = make_layout(scene)
+    turns = {body.name: body.pose[:3, :3] for body in scene.bodies}
+    with open_bag(args.bag) as bag:
+        if args.map is not None:
+            given = load_map(args.map)
+        else:
+            text, _ = suggest(bag, scene, layout)
+            root = read_yaml(text, "suggested map")
+            if not root.value["measurements"]:
+                raise LogError(f"{args.bag}: no topic fits the names of {scene.name}: write a map, see --map")
+            given = Map(**root.value)
+        return load_log(bag, given, scene, turns)
+
+
+def show(found, args, scene, more=None):
+    """Write and print a Comparison, with the figures `more` of an identification."""
+    result = document(found, {"scene": scene.name, "log": args.bag}) | (more or {})
+    if args.json and args.json != "-":
+        write_text(args.json, json.dumps(result, indent=1, allow_nan=False) + "\n")
+    if args.html:
+        write_text(args.html, make_page(found, result))
+    if args.json == "-":
+        print(json.dumps(result, allow_nan=False))
+    else:
+        print_comparison(result, Console(file=sys.stdout))

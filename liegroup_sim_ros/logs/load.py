@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Log of a bag and a map: values in SI units, times that increase, and notes on what was lost."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from liegroup_core.errors import SceneError
+from liegroup_core.identification.log import Given, Log, Measured
+from liegroup_core.linear.channels import ACCELERATION, TWIST, WRENCH
+
+from .bag import BagError, Field
+
+QUATERNION = ("x", "y", "z", "w")
+GAP = 5.0  # of the usual time between two messages: a longer one is a gap
+LATE_STAMPS = 86400.0  # s between stamps and the times of recording: clocks without a common origin
+
+
+def _vector(path, names="xyz"):
+    return [f"{path}.{name}" if path else name for name in names]
+
+
+def _joined(path, name):
+    return f"{path}.{name}" if path else name
+
+
+def _of_pose(path):
+    return [*_vector(_joined(path, "position")), *_vector(_joined(path, "orientation"), QUATERNION)]
+
+
+def _of_transform(path):
+    return [*_vector(_joined(path, "translation")), *_vector(_joined(path, "rotation"), QUATERNION)]
+
+
+def fields_of(entry, scene, kind):
+    """[Field] of a map's entry, in the order of `channels_of`.
+
+    kind : of the message
+    """
+    name, _, part = (getattr(entry, "output", None) or entry.input).partition(".")
+    sensors = {sensor.name: sensor.type for sensor in scene.sensors}
+    path = entry.field
+    if part == "pose":
+        last = path.rpartition(".")[2].partition("[")[0]
+        return [Field(text) for text in (_of_transform if last == "transform" else _of_pose)(path)]
+    if part in ("twist", "acceleration"):
+        return [Field(text) for text in (*_vector(_joined(path, "angular")), *_vector(_joined(path, "linear")))]
+    if part == "wrench":
+        path = path or "wrench"
+        return [Field(text) for text in (*_vector(_joined(path, "torque")), *_vector(_joined(path, "force")))]
+    if not part and sensors.get(name) == "imu":
+        vectors = [_vector(_joined(path, each)) for each in ("angular_velocity", "linear_acceleration")]
+        texts = [*_vector(_joined(path, "orientation"), QUATERNION), *vectors[0], *vectors[1]]
+        return [Field(text) for text in texts]
+    if not part and sensors.get(name) == "force_torque":
+        path = path or "wrench"
+        return [Field(text) for text in (*_vector(_joined(path, "torque")), *_vector(_joined(path, "force")))]
+    if not path:
+        raise SceneError(f"{name}{part and '.'}{part}: give the field of {kind} that has it, such as data[0]")
+    return [Field(path)]
+
+
+def channels_of(name, scene):
+    """Names of the outputs or inputs that an entry of a map stands for."""
+    first, _, part = name.partition(".")
+    sensors = {sensor.name: sensor for sensor in scene.sensors}
+    whole = {"pose": ("x", "y", "z", "rx", "ry", "rz"), "twist": TWIST, "acceleration": ACCELERATION, "wrench": WRENCH}
+    if part in whole:
+        return [f"{first}.{each}" for each in whole[part]]
+    if not part and first in sensors:
+        kind = sensors[first].type
+        if kind == "pose":
+            raise SceneError(f"{first}: give {first}.0, {first}.1, ... of a pose sensor, or BODY.pose")
+        return [f"{first}.{k}" for k in range(1 if kind == "encoder" else len(sensors[first].parts))]
+    return [name]
+
+
+def load_log(bag, given, scene, turns):
+    """Log of a Bag and a Map.
+
+    turns : {body: (3, 3)} attitudes at the start of the scene, to which rotation vectors refer
+    Raises BagError, SceneError.
+    """
+    wanted, of = {}, {}
+    for entry in (*given.inputs, *given.measurements):
+        if entry.topic not in bag.topics:
+            bag.read({entry.topic: []})  # raises BagError
+        fields = fields_of(entry, scene, bag.topics[entry.topic])
+        begin = len(wanted.setdefault(entry.topic, []))
+        wanted[entry.topic] += fields
+        of[id(entry)] = slice(begin, begin + len(fields))
+    found, notes = bag.read(wanted), []
+    times = {topic: _times(topic, messages, notes) for topic, messages in found.items()}
+    origin = min(int(stamps[0]) for stamps, _ in times.values())
+    seconds = {topic: (stamps - origin) * 1e-9 for topic, (stamps, _) in times.items()}
+    spans = [each[-1] for each in seconds.values()]
+    if max(each[0] for each in seconds.values()) > max(spans) or max(spans) > LATE_STAMPS:
+        late = max(seconds, key=lambda topic: seconds[topic][0])
+        raise BagError(
+            f"the stamps of {late} are {seconds[late][0]:.6g} s after the others: their clocks have no common origin"
+        )
+    inputs = []
+    for entry in given.inputs:
+        values = found[entry.topic].values[times[entry.topic][1], of[id(entry)]] * entry.factor + entry.offset
+        for name, column in zip(channels_of(entry.input, scene), values.T):
+            known = np.isfinite(column)
+            inputs.append(Given(name, seconds[entry.topic][known], column[known], entry.hold))
+    delays = {clock.topic: clock.delay for clock in given.clocks}
+    measured = []
+    for topic in dict.fromkeys(entry.topic for entry in given.measurements):
+        names, columns, noise = [], [], []
+        for entry in given.measurements:
+            if entry.topic != topic:
+                continue
+            values = found[topic].values[times[topic][1], of[id(entry)]]
+            own = channels_of(entry.output, scene)
+            columns.append(_values(entry, values, turns))
+            names += own
+            noise += [np.nan if entry.noise is None else entry.noise] * len(own)
+        for name in names:
+            if names.count(name) > 1:
+                raise SceneError(f"{name} is given twice on {topic}: keep one")
+        values = np.hstack(columns)
+        measured.append(Measured(topic, seconds[topic], tuple(names), values, np.array(noise), delays.get(topic)))
+    if not inputs and all(each.delay is None for each in measured):
+        # Without inputs only differences of clocks show.
+        first = measured[0]
+        measured[0] = Measured(first.name, first.times, first.channels, first.values, first.deviation, 0.0)
+    return Log(tuple(inputs), tuple(measured), tuple(notes))
+
+
+def _values(entry, values, turns):
+    """(k, p) of a map's entry in SI units, with rotation vectors for quaternions of poses."""
+    name, _, part = entry.output.partition(".")
+    if part != "pose":
+        return values * entry.factor + entry.offset
+    if name not in turns:
+        raise SceneError(f"{entry.output}: the scene has no body {name}")
+    position, quaternion = values[:, :3] * entry.factor, values[:, 3:]
+    usable = np.isfinite(quaternion).all(axis=1) & (np.linalg.norm(quaternion, axis=1) > 0.5)
+    rotation = Rotation.identity(len(values))
+    if usable.any():
+        filled = np.where(usable[:, None], quaternion, [0.0, 0.0, 0.0, 1.0])
+        rotation = Rotation.from_quat(filled)
+    if entry.world is not None:
+        frame = entry.world.pose
+        position = position @ frame[:3, :3].T + frame[:3, 3]
+        rotation = Rotation.from_matrix(frame[:3, :3]) * rotation
+    vectors = (Rotation.from_matrix(turns[name].T) * rotation).as_rotvec()
+    vectors[~usable] = np.nan
+    return np.hstack([position + entry.offset, vectors])
+
+
+def _times(topic, messages, notes):
+    """(times in ns that increase, rows of the messages with them); what is left out is noted."""
+    stamped = messages.stamp_ns > 0
+    stamps, own = (messages.stamp_ns, stamped) if stamped.any() else (messages.log_ns, ~stamped)
+    if not own.all():
+        notes.append(f"{topic}: {int((~own).sum())} messages without a stamp: left out")
+    elif not stamped.any():
+        notes.append(f"{topic}: without stamps; times are those of recording")
+    kept = np.flatnonzero(own)
+    if (np.diff(stamps[kept]) < 0).any():
+        back = int((np.diff(stamps[kept]) < 0).sum())
+        notes.append(f"{topic}: {back} messages are earlier than the one before: sorted")
+    order = kept[np.argsort(stamps[kept], kind="stable")]
+    rows = order[np.concatenate([[True], np.diff(stamps[order]) > 0])]
+    if len(rows) < len(order):
+        notes.append(f"{topic}: {len(order) - len(rows)} messages have the stamp of another one: left out")
+    steps = np.diff(stamps[rows])
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    gaps = steps > GAP * usual
+    if gaps.any():
+        most = int(steps.argmax())
+        when = (stamps[rows][most] - stamps[rows][0]) * 1e-9
+        notes.append(
+            f"{topic}: {int(gaps.sum())} gaps, the longest {steps[most] * 1e-9:.3g} s, {when:.6g} s after its start"
+        )
+    return stamps[rows], rows

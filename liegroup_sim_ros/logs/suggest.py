@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Suggested map of a bag: what its topics are in a scene, by their types and names."""
+
+import json
+
+from .bag import BagError
+
+LOOKED_AT = 50  # messages of a topic
+
+
+def suggest(bag, scene, layout):
+    """(text of a map, [note on topics that are left out]) of a Bag and a scene with its Layout."""
+    inputs, measurements, notes = [], [], []
+    joints = [name for name in layout.coordinates.names]
+    efforts = [name for name in layout.unit_efforts if name not in layout.motions]
+    commanded = [topic for topic, kind in bag.topics.items() if kind == "std_msgs/msg/Float64MultiArray"]
+    for topic, kind in bag.topics.items():
+        try:
+            first = bag.first(topic, LOOKED_AT)
+        except BagError as error:
+            notes.append(f"{topic}: {error}")
+            continue
+        if not first:
+            continue
+        before = len(inputs) + len(measurements)
+        if kind == "sensor_msgs/msg/JointState":
+            for joint in joints:
+                if joint not in first[0]["name"]:
+                    continue
+                for part in ("position", "velocity"):
+                    if first[0][part]:
+                        measurements.append((f"{joint}.{part}", topic, f"{part}[{joint}]"))
+                if first[0]["effort"] and joint in efforts and not commanded:
+                    inputs.append((f"{joint}.effort", topic, f"effort[{joint}]"))
+        elif topic in commanded:
+            targets, size = list(layout.servos), len(first[0]["data"])
+            what, names = ("target", targets) if len(targets) == size else ("effort", efforts[:size])
+            inputs += [(f"{joint}.{what}", topic, f"data[{k}]") for k, joint in enumerate(names)]
+            notes.append(f"{topic}: has no names: check the order of the joints")
+        elif kind == "sensor_msgs/msg/Imu":
+            measurements += [(name, topic, "") for name in _sensors(scene, "imu", topic, first[0])]
+        elif kind == "geometry_msgs/msg/WrenchStamped":
+            sensors = _sensors(scene, "force_torque", topic, first[0])
+            measurements += [(name, topic, "") for name in sensors]
+            body = first[0]["header"]["frame_id"]
+            if not sensors and body in layout.body_names:
+                inputs.append((f"{body}.wrench", topic, ""))
+        elif kind == "geometry_msgs/msg/PoseStamped":
+            measurements += [(f"{body}.pose", topic, "pose") for body in _named(layout.body_names, topic)]
+        elif kind == "geometry_msgs/msg/TwistStamped":
+            measurements += [(f"{body}.twist", topic, "twist") for body in _named(layout.body_names, topic)]
+        elif kind == "nav_msgs/msg/Odometry":
+            body = first[0]["child_frame_id"]
+            if body in layout.body_names:
+                measurements += [(f"{body}.pose", topic, "pose.pose"), (f"{body}.twist", topic, "twist.twist")]
+        elif kind == "tf2_msgs/msg/TFMessage" and "static" not in topic:
+            frames = {
+                each["child_frame_id"]
+                for message in first
+                for each in message["transforms"]
+                if each["header"]["frame_id"] in ("world", "map", "odom")
+            }
+            for body in layout.body_names:
+                if body in frames and not any(name == f"{body}.pose" for name, *_ in measurements):
+                    measurements.append((f"{body}.pose", topic, f"transforms[{body}].transform"))
+        if len(inputs) + len(measurements) == before:
+            notes.append(f"{topic} ({kind}): nothing more of the scene found in it")
+    return _text(inputs, measurements), notes
+
+
+def _sensors(scene, kind, topic, message):
+    """Names of the sensors of a kind that a message may come from: named by its frame or topic, or the only one."""
+    known = [sensor.name for sensor in scene.sensors if sensor.type == kind]
+    frame = message["header"]["frame_id"]
+    found = [name for name in known if name == frame] or _named(known, topic)
+    return found or (known if len(known) == 1 else [])
+
+
+def _named(names, topic):
+    """The name that is a part of a topic, if there is one."""
+    parts = topic.split("/")
+    return [name for name in names if name in parts][:1]
+
+
+def _text(inputs, measurements):
+    lines = []
+    for key, what, entries in (("inputs", "input", inputs), ("measurements", "output", measurements)):
+        if not entries:
+            lines.append(f"{key}: []")
+            continue
+        lines.append(f"{key}:")
+        for name, topic, field in entries:
+            path = f", field: {json.dumps(field)}" if field else ""
+            lines.append(f"  - {{{what}: {json.dumps(name)}, topic: {json.dumps(topic)}{path}}}")
+    lines.append("clocks: []  # delays in s that are known, such as {topic: /imu, delay: 0.004}; others are estimated")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Comparison of a log with a scene: as JSON types, in the terminal, and as a self-contained HTML page."""
+
+from html import escape
+
+import numpy as np
+import scipy
+from rich.table import Table
+from rich.text import Text
+
+from liegroup_sim_ros.numbers import shown
+
+from .page import frame, plot_card, table, unbroken
+from .plots import COLOURS, line, plane
+
+CHANNEL_HEAD = ("output", "measurements", "noise", "rms", "rms / noise", "largest", "white")
+EFFECT_HEAD = ("effect", "size", "explains")
+MOST_PLOTS, MOST_EFFECTS = 12, 8
+BAND = 2.0  # deviations of the noise
+WHITE = 1e-3  # probability below which residuals are correlated
+
+
+def document(comparison, names):
+    """JSON types; names: {"scene", "log"}."""
+    result = comparison
+    numerics = [
+        float(x)
+        for each, part in zip(result.fit.runs.log.measured, result.numerics)
+        for x, column in zip(part, each.values.T)
+        if np.isfinite(column).any()
+    ]
+    return {
+        **names,
+        "verdict": result.verdict,
+        "agrees": result.agrees,
+        "converged": result.solution.converged,
+        "reduced_chi_square": result.reduced,
+        "channels": [{**vars(channel), "numerics": numeric} for channel, numeric in zip(result.channels, numerics)],
+        "effects": [_effect(each) for each in result.effects],
+        "alone": [_effect(each) for each in result.alone],
+        "delays": {name: {"delay": delay, "deviation": sd} for name, (delay, sd) in result.delays.items()},
+        "segments": len(result.solution.point.states),
+        "notes": list(result.fit.runs.log.notes),
+    }
+
+
+def _effect(effect):
+    found = dict(vars(effect))
+    return found | {"deviation": found["deviation"] if np.isfinite(found["deviation"]) else None}
+
+
+def channel_rows(result):
+    """Rows of CHANNEL_HEAD."""
+    return [
+        (
+            each["name"],
+            str(each["count"]),
+            shown(each["deviation"]),
+            shown(each["rms"]),
+            shown(each["chi"]),
+            f"{shown(each['largest'])} at {each['time']:.4g} s",
+            "yes" if each["p_white"] > WHITE else "no",
+        )
+        for each in result["channels"]
+    ]
+
+
+def effect_rows(effects):
+    """Rows of EFFECT_HEAD."""
+    return [
+        (
+            each["text"],
+            f"{shown(each['value'], each['unit'])} ± {shown(each['deviation'])}",
+            f"{100.0 * each['share']:.3g} %",
+        )
+        for each in effects
+    ]
+
+
+def print_comparison(result, console):
+    """Print the verdict and the tables."""
+    console.print(Text(f"{result['scene']} against {result['log']}", style="bold"))
+    console.print(Text(result["verdict"], style="green" if result["agrees"] else "yellow"))
+    for head, rows in (
+        (CHANNEL_HEAD, channel_rows(result)),
+        (("effect, each alone", *EFFECT_HEAD[1:]), effect_rows(result["alone"][:MOST_EFFECTS])),
+    ):
+        shown_table = Table(box=None, padding=(0, 2, 0, 0))
+        for name in head:
+            shown_table.add_column(name)
+        for row in rows:
+            shown_table.add_row(*(Text(cell) for cell in row))
+        console.print(shown_table)
+    for text in _remarks(result):
+        console.print(Text(text, style="dim"))
+
+
+def _remarks(result):
+    numerics = max(each["numerics"] for each in result["channels"])
+    found = [
+        f"{result['segments']} segments, each with a start of its own; errors of the integration: at most "
+        f"{shown(numerics)} of the noise"
+    ]
+    for topic, delay in result["delays"].items():
+        if delay["deviation"]:
+            half = scipy.special.ndtri(0.975) * delay["deviation"]
+            rest = "" if result["agrees"] else "; what the model lacks changes it"
+            found.append(f"{topic} is late by {1e3 * delay['delay']:.4g} ms ± {shown(1e3 * half, 'ms')} (95 %){rest}")
+    return found + result["notes"]
+
+
+def make_page(comparison, result):
+    """HTML of the page (about 5 MB, including plotly.js)."""
+    plots = _plots(comparison)
+    state = "good" if result["agrees"] else "warn"
+    sign = "✓ agrees" if result["agrees"] else "! contradiction"
+    body = (
+        f"<header><h1>{escape(result['scene'])} against {escape(result['log'])}</h1>"
+        f'<span class="state {state}">{sign}</span></header>'
+        f'<p class="verdict">{unbroken(result["verdict"])}</p>'
+        + '<div class="cards">'
+        + table("Residuals", CHANNEL_HEAD, channel_rows(result))
+        + table("Effects that would explain them, one after the other", EFFECT_HEAD, effect_rows(result["effects"]))
+        + table("Effects, each alone", EFFECT_HEAD, effect_rows(result["alone"][:MOST_EFFECTS]))
+        + "</div>"
+        + "".join(f'<p class="soft">{unbroken(text)}</p>' for text in _remarks(result))
+        + '<div class="cards" data-part="0">'
+        + "".join(plot_card(title, remark) for title, remark, _ in plots)
+        + "</div>"
+    )
+    data = [{"plots": [plot for *_, plot in plots], "view": None}]
+    return frame(f"{result['scene']} against {result['log']}", body, data)
+
+
+def _plots(comparison):
+    """[(title, remark, plot)]: for the outputs with the largest residuals, the values and the residuals."""
+    solution, fit = comparison.solution, comparison.fit
+    segments = fit.runs.segments(solution.point)
+    order = sorted(comparison.channels, key=lambda channel: -channel.chi)[: MOST_PLOTS // 2]
+    found = []
+    for t, each in enumerate(fit.runs.log.measured):
+        times = _apart([each.times[segment.rows[t]] for segment in segments])
+        for p, name in enumerate(each.channels):
+            if name not in [channel.name for channel in order]:
+                continue
+            measured = _apart([each.values[segment.rows[t], p] for segment in segments])
+            outputs = _apart([part[t][:, p] for part in solution.outputs])
+            rest = _apart([part[t][:, p] for part in solution.residuals])
+            sigma = fit.deviation[t][p]
+            traces = [
+                line("measured", times, measured, COLOURS[0]),
+                line("simulated", times, outputs, COLOURS[1], "dash"),
+            ]
+            found.append((name, f"{each.name}; each segment starts anew", plane(traces, [], "SI units")))
+            bands = [_band(-BAND * sigma, BAND * sigma)]
+            found.append(
+                (
+                    f"{name}: residual",
+                    "measured minus simulated; band: two standard deviations of the noise",
+                    plane([line("residual", times, rest, COLOURS[4])], bands, "SI units"),
+                )
+            )
+    return found
+
+
+def _apart(parts):
+    """Concatenated arrays, with a gap after each segment."""
+    return np.concatenate([piece for part in parts for piece in (part, [np.nan])])
+
+
+def _band(low, high):
+    return {
+        **{"type": "rect", "xref": "paper", "yref": "y", "x0": 0, "x1": 1, "y0": low, "y1": high},
+        **{"fillcolor": "--green", "opacity": 0.15, "line": {"width": 0}, "layer": "below"},
+    }

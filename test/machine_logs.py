@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Logs of simulated machines, as of real ones: inputs, noise, a late clock, lost messages, a start that is not given.
+
+The outputs of the true machine come from `Simulation`, to an accuracy far below the noise, and not from the code that
+compares.
+"""
+
+import numpy as np
+
+from liegroup_core import Simulation
+from liegroup_core.identification import Given, Log, Measured
+from liegroup_core.scene.load import scene_from_text
+
+PENDULUM = """
+name: furuta
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: arm, shape: {type: rod, axis: [1, 0, 0], length: 0.3, radius: 0.01, mass: 0.4}, position: [0.15, 0, 0]}
+  - {name: rod, shape: {type: rod, axis: [0, 0, 1], length: 0.4, radius: 0.005, mass: 0.15}, position: [0.3, 0, -0.2]}
+joints:
+  - {name: motor, type: revolute, parent: world, child: arm, parent_frame: {}, child_frame: {position: [-0.15, 0, 0]},
+     MOTOR}
+  - {name: hinge, type: revolute, parent: arm, child: rod, parent_frame: {position: [0.15, 0, 0], axis: [1, 0, 0]},
+     child_frame: {position: [0, 0, 0.2], axis: [1, 0, 0]}, HINGE}
+"""
+FOUR_BAR = """
+name: four_bar_motor
+gravity: [0, -9.81, 0]
+assemble: true
+bodies:
+  - {name: crank, shape: {type: box, size: [0.2, 0.03, 0.03], mass: 0.5}, position: [0, 0.1, 0],
+     rotation_vector: [0, 0, 1.5707963267948966], initial: fixed}
+  - {name: coupler, shape: {type: box, size: [0.5, 0.03, 0.03], mass: 0.6}, position: [0.22, 0.3, 0],
+     rotation_vector: [0, 0, 0.4]}
+  - {name: rocker, shape: {type: box, size: [0.4, 0.03, 0.03], mass: 0.8}, position: [0.45, 0.2, 0],
+     rotation_vector: [0, 0, 1.6]}
+joints:
+  - {name: motor, type: revolute, parent: world, child: crank, parent_frame: {}, child_frame: {position: [-0.1, 0, 0]},
+     MOTOR}
+  - {name: pin, type: revolute, parent: crank, child: coupler, parent_frame: {position: [0.1, 0, 0]},
+     child_frame: {position: [-0.25, 0, 0]}}
+  - {name: ball, type: spherical, parent: coupler, child: rocker, parent_frame: {position: [0.25, 0, 0]},
+     child_frame: {position: [0.2, 0, 0]}}
+  - {name: hinge, type: revolute, parent: world, child: rocker, parent_frame: {position: [0.45, 0, 0]},
+     child_frame: {position: [-0.2, 0, 0]}, HINGE}
+"""
+ARM = """
+name: arm
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: upper, shape: {type: rod, axis: [1, 0, 0], length: 0.4, radius: 0.03, mass: 2}, position: [0.2, 0, 0]}
+  - {name: lower, shape: {type: rod, axis: [1, 0, 0], length: 0.3, radius: 0.02, mass: 1}, position: [0.55, 0, 0]}
+  - {name: hand, shape: {type: box, size: [0.1, 0.05, 0.05], mass: 0.3}, position: [0.75, 0, 0]}
+joints:
+  - {name: motor, type: revolute, parent: world, child: upper, parent_frame: {axis: [0, 1, 0]},
+     child_frame: {position: [-0.2, 0, 0], axis: [0, 1, 0]}, MOTOR}
+  - {name: hinge, type: revolute, parent: upper, child: lower, parent_frame: {position: [0.2, 0, 0], axis: [0, 1, 0]},
+     child_frame: {position: [-0.15, 0, 0], axis: [0, 1, 0]}, HINGE}
+  - {name: wrist, type: revolute, parent: lower, child: hand, parent_frame: {position: [0.15, 0, 0]},
+     child_frame: {position: [-0.05, 0, 0]}}
+"""
+# Names of the actuated joints, and of what is driven how strongly, N m.
+MACHINES = {
+    "furuta": (PENDULUM, {"motor": 0.25}),
+    "four_bar": (FOUR_BAR, {"motor": 1.5}),
+    "arm": (ARM, {"motor": 12.0, "hinge": 4.0, "wrist": 0.1}),
+}
+DELAY, LOST = 0.004, 0.02
+NOISE = {"position": 5e-4, "velocity": 5e-3}
+
+
+def machine(name, motor="", hinge="", **replaced):
+    """Scene of a machine with keys added to its joints, such as "friction: {viscous: 0.1}"."""
+    text = MACHINES[name][0]
+    for place, key in (("MOTOR", motor), ("HINGE", hinge)):
+        text = text.replace(f",\n     {place}}}", f",\n     {key}}}" if key else "}")
+        text = text.replace(f", {place}}}", f", {key}}}" if key else "}")
+    for old, new in replaced.items():
+        text = text.replace(old, new)
+    return scene_from_text(text)
+
+
+def log_of(true, name, seed, seconds=4.0, rate=250.0, delay=DELAY, scale=1.0):
+    """Log of a true machine: efforts that change at 100 Hz, measured joints, random times, gaps and noise.
+
+    scale : of the efforts that act, relative to those that are logged
+    """
+    rng = np.random.default_rng(seed)
+    simulation = Simulation(true, quiet=True, accuracy=1e-8)
+    at = np.arange(0.0, seconds, 0.01)
+    inputs = []
+    for joint, size in MACHINES[name][1].items():
+        phases, rates = rng.uniform(0.0, 2.0 * np.pi, 3), rng.uniform(2.0, 12.0, 3)
+        u = size * np.sin(np.outer(at, rates) + phases).mean(axis=1)
+        inputs.append(Given(f"{joint}.effort", at, u))
+    times = 0.03 + np.cumsum(rng.uniform(0.7, 1.3, int((seconds - 0.1) * rate)) / rate)
+    times = np.round(times[rng.uniform(size=len(times)) > LOST], 9)
+    joints = [joint for joint in simulation.layout.coordinates.names if joint != "pin"]
+    channels = [f"{joint}.{part}" for joint in joints for part in NOISE]
+    rows, waiting = [], list(zip(at, *(each.values for each in inputs)))
+    for time in times:
+        while waiting and waiting[0][0] <= time:
+            start, *values = waiting.pop(0)
+            for each, value in zip(inputs, values):
+                simulation.apply_effort(each.name.removesuffix(".effort"), scale * float(value), start=float(start))
+        simulation.advance_to(time)
+        found = simulation.sample(time).joint_coordinates
+        rows.append([number for joint in joints for number in found[joint]])
+    sigma = np.array([NOISE[channel.rpartition(".")[2]] for channel in channels])
+    values = np.array(rows) + sigma * rng.standard_normal((len(times), len(sigma)))
+    unknown = np.full(len(sigma), np.nan)
+    return Log(tuple(inputs), (Measured("/joint_states", times + delay, tuple(channels), values, unknown),))

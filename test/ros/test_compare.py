@@ -1,0 +1,287 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`liegroup_sim compare` and `identify`: bags of MCAP and SQLite, maps, pages, and wrong or damaged input."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from bags import START_NS, TYPES, header, topics_of, write_bag
+from machine_logs import DELAY, log_of, machine
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+from rosbags.rosbag2 import StoragePlugin
+from scipy.spatial.transform import Rotation
+
+from liegroup_core import Simulation, load_scene
+from liegroup_core.identification import compare
+from liegroup_core.layout import make_layout
+from liegroup_core.scene.load import scene_from_text
+from liegroup_sim_ros.commands.main import main
+from liegroup_sim_ros.logs.bag import BagError, Field, open_bag
+from liegroup_sim_ros.logs.load import load_log
+from liegroup_sim_ros.logs.map import Map, load_map
+from liegroup_sim_ros.logs.suggest import suggest
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Folder with a scene, a bag of its machine with a heavier rod, the same in SQLite, and the suggested map."""
+    path = tmp_path_factory.mktemp("bags")
+    (path / "furuta.yaml").write_text(machine("furuta").text)
+    log = log_of(machine("furuta", **{"mass: 0.15": "mass: 0.165"}), "furuta", 1, seconds=1.2, rate=125.0)
+    write_bag(path / "bag", topics_of(log))
+    write_bag(path / "sqlite", topics_of(log), StoragePlugin.SQLITE3)
+    with open_bag(path / "bag") as bag:
+        scene = load_scene(path / "furuta.yaml")
+        text, notes = suggest(bag, scene, make_layout(scene))
+    assert notes == ["/effort_controller/commands: has no names: check the order of the joints"]
+    (path / "map.yaml").write_text(text.replace("clocks: []", f"clocks: [{{topic: /joint_states, delay: {DELAY}}}]"))
+    return path
+
+
+def refused(arguments, capsys):
+    """The one line of a command that refuses its input."""
+    assert main([str(argument) for argument in arguments]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    return lines[0]
+
+
+def test_compare_names_the_rod_and_identify_finds_it(folder, capsys):
+    page, figures, out = folder / "page.html", folder / "figures.json", folder / "found.yaml"
+    common = [folder / "furuta.yaml", folder / "bag", "--map", folder / "map.yaml", "--workers", 1]
+    assert main(["compare", *map(str, common), "--html", str(page), "--json", str(figures)]) == 0
+    text = capsys.readouterr().out
+    assert "mass of rod" in text.lower() and "segments, each with a start of its own" in " ".join(text.split())
+    result = json.loads(figures.read_text())
+    assert not result["agrees"] and result["effects"][0]["text"] == "mass of rod"
+    html = page.read_text()
+    assert "Mass of rod" in html and "two standard deviations of the noise" in html
+    arguments = ["identify", *map(str, common), "--vary", "rod.shape.mass=0.05:0.5", "--out", str(out), "--json", "-"]
+    assert main(arguments) == 0
+    (number,) = json.loads(capsys.readouterr().out)["numbers"]
+    assert number["interval"][0] - 0.001 < 0.165 < number["interval"][1] + 0.001
+    assert number["interval"][1] - number["interval"][0] < 0.002
+    found = load_scene(out)
+    assert found.bodies[1].mass == pytest.approx(number["value"], rel=1e-9)
+    assert out.read_text().startswith("# bodies.rod.shape.mass: ") and str(folder / "bag") in out.read_text()
+    assert "already exists" in refused(arguments, capsys)
+
+
+def test_suggested_maps_and_formats_give_equal_logs(folder, capsys):
+    assert main(["compare", str(folder / "furuta.yaml"), str(folder / "bag"), "--suggest"]) == 0
+    text = capsys.readouterr().out
+    assert '{input: "motor.effort", topic: "/effort_controller/commands", field: "data[0]"}' in text
+    (folder / "suggested.yaml").write_text(text)
+    scene, logs = load_scene(folder / "furuta.yaml"), []
+    for name in ("bag", "sqlite", next((folder / "bag").glob("*.mcap"))):
+        with open_bag(folder / name) as bag:
+            logs.append(load_log(bag, load_map(folder / "suggested.yaml"), scene, {}))
+    first = logs[0]
+    assert first.notes == ("/effort_controller/commands: without stamps; times are those of recording",)
+    for log in logs[1:]:
+        assert log.inputs[0].values.tobytes() == first.inputs[0].values.tobytes()
+        for one, other in zip(log.measured, first.measured):
+            assert one.times.tobytes() == other.times.tobytes() and one.values.tobytes() == other.values.tobytes()
+
+
+BODY = """
+name: thrown
+gravity: [0, 0, -9.81]
+bodies: [{name: box, mass: 2, inertia: [0.1, 0.2, 0.3], angular_velocity: [2, 0.3, 0.1], linear_velocity: [1, 0, 5]}]
+sensors:
+  - {name: imu, type: imu, body: box, frame: {position: [0.1, 0, 0], rotation_vector: [0, 0, 0.4]}}
+"""
+
+
+def test_poses_odometry_imu_and_tf_of_a_thrown_body_agree(tmp_path):
+    """A turned frame of the tracker, quaternions of either sign, and an accelerometer with gravity."""
+    scene, rng = scene_from_text(BODY), np.random.default_rng(0)
+    simulation, topics = Simulation(scene, accuracy=1e-9, quiet=True), {}
+    turn = Rotation.from_rotvec([0.3, -0.2, 1.1])
+    shift = np.array([0.5, -1.0, 0.2])
+    vector, quaternion = TYPES["geometry_msgs/msg/Vector3"], TYPES["geometry_msgs/msg/Quaternion"]
+    point = TYPES["geometry_msgs/msg/Point"]
+    poses, odometry, frames, imu = [], [], [], []
+    for k, sample in enumerate(simulation.samples(np.arange(0.05, 0.5, 0.01))):
+        ns = START_NS + sample.time_ns
+        body = sample.poses["box"]
+        r = turn.inv().apply(body[:3, 3] - shift) + 1e-3 * rng.standard_normal(3)
+        noisy = Rotation.from_matrix(body[:3, :3]) * Rotation.from_rotvec(1e-3 * rng.standard_normal(3))
+        q = (turn.inv() * noisy).as_quat() * (-1) ** k
+        pose = TYPES["geometry_msgs/msg/Pose"](point(*r), quaternion(*q))
+        poses.append((ns, TYPES["geometry_msgs/msg/PoseStamped"](header(ns, "tracker"), pose)))
+        world = body[:3, 3] + 1e-3 * rng.standard_normal(3)
+        pose = TYPES["geometry_msgs/msg/Pose"](point(*world), quaternion(*noisy.as_quat()))
+        w, v = np.split(sample.twists["box"] + 1e-3 * rng.standard_normal(6), 2)
+        twist = TYPES["geometry_msgs/msg/Twist"](vector(*v), vector(*w))
+        parts = (
+            TYPES["geometry_msgs/msg/PoseWithCovariance"](pose, np.zeros(36)),
+            TYPES["geometry_msgs/msg/TwistWithCovariance"](twist, np.zeros(36)),
+        )
+        odometry.append((ns, TYPES["nav_msgs/msg/Odometry"](header(ns, "world"), "box", *parts)))
+        transform = TYPES["geometry_msgs/msg/Transform"](vector(*world), quaternion(*noisy.as_quat()))
+        stamped = TYPES["geometry_msgs/msg/TransformStamped"](header(ns, "world"), "box", transform)
+        frames.append((ns, TYPES["tf2_msgs/msg/TFMessage"]([stamped])))
+        m = scene.sensors[0].measure(sample) + 1e-3 * rng.standard_normal(10)
+        m[:4] /= np.linalg.norm(m[:4])
+        message = TYPES["sensor_msgs/msg/Imu"](
+            header(ns, "imu"),
+            quaternion(*m[:4]),
+            np.zeros(9),
+            vector(*m[4:7]),
+            np.zeros(9),
+            vector(*m[7:]),
+            np.zeros(9),
+        )
+        imu.append((ns, message))
+    topics = {
+        "/box": ("geometry_msgs/msg/PoseStamped", poses),
+        "/odom": ("nav_msgs/msg/Odometry", odometry),
+        "/tf": ("tf2_msgs/msg/TFMessage", frames),
+        "/imu": ("sensor_msgs/msg/Imu", imu),
+    }
+    write_bag(tmp_path / "bag", topics)
+    with open_bag(tmp_path / "bag") as bag:
+        text, notes = suggest(bag, scene, make_layout(scene))
+        assert notes == ["/tf (tf2_msgs/msg/TFMessage): nothing more of the scene found in it"], "it is known from /box"
+        entries = Map(
+            measurements=[
+                {
+                    "output": "box.pose",
+                    "topic": "/box",
+                    "field": "pose",
+                    "world": {"position": shift.tolist(), "rotation_vector": turn.as_rotvec().tolist()},
+                },
+                {"output": "box.twist", "topic": "/odom", "field": "twist.twist"},
+                {"output": "box.x", "topic": "/tf", "field": "transforms[box].transform.translation.x"},
+                {"output": "imu", "topic": "/imu"},
+            ],
+            clocks=[{"topic": topic, "delay": 0.0} for topic in topics],
+        )
+        log = load_log(bag, entries, scene, {"box": np.eye(3)})
+    found = compare(scene, log, workers=1)
+    assert found.agrees, found.verdict
+    assert {channel.count for channel in found.channels} == {len(poses)}
+
+
+def test_notes_tell_of_lost_doubled_and_disordered_messages(tmp_path):
+    log = log_of(machine("furuta"), "furuta", 1, seconds=0.6, rate=125.0)
+    topics = topics_of(log)
+    kind, states = topics["/joint_states"]
+    topics["/joint_states"] = kind, [*states[:20], *states[40:], states[5], states[5]]
+    states[3], states[4] = (states[4][0], states[3][1]), (states[3][0], states[4][1])
+    write_bag(tmp_path / "bag", topics)
+    scene = machine("furuta")
+    with open_bag(tmp_path / "bag") as bag:
+        text, _ = suggest(bag, scene, make_layout(scene))
+        (tmp_path / "map.yaml").write_text(text)
+        notes = load_log(bag, load_map(tmp_path / "map.yaml"), scene, {}).notes
+    assert any("2 messages have the stamp of another one" in note for note in notes)
+    assert any("gaps, the longest 0.1" in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("entry", "text"),
+    [
+        ("{output: motor.position, topic: /joint_states, field: 'position[motr]'}", "has a number position[motr]"),
+        ("{output: motor.position, topic: /nothing, field: a}", "no topic /nothing; its topics: /"),
+        ("{output: motr.position, topic: /joint_states, field: 'position[motor]'}", "unknown output 'motr.position'"),
+        ("{output: motor.position, topic: /joint_states}", "give the field of sensor_msgs/msg/JointState"),
+        ("{output: motor.position, topic: /joint_states, field: 'a[', noise: 1}", "give names with dots and brackets"),
+        ("{output: motor.position, topic: /joint_states, field: 'position[motor]', noise: -1}", "map.yaml:2: "),
+        ("{output: motor.position, topic: /joint_states, feld: a}", 'did you mean "field"'),
+        ("{output: box.pose, topic: /joint_states, field: pose}", "no message on /joint_states"),
+    ],
+)
+def test_wrong_maps_have_one_line(folder, entry, text, tmp_path, capsys):
+    (tmp_path / "map.yaml").write_text(f"measurements:\n  - {entry}\n")
+    line = refused(["compare", folder / "furuta.yaml", folder / "bag", "--map", tmp_path / "map.yaml"], capsys)
+    assert text in line
+
+
+def with_checksums(path, copy):
+    """Copy an MCAP file with the writer of mcap, which adds checksums."""
+    with open(path, "rb") as file, open(copy, "wb") as out:
+        writer, channels = Writer(out, compression=CompressionType.NONE), {}
+        writer.start(profile="ros2")
+        for schema, channel, message in make_reader(file).iter_messages():
+            if channel.topic not in channels:
+                own = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.topic] = writer.register_channel(channel.topic, "cdr", own, channel.metadata)
+            writer.add_message(channels[channel.topic], message.log_time, message.data, message.publish_time)
+        writer.finish()
+
+
+@pytest.mark.parametrize("kind", ["missing", "empty", "text", "cut", "bits", "sqlite"])
+def test_damaged_bags_have_one_line(folder, kind, tmp_path, capsys):
+    path = tmp_path / ("bag.db3" if kind == "sqlite" else "bag.mcap")
+    whole = next((folder / "bag").glob("*.mcap"))
+    if kind == "bits":  # rosbags writes no checksums
+        with_checksums(whole, path)
+        damaged = bytearray(path.read_bytes())
+        damaged[len(damaged) // 2] ^= 1
+        path.write_bytes(damaged)
+    elif kind != "missing":
+        half = whole.read_bytes()[: whole.stat().st_size // 2]
+        path.write_bytes({"empty": b"", "text": b"hello\n", "cut": half, "sqlite": b"x" * 5000}[kind])
+    line = refused(["compare", folder / "furuta.yaml", path, "--map", folder / "map.yaml"], capsys)
+    assert str(path) in line
+
+
+def test_definitions_of_a_bag_are_not_executed(folder, tmp_path):
+    """A hostile definition is refused or read as data: no file appears."""
+    evil = b"float64 x\n#" + b'";__import__("os").system("touch EVIL");"'
+    whole = next((folder / "bag").glob("*.mcap")).read_bytes()
+    place = whole.index(b"float64[] position")
+    hostile = whole[:place] + evil.ljust(len(evil), b" ") + whole[place + len(evil) :]
+    (tmp_path / "bag.mcap").write_bytes(hostile)
+    try:
+        with open_bag(tmp_path / "bag.mcap") as bag:
+            bag.first("/joint_states")
+    except BagError as error:
+        assert "\n" not in str(error)
+    assert not list(tmp_path.glob("EVIL"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["--segment", "0"], "--segment"),
+        (["--workers", "0"], "--workers"),
+        (["--html", "/nowhere/page.html"], "existing folder"),
+        (["--json", "a.mcap"], "choose another name"),
+    ],
+)
+def test_wrong_arguments_have_one_line(folder, arguments, text, capsys):
+    assert text in refused(["compare", folder / "furuta.yaml", folder / "bag", *arguments], capsys)
+    if arguments[0] == "--segment":
+        line = refused(["identify", folder / "furuta.yaml", folder / "bag", "--vary", "rod.shape.mass=1,2"], capsys)
+        assert "NAME=LOW:HIGH" in line
+
+
+def test_fields_of_messages():
+    message = {
+        "joint_names": ["a", "b"],
+        "interface_values": [
+            {"interface_names": ["effort"], "values": (1.0,)},
+            {"interface_names": ["position", "effort"], "values": (2.0, 3.0)},
+        ],
+        "transforms": [{"child_frame_id": "tool.v2", "transform": {"x": 4.0}}],
+    }
+    for text, value in (
+        ("interface_values[b].values[effort]", 3.0),
+        ("interface_values[0].values[0]", 1.0),
+        ("transforms[tool.v2].transform.x", 4.0),
+        ("interface_values[c].values[effort]", None),
+        ("transforms[7].transform.x", None),
+        ("transform.x", None),
+    ):
+        assert Field(text)(message) == value
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _clean(folder):
+    yield
+    shutil.rmtree(folder, ignore_errors=True)

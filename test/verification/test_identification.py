@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What logs of simulated machines say of models: effects that are missing, numbers with intervals, delays."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from machine_logs import DELAY, NOISE, log_of, machine
+from volume import some
+
+from liegroup_core import SceneError
+from liegroup_core.identification import Given, Log, Measured, compare, identify
+from liegroup_core.identification.comparison import levels
+
+ROTOR = "rotor: {inertia: 2.0e-5, ratio: 10}"
+MISSING = [
+    ("furuta", {"hinge": "friction: {coulomb: 0.01}"}, "dry friction of hinge", 0.01),
+    ("furuta", {"hinge": "friction: {viscous: 0.003}"}, "viscous friction of hinge", 0.003),
+    ("furuta", {"motor": ROTOR}, "rotor inertia of motor", 2e-3),
+    ("four_bar", {"hinge": "friction: {coulomb: 0.1}"}, "dry friction of hinge", 0.1),
+    ("four_bar", {"motor": ROTOR}, "rotor inertia of motor", 2e-3),
+]
+SHORT = {"seconds": 1.2, "rate": 125.0}
+
+
+def timed(log):
+    """Log with a known delay of its clock."""
+    return Log(log.inputs, tuple(replace(each, delay=DELAY) for each in log.measured))
+
+
+@pytest.mark.parametrize(("name", "keys", "effect", "size"), some(MISSING, 2))
+def test_what_a_model_lacks_is_named_with_its_size(name, keys, effect, size):
+    """Both names are right where two effects are the same: the mass of the Furuta arm adds to its inertia only.
+
+    The size is linear about the wrong model, so a tenth off.
+    """
+    found = compare(machine(name), log_of(machine(name, **keys), name, 1, **SHORT), workers=1)
+    first = found.effects[0]
+    equal = [each for each in found.alone if each.share > 0.98 * first.share]
+    assert effect in [first.text, *(each.text for each in equal)]
+    (own,) = [each for each in found.alone if each.text == effect]
+    assert own.value == pytest.approx(size, rel=0.15)
+    assert not found.agrees and effect.partition(" of ")[0] in found.verdict.lower()
+
+
+@pytest.mark.parametrize("name", ["furuta", "four_bar"])
+def test_a_right_model_leaves_noise(name):
+    """Noise is estimated to a tenth; the delay within four standard deviations; errors of the integration are small."""
+    found = compare(machine(name), log_of(machine(name), name, 2, **SHORT), workers=1)
+    assert found.agrees and found.verdict.startswith("The measurements agree")
+    for channel in found.channels:
+        assert channel.deviation == pytest.approx(NOISE[channel.name.rpartition(".")[2]], rel=0.2)
+        assert channel.p_white > 1e-4
+    delay, deviation = found.delays["/joint_states"]
+    assert abs(delay - DELAY) < 4.0 * deviation < 1e-3
+    assert max(part.max() for part in found.numerics) <= 0.1
+
+
+def test_intervals_of_numbers_cover_the_truth():
+    """Of 12 intervals of four standard errors none may miss; the rms of their z-scores is near 1.
+
+    The rms of 12 independent normal numbers is between 0.45 and 1.6 with a probability of 0.998.
+    """
+    nominal, names = machine("furuta"), ["arm.shape.mass", "rod.shape.mass", "hinge.friction.viscous"]
+    texts = {"mass: 0.4": "mass: 0.44", "mass: 0.15": "mass: 0.14"}
+    true = machine("furuta", hinge="friction: {viscous: 0.002}", **texts)
+    nominal = machine("furuta", hinge="friction: {viscous: 0.001}")
+    scores = []
+    for seed in range(4):
+        found = identify(nominal, timed(log_of(true, "furuta", seed, **SHORT)), names, workers=1)
+        scores.append((found.values - [0.44, 0.14, 0.002]) / found.deviations)
+        assert not found.unknown and found.comparison.agrees
+    scores = np.array(scores)
+    assert np.abs(scores).max() < 4.0
+    assert 0.45 < np.sqrt(np.mean(scores**2)) < 1.6
+
+
+def test_what_a_log_does_not_show_is_named():
+    """The mass of the Furuta arm and the rotor of its motor are one inertia about one axis."""
+    keys = {"motor": ROTOR}
+    log = timed(log_of(machine("furuta", **keys), "furuta", 3, **SHORT))
+    found = identify(machine("furuta", **keys), log, ["arm.shape.mass", "motor.rotor.inertia"], workers=1)
+    assert len(found.unknown) == 1 and set(found.unknown[0]) == {"bodies.arm.shape.mass", "joints.motor.rotor.inertia"}
+    assert np.isinf(found.deviations).all() or (found.deviations > 0.1 * found.values).all()
+    known = identify(
+        machine("furuta", **keys),
+        log,
+        ["arm.shape.mass", "motor.rotor.inertia"],
+        priors=[(0.4, 0.001), (0.0, np.inf)],
+        workers=1,
+    )
+    assert known.deviations[0] == pytest.approx(0.001, rel=0.02)
+    assert abs(known.values[1] - 2e-5) < 4.0 * known.deviations[1]
+
+
+def test_segments_left_out_and_limits():
+    true = machine("furuta", **{"mass: 0.15": "mass: 0.18"})
+    log = timed(log_of(true, "furuta", 4, **SHORT))
+    found = identify(machine("furuta"), log, ["rod.shape.mass"], length=0.5, held_out=0.3, workers=1)
+    before, after = found.held_out
+    assert after < 1.2 < before
+    found = identify(machine("furuta"), log, ["rod.shape.mass"], limits=[(0.1, 0.16)], workers=1)
+    assert found.values[0] == pytest.approx(0.16, abs=1e-12)
+
+
+def test_columns_do_not_depend_on_the_number_of_workers(monkeypatch):
+    """Runs beside one point, in this process and in two others, have equal bytes."""
+    log = timed(log_of(machine("furuta"), "furuta", 5, seconds=0.5))
+    columns = []
+    for workers in (1, 2):
+        fit, point = next(levels(machine("furuta"), log, ["rod.shape.mass"], workers=workers))
+        monkeypatch.setattr("liegroup_core.identification.fit.WORTH", 0.0)
+        columns.append([part.tobytes() for part in fit.columns(point)])
+    assert columns[0] == columns[1]
+
+
+def test_a_late_clock_of_a_second_is_found():
+    log = log_of(machine("furuta"), "furuta", 6, seconds=2.0, rate=125.0, delay=0.73)
+    found = compare(machine("furuta"), log, workers=1)
+    delay, deviation = found.delays["/joint_states"]
+    assert found.agrees and abs(delay - 0.73) < 4.0 * deviation
+
+
+def test_given_noise_and_gaps_and_values_that_are_missing():
+    log = log_of(machine("furuta"), "furuta", 7, **SHORT)
+    (measured,) = log.measured
+    values, kept = measured.values.copy(), np.ones(len(measured.times), dtype=bool)
+    kept[60:90] = False
+    values[::3, 1] = np.nan
+    noise = np.array([NOISE[name.rpartition(".")[2]] for name in measured.channels])
+    log = Log(log.inputs, (replace(measured, times=measured.times[kept], values=values[kept], deviation=noise),))
+    found = compare(machine("furuta"), log, workers=1)
+    assert found.agrees
+    assert [channel.deviation for channel in found.channels] == noise.tolist()
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda log: Log(log.inputs, ()), "needs measurements"),
+        (
+            lambda log: Log((Given("motr.effort", np.zeros(1), np.zeros(1)),), log.measured),
+            "unknown input 'motr.effort'",
+        ),
+        (
+            lambda log: Log((), (Measured("/a", np.array([1.0, 0.0]), ("motor.position",), np.zeros((2, 1)), [1.0]),)),
+            "must increase",
+        ),
+        (
+            lambda log: Log((), (Measured("/a", np.arange(30.0), ("motor.angle",), np.zeros((30, 1)), np.ones(1)),)),
+            "unknown output 'motor.angle'",
+        ),
+    ],
+)
+def test_wrong_logs_have_one_line(change, text):
+    log = log_of(machine("furuta"), "furuta", 0, seconds=0.3)
+    with pytest.raises(SceneError, match=text) as raised:
+        compare(machine("furuta"), change(log), workers=1)
+    assert "\n" not in str(raised.value)
