@@ -44,6 +44,8 @@ setup(
         "figures": ["matplotlib", "mpmath"],
         # Design of controllers: LinearSystem.to_control.
         "control": ["control"],
+        # Bags of real machines: `liegroup_sim compare`, `identify`.
+        "bags": ["rosbags"],
         # exact: exact solutions in `liegroup_sim analyze`. many: many recordings or runs on a
         # cluster, and the files of `liegroup_sim sweep`. remote: recordings at http(s) addresses;
         # other kinds need their own package, such as s3fs for s3://.

@@ -102,16 +102,30 @@ def compare(scene, log, length=LENGTH, workers=None):
     workers : processes; None: as many as cores
     Raises SceneError for unknown channels, SimulationError if the scene cannot be simulated from the measured start.
     """
-    found = None
-    for fit, point in levels(scene, log, (), length, workers):
-        solution = fit.solve(point if found is None else continued(fit, point, found), ROUGHLY)
-        if found is not None and (not solution.converged or excess(fit, solution) > LINEAR):
-            break
+    fit, solution, _ = fitted(scene, log, (), length, workers)
+    return judged(fit, solution)
+
+
+def fitted(scene, log, names=(), length=LENGTH, workers=None, limits=None, priors=None, held_out=0.0):
+    """(Fit, Solution, bounds of the segments left out) with the longest segments in which the model is near.
+
+    names, limits, priors : of numbers that vary, see Fit
+    held_out : share of the segments, at the end, that are left out
+    """
+    found = left = None
+    for fit, point in levels(scene, log, names, length, workers, limits, priors):
+        if found is not None:
+            point = continued(fit, point, found)
+        count = len(point.bounds) - 1
+        kept = max(1, count - round(held_out * count))
+        solution = fit.solve(replace(point, bounds=point.bounds[: kept + 1], states=point.states[:kept]), ROUGHLY)
         if found is None:
             fit.refine(solution)
             solution = fit.solve(solution.point, ROUGHLY)
-        found = solution
-    return judged(fit, found)
+        elif not solution.converged or excess(fit, solution) > LINEAR:
+            break
+        found, left = solution, point.bounds[kept:]
+    return fit, found, left
 
 
 def continued(fit, point, solution):

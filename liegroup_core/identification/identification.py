@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from .comparison import LENGTH, Comparison, continued, judged, levels
+from .comparison import LENGTH, Comparison, fitted, judged
 from .contradictions import channel_fits
 from .fit import Fit
 from .runs import Runs
@@ -59,17 +59,8 @@ def identify(scene, log, names, limits=None, priors=None, length=LENGTH, held_ou
     held_out : share of the segments, at the end, that only validate
     Raises SceneError, ParameterError, SimulationError.
     """
-    solution = None
-    for fit, point in levels(scene, log, names, length, workers, limits, priors):
-        if solution is not None:
-            point = continued(fit, point, solution)
-        count = len(point.bounds) - 1
-        kept = max(1, count - round(held_out * count))
-        first = solution is None
-        solution = fit.solve(replace(point, bounds=point.bounds[: kept + 1], states=point.states[:kept]))
-        if first:
-            fit.refine(solution)
-            solution = fit.solve(solution.point)
+    fit, solution, left = fitted(scene, log, names, length, workers, limits, priors, held_out)
+    solution = fit.solve(solution.point)
     given = [np.isfinite(each.deviation) for each in log.measured]
     for _ in range(ROUNDS - 1):
         noise = _noise(fit, solution, given)
@@ -88,7 +79,7 @@ def identify(scene, log, names, limits=None, priors=None, length=LENGTH, held_ou
     with np.errstate(invalid="ignore"):
         size = np.sqrt(np.diag(covariance))
         correlation = covariance / np.outer(size, size)
-    validation = _validated(fit, point.bounds[kept:], solution.point) if kept < count else None
+    validation = _validated(fit, left, solution.point) if len(left) > 1 else None
     return Identification(
         numbers.paths,
         numbers.values,

@@ -8,8 +8,9 @@ from liegroup_core.linear.coordinates import Coordinates
 
 from .machine import segments_of
 
-NEIGHBOURS = 15  # measurements to which a polynomial is fitted
-DEGREE = 2
+PARTS = ("position", "velocity")
+NEIGHBOURS = {1: 9, 2: 5}  # measurements to which a polynomial is fitted: positions alone, and with velocities
+DEGREE = 3
 
 
 def first_states(runs, bounds, delays=None, values=None):
@@ -64,15 +65,24 @@ def _names(machine):
 
 
 def _guess(measured, joint, time):
-    """(position, velocity) of a joint at a time, or None."""
-    channels = list(measured.channels)
-    q = measured.values[:, channels.index(f"{joint}.position")]
+    """(position, velocity) of a joint at a time, or None: of the polynomial through the nearest measurements."""
+    channels, noise = list(measured.channels), measured.noise
+    rows = {part: channels.index(f"{joint}.{part}") for part in PARTS if f"{joint}.{part}" in channels}
+    q = measured.values[:, rows["position"]]
     known = np.flatnonzero(np.isfinite(q))
-    near = known[np.argsort(np.abs(measured.times[known] - time), kind="stable")[:NEIGHBOURS]]
+    near = known[np.argsort(np.abs(measured.times[known] - time), kind="stable")[: NEIGHBOURS[len(rows)]]]
     near.sort()
     if not len(near):
         return None
-    x = measured.times[near] - time
-    degree = min(DEGREE, len(near) - 1)
-    fitted = np.polynomial.polynomial.polyfit(x, np.unwrap(q[near]), degree)
+    x, degree = measured.times[near] - time, min(DEGREE, len(near) - 1)
+    left = [np.vander(x, degree + 1, increasing=True) / noise[rows["position"]]]
+    right = [np.unwrap(q[near]) / noise[rows["position"]]]
+    if "velocity" in rows:
+        v, sigma = measured.values[near, rows["velocity"]], noise[rows["velocity"]]
+        slopes = np.hstack(
+            [np.zeros((len(x), 1)), np.arange(1, degree + 1) * left[0][:, :-1] * noise[rows["position"]]]
+        )
+        left.append(slopes[np.isfinite(v)] / sigma)
+        right.append(v[np.isfinite(v)] / sigma)
+    fitted = np.linalg.lstsq(np.vstack(left), np.concatenate(right), rcond=None)[0]
     return float(fitted[0]), float(fitted[1]) if degree else 0.0

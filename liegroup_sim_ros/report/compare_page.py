@@ -120,6 +120,7 @@ def make_page(comparison, result):
         f'<p class="verdict">{unbroken(result["verdict"])}</p>'
         + '<div class="cards">'
         + table("Residuals", CHANNEL_HEAD, channel_rows(result))
+        + '</div><div class="cards">'
         + table("Effects that would explain them, one after the other", EFFECT_HEAD, effect_rows(result["effects"]))
         + table("Effects, each alone", EFFECT_HEAD, effect_rows(result["alone"][:MOST_EFFECTS]))
         + "</div>"
