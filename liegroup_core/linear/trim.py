@@ -3,7 +3,7 @@
 
 An equilibrium has z' = 0 and z'' = 0; in a steady motion given rates stay constant and all other coordinates
 rest. Newton's method finds it on the closed mechanism, with the derivatives of tangents.py. Where a
-coordinate has no influence (a free motion), the nearest solution is taken.
+coordinate has no influence (a free motion, or one that the inputs balance anywhere), the nearest solution is taken.
 """
 
 from dataclasses import dataclass
@@ -44,6 +44,7 @@ class Trim:
     intervals : {name: (least, largest) of inputs for which the pose rests, the others as found}, where joints rest by
                 dry friction or at a stop; nan: not found
     undetermined : names of inputs that can change together without effect on the equilibrium
+    loose     : names of coordinates that can change together, with suitable inputs, to equilibria nearby
     residual  : largest acceleration that remains, rad/s^2 or m/s^2
     is_steady : whether the accelerations stay zero while it moves; False where driven joints move
     system    : LinearSystem there, with the inputs to find; with the default ones if there are none
@@ -56,6 +57,7 @@ class Trim:
     inputs: dict
     intervals: dict
     undetermined: tuple
+    loose: tuple
     residual: float
     is_steady: bool
     system: LinearSystem
@@ -94,19 +96,22 @@ def _found(probe, rates, held, names):
         remaining = float(np.abs(accelerations / rows).max(initial=0.0))
         limit = limit or FOUND * (max(float(np.linalg.norm(probe.layout.scene.gravity)), 1.0) + remaining)
         moved, pushed = _derivatives(probe, coordinates, inputs, u)
+        free = scipy.linalg.null_space(coordinates.motions[fixed] * columns) if fixed else np.eye(len(columns))
+        scaled = moved / rows[:, None] * columns @ free
+        effects = pushed / rows[:, None]
+        sizes = 1.0 / _lengths_of(effects)
         if remaining <= limit:
             if beyond := stops.beyond():
                 advice = "start at the stop, or nearer to another equilibrium"
                 raise TrimError(f"the equilibrium near the state is beyond a stop: {beyond}; {advice}")
-            return _trim(probe, preferred, inputs, u)
-        free = scipy.linalg.null_space(coordinates.motions[fixed] * columns) if fixed else np.eye(len(columns))
-        scaled = moved / rows[:, None] * columns @ free
-        effects = pushed / rows[:, None]
-        sizes = max(np.abs(scaled).max(initial=0.0), remaining) / _lengths_of(effects)
+            _, values, directions, _ = _influences(_across(effects * sizes), scaled)
+            rank = int((values > max(NO_INFLUENCE * np.linalg.norm(scaled), limit)).sum())
+            loose = coordinates.moved_by(columns[:, None] * free @ directions[rank:].T)
+            return _trim(probe, preferred, inputs, u, loose)
         same = (coordinates.moving[:, None] == coordinates.independent) @ free
-        step = _step(scaled, effects * sizes, -accelerations / rows, same)
-        u = u + sizes * step[free.shape[1] :]
-        _go(probe, coordinates, columns * (free @ step[: free.shape[1]]))
+        step, change = _step(scaled, effects * sizes, -accelerations / rows, same)
+        u = u + sizes * change
+        _go(probe, coordinates, fixed, columns * (free @ step))
         stops.follow()
     kept = "; stops, cables and friction keep their modes: start nearer to it" if probe.layout.switches else ""
     raise TrimError(
@@ -142,11 +147,11 @@ def _at_rates(probe, rates, preferred):
     return Coordinates(probe, preferred=preferred)
 
 
-def _go(probe, coordinates, z):
+def _go(probe, coordinates, fixed, z):
     """Go to coordinates z, or a part of the way where the joints cannot be closed there. Raises TrimError."""
     for _ in range(MOST_PARTS):
         try:
-            probe.go_to(coordinates.at(z))
+            probe.go_to(coordinates.holding(z, fixed))
             return
         except SimulationError:
             z = z * PART
@@ -162,22 +167,38 @@ def _lengths_of(pushed):
 def _step(moved, pushed, right, same):
     """Change of the coordinates and the inputs towards an equilibrium.
 
-    Newton's method takes its step if that is short; directions without influence stay. Farther away it would lead to
-    any equilibrium, or nowhere: the step is then that of an implicit method for motions along the accelerations,
-    (mu - A) dz = z'', which ends in the next stable equilibrium (pseudo-transient continuation).
+    The inputs balance what they can, so that the coordinates move as little as the rest needs. Newton's method takes
+    its step if that is short; directions without influence stay. Farther away it would lead to any equilibrium, or
+    nowhere: the step is then that of an implicit method for motions along the accelerations, (mu - A) dz = z'', which
+    ends in the next stable equilibrium (pseudo-transient continuation).
     same : 1 where a row of an acceleration and a column are of the same coordinate
     """
-    matrix = np.hstack([moved, pushed])
-    left, values, directions = np.linalg.svd(matrix, full_matrices=False)
-    along = left.T @ right
-    known = values > NO_INFLUENCE * values.max(initial=0.0)
+    across = _across(pushed)
+    left, values, directions, known = _influences(across, moved)
+    rest = across @ right
+    along = left.T @ rest
     parts = np.divide(along, values, out=np.zeros_like(along), where=known)
-    lost = np.linalg.norm(right - left[:, known] @ along[known])
+    lost = np.linalg.norm(rest - left[:, known] @ along[known])
     if np.abs(parts).max(initial=0.0) <= LARGEST_TURN and lost <= 0.5 * np.linalg.norm(right):
-        return parts @ directions
-    growth = np.linalg.eigvals(same.T @ moved).real.max(initial=0.0)
-    weight = np.linalg.norm(right) / LARGEST_TURN + 2.0 * growth
-    return np.linalg.lstsq(np.hstack([moved - weight * same, pushed]), right, rcond=1e-10)[0]
+        step = parts @ directions[: len(parts)]
+    else:
+        growth = np.linalg.eigvals(same.T @ moved).real.max(initial=0.0)
+        weight = np.linalg.norm(right) / LARGEST_TURN + 2.0 * growth
+        moved = moved - weight * same
+        step = np.linalg.lstsq(across @ moved, rest, rcond=1e-10)[0]
+    return step, np.linalg.pinv(pushed, rcond=NO_INFLUENCE) @ (right - moved @ step)
+
+
+def _across(pushed):
+    """Projection (p, p) of accelerations onto those that inputs cannot produce; columns (p, k) of length 1 or 0."""
+    return np.eye(len(pushed)) - pushed @ np.linalg.pinv(pushed, rcond=NO_INFLUENCE)
+
+
+def _influences(across, moved):
+    """Singular values and vectors of what inputs leave of the effects of the coordinates, and which have influence."""
+    left, values, directions = np.linalg.svd(across @ moved)
+    count = len(values)
+    return left[:, :count], values, directions, values > NO_INFLUENCE * np.linalg.norm(moved)
 
 
 def _accelerations(probe, coordinates, inputs, u, y=None):
@@ -201,7 +222,7 @@ def _derivatives(probe, coordinates, inputs, u):
     return found[:, :m], found[:, m:]
 
 
-def _trim(probe, preferred, inputs, u):
+def _trim(probe, preferred, inputs, u, loose):
     resting = Resting(probe)
     coordinates = Coordinates(probe, preferred=preferred)
     rows = coordinates.rate_scales
@@ -239,6 +260,7 @@ def _trim(probe, preferred, inputs, u):
         inputs=dict(zip(inputs.names, u.tolist())),
         intervals=ends,
         undetermined=undetermined(effects, inputs.names),
+        loose=loose,
         residual=float(np.abs(_accelerations(probe, coordinates, inputs, 0.0 * u)).max(initial=0.0)),
         is_steady=_is_steady(probe, coordinates, inputs, 0.0 * u),
         system=system_of(probe, inputs.names or None),

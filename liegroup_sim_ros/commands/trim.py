@@ -80,6 +80,7 @@ def _entries(result, time):
             name: [end if math.isfinite(end) else None for end in ends] for name, ends in result.intervals.items()
         },
         "undetermined": list(result.undetermined),
+        "undetermined_coordinates": list(result.loose),
         "stability": stable,
         "residual": result.residual,
         "steady": result.is_steady,
@@ -96,7 +97,8 @@ def _print(result, time, console):
     if not result.is_steady:
         console.print(Text("not steady: accelerations arise as it moves; this is one instant", style="yellow"))
     for joint, position in result.joints.items():
-        console.print(Text(f"  {joint} = {position:.9g}"))
+        remark = "  (others are possible too)" if joint in result.loose else ""
+        console.print(Text(f"  {joint} = {position:.9g}{remark}"))
     for name, value in result.inputs.items():
         remark = " (others can take its part)" if name in result.undetermined else ""
         ends = "rests from {:.9g} to {:.9g}".format(*result.intervals[name]) if result.intervals else ""
