@@ -17,7 +17,7 @@ from liegroup_core.errors import SceneError, SimulationError
 from .channels import Inputs
 from .coordinates import ANGLE, Coordinates
 from .differences import derivative
-from .friction import Resting, Stops
+from .friction import Resting, Stops, stick
 from .linear_system import LinearSystem, system_of
 from .probe import Probe
 
@@ -86,7 +86,10 @@ def trim(simulation, rates=None, held=(), inputs=None, time=None):
 def _found(probe, rates, held, names):
     preferred = (*rates, *held)
     inputs = Inputs(probe, names)
-    _stick(probe, held, preferred)
+    # Dry friction holds the coordinates that keep their positions; whether it can is checked at the end.
+    numbers = list(map(Coordinates(probe).number, held))
+    if numbers and probe.layout.switches:
+        stick(probe, np.flatnonzero(probe.largest_friction() > 0.0), numbers)
     u, limit, remaining, stops = np.zeros(len(inputs)), 0.0, np.inf, Stops(probe)
     for _ in range(MOST_STEPS):
         coordinates = _at_rates(probe, rates, preferred)
@@ -118,15 +121,6 @@ def _found(probe, rates, held, names):
         f"no equilibrium near the state: an acceleration of {remaining:.3g} rad/s^2, or times the mechanism's size in "
         f"m/s^2, remains after {MOST_STEPS} steps{kept}"
     )
-
-
-def _stick(probe, held, preferred):
-    """Let dry friction hold the coordinates that keep their positions; whether it can is checked at the end."""
-    if probe.layout.switches:
-        modes, independent = probe.modes, set(Coordinates(probe, preferred=preferred).rate_names) & set(held)
-        sticks = [switch.name in independent for switch in probe.layout.switches] & (probe.largest_friction() > 0.0)
-        modes[sticks, 0], modes[sticks, 1] = 1.0, 0.0
-        probe.modes = modes
 
 
 def _at_rates(probe, rates, preferred):

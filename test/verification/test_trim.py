@@ -289,6 +289,15 @@ def test_friction_in_a_loop_adds_up_by_the_rates_of_its_joints(angle):
         assert both.intervals[name] == pytest.approx(ends, abs=1e-9)
 
 
+@pytest.mark.parametrize("rubs", [*FRICTION, None])
+def test_friction_in_any_joint_of_a_loop_holds_the_pose(rubs):
+    """Whichever coordinate keeps its position: nothing moves, and without friction the pose is unstable."""
+    simulation = paused(slider_crank(2.2, 0.0, {rubs: FRICTION[rubs]} if rubs else {}))
+    for freedom in simulation.layout.freedoms:
+        result = trim(simulation, held=[freedom.name], inputs=["main.effort"])
+        assert result.system.coordinates == (0 if rubs else 1) and result.is_stable is bool(rubs)
+
+
 def test_a_joint_without_a_motor_rests_by_its_friction():
     """On one foot, without the motors of the arms: their friction holds them, or does not."""
 
