@@ -20,6 +20,7 @@ from liegroup_core.observables import invariants
 
 from .along import quaternions, rows
 
+PULLS = 1e-9  # of the weight, or at 1 m/s^2: a force that pulls more is not round-off
 NONE_ACT = np.zeros(0, dtype=bool)
 
 
@@ -239,10 +240,16 @@ class Sample:
 
     @property
     def slipping(self) -> tuple[str, ...]:
-        """Joints whose contact would need a force that pulls, or more friction than their `mu`."""
-        given = {joint.name: joint.mu for joint, *_ in self._layout.contacts if joint.mu is not None}
-        contacts = self.contacts if given else {}
-        return tuple(name for name, mu in given.items() if contacts[name][1] > mu * contacts[name][0])
+        """Joints whose contact would need a force that pulls, or more friction than their `mu` if it is given."""
+        scene, contacts = self._layout.scene, self.contacts
+        least = PULLS * sum(body.mass for body in scene.bodies) * max(1.0, float(np.linalg.norm(scene.gravity)))
+        return tuple(
+            joint.name
+            for joint, *_ in self._layout.contacts
+            if contacts[joint.name][0] < -least
+            or joint.mu is not None
+            and contacts[joint.name][1] > joint.mu * contacts[joint.name][0]
+        )
 
     @cached_property
     def external_wrenches(self) -> NDArray[np.float64]:
