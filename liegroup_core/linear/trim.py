@@ -64,7 +64,10 @@ class Trim:
 
     @property
     def is_stable(self):
-        """Whether small differences decay or stay bounded, by the largest real part: None if it is zero."""
+        """Whether small differences decay or stay bounded, by the largest real part: None if it is zero.
+
+        Without meaning where the motion is not steady.
+        """
         growth = self.system.poles.real.max(initial=-np.inf)
         return None if abs(growth) <= self.system.round_off else bool(growth < 0.0)
 
@@ -90,7 +93,9 @@ def _found(probe, rates, held, names):
     numbers = list(map(Coordinates(probe).number, held))
     if numbers and probe.layout.switches:
         stick(probe, np.flatnonzero(probe.largest_friction() > 0.0), numbers)
-    u, limit, remaining, stops = np.zeros(len(inputs)), 0.0, np.inf, Stops(probe)
+    u, limit, remaining, stops = inputs.starting(rates), 0.0, np.inf, Stops(probe)
+    moves = np.abs(probe.closed()[0]).max(initial=0.0) > MOVES and not any(rates.values())
+    advice = "; the state moves: name rates that stay constant" if moves else ""
     for _ in range(MOST_STEPS):
         coordinates = _at_rates(probe, rates, preferred)
         fixed = [coordinates.number(name) for name in preferred]
@@ -105,8 +110,8 @@ def _found(probe, rates, held, names):
         sizes = 1.0 / _lengths_of(effects)
         if remaining <= limit:
             if beyond := stops.beyond():
-                advice = "start at the stop, or nearer to another equilibrium"
-                raise TrimError(f"the equilibrium near the state is beyond a stop: {beyond}; {advice}")
+                hint = "start at the stop, or nearer to another equilibrium"
+                raise TrimError(f"the equilibrium near the state is beyond a stop: {beyond}; {hint}")
             _, values, directions, _ = _influences(_across(effects * sizes), scaled)
             rank = int((values > max(NO_INFLUENCE * np.linalg.norm(scaled), limit)).sum())
             loose = coordinates.moved_by(columns[:, None] * free @ directions[rank:].T)
@@ -114,12 +119,14 @@ def _found(probe, rates, held, names):
         same = (coordinates.moving[:, None] == coordinates.independent) @ free
         step, change = _step(scaled, effects * sizes, -accelerations / rows, same)
         u = u + sizes * change
-        _go(probe, coordinates, fixed, columns * (free @ step))
+        _go(probe, coordinates, fixed, columns * (free @ step), advice)
         stops.follow()
+    if idle := [name for name, effect in zip(inputs.names, effects.T) if not effect.any()]:
+        advice += f"; {', '.join(idle)} have no effect there, as with a servo at its limit: start nearer to it"
     kept = "; stops, cables and friction keep their modes: start nearer to it" if probe.layout.switches else ""
     raise TrimError(
         f"no equilibrium near the state: an acceleration of {remaining:.3g} rad/s^2, or times the mechanism's size in "
-        f"m/s^2, remains after {MOST_STEPS} steps{kept}"
+        f"m/s^2, remains after {MOST_STEPS} steps{advice}{kept}"
     )
 
 
@@ -141,7 +148,7 @@ def _at_rates(probe, rates, preferred):
     return Coordinates(probe, preferred=preferred)
 
 
-def _go(probe, coordinates, fixed, z):
+def _go(probe, coordinates, fixed, z, advice):
     """Go to coordinates z, or a part of the way where the joints cannot be closed there. Raises TrimError."""
     for _ in range(MOST_PARTS):
         try:
@@ -149,7 +156,7 @@ def _go(probe, coordinates, fixed, z):
             return
         except SimulationError:
             z = z * PART
-    raise TrimError("no equilibrium near the state: the joints cannot be closed on the way to it")
+    raise TrimError(f"no equilibrium near the state: the joints cannot be closed on the way to it{advice}")
 
 
 def _lengths_of(pushed):
