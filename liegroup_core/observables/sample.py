@@ -240,16 +240,32 @@ class Sample:
 
     @property
     def slipping(self) -> tuple[str, ...]:
-        """Joints whose contact would need a force that pulls, or more friction than their `mu` if it is given."""
-        scene, contacts = self._layout.scene, self.contacts
+        """Joints whose contact would need a force that pulls, or more friction than their `mu`.
+
+        Without any `mu`, shares of normal forces that are undetermined are not computed, which takes longer.
+        """
+        scene, rolling = self._layout.scene, [joint for joint, *_ in self._layout.contacts]
+        if not rolling:
+            return ()
+        contacts = self._determined_normals if all(joint.mu is None for joint in rolling) else self.contacts
         least = PULLS * sum(body.mass for body in scene.bodies) * max(1.0, float(np.linalg.norm(scene.gravity)))
         return tuple(
             joint.name
-            for joint, *_ in self._layout.contacts
+            for joint in rolling
             if contacts[joint.name][0] < -least
             or joint.mu is not None
             and contacts[joint.name][1] > joint.mu * contacts[joint.name][0]
         )
+
+    @property
+    def _determined_normals(self):
+        """{contact: (normal force, )}, NaN where redundant constraints leave it undetermined."""
+        turns, found = dict(zip(self._layout.body_names, self.pose[:, :9].reshape(-1, 3, 3))), {}
+        for joint, parent, normal, child, frame in self._layout.contacts:
+            n = (turns[child] @ frame[:3, :3]).T @ (normal if parent is None else turns[parent] @ normal)
+            force = self.reactions[joint.name][3:]
+            found[joint.name] = (float(np.where(np.abs(n) > PULLS, n * force, 0.0).sum()),)
+        return found
 
     @cached_property
     def external_wrenches(self) -> NDArray[np.float64]:
