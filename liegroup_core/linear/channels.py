@@ -30,11 +30,12 @@ class Inputs:
 
     wanted : names, or those of INPUTS that stand for many; None: targets of all servos and efforts of all joints
              with one coordinate that are not driven
+    kinds  : those of INPUTS that are known
     names, units : of the inputs
     Raises SceneError for an unknown name.
     """
 
-    def __init__(self, probe, wanted=None):
+    def __init__(self, probe, wanted=None, kinds=INPUTS):
         self._probe, layout = probe, probe.layout
         efforts = {
             f"{joint}.effort": parts for joint, parts in layout.unit_efforts.items() if joint not in layout.motions
@@ -52,7 +53,7 @@ class Inputs:
         self._kinds = {"efforts": efforts, "targets": targets, "wrenches": wrenches}
         if wanted is None:
             wanted = [*(name for name in targets if name.endswith(".target")), *efforts]
-        self.names = _expanded(wanted, self._kinds, "input")
+        self.names = _expanded(wanted, {kind: self._kinds[kind] for kind in kinds}, "input")
 
     def __len__(self):
         return len(self.names)
@@ -61,6 +62,14 @@ class Inputs:
     def sizes(self):
         """(k,) natural sizes: changes of inputs for differences."""
         return np.ones(len(self.names))
+
+    def starting(self, rates):
+        """(k,) changes of the inputs after which servos want given {joint: rate}, so that these do not saturate."""
+        u, wanted = np.zeros(len(self)), self._probe.wanted
+        for joint, rate in rates.items():
+            if (name := f"{joint}.target_velocity") in self.names:
+                u[self.names.index(name)] = rate - wanted[self._kinds["targets"][name]]
+        return u
 
     def applied(self, u):
         """(external, wanted) of the Probe with changes u (k,) of the inputs."""

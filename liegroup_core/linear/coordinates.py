@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from liegroup_core.errors import SceneError
+from liegroup_core.errors import SceneError, SimulationError
 from liegroup_core.fields.values import suggestion
 
 from .differences import derivative
@@ -26,6 +26,8 @@ from .differences import derivative
 ANGLE, SHARE = 1e-2, 1e-2  # first displacement: rad, and of the mechanism's size
 # Weights of coordinates of joints, of the independent rates and of preferred ones, where independent ones are chosen.
 OF_JOINT, MOVING, PREFERRED = 10.0, 1e3, 1e5
+CLOSED, MOST_CLOSINGS = 1e-13, 100  # rad, or share of the mechanism's size: what closes joints still
+SMALL_MOVE = 1e-6  # of a direction: round-off
 NO_ROW = 1e-9  # relative size of a row, or a singular value, that is round-off
 
 
@@ -222,6 +224,37 @@ class Coordinates:
         y = np.zeros((self._probe.freedoms, 2))
         y[:, 0] = self.motions @ z
         return y
+
+    def moved_by(self, directions):
+        """Names of the freedoms, and of joints with one coordinate, that directions (m, d) of unit length move."""
+        layout, moves = self._probe.layout, {}
+        for direction in directions.T:
+            sides = [self._probe.closed(self.at(sign * ANGLE * direction))[1:] for sign in (0.0, 1.0)]
+            rest, there = (layout.coordinates.at(*side, self._probe.angles) for side in sides)
+            turns = {freedom.name: way for freedom, way in zip(self.freedoms, ANGLE * self.motions @ direction)}
+            for name, way in {**{name: there[name][0] - rest[name][0] for name in there}, **turns}.items():
+                moves[name] = max(moves.get(name, 0.0), abs(way))
+        units = {freedom.name: freedom.unit for freedom in self.freedoms} | layout.coordinates.units
+        least = {"rad": SMALL_MOVE * ANGLE, "m": SMALL_MOVE * ANGLE * layout.size}
+        return tuple(name for name, way in moves.items() if way > least[units[name]])
+
+    def holding(self, z, held):
+        """y (f, 2) as of `at`, closed by the freedoms that are not `held` (indices). Raises SimulationError.
+
+        A projection alone would move all freedoms: those held keep their positions to first order only.
+        """
+        probe, y = self._probe, self.at(z)
+        if not probe.is_closed or not len(held):
+            return y
+        y[held, 0] = 0.0
+        others = np.setdiff1d(np.arange(probe.freedoms), held)
+        closes = np.linalg.pinv(self._gaps[others].T, rcond=NO_ROW)
+        for _ in range(MOST_CLOSINGS):
+            change = closes @ probe.gaps(y)
+            y[others, 0] -= self._scales[others] * change
+            if np.abs(change).max(initial=0.0) <= CLOSED:
+                return y
+        raise SimulationError(f"{', '.join(self.freedoms[k].name for k in held)} cannot be held there")
 
     def with_rates(self, rates):
         """y (f, 2) at the position of the state with independent rates (p,) in the joints: before projection."""

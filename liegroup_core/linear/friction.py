@@ -17,11 +17,35 @@ from liegroup_core.lie.groups import within_a_turn
 from liegroup_core.placing import switch_places
 from liegroup_core.scene.switches import unit_of
 
+from .coordinates import Coordinates
+
 DEPENDENT = 1e-9  # relative singular value of efforts that balance each other
 MOST_REPEATS, SAME = 50, 1e-11
 AVOIDED = 1e3  # cost of friction beyond its bounds
 BEYOND_STOP = 1e-9  # rad or m: round-off
 BEYOND = 1e-7  # of the largest friction: tolerance of the linear program
+
+
+def stick(probe, candidates, held=None):
+    """Let dry friction hold a largest independent set of switches among `candidates` at the state of a Probe.
+
+    held : indices of freedoms that keep their positions: only switches that these keep at rest; None: all
+    """
+    if not len(candidates):
+        return
+    coordinates, modes = Coordinates(probe), probe.modes
+    rest, scales = probe.switch_rates(), coordinates.rate_scales
+    moves = [probe.switch_rates(coordinates.neighbour(k, scale, rate=True)) for k, scale in enumerate(scales)]
+    rows = (
+        np.array([each - rest for each in moves]).reshape(len(scales), len(rest)).T / probe.layout.switch_sizes[:, None]
+    )
+    free = np.eye(len(scales)) if held is None else scipy.linalg.null_space(coordinates.rates[held] * scales)
+    for k in candidates:
+        size = np.linalg.norm(rows[k])
+        if size > DEPENDENT and (held is None or np.linalg.norm(rows[k] @ free) <= DEPENDENT * size):
+            modes[k, 0], modes[k, 1], modes[k, 4] = 1.0, 0.0, 0.0
+            rows = rows - np.outer(rows @ rows[k], rows[k]) / size**2
+    probe.modes = modes
 
 
 class Resting:
@@ -51,12 +75,13 @@ class Resting:
         self._probe.modes = modes
 
     def settle(self, efforts):
-        """Return to the modes of the state; joints that were not held rest by their efforts."""
+        """Hold the joints: those that were not held stick, if independent, and else rest by their efforts."""
         self.apply(efforts)
         modes = self._probe.modes
         held = self.kept[:, 0] == 1.0
         modes[held] = self.kept[held]
         self._probe.modes = modes
+        stick(self._probe, self.indices)
 
     def bounds(self, efforts, applied):
         """(least, most) efforts (r,) that hold the joints, where efforts and inputs of the Probe act."""

@@ -71,20 +71,16 @@ def inverse_dynamics(simulation, times, positions, rates, accelerations, joints,
     SimulationError where the loops cannot be closed, and beyond a stop. Taut cables stay taut.
     """
     probe = Probe(simulation)
-    if probe.layout.rolls:
-        raise SceneError("inverse dynamics needs joints whose positions determine the pose: wheels that roll do not")
+    joints_of_motions(probe)
     if not joints:
         raise SceneError("inverse dynamics needs at least one independent joint")
     names = [f"{joint}.effort" for joint in joints] if inputs is None else inputs
-    channels = Inputs(probe, names)
-    probe.release(stops=True)
+    channels = Inputs(probe, names, kinds=("efforts",))
     released, stops = probe.modes, Stops(probe)
     coordinates = Coordinates(probe, joints)
     layout = probe.layout
     lengths = coordinates.scales
     actuated = [name.removesuffix(".effort") for name in channels.names]
-    if not all(name.endswith(".effort") for name in channels.names):
-        raise SceneError("inverse dynamics finds efforts only: give names such as JOINT.effort")
     efforts, speeds, residuals, loose = [], [], [], []
     for time, q, v, a in zip(times, positions, rates, accelerations):
         probe.go_to_time(time)
@@ -109,6 +105,23 @@ def inverse_dynamics(simulation, times, positions, rates, accelerations, joints,
         np.array(residuals),
         tuple(loose),
     )
+
+
+def joints_of_motions(probe):
+    """Names of the freedoms whose positions can determine the pose, with all stops and friction released.
+
+    Raises SceneError where joints with one coordinate cannot.
+    """
+    if probe.layout.rolls:
+        raise SceneError("inverse dynamics needs joints whose positions determine the pose: wheels that roll do not")
+    probe.release(stops=True)
+    joints = [freedom.name for freedom in probe.layout.freedoms if freedom.is_of_joint]
+    if others := [name for name in Coordinates(probe, preferred=joints).names if name not in joints]:
+        raise SceneError(
+            f"inverse dynamics needs joints with one coordinate that determine the pose: here {', '.join(others)} move "
+            "freely"
+        )
+    return joints
 
 
 def _efforts(probe, coordinates, channels, wanted, lengths):

@@ -275,9 +275,9 @@ class Probe:
         modes[moves, 0], modes[moves, 1] = 0.0, np.sign(rates[moves])
         self.modes = modes
 
-    def switch_rates(self):
-        """(k,) rates of the coordinates with stops or friction, rad/s or m/s."""
-        self.slopes()
+    def switch_rates(self, y=None):
+        """(k,) rates of the coordinates with stops or friction at a neighbour y (f, 2), rad/s or m/s."""
+        self.slopes(y)
         out = np.empty((len(self.layout.switches), 2))
         set_rates(self._model, self._work, out)
         return self._model.switches["sign"] * out[:, 0]

@@ -3,7 +3,7 @@
 
 An equilibrium has z' = 0 and z'' = 0; in a steady motion given rates stay constant and all other coordinates
 rest. Newton's method finds it on the closed mechanism, with the derivatives of tangents.py. Where a
-coordinate has no influence (a free motion), the nearest solution is taken.
+coordinate has no influence (a free motion, or one that the inputs balance anywhere), the nearest solution is taken.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from liegroup_core.errors import SceneError, SimulationError
 from .channels import Inputs
 from .coordinates import ANGLE, Coordinates
 from .differences import derivative
-from .friction import Resting, Stops
+from .friction import Resting, Stops, stick
 from .linear_system import LinearSystem, system_of
 from .probe import Probe
 
@@ -44,6 +44,7 @@ class Trim:
     intervals : {name: (least, largest) of inputs for which the pose rests, the others as found}, where joints rest by
                 dry friction or at a stop; nan: not found
     undetermined : names of inputs that can change together without effect on the equilibrium
+    loose     : names of coordinates that can change together, with suitable inputs, to equilibria nearby
     residual  : largest acceleration that remains, rad/s^2 or m/s^2
     is_steady : whether the accelerations stay zero while it moves; False where driven joints move
     system    : LinearSystem there, with the inputs to find; with the default ones if there are none
@@ -56,13 +57,17 @@ class Trim:
     inputs: dict
     intervals: dict
     undetermined: tuple
+    loose: tuple
     residual: float
     is_steady: bool
     system: LinearSystem
 
     @property
     def is_stable(self):
-        """Whether small differences decay or stay bounded, by the largest real part: None if it is zero."""
+        """Whether small differences decay or stay bounded, by the largest real part: None if it is zero.
+
+        Without meaning where the motion is not steady.
+        """
         growth = self.system.poles.real.max(initial=-np.inf)
         return None if abs(growth) <= self.system.round_off else bool(growth < 0.0)
 
@@ -84,8 +89,13 @@ def trim(simulation, rates=None, held=(), inputs=None, time=None):
 def _found(probe, rates, held, names):
     preferred = (*rates, *held)
     inputs = Inputs(probe, names)
-    _stick(probe, held, preferred)
-    u, limit, remaining, stops = np.zeros(len(inputs)), 0.0, np.inf, Stops(probe)
+    # Dry friction holds the coordinates that keep their positions; whether it can is checked at the end.
+    numbers = list(map(Coordinates(probe).number, held))
+    if numbers and probe.layout.switches:
+        stick(probe, np.flatnonzero(probe.largest_friction() > 0.0), numbers)
+    u, limit, remaining, stops = inputs.starting(rates), 0.0, np.inf, Stops(probe)
+    moves = np.abs(probe.closed()[0]).max(initial=0.0) > MOVES and not any(rates.values())
+    advice = "; the state moves: name rates that stay constant" if moves else ""
     for _ in range(MOST_STEPS):
         coordinates = _at_rates(probe, rates, preferred)
         fixed = [coordinates.number(name) for name in preferred]
@@ -94,34 +104,30 @@ def _found(probe, rates, held, names):
         remaining = float(np.abs(accelerations / rows).max(initial=0.0))
         limit = limit or FOUND * (max(float(np.linalg.norm(probe.layout.scene.gravity)), 1.0) + remaining)
         moved, pushed = _derivatives(probe, coordinates, inputs, u)
-        if remaining <= limit:
-            if beyond := stops.beyond():
-                advice = "start at the stop, or nearer to another equilibrium"
-                raise TrimError(f"the equilibrium near the state is beyond a stop: {beyond}; {advice}")
-            return _trim(probe, preferred, inputs, u)
         free = scipy.linalg.null_space(coordinates.motions[fixed] * columns) if fixed else np.eye(len(columns))
         scaled = moved / rows[:, None] * columns @ free
         effects = pushed / rows[:, None]
-        sizes = max(np.abs(scaled).max(initial=0.0), remaining) / _lengths_of(effects)
+        sizes = 1.0 / _lengths_of(effects)
+        if remaining <= limit:
+            if beyond := stops.beyond():
+                hint = "start at the stop, or nearer to another equilibrium"
+                raise TrimError(f"the equilibrium near the state is beyond a stop: {beyond}; {hint}")
+            _, values, directions, _ = _influences(_across(effects * sizes), scaled)
+            rank = int((values > max(NO_INFLUENCE * np.linalg.norm(scaled), limit)).sum())
+            loose = coordinates.moved_by(columns[:, None] * free @ directions[rank:].T)
+            return _trim(probe, preferred, inputs, u, loose)
         same = (coordinates.moving[:, None] == coordinates.independent) @ free
-        step = _step(scaled, effects * sizes, -accelerations / rows, same)
-        u = u + sizes * step[free.shape[1] :]
-        _go(probe, coordinates, columns * (free @ step[: free.shape[1]]))
+        step, change = _step(scaled, effects * sizes, -accelerations / rows, same)
+        u = u + sizes * change
+        _go(probe, coordinates, fixed, columns * (free @ step), advice)
         stops.follow()
+    if idle := [name for name, effect in zip(inputs.names, effects.T) if not effect.any()]:
+        advice += f"; {', '.join(idle)} have no effect there, as with a servo at its limit: start nearer to it"
     kept = "; stops, cables and friction keep their modes: start nearer to it" if probe.layout.switches else ""
     raise TrimError(
         f"no equilibrium near the state: an acceleration of {remaining:.3g} rad/s^2, or times the mechanism's size in "
-        f"m/s^2, remains after {MOST_STEPS} steps{kept}"
+        f"m/s^2, remains after {MOST_STEPS} steps{advice}{kept}"
     )
-
-
-def _stick(probe, held, preferred):
-    """Let dry friction hold the coordinates that keep their positions; whether it can is checked at the end."""
-    if probe.layout.switches:
-        modes, independent = probe.modes, set(Coordinates(probe, preferred=preferred).rate_names) & set(held)
-        sticks = [switch.name in independent for switch in probe.layout.switches] & (probe.largest_friction() > 0.0)
-        modes[sticks, 0], modes[sticks, 1] = 1.0, 0.0
-        probe.modes = modes
 
 
 def _at_rates(probe, rates, preferred):
@@ -142,15 +148,15 @@ def _at_rates(probe, rates, preferred):
     return Coordinates(probe, preferred=preferred)
 
 
-def _go(probe, coordinates, z):
+def _go(probe, coordinates, fixed, z, advice):
     """Go to coordinates z, or a part of the way where the joints cannot be closed there. Raises TrimError."""
     for _ in range(MOST_PARTS):
         try:
-            probe.go_to(coordinates.at(z))
+            probe.go_to(coordinates.holding(z, fixed))
             return
         except SimulationError:
             z = z * PART
-    raise TrimError("no equilibrium near the state: the joints cannot be closed on the way to it")
+    raise TrimError(f"no equilibrium near the state: the joints cannot be closed on the way to it{advice}")
 
 
 def _lengths_of(pushed):
@@ -162,22 +168,38 @@ def _lengths_of(pushed):
 def _step(moved, pushed, right, same):
     """Change of the coordinates and the inputs towards an equilibrium.
 
-    Newton's method takes its step if that is short; directions without influence stay. Farther away it would lead to
-    any equilibrium, or nowhere: the step is then that of an implicit method for motions along the accelerations,
-    (mu - A) dz = z'', which ends in the next stable equilibrium (pseudo-transient continuation).
+    The inputs balance what they can, so that the coordinates move as little as the rest needs. Newton's method takes
+    its step if that is short; directions without influence stay. Farther away it would lead to any equilibrium, or
+    nowhere: the step is then that of an implicit method for motions along the accelerations, (mu - A) dz = z'', which
+    ends in the next stable equilibrium (pseudo-transient continuation).
     same : 1 where a row of an acceleration and a column are of the same coordinate
     """
-    matrix = np.hstack([moved, pushed])
-    left, values, directions = np.linalg.svd(matrix, full_matrices=False)
-    along = left.T @ right
-    known = values > NO_INFLUENCE * values.max(initial=0.0)
+    across = _across(pushed)
+    left, values, directions, known = _influences(across, moved)
+    rest = across @ right
+    along = left.T @ rest
     parts = np.divide(along, values, out=np.zeros_like(along), where=known)
-    lost = np.linalg.norm(right - left[:, known] @ along[known])
+    lost = np.linalg.norm(rest - left[:, known] @ along[known])
     if np.abs(parts).max(initial=0.0) <= LARGEST_TURN and lost <= 0.5 * np.linalg.norm(right):
-        return parts @ directions
-    growth = np.linalg.eigvals(same.T @ moved).real.max(initial=0.0)
-    weight = np.linalg.norm(right) / LARGEST_TURN + 2.0 * growth
-    return np.linalg.lstsq(np.hstack([moved - weight * same, pushed]), right, rcond=1e-10)[0]
+        step = parts @ directions[: len(parts)]
+    else:
+        growth = np.linalg.eigvals(same.T @ moved).real.max(initial=0.0)
+        weight = np.linalg.norm(right) / LARGEST_TURN + 2.0 * growth
+        moved = moved - weight * same
+        step = np.linalg.lstsq(across @ moved, rest, rcond=1e-10)[0]
+    return step, np.linalg.pinv(pushed, rcond=NO_INFLUENCE) @ (right - moved @ step)
+
+
+def _across(pushed):
+    """Projection (p, p) of accelerations onto those that inputs cannot produce; columns (p, k) of length 1 or 0."""
+    return np.eye(len(pushed)) - pushed @ np.linalg.pinv(pushed, rcond=NO_INFLUENCE)
+
+
+def _influences(across, moved):
+    """Singular values and vectors of what inputs leave of the effects of the coordinates, and which have influence."""
+    left, values, directions = np.linalg.svd(across @ moved)
+    count = len(values)
+    return left[:, :count], values, directions, values > NO_INFLUENCE * np.linalg.norm(moved)
 
 
 def _accelerations(probe, coordinates, inputs, u, y=None):
@@ -201,7 +223,7 @@ def _derivatives(probe, coordinates, inputs, u):
     return found[:, :m], found[:, m:]
 
 
-def _trim(probe, preferred, inputs, u):
+def _trim(probe, preferred, inputs, u, loose):
     resting = Resting(probe)
     coordinates = Coordinates(probe, preferred=preferred)
     rows = coordinates.rate_scales
@@ -239,6 +261,7 @@ def _trim(probe, preferred, inputs, u):
         inputs=dict(zip(inputs.names, u.tolist())),
         intervals=ends,
         undetermined=undetermined(effects, inputs.names),
+        loose=loose,
         residual=float(np.abs(_accelerations(probe, coordinates, inputs, 0.0 * u)).max(initial=0.0)),
         is_steady=_is_steady(probe, coordinates, inputs, 0.0 * u),
         system=system_of(probe, inputs.names or None),

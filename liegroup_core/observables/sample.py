@@ -20,6 +20,7 @@ from liegroup_core.observables import invariants
 
 from .along import quaternions, rows
 
+PULLS = 1e-9  # of the weight, or at 1 m/s^2: a force that pulls more is not round-off
 NONE_ACT = np.zeros(0, dtype=bool)
 
 
@@ -239,10 +240,32 @@ class Sample:
 
     @property
     def slipping(self) -> tuple[str, ...]:
-        """Joints whose contact would need a force that pulls, or more friction than their `mu`."""
-        given = {joint.name: joint.mu for joint, *_ in self._layout.contacts if joint.mu is not None}
-        contacts = self.contacts if given else {}
-        return tuple(name for name, mu in given.items() if contacts[name][1] > mu * contacts[name][0])
+        """Joints whose contact would need a force that pulls, or more friction than their `mu`.
+
+        Without any `mu`, shares of normal forces that are undetermined are not computed, which takes longer.
+        """
+        scene, rolling = self._layout.scene, [joint for joint, *_ in self._layout.contacts]
+        if not rolling:
+            return ()
+        contacts = self._determined_normals if all(joint.mu is None for joint in rolling) else self.contacts
+        least = PULLS * sum(body.mass for body in scene.bodies) * max(1.0, float(np.linalg.norm(scene.gravity)))
+        return tuple(
+            joint.name
+            for joint in rolling
+            if contacts[joint.name][0] < -least
+            or joint.mu is not None
+            and contacts[joint.name][1] > joint.mu * contacts[joint.name][0]
+        )
+
+    @property
+    def _determined_normals(self):
+        """{contact: (normal force, )}, NaN where redundant constraints leave it undetermined."""
+        turns, found = dict(zip(self._layout.body_names, self.pose[:, :9].reshape(-1, 3, 3))), {}
+        for joint, parent, normal, child, frame in self._layout.contacts:
+            n = (turns[child] @ frame[:3, :3]).T @ (normal if parent is None else turns[parent] @ normal)
+            force = self.reactions[joint.name][3:]
+            found[joint.name] = (float(np.where(np.abs(n) > PULLS, n * force, 0.0).sum()),)
+        return found
 
     @cached_property
     def external_wrenches(self) -> NDArray[np.float64]:

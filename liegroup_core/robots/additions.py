@@ -32,6 +32,12 @@ def _wheel(options, grouping, name, radius):
         raise options.error(("roll", name), f'roll: joint "{name}" is {joint.type}: only revolute joints turn a wheel')
     if grouping.of_link[joint.child] is grouping.world:
         raise options.error(("roll", name), f'roll: the child of joint "{name}" does not move')
+    if grouping.of_link[joint.parent] is grouping.world:
+        raise options.error(
+            ("roll", name),
+            f'roll: the axis of joint "{name}" is fixed to the world, where its child cannot roll: give base: floating '
+            "(--base floating)",
+        )
     return RobotJoint(
         scene_name(f"{name}_contact"),
         "wheel",

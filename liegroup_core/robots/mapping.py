@@ -97,7 +97,8 @@ def scene_parts(robot, options):
         if start.model_fields_set & {"angular_velocity", "linear_velocity"}:
             body["angular_velocity"], body["linear_velocity"] = np.split(group.twist, 2)
     own = {entry.name for entry in (*options.couplings, *options.forces)}
-    taken = _joints(robot, grouping, parts, used, (extra, given, own), values)
+    places = [*(("joints", i) for i in range(len(options.joints))), *(("roll", name) for name in options.roll)]
+    taken = _joints(robot, grouping, parts, used, (extra, places, given, own), values)
     _drive(options, parts)
     names = {joint.name for joint in grouping.moving if joint.type in ONE_COORDINATE}
     coupled = [entry for entry in robot.couplings if {entry.first, entry.second} <= names]
@@ -230,11 +231,11 @@ def _check_inertia(robot, group, line, inertia, body, notes):
 def _joints(robot, grouping, parts, body_of, added, values):
     """Append the joints, and the forces of their springs and dampers. Returns all their names.
 
-    added : (joints of the user, ({joint: coordinate}, {joint: velocity}) that assembly keeps, names of
-            other entries)
+    added : (joints of the user, their places in the additions, ({joint: coordinate}, {joint: velocity}) that
+            assembly keeps, names of other entries)
     values : {joint: coordinate at the start}
     """
-    extra, (coordinates, rates), own_names = added
+    extra, places, (coordinates, rates), own_names = added
     moving = [*grouping.moving, *extra]
     own_names |= {joint.name for joint in extra}
     names = unique_names([joint.name for joint in grouping.moving], own_names)
@@ -266,7 +267,7 @@ def _joints(robot, grouping, parts, body_of, added, values):
             entry["data"] = dict(joint.data)
         parts.joints.append(entry)
         own = number - len(grouping.moving)
-        parts.lines["joints", number] = joint.line if own < 0 else ("joints", own)
+        parts.lines["joints", number] = joint.line if own < 0 else places[own]
         parts.names["joints", name] = joint.name
         parts.comments["joints", number] = (
             _from_line(robot, joint.line) if own < 0 else f"added between {joint.parent} and {joint.child}"

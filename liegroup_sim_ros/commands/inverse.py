@@ -18,6 +18,7 @@ from liegroup_core.fields.values import LARGEST_NUMBER
 from liegroup_core.layout import make_layout
 from liegroup_core.linear import inverse_dynamics
 from liegroup_core.linear.coordinates import Coordinates
+from liegroup_core.linear.inverse import joints_of_motions
 from liegroup_core.linear.probe import Probe
 from liegroup_sim_ros.numbers import counted, shown
 from liegroup_sim_ros.recording.errors import OutputError
@@ -28,6 +29,8 @@ from .robot_options import add_robot_options, robot_scene
 from .states import StateError, stopped
 
 DEGREES = 3, 5  # of the splines whose derivatives are velocities and accelerations; the first for an error
+CONTRADICTS = 0.1  # of the way: difference of the integral of a derivative
+NOISE = 1e-3  # rad, or share of the mechanism's size, of measured positions; of velocities per s
 PARTS = ("position", "velocity", "acceleration")
 
 
@@ -43,7 +46,7 @@ def add_arguments(parser):
         required=True,
         metavar="FILE",
         help="table (*.csv) with the columns time and JOINT.position, possibly JOINT.velocity and JOINT.acceleration, "
-        "units in brackets are ignored; or recording (*.mcap) of the scene",
+        "with units in brackets or without; or recording (*.mcap) of the scene",
     )
     parser.add_argument(
         "--joints", nargs="+", metavar="JOINT", help="independent joints that follow it (default: those that can)"
@@ -62,15 +65,16 @@ def run(args):
         raise StateError(f"{args.out}: the name must end in .csv")
     scene = robot_scene(args.scene, args)
     is_recording = Path(args.motion).suffix == ".mcap"
-    times, columns = _of_recording(args.motion, scene) if is_recording else _of_table(args.motion)
     simulation = Simulation(scene, METHOD, STEP, estimate=False, quiet=True)
+    kinds = simulation.layout.coordinates.units
+    times, columns = _of_recording(args.motion, scene) if is_recording else _of_table(args.motion, kinds)
     joints = args.joints or _followed(simulation, columns)
-    parts, sampling = _parts(args.motion, times, columns, joints, simulation.layout.coordinates.units)
+    parts, sampling = _parts(args.motion, times, columns, joints, kinds, simulation.layout.size)
     try:
         found = inverse_dynamics(simulation, times, *parts, joints, args.inputs)
     except SimulationError as error:
         return stopped(error)
-    units = {joint: "N m" if unit == "rad" else "N" for joint, unit in simulation.layout.coordinates.units.items()}
+    units = {joint: "N m" if unit == "rad" else "N" for joint, unit in kinds.items()}
     names = [name.removesuffix(".effort") for name in found.inputs]
     if args.out is not None:
         _write(args.out, found, names, units)
@@ -94,12 +98,13 @@ def run(args):
             )
         )
     else:
-        _print(scene.name, rows, residual, sampling, times)
+        unit = " or ".join(f"{each}/s^2" for each in ("rad", "m") if each in map(kinds.get, joints))
+        _print(scene.name, rows, residual, sampling, times, unit)
     return 0
 
 
-def _of_table(path):
-    """(times, {column: numbers}) of a table."""
+def _of_table(path, units):
+    """(times, {column: numbers}) of a table; units : {joint: "rad" or "m"}."""
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
             lines = list(csv.reader(file))
@@ -109,6 +114,10 @@ def _of_table(path):
     if len(lines) < 3:
         raise StateError(f"{path}: needs a line with names and at least two lines of numbers")
     names = [name.partition("[")[0].strip() for name in lines[0]]
+    for name, text in zip(names, lines[0]):
+        unit, expected = "".join(text.partition("[")[2].partition("]")[0].split()), _unit(name, units)
+        if unit and expected and unit != expected:
+            raise StateError(f"{path}:1: the column {text.strip()} must be in {expected}")
     if "time" not in names:
         raise StateError(f"{path}:1: has no column time")
     for name in names:
@@ -127,6 +136,14 @@ def _of_table(path):
         numbers[row - 2] = found
     times = numbers[:, names.index("time")]
     return _increasing(path, times), dict(zip(names, numbers.T))
+
+
+def _unit(name, units):
+    """Unit of a column of the time or of a joint, or ""."""
+    joint, _, part = name.rpartition(".")
+    if part not in PARTS or joint not in units:
+        return "s" if name == "time" else ""
+    return units[joint] + ("", "/s", "/s^2")[PARTS.index(part)]
 
 
 def _increasing(path, times):
@@ -155,21 +172,19 @@ def _of_recording(path, scene):
 def _followed(simulation, columns):
     """Independent joints of a simulation with a column."""
     given = [name.removesuffix(".position") for name in columns if name.endswith(".position")]
-    known = [freedom.name for freedom in simulation.layout.freedoms]
-    usable = [name for name in given if name in known]
     probe = Probe(simulation)
-    probe.release(stops=True)
-    coordinates = Coordinates(probe, preferred=usable)
+    known = joints_of_motions(probe)
+    coordinates = Coordinates(probe, preferred=[name for name in given if name in known])
     if set(coordinates.names) <= set(given):
         return coordinates.names
     count = counted(len(coordinates.names), "independent coordinate")
     raise StateError(
         f"the motion has positions of {', '.join(given) or 'no joint'}; the mechanism has {count}: "
-        f"name so many of {', '.join(usable or known)} with --joints"
+        f"it needs those of so many independent ones of {', '.join(known)}"
     )
 
 
-def _parts(path, times, columns, joints, units):
+def _parts(path, times, columns, joints, units, size):
     """Positions, velocities and accelerations (k, m) of joints, and the uncertainty of the last ones.
 
     Missing ones are those of splines, of angles without jumps; the uncertainty is the difference of two degrees.
@@ -182,6 +197,8 @@ def _parts(path, times, columns, joints, units):
         v, a = (columns.get(f"{joint}.{part}") for part in PARTS[1:])
         if units.get(joint) == "rad":
             q = _unwrapped(path, times, q, v, joint)
+        length = size if units.get(joint) == "m" else 1.0
+        _agree(path, times, (q, v, a), joint, length)
         if v is not None and a is not None:
             found.append((q, v, a))
             continue
@@ -192,6 +209,22 @@ def _parts(path, times, columns, joints, units):
         found.append((q, fine[0], fine[1] if a is None else a))
         lower.append(np.abs(fine[1] - coarse[1]).max() if a is None else 0.0)
     return np.array(found).transpose(1, 2, 0), float(max(lower, default=0.0))
+
+
+def _agree(path, times, columns, joint, length):
+    """Refuse columns whose integral contradicts the one before, by more than noise: their efforts have no meaning."""
+    for low, high, name, derivative in zip(columns, columns[1:], PARTS, PARTS[1:]):
+        if low is None or high is None:
+            continue
+        by_lines = scipy.integrate.cumulative_trapezoid(high, times, initial=0.0)
+        by_spline = scipy.interpolate.CubicSpline(times, high).antiderivative()(times)
+        ways = [low - low[0] - way for way in (by_lines, by_spline)]
+        apart = min(np.abs(way).max() for way in ways)
+        if apart > CONTRADICTS * max(np.ptp(low), np.ptp(by_lines)) + NOISE * length:
+            raise StateError(
+                f"{path}: {joint}.{derivative} is not the derivative of {joint}.{name}: its integral differs by up to "
+                f"{apart:.3g}; correct one of the columns, or leave out {joint}.{derivative}"
+            )
 
 
 def _unwrapped(path, times, q, v, joint):
@@ -230,7 +263,7 @@ def _write(path, found, names, units):
             writer.writerow([repr(float(x)) for x in (time, *np.stack([efforts, power], 1).ravel(), rest)])
 
 
-def _print(scene, rows, residual, sampling, times):
+def _print(scene, rows, residual, sampling, times, unit):
     console = Console(file=sys.stdout)
     console.print(Text(f"{scene}: {len(times)} instants from {times[0]:.9g} to {times[-1]:.9g} s", style="bold"))
     table = Table(box=None, padding=(0, 2, 0, 0))
@@ -246,5 +279,5 @@ def _print(scene, rows, residual, sampling, times):
             "others can take its part" if row["undetermined"] else "",
         )
     console.print(table)
-    console.print(Text(f"uncertainty of accelerations between the samples: {shown(sampling)}", style="dim"))
-    console.print(Text(f"largest acceleration that the efforts cannot produce: {shown(residual)}", style="dim"))
+    console.print(Text(f"uncertainty of accelerations between the samples: {shown(sampling, unit)}", style="dim"))
+    console.print(Text(f"largest acceleration that the efforts cannot produce: {shown(residual, unit)}", style="dim"))

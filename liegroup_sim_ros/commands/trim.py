@@ -40,6 +40,9 @@ def add_arguments(parser):
 def run(args):
     """Run the subcommand; returns the exit code."""
     check_out(args)
+    for option, names in (("--hold", args.hold), ("--inputs", args.inputs)):
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise StateError(f"{option}: {twice[0]} is given twice")
     rates, console, found = _rates(args.rates), Console(file=sys.stdout), []
     for time, simulation, inside in states(args):
         try:
@@ -71,15 +74,18 @@ def _rates(given):
 
 
 def _entries(result, time):
-    stable = {None: "marginal", True: "stable", False: "unstable"}[result.is_stable]
+    stable = {None: "marginal", True: "stable", False: "unstable"}[result.is_stable] if result.is_steady else None
     return {
         "time": time,
         "joints": result.joints,
         "inputs": result.inputs,
         "intervals": {
-            name: [end if math.isfinite(end) else None for end in ends] for name, ends in result.intervals.items()
+            # An end that was not found is null; JSON has no number for one that does not exist.
+            name: [None if math.isnan(end) else end if math.isfinite(end) else str(end) for end in ends]
+            for name, ends in result.intervals.items()
         },
         "undetermined": list(result.undetermined),
+        "undetermined_coordinates": list(result.loose),
         "stability": stable,
         "residual": result.residual,
         "steady": result.is_steady,
@@ -91,12 +97,13 @@ def _entries(result, time):
 def _print(result, time, console):
     entries = _entries(result, time)
     moving = np.abs(result.system.slope[: result.system.coordinates]).max(initial=0.0) > RESTING
-    kind = "steady motion" if moving else "equilibrium"
-    console.print(Text(f"{result.system.scene}: {kind}, {entries['stability']}", style="bold"))
+    kind = f"{'steady motion' if moving else 'equilibrium'}, {entries['stability']}"
     if not result.is_steady:
-        console.print(Text("not steady: accelerations arise as it moves; this is one instant", style="yellow"))
+        kind = "not steady: accelerations arise as it moves; this is one instant"
+    console.print(Text(f"{result.system.scene}: {kind}", style="bold" if result.is_steady else "bold yellow"))
     for joint, position in result.joints.items():
-        console.print(Text(f"  {joint} = {position:.9g}"))
+        remark = "  (others are possible too)" if joint in result.loose else ""
+        console.print(Text(f"  {joint} = {position:.9g}{remark}"))
     for name, value in result.inputs.items():
         remark = " (others can take its part)" if name in result.undetermined else ""
         ends = "rests from {:.9g} to {:.9g}".format(*result.intervals[name]) if result.intervals else ""

@@ -98,9 +98,11 @@ def saturated(effort, joint, time):
 def slips(contact, joint, time):
     """A wheel or ball would slip or lift off; contact : (normal, tangential) force in N, time : s."""
     normal, along = contact
+    if normal < 0.0:
+        return f"{joint} pulls: it needs {normal:.4g} N normal to the plane at t = {time:.6g} s and would lift off"
     return (
         f"{along:.4g} N along the plane, with {normal:.4g} N normal to it, is beyond the friction of {joint} at t = "
-        f"{time:.6g} s: there it would slip or lift off"
+        f"{time:.6g} s: there it would slip"
     )
 
 

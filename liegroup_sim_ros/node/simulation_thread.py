@@ -82,7 +82,6 @@ class SimulationServer(SimulationCommands, threading.Thread):
         self._origin = origin
         self._said = set()  # events that are sent once
         self._saturation = Saturation(simulation)
-        self._may_slip = any(joint.mu is not None for joint, *_ in simulation.layout.contacts)
         has_modes = simulation.layout.switches
         self._reports = JointReports(simulation) if has_modes else None
         self._watching = False
@@ -341,7 +340,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
             for joint in self._saturation.reached(sample):
                 text = events.saturated(sample.servo_efforts[joint], joint, sample.time)
                 self._warn_once("saturated", text, joint)
-            for joint in sample.slipping if self._may_slip else ():
+            for joint in sample.slipping:
                 self._warn_once("slip", events.slips(sample.contacts[joint], joint, sample.time), joint)
 
     def _send_report(self, report):

@@ -131,6 +131,14 @@ def test_a_robot_file_rolls_on_its_wheels_and_names_its_drive(tmp_path):
         (["--roll", "left-wheel"], "--roll left-wheel: give JOINT=VALUE"),
         (["--roll", "rear=0.1"], "roll: joint 'rear' is not in the robot; choose one of: fixed, left-wheel"),
         (["--roll", "fixed=0.1"], 'roll: joint "fixed" is fixed: only revolute joints turn a wheel'),
+        (
+            ["--roll", "left-wheel=0.08", "--start", "base_link={position: [0, 0, 5]}"],
+            '--roll "left_wheel_contact": cannot be assembled',
+        ),
+        (
+            ["--roll", "left-wheel=0.08", "--base", "fixed"],
+            'roll: the axis of joint "left-wheel" is fixed to the world',
+        ),
     ],
 )
 def test_wrong_wheels_are_refused(tmp_path, capsys, options, text):

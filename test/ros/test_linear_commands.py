@@ -135,7 +135,17 @@ def test_trim_writes_the_system_of_the_equilibrium(tmp_path, capsys):
         (["inverse", "four_bar", "--motion", "far.csv"], "ground_crank turns too far before 1 s"),
         (["inverse", "diff_drive", "--motion", "wheel.csv", "--joints", "left"], "wheels that roll do not"),
         (["linearise", "run.mcap", "--lock", "a=1"], "it takes no options of robot files"),
-        (["inverse", "four_bar", "--motion", "other.csv"], "the mechanism has 1 independent coordinate: name so many"),
+        (["inverse", "four_bar", "--motion", "other.csv"], "the mechanism has 1 independent coordinate: it needs"),
+        (["inverse", "four_bar", "--motion", "degrees.csv"], "ground_crank.position [deg] must be in rad"),
+        (["inverse", "four_bar", "--motion", "fast.csv"], "ground_crank.velocity is not the derivative of"),
+        (
+            ["inverse", "double_pendulum", "--motion", "two.csv", "--inputs", "nope.effort"],
+            "unknown input 'nope.effort'; choose one of: efforts, elbow.effort, shoulder.effort\n",
+        ),
+        (["inverse", "diff_drive", "--motion", "wheel.csv"], "wheels that roll do not"),
+        (["inverse", "driven_arm", "--motion", "two.csv"], "here hook.rx, hook.ry, hook.rz move freely"),
+        (["trim", "four_bar", "--hold", "ground_crank", "ground_crank"], "--hold: ground_crank is given twice"),
+        (["trim", "four_bar", "--inputs", "efforts", "efforts"], "--inputs: efforts is given twice"),
         (["inverse", "four_bar", "--motion", "binary.csv"], "binary.csv: cannot be read: it is not a text file"),
     ],
 )
@@ -152,6 +162,10 @@ def test_wrong_input_is_one_line(tmp_path, monkeypatch, capsys, arguments, text)
         "few.csv": b"\xef\xbb\xbftime,ground_crank.position,left.position\n0,0,0\n1,0.1,0\n2,0.2,0\n",
         "wheel.csv": b"time,left.position\n" + b"".join(b"%d,0\n" % k for k in range(8)),
         "far.csv": b"time,ground_crank.position\n0,0\n1,2\n2,4\n",
+        "degrees.csv": b"time [s],ground_crank.position [deg]\n0,0\n1,2\n2,4\n",
+        "fast.csv": b"time,ground_crank.position [rad],ground_crank.velocity [ rad/s ]\n"
+        + b"".join(b"%g,%g,5\n" % (0.1 * k, 0.1 * k) for k in range(8)),
+        "two.csv": b"time,shoulder.position,elbow.position\n" + b"".join(b"%d,0,0\n" % k for k in range(8)),
         "binary.csv": b"\xff\xfe\x00time",
     }.items():
         (tmp_path / name).write_bytes(content)
@@ -173,15 +187,42 @@ def test_friction_gives_intervals_of_inputs(capsys):
     """A block on a belt: 3 N of friction at rest."""
     found = answer(capsys, "trim", "stick_slip", "--inputs", "contact.effort")
     assert found["intervals"]["contact.effort"] == pytest.approx([-3.0, 3.0], abs=1e-9)
+    assert found["stability"] is None and not found["steady"]  # the belt moves
     assert main(["trim", "stick_slip", "--inputs", "contact.effort"]) == 0
-    assert "contact.effort = 0  rests from -3 to 3" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert "contact.effort = 0  rests from -3 to 3" in text and "stable" not in text
+
+
+def test_an_interval_without_an_end_is_told_from_one_that_was_not_found(tmp_path, capsys):
+    """A horizontal rod on its stop: any effort downwards, and up to its weight."""
+    scene = tmp_path / "stop.yaml"
+    scene.write_text(
+        "name: stop\ngravity: [0, 0, -9.81]\nbodies: [{name: rod, mass: 1.5, inertia: [0.1, 0.2, 0.1], "
+        "position: [0.6, 0, 0]}]\njoints: [{name: hinge, type: revolute, parent: world, child: rod, "
+        "parent_frame: {axis: [0, 1, 0]}, limits: {upper: 0}}]\n"
+    )
+    found = answer(capsys, "trim", str(scene), "--inputs", "hinge.effort")
+    assert found["intervals"]["hinge.effort"] == [pytest.approx(-1.5 * 9.81 * 0.6, rel=1e-12), "inf"]
+
+
+def test_servos_drive_a_robot_steadily_from_rest(capsys):
+    """Their targets start at the given rates, at which they do not saturate. Positions cannot be found like that."""
+    wheels = ["trim", "diff_drive", "--rates", "left=5", "right=3", "--inputs"]
+    found = answer(capsys, *wheels, "left.target_velocity", "right.target_velocity")
+    assert found["steady"] and list(found["inputs"].values()) == pytest.approx([5.0, 3.0], abs=0.05)
+    assert main([*wheels, "left.target", "right.target"]) == 1
+    assert "left.target, right.target have no effect there, as with a servo at its limit" in capsys.readouterr().err
 
 
 def test_a_falling_body_has_no_equilibrium(tmp_path, capsys):
     scene = tmp_path / "falling.yaml"
     scene.write_text("name: f\ngravity: [0, 0, -9.81]\nbodies: [{name: b, mass: 1.0, inertia: [1, 1, 1]}]\n")
     assert main(["trim", str(scene)]) == 1
-    assert "no equilibrium near the state" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "no equilibrium near the state" in error and "rates" not in error
+    scene.write_text(scene.read_text().replace("inertia: [1, 1, 1]", "inertia: [1, 1, 1], linear_velocity: [1, 0, 0]"))
+    assert main(["trim", str(scene)]) == 1
+    assert "the state moves: name rates that stay constant" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["four_bar", "double_pendulum", "bicycle"])

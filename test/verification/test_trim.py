@@ -159,6 +159,36 @@ def test_efforts_hold_a_pose(scene, joints, freedoms):
     assert bool(result.undetermined) is (freedoms < len(joints))
 
 
+@pytest.mark.parametrize("file", ["five_bar.yaml", "scissor_lift.yaml", "stewart.sdf"])
+def test_a_held_coordinate_of_a_loop_keeps_its_value(file):
+    """Its own effort holds it while all others move to an equilibrium, in the five bar by more than 2 rad.
+
+    1e-9 rad or m: the joints are closed to 1e-13 in each of at most 100 steps.
+    """
+    scene = load_scene(os.path.join(ROBOTS, file))
+    simulation = paused(scene.remade(forces=[force for force in scene.forces if force.type != "motor"]))
+    start = {joint: values[0] for joint, values in simulation.sample().joint_coordinates.items()}
+    for joint in [freedom.name for freedom in simulation.layout.freedoms if freedom.is_of_joint]:
+        result = trim(simulation, held=[joint], inputs=[f"{joint}.effort"])
+        assert abs(result.joints[joint] - start[joint]) < 1e-9 and joint not in result.loose
+        if file == "five_bar.yaml":  # the others have springs
+            efforts = {joint: result.inputs[f"{joint}.effort"]}
+            assert np.abs(statics_of(simulation, result).work(efforts)).max() < 1e-9 * 20.0
+
+
+@pytest.mark.parametrize("hold", [[], ["left"], ["right_elbow"], ["left", "right"]])
+def test_of_a_family_of_equilibria_the_nearest_one_is_taken(hold):
+    """Two motors hold a five bar anywhere: it stays at its start, with the efforts of that pose."""
+    scene = load_scene(os.path.join(ROBOTS, "five_bar.yaml")).remade(forces=[])
+    simulation = paused(scene)
+    result = trim(simulation, held=hold, inputs=["left.effort", "right.effort"])
+    start = simulation.sample().joint_coordinates
+    assert all(abs(result.joints[joint] - start[joint][0]) < 1e-12 for joint in start)
+    expected = statics_of(simulation, result).efforts(["left", "right"])
+    assert list(result.inputs.values()) == pytest.approx(expected, abs=1e-10)
+    assert set(result.loose) == (set() if len(hold) == 2 else set(start) - set(hold))
+
+
 def test_a_stewart_platform_rests_on_its_springs():
     """400 N/m in each leg; the platform sinks by a few cm and tilts."""
     simulation = paused(load_scene(os.path.join(ROBOTS, "stewart.sdf")))
@@ -257,6 +287,15 @@ def test_friction_in_a_loop_adds_up_by_the_rates_of_its_joints(angle):
         assert both.inputs[name] == pytest.approx(effort, abs=1e-10)
         ends = effort - most / abs(lever), effort + most / abs(lever)
         assert both.intervals[name] == pytest.approx(ends, abs=1e-9)
+
+
+@pytest.mark.parametrize("rubs", [*FRICTION, None])
+def test_friction_in_any_joint_of_a_loop_holds_the_pose(rubs):
+    """Whichever coordinate keeps its position: nothing moves, and without friction the pose is unstable."""
+    simulation = paused(slider_crank(2.2, 0.0, {rubs: FRICTION[rubs]} if rubs else {}))
+    for freedom in simulation.layout.freedoms:
+        result = trim(simulation, held=[freedom.name], inputs=["main.effort"])
+        assert result.system.coordinates == (0 if rubs else 1) and result.is_stable is bool(rubs)
 
 
 def test_a_joint_without_a_motor_rests_by_its_friction():
