@@ -238,6 +238,19 @@ class Sample:
             found[joint.name] = up, float(np.linalg.norm(force - up * n))
         return found
 
+    @cached_property
+    def contact_points(self) -> dict[str, NDArray[np.float64]]:
+        """{wheel or ball that rolls: (3,) m, world axes} points at which they touch their planes."""
+        layout, found, poses = self._layout, {}, self.poses
+        for joint, parent, normal, child, frame in layout.contacts:
+            n = normal if parent is None else poses[parent][:3, :3] @ normal
+            own = poses[child] @ frame
+            if joint.type == "wheel":  # towards where its rim is lowest
+                n = n - own[:3, 2] * (own[:3, 2] @ n)
+                n /= np.linalg.norm(n)
+            found[joint.name] = own[:3, 3] - joint.radius * n
+        return found
+
     @property
     def slipping(self) -> tuple[str, ...]:
         """Joints whose contact would need a force that pulls, or more friction than their `mu`.

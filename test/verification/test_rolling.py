@@ -342,3 +342,20 @@ forces:
     assert main(["run", str(tmp_path / "pull.yaml"), "--duration", "0.1", "--out", str(tmp_path / "a.npz")]) == 0
     (line,) = [record.getMessage() for record in caplog.records if "lift" in record.getMessage()]
     assert line.startswith("r pulls: it needs -10.19 N normal to the plane at t = 0.05")
+
+
+@pytest.mark.parametrize("name", ["bicycle", "diff_drive"])
+def test_bodies_rest_where_they_touch_the_plane(name):
+    """Contact points are on the ground, and the material points there have no velocity, to round-off of 10 m/s."""
+    simulation = Simulation(load_scene(name), "rkmk4", 1e-3, stabilisation="projection", quiet=True)
+    simulation.advance(100)
+    sample = simulation.sample()
+    assert sample.contact_points
+    for joint in simulation.scene.joints:
+        if joint.name not in sample.contact_points:
+            continue
+        point, pose = sample.contact_points[joint.name], sample.poses[joint.child]
+        w, v = np.split(sample.twists[joint.child], 2)
+        assert abs(point[2]) < 1e-12
+        velocity = pose[:3, :3] @ (v + np.cross(w, pose[:3, :3].T @ (point - pose[:3, 3])))
+        assert np.abs(velocity[2:] if joint.frictionless else velocity).max() < 1e-11
