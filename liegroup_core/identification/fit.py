@@ -25,6 +25,8 @@ UNSEEN = 1e-9  # relative singular value of a direction that no measurement show
 MOST_STEPS, MOST_TRIES = 40, 12
 SAME = 1e-7  # relative decrease of the sum of squares in the last step
 CLOSE = 0.01  # of the standard deviations: last step
+GOOD = 0.5  # decrease of the sum of squares after which the columns serve again
+ROUND_OFF = 1e-12
 WORTH = 10.0  # s of work, from which on several processes are faster
 FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-7
 
@@ -97,38 +99,41 @@ class Fit:
 
         same : relative decrease of the sum of squares in the last step, unless it is small against the noise
         """
-        damping, cost, began = 0.0, None, time.perf_counter()
+        damping, columns, began = 0.0, None, time.perf_counter()
         outputs = self.runs.base(point)
         self._seconds = time.perf_counter() - began
         for _ in range(MOST_STEPS):
             residuals = self.residuals(point, outputs)
-            cost = self.cost(point, residuals)
-            parts = self._linear(point, outputs, residuals)
-            done = False
-            for _ in range(MOST_TRIES):
-                changes, step, small = self._step(point, parts, damping)
-                try:
-                    other = self._moved(point, changes, step)
-                    trial = self.runs.base(other)
-                    lower = self.cost(other, self.residuals(other, trial))
-                except (SimulationError, SceneError):
-                    lower = np.inf
-                if lower <= cost * (1.0 + 1e-12) or small:
+            cost, rest = self.cost(point, residuals), [self.weighted(one) for one in residuals]
+            # Columns of an earlier point serve as long as steps with them are good; the last ones are of the end.
+            is_new = columns is None or [len(r) for r in rest] != [len(J_x) for J_x, _ in columns]
+            if is_new:
+                columns = [(J_x, J_g) for _, J_x, J_g in self._linear(point, outputs, residuals)]
+            parts = [(r, *each) for r, each in zip(rest, columns)]
+            for _ in range(MOST_TRIES if is_new else 1):
+                other, trial, lower, is_small = self._tried(point, parts, damping)
+                is_better = lower <= cost * (1.0 + ROUND_OFF)
+                if is_better or is_small:
                     break
                 damping = max(10.0 * damping, FIRST_DAMPING)
-            else:
-                done = True
-            if lower <= cost * (1.0 + 1e-12):
-                done = done or small or cost - lower <= same * cost
-                point, outputs = other, trial
-                damping = 0.0 if damping < LEAST_DAMPING else 0.1 * damping
-            else:
-                done = True
-            if done:
-                break
-        else:
-            return self._solution(point, outputs, False)
-        return self._solution(point, outputs, bool(np.isfinite(lower)))
+            ends = not is_better or is_small or cost - lower <= same * cost
+            if is_better:
+                point, outputs, damping = other, trial, 0.0 if damping < LEAST_DAMPING else 0.1 * damping
+            if ends and is_new:
+                return self._solution(point, outputs, columns, bool(np.isfinite(lower)))
+            if ends or lower > GOOD * cost:
+                columns = None
+        return self._solution(point, outputs, None, False)
+
+    def _tried(self, point, parts, damping):
+        """(Point, outputs, cost, whether it is small) after a step; an infinite cost where it cannot be."""
+        changes, step, is_small = self._step(point, parts, damping)
+        try:
+            other = self._moved(point, changes, step)
+            outputs = self.runs.base(other)
+            return other, outputs, self.cost(other, self.residuals(other, outputs)), is_small
+        except (SimulationError, SceneError):
+            return point, None, np.inf, is_small
 
     def refine(self, solution):
         """Estimate the noise again, from the residuals of a Solution, in which there is less motion."""
@@ -149,16 +154,19 @@ class Fit:
         ranges = [(r, _range(J_x)) for r, J_x, _ in parts]
         return np.concatenate([r - U @ (U.T @ r) for r, U in ranges])
 
-    def _solution(self, point, outputs, converged):
+    def _solution(self, point, outputs, columns, converged):
+        """Solution at a Point, with columns [(J_x, J_g)] of one nearby, or None."""
         residuals = self.residuals(point, outputs)
-        parts = self._linear(point, outputs, residuals)
-        left, columns, bases = [], [], []
-        for r, J_x, J_g in parts:
+        rest = [self.weighted(one) for one in residuals]
+        if columns is None or [len(r) for r in rest] != [len(J_x) for J_x, _ in columns]:
+            columns = [(J_x, J_g) for _, J_x, J_g in self._linear(point, outputs, residuals)]
+        left, others, bases = [], [], []
+        for r, (J_x, J_g) in zip(rest, columns):
             U = _range(J_x)
             left.append(r - U @ (U.T @ r))
-            columns.append(J_g - U @ (U.T @ J_g))
+            others.append(J_g - U @ (U.T @ J_g))
             bases.append(U)
-        return Solution(point, residuals, outputs, np.concatenate(left), np.vstack(columns), bases, converged)
+        return Solution(point, residuals, outputs, np.concatenate(left), np.vstack(others), bases, converged)
 
     def residuals(self, point, outputs):
         """[[(r, p)]] measured minus outputs."""
