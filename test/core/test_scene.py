@@ -394,7 +394,7 @@ def test_every_field_of_a_scene_is_in_the_tables_of_keys():
         return {model}.union(*map(leaves, model.__subclasses__())) - ({model} if model.__subclasses__() else set())
 
     models = [model for models in PARTS.values() for model in models]
-    assert leaves(Described) == {*models}
+    assert {each for each in leaves(Described) if each.__module__.startswith("liegroup_core.")} == {*models}
     for model, table in zip(models, key_tables(), strict=True):
         assert [key.name for key in table.keys] == list(model.model_fields)
         assert all(key.meaning for key in table.keys) and table.summary.endswith(".")

@@ -163,7 +163,7 @@ def test_an_accidental_tiny_error_does_not_stretch_a_log_axis():
     """Initial values of 1e-46 m are not shown; slow growth from 1e-15 m is."""
 
     def axis(y):
-        plot = plots._plane([plots._line("error", np.arange(len(y)), y, "--blue")], [], "m", True)
+        plot = plots.plane([plots.line("error", np.arange(len(y)), y, "--blue")], [], "m", True)
         return plot["layout"]["yaxis"]
 
     odd = axis(np.array([0.0, 1e-46, *np.linspace(1e-15, 3e-15, 500)]))
@@ -175,7 +175,7 @@ def test_the_report_size_is_bounded_for_long_recordings(tmp_path, monkeypatch):
     """The number of plotted points is bounded, and peaks are preserved."""
     y = np.sin(np.linspace(0.0, 300.0, 1_000_000))
     y[123_456], y[654_321], y[777_777] = 7.0, -5.0, np.nan
-    drawn = plots._line("a curve", np.arange(1e6), y, "--blue")
+    drawn = plots.line("a curve", np.arange(1e6), y, "--blue")
     assert len(drawn["x"]) == len(drawn["y"]) <= 3 * plots.BINS
     assert (drawn["x"][drawn["y"].index(7.0)], drawn["x"][drawn["y"].index(-5.0)]) == (123_456, 654_321)
     assert None in drawn["y"]

@@ -28,7 +28,7 @@ from liegroup_sim_ros.commands.trade import document as trade_document
 from liegroup_sim_ros.recording import RecordingError, read_recording
 from liegroup_sim_ros.report import picture, trade_page
 from liegroup_sim_ros.report.page import make_page, page_part
-from liegroup_sim_ros.report.plots import _line, _plane
+from liegroup_sim_ros.report.plots import line, plane
 from liegroup_sim_ros.report.sweep_tables import print_sweep
 from liegroup_sim_ros.report.terminal import print_comparison, print_overview, print_table
 from liegroup_sim_ros.report.trade_figures import print_trade
@@ -182,11 +182,11 @@ def random_trade(seed):
 
 def test_a_single_sample_has_a_marker_and_an_axis_of_its_size():
     """Without a range, plotly.js labels the axis of 1e12 by its round-off."""
-    alone = _line("a", np.arange(5.0), np.array([np.nan, 1e12, np.nan, 1e12, 1e12]), "--blue")
+    alone = line("a", np.arange(5.0), np.array([np.nan, 1e12, np.nan, 1e12, 1e12]), "--blue")
     assert alone["mode"] == "lines+markers" and alone["marker"]["size"] == [0, 5, 0, 0, 0]
-    assert _plane([alone], [], "N m")["layout"]["yaxis"]["range"] == [0.0, 2e12]
-    line = _line("b", np.arange(3.0), np.array([1.0, 2.0, 3.0]), "--blue")
-    assert line["mode"] == "lines" and "range" not in _plane([line], [], "N m")["layout"]["yaxis"]
+    assert plane([alone], [], "N m")["layout"]["yaxis"]["range"] == [0.0, 2e12]
+    whole = line("b", np.arange(3.0), np.array([1.0, 2.0, 3.0]), "--blue")
+    assert whole["mode"] == "lines" and "range" not in plane([whole], [], "N m")["layout"]["yaxis"]
 
 
 def test_reports_of_random_trades_are_written(terminal, tmp_path):

@@ -185,7 +185,7 @@ def test_a_trajectory_controller_drives_the_arm(tmp_path, interface):
     assert figures["median"] < 0.04 and figures["largest"] < 0.3, figures
     assert figures["final"] < (5e-3 if interface == "effort" else 0.01), figures
     assert figures["updates"] > 1900 and figures["median_s"] == pytest.approx(0.002, abs=1e-6)
-    check_repeated(recording, {"upper", "lower"} if interface == "effort" else set())
+    check_repeated(recording, {"shoulder", "elbow"} if interface == "effort" else set())
     assert (recording.servo_targets is None) == (interface == "effort")
 
 

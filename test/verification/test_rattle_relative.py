@@ -88,10 +88,11 @@ def test_relative_and_absolute_trajectories_are_the_same():
 
 
 @pytest.mark.parametrize("method", CONSTRAINED)
-@pytest.mark.parametrize("name", ["four_bar", "double_pendulum", "planar loops 3", "hinges"])
+@pytest.mark.parametrize("name", ["four_bar", "double_pendulum", "planar loops", "hinges"])
 def test_backward_steps_undo_forward_steps_in_a_plane(method, name):
     """As test_constrained_geometric.test_backward_steps_undo_forward_steps in space."""
-    scene = mechanisms.chain(6, "revolute") if name == "hinges" else scenes()[name]
+    known = {"hinges": mechanisms.chain(6, "revolute")} | scenes()
+    scene = next(scene for each, scene in known.items() if each.startswith(name))
     simulation = Engine(scene, method, 1e-3, "relative", quiet=True)
     assert isinstance(simulation.layout.relative, PlaneModel)
     simulation.advance(2)
