@@ -20,9 +20,11 @@ LONGEST = 0.01  # s, first longest step; it is halved until the errors are a sma
 PART = 0.1  # of the noise: largest error of the integration
 MOST_HALVES = 8
 RANGE, LAGS = 1.0, 41  # s, and number of delays that are tried in it
+NEAR = 100.0  # mean square: residuals of ten deviations are no question of single clocks
 CLEARLY = 0.25  # of the mean square without a delay
 FEW = 1.0  # s of the log in which they are tried, at least
 ORDER = 4
+REFINED, MOST_REFINED = 0.1, 3  # change of the noise that is small, and repetitions
 ROUGHLY = 1e-3  # relative decrease of the sum of squares in the last step: effects are judged by larger ones
 
 
@@ -119,13 +121,24 @@ def fitted(scene, log, names=(), length=LENGTH, workers=None, limits=None, prior
         count = len(point.bounds) - 1
         kept = max(1, count - round(held_out * count))
         solution = fit.solve(replace(point, bounds=point.bounds[: kept + 1], states=point.states[:kept]), ROUGHLY)
-        if found is None:
-            fit.refine(solution)
-            solution = fit.solve(solution.point, ROUGHLY)
-        elif not solution.converged or excess(fit, solution) > LINEAR:
+        if found is not None and (not solution.converged or excess(fit, solution) > LINEAR):
             break
-        found, left = solution, point.bounds[kept:]
+        found, left = _refined(fit, solution), point.bounds[kept:]
     return fit, found, left
+
+
+def _refined(fit, solution):
+    """Solution with the noise that is in the residuals, and steps that are short enough for it."""
+    for _ in range(MOST_REFINED):
+        before, point = list(fit.deviation), solution.point
+        fit.refine(solution)
+        while point.halves < MOST_HALVES and _largest(numerics(fit, point)) > PART:
+            point = replace(point, halves=point.halves + 1)
+        same = all(np.allclose(*pair, rtol=REFINED, atol=0.0) for pair in zip(fit.deviation, before))
+        if same and point is solution.point:
+            break
+        solution = fit.solve(point, ROUGHLY)
+    return solution
 
 
 def continued(fit, point, solution):
@@ -198,7 +211,7 @@ def numerics(fit, point, outputs=None):
 def _rough_delays(fit, bounds, delays):
     """Delays with the smallest residuals on a grid: a common one of all free clocks, then each alone."""
     runs, free = fit.runs, np.flatnonzero(fit.free)
-    if not len(free):
+    if not (len(free) and runs.log.inputs):  # without inputs, clocks differ by what the fit finds
         return delays
     few = bounds[: 2 + int(FEW / (bounds[1] - bounds[0]))]
 
@@ -222,7 +235,7 @@ def _rough_delays(fit, bounds, delays):
         return delays + np.where(np.isin(np.arange(len(delays)), of) & clear, grid[k], 0.0)
 
     delays = best(free)
-    if len(free) > 1 and len(delays) > 1:
+    if len(free) > 1 and cost(free, 0.0) > NEAR:
         for t in free:
             delays = best(np.array([t]))
     return delays

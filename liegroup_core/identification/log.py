@@ -11,6 +11,7 @@ PREVIOUS, LINEAR = "previous", "linear"
 HOLDS = (PREVIOUS, LINEAR)
 # Third differences of white noise have 20 times its variance, whatever the polynomial of degree two below it.
 THIRD, ROBUST = np.sqrt(20.0), 1.4826
+LEAST = 1e-6  # of the spread of the values: no sensor is better
 REPEATED = 0.05  # share of equal neighbours from which on values are rounded
 
 
@@ -105,4 +106,4 @@ def _noise(values, parts):
     resolved = rounding if len(steps) and (steps == 0.0).mean() > REPEATED and np.isfinite(rounding) else 0.0
     third = np.concatenate([np.diff(part[np.isfinite(part)], 3) for part in parts])
     found = max(ROBUST * float(np.median(np.abs(third))) / THIRD if len(third) else 0.0, resolved)
-    return found if found > 0.0 else max(1e-9 * np.abs(known).max(initial=0.0), 1e-12)
+    return max(found, LEAST * float(np.std(known)) if len(known) else 0.0, 1e-12)

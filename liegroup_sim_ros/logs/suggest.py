@@ -13,7 +13,9 @@ def suggest(bag, scene, layout):
     inputs, measurements, notes = [], [], []
     joints = [name for name in layout.coordinates.names]
     efforts = [name for name in layout.unit_efforts if name not in layout.motions]
-    commanded = [topic for topic, kind in bag.topics.items() if kind == "std_msgs/msg/Float64MultiArray"]
+    commanded = [
+        topic for topic, kind in bag.topics.items() if kind == "std_msgs/msg/Float64MultiArray" and "command" in topic
+    ]
     for topic, kind in bag.topics.items():
         try:
             first = bag.first(topic, LOOKED_AT)
