@@ -15,6 +15,8 @@ import scipy
 from liegroup_core.errors import SimulationError
 from liegroup_core.threads import one_blas_thread
 
+from .fit import without
+
 SMALL = 1e-3  # of the loads that occur: size of an effect in its run
 MOST = 3  # effects that are named
 CLEAR = 25.0  # decrease of the sum of squares of a single effect above which it is not by chance: five deviations
@@ -146,7 +148,7 @@ class Effects:
         )
         chosen, rest, basis = [], self._left, np.zeros((len(self._left), 0))
         for _ in range(min(MOST, len(names))):
-            left = columns - basis @ (basis.T @ columns)
+            left = without(basis, columns)
             norms = np.linalg.norm(left, axis=0)
             usable = norms > 1e-3 * np.linalg.norm(columns, axis=0)
             taken = np.where(usable, (left.T @ rest) ** 2 / np.maximum(norms, 1e-300) ** 2, 0.0)
@@ -167,11 +169,11 @@ class Effects:
         return Effect(text, value, float(np.sqrt(white / square)), unit[0], share)
 
     def _without_delays(self, columns):
-        return columns - self._late @ (self._late.T @ columns)
+        return without(self._late, columns)
 
     def _projected(self, parts):
         """(N,) column of parts [(N_s,)] without what starts and delays explain."""
-        rest = [part - U @ (U.T @ part) for part, U in zip(parts, self._solution.bases)]
+        rest = [without(U, part) for part, U in zip(parts, self._solution.bases)]
         return self._without_delays(np.concatenate(rest))
 
     def _columns(self):
@@ -196,12 +198,12 @@ class Effects:
                 add(f"offset of {name} in {each.name}", "", offset)
                 scale = [self._only(rest, t, p, values[t][:, p]) for rest, values in zip(residuals, outputs)]
                 add(f"scale of {name} in {each.name}", "1", scale)
-        fixed = replace_free(fit, ~fit.free)
+        known = np.flatnonzero(~fit.free)
         late = [
-            fixed._late(segment, values, rest)
+            fit.late(segment, values, rest, known)
             for segment, values, rest in zip(fit.runs.segments(solution.point), outputs, residuals)
         ]
-        for k, t in enumerate(np.flatnonzero(fixed.free)):
+        for k, t in enumerate(known):
             add(f"delay of {fit.runs.log.measured[t].name}", "s", [part[:, k] for part in late])
         return names, np.array(columns).T, units
 
@@ -215,7 +217,7 @@ class Effects:
         """[(text, unit, kind, joint or body or number of an input, size)] of effects that need a run."""
         layout, log = self._machine.layout, self._fit.runs.log
         scene = layout.scene
-        mass = sum(layout.masses.values()) if hasattr(layout, "masses") else sum(body.mass for body in scene.bodies)
+        mass = sum(body.mass for body in scene.bodies)
         gravity = float(np.linalg.norm(scene.gravity))
         size = layout.size
         found = []
@@ -238,13 +240,6 @@ class Effects:
                 found.append((f"scale of {given.name}", "1", "scale", k, SMALL))
         found += [(f"mass of {body.name}", "kg", "mass", body.name, SMALL * mass) for body in scene.bodies]
         return found
-
-
-def replace_free(fit, free):
-    """Fit with other free delays."""
-    other = object.__new__(type(fit))
-    other.__dict__.update(fit.__dict__, free=np.asarray(free, dtype=bool))
-    return other
 
 
 class _Forced:

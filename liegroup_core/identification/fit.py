@@ -151,8 +151,7 @@ class Fit:
         """(N,) weighted residuals of a Point without what changes of the starts explain."""
         outputs = self.runs.base(point)
         parts = self._linear(point, outputs, self.residuals(point, outputs), with_numbers=False)
-        ranges = [(r, _range(J_x)) for r, J_x, _ in parts]
-        return np.concatenate([r - U @ (U.T @ r) for r, U in ranges])
+        return np.concatenate([without(_range(J_x), r) for r, J_x, _ in parts])
 
     def _solution(self, point, outputs, columns, converged):
         """Solution at a Point, with columns [(J_x, J_g)] of one nearby, or None."""
@@ -163,8 +162,8 @@ class Fit:
         left, others, bases = [], [], []
         for r, (J_x, J_g) in zip(rest, columns):
             U = _range(J_x)
-            left.append(r - U @ (U.T @ r))
-            others.append(J_g - U @ (U.T @ J_g))
+            left.append(without(U, r))
+            others.append(without(U, J_g))
             bases.append(U)
         return Solution(point, residuals, outputs, np.concatenate(left), np.vstack(others), bases, converged)
 
@@ -223,14 +222,13 @@ class Fit:
         for s, (segment, one) in enumerate(zip(runs.segments(point), residuals)):
             r = self.weighted(one)
             J_x = np.array([column[s] for column in starts]).reshape(most, len(r)).T / CHANGE
-            late = self._late(segment, outputs[s], one)
+            late = self.late(segment, outputs[s], one, np.flatnonzero(self.free))
             J_n = np.array([column[s] for column in numbers]).reshape(len(numbers), len(r)).T / CHANGE
             parts.append((r, J_x[:, : len(scales[s])], np.hstack([late, J_n])))
         return parts
 
-    def _late(self, segment, outputs, residuals):
-        """(N_s, d) changes of the weighted outputs with the free delays, per s: minus their rates."""
-        free = np.flatnonzero(self.free)
+    def late(self, segment, outputs, residuals, free):
+        """(N_s, d) changes of the weighted outputs with the delays of some Measured (d,), per s: minus their rates."""
         columns = np.zeros((len(self.weighted(residuals)), len(free)))
         begin = 0
         for t, (values, rest, apart, places, sigma) in enumerate(
@@ -261,8 +259,8 @@ class Fit:
             U, singular, V = U[:, good], singular[good], V[good]
             U = U[: len(r)]
             eliminated.append((U, singular, V))
-            rows.append(J_g - U @ (U.T @ J_g))
-            right.append(r - U @ (U.T @ r))
+            rows.append(without(U, J_g))
+            right.append(without(U, r))
         step = np.zeros(g)
         if g:
             J, r = np.vstack(rows), np.concatenate(right)
@@ -316,6 +314,11 @@ class _Change:
     def __call__(self, item):
         kind, k = item
         return (self._runs.beside_start if kind == "start" else self._runs.beside_number)(self._point, k)
+
+
+def without(U, x):
+    """Vectors or columns x without their parts in the range of U, whose columns are orthonormal."""
+    return x - U @ (U.T @ x)
 
 
 def _range(J):

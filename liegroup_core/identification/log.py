@@ -2,6 +2,7 @@
 """Log of a real machine: values that acted on it, and values that were measured, with their times."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -58,7 +59,7 @@ class Measured:
     deviation: np.ndarray
     delay: float | None = None
 
-    @property
+    @cached_property
     def noise(self):
         """(p,) standard deviations, given or estimated: those of the values, in which fast motion shows, too."""
         return self.noise_of([self.values])

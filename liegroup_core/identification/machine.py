@@ -116,11 +116,7 @@ class Machine:
     def start(self):
         """State of the scene at its start."""
         self.engine.reset()
-        return self._state()
-
-    def present(self):
-        """State where the last run ended."""
-        return self._state()
+        return self.present()
 
     def placed(self, joints):
         """State with {joint: (position, velocity)}, in stops where these are beyond them; the others as they are."""
@@ -130,9 +126,10 @@ class Machine:
             q, v = joints[name]
             joints[name] = min(max(q, limits[name].least), limits[name].largest), v
         engine.place(joints=joints)
-        return self._state()
+        return self.present()
 
-    def _state(self):
+    def present(self):
+        """State of the engine, such as where the last run ended."""
         sample = self.engine.sample()
         near = np.zeros(0) if sample.switching is None else sample.switching[:, 3].copy()
         return State(*self.engine.state(), sample.angles.copy(), near)

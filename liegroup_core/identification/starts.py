@@ -75,14 +75,12 @@ def _guess(measured, joint, time):
     if not len(near):
         return None
     x, degree = measured.times[near] - time, min(DEGREE, len(near) - 1)
-    left = [np.vander(x, degree + 1, increasing=True) / noise[rows["position"]]]
-    right = [np.unwrap(q[near]) / noise[rows["position"]]]
+    powers, sigma = np.vander(x, degree + 1, increasing=True), noise[rows["position"]]
+    left, right = [powers / sigma], [np.unwrap(q[near]) / sigma]
     if "velocity" in rows:
         v, sigma = measured.values[near, rows["velocity"]], noise[rows["velocity"]]
-        slopes = np.hstack(
-            [np.zeros((len(x), 1)), np.arange(1, degree + 1) * left[0][:, :-1] * noise[rows["position"]]]
-        )
-        left.append(slopes[np.isfinite(v)] / sigma)
-        right.append(v[np.isfinite(v)] / sigma)
+        slopes, usable = np.arange(degree + 1) * np.roll(powers, 1, axis=1), np.isfinite(v)
+        left.append(slopes[usable] / sigma)
+        right.append(v[usable] / sigma)
     fitted = np.linalg.lstsq(np.vstack(left), np.concatenate(right), rcond=None)[0]
     return float(fitted[0]), float(fitted[1]) if degree else 0.0

@@ -137,15 +137,11 @@ class Bag:
     """A bag that is open.
 
     topics : {topic: type}
-    counts : {topic: number of messages}
     """
 
     def __init__(self, reader, definitions):
         self._reader, self._decode = reader, Decoder(definitions)
         self.topics = {each.topic: each.msgtype for each in reader.connections}
-        self.counts = {}
-        for each in reader.connections:
-            self.counts[each.topic] = self.counts.get(each.topic, 0) + each.msgcount
 
     def first(self, topic, count=1):
         """The first messages of a topic, decoded. Raises BagError."""

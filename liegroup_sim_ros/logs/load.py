@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from liegroup_core.errors import SceneError
 from liegroup_core.identification.log import Given, Log, Measured
 from liegroup_core.linear.channels import ACCELERATION, TWIST, WRENCH
+from liegroup_sim_ros.numbers import counted
 
 from .bag import BagError, Field
 
@@ -44,16 +45,13 @@ def fields_of(entry, scene, kind):
         return [Field(text) for text in (_of_transform if last == "transform" else _of_pose)(path)]
     if part in ("twist", "acceleration"):
         return [Field(text) for text in (*_vector(_joined(path, "angular")), *_vector(_joined(path, "linear")))]
-    if part == "wrench":
+    if part == "wrench" or not part and sensors.get(name) == "force_torque":
         path = path or "wrench"
         return [Field(text) for text in (*_vector(_joined(path, "torque")), *_vector(_joined(path, "force")))]
     if not part and sensors.get(name) == "imu":
         vectors = [_vector(_joined(path, each)) for each in ("angular_velocity", "linear_acceleration")]
         texts = [*_vector(_joined(path, "orientation"), QUATERNION), *vectors[0], *vectors[1]]
         return [Field(text) for text in texts]
-    if not part and sensors.get(name) == "force_torque":
-        path = path or "wrench"
-        return [Field(text) for text in (*_vector(_joined(path, "torque")), *_vector(_joined(path, "force")))]
     if not path:
         raise SceneError(f"{name}{part and '.'}{part}: give the field of {kind} that has it, such as data[0]")
     return [Field(path)]
@@ -155,7 +153,7 @@ def _times(topic, messages, notes):
     stamped = messages.stamp_ns > 0
     stamps, own = (messages.stamp_ns, stamped) if stamped.any() else (messages.log_ns, ~stamped)
     if not own.all():
-        notes.append(f"{topic}: {int((~own).sum())} messages without a stamp: left out")
+        notes.append(f"{topic}: {counted(int((~own).sum()), 'message')} without a stamp: left out")
     elif not stamped.any():
         notes.append(f"{topic}: without stamps; times are those of recording")
     kept = np.flatnonzero(own)

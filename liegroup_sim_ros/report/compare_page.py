@@ -8,13 +8,14 @@ import scipy
 from rich.table import Table
 from rich.text import Text
 
-from liegroup_sim_ros.numbers import shown
+from liegroup_sim_ros.numbers import counted, shown
 
 from .page import frame, plot_card, table, unbroken
-from .plots import COLOURS, line, plane
+from .plots import COLOURS, joined, line, plane
 
 CHANNEL_HEAD = ("output", "measurements", "noise", "rms", "rms / noise", "largest", "white")
 EFFECT_HEAD = ("effect", "size", "explains")
+EFFECTS_TITLE = "Effects that would explain them, one after the other"
 MOST_PLOTS, MOST_EFFECTS = 12, 8
 BAND = 2.0  # deviations of the noise
 WHITE = 1e-3  # probability below which residuals are correlated
@@ -98,7 +99,7 @@ def print_comparison(result, console):
 def _remarks(result):
     numerics = max(each["numerics"] for each in result["channels"])
     found = [
-        f"{result['segments']} segments, each with a start of its own; errors of the integration: at most "
+        f"{counted(result['segments'], 'segment')}, each with a start of its own; errors of the integration: at most "
         f"{shown(numerics)} of the noise"
     ]
     for topic, delay in result["delays"].items():
@@ -121,7 +122,7 @@ def make_page(comparison, result):
         + '<div class="cards">'
         + table("Residuals", CHANNEL_HEAD, channel_rows(result))
         + '</div><div class="cards">'
-        + table("Effects that would explain them, one after the other", EFFECT_HEAD, effect_rows(result["effects"]))
+        + (table(EFFECTS_TITLE, EFFECT_HEAD, effect_rows(result["effects"])) if result["effects"] else "")
         + table("Effects, each alone", EFFECT_HEAD, effect_rows(result["alone"][:MOST_EFFECTS]))
         + "</div>"
         + "".join(f'<p class="soft">{unbroken(text)}</p>' for text in _remarks(result))
@@ -140,13 +141,13 @@ def _plots(comparison):
     order = sorted(comparison.channels, key=lambda channel: -channel.chi)[: MOST_PLOTS // 2]
     found = []
     for t, each in enumerate(fit.runs.log.measured):
-        times = _apart([each.times[segment.rows[t]] for segment in segments])
+        times = joined([each.times[segment.rows[t]] for segment in segments])
         for p, name in enumerate(each.channels):
             if name not in [channel.name for channel in order]:
                 continue
-            measured = _apart([each.values[segment.rows[t], p] for segment in segments])
-            outputs = _apart([part[t][:, p] for part in solution.outputs])
-            rest = _apart([part[t][:, p] for part in solution.residuals])
+            measured = joined([each.values[segment.rows[t], p] for segment in segments])
+            outputs = joined([part[t][:, p] for part in solution.outputs])
+            rest = joined([part[t][:, p] for part in solution.residuals])
             sigma = fit.deviation[t][p]
             traces = [
                 line("measured", times, measured, COLOURS[0]),
@@ -162,11 +163,6 @@ def _plots(comparison):
                 )
             )
     return found
-
-
-def _apart(parts):
-    """Concatenated arrays, with a gap after each segment."""
-    return np.concatenate([piece for part in parts for piece in (part, [np.nan])])
 
 
 def _band(low, high):

@@ -156,9 +156,9 @@ def _accuracies(promise, motion):
 
 
 def _error_traces(parts, names):
-    times = _joined([part[0] for part in parts])
+    times = joined([part[0] for part in parts])
     return [
-        line(name, times, _joined([part[k + 1] for part in parts]), colour, dash)
+        line(name, times, joined([part[k + 1] for part in parts]), colour, dash)
         for k, (name, colour, dash) in enumerate(names[: len(parts[0]) - 1])
     ]
 
@@ -168,7 +168,7 @@ def _coverage_traces(parts):
     with_estimate = [part for part in parts if len(part) > 5]
     if not with_estimate:
         return []
-    times, traces = _joined([part[0] for part in with_estimate]), []
+    times, traces = joined([part[0] for part in with_estimate]), []
     for k, (name, colour) in enumerate((("position", "--blue"), ("attitude", "--orange"))):
         ratios = []
         for part in with_estimate:
@@ -176,7 +176,7 @@ def _coverage_traces(parts):
             with np.errstate(invalid="ignore", divide="ignore"):
                 ratios.append(np.where(error > uncertainty, estimate / error, np.nan))
         if any(np.isfinite(ratio).any() for ratio in ratios):
-            traces.append(line(name, times, _joined(ratios), colour))
+            traces.append(line(name, times, joined(ratios), colour))
     return traces
 
 
@@ -227,8 +227,8 @@ def _body_plots(analysis, bands):
     """Plots of the positions of the body frames."""
     stretches, names = analysis.motion.stretches, analysis.layout.body_names
     every = max(1, sum(len(s.steps) for s in stretches) // MOST_TIMES)
-    times = _joined([s.log_times[::every] for s in stretches])
-    places = _joined([s.position[::every] for s in stretches])
+    times = joined([s.log_times[::every] for s in stretches])
+    places = joined([s.position[::every] for s in stretches])
     chosen, looks = _chosen({name: places[:, n] for n, name in enumerate(names)}), _looks(names)
     plots = []
     for k, axis in enumerate("xyz"):
@@ -264,8 +264,8 @@ def _looks(names):
 
 def _energy_plots(balance, parts, bands):
     """Plots of the energy balance: changes of its terms, and what does not add up."""
-    times = _joined([part[0] for part in parts])
-    stored, works, remainder = (_joined([part[k] for part in parts]) for k in (1, 2, 3))
+    times = joined([part[0] for part in parts])
+    stored, works, remainder = (joined([part[k] for part in parts]) for k in (1, 2, 3))
     named = dict(zip((*STORES, *(f"work of {name}" for name in WORKS)), (*stored.T, *works.T)))
     looks = _looks(named)
     traces = [line(name, times, y, *looks[name]) for name, y in named.items() if np.nanmax(abs(y)) > 0.0]
@@ -280,8 +280,8 @@ def _interval_traces(named):
     return [
         line(
             name,
-            _joined([times for times, _ in part]),
-            _joined([change for _, change in part]),
+            joined([times for times, _ in part]),
+            joined([change for _, change in part]),
             COLOURS[k % len(COLOURS)],
         )
         for k, (name, part) in enumerate(named)
@@ -322,7 +322,7 @@ def centre_paths(analysis):
     stretches = analysis.motion.stretches
     every = max(1, sum(len(s.steps) for s in stretches) // PATH_POINTS)
     return {
-        body.name: _joined([s.position[::every, n] + s.rotation[::every, n] @ np.array(body.com) for s in stretches])
+        body.name: joined([s.position[::every, n] + s.rotation[::every, n] @ np.array(body.com) for s in stretches])
         for n, body in enumerate(analysis.scene.bodies)
     }
 
@@ -457,7 +457,7 @@ def _extremes(y):
     return np.array(sorted(rows))
 
 
-def _joined(parts):
+def joined(parts):
     """Concatenated arrays, separated by a gap (NaN)."""
     gap = np.full((1, *parts[0].shape[1:]), np.nan)
     return np.concatenate([piece for part in parts for piece in (part, gap)][:-1])
