@@ -166,7 +166,7 @@ class SceneRun:
                 return
             self._attach_pacing()
             self._more = {"part": recorder.part + 1, "previous": recorder.path.name, "sequences": recorder.sequences}
-            recorder.divide(self._attachments(stamp_ns, self.server.state))
+            recorder.divide(stamp_ns, self._attachments(stamp_ns, self.server.state))
             self.outputs.record_acting(stamp_ns, simulation.sample())
 
     def _add_checkpoint(self, stamp_ns):

@@ -104,7 +104,7 @@ class Recorder:
         self._flush_at = time.monotonic() + flush_interval
         self._flushing = None  # the chunk that is to end with the current instant
         self._max_size, self._max_duration = max_size, max_duration
-        self._part_since = None  # stamp, ns; None: no sample of this part yet
+        self._part_since = None  # stamp, ns; None: no sample yet
         self._is_dividing = False
         self._closing = threading.Event()
         self._closed = False
@@ -228,12 +228,12 @@ class Recorder:
             and stamp_ns - self._part_since >= self._max_duration
         )
 
-    def divide(self, attachments):
-        """Continue in a new file, the next part.
+    def divide(self, stamp_ns, attachments):
+        """Continue in a new file, the next part, which begins with a stamp.
 
         attachments : {name: (media_type, bytes)} of the new file
         """
-        self._is_dividing, self._part_since = True, None
+        self._is_dividing, self._part_since = True, stamp_ns
         self.part += 1
         path = self.part_path(self.part)
 

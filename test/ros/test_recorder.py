@@ -126,7 +126,7 @@ def test_a_file_that_is_lost_while_it_is_written_is_reported(tmp_path, caplog, h
     with Recorder(tmp_path / "run.mcap", flush_interval=60.0 if at_the_end else 0.02) as recorder:
         channel = recorder.add_channel("/clock", ClockCodec.TYPE)
         recorder.write(channel, 1, ClockCodec.encode(1))
-        recorder.divide({})
+        recorder.divide(1, {})
         recorder.write(channel, 2, ClockCodec.encode(2))
         wait_for(lambda: recorder.path.name.endswith("_part2.mcap"), "the second part")
         (tmp_path / "run.mcap").unlink()
