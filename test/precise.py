@@ -200,10 +200,13 @@ class System(NamedTuple):
     shares: list  # of each row: {joint: (6,) its row for the twist of the joint's child}
 
 
-def _system(scene, wrenches, read):
+def _system(scene, wrenches, read, states=None):
+    """System of a scene at its initial state, or at states [(R, r, w, v)] of the centres of mass of its bodies."""
     names = [body.name for body in scene.bodies]
     index = {name: slice(6 * i, 6 * i + 6) for i, name in enumerate(names)}
     bodies = {body.name: _moving(body, read) for body in scene.bodies} | {"world": None}
+    for name, (R, r, w, v) in zip(names, states or ()):
+        bodies[name] = bodies[name]._replace(R=R, r=r, w=w, v=v)
     gravity = read.vector(scene.gravity)
     n = 6 * len(names)
 
@@ -381,6 +384,22 @@ def accelerations(scene, wrenches=(), samples=3):
         squared_condition=_squared_condition(system, keep),
         redundant=len(system.J) - len(keep),
     )
+
+
+@precise
+def accelerations_at(scene, states):
+    """Function of [(R, r, w, v)] in decimals: accelerations (n, 6) in decimals, with the rows independent at `states`.
+
+    R, r, w, v : of the centres of mass, as of Moving. Raises NearlySingular.
+    """
+    keep = _independent_rows(_system(scene, (), Reader(), states).J)
+
+    @precise
+    def found(states):
+        system = _system(scene, (), Reader(), states)
+        return _solved(system, keep)[: len(system.Q)].reshape(-1, 6)
+
+    return found
 
 
 @precise

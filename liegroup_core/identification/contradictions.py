@@ -254,43 +254,34 @@ class _Forced:
         found = []
         try:
             for segment, state in zip(self._runs.segments(self._point), self._point.states):
-                run = segment
+                run, extra = segment, None
                 if kind == "scale":
                     inputs = segment.inputs.copy()
                     inputs[:, of] *= 1.0 + size
-                    run, extra = replace(segment, inputs=inputs), None
-                else:
-                    extra = self._extra(machine, segment, state, kind, of, size)
+                    run = replace(segment, inputs=inputs)
+                elif len(segment.inputs):
+                    extra = size * self._extra(machine, segment, state, kind, of)
                 found.append(machine.run(run, state, extra, halves=self._point.halves))
         except SimulationError:
             return None
         return found
 
-    def _extra(self, machine, segment, state, kind, of, size):
+    def _extra(self, machine, segment, state, kind, of):
+        """(m, n, COLUMNS) change of the wrenches in the parts of a Segment by an effect of unit size."""
         key = segment.start
         if key not in self._paths:
-            path = []
-            machine.run(segment, state, record=path)
-            self._paths[key] = [np.array(part) for part in zip(*path)]
-        poses, twists, joints = self._paths[key]
-        steps = np.diff(segment.times)
+            self._paths[key] = machine.path(segment, state, np.arange(len(segment.times)), halves=self._point.halves)
+        path, steps = self._paths[key], np.diff(segment.times)
         if kind == "mass":
             body = list(machine.layout.body_names).index(of)
             # Of the frame at the centre of mass, in the middle of each part, body axes.
-            twist, turn = twists[:, body], poses[:, body, :9].reshape(-1, 3, 3)
+            twist, turn = path.twists[:, body], path.poses[:, body, :9].reshape(-1, 3, 3)
             w, v = 0.5 * (twist[1:, :3] + twist[:-1, :3]), 0.5 * (twist[1:, 3:] + twist[:-1, 3:])
             a = np.diff(twist[:, 3:], axis=0) / steps[:, None] + np.cross(w, v)
-            g = np.array(machine.layout.scene.gravity) @ (0.5 * (turn[1:] + turn[:-1]))
-            forces = -size * (a - g)
-            change = np.zeros_like(machine.engine.inputs.external)
-
-            def extra(k):
-                change[body, 3:6] = forces[k]
-                return change
-
-            return extra
-        unit = machine.effort(of)
-        q, v = joints[:, machine.layout.coordinates.names.index(of)].T
+            change = np.zeros_like(path.wrenches)
+            change[:, body, 3:6] = np.array(machine.layout.scene.gravity) @ (0.5 * (turn[1:] + turn[:-1])) - a
+            return change
+        q, v = path.bodies[2][:, machine.layout.coordinates.names.index(of)].T
         middle = 0.5 * (v[1:] + v[:-1])
         amount = {
             "coulomb": lambda: -np.sign(middle),
@@ -299,4 +290,4 @@ class _Forced:
             "spring": lambda: -0.5 * (q[1:] + q[:-1]),
             "armature": lambda: -np.diff(v) / steps,
         }[kind]()
-        return lambda k: size * amount[k] * unit
+        return amount[:, None, None] * machine.effort(of)

@@ -7,6 +7,7 @@ start and of the numbers of the scene, and differences of two runs have only the
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -19,6 +20,7 @@ from liegroup_core.linear.channels import Inputs, Outputs
 from liegroup_core.linear.coordinates import Coordinates
 from liegroup_core.linear.probe import Probe
 from liegroup_core.methods.families import choose_group
+from liegroup_core.observables.sample import Sample
 from liegroup_core.reports import explain
 from liegroup_core.status import NOT_FINITE, OK
 
@@ -110,7 +112,8 @@ class Machine:
                 self._wanted[self._targets[k] != 0.0] = 0.0
         self.outputs = [Outputs(self.probe, each.channels, turns) for each in log.measured]
         self.turns = self.outputs[0].turns
-        self._joints_only = [outputs.are_joints for outputs in self.outputs]
+        work = self.engine._work
+        self._is_smooth = self.engine._switching is None and not len(work.acting) and not len(work.motions)
 
     @property
     def start(self):
@@ -173,71 +176,115 @@ class Machine:
         _, pose, twist = self.probe.closed()
         return State(pose, twist, self.layout.angles(pose, state.angles), state.near)
 
-    def run(self, segment, state, extra=None, record=None, halves=0):
+    def run(self, segment, state, extra=None, halves=0):
         """Outputs [(r, p)] of each Measured in a Segment, from a state.
 
-        extra  : function of the number of a part: change (n, COLUMNS) of the external wrenches, or None
-        record : list that takes (pose, twist, positions and velocities (j, 2) of joints) at the times, or None
+        extra  : (m, n, COLUMNS) change of the external wrenches in each part, or None
         halves : how often the steps are halved
         Raises SimulationError.
         """
+        seen = np.unique(np.concatenate(segment.places))
+        path = self.path(segment, state, seen, extra, halves)
+        found = []
+        for places, outputs in zip(segment.places, self.outputs):
+            rows = np.searchsorted(seen, places)
+            found.append(outputs.of_states(*(part[rows] for part in path.bodies), lambda k, r=rows: path.sample(r[k])))
+        return found
+
+    def path(self, segment, state, seen, extra=None, halves=0):
+        """Path at chosen times of a Segment, from a state; seen : their numbers. Others as of `run`."""
         self._go(state)
-        engine, instants, count = self.engine, segment.instants, len(segment.inputs)
-        wanted = np.zeros(count + 1, dtype=bool)
-        for places, fast in zip(segment.places, self._joints_only):
-            wanted[places] |= fast
-        wanted |= record is not None
-        joints, order = np.empty((int(wanted.sum()), len(self.layout.coordinates.names), 2)), np.cumsum(wanted) - 1
-        others = [
-            (dict(zip(places.tolist(), range(len(places)))), outputs, np.empty((len(places), len(outputs))))
-            for places, outputs, fast in zip(segment.places, self.outputs, self._joints_only)
-            if not fast
-        ]
-        sizes = np.diff(segment.times)
-        counts = np.maximum(1, np.ceil(sizes / self.longest - 1e-9)).astype(int) << halves
-        steps = (sizes / counts).tolist()
-        base, external, work = engine.inputs.external.copy(), engine.inputs.external, engine._work
+        engine, work, base, count = self.engine, self.engine._work, self.engine.inputs.external, len(segment.inputs)
         wrenches = base + np.tensordot(segment.inputs, self._wrenches, 1)
+        if extra is not None:
+            wrenches += extra
         targets = self._wanted + np.tensordot(segment.inputs, self._targets, 1)
-        pose, twist, angle, write = engine._pose, engine._twist, work.angle, self.layout.coordinates.write
+        counts = np.maximum(1, np.ceil(np.diff(segment.times) / self.longest - 1e-9)).astype(int) << halves
+        places = np.full(count + 1, -1)
+        places[seen] = np.arange(len(seen))
+        n, k = len(engine._pose), len(seen)
+        path = Path(self, segment, seen, wrenches, targets)
+        path.poses, path.twists = np.empty((k, n, 12)), np.empty((k, n, 6))
+        path.angles = np.empty((k, len(work.angle)))
+        kept = path.poses.reshape(k * n, 12), path.twists.reshape(k * n, 6)
+        before = base.copy()
         try:
-            for k, (instant, is_wanted) in enumerate(zip(instants, wanted.tolist())):
-                if is_wanted:
-                    write(pose, twist, angle, joints[order[k]])
-                if record is not None:
-                    record.append((pose.copy(), twist.copy(), joints[k]))
-                if any(k in places for places, *_ in others):
-                    self._look(k, instant, others)
-                if k == count:
-                    break
-                external[:] = wrenches[k]
-                if extra is not None:
-                    external += extra(k)
-                work.wanted[:] = targets[k]
-                _, status = engine._integrate(instant, steps[k], int(counts[k]), instants[k + 1])
-                if status != OK:
-                    raise SimulationError(explain(engine, status), status & 0xFF)
-            if not (np.isfinite(pose).all() and np.isfinite(joints).all()):
-                raise SimulationError(explain(engine, NOT_FINITE), NOT_FINITE)
+            if self._is_smooth:
+                given = wrenches.reshape(count * n, -1), targets.reshape(-1, 2)
+                _, status = engine._integrator.passage(
+                    segment.times, counts, places, *given, engine._pose, engine._twist, base, kept, path.angles
+                )
+            else:
+                status = self._in_parts(segment, counts, places, path)
         finally:
-            external[:] = base
-        others = iter(others)
-        return [
-            outputs.of_joints(joints[order[places]]) if fast else next(others)[2]
-            for places, outputs, fast in zip(segment.places, self.outputs, self._joints_only)
-        ]
+            base[:] = before
+        if status == OK and not np.isfinite(path.poses).all():
+            status = NOT_FINITE
+        if status != OK:
+            raise SimulationError(explain(engine, status), status & 0xFF)
+        return path
 
-    def _look(self, k, instant, others):
-        """Write the outputs that were measured at time k, besides those of joints."""
-        sample = self._sample(instant)
-        for places, outputs, rows in others:
-            if k in places:
-                rows[places[k]] = outputs.of(sample)
+    def _in_parts(self, segment, counts, places, path):
+        """Run with events or driven joints; returns a status."""
+        engine, instants = self.engine, segment.instants
+        sizes = np.diff(segment.times) / counts
+        for k, place in enumerate(places.tolist()):
+            if place >= 0:
+                engine.set_inputs_from(instants[k])
+                path.poses[place], path.twists[place] = engine.state()
+                path.angles[place] = engine._work.angle
+                path.modes.append(None if engine._switching is None else engine._modes_now())
+            if k == len(counts):
+                break
+            engine.inputs.external[:], engine._work.wanted[:] = path.wrenches[k], path.targets[k]
+            _, status = engine._integrate(instants[k], float(sizes[k]), int(counts[k]), instants[k + 1])
+            if status != OK:
+                return status
+        return OK
 
-    def _sample(self, instant):
-        engine = self.engine
+
+class Path:
+    """States of a run at chosen times of a Segment, and the inputs of its parts.
+
+    poses, twists, angles : (k, n, 12), (k, n, 6) at the centres of mass, and (k, a) as Sample.angles
+    wrenches, targets : (m, n, COLUMNS), (m, s, 2) of each part
+    modes  : [Sample.switching] of each state where there are events, else empty
+    """
+
+    def __init__(self, machine, segment, seen, wrenches, targets):
+        self._machine, self._segment, self._seen = machine, segment, seen
+        self.wrenches, self.targets, self.modes = wrenches, targets, []
+
+    @cached_property
+    def bodies(self):
+        """(k, n, 12) poses and (k, n, 6) twists of the bodies, and (k, j, 2) joints' positions and velocities."""
+        layout = self._machine.layout
+        joints = layout.coordinates.along(self.poses, self.twists, self.angles)
+        return *layout.offsets.to_bodies(self.poses, self.twists), joints
+
+    def sample(self, k):
+        """Sample of state k, with the inputs of the part that ends there."""
+        machine, place = self._machine, self._seen[k]
+        engine, instant, part = machine.engine, self._segment.instants[place], max(place - 1, 0)
         engine.set_inputs_from(instant)
-        return engine._sample_of(instant.time, round(instant.time * NS), *engine.state(), engine._work.angle.copy())
+        found = Sample(
+            machine.layout,
+            instant.time,
+            round(instant.time * NS),
+            0,
+            self.poses[k].copy(),
+            self.twists[k].copy(),
+            self.angles[k].copy(),
+        )
+        if len(self.wrenches):
+            found.external = self.wrenches[part]
+            if self.targets.shape[1]:
+                found.wanted = self.targets[part]
+        if self.modes:
+            found.switching = self.modes[k]
+        if len(engine._work.motions):
+            found.motions = machine.layout.motions_at(instant.time, engine.inputs.commanded)
+        return found
 
 
 def _changes(engine, end):

@@ -157,10 +157,6 @@ class Outputs:
         """Whether all outputs are coordinates and rates of joints."""
         return set(self._kinds) <= {"joints"}
 
-    def of_joints(self, found):
-        """(r, k) outputs, from positions and velocities (r, j, 2) of the joints."""
-        return found.reshape(len(found), -1)[:, self._places]
-
     @property
     def quaternions(self):
         """[four places of outputs that are the quaternion of a sensor]."""
@@ -182,6 +178,27 @@ class Outputs:
         """Differences (..., k) of outputs, of angles modulo 2 pi."""
         return apart(values, base, self.angles)
 
+    def of_states(self, poses, twists, joints, sample):
+        """(m, k) outputs of m states.
+
+        poses, twists : (m, n, 12), (m, n, 6) of the bodies
+        joints : (m, j, 2) positions and velocities of the joints with one coordinate
+        sample : function of the number of a state: its Sample; it is called if poses and twists do not suffice
+        """
+        count, parts = len(poses), []
+        for kind in self._kinds:
+            if kind == "joints":
+                parts.append(joints.reshape(count, -1))
+            elif kind == "bodies":
+                parts.append(self._poses(poses).reshape(count, -1))
+            elif kind == "twists":
+                parts.append(twists.reshape(count, -1))
+        others = [kind for kind in self._kinds if kind not in ("joints", "bodies", "twists")]
+        if others:
+            samples = [sample(k) for k in range(count)]
+            parts += [np.array([getattr(self, f"_{kind}")(each) for each in samples]) for kind in others]
+        return np.hstack(parts)[:, self._places] if parts else np.empty((count, 0))
+
     def of(self, sample):
         """(k,) outputs of a Sample."""
         parts = [getattr(self, f"_{kind}")(sample) for kind in self._kinds]
@@ -191,9 +208,13 @@ class Outputs:
         return np.array(list(sample.joint_coordinates.values())).ravel()
 
     def _bodies(self, sample):
-        turns = self.turns.transpose(0, 2, 1) @ sample.pose[:, :9].reshape(-1, 3, 3)
-        vectors = scipy.spatial.transform.Rotation.from_matrix(turns).as_rotvec()
-        return np.hstack([vectors, sample.pose[:, 9:]]).ravel()
+        return self._poses(sample.pose).ravel()
+
+    def _poses(self, poses):
+        """(..., n, 6) rotation vectors from `turns`, and positions."""
+        turns = self.turns.transpose(0, 2, 1) @ poses[..., :9].reshape(*poses.shape[:-1], 3, 3)
+        vectors = scipy.spatial.transform.Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_rotvec()
+        return np.concatenate([vectors.reshape(*poses.shape[:-1], 3), poses[..., 9:]], axis=-1)
 
     def _twists(self, sample):
         return sample.twist.ravel()

@@ -128,6 +128,22 @@ class JointCoordinates:
     def _write(self, pose, twist, out):
         _coordinates(self._ends, self._slides, self._frames, pose, twist, out)
 
+    def along(self, poses, twists, angles):
+        """Positions and velocities (m, j, 2) in the order of `names`, of m states; arguments as of `at`, for each."""
+        found = np.empty((len(poses), len(self.names), 2))
+        for row in zip(poses, twists, found):
+            self._write(*row)
+
+        def unwrap(name, near):
+            turned = found[:, self.names.index(name), 0]
+            turned -= 2.0 * np.pi * np.floor((turned - near) / (2.0 * np.pi) + 0.5)
+
+        for name, number in self._counted.items():
+            unwrap(name, angles[:, number])
+        for name, other, entry in self._coupled:
+            unwrap(name, rise(entry, found[:, self.names.index(other), 0]) + entry.offset)
+        return found
+
     def at(self, pose, twist, angles):
         """{joint: (position, velocity)}: rad and rad/s, or m and m/s.
 

@@ -85,6 +85,7 @@ from .error_control import (
     TOLERANCES,
     judge,
 )
+from .passage import passage
 from .steps import begin, check_end, close, count_turns, enter, has_event, leave, place, store_slopes, watches
 
 MOST_SUBSTEPS = 100_000
@@ -325,6 +326,7 @@ class MuntheKaas:
         self._tolerances = options.get("rtol", 0.0), options.get("atol", 1.0)
         self._methods, self._chosen, self._part = [], np.zeros(1), 1.0
         self.add(method)
+        self._passage = SameTypes(passage)
         self.switching = None
         if len(self._model.switches):
             self.switching = Switching(self._model, self._work, layout.switch_sizes, self._pass, self._control)
@@ -484,6 +486,11 @@ class MuntheKaas:
         """Take steps of size h in place; returns (steps done, status)."""
         advance = self._pass if self.switching is None else self.switching.advance
         return advance(h, steps, pose, twist, external)
+
+    def passage(self, times, counts, places, wrenches, wanted, pose, twist, external, kept, angles):
+        """Go through parts of time, see passage.py; returns (parts done, status). Only without error control."""
+        given = times, counts, places, wrenches, wanted, pose, twist, external, kept, angles
+        return self._passage(self._model, self._work, self._methods[0][0], *given)
 
     def _pass(self, h, steps, pose, twist, external):
         """Take steps, with larger tolerances where that is allowed and needed."""

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Passage of an explicit Munthe-Kaas method through parts of time, each with inputs and a step size of its own.
+
+One call for a whole run: between two calls for steps Python takes ten times as long as a small mechanism's step.
+"""
+
+from liegroup_core.compiling import borrowed, kernel, stepper
+from liegroup_core.mechanism.bodies import ROUND_OFF, STEP_TURN, copy_state
+from liegroup_core.status import OK
+
+from . import explicit
+from .steps import begin, check_end, close, count_turns, enter, leave
+
+
+@kernel
+def _copy_rows(source, first, out):
+    for i in range(len(out)):
+        for c in range(out.shape[1]):
+            out[i, c] = source[first + i, c]
+
+
+@kernel
+def _keep(work, pose, twist, place, poses_out, twists_out, angles_out):
+    """Write poses, twists and unwrapped angles to the rows of a kept time."""
+    n = len(pose)
+    for i in range(n):
+        for c in range(12):
+            poses_out[place * n + i, c] = pose[i, c]
+        for c in range(6):
+            twists_out[place * n + i, c] = twist[i, c]
+    for k in range(len(work.angle)):
+        angles_out[place, k] = work.angle[k]
+
+
+@stepper
+def passage(
+    model, work, scheme, times, counts, places, wrenches, wanted, pose_in, twist_in, external_in, kept, angles_out
+):
+    """Go through m parts, in place of pose (n, 12) and twist (n, 6).
+
+    scheme   : of an explicit method without error control, of a mechanism without stops and dry friction
+    times    : (m + 1,) s, the ends of the parts
+    counts   : (m,) equal steps of each part
+    places   : (m + 1,) row of the kept states for each time, -1: not kept
+    wrenches : (m n, COLUMNS) external wrenches of each part, see forces/external.py
+    wanted   : (m s, 2) wanted positions and velocities of the servos
+    kept, angles_out : (poses (k n, 12), twists (k n, 6)) and unwrapped angles (k, a) of the kept states
+    returns (parts done, status), see `advance`
+    """
+    pose_now, twist_now, inputs = borrowed(pose_in), borrowed(twist_in), borrowed(external_in)
+    n, servos, stages = len(pose_now), len(work.wanted), scheme.error.shape[1] - 1
+    for k in range(len(counts)):
+        if places[k] >= 0:
+            _keep(work, pose_now, twist_now, places[k], kept[0], kept[1], angles_out)
+        _copy_rows(wrenches, k * n, inputs)
+        _copy_rows(wanted, k * servos, work.wanted)
+        pose, twist, external, status = enter(model, work, pose_now, twist_now, inputs)
+        size = (times[k + 1] - times[k]) / counts[k]
+        for step in range(counts[k]):
+            work.report[STEP_TURN] = work.report[ROUND_OFF] = 0.0
+            begin(model, work, pose, twist)
+            status = explicit.substep(
+                scheme, model, work, size, times[k] + step * size, 0.0, 0, stages + 1, pose, external
+            )
+            if status == OK:
+                status = check_end(model, work, size)
+            if status == OK and model.projects:
+                status = close(model, work, False)
+            if status != OK:
+                return k, status
+            count_turns(model, work)
+            copy_state(work.stage_pose, work.stage_twist, pose, twist)
+        leave(model, work, pose, twist, pose_now, twist_now)
+    last = len(counts)
+    if places[last] >= 0:
+        _keep(work, pose_now, twist_now, places[last], kept[0], kept[1], angles_out)
+    return last, OK
