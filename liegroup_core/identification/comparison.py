@@ -13,8 +13,8 @@ from .runs import Point, Runs
 from .starts import first_states
 
 LENGTH = 2.0  # s, of a segment
-LEVELS = (1 / 16, 1 / 4, 1)  # of the length: segments with which fits begin, as short ones need no good start
-LEAST = 20  # measurements in a segment
+PARTS = (16, 4, 1)  # of the length: segments with which fits begin, as short ones need no good start
+LEAST = 9  # measurements in a segment: as many as the first guess of a start takes
 LINEAR = 0.01  # of the spread of an output: largest rms that is not noise, for effects to be linear
 LONGEST = 0.01  # s, first longest step; it is halved until the errors are a small part of the noise
 PART = 0.1  # of the noise: largest error of the integration
@@ -101,7 +101,7 @@ def compare(scene, log, length=LENGTH, workers=None):
     """Comparison of a Log with a Scene.
 
     length  : s, of the longest segments, each of which starts anew; shorter ones where the model is far off
-    workers : processes; None: as many as cores
+    workers : threads; None: as many as cores
     Raises SceneError for unknown channels, SimulationError if the scene cannot be simulated from the measured start.
     """
     fit, solution, _ = fitted(scene, log, (), length, workers)
@@ -114,16 +114,17 @@ def fitted(scene, log, names=(), length=LENGTH, workers=None, limits=None, prior
     names, limits, priors : of numbers that vary, see Fit
     held_out : share of the segments, at the end, that are left out
     """
+    fit, bounds = begin(scene, log, names, length, workers, limits, priors)
+    longest = len(bounds[-1]) - 1
+    kept = max(1, longest - round(held_out * longest))
     found = left = None
-    for fit, point in levels(scene, log, names, length, workers, limits, priors):
-        if found is not None:
-            point = continued(fit, point, found)
-        count = len(point.bounds) - 1
-        kept = max(1, count - round(held_out * count))
-        solution = fit.solve(replace(point, bounds=point.bounds[: kept + 1], states=point.states[:kept]), ROUGHLY)
+    for each in bounds:
+        end = kept * ((len(each) - 1) // longest)
+        point = first_point(fit, each[: end + 1]) if found is None else continued(fit, each[: end + 1], found)
+        solution = fit.solve(point, ROUGHLY)
         if found is not None and (not solution.converged or excess(fit, solution) > LINEAR):
             break
-        found, left = _refined(fit, solution), point.bounds[kept:]
+        found, left = _refined(fit, solution), each[end:]
     return fit, found, left
 
 
@@ -141,12 +142,15 @@ def _refined(fit, solution):
     return solution
 
 
-def continued(fit, point, solution):
-    """Point with the delays and numbers of a Solution of shorter segments."""
-    given = solution.point
-    states = first_states(fit.runs, point.bounds, given.delays, given.values)
-    halves = max(point.halves, given.halves)
-    return Point(point.bounds, given.delays, given.values, states, halves)
+def continued(fit, bounds, solution):
+    """Point of longer segments, each of which starts as one of the segments of a Solution does."""
+    given, runs = solution.point, fit.runs
+    known = {segment.start: state for segment, state in zip(runs.segments(given), given.states)}
+    point = replace(given, bounds=bounds)
+    starts = [segment.start for segment in runs.segments(point)]
+    if known.keys() >= set(starts):
+        return replace(point, states=tuple(known[start] for start in starts))
+    return replace(point, states=first_states(runs, bounds, given.delays, given.values))
 
 
 def excess(fit, solution):
@@ -167,29 +171,28 @@ def judged(fit, solution):
     return Comparison(fit, solution, channels, effects, alone, numerics(fit, solution.point, solution.outputs))
 
 
-def levels(scene, log, names=(), length=LENGTH, workers=None, limits=None, priors=None):
-    """(Fit, first Point) for segments of growing length; steps are short enough for the noise.
-
-    names, limits, priors : of Runs and Fit
-    """
+def begin(scene, log, names=(), length=LENGTH, workers=None, limits=None, priors=None):
+    """(Fit, [bounds of segments of growing length]); arguments as of `fitted`."""
     if not (np.isfinite(length) and length > 0.0):
         raise SceneError(f"the length of segments must be a positive number of seconds, got {length}")
     runs = Runs(scene, log, names, LONGEST)
     free = [each.delay is None for each in log.measured]
     fit = Fit(runs, [each.noise for each in log.measured], free, limits, priors, workers)
     first, last = log.span
-    delays, halves = np.array([each.delay or 0.0 for each in log.measured]), None
     most = max(len(each.times) for each in log.measured)
-    counts = [max(1, round((last - first) / (part * length))) for part in LEVELS]
-    for count in dict.fromkeys(count for count in counts if count * LEAST <= most or count == counts[-1]):
-        bounds = np.linspace(first, last + 1e-6, count + 1)
-        if halves is None:
-            delays = _rough_delays(fit, bounds, delays)
-        point = Point(bounds, delays, runs.numbers.values, first_states(runs, bounds, delays), halves or 0)
-        while halves is None and point.halves < MOST_HALVES and _largest(numerics(fit, point)) > PART:
-            point = replace(point, halves=point.halves + 1)
-        halves = point.halves
-        yield fit, point
+    count = max(1, round((last - first) / length))
+    finest = np.linspace(first, last + 1e-6, PARTS[0] * count + 1)
+    return fit, [finest[:: PARTS[0] // part] for part in PARTS if part == 1 or part * count * LEAST <= most]
+
+
+def first_point(fit, bounds):
+    """Point to begin with; steps are short enough for the noise."""
+    runs = fit.runs
+    delays = _rough_delays(fit, bounds, np.array([each.delay or 0.0 for each in runs.log.measured]))
+    point = Point(bounds, delays, runs.numbers.values, first_states(runs, bounds, delays))
+    while point.halves < MOST_HALVES and _largest(numerics(fit, point)) > PART:
+        point = replace(point, halves=point.halves + 1)
+    return point
 
 
 def _largest(parts):
@@ -214,14 +217,14 @@ def _rough_delays(fit, bounds, delays):
     if not (len(free) and runs.log.inputs):  # without inputs, clocks differ by what the fit finds
         return delays
     few = bounds[: 2 + int(FEW / (bounds[1] - bounds[0]))]
+    common = first_states(runs, few, delays)  # of all clocks alike: starts belong to measurements
 
     def cost(of, lag):
         """Mean square of what the best starts leave of the same measurements."""
         trial = delays + np.where(np.isin(np.arange(len(delays)), of), lag, 0.0)
-        window = few - lag if len(of) == len(free) else few
         try:
-            point = Point(window, trial, runs.numbers.values, first_states(runs, window, trial))
-            left = fit.projected(point)
+            states = common if len(of) == len(delays) else first_states(runs, few, trial)
+            left = fit.projected(Point(few, trial, runs.numbers.values, states))
         except SimulationError:
             return np.inf
         return float(left @ left) / max(np.count_nonzero(left), 1)

@@ -199,10 +199,7 @@ class Effects:
                 scale = [self._only(rest, t, p, values[t][:, p]) for rest, values in zip(residuals, outputs)]
                 add(f"scale of {name} in {each.name}", "1", scale)
         known = np.flatnonzero(~fit.free)
-        late = [
-            fit.late(segment, values, rest, known)
-            for segment, values, rest in zip(fit.runs.segments(solution.point), outputs, residuals)
-        ]
+        late = fit.late(solution.point, outputs, residuals, known)
         for k, t in enumerate(known):
             add(f"delay of {fit.runs.log.measured[t].name}", "s", [part[:, k] for part in late])
         return names, np.array(columns).T, units

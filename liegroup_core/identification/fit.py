@@ -8,18 +8,18 @@ orthogonal projection, so that the rest has as many unknowns as there are delays
 segment does not have to continue where the one before it ends: an error of the model does not add up along the log.
 """
 
-import time
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
 from liegroup_core.errors import SceneError, SimulationError
-from liegroup_core.study import tasks
 from liegroup_core.threads import one_blas_thread
 
 from .machine import Apart
-from .runs import CHANGE, start_scales
+from .runs import CHANGE, LAG
 
 UNSEEN = 1e-9  # relative singular value of a direction that no measurement shows
 MOST_STEPS, MOST_TRIES = 40, 12
@@ -27,7 +27,6 @@ SAME = 1e-7  # relative decrease of the sum of squares in the last step
 CLOSE = 0.01  # of the standard deviations: last step
 GOOD = 0.5  # decrease of the sum of squares after which the columns serve again
 ROUND_OFF = 1e-12
-WORTH = 10.0  # s of work, from which on several processes are faster
 FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-7
 
 
@@ -82,16 +81,16 @@ class Fit:
     free     : (t,) whether the delay of each Measured is unknown
     limits   : (q, 2) least and largest numbers of the scene
     priors   : (q, 2) expected values and their standard deviations, inf: none
-    workers  : processes; None: as many as cores
+    workers  : threads; None: as many as cores
     """
 
     def __init__(self, runs, deviation, free, limits=None, priors=None, workers=None):
         q = len(runs.numbers)
-        self.runs, self.deviation, self.free, self._workers = runs, deviation, np.asarray(free, dtype=bool), workers
+        self.runs, self.deviation, self.free = runs, deviation, np.asarray(free, dtype=bool)
+        self._workers = workers or os.cpu_count() or 1
         self.limits = np.tile([-np.inf, np.inf], (q, 1)) if limits is None else np.asarray(limits, dtype=float)
         self.priors = np.tile([0.0, np.inf], (q, 1)) if priors is None else np.asarray(priors, dtype=float)
-        self._seconds, machine = 0.0, runs.machine(runs.numbers.values)
-        self.apart = [Apart(outputs) for outputs in machine.outputs]
+        self.apart = [Apart(outputs) for outputs in runs.machine(runs.numbers.values).outputs]
 
     @one_blas_thread()
     def solve(self, point, same=SAME):
@@ -99,9 +98,7 @@ class Fit:
 
         same : relative decrease of the sum of squares in the last step, unless it is small against the noise
         """
-        damping, columns, began = 0.0, None, time.perf_counter()
-        outputs = self.runs.base(point)
-        self._seconds = time.perf_counter() - began
+        damping, columns, outputs = 0.0, None, self.runs.base(point)
         for _ in range(MOST_STEPS):
             residuals = self.residuals(point, outputs)
             cost, rest = self.cost(point, residuals), [self.weighted(one) for one in residuals]
@@ -195,55 +192,57 @@ class Fit:
         return (self.priors[:, 0] - point.values) / self.priors[:, 1]
 
     def beside(self, outputs, other, residuals):
-        """[(N_s,)] changes of the weighted outputs between two runs; 0 where nothing was measured."""
-        return [
-            self.weighted([np.where(np.isfinite(r), apart(b, a), 0.0) for apart, a, b, r in zip(self.apart, *each)])
-            for each in zip(outputs, other, residuals)
-        ]
+        """[(N_s,)] changes of the weighted outputs between two runs; 0 where nothing was measured, or did not run."""
+        found = []
+        for base, values, rest in zip(outputs, other, residuals):
+            parts = zip(self.apart, base, base if values is None else values, rest)
+            changes = [np.where(np.isfinite(r), apart(b, a), 0.0) for apart, a, b, r in parts]
+            found.append(self.weighted(changes))
+        return found
 
     def tasks(self, function, items):
-        """Results of function(item) in the order of the items, on all workers."""
-        # Processes take some seconds to start.
-        workers = 1 if len(items) * self._seconds < WORTH else self._workers
-        found = dict(tasks.run(function, items, workers=workers))
-        return [found[k] for k in range(len(items))]
+        """Results of function(item) in the order of the items, in all threads: compiled runs let others run."""
+        if self._workers == 1 or len(items) < 2:
+            return [function(item) for item in items]
+        with ThreadPoolExecutor(self._workers) as team:
+            return list(team.map(function, items))
 
     def _linear(self, point, outputs, residuals, with_numbers=True):
         """For each segment weighted residuals (N_s,), columns of its start (N_s, c), and of delays and numbers."""
-        runs, machine = self.runs, self.runs.machine(point.values)
-        scales = [start_scales(machine, machine.coordinates(state)) for state in point.states]
+        runs = self.runs
+        scales = [scales for scales, _ in runs.starts(point)]
         most = max(map(len, scales))
         count = len(runs.numbers) if with_numbers else 0
         items = [("start", k) for k in range(most)] + [("number", k) for k in range(count)]
-        found = self.tasks(_Change(runs, point), items)
-        starts = [self.beside(outputs, other, residuals) for other in found[:most]]
-        numbers = [[way * part for part in self.beside(outputs, other, residuals)] for way, other in found[most:]]
+        found = [
+            [factor * part for part in self.beside(outputs, other, residuals)]
+            for factor, other in self.tasks(Change(runs, point), items)
+        ]
+        late = self.late(point, outputs, residuals, np.flatnonzero(self.free))
         parts = []
-        for s, (segment, one) in enumerate(zip(runs.segments(point), residuals)):
+        for s, one in enumerate(residuals):
             r = self.weighted(one)
-            J_x = np.array([column[s] for column in starts]).reshape(most, len(r)).T / CHANGE
-            late = self.late(segment, outputs[s], one, np.flatnonzero(self.free))
-            J_n = np.array([column[s] for column in numbers]).reshape(len(numbers), len(r)).T / CHANGE
-            parts.append((r, J_x[:, : len(scales[s])], np.hstack([late, J_n])))
+            J = np.array([column[s] for column in found]).reshape(len(found), len(r)).T
+            parts.append((r, J[:, : len(scales[s])], np.hstack([late[s], J[:, most:]])))
         return parts
 
-    def late(self, segment, outputs, residuals, free):
-        """(N_s, d) changes of the weighted outputs with the delays of some Measured (d,), per s: minus their rates."""
-        columns = np.zeros((len(self.weighted(residuals)), len(free)))
-        begin = 0
-        for t, (values, rest, apart, places, sigma) in enumerate(
-            zip(outputs, residuals, self.apart, segment.places, self.deviation)
-        ):
-            size = values.size
-            if t in free and len(values) > 2:
-                times = segment.times[places]
-                rates = np.gradient(
-                    np.cumsum(np.vstack([values[:1], apart(values[1:], values[:-1])]), axis=0), times, axis=0
-                )
-                column = np.where(np.isfinite(rest), np.nan_to_num(-rates / sigma), 0.0)
-                columns[begin : begin + size, list(free).index(t)] = column.ravel()
-            begin += size
-        return columns
+    def late(self, point, outputs, residuals, clocks):
+        """[(N_s, d)] changes of the weighted outputs with the delays of some clocks (d,), per s.
+
+        Starts are late by the mean of the delays. So a delay d of one of T clocks makes its measurements d earlier, and
+        all starts d / T, with respect to which all inputs are later.
+        """
+        if not len(clocks):
+            return [np.zeros((len(self.weighted(one)), 0)) for one in residuals]
+        everything = self.tasks(Change(self.runs, point), [("time", 0), ("time", 1)])
+        rates, alike = (
+            [factor * part for part in self.beside(outputs, other, residuals)] for factor, other in everything
+        )
+        part, found = 1.0 / len(self.deviation), []
+        for rate, shift, one in zip(rates, alike, residuals):
+            owner = np.repeat(np.arange(len(one)), [rest.size for rest in one])
+            found.append(np.array([part * (rate - shift) - rate * (owner == t) for t in clocks]).T)
+        return found
 
     def _step(self, point, parts, damping):
         """Changes [(c,)] of the starts by their scales, step (g,) of delays and numbers, and whether all are small."""
@@ -293,10 +292,8 @@ class Fit:
 
     def _moved(self, point, changes, step):
         """Point after a step."""
-        runs, machine = self.runs, self.runs.machine(point.values)
-        scaled = [
-            change * start_scales(machine, machine.coordinates(state)) for state, change in zip(point.states, changes)
-        ]
+        runs = self.runs
+        scaled = [change * scales for (scales, _), change in zip(runs.starts(point), changes)]
         q, free = len(runs.numbers), np.flatnonzero(self.free)
         delays = point.delays.copy()
         delays[free] += step[: len(free)]
@@ -305,15 +302,23 @@ class Fit:
         return replace(moved, delays=delays, values=values, states=runs.followed(moved, values))
 
 
-class _Change:
-    """Run with one change; the function of a task."""
+class Change:
+    """(factor, outputs of a run with one change), as a function of (kind, number): the derivative is their product.
+
+    kind : "start", "number", or "time" of what was measured, and with 1 of the starts, too
+    """
 
     def __init__(self, runs, point):
         self._runs, self._point = runs, point
 
     def __call__(self, item):
         kind, k = item
-        return (self._runs.beside_start if kind == "start" else self._runs.beside_number)(self._point, k)
+        if kind == "start":
+            return 1.0 / CHANGE, self._runs.beside_start(self._point, k)
+        if kind == "time":
+            return 1.0 / LAG, self._runs.beside_times(self._point, k)
+        way, found = self._runs.beside_number(self._point, k)
+        return way / CHANGE, found
 
 
 def without(U, x):

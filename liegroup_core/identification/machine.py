@@ -65,26 +65,40 @@ class Segment:
 def segments_of(machine, bounds, delays):
     """[Segment] of the log of a Machine between bounds (s + 1,) in s, which have measurements.
 
+    Bounds are late, too, by the mean of the delays. So a start belongs to the same measurements whatever the delay, and
+    delays change only when the inputs act, and times of clocks against each other.
+
     delays : for each Measured, s
     """
-    log, changes, instant_of = machine.log, _changes(machine.engine, bounds[-1]), machine.engine.instant_of
-    found = []
+    log, found = machine.log, []
     shifted = [np.round((each.times - delay) * NS) / NS for each, delay in zip(log.measured, delays)]
+    bounds = np.round((bounds - np.mean(delays)) * NS) / NS
+    changes = _changes(machine.engine, bounds[-1])
     for first, last in zip(bounds, bounds[1:]):
-        rows = [np.flatnonzero((times >= first) & (times < last)) for times in shifted]
-        if not any(map(len, rows)):
-            continue
-        own = [times[row] for times, row in zip(shifted, rows)]
-        end = max(times[-1] for times in own if len(times))
-        inside = [each.times[(each.times > first) & (each.times < end)] for each in log.inputs]
-        inside.append(np.array([time for time in changes if first < time < end]))
-        stamps = np.unique(np.round(np.concatenate([[first], *own, *inside]) * NS)).astype(int)
-        times = stamps / NS
-        inputs = np.array([each.over(times) for each in log.inputs]).reshape(len(log.inputs), len(times) - 1).T
-        places = tuple(np.searchsorted(times, each - 0.5e-9) for each in own)
-        instants = tuple(map(instant_of, stamps.tolist()))
-        found.append(Segment(first, times, inputs, tuple(rows), places, instants))
+        rows = tuple(np.flatnonzero((times >= first) & (times < last)) for times in shifted)
+        if any(map(len, rows)):
+            own = [times[row] for times, row in zip(shifted, rows)]
+            found.append(_segment(machine, first, rows, own, changes))
     return found
+
+
+def _segment(machine, first, rows, own, changes):
+    """Segment from a time on, with rows that were measured at times [(r,)]; changes (k,) s of inputs of the scene."""
+    end = max(times[-1] for times in own if len(times))
+    inside = [each.times[(each.times > first) & (each.times < end)] for each in machine.log.inputs]
+    inside.append(changes[(changes > first) & (changes < end)])
+    stamps = np.unique(np.round(np.concatenate([[first], *own, *inside]) * NS)).astype(int)
+    times = stamps / NS
+    inputs = np.array([each.over(times) for each in machine.log.inputs]).reshape(-1, len(times) - 1).T
+    places = tuple(np.searchsorted(times, each - 0.5e-9) for each in own)
+    return Segment(first, times, inputs, rows, places, tuple(map(machine.engine.instant_of, stamps.tolist())))
+
+
+def moved(machine, segment, start, lag):
+    """Segment that starts `start` s later, and in which everything was measured `lag` s later."""
+    own = [segment.times[places] + lag for places in segment.places]
+    changes = _changes(machine.engine, segment.times[-1] + lag)
+    return _segment(machine, segment.start + start, segment.rows, own, changes)
 
 
 class Machine:
@@ -151,7 +165,9 @@ class Machine:
 
     def _go(self, state):
         engine = self.engine
-        engine.set_state(state.pose, state.twist, 0, state.angles, state.near if len(state.near) else None)
+        engine._start_at(state.pose.copy(), state.twist.copy(), 0, state.angles)
+        if len(state.near):
+            engine._switching.expect(state.near)
 
     def beside(self, state, coordinates, change):
         """State with a change (2 m,) of its Coordinates and independent rates; the Probe is at the state."""
@@ -292,7 +308,7 @@ def _changes(engine, end):
     found, instant = [], engine.instant_of(0)
     while (instant := engine.change_after(instant)) is not AFTER and instant.time < end:
         found.append(instant.time)
-    return found
+    return np.array(found)
 
 
 class Apart:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs of all segments of a log, with changed starts, numbers or forces; each one is a task for a worker."""
 
+import threading
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,11 +10,12 @@ from liegroup_core.errors import SceneError, SimulationError
 from liegroup_core.linear.coordinates import scales_of
 from liegroup_core.linear.numbers import Numbers
 
-from .machine import Machine, segments_of
+from .machine import Machine, moved, segments_of
 
 # Of starts, in rad and sizes of the mechanism and per s, and of numbers, relative: runs repeat to round-off.
 CHANGE = 1e-6
-_machines = {}  # of this process
+LAG = 1e-6  # s, change of times
+_own = threading.local()  # machines of each thread
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +48,9 @@ class Runs:
     def __init__(self, scene, log, names=(), longest=2e-3):
         self.scene, self.log, self.names, self.longest = scene, log, tuple(names), longest
         self.numbers = Numbers(scene, list(names))
-        self._in_space, self._segments = False, (None, None)
-        self._key = hash((scene.text, self.names, longest, id(log)))
+        self._own, self._in_space, self._turns = threading.local(), False, None
+        self._segments = self._starts = None, None
+        self._turns = self.machine(self.numbers.values).turns
         self._in_space = not all(self._is_alike(k) for k in range(len(self.numbers)))
 
     def _is_alike(self, k):
@@ -56,16 +59,15 @@ class Runs:
         return other.probe.has_structure_of(machine.probe)
 
     def machine(self, values):
-        """Machine with numbers (q,) of the scene. Raises SceneError."""
-        key = self._key, self._in_space, tuple(np.asarray(values, dtype=float).tolist())
-        if key not in _machines:
-            while len(_machines) > 2 * len(self.names) + 8:
-                del _machines[next(iter(_machines))]
-            is_given = np.array_equal(values, self.numbers.values)
-            scene = self.scene if is_given else self.numbers.scene_at(values)
-            turns = None if is_given else self.machine(self.numbers.values).turns
-            _machines[key] = Machine(scene, self.log, self.longest, self._in_space, turns)
-        return _machines[key]
+        """Machine of this thread with numbers (q,) of the scene. Raises SceneError."""
+        key = self._in_space, tuple(np.asarray(values, dtype=float).tolist())
+        known = vars(self._own).setdefault("machines", {})
+        if key not in known:
+            while len(known) > 2 * len(self.names) + 8:
+                del known[next(iter(known))]
+            scene = self.scene if np.array_equal(values, self.numbers.values) else self.numbers.scene_at(values)
+            known[key] = Machine(scene, self.log, self.longest, self._in_space, self._turns)
+        return known[key]
 
     def segments(self, point):
         """[Segment] of a Point."""
@@ -73,9 +75,6 @@ class Runs:
         if self._segments[0] != key:
             self._segments = key, segments_of(self.machine(point.values), point.bounds, point.delays)
         return self._segments[1]
-
-    def __getstate__(self):
-        return vars(self) | {"_segments": (None, None)}
 
     def base(self, point):
         """[[(r, p)]] outputs of each segment and Measured. Raises SimulationError."""
@@ -91,16 +90,33 @@ class Runs:
         except SimulationError as error:
             raise SimulationError(f"the run from {segment.start:.9g} s on: {error}", error.status) from None
 
+    def starts(self, point):
+        """[(scales (c,), [State] with one of c coordinates or rates CHANGE of its scale away)] of the segments."""
+        if self._starts[0] is not point:
+            machine, found = self.machine(point.values), []
+            for state in point.states:
+                coordinates = machine.coordinates(state)
+                scales = start_scales(machine, coordinates)
+                changes = CHANGE * np.diag(scales)
+                found.append((scales, [machine.beside(state, coordinates, change) for change in changes]))
+            self._starts = point, found
+        return self._starts[1]
+
     def beside_start(self, point, k):
-        """As `base`, with coordinate or rate k of each start changed by CHANGE times its scale."""
-        machine, found = self.machine(point.values), []
-        for segment, state in zip(self.segments(point), point.states):
-            coordinates = machine.coordinates(state)
-            change = np.zeros(len(coordinates.independent) + len(coordinates.moving))
-            if k < len(change):
-                change[k] = CHANGE * start_scales(machine, coordinates)[k]
-            found.append(self._checked(machine, segment, machine.beside(state, coordinates, change), point))
-        return found
+        """As `base`, with coordinate or rate k of each start changed by CHANGE times its scale; None: it has fewer."""
+        machine = self.machine(point.values)
+        return [
+            self._checked(machine, segment, states[k], point) if k < len(states) else None
+            for segment, (_, states) in zip(self.segments(point), self.starts(point))
+        ]
+
+    def beside_times(self, point, start):
+        """As `base`, with everything measured LAG later, and with the starts LAG `start` later."""
+        machine = self.machine(point.values)
+        return [
+            self._checked(machine, moved(machine, segment, LAG * start, LAG), state, point)
+            for segment, state in zip(self.segments(point), point.states)
+        ]
 
     def beside_number(self, point, k):
         """As `base`, with number k changed by CHANGE times its scale."""

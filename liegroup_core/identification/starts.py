@@ -30,7 +30,7 @@ def first_states(runs, bounds, delays=None, values=None):
         segments = segments_of(machine, np.array([first, last]), delays)
         if not segments:
             continue
-        states.append(_put(machine, log, state, first, delays))
+        states.append(_put(machine, log, state, segments[0].start, delays))
         try:
             state = _end(machine, segments[0], states[-1])
         except LieGroupSimError:
