@@ -55,12 +55,17 @@ def _bracket(V, W):
 
 
 class Links:
-    """Links of a Probe in space at its state, as decimals."""
+    """Links of a Probe in space at its state, as decimals.
+
+    rounding : seed of random changes of all data, see Reader; None: exact
+    """
 
     @precise
-    def __init__(self, probe):
+    def __init__(self, probe, rounding=None):
         probe.slopes()
-        model, work, read = probe._model, probe._work, Reader()
+        self._rounding = rounding
+        read = Reader(None if rounding is None else np.random.default_rng(rounding))
+        model, work = probe._model, probe._work
         self._links, self._parts = model.bodies, model.parts
         world = [(read.rotation(row[:9].reshape(3, 3)), decimals(row[9:12])) for row in work.world[: len(self._links)]]
         self._fixed = [
@@ -106,7 +111,7 @@ class Links:
         """
         y, slopes, changes = map(decimals, (y, slopes, changes))
         here, accelerations = self.bodies(Decimal(0), y, slopes)
-        exact = accelerations_at(scene, here)
+        exact = accelerations_at(scene, here, self._rounding)
         sides = []
         for s in (DISTANCE, -DISTANCE):
             states, by_joints = self.bodies(s, y, slopes + s * changes)

@@ -387,16 +387,19 @@ def accelerations(scene, wrenches=(), samples=3):
 
 
 @precise
-def accelerations_at(scene, states):
+def accelerations_at(scene, states, rounding=None):
     """Function of [(R, r, w, v)] in decimals: accelerations (n, 6) in decimals, with the rows independent at `states`.
 
-    R, r, w, v : of the centres of mass, as of Moving. Raises NearlySingular.
+    R, r, w, v : of the centres of mass, as of Moving
+    rounding   : seed of random changes of all data, see Reader; None: exact
+    Raises NearlySingular.
     """
     keep = _independent_rows(_system(scene, (), Reader(), states).J)
 
     @precise
     def found(states):
-        system = _system(scene, (), Reader(), states)
+        rng = None if rounding is None else np.random.default_rng(rounding)
+        system = _system(scene, (), Reader(rng), states)
         return _solved(system, keep)[: len(system.Q)].reshape(-1, 6)
 
     return found

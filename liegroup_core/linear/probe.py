@@ -358,7 +358,7 @@ class Probe:
             wanted.reshape(-1, 2),
             np.ascontiguousarray(sizes, dtype=float),
             state,
-            np.zeros((8 * L, 6)),
+            np.zeros((9 * L, 6)),
             np.zeros((2, n, 6)),
             np.zeros((4, m)),
             np.zeros((3, 7)),

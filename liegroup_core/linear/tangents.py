@@ -15,7 +15,7 @@ With V* F = (omega x torque + v x force, omega x force), the wrench of a link is
 The wrench T_c that child c transmits turns with it, which adds X^-T (S psi_c)* T_c to its parent. A row
 J (V_b - X V_a) of a cut joint sees the displacement kappa = X eta_a - eta_b of its parent: d(X V_a) = X dV_a + [kappa,
 X V_a]. The residuals that result are those of the sweeps in residuals.py, and are solved with the factors that the
-accelerations of the state have left: O(n) for a direction, and no factor is computed again.
+accelerations of the state have left, and are refined as those: O(n) for a direction, no factor is computed again.
 
 Forces have their own derivatives (forces/changes.py). Of rows other than pairs, functions of the pose of a cut joint,
 differences of order six are taken (differences.py).
@@ -23,7 +23,7 @@ differences of order six are taken (differences.py).
 
 import numpy as np
 
-from liegroup_core.compiling import borrowed, kernel
+from liegroup_core.compiling import borrowed, kernel, subroutine
 from liegroup_core.dynamics.accelerations import apply_forces, balance
 from liegroup_core.dynamics.algebra import (
     Ad_inverse,
@@ -46,10 +46,10 @@ from liegroup_core.dynamics.algebra import (
 )
 from liegroup_core.dynamics.coordinates import place_links
 from liegroup_core.dynamics.coupled_rows import slopes_of
-from liegroup_core.dynamics.couplings import add_pair, coupled_rate
+from liegroup_core.dynamics.couplings import add_pair, add_rotors, coupled_rate
 from liegroup_core.dynamics.links import body_wrench, momentum, seen_from
 from liegroup_core.dynamics.loops import close_loops
-from liegroup_core.dynamics.matrix import NEAR, is_off
+from liegroup_core.dynamics.matrix import NEAR, has_small_pivot, is_off
 from liegroup_core.dynamics.residuals import add_multipliers, add_own_forces, gather_forces
 from liegroup_core.dynamics.trees import move_links, spread_response
 from liegroup_core.forces.external import set_changes
@@ -85,7 +85,7 @@ SIZES = 4  # of differences, each SMALLER times the one before
 SMALLER, ENOUGH = 0.125, 1e-12
 ROUND_OFF = 4.0 * np.finfo(float).eps
 # Arrays (L, 6) of links, and arrays (m,) of rows.
-ACCELERATION, WRENCH, ETA, TWIST, MOVED, SCREW, RATE, STILL = range(8)
+ACCELERATION, WRENCH, ETA, TWIST, MOVED, SCREW, RATE, STILL, FORCE = range(9)
 RIGHT, MULTIPLIER, SLIP, SHIFT = range(4)
 
 
@@ -510,26 +510,65 @@ def _joint_of(model, r):
     return -1
 
 
-@kernel
-def _solve(model, work, rows):
-    """Accelerations for the residuals in work.force and in rows, with the factors of the state."""
+@subroutine
+def _respond(model, work, rows, is_correction):
+    """Accelerations for the residuals in work.force and in rows, with the factors of the state.
+
+    is_correction : they are added to those in work.total and work.total_moved
+    """
     gather_forces(model, work)
     spread_response(model, work)
-    if len(model.joints) == 0:
-        return
-    for j in range(len(model.joints)):
-        joint = model.joints[j]
-        a, b = joint["parent"], joint["child"]
-        for r in range(joint["first"], joint["first"] + joint["rows"]):
-            value = product(model, rows[RIGHT, r], work.child_jacobian, r, load(model, work.moved, b))
-            if a != WORLD:
-                value = product(model, value, work.parent_jacobian, r, load(model, work.moved, a))
-            work.right[r] = value
-    for c in range(len(model.couplings)):
-        row = model.couplings[c]["row"]
-        work.right[row] = rows[RIGHT, row] + coupled_rate(model, work, work.acceleration, c)
-    close_loops(model, work)
-    spread_response(model, work)
+    if len(model.joints) > 0:
+        if is_correction:
+            _add_totals(model, work)
+        for j in range(len(model.joints)):
+            joint = model.joints[j]
+            a, b = joint["parent"], joint["child"]
+            for r in range(joint["first"], joint["first"] + joint["rows"]):
+                value = product(model, rows[RIGHT, r], work.child_jacobian, r, load(model, work.moved, b))
+                if a != WORLD:
+                    value = product(model, value, work.parent_jacobian, r, load(model, work.moved, a))
+                work.right[r] = value
+        for c in range(len(model.couplings)):
+            row = model.couplings[c]["row"]
+            work.right[row] = rows[RIGHT, row] + coupled_rate(model, work, work.acceleration, c)
+        close_loops(model, work)
+        spread_response(model, work)
+    if is_correction:
+        _add_totals(model, work)
+    return 0
+
+
+@kernel
+def _add_totals(model, work):
+    for b in range(len(model.bodies)):
+        add_to(model, load(model, work.total_moved, b), work.moved, b)
+    for f in range(len(work.total)):
+        work.acceleration[f, 0] += work.total[f, 0]
+
+
+@kernel
+def _solve(model, work, links, rows):
+    """Derivatives of the accelerations for the residuals in work.force and in rows, as often refined as those."""
+    L, refinements = len(model.bodies), model.refinements
+    for b in range(L):
+        store(model, load(model, work.force, b), links, FORCE * L + b)
+    for r in range(len(work.multipliers)):
+        work.multipliers[r] = 0.0
+    _respond(model, work, rows, False)
+    if len(model.joints) > 0 and has_small_pivot(work):
+        refinements = max(refinements, 1)
+    for _ in range(refinements):
+        for f in range(len(work.total)):
+            work.total[f, 0] = work.acceleration[f, 0]
+        for b in range(L):
+            moved = load(model, work.moved, b)
+            store(model, moved, work.total_moved, b)
+            needed = add(model, load(model, links, FORCE * L + b), momentum(model, link_of(model, b), moved))
+            store(model, needed, work.force, b)
+        add_multipliers(model, work)
+        add_rotors(model, work, work.total, 1.0, work.force)
+        _respond(model, work, rows, True)
 
 
 @kernel
@@ -540,7 +579,7 @@ def tangents(model, work, moves, more, wanted, sizes, state, links, bodies, rows
     more (d n, COLUMNS), wanted (d k, 2) : changes of the inputs
     sizes (d,)  : first distance of differences
     state       : pose, twist, external wrenches
-    bodies (2, n, 6), links (8 L, 6), rows (4, m), orders (3, 7), given (f, 1) : scratch memory
+    bodies (2, n, 6), links (9 L, 6), rows (4, m), orders (3, 7), given (f, 1) : scratch memory
     returns a status; NOT_REGULAR: only the derivatives of J V are valid
     """
     moves, more, wanted, sizes = borrowed(moves), borrowed(more), borrowed(wanted), borrowed(sizes)
@@ -564,7 +603,7 @@ def tangents(model, work, moves, more, wanted, sizes, state, links, bodies, rows
             error = _change_rows(model, work, links, rows, orders, sizes[d])
             _change_couplings(model, work, moves, at, rows, given)
         _change_switches(model, work, moves, at, rows)
-        _solve(model, work, rows)
+        _solve(model, work, links, rows)
         for b in range(L):
             link = link_of(model, b)
             for k in range(link["freedoms"]):

@@ -3,7 +3,8 @@
 
     python test/verification/test_tangents.py [COUNT]
 
-prints the largest error against 50 digits in COUNT (500) random mechanisms, by class.
+prints the largest error against 50 digits in COUNT (500) random mechanisms, by class; larger ones than DIGITS beside
+what the data determine.
 """
 
 import sys
@@ -30,7 +31,7 @@ from liegroup_core.scene.load import load_scene, scene_from_text
 
 # Differences of order six have the error of h^6 / 140, h = 0.01, of the seventh derivative, and 2 eps / h of the
 # accelerations: about 1e-12 of the largest entry, more where these are much larger than their changes.
-DIGITS = 1e-10
+DIGITS, ROUNDINGS = 1e-10, 16.0
 CLASSES = [name for name in random_mechanisms.CLASSES if name != "large"]
 
 
@@ -73,9 +74,10 @@ def random_direction(coordinates, seed):
 
 
 def off(name, seed):
-    """Largest error of the bodies' derivatives along a random direction, by the largest derivative and acceleration.
+    """Largest error of the bodies' derivatives along a random direction, and what may be lost, both relative.
 
-    None where the pose is nearly singular, or nothing moves.
+    To the largest derivative and acceleration. Lost is what round-off of the data changes, see
+    test_relative_accelerations.py. None where the pose is nearly singular, or nothing moves.
     """
     scene, _ = random_mechanisms.random_mechanism(name, seed)
     try:
@@ -87,18 +89,24 @@ def off(name, seed):
         found, uncertain, _ = probe.tangents(y[None], np.array([1e-2]))
         slopes, f = probe.slopes()[0], probe.freedoms
         assert uncertain[0] != NOT_SMOOTH
-        exact, by_joints, accelerations = Links(probe).derivatives(scene, y, slopes[f:], found[0, f:])
+        given = scene, y, slopes[f:], found[0, f:]
+        exact, by_joints, accelerations = Links(probe).derivatives(*given)
     except (SimulationError, NearlySingular):
         return None
-    return np.abs(by_joints - exact).max() / (np.abs(exact).max() + np.abs(accelerations).max())
+    size, lost = np.abs(exact).max() + np.abs(accelerations).max(), 0.0
+    error = np.abs(by_joints - exact).max() / size
+    if error > DIGITS:
+        changed = [Links(probe, rounding).derivatives(*given)[0] for rounding in range(3)]
+        lost = ROUNDINGS * max(np.abs(each - exact).max() for each in changed) / size
+    return error, lost
 
 
 @pytest.mark.parametrize("name", CLASSES)
 @pytest.mark.volume(3)
 def test_tangents_of_random_mechanisms_are_the_derivatives_of_their_accelerations(name):
     """Against 50 digits, along a random direction of the independent coordinates and rates."""
-    found = [part for part in (off(name, seed) for seed in range(3)) if part is not None]
-    assert found and max(found) <= DIGITS
+    found = [pair for pair in (off(name, seed) for seed in range(3)) if pair is not None]
+    assert found and all(error <= DIGITS + lost for error, lost in found)
 
 
 @pytest.mark.parametrize("name", ["bicycle", "diff_drive", "cable", "driven_arm", "flyball_governor", "stick_slip"])
@@ -139,5 +147,7 @@ if __name__ == "__main__":
         name = list(seeds)[k % len(seeds)]
         seeds[name].append(off(name, k // len(seeds)))
     for name, found in seeds.items():
-        known = [part for part in found if part is not None]
-        print(f"{name}: {len(known)} of {len(found)} not singular, largest {max(known, default=0.0):.1e}", flush=True)
+        known = [pair for pair in found if pair is not None]
+        more = [f"{error:.1e} of {lost:.1e}" for error, lost in known if error > DIGITS]
+        largest = max((error for error, _ in known if error <= DIGITS), default=0.0)
+        print(f"{name}: {len(known)} of {len(found)} not singular, largest {largest:.1e}", *more, flush=True)
