@@ -165,7 +165,7 @@ def test_method_entry_is_complete(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name, group", ON_GROUPS)
-@pytest.mark.volume(12)
+@pytest.mark.volume(6)
 def test_runs_are_bit_identical_however_the_steps_are_split(name, group):
     """Also with a wrench that starts and ends between the calls, and after a reset.
 

@@ -231,6 +231,7 @@ def test_a_pinion_drives_its_rack(axis, first):
         ("constrained_rattle4", 4),
     ],
 )
+@pytest.mark.volume(8)
 def test_coupled_bodies_move_at_the_order_of_the_method(method, order, case):
     """Pendulums in space and cams, against one equation of motion that knows no joint; of cams also the force."""
     if case in ("hinges", "bolt"):

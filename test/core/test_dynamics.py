@@ -23,6 +23,7 @@ def accelerations(scene):
 
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.volume(30)
 def test_accelerations_agree_with_the_dense_saddle_point(name, seed):
     """Jacobian and Jdot V by differences of the position residual, gravity, springs and dampers.
 

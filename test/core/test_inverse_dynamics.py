@@ -49,7 +49,7 @@ def mass_matrix(model, work):
 
 @pytest.mark.parametrize("name, seed", CASES)
 @pytest.mark.parametrize("space", SPACES)
-@pytest.mark.volume(16)
+@pytest.mark.volume(5)
 def test_forces_vanish_at_the_accelerations_of_the_equations_of_motion(name, seed, space):
     scene, wrenches = random_mechanisms.random_mechanism(name, seed)
     _, model, work = solved(scene, wrenches, space)
@@ -63,6 +63,7 @@ def test_forces_vanish_at_the_accelerations_of_the_equations_of_motion(name, see
 
 @pytest.mark.parametrize("name", ["tree", "loops", "planar loops"])
 @pytest.mark.parametrize("space", SPACES)
+@pytest.mark.volume(2)
 def test_the_mass_matrix_is_that_of_the_kinetic_energy(name, space):
     for seed in range(4):
         simulation, model, work = solved(*random_mechanisms.random_mechanism(name, seed), space)

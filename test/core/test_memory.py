@@ -41,6 +41,7 @@ def bits(simulation):
 
 
 @pytest.mark.parametrize("method", METHODS)
+@pytest.mark.volume(10)
 def test_a_run_continued_from_a_saved_state_is_bit_identical(method):
     scene = "free_body" if METHODS[method].family == "rotation" else "four_bar"
     saved = run(scene, method, SAVED)

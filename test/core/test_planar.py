@@ -155,6 +155,7 @@ def difference(first, second):
 
 @pytest.mark.parametrize("normal", NORMALS)
 @pytest.mark.parametrize("name", [*TREES, *LOOPS])
+@pytest.mark.volume(10)
 def test_the_motion_is_that_in_space(name, normal):
     """Tolerance: round-off of 1e-16 at 1e3 m/s^2 and condition number 1e2, over 0.2 s.
 
@@ -190,6 +191,7 @@ def test_every_configuration_has_a_planar_form(settings):
 
 
 @pytest.mark.parametrize("name", ["tree", "chain", *LOOPS])
+@pytest.mark.volume(2)
 def test_accelerations_of_unlike_masses_against_50_digits(name):
     """Masses that differ by up to 1e8; bound as in test_relative_accelerations.py."""
     for seed in range(3):

@@ -21,6 +21,7 @@ def compare(simulation):
 
 
 @pytest.mark.parametrize("name", sorted(example_scenes()))
+@pytest.mark.volume(8)
 def test_the_array_has_the_reactions_of_a_sample(name):
     """At every step of every scene, with stops, friction, drives and redundant constraints."""
     simulation = Simulation(load_scene(name), quiet=True)

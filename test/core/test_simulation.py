@@ -82,6 +82,7 @@ def test_a_rotation_beyond_pi_warns_once(caplog):
 
 
 @pytest.mark.parametrize("slack", [0.0, 1e-9, 10.0**-8.75])
+@pytest.mark.volume(1)
 def test_a_stretched_immobile_linkage_is_refused(slack):
     """Also where the links are off the line through their pins by angles, the root of `slack`,
     next to the tolerance of the rank, so that two ways to find the rank differ.

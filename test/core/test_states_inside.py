@@ -100,6 +100,7 @@ def pushed(name, ask, **options):
         ("four_bar", {"method": "radau5", "step": 1e-2}),
     ],
 )
+@pytest.mark.volume(3)
 def test_a_run_does_not_depend_on_the_states_that_are_asked_for(name, options):
     (one, _), (other, _) = (pushed(name, ask, **options) for ask in (False, True))
     assert one.snapshot() == other.snapshot() and one.substeps == other.substeps

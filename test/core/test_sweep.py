@@ -69,6 +69,7 @@ def same(first, second):
 
 
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+@pytest.mark.volume(8)
 def test_every_number_of_a_scene_is_a_parameter(path):
     """Its own value changes nothing; another value changes nothing else."""
     scene = scene_as_written(path.read_text())

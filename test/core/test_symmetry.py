@@ -158,6 +158,7 @@ def test_expected_components_are_named(name):
 
 
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.volume(8)
 def test_named_components_are_conserved(name):
     case, _ = CASES[name]
     run = motion(case)
@@ -170,6 +171,7 @@ def test_named_components_are_conserved(name):
 @pytest.mark.parametrize(
     "name", [name for name, (_, kept) in CASES.items() if len(kept) <= 1 and not (kept and kept[0][0] is None)]
 )
+@pytest.mark.volume(6)
 def test_no_other_component_is_conserved(name):
     """Of all combinations xi . L + eta . P only the listed ones are constant: the others span 6 - k.
 

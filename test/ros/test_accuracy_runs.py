@@ -133,6 +133,7 @@ def test_a_node_says_when_its_motion_cannot_be_known_any_more(client, tmp_path):
 
 
 @pytest.mark.parametrize("scene, body", [("heavy_top", "top"), ("double_pendulum", "lower"), ("hinge_chain", "rod5")])
+@pytest.mark.volume(1)
 def test_parts_of_a_run_to_an_accuracy_repeat_alone(ros_node, tmp_path, monkeypatch, scene, body):
     """With wrenches that span parts. Each begins where the two runs of the estimate meet."""
     monkeypatch.setattr(real_time, "SHARE", math.inf)
@@ -339,6 +340,7 @@ def test_as_fast_as_possible_has_no_share_of_real_time(ros_node, tmp_path, monke
 
 
 @pytest.mark.parametrize("stabilised", [[], ["--stabilisation", "none"]])
+@pytest.mark.volume(1)
 def test_a_run_to_an_accuracy_is_checked_by_analyze(tmp_path, capsys, stabilised):
     log, document = tmp_path / "a.mcap", tmp_path / "a.json"
     arguments = ["run", "four_bar", "--accuracy", "1e-6", "--horizon", "0.5", "--duration", "1.5"]

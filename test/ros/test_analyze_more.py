@@ -186,6 +186,7 @@ def test_the_schema_describes_every_key(tmp_path, logs, capsys):
 
 
 @pytest.mark.parametrize("way", ["dask", "without dask", "cluster"])
+@pytest.mark.volume(1)
 def test_many_recordings_give_one_line_each(logs, tmp_path, capsys, monkeypatch, way):
     """Unreadable recordings do not prevent the analysis of the others."""
     options = ["--json", str(tmp_path / "x.json"), "--max-error", "1e-7"]
@@ -281,6 +282,7 @@ def scaled(factor, last=None):
 
 @pytest.mark.parametrize("text", [PAIR, TOP])  # an integration, and an exact solution
 @pytest.mark.parametrize("factor, covering, close", [(1.0, True, True), (1e-3, False, True), (1e3, True, False)])
+@pytest.mark.volume(3)
 def test_recorded_estimates_are_compared_with_the_error(tmp_path, text, factor, covering, close):
     """As they are, and falsified by a factor far above their spread of about ten."""
     log = run(tmp_path / "a.mcap", scene_from_text(text), step=1e-2, every=4, spoil=scaled(factor), estimate=True)
@@ -365,6 +367,7 @@ NO_STOPS = "the reference integration has no stops and no friction (slide)"
         (np.nan, None, "the run ended before its first estimate"),
     ],
 )
+@pytest.mark.volume(3)
 def test_without_a_reference_the_recorded_estimate_takes_its_place(
     tmp_path, capsys, options, why, largest, kept, unknown
 ):

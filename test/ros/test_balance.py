@@ -107,6 +107,7 @@ def analysed(path, scene, wrench=None, seconds=END, faster_from=math.inf):
 
 @pytest.mark.parametrize("piece", [read.PIECE, 1])
 @pytest.mark.parametrize("case", CASES)
+@pytest.mark.volume(8)
 def test_work_is_that_of_the_closed_form(tmp_path, monkeypatch, case, piece):
     """One term each; the others are zero, and the balance closes, also if the samples come in several blocks."""
     monkeypatch.setattr(read, "PIECE", piece)

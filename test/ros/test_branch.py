@@ -63,6 +63,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
+@pytest.mark.volume(2)
 def test_an_unedited_branch_is_bit_identical(tmp_path, many_checkpoints, case):
     recording = run(tmp_path / "run.mcap", *CASES[case], "--duration", "2")
     assert len(recording.checkpoints) in (9, 10)

@@ -84,6 +84,7 @@ def test_a_sweep_leaves_no_folder_and_keeps_finished_runs(folder, capsys):
 
 
 @pytest.mark.parametrize("name", ["a.html", "a.json", "a.png"])
+@pytest.mark.volume(1)
 def test_a_report_of_before_is_kept(folder, log, capsys, name):
     """Without one there is no file."""
     kind = "--" + name.partition(".")[2]

@@ -164,6 +164,7 @@ def test_a_file_of_many_bombs_is_read_up_to_the_total_limit(tmp_path, capsys):
     ],
     ids=range(12),
 )
+@pytest.mark.volume(6)
 def test_bombs_and_huge_lengths_are_refused_quickly(tmp_path, capsys, make):
     """Within about 1 s and the memory of one chunk (64 MiB) and its arrays."""
     file = tmp_path / "hostile.mcap"
@@ -249,6 +250,7 @@ def spun(recording, speed):
 
 
 @pytest.mark.parametrize("speed", [1e10, 1e30, 1e100])
+@pytest.mark.volume(1)
 def test_an_analysis_ends_where_no_motion_has_such_numbers(fast, speed):
     """The reference integration, which would take its 200 000 steps for nothing, says so at once."""
     figures = analyse(spun(fast, speed)).figures
@@ -259,9 +261,10 @@ def test_an_analysis_ends_where_no_motion_has_such_numbers(fast, speed):
 
 def test_work_that_numbers_ask_for_is_limited(fast, monkeypatch):
     """Steps that the stamps claim, and substeps that a speed needs: the figure says why it ends."""
+    monkeypatch.setattr(sys.modules["liegroup_sim_ros.analysis.analyse"], "REPEAT_STEPS", 10_000)
     claiming = dataclasses.replace(fast, settings=fast.settings | {"step": 1e-9})
     repeat = analyse(claiming, reference=False).figures["repeat"]
-    assert "needs more than 5101000 steps" in repeat["stopped"] and repeat["identical"] == 1
+    assert "needs more than 111000 steps" in repeat["stopped"] and repeat["identical"] == 1
     assert analyse(fast, reference=False).figures["repeat"]["stopped"] is None
     limits = {"REPEAT_STEPS": 1000, "REPEAT_STEPS_PER_SAMPLE": 0}
     for name, value in limits.items():

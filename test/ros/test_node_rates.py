@@ -28,6 +28,7 @@ def on_multiples(stamps, rate):
 
 
 @pytest.mark.parametrize("scene, settings", RUNS, ids=[scene for scene, _ in RUNS])
+@pytest.mark.volume(2)
 def test_every_topic_has_its_own_rate_and_the_recording_repeats(client, ros_node, tmp_path, scene, settings):
     rng = random.Random(scene)
     body = load_scene(scene).bodies[-1].name

@@ -52,6 +52,7 @@ print(refused, slowest, before, peak(), child)
 
 
 @pytest.mark.parametrize("kind", ["urdf", "sdf", pytest.param("xml", marks=pytest.mark.slow)])
+@pytest.mark.volume(1)
 def test_damaged_files_end_import_with_2_and_one_line(kind, tmp_path):
     path = tmp_path / f"arm.{kind}"
     path.write_text(TEXTS[kind])

@@ -39,7 +39,7 @@ from liegroup_sim_ros.view.source import History  # noqa: E402
 
 CHROMIUM = shutil.which("chromium")
 DRAWS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-SIZE = {"width": 1280, "height": 800}  # of the picture
+SIZE = {"width": 760, "height": 480}  # of the picture, which processors draw
 BLOCK = """
 name: block
 gravity: [0, 0, 0]

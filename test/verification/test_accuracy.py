@@ -92,6 +92,7 @@ def test_the_default_is_an_accuracy():
 
 
 @pytest.mark.parametrize("n", [1, 5, 40])
+@pytest.mark.volume(1)
 def test_rows_of_windows_pass_all_their_flat_poses(n):
     """20 s at the default accuracy, against the equation of their single coordinate."""
     times = np.linspace(0.0, 20.0, 11)

@@ -49,6 +49,7 @@ def driven():
 
 @pytest.mark.parametrize("group", GROUPS)
 @pytest.mark.parametrize("method", CONSTRAINED)
+@pytest.mark.volume(3)
 def test_order_with_velocity_dependent_forces(driven, method, group):
     """Poses and velocities against the independent DOP853 integration in maximal coordinates."""
     scene, reference = driven
@@ -71,7 +72,7 @@ def test_order_with_velocity_dependent_forces(driven, method, group):
 @pytest.mark.parametrize("name", ["net", "every kind", "floating"])
 @pytest.mark.parametrize("method", CONSTRAINED)
 @pytest.mark.parametrize("group", GROUPS)
-@pytest.mark.volume(6)
+@pytest.mark.volume(3)
 def test_backward_steps_undo_forward_steps(method, name, group):
     """With dampers. A method that is not symmetric misses the start by O(h^3).
 
@@ -103,7 +104,7 @@ def test_rkmk4_is_not_symmetric():
 
 @pytest.mark.parametrize("group", GROUPS)
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
-@pytest.mark.volume(16)
+@pytest.mark.volume(6)
 def test_position_and_velocity_constraints_hold_to_round_off(name, group):
     """Tolerance: 16 units of round-off of lengths of 10 m; J V sums ten terms of 10 m/s."""
     for method, step in (("constrained_rattle", 2e-3), ("constrained_rattle4", 4e-3)):

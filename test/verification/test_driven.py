@@ -109,6 +109,7 @@ def moved(request):
 
 
 @pytest.mark.parametrize("method", ORDERS)
+@pytest.mark.volume(5)
 def test_methods_keep_their_order(moved, method):
     """Slope over three steps, against a reference whose motions share only the polynomials.
 
@@ -127,6 +128,7 @@ def test_methods_keep_their_order(moved, method):
 
 @pytest.mark.parametrize("options", [{}, {"space": "space"}], ids=["plane", "space"])
 @pytest.mark.parametrize("name", ["slider_crank", "four_bar"])
+@pytest.mark.volume(2)
 def test_crank_at_constant_rate(name, options):
     """The crank turns at its initial rate; the effort's work and that of other forces is the energy.
 
@@ -264,6 +266,7 @@ def test_repeated_changes_are_bit_identical(options):
 
 @pytest.mark.parametrize("method", ["rkmk54", "rkmk853", "radau5"])
 @pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.volume(3)
 def test_calls_divide_steps_without_a_trace(seed, method):
     """The time at the end of a step and at the start of the next one are rounded apart."""
     scene, ends = random_mechanisms.random_mechanism("driven", seed)[0], []

@@ -311,7 +311,7 @@ def mechanism(seed, closed, held):
 
 @pytest.mark.parametrize("closed", [False, True])
 @pytest.mark.parametrize("seed", range(12))
-@pytest.mark.volume(8)
+@pytest.mark.volume(4)
 def test_held_joints_are_welds(seed, closed):
     """Joints that friction holds move as if they were welded: poses after 0.4 s, and reactions.
 

@@ -76,7 +76,7 @@ def stiffened(scene, factor):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["tree", "loops", "planar loops", "spherical loops"])
-@pytest.mark.volume(2)
+@pytest.mark.volume(1)
 def test_stiff_mechanisms_are_as_accurate_as_on_se3(name):
     """Springs 1e5 times as stiff, with periods of a few steps and below.
 

@@ -56,7 +56,7 @@ def opening(kind, group, step, seed, method, steps=1000):
 
 @pytest.mark.parametrize("method", [name for name, method in METHODS.items() if method.family != "rotation"])
 @pytest.mark.parametrize("kind", LOWER_PAIRS)
-@pytest.mark.volume(30)
+@pytest.mark.volume(10)
 def test_every_lower_pair_to_ground_holds_on_se3(kind, method):
     """Also with methods that enforce joints themselves, on their own group.
 

@@ -169,6 +169,7 @@ def _exact(scene, pose, twist):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name, seed", some(CASES, 8))
+@pytest.mark.volume(3)
 def test_derivatives_are_those_of_the_exact_accelerations(name, seed):
     """Of all bodies of random trees, loops, couplings and driven joints, along every coordinate and rate."""
     scene, _ = random_mechanisms.random_mechanism(name, seed)
@@ -202,6 +203,7 @@ def test_derivatives_are_those_of_the_exact_accelerations(name, seed):
 
 
 @pytest.mark.parametrize("name", ["loops", "planar loops", "couplings", "tree", "driven"])
+@pytest.mark.volume(2)
 def test_small_differences_of_a_motion_grow_as_the_linear_systems_along_it_say(name):
     """Phi' = A Phi along a run, against the difference of two runs that start apart by 1e-5."""
     scene, _ = random_mechanisms.random_mechanism(name, 3)
@@ -354,6 +356,7 @@ def test_no_equilibrium_is_said():
 
 
 @pytest.mark.parametrize("name", ["loops", "planar loops", "couplings"])
+@pytest.mark.volume(1)
 def test_inverse_dynamics_returns_the_efforts_of_a_motion(name):
     """Random efforts at the independent joints, the accelerations that they give, and back."""
     rng = np.random.default_rng(7)

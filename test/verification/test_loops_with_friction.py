@@ -113,6 +113,7 @@ def apart(one, other):
 
 
 @pytest.mark.parametrize("joints", ["main", "pin", "wrist", "slide", "main pin", "all"])
+@pytest.mark.volume(3)
 def test_slider_crank_with_friction(joints):
     """Friction of one joint, of two, of all: other joints are cut, and the motion is that of the crank.
 
@@ -220,6 +221,7 @@ def test_a_four_bar_in_space(turn):
 
 
 @pytest.mark.parametrize("turn", [None, [0.5, -0.8, 0.4]])
+@pytest.mark.volume(1)
 def test_a_loop_that_friction_holds_does_not_creep(turn):
     """A four-bar comes to rest: from then on there are no events, and no bit of a pose changes in a million steps.
 

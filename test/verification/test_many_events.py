@@ -36,6 +36,7 @@ def test_momentum_of_a_floating_chain():
 
 
 @pytest.mark.parametrize("seed", [1, 5])
+@pytest.mark.volume(1)
 def test_falling_robots(seed):
     """Twenty joints with stops and friction fall: no joint passes a stop, no energy is gained."""
     scene = chain(seed, 20, False)
@@ -80,6 +81,7 @@ def momentum_changes(engine):
 
 
 @pytest.mark.parametrize("seed", [1, 7])
+@pytest.mark.volume(1)
 def test_momentum_at_every_impact_of_a_falling_robot(seed):
     """What the impulse of the base gives the mechanism is the change of its momentum.
 

@@ -283,7 +283,7 @@ def test_every_method_is_covered_on_its_groups_and_between_bodies():
 
 
 @pytest.mark.parametrize("problem, method, group", CASES)
-@pytest.mark.volume(40)
+@pytest.mark.volume(15)
 def test_fitted_order_is_the_stated_order(references, problem, method, group):
     scene, attitudes = references[problem]
     _, time, floor = PROBLEMS[problem]

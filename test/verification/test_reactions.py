@@ -65,7 +65,7 @@ def compared(name, seed):
 
 
 @pytest.mark.parametrize("name", [c for c in random_mechanisms.CLASSES if c != "large"])
-@pytest.mark.volume(4)
+@pytest.mark.volume(2)
 def test_reactions_of_random_mechanisms_against_50_digits(name):
     """Determined components to ACCURACY, and the undetermined ones are those of the rank test."""
     total = max(3, int(os.environ.get("MECHANISMS", 40)) // 7)
@@ -79,6 +79,7 @@ def test_reactions_of_random_mechanisms_against_50_digits(name):
 
 
 @pytest.mark.parametrize("name", SCENES)
+@pytest.mark.volume(8)
 def test_reactions_at_the_ground_are_the_rate_of_momentum(name):
     """Force and torque of all joints to the world, with gravity, against differences of the momentum.
 

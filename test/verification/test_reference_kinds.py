@@ -72,6 +72,7 @@ PAIRS.remove("fixed to ground")
 
 
 @pytest.mark.parametrize("name", [*PAIRS, "every kind", "floating", "net", "loop of hinges and balls"])
+@pytest.mark.volume(8)
 def test_every_kind_of_joint(name):
     assert_agreement(mechanisms.named(name), np.linspace(0.0, 0.2, 5), 1e-3)
 
@@ -116,6 +117,7 @@ applied_wrench:
 
 
 @pytest.mark.parametrize("kind", ON_EVERY_KIND)
+@pytest.mark.volume(4)
 def test_every_kind_of_force(kind):
     """The force must have an effect: without it the motion differs."""
     plain = mechanisms.named("every kind")
@@ -240,6 +242,7 @@ def way_along_axis(scene, trajectory):
 
 
 @pytest.mark.parametrize("name", CLOSED_FORMS)
+@pytest.mark.volume(5)
 def test_reference_integration_and_engine_agree_with_closed_forms(name):
     """Tolerance: the reported uncertainty plus round-off of values up to 100.
 

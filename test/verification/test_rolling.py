@@ -236,6 +236,7 @@ forces:
 
 
 @pytest.mark.parametrize("name", ["mixed", "bicycle", "diff_drive"])
+@pytest.mark.volume(1)
 def test_rolling_is_that_of_the_independent_reference(name):
     """On a table that turns and leans, with centres of mass off the contact; a push on the first body."""
     made = scene(MIXED if name == "mixed" else load_scene(name).text.replace("velocity: 0.0", "velocity: 6.0", 1))

@@ -208,6 +208,7 @@ def test_momentum_loss_equals_published_values(method):
 
 
 @pytest.mark.parametrize("method, step", TOP_INTEGRALS)
+@pytest.mark.volume(3)
 def test_invariants_of_the_top_over_ten_seconds(method, step):
     """To the published digits."""
     for found, expected in zip(top_integrals(method, step), TOP_INTEGRALS[method, step]):

@@ -43,7 +43,7 @@ def pushed(scene, method, step, stabilisation):
 
 
 @pytest.mark.parametrize("name, method, step, stabilisation", CASES)
-@pytest.mark.volume(3)
+@pytest.mark.volume(1)
 def test_estimates_cover_the_true_error_through_a_push(name, method, step, stabilisation):
     """At least half of the true error in 48 of 50 samples, and at most five times it in half of them.
 

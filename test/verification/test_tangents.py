@@ -102,7 +102,7 @@ def off(name, seed):
 
 
 @pytest.mark.parametrize("name", CLASSES)
-@pytest.mark.volume(3)
+@pytest.mark.volume(2)
 def test_tangents_of_random_mechanisms_are_the_derivatives_of_their_accelerations(name):
     """Against 50 digits, along a random direction of the independent coordinates and rates."""
     found = [pair for pair in (off(name, seed) for seed in range(3)) if pair is not None]

@@ -119,6 +119,7 @@ def error_against(peer, rows, rotation, position):
 
 
 @pytest.mark.parametrize("peer", PEERS, ids=lambda peer: peer["scene"])
+@pytest.mark.volume(1)
 def test_the_reference_agrees_with_other_software(peer, monkeypatch):
     """Tolerance: the uncertainties of both. The peer scenes are written independently as well."""
     times = [as_time(at) for at in peer["times"]]

@@ -145,7 +145,7 @@ def assert_closed(scene, method, step):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.volume(3)
+@pytest.mark.volume(1)
 def test_joints_of_every_kind_stay_closed(kind):
     """Trees of four bodies; between bodies and to ground, in both directions."""
     done = [
@@ -164,7 +164,7 @@ def random_tree(n):
 
 
 @pytest.mark.parametrize("method", ON_TREES)
-@pytest.mark.volume(5)
+@pytest.mark.volume(2)
 def test_random_trees_stay_closed(method):
     """The matrices of implicit Munthe-Kaas methods are dense: 200 bodies would take a quarter of an hour."""
     most = 30 if METHODS[method].implicit else 200
