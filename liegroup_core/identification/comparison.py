@@ -16,6 +16,8 @@ LENGTH = 2.0  # s, of a segment
 PARTS = (16, 4, 1)  # of the length: segments with which fits begin, as short ones need no good start
 LEAST = 9  # measurements in a segment: as many as the first guess of a start takes
 LINEAR = 0.01  # of the spread of an output: largest rms that is not noise, for effects to be linear
+PARTED = 1e4  # largest growth of differences in a segment: they are linear to 1e-4 then, see CHANGE
+MUCH_PARTED = 1e6  # expected growth with which longer segments are not tried
 LONGEST = 0.01  # s, first longest step; it is halved until the errors are a small part of the noise
 PART = 0.1  # of the noise: largest error of the integration
 MOST_HALVES = 8
@@ -118,14 +120,24 @@ def fitted(scene, log, names=(), length=LENGTH, workers=None, limits=None, prior
     longest = len(bounds[-1]) - 1
     kept = max(1, longest - round(held_out * longest))
     found = left = None
+    growths = []
     for each in bounds:
         end = kept * ((len(each) - 1) // longest)
+        if len(growths) > 1 and _next_growth(*growths[-2:]) > MUCH_PARTED:
+            break
         point = first_point(fit, each[: end + 1]) if found is None else continued(fit, each[: end + 1], found)
         solution = fit.solve(point, ROUGHLY)
-        if found is not None and (not solution.converged or excess(fit, solution) > LINEAR):
+        is_near = solution.converged and excess(fit, solution) <= LINEAR and solution.growth <= PARTED
+        if found is not None and not is_near:
             break
         found, left = _refined(fit, solution), each[end:]
+        growths.append(solution.growth)
     return fit, found, left
+
+
+def _next_growth(before, last):
+    """Growth of differences in segments four times as long, if it is exponential in time, from those of two lengths."""
+    return last * (last / before) ** 4
 
 
 def _refined(fit, solution):
@@ -237,6 +249,8 @@ def _rough_delays(fit, bounds, delays):
         clear = costs[k] < CLEARLY * costs[LAGS // 2]
         return delays + np.where(np.isin(np.arange(len(delays)), of) & clear, grid[k], 0.0)
 
+    if cost(free, 0.0) <= 1.0:  # what is left is noise
+        return delays
     delays = best(free)
     if len(free) > 1 and cost(free, 0.0) > NEAR:
         for t in free:

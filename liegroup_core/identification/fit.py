@@ -40,6 +40,7 @@ class Solution:
     left       : (N,) weighted residuals without what changes of the starts explain
     columns    : (N, g) changes of the weighted outputs with the free delays, then the numbers by their scales, likewise
     bases      : [(N_s, c)] orthonormal directions of the weighted outputs that changes of each start give
+    growth     : largest change of an output, by its spread, with a start that changes by 1 rad or the mechanism's size
     converged  : whether the last step was small
     """
 
@@ -49,6 +50,7 @@ class Solution:
     left: np.ndarray
     columns: np.ndarray
     bases: list
+    growth: float
     converged: bool
 
     @property
@@ -156,13 +158,17 @@ class Fit:
         rest = [self.weighted(one) for one in residuals]
         if columns is None or [len(r) for r in rest] != [len(J_x) for J_x, _ in columns]:
             columns = [(J_x, J_g) for _, J_x, J_g in self._linear(point, outputs, residuals)]
-        left, others, bases = [], [], []
-        for r, (J_x, J_g) in zip(rest, columns):
+        left, others, bases, growth = [], [], [], 0.0
+        with np.errstate(divide="ignore"):
+            parts = [sigma / np.nanstd(each.values, axis=0) for sigma, each in zip(self.deviation, self._log)]
+        for r, one, (J_x, J_g) in zip(rest, residuals, columns):
+            size = np.concatenate([np.tile(part, len(values)) for part, values in zip(parts, one)])
+            growth = max(growth, np.abs(size[:, None] * J_x).max(initial=0.0))
             U = _range(J_x)
             left.append(without(U, r))
             others.append(without(U, J_g))
             bases.append(U)
-        return Solution(point, residuals, outputs, np.concatenate(left), np.vstack(others), bases, converged)
+        return Solution(point, residuals, outputs, np.concatenate(left), np.vstack(others), bases, growth, converged)
 
     def residuals(self, point, outputs):
         """[[(r, p)]] measured minus outputs."""
