@@ -41,7 +41,7 @@ def add_log(parser):
         metavar="S",
         help="length in s of the parts of the log that each start anew (default: %(default)g)",
     )
-    parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one per core)")
+    parser.add_argument("--workers", type=int, metavar="N", help="number of threads (default: one per core)")
     parser.add_argument("--json", metavar="FILE", help="write all figures as JSON; - prints it")
     parser.add_argument("--html", metavar="PAGE", help="write a self-contained HTML page")
     add_robot_options(parser)

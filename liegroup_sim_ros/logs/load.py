@@ -13,6 +13,7 @@ from .bag import BagError, Field
 
 QUATERNION = ("x", "y", "z", "w")
 GAP = 5.0  # of the usual time between two messages: a longer one is a gap
+NS = 1e9
 LATE_STAMPS = 86400.0  # s between stamps and the times of recording: clocks without a common origin
 
 
@@ -151,6 +152,8 @@ def _values(entry, values, turns):
 def _times(topic, messages, notes):
     """(times in ns that increase, rows of the messages with them); what is left out is noted."""
     stamped = messages.stamp_ns > 0
+    if stamped.any() and messages.stamp_ns[stamped].min() < LATE_STAMPS * NS:
+        stamped = messages.stamp_ns >= 0  # a clock that began lately: 0 is a time of it
     stamps, own = (messages.stamp_ns, stamped) if stamped.any() else (messages.log_ns, ~stamped)
     if not own.all():
         notes.append(f"{topic}: {counted(int((~own).sum()), 'message')} without a stamp: left out")

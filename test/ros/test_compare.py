@@ -86,6 +86,23 @@ def test_suggested_maps_and_formats_give_equal_logs(folder, capsys):
             assert one.times.tobytes() == other.times.tobytes() and one.values.tobytes() == other.values.tobytes()
 
 
+@pytest.mark.parametrize(("first", "kept"), [(0, 3), (START_NS, 2)])
+def test_a_stamp_of_zero_is_a_time_of_clocks_that_begin_there(first, kept, tmp_path):
+    """Of simulated time; beside stamps of the wall clock it is none."""
+    kind, none = "sensor_msgs/msg/JointState", np.zeros(0)
+    messages = [
+        (first + k, TYPES[kind](header(stamp), ["motor"], np.full(1, 0.1 * k), none, none))
+        for k, stamp in enumerate((0, first + 10_000_000, first + 20_000_000))
+    ]
+    write_bag(tmp_path / "bag", {"/joint_states": (kind, messages)})
+    given = Map.model_validate(
+        {"measurements": [{"output": "motor.position", "topic": "/joint_states", "field": "position[motor]"}]}
+    )
+    with open_bag(tmp_path / "bag") as bag:
+        (measured,) = load_log(bag, given, machine("furuta"), {}).measured
+    assert measured.times.tolist() == [0.0, 0.01, 0.02][:kept] and len(measured.values) == kept
+
+
 BODY = """
 name: thrown
 gravity: [0, 0, -9.81]

@@ -8,9 +8,10 @@ import pytest
 from machine_logs import DELAY, NOISE, log_of, machine
 from volume import some
 
-from liegroup_core import SceneError
+from liegroup_core import SceneError, Simulation
 from liegroup_core.identification import Given, Log, Measured, compare, identify
 from liegroup_core.identification.comparison import begin, first_point
+from liegroup_core.scene.load import scene_from_text
 
 ROTOR = "rotor: {inertia: 2.0e-5, ratio: 10}"
 MISSING = [
@@ -156,3 +157,27 @@ def test_wrong_logs_have_one_line(change, text):
     with pytest.raises(SceneError, match=text) as raised:
         compare(machine("furuta"), change(log), workers=1)
     assert "\n" not in str(raised.value)
+
+
+def test_accelerometers_see_the_given_forces():
+    """Of a free body, of which poses are known, too, under a force that changes at times of the log."""
+    scene = scene_from_text(
+        "name: pushed\ngravity: [0, 0, -9.81]\n"
+        "bodies: [{name: box, mass: 2, inertia: [0.1, 0.2, 0.3], angular_velocity: [2, 0.3, 0.1]}]\n"
+        "sensors: [{name: imu, type: imu, body: box, frame: {position: [0.1, 0, 0]}}]\n"
+    )
+    rng, simulation = np.random.default_rng(8), Simulation(scene, accuracy=1e-9, quiet=True)
+    at, forces = np.arange(0.0, 0.6, 0.1), rng.uniform(-20.0, 20.0, 6)
+    for start, force in zip(at, forces):
+        simulation.apply_wrench("box", [0, 0, 0, force, 0, 0], start=float(start), source=f"{start}", duration=0.1)
+    times, rows = np.arange(0.055, 0.55, 0.01), []
+    for sample in simulation.samples(times):
+        rows.append([*sample.poses["box"][:3, 3], *sample.sensors["imu"][7:]])
+    names = ("box.x", "box.y", "box.z", "imu.7", "imu.8", "imu.9")
+    sigma = np.array([1e-4] * 3 + [0.05] * 3)
+    values = np.array(rows) + sigma * rng.standard_normal((len(times), 6))
+    given = Given("box.force_x", at, forces)
+    found = compare(scene, Log((given,), (Measured("/imu", times, names, values, sigma, 0.0),)), workers=1)
+    assert found.agrees, found.verdict
+    wrong = compare(scene, Log((), (Measured("/imu", times, names, values, sigma, 0.0),)), workers=1)
+    assert not wrong.agrees
