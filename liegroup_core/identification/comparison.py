@@ -117,15 +117,15 @@ def fitted(scene, log, names=(), length=LENGTH, workers=None, limits=None, prior
     held_out : share of the segments, at the end, that are left out
     """
     fit, bounds = begin(scene, log, names, length, workers, limits, priors)
-    longest = len(bounds[-1]) - 1
+    longest = len(bounds[-1])
     kept = max(1, longest - round(held_out * longest))
     found = left = None
     growths = []
     for each in bounds:
-        end = kept * ((len(each) - 1) // longest)
+        end = kept * (len(each) // longest)
         if len(growths) > 1 and _next_growth(*growths[-2:]) > MUCH_PARTED:
             break
-        point = first_point(fit, each[: end + 1]) if found is None else continued(fit, each[: end + 1], found)
+        point = first_point(fit, each[:end]) if found is None else continued(fit, each[:end], found)
         solution = fit.solve(point, ROUGHLY)
         is_near = solution.converged and excess(fit, solution) <= LINEAR and solution.growth <= PARTED
         if found is not None and not is_near:
@@ -190,11 +190,15 @@ def begin(scene, log, names=(), length=LENGTH, workers=None, limits=None, priors
     runs = Runs(scene, log, names, LONGEST)
     free = [each.delay is None for each in log.measured]
     fit = Fit(runs, [each.noise for each in log.measured], free, limits, priors, workers)
-    first, last = log.span
     most = max(len(each.times) for each in log.measured)
-    count = max(1, round((last - first) / length))
-    finest = np.linspace(first, last + 1e-6, PARTS[0] * count + 1)
-    return fit, [finest[:: PARTS[0] // part] for part in PARTS if part == 1 or part * count * LEAST <= most]
+    counts = [max(1, round((last - first) / length)) for first, last in log.spans]
+    finest = [np.linspace(first, last + 1e-6, PARTS[0] * count + 1) for count, (first, last) in zip(counts, log.spans)]
+    found = []
+    for part in PARTS:
+        if part == 1 or part * sum(counts) * LEAST <= most:
+            ends = [times[:: PARTS[0] // part] for times in finest]
+            found.append(np.vstack([np.column_stack([each[:-1], each[1:]]) for each in ends]))
+    return fit, found
 
 
 def first_point(fit, bounds):
@@ -228,7 +232,7 @@ def _rough_delays(fit, bounds, delays):
     runs, free = fit.runs, np.flatnonzero(fit.free)
     if not (len(free) and runs.log.inputs):  # without inputs, clocks differ by what the fit finds
         return delays
-    few = bounds[: 2 + int(FEW / (bounds[1] - bounds[0]))]
+    few = bounds[: 1 + int(FEW / (bounds[0, 1] - bounds[0, 0]))]
     common = first_states(runs, few, delays)  # of all clocks alike: starts belong to measurements
 
     def cost(of, lag):

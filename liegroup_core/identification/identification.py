@@ -79,7 +79,7 @@ def identify(scene, log, names, limits=None, priors=None, length=LENGTH, held_ou
     with np.errstate(invalid="ignore"):
         size = np.sqrt(np.diag(covariance))
         correlation = covariance / np.outer(size, size)
-    validation = _validated(fit, left, solution.point) if len(left) > 1 else None
+    validation = _validated(fit, left, solution.point) if len(left) else None
     return Identification(
         numbers.paths,
         numbers.values,

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Log of a real machine: values that acted on it, and values that were measured, with their times."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +13,7 @@ HOLDS = (PREVIOUS, LINEAR)
 # Third differences of white noise have 20 times its variance, whatever the polynomial of degree two below it.
 THIRD, ROBUST = np.sqrt(20.0), 1.4826
 LEAST = 1e-6  # of the spread of the values: no sensor is better
+APART = 1.0  # s between joined recordings
 REPEATED = 0.05  # share of equal neighbours from which on values are rounded
 
 
@@ -76,12 +77,14 @@ class Log:
 
     inputs   : [Given]
     measured : [Measured]
+    parts    : [(first, last)] times in s of the measurements of each recording that is joined; none: of all
     Raises SceneError for times that do not increase, or without measurements.
     """
 
     inputs: tuple
     measured: tuple
     notes: tuple = field(default=())
+    parts: tuple = field(default=())
 
     def __post_init__(self):
         for each in (*self.inputs, *self.measured):
@@ -91,9 +94,39 @@ class Log:
             raise SceneError("a log needs measurements")
 
     @property
-    def span(self):
-        """(first, last) time in s of the measurements."""
-        return min(each.times[0] for each in self.measured), max(each.times[-1] for each in self.measured)
+    def spans(self):
+        """[(first, last)] time in s of the measurements of each recording."""
+        whole = min(each.times[0] for each in self.measured), max(each.times[-1] for each in self.measured)
+        return self.parts or (whole,)
+
+
+def joined(logs):
+    """Log of several recordings of one machine with one map, as if one followed the other; inputs end in between."""
+    if len(logs) == 1:
+        return logs[0]
+    shifts, end = [], 0.0
+    for log in logs:
+        times = [each.times[k] for each in (*log.inputs, *log.measured) for k in (0, -1)]
+        shifts.append(end - min(times))
+        end += max(times) - min(times) + APART
+    inputs = []
+    for parts in zip(*(log.inputs for log in logs)):
+        times, values = [], []
+        for each, shift, log in zip(parts, shifts, logs):
+            last = max(one.times[-1] for one in (*log.inputs, *log.measured))
+            times += [each.times + shift, [last + shift + 0.5 * APART]]
+            values += [each.values, [0.0]]
+        inputs.append(replace(parts[0], times=np.concatenate(times), values=np.concatenate(values)))
+    measured = [
+        replace(
+            parts[0],
+            times=np.concatenate([each.times + shift for each, shift in zip(parts, shifts)]),
+            values=np.vstack([each.values for each in parts]),
+        )
+        for parts in zip(*(log.measured for log in logs))
+    ]
+    spans = [(first + shift, last + shift) for log, shift in zip(logs, shifts) for first, last in log.spans]
+    return Log(tuple(inputs), tuple(measured), tuple(note for log in logs for note in log.notes), tuple(spans))
 
 
 def _noise(values, parts):

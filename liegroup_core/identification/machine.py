@@ -63,7 +63,7 @@ class Segment:
 
 
 def segments_of(machine, bounds, delays):
-    """[Segment] of the log of a Machine between bounds (s + 1,) in s, which have measurements.
+    """[Segment] of the log of a Machine between bounds (s, 2) in s, which have measurements.
 
     Bounds are late, too, by the mean of the delays. So a start belongs to the same measurements whatever the delay, and
     delays change only when the inputs act, and times of clocks against each other.
@@ -73,8 +73,8 @@ def segments_of(machine, bounds, delays):
     log, found = machine.log, []
     shifted = [np.round((each.times - delay) * NS) / NS for each, delay in zip(log.measured, delays)]
     bounds = np.round((bounds - np.mean(delays)) * NS) / NS
-    changes = _changes(machine.engine, bounds[-1])
-    for first, last in zip(bounds, bounds[1:]):
+    changes = _changes(machine.engine, bounds.max())
+    for first, last in bounds:
         rows = tuple(np.flatnonzero((times >= first) & (times < last)) for times in shifted)
         if any(map(len, rows)):
             own = [times[row] for times, row in zip(shifted, rows)]

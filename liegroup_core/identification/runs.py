@@ -23,7 +23,7 @@ _own = threading.local()  # machines of each thread
 class Point:
     """Unknowns of a fit.
 
-    bounds : (s + 1,) s, of the segments
+    bounds : (s, 2) s, of the segments
     delays : (t,) s, of each Measured
     values : (q,) numbers of the scene
     states : [State] at the start of each segment, of the scene with these numbers

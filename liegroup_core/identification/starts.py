@@ -14,7 +14,7 @@ DEGREE = 3
 
 
 def first_states(runs, bounds, delays=None, values=None):
-    """[State] at the start of each segment between bounds in s.
+    """[State] at the start of each segment between bounds (s, 2) in s.
 
     Independent joints that were measured are put to where polynomials through the nearest measurements are; the others
     are where the run of the segment before ends, or at the start of the scene.
@@ -26,8 +26,8 @@ def first_states(runs, bounds, delays=None, values=None):
     machine = runs.machine(runs.numbers.values if values is None else values)
     delays = np.zeros(len(log.measured)) if delays is None else delays
     state, states = machine.start, []
-    for first, last in zip(bounds, bounds[1:]):
-        segments = segments_of(machine, np.array([first, last]), delays)
+    for pair in bounds:
+        segments = segments_of(machine, pair[None], delays)
         if not segments:
             continue
         states.append(_put(machine, log, state, segments[0].start, delays))

@@ -3,6 +3,7 @@
 
 import json
 import sys
+from dataclasses import replace
 
 from rich.console import Console
 
@@ -10,6 +11,7 @@ from liegroup_core import SimulationError
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.identification import compare
 from liegroup_core.identification.comparison import LENGTH
+from liegroup_core.identification.log import joined
 from liegroup_core.layout import make_layout
 from liegroup_core.scene.yaml_text import read_yaml
 from liegroup_sim_ros.logs.bag import open_bag
@@ -30,7 +32,9 @@ class LogError(LieGroupSimError):
 def add_log(parser):
     """Add the arguments that name a scene and bags."""
     parser.add_argument("scene", metavar="SCENE", help="path of a scene or robot file, or name of an example scene")
-    parser.add_argument("bag", metavar="BAG", help="MCAP or SQLite file, or folder of `ros2 bag record`")
+    parser.add_argument(
+        "bag", nargs="+", metavar="BAG", help="MCAP or SQLite files, or folders of `ros2 bag record`, of one machine"
+    )
     parser.add_argument(
         "--map", metavar="FILE", help="what the topics are in the scene (*.yaml; default: that of --suggest)"
     )
@@ -62,7 +66,7 @@ def run(args):
     check_log(args)
     scene = robot_scene(args.scene, args)
     if args.suggest:
-        with open_bag(args.bag) as bag:
+        with open_bag(args.bag[0]) as bag:
             text, notes = suggest(bag, scene, make_layout(scene))
         print(text, end="")
         for note in notes:
@@ -91,21 +95,24 @@ def log_of(args, scene):
     """Log of the arguments. Raises BagError, SceneError."""
     layout = make_layout(scene)
     turns = {body.name: body.pose[:3, :3] for body in scene.bodies}
-    with open_bag(args.bag) as bag:
-        if args.map is not None:
-            given = load_map(args.map)
-        else:
-            text, _ = suggest(bag, scene, layout)
-            root = read_yaml(text, "suggested map")
-            if not root.value["measurements"]:
-                raise LogError(f"{args.bag}: no topic fits the names of {scene.name}: write a map, see --map")
-            given = Map(**root.value)
-        return load_log(bag, given, scene, turns)
+    given, logs = None if args.map is None else load_map(args.map), []
+    for path in args.bag:
+        with open_bag(path) as bag:
+            if given is None:
+                text, _ = suggest(bag, scene, layout)
+                root = read_yaml(text, "suggested map")
+                if not root.value["measurements"]:
+                    raise LogError(f"{path}: no topic fits the names of {scene.name}: write a map, see --map")
+                given = Map(**root.value)
+            log = load_log(bag, given, scene, turns)
+            several = len(args.bag) > 1
+            logs.append(replace(log, notes=tuple(f"{path}: {note}" for note in log.notes)) if several else log)
+    return joined(logs)
 
 
 def show(found, args, scene, more=None):
     """Write and print a Comparison, with the figures `more` of an identification."""
-    result = document(found, {"scene": scene.name, "log": args.bag}) | (more or {})
+    result = document(found, {"scene": scene.name, "log": ", ".join(args.bag)}) | (more or {})
     if args.json and args.json != "-":
         write_text(args.json, json.dumps(result, indent=1, allow_nan=False) + "\n")
     if args.html:

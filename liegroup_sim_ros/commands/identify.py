@@ -62,7 +62,7 @@ def run(args):
     except SimulationError as error:
         return stopped(error)
     if args.out is not None:
-        _write(args.out, found, args.bag)
+        _write(args.out, found, ", ".join(args.bag))
     if args.json != "-":
         _print(found, Console(file=sys.stdout))
     show(found.comparison, args, found.scene, _figures(found))

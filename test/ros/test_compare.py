@@ -63,6 +63,11 @@ def test_compare_names_the_rod_and_identify_finds_it(folder, capsys):
     (number,) = json.loads(capsys.readouterr().out)["numbers"]
     assert number["interval"][0] - 0.001 < 0.165 < number["interval"][1] + 0.001
     assert number["interval"][1] - number["interval"][0] < 0.002
+    again = [*arguments[:2], str(folder / "sqlite"), *arguments[2:-4], *arguments[-2:]]  # the same bag, once more
+    assert main([arguments[0], *again[1:]]) == 0
+    (twice,) = json.loads(capsys.readouterr().out)["numbers"]
+    assert twice["value"] == pytest.approx(number["value"], abs=0.1 * number["deviation"])
+    assert twice["deviation"] == pytest.approx(number["deviation"] / np.sqrt(2.0), rel=0.1)
     found = load_scene(out)
     assert found.bodies[1].mass == pytest.approx(number["value"], rel=1e-9)
     assert out.read_text().startswith("# bodies.rod.shape.mass: ") and str(folder / "bag") in out.read_text()

@@ -11,6 +11,7 @@ from volume import some
 from liegroup_core import SceneError, Simulation
 from liegroup_core.identification import Given, Log, Measured, compare, identify
 from liegroup_core.identification.comparison import begin, first_point
+from liegroup_core.identification.log import joined
 from liegroup_core.scene.load import scene_from_text
 
 ROTOR = "rotor: {inertia: 2.0e-5, ratio: 10}"
@@ -181,3 +182,16 @@ def test_accelerometers_see_the_given_forces():
     assert found.agrees, found.verdict
     wrong = compare(scene, Log((), (Measured("/imu", times, names, values, sigma, 0.0),)), workers=1)
     assert not wrong.agrees
+
+
+def test_several_recordings_are_one_log():
+    """With starts of their own, and one clock; the numbers are between those of each, and closer."""
+    scene, names = machine("furuta"), ["rod.shape.mass"]
+    true = machine("furuta", **{"mass: 0.15": "mass: 0.165"})
+    logs = [log_of(true, "furuta", seed, seconds=0.8, rate=125.0) for seed in (11, 12)]
+    alone = [identify(scene, log, names, workers=1) for log in logs]
+    both = identify(scene, joined(logs), names, workers=1)
+    assert both.comparison.agrees and len(joined(logs).spans) == 2
+    assert abs(both.values[0] - 0.165) < 4.0 * both.deviations[0] < 4.0 * min(each.deviations[0] for each in alone)
+    low, high = sorted(each.values[0] for each in alone)
+    assert low - both.deviations[0] < both.values[0] < high + both.deviations[0]
