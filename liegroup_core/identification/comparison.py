@@ -233,14 +233,17 @@ def _rough_delays(fit, bounds, delays):
     if not (len(free) and runs.log.inputs):  # without inputs, clocks differ by what the fit finds
         return delays
     few = bounds[: 1 + int(FEW / (bounds[0, 1] - bounds[0, 0]))]
-    common = first_states(runs, few, delays)  # of all clocks alike: starts belong to measurements
+    # Of all clocks alike: starts, and nearly what their changes do, belong to measurements.
+    common = Point(few, delays, runs.numbers.values, first_states(runs, few, delays))
+    bases = fit.bases(common)
 
     def cost(of, lag):
         """Mean square of what the best starts leave of the same measurements."""
         trial = delays + np.where(np.isin(np.arange(len(delays)), of), lag, 0.0)
+        alike = len(of) == len(delays)
+        point = replace(common, delays=trial, states=common.states if alike else first_states(runs, few, trial))
         try:
-            states = common if len(of) == len(delays) else first_states(runs, few, trial)
-            left = fit.projected(Point(few, trial, runs.numbers.values, states))
+            left = fit.left(point, bases if alike else fit.bases(point))
         except SimulationError:
             return np.inf
         return float(left @ left) / max(np.count_nonzero(left), 1)

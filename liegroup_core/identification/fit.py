@@ -146,11 +146,16 @@ class Fit:
         parts = self._linear(point, outputs, self.residuals(point, outputs))
         return [np.hstack(columns) for _, *columns in parts]
 
-    def projected(self, point):
-        """(N,) weighted residuals of a Point without what changes of the starts explain."""
+    def bases(self, point):
+        """[(N_s, c)] orthonormal directions of the weighted outputs that changes of each start give."""
         outputs = self.runs.base(point)
-        parts = self._linear(point, outputs, self.residuals(point, outputs), with_numbers=False)
-        return np.concatenate([without(_range(J_x), r) for r, J_x, _ in parts])
+        parts = self._linear(point, outputs, self.residuals(point, outputs), starts_only=True)
+        return [_range(J_x) for _, J_x, _ in parts]
+
+    def left(self, point, bases):
+        """(N,) weighted residuals of a Point without their parts in bases. Raises SimulationError."""
+        residuals = self.residuals(point, self.runs.base(point))
+        return np.concatenate([without(U, self.weighted(one)) for U, one in zip(bases, residuals)])
 
     def _solution(self, point, outputs, columns, converged):
         """Solution at a Point, with columns [(J_x, J_g)] of one nearby, or None."""
@@ -213,18 +218,19 @@ class Fit:
         with ThreadPoolExecutor(self._workers) as team:
             return list(team.map(function, items))
 
-    def _linear(self, point, outputs, residuals, with_numbers=True):
+    def _linear(self, point, outputs, residuals, starts_only=False):
         """For each segment weighted residuals (N_s,), columns of its start (N_s, c), and of delays and numbers."""
         runs = self.runs
         scales = [scales for scales, _ in runs.starts(point)]
         most = max(map(len, scales))
-        count = len(runs.numbers) if with_numbers else 0
+        count = 0 if starts_only else len(runs.numbers)
         items = [("start", k) for k in range(most)] + [("number", k) for k in range(count)]
         found = [
             [factor * part for part in self.beside(outputs, other, residuals)]
             for factor, other in self.tasks(Change(runs, point), items)
         ]
-        late = self.late(point, outputs, residuals, np.flatnonzero(self.free))
+        clocks = np.zeros(0, dtype=int) if starts_only else np.flatnonzero(self.free)
+        late = self.late(point, outputs, residuals, clocks)
         parts = []
         for s, one in enumerate(residuals):
             r = self.weighted(one)
