@@ -7,7 +7,7 @@ import numpy as np
 
 from liegroup_core.errors import SceneError, SimulationError
 
-from .contradictions import Effect, Effects, channel_fits
+from .contradictions import Effect, Effects, Missing, channel_fits
 from .fit import Fit, Solution
 from .runs import Point, Runs
 from .starts import first_states
@@ -38,6 +38,7 @@ class Comparison:
     channels : [ChannelFit]
     effects  : [Effect] that explain residuals, one after the other
     alone    : [Effect], each alone, by share
+    missing  : [Missing] efforts against the motion of each joint, by share; none where the log agrees
     numerics : [(p,)] largest estimated error of the integration by the noise, of each Measured
     """
 
@@ -46,6 +47,7 @@ class Comparison:
     channels: list
     effects: list[Effect]
     alone: list[Effect]
+    missing: list[Missing]
     numerics: list
 
     @property
@@ -178,9 +180,10 @@ def excess(fit, solution):
 
 def judged(fit, solution):
     """Comparison of a Solution."""
-    effects, alone = Effects(fit, solution).find()
-    channels = channel_fits(fit, solution)
-    return Comparison(fit, solution, channels, effects, alone, numerics(fit, solution.point, solution.outputs))
+    judge = Effects(fit, solution)
+    effects, alone = judge.find()
+    found = Comparison(fit, solution, channel_fits(fit, solution), effects, alone, [], numerics(fit, solution.point))
+    return found if found.agrees else replace(found, missing=judge.missing())
 
 
 def begin(scene, log, names=(), length=LENGTH, workers=None, limits=None, priors=None):

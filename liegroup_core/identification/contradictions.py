@@ -23,6 +23,7 @@ CLEAR = 25.0  # decrease of the sum of squares of a single effect above which it
 WORTH = 0.02  # share of the sum of squares that a further effect must explain
 NO_COLUMN = 1e-6  # relative size of a column that starts and delays explain
 LAGS = 20  # of the test of whiteness
+PARTS, BINS = ("position", "velocity"), 8  # of an effort as a function of the motion
 # Standard deviations, by the root of the count: of an rms, and of it by the noise that third differences give. The
 # median of absolute values has an efficiency of 0.37, and third differences are correlated.
 SPREAD_OF_RMS, SPREAD_OF_NOISE = 0.71, np.hypot(0.71, 1.16 * 1.52)
@@ -42,6 +43,25 @@ class Effect:
     value: float
     deviation: float
     unit: str
+    share: float
+
+
+@dataclass(frozen=True, eq=False)
+class Missing:
+    """Effort that a joint lacks, as a function of its position or velocity: constant between limits.
+
+    joint, variable, unit : variable: "position" or "velocity"; unit of the effort
+    at          : (k,) means of the variable between limits with as many parts of the run, rad or m, and per s
+    values, deviations : (k,) least-squares efforts, linear about the model
+    share       : of the sum of squares of the residuals
+    """
+
+    joint: str
+    variable: str
+    unit: str
+    at: np.ndarray
+    values: np.ndarray
+    deviations: np.ndarray
     share: float
 
 
@@ -161,6 +181,41 @@ class Effects:
             rest = rest - basis[:, -1] * (basis[:, -1] @ rest)
         return chosen, alone
 
+    @one_blas_thread()
+    def missing(self):
+        """[Missing] of each joint with one coordinate, of position and of velocity, largest share first.
+
+        Friction shows as a step or a slope against the velocity, a spring as a slope against the position.
+        """
+        fit, solution = self._fit, self._solution
+        forced, found = _Forced(fit.runs, solution.point), []
+        total = float(self._left @ self._left)
+        for joint, effort, load in self._loads():
+            for k, variable in enumerate(PARTS):
+                x = np.concatenate([part[:, k] for part in forced.middles(joint)])
+                limits = np.unique(np.quantile(x, np.linspace(0.0, 1.0, BINS + 1)))
+                if len(limits) < 3:
+                    continue
+                limits[-1] = np.inf
+                pairs = list(zip(limits[:-1], limits[1:]))
+                items = [(variable, (joint, *pair), load) for pair in pairs]
+                runs = fit.tasks(forced, items)
+                if any(run is None for run in runs):
+                    continue
+                beside = [fit.beside(solution.outputs, run, solution.residuals) for run in runs]
+                J = np.array([self._projected([part / load for part in parts]) for parts in beside]).T
+                Q, R = np.linalg.qr(J)
+                if np.abs(np.diag(R)).min() <= NO_COLUMN * np.abs(np.diag(R)).max():
+                    continue
+                part = Q.T @ self._left
+                white = max((total - float(part @ part)) / len(self._left), 1.0)
+                inverse = np.linalg.inv(R)
+                at = np.array([x[(x >= low) & (x < high)].mean() for low, high in pairs])
+                deviations = np.sqrt(white * np.sum(inverse**2, axis=1))
+                share = float(part @ part) / total if total else 0.0
+                found.append(Missing(joint, variable, effort, at, inverse @ part, deviations, share))
+        return sorted(found, key=lambda each: -each.share)
+
     def _effect(self, text, unit, column, rest, total):
         square = float(column @ column)
         value = float(column @ rest) / square
@@ -210,32 +265,37 @@ class Effects:
         parts[t][:, p] += values
         return self._fit.weighted(parts)
 
-    def _forces(self):
-        """[(text, unit, kind, joint or body or number of an input, size)] of effects that need a run."""
-        layout, log = self._machine.layout, self._fit.runs.log
-        scene = layout.scene
-        mass = sum(body.mass for body in scene.bodies)
-        gravity = float(np.linalg.norm(scene.gravity))
-        size = layout.size
+    def _loads(self):
+        """[(joint, unit of its effort, small effort)] of joints with one coordinate that are not driven."""
+        layout = self._machine.layout
+        mass = sum(body.mass for body in layout.scene.bodies)
+        weight = mass * max(float(np.linalg.norm(layout.scene.gravity)), 1.0)
         found = []
         for joint in layout.unit_efforts:
-            if joint in layout.motions or joint not in layout.coordinates.names:
-                continue
-            turns = layout.coordinates.units.get(joint) == "rad"
-            load = SMALL * mass * max(gravity, 1.0) * (size if turns else 1.0)
-            effort, q = ("N m", "rad") if turns else ("N", "m")
+            if joint not in layout.motions and joint in layout.coordinates.names:
+                turns = layout.coordinates.units.get(joint) == "rad"
+                found.append((joint, "N m" if turns else "N", SMALL * weight * (layout.size if turns else 1.0)))
+        return found
+
+    def _forces(self):
+        """[(text, unit, kind, joint or body or number of an input, size)] of effects that need a run."""
+        scene, log = self._machine.layout.scene, self._fit.runs.log
+        found = []
+        for joint, effort, load in self._loads():
+            q = "rad" if effort == "N m" else "m"
             for text, unit, kind in (
                 ("dry friction of", effort, "coulomb"),
                 ("viscous friction of", f"{effort} s/{q}", "viscous"),
                 ("constant effort at", effort, "constant"),
                 ("stiffness of", f"{effort}/{q}", "spring"),
-                ("rotor inertia of", "kg m^2" if turns else "kg", "armature"),
+                ("rotor inertia of", "kg m^2" if q == "rad" else "kg", "armature"),
             ):
                 found.append((f"{text} {joint}", unit, kind, joint, load))
         for k, given in enumerate(log.inputs):
             if given.name.endswith(".effort"):
                 found.append((f"scale of {given.name}", "1", "scale", k, SMALL))
-        found += [(f"mass of {body.name}", "kg", "mass", body.name, SMALL * mass) for body in scene.bodies]
+        small = SMALL * sum(body.mass for body in scene.bodies)
+        found += [(f"mass of {body.name}", "kg", "mass", body.name, small) for body in scene.bodies]
         return found
 
 
@@ -265,10 +325,7 @@ class _Forced:
 
     def _extra(self, machine, segment, state, kind, of):
         """(m, n, COLUMNS) change of the wrenches in the parts of a Segment by an effect of unit size."""
-        key = segment.start
-        if key not in self._paths:
-            self._paths[key] = machine.path(segment, state, np.arange(len(segment.times)), halves=self._point.halves)
-        path, steps = self._paths[key], np.diff(segment.times)
+        path, steps = self._path(machine, segment, state), np.diff(segment.times)
         if kind == "mass":
             body = list(machine.layout.body_names).index(of)
             # Of the frame at the centre of mass, in the middle of each part, body axes.
@@ -278,6 +335,10 @@ class _Forced:
             change = np.zeros_like(path.wrenches)
             change[:, body, 3:6] = np.array(machine.layout.scene.gravity) @ (0.5 * (turn[1:] + turn[:-1])) - a
             return change
+        if kind in PARTS:
+            joint, low, high = of
+            x = _middle(machine, path, joint)[:, PARTS.index(kind)]
+            return ((x >= low) & (x < high))[:, None, None] * machine.effort(joint)
         q, v = path.bodies[2][:, machine.layout.coordinates.names.index(of)].T
         middle = 0.5 * (v[1:] + v[:-1])
         amount = {
@@ -288,3 +349,21 @@ class _Forced:
             "armature": lambda: -np.diff(v) / steps,
         }[kind]()
         return amount[:, None, None] * machine.effort(of)
+
+    def _path(self, machine, segment, state):
+        """Path of the fitted run at all times of a Segment."""
+        key = segment.start
+        if key not in self._paths:
+            self._paths[key] = machine.path(segment, state, np.arange(len(segment.times)), halves=self._point.halves)
+        return self._paths[key]
+
+    def middles(self, joint):
+        """[(m, 2)] positions and velocities of a joint in the middle of the parts of each segment."""
+        machine = self._runs.machine(self._point.values)
+        pairs = zip(self._runs.segments(self._point), self._point.states)
+        return [_middle(machine, self._path(machine, *pair), joint) for pair in pairs]
+
+
+def _middle(machine, path, joint):
+    x = path.bodies[2][:, machine.layout.coordinates.names.index(joint)]
+    return 0.5 * (x[1:] + x[:-1])

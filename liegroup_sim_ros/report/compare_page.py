@@ -16,7 +16,7 @@ from .plots import COLOURS, joined, line, plane
 CHANNEL_HEAD = ("output", "measurements", "noise", "rms", "rms / noise", "largest", "white")
 EFFECT_HEAD = ("effect", "size", "explains")
 EFFECTS_TITLE = "Effects that would explain them, one after the other"
-MOST_PLOTS, MOST_EFFECTS = 12, 8
+MOST_PLOTS, MOST_EFFECTS, MOST_MISSING = 12, 8, 2
 BAND = 2.0  # deviations of the noise
 WHITE = 1e-3  # probability below which residuals are correlated
 
@@ -39,6 +39,10 @@ def document(comparison, names):
         "channels": [{**vars(channel), "numerics": numeric} for channel, numeric in zip(result.channels, numerics)],
         "effects": [_effect(each) for each in result.effects],
         "alone": [_effect(each) for each in result.alone],
+        "missing": [
+            {**vars(each), **{key: getattr(each, key).tolist() for key in ("at", "values", "deviations")}}
+            for each in result.missing
+        ],
         "delays": {name: {"delay": delay, "deviation": sd} for name, (delay, sd) in result.delays.items()},
         "segments": len(result.solution.point.states),
         "notes": list(result.fit.runs.log.notes),
@@ -112,7 +116,7 @@ def _remarks(result):
 
 def make_page(comparison, result):
     """HTML of the page (about 5 MB, including plotly.js)."""
-    plots = _plots(comparison)
+    plots = [_missing_plot(each) for each in comparison.missing[:MOST_MISSING]] + _plots(comparison)
     state = "good" if result["agrees"] else "warn"
     sign = "✓ agrees" if result["agrees"] else "! contradiction"
     body = (
@@ -132,6 +136,21 @@ def make_page(comparison, result):
     )
     data = [{"plots": [plot for *_, plot in plots], "view": None}]
     return frame(f"{result['scene']} against {result['log']}", body, data)
+
+
+def _missing_plot(each):
+    """(title, remark, plot) of a Missing effort, with two standard deviations."""
+    unit = "rad" if each.unit == "N m" else "m"
+    ends = [each.values - BAND * each.deviations, each.values + BAND * each.deviations]
+    traces = [line("least squares", each.at, each.values, COLOURS[0])]
+    traces += [line(name, each.at, end, COLOURS[4], "dot") for name, end in zip(("low", "high"), ends)]
+    across = f"{each.variable} / {unit}" + ("/s" if each.variable == "velocity" else "")
+    remark = f"would explain {100.0 * each.share:.3g} % of the sum of squares; dotted: two standard deviations"
+    return (
+        f"Effort that {each.joint} lacks, against its {each.variable}",
+        remark,
+        plane(traces, [], each.unit, False, across),
+    )
 
 
 def _plots(comparison):

@@ -335,13 +335,13 @@ def difference_plot(curve):
     return [("Difference of the two recordings", "largest of all bodies", plane(traces, [], "m, rad", log=True))]
 
 
-def plane(traces, bands, unit, log=False):
-    """Plot of curves over time; a log axis shows positive values only."""
+def plane(traces, bands, unit, log=False, across="time / s"):
+    """Plot of curves over time, or another quantity; a log axis shows positive values only."""
     axis = {"gridcolor": "--grid", "zerolinecolor": "--grid", "linecolor": "--grid", "automargin": True}
     return {
         "data": traces,
         "layout": {
-            "xaxis": {**axis, "title": {"text": "time / s", "standoff": 6}},
+            "xaxis": {**axis, "title": {"text": across, "standoff": 6}},
             "yaxis": {
                 **axis,
                 "title": {"text": unit, "standoff": 8},

@@ -184,6 +184,17 @@ def test_accelerometers_see_the_given_forces():
     assert not wrong.agrees
 
 
+@pytest.mark.parametrize(("key", "law"), [("coulomb", np.sign), ("viscous", lambda v: 0.3 * v)])
+def test_the_effort_that_a_joint_lacks_is_found_against_its_motion(key, law):
+    """A step of dry friction, a slope of viscous friction; without a law of friction in the fit."""
+    size = {"coulomb": 0.01, "viscous": 0.003}[key]
+    true = machine("furuta", hinge=f"friction: {{{key}: {size}}}")
+    found = compare(machine("furuta"), log_of(true, "furuta", 1, seconds=1.6, rate=125.0), workers=1).missing[0]
+    assert (found.joint, found.variable, found.unit) == ("hinge", "velocity", "N m") and found.share > 0.8
+    away = np.abs(found.at) > 0.3  # between its limits a step is no constant
+    assert np.abs(found.values + 0.01 * law(found.at))[away].max() < 0.3 * 0.01
+
+
 def test_several_recordings_are_one_log():
     """With starts of their own, and one clock; the numbers are between those of each, and closer."""
     scene, names = machine("furuta"), ["rod.shape.mass"]
