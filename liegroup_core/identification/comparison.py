@@ -152,7 +152,7 @@ def _refined(fit, solution):
         same = all(np.allclose(*pair, rtol=REFINED, atol=0.0) for pair in zip(fit.deviation, before))
         if same and point is solution.point:
             break
-        solution = fit.solve(point, ROUGHLY)
+        solution = fit.solve(point, ROUGHLY, solution)
     return solution
 
 

@@ -42,6 +42,8 @@ class Solution:
     bases      : [(N_s, c)] orthonormal directions of the weighted outputs that changes of each start give
     growth     : largest change of an output, by its spread, with a start that changes by 1 rad or the mechanism's size
     converged  : whether the last step was small
+    linear     : [((N_s, c), (N_s, g))] changes of the weighted outputs with each start, and with delays and numbers
+    deviation  : [(p,)] of the weights
     """
 
     point: object
@@ -52,6 +54,8 @@ class Solution:
     bases: list
     growth: float
     converged: bool
+    linear: list
+    deviation: list
 
     @property
     def covariance(self):
@@ -95,12 +99,13 @@ class Fit:
         self.apart = [Apart(outputs) for outputs in runs.machine(runs.numbers.values).outputs]
 
     @one_blas_thread()
-    def solve(self, point, same=SAME):
+    def solve(self, point, same=SAME, known=None):
         """Solution from a Point on. Raises SimulationError if the run of the point fails.
 
-        same : relative decrease of the sum of squares in the last step, unless it is small against the noise
+        same  : relative decrease of the sum of squares in the last step, unless it is small against the noise
+        known : Solution nearby, with the same segments and perhaps other weights; None: none
         """
-        damping, columns, outputs = 0.0, None, self.runs.base(point)
+        damping, columns, outputs = 0.0, self._linear_of(known), self.runs.base(point)
         for _ in range(MOST_STEPS):
             residuals = self.residuals(point, outputs)
             cost, rest = self.cost(point, residuals), [self.weighted(one) for one in residuals]
@@ -118,11 +123,21 @@ class Fit:
             ends = not is_better or is_small or cost - lower <= same * cost
             if is_better:
                 point, outputs, damping = other, trial, 0.0 if damping < LEAST_DAMPING else 0.1 * damping
-            if ends and is_new:
+            if ends and (is_new or is_small):
                 return self._solution(point, outputs, columns, bool(np.isfinite(lower)))
             if ends or lower > GOOD * cost:
                 columns = None
         return self._solution(point, outputs, None, False)
+
+    def _linear_of(self, known):
+        """Columns of a Solution with the present weights."""
+        if known is None:
+            return None
+        found = []
+        for one, pair in zip(known.residuals, known.linear):
+            factors = [np.tile(old / new, len(part)) for old, new, part in zip(known.deviation, self.deviation, one)]
+            found.append(tuple(np.concatenate(factors)[:, None] * J for J in pair))
+        return found
 
     def _tried(self, point, parts, damping):
         """(Point, outputs, cost, whether it is small) after a step; an infinite cost where it cannot be."""
@@ -173,7 +188,18 @@ class Fit:
             left.append(without(U, r))
             others.append(without(U, J_g))
             bases.append(U)
-        return Solution(point, residuals, outputs, np.concatenate(left), np.vstack(others), bases, growth, converged)
+        return Solution(
+            point,
+            residuals,
+            outputs,
+            np.concatenate(left),
+            np.vstack(others),
+            bases,
+            growth,
+            converged,
+            columns,
+            list(self.deviation),
+        )
 
     def residuals(self, point, outputs):
         """[[(r, p)]] measured minus outputs."""

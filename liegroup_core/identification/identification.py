@@ -60,14 +60,14 @@ def identify(scene, log, names, limits=None, priors=None, length=LENGTH, held_ou
     Raises SceneError, ParameterError, SimulationError.
     """
     fit, solution, left = fitted(scene, log, names, length, workers, limits, priors, held_out)
-    solution = fit.solve(solution.point)
+    solution = fit.solve(solution.point, known=solution)
     given = [np.isfinite(each.deviation) for each in log.measured]
     for _ in range(ROUNDS - 1):
         noise = _noise(fit, solution, given)
         if max(np.abs(new / old - 1.0).max(initial=0.0) for new, old in zip(noise, fit.deviation)) < 0.02:
             break
         fit = Fit(fit.runs, noise, fit.free, fit.limits, fit.priors, workers)
-        solution = fit.solve(solution.point)
+        solution = fit.solve(solution.point, known=solution)
     d, numbers = int(fit.free.sum()), fit.runs.numbers
     q = len(numbers)
     comparison = judged(fit, solution)
