@@ -378,6 +378,7 @@ class Remote(Source):
         self._ending = True
         if self._spinning.is_alive():
             self._spinning.join(2.0)
+        self._executor.shutdown(2.0)  # what it waited for must not be in use when the node goes
         self._node.destroy_node()
         self._context.try_shutdown()
 
