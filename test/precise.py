@@ -387,6 +387,13 @@ def accelerations(scene, wrenches=(), samples=3):
 
 
 @precise
+def states_of(pose, twist):
+    """[(R, r, w, v)] in decimals of poses (n, 12) and twists (n, 6) of centres of mass."""
+    read = Reader()
+    return [(read.rotation(C[:9].reshape(3, 3)), *map(decimals, (C[9:], V[:3], V[3:]))) for C, V in zip(pose, twist)]
+
+
+@precise
 def accelerations_at(scene, states, rounding=None):
     """Function of [(R, r, w, v)] in decimals: accelerations (n, 6) in decimals, with the rows independent at `states`.
 

@@ -147,8 +147,7 @@ def _refined(fit, solution):
     for _ in range(MOST_REFINED):
         before, point = list(fit.deviation), solution.point
         fit.refine(solution)
-        while point.halves < MOST_HALVES and _largest(numerics(fit, point)) > PART:
-            point = replace(point, halves=point.halves + 1)
+        point = _in_short_steps(fit, point, solution.outputs)
         same = all(np.allclose(*pair, rtol=REFINED, atol=0.0) for pair in zip(fit.deviation, before))
         if same and point is solution.point:
             break
@@ -182,7 +181,8 @@ def judged(fit, solution):
     """Comparison of a Solution."""
     judge = Effects(fit, solution)
     effects, alone = judge.find()
-    found = Comparison(fit, solution, channel_fits(fit, solution), effects, alone, [], numerics(fit, solution.point))
+    errors = numerics(fit, solution.point, solution.outputs)
+    found = Comparison(fit, solution, channel_fits(fit, solution), effects, alone, [], errors)
     return found if found.agrees else replace(found, missing=judge.missing())
 
 
@@ -208,14 +208,14 @@ def first_point(fit, bounds):
     """Point to begin with; steps are short enough for the noise."""
     runs = fit.runs
     delays = _rough_delays(fit, bounds, np.array([each.delay or 0.0 for each in runs.log.measured]))
-    point = Point(bounds, delays, runs.numbers.values, first_states(runs, bounds, delays))
-    while point.halves < MOST_HALVES and _largest(numerics(fit, point)) > PART:
-        point = replace(point, halves=point.halves + 1)
+    return _in_short_steps(fit, Point(bounds, delays, runs.numbers.values, first_states(runs, bounds, delays)))
+
+
+def _in_short_steps(fit, point, outputs=None):
+    """Point with steps whose errors are a small part of the noise; outputs: of the point, None: not known."""
+    while point.halves < MOST_HALVES and max(part.max(initial=0.0) for part in numerics(fit, point, outputs)) > PART:
+        point, outputs = replace(point, halves=point.halves + 1), None
     return point
-
-
-def _largest(parts):
-    return max(part.max(initial=0.0) for part in parts)
 
 
 def numerics(fit, point, outputs=None):

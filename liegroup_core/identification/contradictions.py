@@ -16,6 +16,7 @@ from liegroup_core.errors import SimulationError
 from liegroup_core.threads import one_blas_thread
 
 from .fit import without
+from .starts import PARTS
 
 SMALL = 1e-3  # of the loads that occur: size of an effect in its run
 MOST = 3  # effects that are named
@@ -23,7 +24,7 @@ CLEAR = 25.0  # decrease of the sum of squares of a single effect above which it
 WORTH = 0.02  # share of the sum of squares that a further effect must explain
 NO_COLUMN = 1e-6  # relative size of a column that starts and delays explain
 LAGS = 20  # of the test of whiteness
-PARTS, BINS = ("position", "velocity"), 8  # of an effort as a function of the motion
+BINS = 8  # of an effort as a function of the motion
 # Standard deviations, by the root of the count: of an rms, and of it by the noise that third differences give. The
 # median of absolute values has an efficiency of 0.37, and third differences are correlated.
 SPREAD_OF_RMS, SPREAD_OF_NOISE = 0.71, np.hypot(0.71, 1.16 * 1.52)
