@@ -14,6 +14,7 @@ from .starts import first_states
 
 LENGTH = 2.0  # s, of a segment
 PARTS = (16, 4, 1)  # of the length: segments with which fits begin, as short ones need no good start
+FEW_SEGMENTS = 4  # of the longest, with which fits begin
 LEAST = 9  # measurements in a segment: as many as the first guess of a start takes
 LINEAR = 0.01  # of the spread of an output: largest rms that is not noise, for effects to be linear
 PARTED = 1e4  # largest growth of differences in a segment: they are linear to 1e-4 then, see CHANGE
@@ -115,26 +116,47 @@ def compare(scene, log, length=LENGTH, workers=None):
 def fitted(scene, log, names=(), length=LENGTH, workers=None, limits=None, priors=None, held_out=0.0):
     """(Fit, Solution, bounds of the segments left out) with the longest segments in which the model is near.
 
+    A fit of a few of the longest segments finds the length and nearly the numbers; one of all segments continues.
+
     names, limits, priors : of numbers that vary, see Fit
     held_out : share of the segments, at the end, that are left out
     """
     fit, bounds = begin(scene, log, names, length, workers, limits, priors)
-    longest = len(bounds[-1])
-    kept = max(1, longest - round(held_out * longest))
-    found = left = None
-    growths = []
+    kept = max(1, len(bounds[-1]) - round(held_out * len(bounds[-1])))
+    few = np.unique(np.linspace(0, kept - 1, FEW_SEGMENTS).astype(int))
+    found, level = _nested(fit, [_divided(each, few, len(bounds[-1])) for each in bounds])
+    if len(few) < kept:
+        parts = [_divided(each, np.arange(kept), len(bounds[-1])) for each in bounds[: level + 1]]
+        whole = fit.solve(continued(fit, parts[-1], found), ROUGHLY)
+        found, level = (_refined(fit, whole), level) if _is_near(fit, whole) else _nested(fit, parts, found)
+    return fit, found, bounds[level][kept * len(bounds[level]) // len(bounds[-1]) :]
+
+
+def _divided(bounds, chosen, count):
+    """Bounds of the parts of some of `count` longest segments, from those of all parts."""
+    return bounds.reshape(count, -1, 2)[chosen].reshape(-1, 2)
+
+
+def _nested(fit, bounds, found=None):
+    """(Solution, number of its bounds) with the longest segments in which the model is near, from growing ones.
+
+    found : Solution to continue with; None: from the log and the scene
+    """
+    best, growths = None, []
     for each in bounds:
-        end = kept * (len(each) // longest)
         if len(growths) > 1 and _next_growth(*growths[-2:]) > MUCH_PARTED:
             break
-        point = first_point(fit, each[:end]) if found is None else continued(fit, each[:end], found)
-        solution = fit.solve(point, ROUGHLY)
-        is_near = solution.converged and excess(fit, solution) <= LINEAR and solution.growth <= PARTED
-        if found is not None and not is_near:
+        solution = fit.solve(first_point(fit, each) if found is None else continued(fit, each, found), ROUGHLY)
+        if best is not None and not _is_near(fit, solution):
             break
-        found, left = _refined(fit, solution), each[end:]
+        best = found = _refined(fit, solution)
         growths.append(solution.growth)
-    return fit, found, left
+    return best, len(growths) - 1
+
+
+def _is_near(fit, solution):
+    """Whether the model explains the segments, and differences are linear in them."""
+    return solution.converged and excess(fit, solution) <= LINEAR and solution.growth <= PARTED
 
 
 def _next_growth(before, last):
@@ -156,14 +178,15 @@ def _refined(fit, solution):
 
 
 def continued(fit, bounds, solution):
-    """Point of longer segments, each of which starts as one of the segments of a Solution does."""
+    """Point of other segments; those that start with one of a Solution start as that does."""
     given, runs = solution.point, fit.runs
     known = {segment.start: state for segment, state in zip(runs.segments(given), given.states)}
     point = replace(given, bounds=bounds)
     starts = [segment.start for segment in runs.segments(point)]
     if known.keys() >= set(starts):
         return replace(point, states=tuple(known[start] for start in starts))
-    return replace(point, states=first_states(runs, bounds, given.delays, given.values))
+    states = first_states(runs, bounds, given.delays, given.values)
+    return replace(point, states=tuple(map(known.get, starts, states)))
 
 
 def excess(fit, solution):

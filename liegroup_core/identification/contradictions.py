@@ -340,7 +340,7 @@ class _Forced:
             joint, low, high = of
             x = _middle(machine, path, joint)[:, PARTS.index(kind)]
             return ((x >= low) & (x < high))[:, None, None] * machine.effort(joint)
-        q, v = path.bodies[2][:, machine.layout.coordinates.names.index(of)].T
+        q, v = path.joints[:, machine.layout.coordinates.names.index(of)].T
         middle = 0.5 * (v[1:] + v[:-1])
         amount = {
             "coulomb": lambda: -np.sign(middle),
@@ -366,5 +366,5 @@ class _Forced:
 
 
 def _middle(machine, path, joint):
-    x = path.bodies[2][:, machine.layout.coordinates.names.index(joint)]
+    x = path.joints[:, machine.layout.coordinates.names.index(joint)]
     return 0.5 * (x[1:] + x[:-1])

@@ -25,7 +25,7 @@ UNSEEN = 1e-9  # relative singular value of a direction that no measurement show
 MOST_STEPS, MOST_TRIES = 40, 12
 SAME = 1e-7  # relative decrease of the sum of squares in the last step
 CLOSE = 0.01  # of the standard deviations: last step
-GOOD = 0.5  # decrease of the sum of squares after which the columns serve again
+AS_TOLD = 0.1  # relative difference between decreases, expected and found, up to which columns serve again
 ROUND_OFF = 1e-12
 FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-7
 
@@ -93,7 +93,8 @@ class Fit:
     def __init__(self, runs, deviation, free, limits=None, priors=None, workers=None):
         q = len(runs.numbers)
         self.runs, self.deviation, self.free = runs, deviation, np.asarray(free, dtype=bool)
-        self._workers = workers or os.cpu_count() or 1
+        self.workers = workers or os.cpu_count() or 1
+        self._team = ThreadPoolExecutor(self.workers) if self.workers > 1 else None
         self.limits = np.tile([-np.inf, np.inf], (q, 1)) if limits is None else np.asarray(limits, dtype=float)
         self.priors = np.tile([0.0, np.inf], (q, 1)) if priors is None else np.asarray(priors, dtype=float)
         self.apart = [Apart(outputs) for outputs in runs.machine(runs.numbers.values).outputs]
@@ -115,7 +116,7 @@ class Fit:
                 columns = [(J_x, J_g) for _, J_x, J_g in self._linear(point, outputs, residuals)]
             parts = [(r, *each) for r, each in zip(rest, columns)]
             for _ in range(MOST_TRIES if is_new else 1):
-                other, trial, lower, is_small = self._tried(point, parts, damping)
+                other, trial, lower, share, is_small = self._tried(point, parts, damping)
                 is_better = lower <= cost * (1.0 + ROUND_OFF)
                 if is_better or is_small:
                     break
@@ -123,9 +124,10 @@ class Fit:
             ends = not is_better or is_small or cost - lower <= same * cost
             if is_better:
                 point, outputs, damping = other, trial, 0.0 if damping < LEAST_DAMPING else 0.1 * damping
-            if ends and (is_new or is_small):
+            is_as_told = abs(cost - lower - share * cost) <= AS_TOLD * share * cost
+            if ends and (is_new or is_small or is_as_told):
                 return self._solution(point, outputs, columns, bool(np.isfinite(lower)))
-            if ends or lower > GOOD * cost:
+            if not is_as_told:
                 columns = None
         return self._solution(point, outputs, None, False)
 
@@ -140,14 +142,14 @@ class Fit:
         return found
 
     def _tried(self, point, parts, damping):
-        """(Point, outputs, cost, whether it is small) after a step; an infinite cost where it cannot be."""
-        changes, step, is_small = self._step(point, parts, damping)
+        """(Point, outputs, cost, inf: none, expected share of its decrease, whether it is small) after a step."""
+        changes, step, share, is_small = self._step(point, parts, damping)
         try:
             other = self._moved(point, changes, step)
             outputs = self.runs.base(other)
-            return other, outputs, self.cost(other, self.residuals(other, outputs)), is_small
+            return other, outputs, self.cost(other, self.residuals(other, outputs)), share, is_small
         except (SimulationError, SceneError):
-            return point, None, np.inf, is_small
+            return point, None, np.inf, share, is_small
 
     def refine(self, solution):
         """Estimate the noise again, from the residuals of a Solution, in which there is less motion."""
@@ -239,10 +241,9 @@ class Fit:
 
     def tasks(self, function, items):
         """Results of function(item) in the order of the items, in all threads: compiled runs let others run."""
-        if self._workers == 1 or len(items) < 2:
+        if self._team is None:
             return [function(item) for item in items]
-        with ThreadPoolExecutor(self._workers) as team:
-            return list(team.map(function, items))
+        return list(self._team.map(function, items))
 
     def _linear(self, point, outputs, residuals, starts_only=False):
         """For each segment weighted residuals (N_s,), columns of its start (N_s, c), and of delays and numbers."""
@@ -283,7 +284,11 @@ class Fit:
         return found
 
     def _step(self, point, parts, damping):
-        """Changes [(c,)] of the starts by their scales, step (g,) of delays and numbers, and whether all are small."""
+        """Step from a Point.
+
+        Changes [(c,)] of the starts by their scales, (g,) of delays and numbers, by which share the sum of squares
+        would decrease if outputs were linear, and whether all changes are small.
+        """
         q = len(self.runs.numbers)
         g = parts[0][2].shape[1]
         eliminated, rows, right = [], [], []
@@ -318,15 +323,21 @@ class Fit:
             if (found < limits[0]).any() or (found > limits[1]).any():
                 found = scipy.optimize.lsq_linear(A, b, limits, method="bvls").x
             step[seen] = found / sizes[seen]
-        changes, small = [], True
+        changes, small, expected = [], True, 0.0
         spread = np.sqrt(sum(float(r @ r) for r in right) / max(sum(map(len, right)), 1))
         for (r, _, J_g), (U, singular, V) in zip(parts, eliminated):
-            part = U.T @ (r - J_g @ step)
+            rest = r - J_g @ step
+            part = U.T @ rest
+            rest -= U @ part
+            expected += float(rest @ rest)
             small = small and bool(np.abs(part).max(initial=0.0) < CLOSE * spread)
             changes.append(V.T @ (part / singular))
         if g:
             small = small and bool((np.abs(step) * np.linalg.norm(np.vstack(rows), axis=0) < CLOSE * spread).all())
-        return changes, step, small
+        at_end = self._prior(replace(point, values=point.values + step[g - q :] * self.runs.numbers.scales))
+        total = sum(float(r @ r) for r, *_ in parts) + float(np.sum(self._prior(point) ** 2))
+        share = 1.0 - (expected + float(np.sum(at_end**2))) / total if total else 0.0
+        return changes, step, share, small
 
     def _moved(self, point, changes, step):
         """Point after a step."""

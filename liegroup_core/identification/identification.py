@@ -125,7 +125,7 @@ def _validated(fit, bounds, point):
     found = []
     for values in (fit.runs.numbers.values, point.values):
         runs = Runs(fit.runs.numbers.scene_at(values), fit.runs.log, (), fit.runs.longest)
-        other = Fit(runs, fit.deviation, fit.free & False, None, None, fit._workers)
+        other = Fit(runs, fit.deviation, fit.free & False, None, None, fit.workers)
         states = first_states(runs, bounds, point.delays)
         start = replace(point, bounds=bounds, states=states, values=runs.numbers.values)
         solution = other.solve(start)

@@ -204,7 +204,7 @@ class Machine:
         found = []
         for places, outputs in zip(segment.places, self.outputs):
             rows = np.searchsorted(seen, places)
-            found.append(outputs.of_states(*(part[rows] for part in path.bodies), lambda k, r=rows: path.sample(r[k])))
+            found.append(outputs.of_path(path, rows))
         return found
 
     def path(self, segment, state, seen, extra=None, halves=0):
@@ -273,10 +273,13 @@ class Path:
 
     @cached_property
     def bodies(self):
-        """(k, n, 12) poses and (k, n, 6) twists of the bodies, and (k, j, 2) joints' positions and velocities."""
-        layout = self._machine.layout
-        joints = layout.coordinates.along(self.poses, self.twists, self.angles)
-        return *layout.offsets.to_bodies(self.poses, self.twists), joints
+        """(k, n, 12) poses and (k, n, 6) twists of the bodies."""
+        return self._machine.layout.offsets.to_bodies(self.poses, self.twists)
+
+    @cached_property
+    def joints(self):
+        """(k, j, 2) positions and velocities of the joints with one coordinate."""
+        return self._machine.layout.coordinates.along(self.poses, self.twists, self.angles)
 
     def sample(self, k):
         """Sample of state k, with the inputs of the part that ends there."""

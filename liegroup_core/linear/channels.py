@@ -178,26 +178,20 @@ class Outputs:
         """Differences (..., k) of outputs, of angles modulo 2 pi."""
         return apart(values, base, self.angles)
 
-    def of_states(self, poses, twists, joints, sample):
-        """(m, k) outputs of m states.
-
-        poses, twists : (m, n, 12), (m, n, 6) of the bodies
-        joints : (m, j, 2) positions and velocities of the joints with one coordinate
-        sample : function of the number of a state: its Sample; it is called if poses and twists do not suffice
-        """
-        count, parts = len(poses), []
-        for kind in self._kinds:
-            if kind == "joints":
-                parts.append(joints.reshape(count, -1))
-            elif kind == "bodies":
-                parts.append(self._poses(poses).reshape(count, -1))
-            elif kind == "twists":
-                parts.append(twists.reshape(count, -1))
-        others = [kind for kind in self._kinds if kind not in ("joints", "bodies", "twists")]
-        if others:
-            samples = [sample(k) for k in range(count)]
-            parts += [np.array([getattr(self, f"_{kind}")(each) for each in samples]) for kind in others]
-        return np.hstack(parts)[:, self._places] if parts else np.empty((count, 0))
+    def of_path(self, path, rows):
+        """(m, k) outputs of m states of a Path, whose numbers are rows (m,)."""
+        of_arrays = {
+            "joints": lambda: path.joints[rows],
+            "bodies": lambda: self._poses(path.bodies[0][rows]),
+            "twists": lambda: path.bodies[1][rows],
+        }
+        samples = [path.sample(row) for row in rows] if set(self._kinds) - of_arrays.keys() else []
+        parts = [
+            of_arrays[kind]() if kind in of_arrays else np.array([getattr(self, f"_{kind}")(each) for each in samples])
+            for kind in self._kinds
+        ]
+        found = [part.reshape(len(rows), -1) for part in parts]
+        return np.hstack(found)[:, self._places] if found else np.empty((len(rows), 0))
 
     def of(self, sample):
         """(k,) outputs of a Sample."""

@@ -4,7 +4,8 @@
 import numpy as np
 
 from liegroup_core.errors import SceneError, SimulationError
-from liegroup_core.scene.load import scene_as_written, scene_from_text
+from liegroup_core.scene.assembly import assembled
+from liegroup_core.scene.load import scene_as_written
 from liegroup_core.simulation import Simulation
 from liegroup_core.study.sweep.parameters import changed, parameters, path_of
 
@@ -52,7 +53,9 @@ class Numbers:
 
     def scene_at(self, values):
         """Scene with other values (q,). Raises SceneError."""
-        return scene_from_text(changed(self._written, dict(zip(self.paths, values))).text, source=self.scene.source)
+        scene = assembled(changed(self._written, dict(zip(self.paths, values))))
+        scene._source = self.scene.source
+        return scene
 
     def refused(self, k, error):
         """SceneError for a number that cannot be changed to both sides."""

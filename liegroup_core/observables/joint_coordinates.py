@@ -42,26 +42,29 @@ def _motion(pose, twist, body, point):
 
 @SameTypes
 @kernel
-def _coordinates(ends, slides, frames, pose, twist, out):
-    """Positions and velocities of joints, out (k, 2).
+def _coordinates(ends, slides, frames, poses, twists, out):
+    """Positions and velocities of joints in m states, out (m, k, 2).
 
     ends   : (k, 2) indices of parent and child; that of the world is the number of bodies
     slides : (k,) True for a prismatic joint
     frames : (k, 24) joint frames in parent and child: R row by row, point in m
+    poses, twists : (m, n, 12), (m, n, 6)
     """
-    for j in range(len(ends)):
-        a, b = ends[j]
-        R_A, p_A = _placed(frames, j, 0, pose, a)
-        R_B, p_B = _placed(frames, j, 12, pose, b)
-        (spin_a, speed_a), (spin_b, speed_b) = (_motion(pose, twist, a, p_B), _motion(pose, twist, b, p_B))
-        z_B = (R_B[2], R_B[5], R_B[8])
-        if slides[j]:
-            out[j, 0] = dot3((R_A[2], R_A[5], R_A[8]), sub3(p_B, p_A))
-            out[j, 1] = dot3(z_B, sub3(speed_b, speed_a))
-        else:
-            R = tmatmul3(R_A, R_B)
-            out[j, 0] = math.atan2(R[3] - R[1], R[0] + R[4])
-            out[j, 1] = dot3(z_B, sub3(spin_b, spin_a))
+    for i in range(len(poses)):
+        pose, twist = poses[i], twists[i]
+        for j in range(len(ends)):
+            a, b = ends[j]
+            R_A, p_A = _placed(frames, j, 0, pose, a)
+            R_B, p_B = _placed(frames, j, 12, pose, b)
+            (spin_a, speed_a), (spin_b, speed_b) = (_motion(pose, twist, a, p_B), _motion(pose, twist, b, p_B))
+            z_B = (R_B[2], R_B[5], R_B[8])
+            if slides[j]:
+                out[i, j, 0] = dot3((R_A[2], R_A[5], R_A[8]), sub3(p_B, p_A))
+                out[i, j, 1] = dot3(z_B, sub3(speed_b, speed_a))
+            else:
+                R = tmatmul3(R_A, R_B)
+                out[i, j, 0] = math.atan2(R[3] - R[1], R[0] + R[4])
+                out[i, j, 1] = dot3(z_B, sub3(spin_b, spin_a))
 
 
 class JointCoordinates:
@@ -123,16 +126,15 @@ class JointCoordinates:
         if self._counted or self._coupled:
             out[:] = list(self.at(pose, twist, angles).values())
         elif self.names:
-            self._write(pose, twist, out)
+            self._write(pose[None], twist[None], out[None])
 
-    def _write(self, pose, twist, out):
-        _coordinates(self._ends, self._slides, self._frames, pose, twist, out)
+    def _write(self, poses, twists, out):
+        _coordinates(self._ends, self._slides, self._frames, poses, twists, out)
 
     def along(self, poses, twists, angles):
         """Positions and velocities (m, j, 2) in the order of `names`, of m states; arguments as of `at`, for each."""
         found = np.empty((len(poses), len(self.names), 2))
-        for row in zip(poses, twists, found):
-            self._write(*row)
+        self._write(poses, twists, found)
 
         def unwrap(name, near):
             turned = found[:, self.names.index(name), 0]
@@ -153,7 +155,7 @@ class JointCoordinates:
         if not self.names:
             return {}
         out = np.empty((len(self.names), 2))
-        self._write(pose, twist, out)
+        self._write(pose[None], twist[None], out[None])
         found = dict(zip(self.names, map(tuple, out.tolist())))
         for name, number in self._counted.items():
             angle, rate = found[name]

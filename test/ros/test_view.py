@@ -38,7 +38,13 @@ from liegroup_sim_ros.view.server import close_server, open_server  # noqa: E402
 from liegroup_sim_ros.view.source import History  # noqa: E402
 
 CHROMIUM = shutil.which("chromium")
-DRAWS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+DRAWS = [
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--force-device-scale-factor=0.25",
+]
 SIZE = {"width": 760, "height": 480}  # of the picture, which processors draw
 BLOCK = """
 name: block
