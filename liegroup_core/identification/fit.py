@@ -181,8 +181,11 @@ class Fit:
         if columns is None or [len(r) for r in rest] != [len(J_x) for J_x, _ in columns]:
             columns = [(J_x, J_g) for _, J_x, J_g in self._linear(point, outputs, residuals)]
         left, others, bases, growth = [], [], [], 0.0
-        with np.errstate(divide="ignore"):
-            parts = [sigma / np.nanstd(each.values, axis=0) for sigma, each in zip(self.deviation, self._log)]
+        spreads = [np.nanstd(each.values, axis=0) for each in self._log]
+        parts = [
+            np.divide(sigma, spread, out=np.zeros_like(spread), where=spread > 0.0)
+            for sigma, spread in zip(self.deviation, spreads)
+        ]
         for r, one, (J_x, J_g) in zip(rest, residuals, columns):
             size = np.concatenate([np.tile(part, len(values)) for part, values in zip(parts, one)])
             growth = max(growth, np.abs(size[:, None] * J_x).max(initial=0.0))

@@ -98,7 +98,7 @@ def _noise(fit, solution, given):
     found, channels = [], iter(channel_fits(fit, solution))
     for each, sigma, known in zip(fit.runs.log.measured, fit.deviation, given):
         own = [next(channels).chi for _ in each.channels]
-        found.append(np.where(known, sigma, sigma * np.array(own)))
+        found.append(np.where(known, sigma, np.maximum(sigma * np.array(own), each.least)))
     return found
 
 

@@ -65,6 +65,11 @@ class Measured:
         """(p,) standard deviations, given or estimated: those of the values, in which fast motion shows, too."""
         return self.noise_of([self.values])
 
+    @cached_property
+    def least(self):
+        """(p,) least standard deviations that noise may have."""
+        return np.array([_least(values) for values in self.values.T])
+
     def noise_of(self, parts):
         """(p,) standard deviations, given or estimated from [(r, p)] parts of a signal with this noise."""
         columns = zip(self.deviation, self.values.T, zip(*(part.T for part in parts)))
@@ -140,4 +145,10 @@ def _noise(values, parts):
     resolved = rounding if len(steps) and (steps == 0.0).mean() > REPEATED and np.isfinite(rounding) else 0.0
     third = np.concatenate([np.diff(part[np.isfinite(part)], 3) for part in parts])
     found = max(ROBUST * float(np.median(np.abs(third))) / THIRD if len(third) else 0.0, resolved)
-    return max(found, LEAST * float(np.std(known)) if len(known) else 0.0, 1e-12)
+    return max(found, _least(known))
+
+
+def _least(values):
+    """Least standard deviation: numbers of a file have so many digits."""
+    known = values[np.isfinite(values)]
+    return max(LEAST * float(np.std(known)) if len(known) else 0.0, 1e-12)

@@ -27,9 +27,15 @@ ROTATION_TOLERANCE = 1e-6
 # its round-off.
 UNKNOWN_TURN = 1e-9
 
+_NEXT, _LAST = [1, 2, 0], [2, 0, 1]
 UNIT3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 ZERO3 = (0.0, 0.0, 0.0)
 UNIT6 = tuple((e, ZERO3) for e in UNIT3) + tuple((ZERO3, e) for e in UNIT3)
+
+
+def cross(a, b):
+    """Vector products (..., 3) of arrays (..., 3), with the bits of np.cross; a few take a third of its time."""
+    return a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
 
 
 def _checked(value, shape, what):

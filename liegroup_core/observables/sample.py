@@ -15,7 +15,7 @@ from liegroup_core.forces.external import set_external_wrenches
 from liegroup_core.forces.timetable import acting_at, just_after
 from liegroup_core.joints import motion
 from liegroup_core.joints.kinds import TYPES
-from liegroup_core.lie.groups import within_a_turn
+from liegroup_core.lie.groups import cross, within_a_turn
 from liegroup_core.observables import invariants
 
 from .along import quaternions, rows
@@ -289,7 +289,7 @@ class Sample:
         pose, found = self._state[0], np.zeros((len(self._state[0]), 6))
         if self.external is not None:
             set_external_wrenches(self.external, pose, found)
-            found[:, :3] += np.cross(self._layout.offsets.com, found[:, 3:])
+            found[:, :3] += cross(self._layout.offsets.com, found[:, 3:])
         return found
 
     @cached_property
@@ -329,7 +329,7 @@ class Sample:
         R = self.pose[:, :9].reshape(-1, 3, 3)
         w, dw = self.twist[:, :3], motion[:, :3]
         arm = -self._layout.offsets.com
-        linear = motion[:, 3:] + np.cross(dw, arm) + np.cross(w, np.cross(w, arm))
+        linear = motion[:, 3:] + cross(dw, arm) + cross(w, cross(w, arm))
         linear += np.array(self.scene.gravity) @ R
         return self._by_body(np.hstack([dw, linear]))
 

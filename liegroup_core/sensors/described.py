@@ -2,6 +2,7 @@
 """Keys that all sensors of a scene share, and their noise: the base of all sensor classes."""
 
 import zlib
+from functools import lru_cache
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -57,7 +58,9 @@ class NoisySensor(Sensor):
         return values
 
 
+@lru_cache(maxsize=1024)
 def frame_pose(frame):
     """(R (3, 3), p (3,) m) of a Frame in its body; the body frame if it is None."""
     pose = np.eye(4) if frame is None else frame.pose
+    pose.setflags(write=False)
     return pose[:3, :3], pose[:3, 3]

@@ -7,6 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from liegroup_core.fields.values import NotNegative, Text, Vector3
+from liegroup_core.lie.groups import cross
 
 from .described import NoisySensor
 
@@ -43,4 +44,4 @@ def _point(sample, body, place):
     if body == "world":
         return place, np.zeros(3)
     pose, (w, v) = sample.poses[body], np.split(sample.twists[body], 2)
-    return pose[:3, :3] @ place + pose[:3, 3], pose[:3, :3] @ (v + np.cross(w, place))
+    return pose[:3, :3] @ place + pose[:3, 3], pose[:3, :3] @ (v + cross(w, place))

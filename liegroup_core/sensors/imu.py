@@ -12,7 +12,7 @@ from pydantic import Field
 
 from liegroup_core.fields.frames import Frame
 from liegroup_core.fields.values import NotNegative, Text, Vector3
-from liegroup_core.lie.groups import SO3
+from liegroup_core.lie.groups import SO3, cross
 
 from .described import NoisySensor, frame_pose
 
@@ -44,7 +44,7 @@ class Imu(NoisySensor):
         body = sample.poses[self.body][:3, :3]
         w = sample.twists[self.body][:3]
         turning, moving = np.split(sample.accelerations[self.body], 2)
-        force = moving + np.cross(turning, p) + np.cross(w, np.cross(w, p))
+        force = moving + cross(turning, p) + cross(w, cross(w, p))
         force -= body.T @ np.array(sample.scene.gravity)
         return np.concatenate(
             [SO3.to_quaternion(body @ R), R.T @ w + self.angular_velocity_bias, R.T @ force + self.acceleration_bias]

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from liegroup_core.fields.frames import Frame
 from liegroup_core.fields.values import NotNegative, Text
-from liegroup_core.lie.groups import SO3
+from liegroup_core.lie.groups import SO3, cross
 
 from .described import NoisySensor, frame_pose
 
@@ -37,5 +37,5 @@ class Pose(NoisySensor):
         R, p = frame_pose(self.frame)
         pose, (w, v) = sample.poses[self.body], np.split(sample.twists[self.body], 2)
         return np.concatenate(
-            [pose[:3, :3] @ p + pose[:3, 3], SO3.to_quaternion(pose[:3, :3] @ R), R.T @ (v + np.cross(w, p)), R.T @ w]
+            [pose[:3, :3] @ p + pose[:3, 3], SO3.to_quaternion(pose[:3, :3] @ R), R.T @ (v + cross(w, p)), R.T @ w]
         )

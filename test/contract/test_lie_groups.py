@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from liegroup_core.lie import SE3, SO3
+from liegroup_core.lie.groups import cross
 
 UNIT = 2.0**-53
 GROUPS = [SO3, SE3]
@@ -338,3 +339,9 @@ def test_matrices_outside_the_group_are_refused(group, name):
     # Single precision is close enough.
     rounded = group.exp(np.linspace(0.1, 0.6, DIMENSION[group])).astype(np.float32)
     assert np.isfinite(function(rounded)).all()
+
+
+@pytest.mark.parametrize("shape", [(3,), (5, 3), (2, 5, 3)])
+def test_vector_products_have_the_bits_of_numpys(shape):
+    a, b = np.random.default_rng(0).normal(size=(2, *shape))
+    assert np.array_equal(cross(a, b), np.cross(a, b))

@@ -128,6 +128,17 @@ def test_a_result_does_not_depend_on_the_number_of_workers():
     assert columns[0] == columns[1]
 
 
+def test_a_channel_without_noise_and_motion_says_nothing():
+    """The arm turns about the vertical: the noise of its height is that of the digits of a file, not none."""
+    log = timed(log_of(machine("furuta"), "furuta", 8, seconds=0.6, rate=125.0))
+    (measured,) = log.measured
+    values = np.column_stack([measured.values, np.zeros(len(measured.times))])
+    with_zeros = replace(measured, channels=(*measured.channels, "arm.z"), values=values, deviation=np.full(5, np.nan))
+    found = identify(machine("furuta"), Log(log.inputs, (with_zeros,)), ["rod.shape.mass"], workers=1)
+    alone = identify(machine("furuta"), log, ["rod.shape.mass"], workers=1)
+    assert np.isfinite(found.values).all() and abs(found.values - alone.values)[0] < 0.1 * alone.deviations[0]
+
+
 def test_a_late_clock_of_a_second_is_found():
     log = log_of(machine("furuta"), "furuta", 6, seconds=2.0, rate=125.0, delay=0.73)
     found = compare(machine("furuta"), log, workers=1)

@@ -11,7 +11,7 @@ A rotation is a rotation vector, whatever its form in the scene file.
 import difflib
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, get_args
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
@@ -50,6 +50,20 @@ def _numbers(value, path):
                 yield from _numbers(_entry(value, key), (*path, key))
 
 
+def _omitted(value, path):
+    """Paths of groups of numbers, such as the friction of a joint, that a scene omits."""
+    if isinstance(value, tuple):
+        for i, entry in enumerate(value):
+            yield from _omitted(entry, (*path, getattr(entry, "name", str(i))))
+    elif isinstance(value, Described):
+        for key, field in type(value).model_fields.items():
+            entry = getattr(value, key)
+            if entry is not None:
+                yield from _omitted(entry, (*path, key))
+            elif any(isinstance(part, type) and issubclass(part, Described) for part in get_args(field.annotation)):
+                yield ".".join((*path, key))
+
+
 def _is_parameter(model, key):
     entry = _entry(model, key)
     if isinstance(model, Body) and model.shape is not None and key in OF_SHAPE:
@@ -80,6 +94,11 @@ def path_of(scene, name):
         return found[0]
     if found:
         raise ParameterError(f"the parameter {name} is ambiguous: {_listed(found)}; give the full path")
+    group, _, key = name.rpartition(".")
+    for path in _omitted(scene, ()):
+        if group and f".{path}".endswith(f".{group}"):
+            where, _, entry = path.rpartition(".")
+            raise ParameterError(f"{where} has no {entry}: write {entry}: {{{key}: ...}} there, with a first guess")
     ends = {".".join(path.split(".")[-k:]): path for path in known for k in (1, 2, 3)}
     close = [ends[end] for end in difflib.get_close_matches(name, list(ends), n=3, cutoff=0.7)]
     close += difflib.get_close_matches(name, list(known), n=3, cutoff=0.6)
