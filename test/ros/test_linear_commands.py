@@ -123,6 +123,10 @@ def test_trim_writes_the_system_of_the_equilibrium(tmp_path, capsys):
             "joints.hinges.friction.viscous is given",
         ),
         (["sensitivities", "four_bar", "--by", "masss", "--at", "1"], "the scene has no parameter masss"),
+        (
+            ["sensitivities", "double_pendulum", "--by", "elbow.friction.viscous", "--at", "1"],
+            "joints.elbow has no friction: write friction: {viscous: ...} there, with a first guess",
+        ),
         (["sensitivities", "heavy_top", "--by", "top.mass", "--at", "2", "1"], "--at must be times in s from 0 on"),
         (["inverse", "four_bar", "--motion", "none.csv"], "none.csv: cannot be read: No such file or directory"),
         (["inverse", "four_bar", "--motion", "empty.csv"], "empty.csv: needs a line with names"),

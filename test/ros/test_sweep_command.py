@@ -178,7 +178,6 @@ def test_wrong_input_of_an_accuracy_is_one_line(fall, tmp_path, capsys, change, 
     "change, said",
     [
         (["--vary", "weight=1:2"], "the scene has no parameter weight"),
-        (["--vary", "stone.shape.mass=1:2"], "bodies.stone has no shape: write shape: {mass: ...} there"),
         (["--vary", "mas=1:2"], "did you mean bodies.stone.mass"),
         (["--vary", "mass=2:3"], "is given twice"),
         (["--vary", "gravity.0=a"], "not a number"),
