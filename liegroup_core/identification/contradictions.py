@@ -256,8 +256,13 @@ class Effects:
                 add(f"scale of {name} in {each.name}", "1", scale)
         known = np.flatnonzero(~fit.free)
         late = fit.late(solution.point, outputs, residuals, known)
+        longest = max(last - first for first, last in fit.runs.log.spans)
         for k, t in enumerate(known):
-            add(f"delay of {fit.runs.log.measured[t].name}", "s", [part[:, k] for part in late])
+            parts = [part[:, k] for part in late]
+            if (
+                np.linalg.norm(np.concatenate(parts)) * longest > 1.0
+            ):  # else any delay fits: nothing acts at known times
+                add(f"delay of {fit.runs.log.measured[t].name}", "s", parts)
         return names, np.array(columns).T, units
 
     def _only(self, residuals, t, p, values):

@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""docs/how-to/identify.md: its commands make a bag, name what the model lacks and find the number."""
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from liegroup_sim_ros.commands.main import main
+
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "how-to" / "identify.md").read_text()
+FILES = re.findall(r"^`(\w+\.yaml)`[^`\n]*:\n\n```yaml\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+COMMANDS = re.findall(r"^    (sed .*|liegroup_sim .*)$", PAGE, re.MULTILINE)
+
+
+def test_the_page_names_the_friction_and_finds_it(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for name, text in FILES:
+        Path(name).write_text(text)
+    change, *commands = map(shlex.split, COMMANDS)
+    _, old, new, _ = change[1].split("/")
+    assert change[2:] == ["model.yaml", ">", "machine.yaml"]
+    Path("machine.yaml").write_text(Path("model.yaml").read_text().replace(old, new))
+    assert [command[1] for command in commands] == ["run", "compare", "identify"]
+    for command in commands:
+        assert main([*command[1:], *(["--json", f"{command[1]}.json"] if command[1] != "run" else [])]) == 0
+    capsys.readouterr()
+    compared, identified = (json.loads(Path(f"{name}.json").read_text()) for name in ("compare", "identify"))
+    assert not compared["agrees"] and compared["effects"][0]["text"] == "viscous friction of hinge"
+    assert "Viscous friction of hinge" in Path("compare.html").read_text()
+    (number,) = identified["numbers"]
+    value, half = map(float, re.search(r"finds ([\d.]+) with an interval of ([\d.]+\d)", PAGE).groups())
+    low, high = number["interval"]
+    assert abs(number["value"] - value) < 2.0 * half and 0.3 * half < high - low < 3.0 * half
+    assert identified["effects"][0]["text"].startswith("offset of hinge.position")
+    assert identified["effects"][0]["value"] == pytest.approx(-0.0005, abs=5e-5)
+    assert f"# joints.hinge.friction.viscous: {number['value']:.9g} ± " in Path("found.yaml").read_text()
