@@ -4,7 +4,7 @@
 import os
 import signal
 
-from volume import some  # imports no NumPy
+from volume import has_turn, some  # imports no NumPy
 
 # One thread for BLAS, before any test loads NumPy: more make small solves slower.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -13,14 +13,19 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(config, items):
-    """Of tests with the marker `volume(n)` keep n cases, others on every day; all with VERIFY=1."""
-    cases = {}
+    """What `make test` leaves to other days, see volume.py; a case or test that is named runs."""
+    if any("::" in argument for argument in config.args):
+        return
+    cases, left = {}, []
     for item in items:
-        marker = item.get_closest_marker("volume")
-        if marker is not None:
-            cases.setdefault((item.nodeid.partition("[")[0], *marker.args), []).append(item)
+        volume, turn = (item.get_closest_marker(name) for name in ("volume", "turn"))
+        if volume is not None:
+            cases.setdefault((item.nodeid.partition("[")[0], *volume.args), []).append(item)
+        if turn is not None and not has_turn(item.nodeid, *turn.args):
+            left.append(item)
     kept = {item for (_, count), found in cases.items() for item in some(found, count)}
-    left = [item for found in cases.values() for item in found if item not in kept]
-    if left and not any("[" in argument for argument in config.args):  # a case that is named runs
-        items[:] = [item for item in items if item not in left]
+    left += [item for found in cases.values() for item in found if item not in kept]
+    if left:
+        gone = set(left)
+        items[:] = [item for item in items if item not in gone]
         config.hook.pytest_deselected(items=left)
