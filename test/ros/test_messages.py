@@ -81,6 +81,7 @@ def wrench_message(stamp_ns, frame_id, wrench):
     return without_gap(serialize_message(message))
 
 
+@settings(deadline=None)
 @given(STAMPS, FRAMES, floats(3), floats(4))
 def test_pose_is_what_ros_serializes(stamp_ns, frame_id, position, quaternion):
     expected = pose_message(stamp_ns, frame_id, position, quaternion)
@@ -89,6 +90,7 @@ def test_pose_is_what_ros_serializes(stamp_ns, frame_id, position, quaternion):
     assert codec.encode(np.int64(stamp_ns), np.array(position), np.array(quaternion)) == expected
 
 
+@settings(deadline=None)
 @given(STAMPS, FRAMES, floats(6))
 def test_twist_and_wrench_are_what_ros_serializes(stamp_ns, frame_id, values):
     assert TwistStampedCodec(frame_id).encode(stamp_ns, values) == twist_message(stamp_ns, frame_id, values)
@@ -103,6 +105,7 @@ def test_frame_ids_of_every_length_modulo_alignment(length):
     assert PoseStampedCodec(frame_id).encode(7, (1, 2, 3), (0.1, 0.2, 0.3, 0.4)) == expected
 
 
+@settings(deadline=None)
 @given(STAMPS)
 def test_clock_is_what_ros_serializes(stamp_ns):
     message = Clock()
@@ -110,7 +113,7 @@ def test_clock_is_what_ros_serializes(stamp_ns):
     assert ClockCodec.encode(stamp_ns) == serialize_message(message)
 
 
-@settings(max_examples=50)
+@settings(max_examples=50, deadline=None)
 @given(st.lists(st.tuples(STAMPS, FRAMES, floats(7)), max_size=20))
 def test_decoding_mixed_frames_returns_the_encoded_numbers(rows):
     poses = PoseStampedCodec.decode(

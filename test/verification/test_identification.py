@@ -36,7 +36,7 @@ def test_what_a_model_lacks_is_named_with_its_size(name, keys, effect, size):
 
     The size is linear about the wrong model, so a tenth off.
     """
-    found = compare(machine(name), log_of(machine(name, **keys), name, 1, **SHORT), workers=1)
+    found = compare(machine(name), log_of(machine(name, **keys), name, 1, seconds=1.2), workers=1)
     first = found.effects[0]
     equal = [each for each in found.alone if each.share > 0.98 * first.share]
     assert effect in [first.text, *(each.text for each in equal)]
