@@ -29,16 +29,16 @@ PYTEST = PYTHONSAFEPATH=1 .venv/bin/python -m pytest -n 3 --dist loadfile
 
 test: .venv/installed ## run the tests against the installed package (25 min on two cores)
 	@.venv/bin/python -P test/compile_kernels.py
-	@$(PYTEST) -m "not compiler" $(ARGS)
+	@$(PYTEST) $(ARGS)
 
-verify: .venv/installed ## run everything: all cases, and every compiler (about 30 min)
+verify: .venv/installed ## run everything: all cases, on every day (about an hour)
 	@VERIFY=1 $(PYTEST) $(ARGS)
 
 plain: .venv/installed ## run the tests of the plain compilation of every method family (5 to 10 min)
-	@$(PYTEST) -m compiler --dist load test/core/test_plain_numba.py $(ARGS)
+	@VERIFY=1 $(PYTEST) --dist load test/core/test_plain_numba.py $(ARGS)
 
 quick: .venv/installed ## run the quick tests of the core (below 60 s once the kernels are compiled)
-	@$(PYTEST) -m "not slow and not compiler" test/contract test/core $(ARGS)
+	@$(PYTEST) -m "not slow" test/contract test/core $(ARGS)
 
 lint: .venv/lint ## check format, style, docstrings and types
 	@.venv/bin/ruff format --check .

@@ -19,9 +19,10 @@ def pytest_collection_modifyitems(config, items):
     cases, left = {}, []
     for item in items:
         volume, turn = (item.get_closest_marker(name) for name in ("volume", "turn"))
+        assert volume is None or turn is None, f"{item.nodeid}: give one of volume and turn, as days would coincide"
         if volume is not None:
             cases.setdefault((item.nodeid.partition("[")[0], *volume.args), []).append(item)
-        if turn is not None and not has_turn(item.nodeid, *turn.args):
+        if turn is not None and not has_turn(item.nodeid.partition("[")[0], *turn.args):
             left.append(item)
     kept = {item for (_, count), found in cases.items() for item in some(found, count)}
     left += [item for found in cases.values() for item in found if item not in kept]

@@ -426,6 +426,7 @@ def lines_of(code, names, **environment):
 
 
 @pytest.mark.slow
+@pytest.mark.turn(2)
 def test_plain_python_gives_the_same_bits():
     """Without fast-math both round alike, and both use the functions of libm. One method of each family a day."""
     names = [name for group in OF_FAMILY.values() for name in some(group, 1)]
@@ -470,6 +471,7 @@ for name in sys.argv[2:]:
 """
 
 
+@pytest.mark.turn(2)
 def test_steps_allocate_nothing():
     """Numba's allocation count is the same for 10 and for 200 steps in one call. One method of each family a day."""
     names = [name for group in OF_FAMILY.values() for name in some(group, 1)]

@@ -495,6 +495,7 @@ def test_groups_of_rigid_bodies_have_no_couplings():
         Simulation(scene, "rkmk4", 0.01, group="se3")
 
 
+@pytest.mark.turn(3)
 def test_plain_python_gives_the_same_numbers():
     """Without fast-math both round alike; only the last bit of libm functions may differ."""
     code = (

@@ -265,6 +265,7 @@ def test_an_address_does_not_lead_out_of_its_package(address, tmp_path):
     assert readable_resource("package://robot/urdf/own.stl", robot) == robot.parent / "own.stl"
 
 
+@pytest.mark.turn(3)
 def test_a_mesh_is_read_in_bounded_memory(tmp_path):
     """0.5 MB of a .3mf file that unfolds to 0.5 GB of text, which takes several times as much as numbers."""
     pytest.importorskip("trimesh")

@@ -24,16 +24,15 @@ for scene, method in json.loads(sys.argv[1]):
     results[scene + " " + method] = [array.tobytes().hex() for array in simulation.state()]
 json.dump([backend.chosen().name, results], sys.stdout)
 """
-# Plain Numba needs 20 to 75 s to compile a family, so they run in `make plain` only, which
-# .ci/run calls for one of them. Scenes of one family share a process, which compiles its kernels once.
-LONG = pytest.mark.compiler
+# Plain Numba needs one to four minutes to compile a family. Scenes of one family share a process, which compiles its
+# kernels once.
 CASES = [
-    pytest.param(["lagrangian_top"], "stoermer_verlet", marks=LONG),
-    pytest.param(["heavy_top", "ball_chain"], "rkmk4", marks=LONG),
-    pytest.param(["four_bar"], "rkmk54", marks=LONG),
-    pytest.param(["double_pendulum"], "generalized_alpha", marks=LONG),
-    pytest.param(["heavy_top", "free_body"], "generalized_alpha", marks=LONG),
-    pytest.param(["double_pendulum"], "constrained_rattle", marks=LONG),
+    (["lagrangian_top"], "stoermer_verlet"),
+    (["heavy_top", "ball_chain"], "rkmk4"),
+    (["four_bar"], "rkmk54"),
+    (["double_pendulum"], "generalized_alpha"),
+    (["heavy_top", "free_body"], "generalized_alpha"),
+    (["double_pendulum"], "constrained_rattle"),
 ]
 
 
@@ -49,6 +48,7 @@ def run(code, *arguments, **environment):
 
 
 @pytest.mark.parametrize("scenes, method", CASES)
+@pytest.mark.volume(1)
 def test_plain_numba_is_bit_identical_to_the_inlining_backend(scenes, method):
     """States after 50 steps. No subnormal numbers occur, which only `stepper` flushes to zero."""
     cases = json.dumps([(scene, method) for scene in scenes])

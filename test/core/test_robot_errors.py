@@ -248,6 +248,7 @@ def test_arguments_of_xacro(tmp_path):
         scene_from_robot(plain, Options(xacro={"m": "1"}))
 
 
+@pytest.mark.turn(3)
 def test_a_model_that_needs_too_much_memory_is_refused(tmp_path):
     text = '<body><freejoint/><geom size="0.1"/></body>'
     for _ in range(3):

@@ -679,6 +679,7 @@ DRIVEN = """<mujoco><option><flag contact="disable" {flag}/></option><worldbody>
         ('<motor name="p" joint="b"/>', [], None, ["left out: 1 actuators (p)"]),
     ],
 )
+@pytest.mark.volume(3)
 def test_actuators_of_mjcf(actuators, forces, data, notes, tmp_path):
     """(stiffness, damping, limit) of servos, the range of commands, and what is said."""
     path = written(tmp_path / "driven.xml", DRIVEN.format(flag="", actuators=actuators, key=""))

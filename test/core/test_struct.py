@@ -260,6 +260,7 @@ def test_cached_kernels_load_despite_a_damaged_cache(tmp_path, harm):
 
 
 @pytest.mark.slow
+@pytest.mark.turn(3)
 def test_the_file_of_compiled_code_depends_on_the_types_alone(tmp_path):
     """Else processes that compile for different types at once would overwrite each other's code."""
     if not compiled() or backend.chosen().cache() is None:

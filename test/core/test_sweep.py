@@ -169,6 +169,7 @@ def test_all_runs_agree_with_the_closed_form():
 
 
 @pytest.mark.slow
+@pytest.mark.turn(3)
 def test_results_are_bit_identical_for_any_workers_pieces_and_a_killed_worker(monkeypatch, tmp_path):
     """One of two workers is killed once, in run 5."""
     died = tmp_path / "died"

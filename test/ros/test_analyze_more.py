@@ -451,6 +451,7 @@ def test_efforts_are_listed_by_joint(tmp_path):
     assert row[1:] == ("1", "joint elbow 0.100 s to the end")
 
 
+@pytest.mark.turn(3)
 def test_missing_estimates_are_nan(tmp_path, monkeypatch):
     """Every second message is missing, and the file is read in many pieces."""
     monkeypatch.setattr(read, "PIECE", 1)
@@ -607,6 +608,7 @@ class _Web(SimpleHTTPRequestHandler):
         pass
 
 
+@pytest.mark.turn(3)
 def test_recordings_are_read_over_http(logs, capsys):
     """From a real server, by several processes; each unavailable one gives one line."""
     server = ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(_Web, directory=logs))

@@ -23,6 +23,7 @@ COMMANDS = [
 SLOWER = ("-p", "real_time_factor:=0.5")  # a busy machine delays the controller by half as much of its time
 
 
+@pytest.mark.turn(3)
 def test_the_page_designs_a_controller_and_the_recording_agrees(tmp_path, monkeypatch, capsys, client):
     pytest.importorskip("control")
     monkeypatch.chdir(tmp_path)

@@ -98,6 +98,7 @@ def test_a_scene_at_rest_has_no_speeds_and_quick_is_quick(capsys):
     assert "initial velocities at" not in shown and "initially at rest" in said
 
 
+@pytest.mark.turn(3)
 def test_close_values_are_distinguishable_and_not_truncated(tmp_path, capsys):
     """1.000001 differs from 1 on the terminal and in the report; column heads are complete."""
     page, wanted = tmp_path / "map.md", next(a for a in extremes.AXES if a.name == "sleeping")

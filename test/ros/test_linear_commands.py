@@ -58,6 +58,7 @@ def test_a_recording_gives_the_states_of_its_run(tmp_path, capsys):
     assert (np.abs(poles - exact.poles) <= recorded[1]["pole_errors"]).all()
 
 
+@pytest.mark.turn(3)
 def test_free_motion_needs_no_efforts_and_coarse_samples_say_so(tmp_path, capsys):
     for rate in (3000, 100):
         path = tmp_path / f"{rate}.mcap"

@@ -234,6 +234,7 @@ def test_an_offline_recording_is_analysed_like_one_of_the_node(tmp_path, more):
     assert main(["analyze", str(path), "--no-reference", "--html", str(tmp_path / "a.html")]) == 0
 
 
+@pytest.mark.turn(3)
 def test_a_recording_with_arrays_has_the_same_motion(tmp_path, monkeypatch):
     """Poses and twists of all bodies in two topics, as in large scenes, or in two topics for each body."""
     given = ["run", "four_bar", "--method", "rkmk4", "--step", "0.002", "--duration", "0.5", "--out"]
@@ -339,6 +340,7 @@ def test_existing_files_are_not_overwritten(tmp_path, capsys):
         assert "already exists" in capsys.readouterr().err and path.read_bytes() == b"mine"
 
 
+@pytest.mark.turn(3)
 def test_a_recording_needs_interface_packages_but_not_rclpy(tmp_path):
     """One line if the packages are missing; with them, rclpy is not imported."""
 
@@ -400,6 +402,7 @@ def test_describe_prints_a_summary(capsys):
     assert capsys.readouterr().err.count("\n") == 1
 
 
+@pytest.mark.turn(3)
 def test_figures(tmp_path, capsys):
     pytest.importorskip("matplotlib")
     assert main(["figures", "--out", str(tmp_path)]) == 0

@@ -311,6 +311,7 @@ HOSTILE = {
 }
 
 
+@pytest.mark.turn(3)
 def test_hostile_files_use_bounded_memory_and_time_and_give_one_line(tmp_path):
     """Each in a process limited to 1.5 GB of address space, libraries included."""
     for name, data in HOSTILE.items():

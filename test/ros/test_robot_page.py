@@ -38,6 +38,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.turn(3)
 def test_all_commands_of_the_page(folder, capsys):
     done = []
     for program, *arguments in LINES:

@@ -129,6 +129,7 @@ def pull(page, shown, across=150, up=-80):
     wait_for(press, "pull of the body")
 
 
+@pytest.mark.turn(3)
 def test_a_scene_is_pulled_by_the_mouse_and_repeats_bit_by_bit(opened, tmp_path):
     """A drag changes the motion as the recorded wrenches say; without them the block would be at rest."""
     path = tmp_path / "pulled.mcap"
@@ -167,6 +168,7 @@ def test_a_scene_is_pulled_by_the_mouse_and_repeats_bit_by_bit(opened, tmp_path)
     assert analyse(recording, reference=False).figures["pushes"]
 
 
+@pytest.mark.turn(3)
 def test_a_recording_plays_goes_back_and_branches(opened, tmp_path):
     path = tmp_path / "run.mcap"
     assert main(["run", "double_pendulum", "--duration", "20", "--out", str(path)]) == 0
@@ -347,6 +349,7 @@ def test_curves_compute_no_value_twice():
         assert since > 0.3 or len(computed) == 334  # every third one; without the first one, no other ones
 
 
+@pytest.mark.turn(3)
 def test_a_node_is_shown_pulled_and_paused(opened, client, tmp_path):
     from node_process import ENVIRONMENT, NodeProcess
 

@@ -44,7 +44,7 @@ def true_error(simulation, changes, times):
 
 @pytest.mark.parametrize("accuracy", [1e-3, 1e-5, 1e-7])
 @pytest.mark.parametrize("name", FORCE)
-@pytest.mark.volume(5)
+@pytest.mark.volume(2)
 def test_the_accuracy_is_kept_through_a_push(name, accuracy):
     """Against the independent reference; the estimate says so, or that it is exceeded."""
     simulation, changes = pushed(name, accuracy=accuracy, horizon=2.0)

@@ -387,6 +387,7 @@ def test_generalized_alpha_satisfies_all_constraints(name, group):
 
 
 @pytest.mark.parametrize("group", ALL_GROUPS)
+@pytest.mark.volume(1)
 def test_generalized_alpha_has_order_two_where_rkmk4_is_unstable(rod, group):
     """Steps of 3 to 27 rad of the rod's vibration; RKMK4 is stable up to 2.8 rad."""
     scene, attitudes = rod
