@@ -18,9 +18,10 @@ import math
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from liegroup_core.compiling import kernel
+from liegroup_core.errors import SceneError
 from liegroup_core.fields.frames import Frame
 from liegroup_core.fields.values import Flag, Positive
 from liegroup_core.lie.vec3 import ZERO3, axpy3, cross3, dot3, matvec3, scale3, vector3
@@ -32,6 +33,7 @@ from .elements import Element
 WHEEL, BALL, EDGE = 4, 7, 10
 FIRST, HEIGHT = WHEEL, 2
 _ROWS = ("vx", "vy", "vz")
+FLAT = 1e-12  # of 1 - cos of the lean: round-off of poses
 
 
 def is_holonomic(kind):
@@ -55,8 +57,19 @@ class RollingJoint(JointBase):
         None, description="coefficient of friction that the contact is believed to have: beyond it there is a warning"
     )
 
+    @model_validator(mode="after")
+    def _slides_or_grips(self):
+        if self.frictionless and self.mu is not None:
+            raise SceneError("mu has no meaning with frictionless: true; keep one of them", place=("mu",))
+        return self
+
     def elements(self, C_rel):
-        """Three elements: both directions of the plane, and the height; without friction the last one."""
+        """Three elements: both directions of the plane, and the height; without friction the last one.
+
+        Raises SceneError for a wheel that lies flat on its plane.
+        """
+        if self.type == "wheel" and 1.0 - abs(C_rel[2, 2]) < FLAT:
+            raise SceneError(f'"{self.name}": the wheel lies flat on its plane and touches it at no single point')
         first = WHEEL if self.type == "wheel" else BALL
         found = tuple(
             Element(first + k, (name,), np.eye(6)[3 + k : 4 + k], parameter=self.radius) for k, name in enumerate(_ROWS)

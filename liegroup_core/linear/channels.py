@@ -71,6 +71,11 @@ class Inputs:
                 u[self.names.index(name)] = rate - wanted[self._kinds["targets"][name]]
         return u
 
+    def wanted(self, name):
+        """Present value of a target; 0 of another input, which adds to what acts."""
+        place = self._kinds["targets"].get(name)
+        return 0.0 if place is None else float(self._probe.wanted[place])
+
     def applied(self, u):
         """(external, wanted) of the Probe with changes u (k,) of the inputs."""
         probe = self._probe

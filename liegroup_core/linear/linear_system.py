@@ -160,7 +160,12 @@ def change_along(simulation, system, time=None):
     Zero at an equilibrium and in a steady motion. Elsewhere A and its poles are those of one instant, so in the body
     axes of a wheel that rolls.
     """
-    probe, m = Probe(simulation, time), system.coordinates
+    return change_of(Probe(simulation, time), system)
+
+
+def change_of(probe, system):
+    """As `change_along`, of a Probe at the state of the system."""
+    m = system.coordinates
     largest = np.abs(system.A).max(initial=0.0)
     if not largest:
         return 0.0

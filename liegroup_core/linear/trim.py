@@ -18,7 +18,7 @@ from .channels import Inputs
 from .coordinates import ANGLE, Coordinates
 from .differences import derivative
 from .friction import Resting, Stops, stick
-from .linear_system import LinearSystem, system_of
+from .linear_system import LinearSystem, change_of, system_of
 from .probe import Probe
 
 MOST_STEPS = 100
@@ -40,13 +40,14 @@ class Trim:
     bodies    : names
     pose, twist : (n, 12), (n, 6) of the body frames
     joints    : {joint: position} of the joints with one coordinate, rad or m
-    inputs    : {name: value} that were found, in addition to those that act
+    inputs    : {name: value} that were found: efforts and wrenches in addition to those that act, targets as they are
     intervals : {name: (least, largest) of inputs for which the pose rests, the others as found}, where joints rest by
                 dry friction or at a stop; nan: not found
     undetermined : names of inputs that can change together without effect on the equilibrium
     loose     : names of coordinates that can change together, with suitable inputs, to equilibria nearby
     residual  : largest acceleration that remains, rad/s^2 or m/s^2
     is_steady : whether the accelerations stay zero while it moves; False where driven joints move
+    change    : largest change of an entry of A of the system along the motion, 1/s, see `change_along`
     system    : LinearSystem there, with the inputs to find; with the default ones if there are none
     """
 
@@ -60,13 +61,14 @@ class Trim:
     loose: tuple
     residual: float
     is_steady: bool
+    change: float
     system: LinearSystem
 
     @property
     def is_stable(self):
         """Whether small differences decay or stay bounded, by the largest real part: None if it is zero.
 
-        Without meaning where the motion is not steady.
+        Without meaning where the motion is not steady, or A changes along it.
         """
         growth = self.system.poles.real.max(initial=-np.inf)
         return None if abs(growth) <= self.system.round_off else bool(growth < 0.0)
@@ -121,12 +123,15 @@ def _found(probe, rates, held, names):
         u = u + sizes * change
         _go(probe, coordinates, fixed, columns * (free @ step), advice)
         stops.follow()
+    if not names and (held or rates):
+        advice += "; name inputs that hold it"
     if idle := [name for name, effect in zip(inputs.names, effects.T) if not effect.any()]:
         advice += f"; {', '.join(idle)} have no effect there, as with a servo at its limit: start nearer to it"
-    kept = "; stops, cables and friction keep their modes: start nearer to it" if probe.layout.switches else ""
+    kept = "; stops, cables and friction keep their modes on the way" if probe.layout.switches else ""
+    kind, size = "steady motion" if any(rates.values()) else "equilibrium", probe.layout.size
     raise TrimError(
-        f"no equilibrium near the state: an acceleration of {remaining:.3g} rad/s^2, or times the mechanism's size in "
-        f"m/s^2, remains after {MOST_STEPS} steps{advice}{kept}"
+        f"no {kind} near the state: an acceleration of {remaining:.3g} rad/s^2, or {remaining * size:.3g} m/s^2, "
+        f"remains after {MOST_STEPS} steps{advice}{kept}"
     )
 
 
@@ -141,7 +146,9 @@ def _at_rates(probe, rates, preferred):
         if not np.isfinite(rate):
             raise SceneError(f"the rate of {name} must be a finite number, got {rate}")
         if name not in coordinates.rate_names:
-            raise SceneError(f"the rate of {name} is not independent here; {', '.join(coordinates.rate_names)} are")
+            known = f"independent are {', '.join(coordinates.rate_names)}"
+            why = "is prescribed: its joint is driven" if name in probe.layout.motions else "is not independent here"
+            raise SceneError(f"the rate of {name} {why}; {known}")
     probe.go_to(coordinates.with_rates(np.array([rates.get(name, 0.0) for name in coordinates.rate_names])))
     if moves:
         probe.oppose(modes)
@@ -248,23 +255,26 @@ def _trim(probe, preferred, inputs, u, loose):
         for j, name in enumerate(inputs.names if resting.names else ())
     }
     resting.settle(efforts)
+    targets = [inputs.wanted(name) for name in inputs.names]
     coordinates = Coordinates(probe, preferred=preferred)
     probe.external, probe.wanted = inputs.applied(u)
     _, pose, twist = probe.slopes()
     sample = probe.sample(pose, twist, probe.external, probe.wanted)
     probe.base = sample
+    system = system_of(probe, inputs.names or None)
     return Trim(
         bodies=sample.body_names,
         pose=sample.pose.copy(),
         twist=sample.twist.copy(),
         joints={joint: values[0] for joint, values in sample.joint_coordinates.items()},
-        inputs=dict(zip(inputs.names, u.tolist())),
-        intervals=ends,
+        inputs={name: target + own for name, target, own in zip(inputs.names, targets, u.tolist())},
+        intervals={name: (target + low, target + high) for target, (name, (low, high)) in zip(targets, ends.items())},
         undetermined=undetermined(effects, inputs.names),
         loose=loose,
         residual=float(np.abs(_accelerations(probe, coordinates, inputs, 0.0 * u)).max(initial=0.0)),
         is_steady=_is_steady(probe, coordinates, inputs, 0.0 * u),
-        system=system_of(probe, inputs.names or None),
+        change=change_of(probe, system),
+        system=system,
     )
 
 

@@ -31,6 +31,8 @@ from .states import StateError, stopped
 DEGREES = 3, 5  # of the splines whose derivatives are velocities and accelerations; the first for an error
 CONTRADICTS = 0.1  # of the way: difference of the integral of a derivative
 NOISE = 1e-3  # rad, or share of the mechanism's size, of measured positions; of velocities per s
+MADE = 1e-6  # of the largest acceleration plus gravity: what the inputs may leave
+COARSE = 0.01  # of it: uncertainty between the times that is told
 PARTS = ("position", "velocity", "acceleration")
 
 
@@ -63,6 +65,9 @@ def run(args):
     """Run the subcommand; returns the exit code."""
     if args.out is not None and Path(args.out).suffix != ".csv":
         raise StateError(f"{args.out}: the name must end in .csv")
+    for option, names in (("--joints", args.joints or ()), ("--inputs", args.inputs or ())):
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise StateError(f"{option}: {twice[0]} is given twice")
     scene = robot_scene(args.scene, args)
     is_recording = Path(args.motion).suffix == ".mcap"
     simulation = Simulation(scene, METHOD, STEP, estimate=False, quiet=True)
@@ -90,7 +95,9 @@ def run(args):
         }
         for k, name in enumerate(names)
     ]
-    residual = float(found.residual.max())
+    residual, largest = float(found.residual.max()), float(np.abs(parts[2]).max())
+    is_made = residual <= max(sampling, MADE * (largest + max(float(np.linalg.norm(scene.gravity)), 1.0)))
+    unit = " or ".join(f"{each}/s^2" for each in ("rad", "m") if each in map(kinds.get, joints))
     if args.json:
         print(
             json.dumps(
@@ -98,9 +105,16 @@ def run(args):
             )
         )
     else:
-        unit = " or ".join(f"{each}/s^2" for each in ("rad", "m") if each in map(kinds.get, joints))
         _print(scene.name, rows, residual, sampling, times, unit)
-    return 0
+    if not is_made:
+        print(f"{scene.name}: these inputs cannot make this motion: give more of them with --inputs", file=sys.stderr)
+    elif sampling > COARSE * largest:
+        print(
+            f"{args.motion}: the times are too far apart for accelerations: they are uncertain by {sampling:.3g} of "
+            f"{largest:.3g} {unit}, and efforts likewise; give more times, or columns of accelerations",
+            file=sys.stderr,
+        )
+    return 0 if is_made else 1
 
 
 def _of_table(path, units):

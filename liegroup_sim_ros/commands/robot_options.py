@@ -133,7 +133,8 @@ def _values(entries, option):
         except ValueError:
             separator = ""
         if not separator or not abs(found.get(name, 0.0)) < 1e100:
-            raise RobotError(f"--{option} {entry}: give JOINT=VALUE, in rad or m, rad/s or m/s")
+            wanted = "JOINT=RADIUS, in m" if option == "roll" else "JOINT=VALUE, in rad or m, rad/s or m/s"
+            raise RobotError(f"--{option} {entry}: give {wanted}")
     return found
 
 

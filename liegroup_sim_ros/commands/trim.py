@@ -12,7 +12,7 @@ from rich.text import Text
 from liegroup_core.linear import TrimError, modes_of, trim
 from liegroup_sim_ros.numbers import shown
 
-from .linearise import add_out, check_out, print_system, save
+from .linearise import STEADY, add_out, check_out, print_system, save
 from .states import StateError, add_states, states, stopped
 
 RESTING = 1e-9  # rad/s or m/s
@@ -74,7 +74,7 @@ def _rates(given):
 
 
 def _entries(result, time):
-    stable = {None: "marginal", True: "stable", False: "unstable"}[result.is_stable] if result.is_steady else None
+    stable = {None: "marginal", True: "stable", False: "unstable"}[result.is_stable] if _has_poles(result) else None
     return {
         "time": time,
         "joints": result.joints,
@@ -94,19 +94,26 @@ def _entries(result, time):
     }
 
 
+def _has_poles(result):
+    """Whether the poles are those of the motion, and not of one instant."""
+    return result.is_steady and result.change <= STEADY
+
+
 def _print(result, time, console):
     entries = _entries(result, time)
     moving = np.abs(result.system.slope[: result.system.coordinates]).max(initial=0.0) > RESTING
-    kind = f"{'steady motion' if moving else 'equilibrium'}, {entries['stability']}"
+    kind = ", ".join(filter(None, ("steady motion" if moving else "equilibrium", entries["stability"])))
     if not result.is_steady:
-        kind = "not steady: accelerations arise as it moves; this is one instant"
+        kind = "this is one instant: accelerations arise as it moves, or driven joints move on"
     console.print(Text(f"{result.system.scene}: {kind}", style="bold" if result.is_steady else "bold yellow"))
     for joint, position in result.joints.items():
         remark = "  (others are possible too)" if joint in result.loose else ""
         console.print(Text(f"  {joint} = {position:.9g}{remark}"))
     for name, value in result.inputs.items():
+        idle = not result.system.B[:, result.system.inputs.index(name)].any()
         remark = " (others can take its part)" if name in result.undetermined else ""
+        remark = " (it has no effect here)" if idle else remark
         ends = "rests from {:.9g} to {:.9g}".format(*result.intervals[name]) if result.intervals else ""
         console.print(Text(f"  {name} = {value:.9g}  {ends}{remark}".rstrip()))
     console.print(Text(f"remaining acceleration: {shown(result.residual)}", style="dim"))
-    print_system(result.system, time, console)
+    print_system(result.system, time, console, change=result.change)

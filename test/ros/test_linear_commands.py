@@ -64,6 +64,8 @@ def test_free_motion_needs_no_efforts_and_coarse_samples_say_so(tmp_path, capsys
         path = tmp_path / f"{rate}.mcap"
         assert main(["run", "four_bar", "--duration", "0.5", "--rate", str(rate), "--out", str(path)]) == 0
     capsys.readouterr()
+    assert main(["inverse", "four_bar", "--motion", str(tmp_path / "100.mcap")]) == 0
+    assert "the times are too far apart for accelerations" in capsys.readouterr().err
     fine = answer(capsys, "inverse", "four_bar", "--motion", str(tmp_path / "3000.mcap"))
     coarse = answer(capsys, "inverse", "four_bar", "--motion", str(tmp_path / "100.mcap"))
     assert fine["joints"][0]["peak_effort"] < 1e-3 < coarse["joints"][0]["peak_effort"]
@@ -151,6 +153,8 @@ def test_trim_writes_the_system_of_the_equilibrium(tmp_path, capsys):
         (["inverse", "driven_arm", "--motion", "two.csv"], "here hook.rx, hook.ry, hook.rz move freely"),
         (["trim", "four_bar", "--hold", "ground_crank", "ground_crank"], "--hold: ground_crank is given twice"),
         (["trim", "four_bar", "--inputs", "efforts", "efforts"], "--inputs: efforts is given twice"),
+        (["inverse", "double_pendulum", "--motion", "two.csv", "--joints", "elbow", "elbow"], "elbow is given twice"),
+        (["trim", "driven_arm", "--rates", "elbow=1"], "the rate of elbow is prescribed: its joint is driven"),
         (["inverse", "four_bar", "--motion", "binary.csv"], "binary.csv: cannot be read: it is not a text file"),
     ],
 )
@@ -177,6 +181,16 @@ def test_wrong_input_is_one_line(tmp_path, monkeypatch, capsys, arguments, text)
     assert main(arguments) == 2
     error = capsys.readouterr().err
     assert text in error and error.count("\n") == 1
+
+
+def test_a_motion_that_the_inputs_cannot_make_is_no_success(tmp_path, capsys):
+    """A double pendulum at rest, level: a shoulder without an elbow cannot hold it."""
+    path = tmp_path / "rest.csv"
+    path.write_text("time,shoulder.position,elbow.position\n" + "".join(f"{k},0,0\n" for k in range(8)))
+    command = ["inverse", "double_pendulum", "--motion", str(path)]
+    assert main(command) == 0 and capsys.readouterr().err == ""
+    assert main([*command, "--inputs", "shoulder.effort"]) == 1
+    assert capsys.readouterr().err.startswith("double_pendulum: these inputs cannot make this motion")
 
 
 def test_multipliers_of_a_run(capsys):

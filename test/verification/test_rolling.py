@@ -102,6 +102,8 @@ def test_poles_in_axes_that_spin_are_said_to_change():
         simulation = Simulation(scene_from_text(text % (speed, speed / 0.3), "w"))
         changes.append(change_along(simulation, linearise(simulation, [], [])))
     assert changes[0] == 0.0 and changes[1] > 1.0
+    found = trim(simulation, {"w.ry": 10.0})
+    assert found.is_steady and found.change == pytest.approx(changes[1], rel=1e-6)
     assert change_along(bicycle(5.0), linearise(bicycle(5.0), [], [])) < 1e-6
 
 
@@ -298,6 +300,12 @@ def test_other_methods_say_that_they_do_not_roll():
 def test_a_wheel_that_does_not_touch_or_slips_is_refused():
     with pytest.raises(SceneError, match="place its centre above the plane so that it touches"):
         scene(MIXED.replace("assemble: true\n", ""))
+    flat = "name: w\ngravity: [0, 0, -10]\nbodies: [{name: w, mass: 2, inertia: [0.1, 0.1, 0.1]}]\n"
+    flat += "joints: [{name: c, type: wheel, parent: world, child: w, radius: 0.3, child_frame: {}%s}]\n"
+    with pytest.raises(SceneError, match="the wheel lies flat on its plane"):
+        Simulation(scene_from_text(flat % "", "w"))
+    with pytest.raises(SceneError, match="mu has no meaning with frictionless: true"):
+        scene_from_text(flat % ", frictionless: true, mu: 0.2", "w")
 
 
 def test_forces_at_contacts_are_those_of_statics_and_beyond_friction_there_is_a_warning(tmp_path, caplog):

@@ -393,6 +393,20 @@ joints:
     assert result.is_steady and not result.intervals
 
 
+def test_targets_are_those_to_command():
+    """A rod of 2 kg with its centre at 0.5 m rests level where k (target - 0) carries it, whatever the target was."""
+    text = """
+name: servo
+gravity: [0, 0, -10]
+bodies: [{name: rod, mass: 2.0, inertia: [0.1, 0.1, 0.1], position: [0.5, 0, 0]}]
+joints: [{name: hinge, type: revolute, parent: world, child: rod, parent_frame: {axis: [0, -1, 0]},
+          child_frame: {position: [-0.5, 0, 0], axis: [0, -1, 0]}}]
+forces: [{name: servo, type: servo, joint: hinge, stiffness: 50, damping: 2, position: 0.3}]
+"""
+    found = trim(paused(scene_from_text(text, source="test")), held=["hinge"], inputs=["hinge.target"])
+    assert found.inputs["hinge.target"] == pytest.approx(2.0 * 10.0 * 0.5 / 50.0, rel=1e-10)
+
+
 @pytest.mark.parametrize("angle, mu", [(0.7, 0.2), (2.5, 0.4)])
 def test_a_run_rests_within_the_interval_and_moves_beyond_it(angle, mu):
     """Friction by load in all joints of a slider-crank: the load at the ends of the interval depends on the effort."""
