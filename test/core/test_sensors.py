@@ -165,6 +165,7 @@ NOISY = [
 ]  # fmt: skip
 
 
+@pytest.mark.turn(3)
 def test_noise_has_the_stated_size_and_is_white():
     """4000 samples: standard deviations within five of their own, 1 / sqrt(2 k), and no correlation."""
     scene, count = pendulum(*NOISY), 4000

@@ -47,6 +47,7 @@ def trade(scene, tmp_path_factory):
 
 
 @pytest.mark.slow
+@pytest.mark.turn(3)
 def test_errors_are_bit_identical_with_two_workers(scene, trade, tmp_path):
     """The number of step sizes depends on costs: only cells of both runs are compared."""
     other = made(scene, tmp_path)

@@ -95,6 +95,7 @@ def test_a_node_with_nothing_but_a_scene_keeps_its_accuracy_and_says_so(client, 
     assert "the accuracy of 0.0001 in 60 s is kept" in found["verdict"]
 
 
+@pytest.mark.turn(3)
 def test_a_node_says_when_its_motion_cannot_be_known_any_more(client, tmp_path):
     """A double pendulum is chaotic: the events and times in ~/state are those of the run."""
     path = tmp_path / "run.mcap"
@@ -341,6 +342,7 @@ def test_as_fast_as_possible_has_no_share_of_real_time(ros_node, tmp_path, monke
 
 @pytest.mark.parametrize("stabilised", [[], ["--stabilisation", "none"]])
 @pytest.mark.volume(1)
+@pytest.mark.turn(3)
 def test_a_run_to_an_accuracy_is_checked_by_analyze(tmp_path, capsys, stabilised):
     log, document = tmp_path / "a.mcap", tmp_path / "a.json"
     arguments = ["run", "four_bar", "--accuracy", "1e-6", "--horizon", "0.5", "--duration", "1.5"]
@@ -368,6 +370,7 @@ def test_a_run_to_an_accuracy_is_checked_by_analyze(tmp_path, capsys, stabilised
     assert main(["replay", str(log), "--resimulate", *other]) == 0
 
 
+@pytest.mark.turn(3)
 def test_a_run_reports_that_its_error_exceeds_the_accuracy(tmp_path):
     """The event is at the first sample after that; what follows does not violate the accuracy."""
     log = tmp_path / "a.mcap"

@@ -41,6 +41,7 @@ def test_table_picture_and_json(tmp_path, capsys):
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.turn(3)
 def test_an_interrupted_map_keeps_its_cells(tmp_path, capsys, monkeypatch):
     """The next call shows the cells of the first one and runs only the remaining ones."""
     monkeypatch.setattr(store, "cache_root", lambda: tmp_path)

@@ -362,6 +362,7 @@ def test_tf_is_refused_where_its_message_type_is_missing(client, node, scene, ca
     assert line.startswith("sim_node: parameter tf_rate: tf2_msgs is not installed")
 
 
+@pytest.mark.turn(3)
 def test_a_large_scene_has_two_topics_for_all_bodies(client, tmp_path):
     """A free body moves as its velocities say; wrenches, analysis, re-simulation and branches need no other topics."""
     count, name, path = MOST_OWN + 20, "/large", tmp_path / "run.mcap"

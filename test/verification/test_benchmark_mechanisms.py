@@ -218,6 +218,7 @@ def bricard_rate(y):
     return [speed * da, speed * db, (power - 0.5 * slope * speed**2) / kinetic]
 
 
+@pytest.mark.turn(3)
 def test_bricard_follows_lagranges_equation():
     """10 s, two revolutions: constraints hold and the energy is conserved."""
     times = [0.5, 1.25, 2.0, 4.0, 6.0, 8.0, 10.0]

@@ -61,6 +61,7 @@ def end(scene, step=STEP, steps=STEPS, method=METHOD, **settings):
     return simulation.state()
 
 
+@pytest.mark.turn(3)
 def test_the_scenes_have_all_groups_of_joints_and_planes():
     models = [Engine(scene, METHOD, group="relative", quiet=True).layout.relative for scene in scenes().values()]
     groups = {group for model in models for group in model.bodies["group"].tolist()}
@@ -68,6 +69,7 @@ def test_the_scenes_have_all_groups_of_joints_and_planes():
     assert sum(isinstance(model, PlaneModel) for model in models) >= (10 if VERIFY else 5)
 
 
+@pytest.mark.turn(3)
 def test_relative_and_absolute_trajectories_are_the_same():
     """Tolerance: a closed joint is closed to 16 units of lengths L, its velocity to 2/h times that.
 
