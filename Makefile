@@ -34,7 +34,7 @@ test: .venv/installed ## run the tests against the installed package (15 min on 
 verify: .venv/installed ## run everything: all cases, on every day (about an hour)
 	@VERIFY=1 $(PYTEST) $(ARGS)
 
-plain: .venv/installed ## run the tests of the plain compilation of every method family (5 to 10 min)
+plain: .venv/installed ## run the tests of the plain compilation of every method family (10 min)
 	@VERIFY=1 $(PYTEST) --dist load test/core/test_plain_numba.py $(ARGS)
 
 quick: .venv/installed ## run the quick tests of the core (below 60 s once the kernels are compiled)

@@ -342,7 +342,6 @@ def test_as_fast_as_possible_has_no_share_of_real_time(ros_node, tmp_path, monke
 
 @pytest.mark.parametrize("stabilised", [[], ["--stabilisation", "none"]])
 @pytest.mark.volume(1)
-@pytest.mark.turn(3)
 def test_a_run_to_an_accuracy_is_checked_by_analyze(tmp_path, capsys, stabilised):
     log, document = tmp_path / "a.mcap", tmp_path / "a.json"
     arguments = ["run", "four_bar", "--accuracy", "1e-6", "--horizon", "0.5", "--duration", "1.5"]

@@ -164,7 +164,6 @@ def test_the_page_names_the_topics_and_joints_of_the_node(tmp_path):
 
 @pytest.mark.parametrize("interface", ["effort", "position"])
 @pytest.mark.volume(1)
-@pytest.mark.turn(3)
 def test_a_trajectory_controller_drives_the_arm(tmp_path, interface):
     (tmp_path / "arm.urdf").write_text(ARM)
     found = {each.get("name"): each.text for each in ElementTree.fromstring(BLOCK).iter("param")}
