@@ -92,6 +92,10 @@ class JointBase(Described):
         """True if the joint removes degrees of freedom."""
         return True
 
+    def singular(self, C_rel):
+        """Why the joint has no meaning at a relative pose of its frames, or ""."""
+        return ""
+
     @property
     def locates_child(self):
         """True if the joint allows a pose in which its frames coincide."""

@@ -64,17 +64,18 @@ class RollingJoint(JointBase):
         return self
 
     def elements(self, C_rel):
-        """Three elements: both directions of the plane, and the height; without friction the last one.
-
-        Raises SceneError for a wheel that lies flat on its plane.
-        """
-        if self.type == "wheel" and 1.0 - abs(C_rel[2, 2]) < FLAT:
-            raise SceneError(f'"{self.name}": the wheel lies flat on its plane and touches it at no single point')
+        """Three elements: both directions of the plane, and the height; without friction the last one."""
         first = WHEEL if self.type == "wheel" else BALL
         found = tuple(
             Element(first + k, (name,), np.eye(6)[3 + k : 4 + k], parameter=self.radius) for k, name in enumerate(_ROWS)
         )
         return found[HEIGHT:] if self.frictionless else found
+
+    def singular(self, C_rel):
+        """Why the joint has no meaning at a relative pose of its frames, or ""."""
+        if self.type == "wheel" and 1.0 - abs(C_rel[2, 2]) < FLAT:
+            return "the wheel lies flat on its plane and touches it at no single point"
+        return ""
 
     @property
     def locates_child(self):

@@ -175,8 +175,10 @@ def check_consistency(scene):
         C_rel = _relative(start, joint, F_a, F_b)
         elements = joint.elements(C_rel)
         rows = forbidden_rows(elements, C_rel)
-        text = _open(joint, elements, rows, C_rel, (C_a, C_b, F_a, F_b)) or _moving(
-            joint, rows, C_rel, F_a, F_b, V_a, V_b
+        text = (
+            joint.singular(C_rel)
+            or _open(joint, elements, rows, C_rel, (C_a, C_b, F_a, F_b))
+            or _moving(joint, rows, C_rel, F_a, F_b, V_a, V_b)
         )
         if text:
             problems.append((i, f'joints[{i}] "{joint.name}": {text}'))
