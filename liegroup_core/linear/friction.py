@@ -23,6 +23,7 @@ DEPENDENT = 1e-9  # relative singular value of efforts that balance each other
 MOST_REPEATS, SAME = 50, 1e-11
 AVOIDED = 1e3  # cost of friction beyond its bounds
 BEYOND_STOP = 1e-9  # rad or m: round-off
+STILL = 1e-6  # rad/s^2 or m/s^2: accelerations of a coordinate that rests, by splines
 BEYOND = 1e-7  # of the largest friction: tolerance of the linear program
 
 
@@ -173,6 +174,21 @@ class Stops:
         if len(self._places):
             for k, (switch, q) in enumerate(switch_places(self._probe.layout, self._probe.pose, self._probe.twist)):
                 self._places[k] = within_a_turn(q, self._places[k]) if switch.is_angle else q
+
+    def pushing(self, y):
+        """Sign (k,) of the efforts that rigid stops can give where coordinates rest at them; 0 elsewhere.
+
+        y : (f, 2) change of the rates by the accelerations of the state: a coordinate that leaves its stop is free
+        """
+        probe, found = self._probe, np.zeros(len(self._places))
+        if not len(found):
+            return found
+        rates, changes, modes = probe.switch_rates(), probe.switch_rates(y), probe.modes
+        rests = (np.abs(rates) <= MOVES) & (np.abs(changes - rates) <= STILL) & (modes[:, 0] == 0.0)
+        for k, (q, switch) in enumerate(zip(self._places, probe.layout.switches)):
+            if rests[k] and switch.limits is not None and switch.limits.stiffness is None:
+                found[k] = (q - switch.limits.least <= BEYOND_STOP) - float(switch.limits.largest - q <= BEYOND_STOP)
+        return found
 
     def beyond(self):
         """Text of a stop that the state is beyond, where it would act; or None."""

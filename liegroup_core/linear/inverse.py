@@ -7,7 +7,8 @@ coordinates, and closed. The accelerations are affine in the efforts u,
     z'' = a + B u ,
 
 so that those of the smallest sum of squares follow from B; where friction depends on the load, by iteration. What
-the efforts cannot produce remains as a residual acceleration. Dry friction opposes the rates and is zero at rest.
+the efforts cannot produce remains as a residual acceleration. Dry friction opposes the rates and is zero at rest. Where
+a coordinate rests at a rigid stop, the stop pushes as far as that makes efforts smaller.
 """
 
 from dataclasses import dataclass
@@ -26,6 +27,7 @@ from .trim import undetermined
 LARGEST = 0.2  # rad, or share of the mechanism's size, in a step towards a far position
 REACHED, MOST_STEPS = 1e-9, 1000
 SAME, MOST_REPEATS = 1e-12, 30
+FIRST = 1e6  # weight of the accelerations that efforts cannot produce, against the efforts
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +71,7 @@ def inverse_dynamics(simulation, times, positions, rates, accelerations, joints,
     inputs : names of efforts, see channels.py; None: those of the joints
     Raises SceneError for unknown or dependent names and for wheels, which have no positions of their own,
     SimulationError where the loops cannot be closed, and beyond a stop. Taut cables stay taut.
+    Accuracy: test/verification/test_linear.py.
     """
     probe = Probe(simulation)
     joints_of_motions(probe)
@@ -90,7 +93,8 @@ def inverse_dynamics(simulation, times, positions, rates, accelerations, joints,
             raise SimulationError(f"the motion is beyond a stop at {time:.9g} s: {beyond}")
         probe.oppose(released)
         coordinates = Coordinates(probe, joints)
-        u, B, rest = _efforts(probe, coordinates, channels, np.asarray(a) / lengths, lengths)
+        way = sum(each * coordinates.neighbour(k, 1.0, rate=True) for k, each in enumerate(coordinates.signs * a))
+        u, B, rest = _efforts(probe, coordinates, channels, np.asarray(a) / lengths, lengths, stops.pushing(way))
         efforts.append(u)
         residuals.append(np.abs(rest * lengths).max(initial=0.0))
         _, pose, twist = probe.slopes()
@@ -124,21 +128,44 @@ def joints_of_motions(probe):
     return joints
 
 
-def _efforts(probe, coordinates, channels, wanted, lengths):
-    """Efforts, their effects B on the accelerations, and what is missing of those wanted; divided by lengths."""
-    rows = probe.freedoms + coordinates.independent
+def _efforts(probe, coordinates, channels, wanted, lengths, pushing):
+    """Efforts, their effects B on the accelerations, and what is missing of those wanted; divided by lengths.
 
-    def accelerations(u):
+    pushing : (k,) see Stops.pushing
+    """
+    rows, kept = probe.freedoms + coordinates.independent, probe.modes if len(pushing) else None
+    at_stops, signs = np.flatnonzero(pushing), pushing[pushing != 0.0]
+
+    def accelerations(x):
+        u, f = np.split(x, [len(channels)])
+        if len(f):
+            modes = kept.copy()
+            modes[at_stops, 0], modes[at_stops, 1], modes[at_stops, 4] = 2.0, 0.0, signs * f
+            probe.modes = modes
         return coordinates.signs * probe.slopes(None, *channels.applied(u))[0][rows] / lengths
 
-    u = np.zeros(len(channels))
+    x = np.zeros(len(channels) + len(at_stops))
     for _ in range(MOST_REPEATS):
-        now, before = accelerations(u), u
-        B = np.array([accelerations(u + one) - now for one in np.eye(len(u))]).reshape(len(u), len(rows)).T
-        u = np.linalg.lstsq(B, wanted - now + B @ u, rcond=1e-10)[0]
-        if not probe.has_loads or np.abs(u - before).max(initial=0.0) <= SAME * np.abs(u).max(initial=0.0):
+        now, before = accelerations(x), x
+        effects = np.array([accelerations(x + one) - now for one in np.eye(len(x))]).reshape(len(x), len(rows)).T
+        B, F = np.split(effects, [len(channels)], axis=1)
+        x = _least(B, F, wanted - now + effects @ x)
+        if not probe.has_loads or np.abs(x - before).max(initial=0.0) <= SAME * np.abs(x).max(initial=0.0):
             break
-    return u, B, wanted - accelerations(u)
+    rest = wanted - accelerations(x)
+    if len(at_stops):
+        probe.modes = kept
+    return x[: len(channels)], B, rest
+
+
+def _least(B, F, right):
+    """u and f >= 0 whose effects B u + F f are nearest to the right side, and of these the least u."""
+    inverse, f = np.linalg.pinv(B, rcond=1e-10), np.zeros(F.shape[1])
+    if len(f):
+        across = FIRST * max(float(np.linalg.norm(inverse)), 1.0) * (np.eye(len(right)) - B @ inverse)
+        both = np.vstack([across, inverse])
+        f = scipy.optimize.nnls(both @ F, both @ right)[0]
+    return np.concatenate([np.linalg.lstsq(B, right - F @ f, rcond=1e-10)[0], f])
 
 
 def _go(probe, joints, q, v, lengths):

@@ -379,3 +379,27 @@ def test_files_have_the_system(tmp_path):
     assert np.array_equal(matlab["C"], system.C) and list(matlab["states"]) == list(system.states)
     with pytest.raises(ValueError, match=r"must end in \.json"):
         system.save(tmp_path / "a.txt")
+
+
+@pytest.mark.parametrize("inputs", [["shoulder.effort"], ["shoulder.effort", "elbow.effort"]])
+@pytest.mark.parametrize("upper, moved", [(0.0, 0.0), (0.0, -1.0), (0.5, 0.0)])
+def test_stops_carry_what_they_can(upper, moved, inputs):
+    """Two level rods of 1 kg, 1.2 m long: at its stop the elbow is stiff; efforts are the weights by their arms.
+
+    A wanted acceleration away from the stop gets nothing of it.
+    """
+    written = load_scene("double_pendulum").text
+    elbow = "    parent_frame: {position: [0.6, 0.0, 0.0], axis: [0, 1, 0]}"
+    scene = scene_from_text(written.replace(elbow, f"    limits: {{upper: {upper}, restitution: 0}}\n{elbow}"), "test")
+    a = np.array([[0.0, moved]])
+    found = inverse_dynamics(
+        Simulation(scene, quiet=True), [0.0], np.zeros((1, 2)), np.zeros((1, 2)), a, ["shoulder", "elbow"], inputs
+    )
+    rests, both = upper == moved == 0.0, len(inputs) == 2
+    inertia = 0.1201 + 0.36  # of the lower rod about the elbow, and about the shoulder where the elbow alone moves
+    expected = -9.81 * 2.4 + moved * (inertia + 1.2 * 0.6), 0.0 if rests else -9.81 * 0.6 + moved * inertia
+    if rests or both:
+        assert found.residual.max() < 1e-10
+        assert found.efforts[0] == pytest.approx(expected[: len(inputs)], abs=1e-9)
+    else:
+        assert found.residual.max() > 1.0
