@@ -32,18 +32,27 @@ from liegroup_core.identification import Given, Log, Measured, compare, identify
 from liegroup_core.scene.load import scene_from_text  # noqa: E402
 
 SIZES = {
-    "dry friction of hinge": ("hinge", "friction: {coulomb: %g}", {"furuta": 0.01, "four_bar": 0.1, "arm": 0.3}),
-    "viscous friction of hinge": ("hinge", "friction: {viscous: %g}", {"furuta": 0.003, "four_bar": 0.05, "arm": 0.2}),
+    "dry friction of hinge": (
+        "hinge",
+        "friction: {coulomb: %g}",
+        {"furuta": 0.01, "four_bar": 0.1, "arm": 0.3, "gripper": 0.1},
+    ),
+    "viscous friction of hinge": (
+        "hinge",
+        "friction: {viscous: %g}",
+        {"furuta": 0.003, "four_bar": 0.05, "arm": 0.2, "gripper": 0.3},
+    ),
     "rotor inertia of motor": (
         "motor",
         "rotor: {inertia: %g, ratio: 10}",
-        {"furuta": 2e-5, "four_bar": 3e-5, "arm": 5e-4},
+        {"furuta": 2e-5, "four_bar": 3e-5, "arm": 5e-4, "gripper": 2e-5},
     ),
 }
 PAYLOADS = {
     "furuta": ("mass of rod", {"mass: 0.15": "mass: 0.18"}),
     "four_bar": ("mass of rocker", {"mass: 0.8": "mass: 0.95"}),
     "arm": ("mass of hand", {"mass: 0.3": "mass: 0.4"}),
+    "gripper": ("mass of right", {"mass: 0.16": "mass: 0.2"}),
 }
 VARIED = {
     "furuta": (
@@ -53,6 +62,7 @@ VARIED = {
     ),
     "four_bar": (["rocker.shape.mass", "coupler.shape.mass"], {"mass: 0.8": "mass: 0.88"}, (0.88, 0.6)),
     "arm": (["lower.shape.mass", "hand.shape.mass"], {"mass: 1},": "mass: 1.1},"}, (1.1, 0.3)),
+    "gripper": (["palm.shape.mass", "right.shape.mass"], {"mass: 0.8": "mass: 0.88"}, (0.88, 0.16)),
 }
 LOG = {"seconds": 2.0, "rate": 250.0}
 

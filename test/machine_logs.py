@@ -59,11 +59,28 @@ joints:
   - {name: wrist, type: revolute, parent: lower, child: hand, parent_frame: {position: [0.15, 0, 0]},
      child_frame: {position: [-0.05, 0, 0]}}
 """
+GRIPPER = """
+name: gripper
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: palm, shape: {type: box, size: [0.1, 0.2, 0.04], mass: 0.8}, position: [0.05, 0, 0]}
+  - {name: left, shape: {type: box, size: [0.1, 0.02, 0.03], mass: 0.15}, position: [0.15, 0.05, 0]}
+  - {name: right, shape: {type: box, size: [0.1, 0.02, 0.03], mass: 0.16}, position: [0.15, -0.05, 0]}
+joints:
+  - {name: motor, type: revolute, parent: world, child: palm, parent_frame: {axis: [0, 1, 0]},
+     child_frame: {position: [-0.05, 0, 0], axis: [0, 1, 0]}, MOTOR}
+  - {name: hinge, type: prismatic, parent: palm, child: left, parent_frame: {position: [0.1, 0.05, 0], axis: [0, 1, 0]},
+     child_frame: {axis: [0, 1, 0]}, HINGE}
+  - {name: other, type: prismatic, parent: palm, child: right,
+     parent_frame: {position: [0.1, -0.05, 0], axis: [0, 1, 0]}, child_frame: {axis: [0, 1, 0]}}
+couplings: [{name: rack, joint: other, other: hinge, ratio: -1}]
+"""
 # Names of the actuated joints, and of what is driven how strongly, N m.
 MACHINES = {
     "furuta": (PENDULUM, {"motor": 0.25}),
     "four_bar": (FOUR_BAR, {"motor": 1.5}),
     "arm": (ARM, {"motor": 12.0, "hinge": 4.0, "wrist": 0.1}),
+    "gripper": (GRIPPER, {"motor": 2.0, "hinge": 0.5}),
 }
 DELAY, LOST = 0.004, 0.02
 NOISE = {"position": 5e-4, "velocity": 5e-3}

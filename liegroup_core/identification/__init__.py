@@ -4,5 +4,6 @@
 from .comparison import Comparison, compare
 from .identification import Identification, identify
 from .log import Given, Log, Measured
+from .plan import Move, Plan, plan
 
-__all__ = ["Comparison", "Given", "Identification", "Log", "Measured", "compare", "identify"]
+__all__ = ["Comparison", "Given", "Identification", "Log", "Measured", "Move", "Plan", "compare", "identify", "plan"]

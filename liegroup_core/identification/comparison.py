@@ -169,7 +169,7 @@ def _refined(fit, solution):
     for _ in range(MOST_REFINED):
         before, point = list(fit.deviation), solution.point
         fit.refine(solution)
-        point = _in_short_steps(fit, point, solution.outputs)
+        point = in_short_steps(fit, point, solution.outputs)
         same = all(np.allclose(*pair, rtol=REFINED, atol=0.0) for pair in zip(fit.deviation, before))
         if same and point is solution.point:
             break
@@ -231,10 +231,10 @@ def first_point(fit, bounds):
     """Point to begin with; steps are short enough for the noise."""
     runs = fit.runs
     delays = _rough_delays(fit, bounds, np.array([each.delay or 0.0 for each in runs.log.measured]))
-    return _in_short_steps(fit, Point(bounds, delays, runs.numbers.values, first_states(runs, bounds, delays)))
+    return in_short_steps(fit, Point(bounds, delays, runs.numbers.values, first_states(runs, bounds, delays)))
 
 
-def _in_short_steps(fit, point, outputs=None):
+def in_short_steps(fit, point, outputs=None):
     """Point with steps whose errors are a small part of the noise; outputs: of the point, None: not known."""
     while point.halves < MOST_HALVES and max(part.max(initial=0.0) for part in numerics(fit, point, outputs)) > PART:
         point, outputs = replace(point, halves=point.halves + 1), None

@@ -163,6 +163,10 @@ class Fit:
         parts = self._linear(point, outputs, self.residuals(point, outputs))
         return [np.hstack(columns) for _, *columns in parts]
 
+    def at(self, point):
+        """Solution at a Point, without a step."""
+        return self._solution(point, self.runs.base(point), None, True)
+
     def bases(self, point):
         """[(N_s, c)] orthonormal directions of the weighted outputs that changes of each start give."""
         outputs = self.runs.base(point)

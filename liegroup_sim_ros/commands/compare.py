@@ -29,11 +29,11 @@ class LogError(LieGroupSimError):
     """Arguments do not fit a log; one line of text, exit code 2."""
 
 
-def add_log(parser):
-    """Add the arguments that name a scene and bags."""
+def add_log(parser, least="+"):
+    """Add the arguments that name a scene and bags; least: "+", or "*" if there may be no bag."""
     parser.add_argument("scene", metavar="SCENE", help="path of a scene or robot file, or name of an example scene")
     parser.add_argument(
-        "bag", nargs="+", metavar="BAG", help="MCAP or SQLite files, or folders of `ros2 bag record`, of one machine"
+        "bag", nargs=least, metavar="BAG", help="MCAP or SQLite files, or folders of `ros2 bag record`, of one machine"
     )
     parser.add_argument(
         "--map", metavar="FILE", help="what the topics are in the scene (*.yaml; default: that of --suggest)"

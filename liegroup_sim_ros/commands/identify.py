@@ -3,6 +3,7 @@
 
 import math
 import sys
+from pathlib import Path
 
 import numpy as np
 from rich.console import Console
@@ -10,9 +11,12 @@ from rich.table import Table
 from rich.text import Text
 
 from liegroup_core import SimulationError
-from liegroup_core.identification import identify
+from liegroup_core.identification import Move, identify, plan
+from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import scene_as_written
 from liegroup_core.study.sweep.parameters import path_of, range_of
+from liegroup_sim_ros.logs.load import channels_of
+from liegroup_sim_ros.logs.map import load_map
 from liegroup_sim_ros.numbers import shown
 from liegroup_sim_ros.recording.errors import OutputError
 
@@ -20,6 +24,8 @@ from .compare import LogError, add_log, check_log, log_of, show
 from .robot_options import robot_scene
 from .states import stopped
 
+USUAL_NOISE = 1e-3  # rad or m, of measured positions without a map
+MOST_SECONDS = 60.0  # of a motion that is planned
 HEAD = ("number", "in the scene", "found", "95 % interval")
 
 
@@ -27,7 +33,7 @@ def add_arguments(parser):
     """Arguments of the subcommand."""
     parser.description = (
         "Find numbers of a scene from a bag by weighted least squares, with intervals, correlations and combinations "
-        "that the bag does not show."
+        "that the bag does not show. With --plan: the motion whose bag would show them best."
     )
     parser.add_argument(
         "--vary",
@@ -45,12 +51,29 @@ def add_arguments(parser):
         help="share of the segments that only validate, 0 to 0.9",
     )
     parser.add_argument("--out", metavar="FILE", help="write the scene with the numbers found; it must not exist")
-    add_log(parser)
+    parser.add_argument(
+        "--plan",
+        metavar="FILE",
+        help="instead of a bag: write a motion (*.csv) of the joints of --move that would show the numbers best",
+    )
+    parser.add_argument(
+        "--move",
+        nargs="+",
+        default=[],
+        metavar="JOINT=LOW:HIGH[:SPEED]",
+        help="limits of the motion: positions and speed, rad or m, and per s",
+    )
+    parser.add_argument("--duration", type=float, default=5.0, metavar="S", help="of the motion (default: %(default)g)")
+    add_log(parser, "*")
 
 
 def run(args):
     """Run the subcommand; returns the exit code."""
     check_log(args)
+    if args.plan is not None:
+        return _plan(args)
+    if not args.bag:
+        raise LogError("give a bag, or --plan FILE")
     if not 0.0 <= args.hold_out <= 0.9:
         raise LogError(f"--hold-out must be from 0 to 0.9, got {args.hold_out:g}")
     scene = robot_scene(args.scene, args)
@@ -67,6 +90,67 @@ def run(args):
         _print(found, Console(file=sys.stdout))
     show(found.comparison, args, found.scene, _figures(found))
     return 0
+
+
+def _plan(args):
+    """Write and print a motion."""
+    if Path(args.plan).suffix != ".csv":
+        raise LogError(f"{args.plan}: the name must end in .csv")
+    if Path(args.plan).exists():
+        raise OutputError(f"{args.plan}: the file already exists; remove it or choose another name")
+    if args.bag or not args.move:
+        raise LogError("--plan takes no bag, and --move JOINT=LOW:HIGH")
+    if not 0.5 <= args.duration <= MOST_SECONDS:
+        raise LogError(f"--duration must be from 0.5 to {MOST_SECONDS:g} s, got {args.duration:g}")
+    scene = robot_scene(args.scene, args)
+    names, _, _ = _varied(scene, args.vary)
+    measured = _measured(args.map, scene)
+    moves = [_move(text) for text in args.move]
+    if twice := [move.joint for move in moves if [one.joint for one in moves].count(move.joint) > 1]:
+        raise LogError(f"--move: {twice[0]} is given twice")
+    try:
+        with Console(stderr=True).status("planning"):
+            found = plan(scene, names, moves, measured, args.duration, workers=args.workers)
+    except SimulationError as error:
+        return stopped(error)
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for name in ("number", "value", "deviation", *(f"{joint} alone" for joint in found.alone)):
+        table.add_column(name)
+    for k, (path, value) in enumerate(zip(found.paths, found.values)):
+        each = [found.deviations, *found.alone.values()]
+        table.add_row(Text(path), f"{value:.6g}", *(shown(one[k]) if np.isfinite(one[k]) else "-" for one in each))
+    Console(file=sys.stdout).print(table)
+    parts = ("position", "velocity", "effort")
+    columns = [f"{joint}.{part}" for joint in found.joints for part in parts]
+    rows = np.stack([found.positions, found.rates, found.efforts], axis=2).reshape(len(found.times), -1)
+    text = [",".join(["time", *columns])]
+    text += [",".join(map(repr, [time, *row])) for time, row in zip(found.times.tolist(), rows.tolist())]
+    _write_new(args.plan, "\n".join(text) + "\n")
+    return 0
+
+
+def _move(text):
+    """Move of JOINT=LOW:HIGH[:SPEED]. Raises LogError."""
+    joint, _, rest = text.partition("=")
+    try:
+        numbers = [float(part) for part in rest.split(":")]
+    except ValueError:
+        numbers = []
+    if not (joint and 2 <= len(numbers) <= 3 and np.isfinite(numbers).all()):
+        raise LogError(f"--move {text}: give JOINT=LOW:HIGH or JOINT=LOW:HIGH:SPEED")
+    return Move(joint, *numbers)
+
+
+def _measured(path, scene):
+    """{output: standard deviation}: those of a map, or positions of all joints."""
+    if path is None:
+        return {f"{joint}.position": USUAL_NOISE for joint in make_layout(scene).coordinates.names}
+    found = {}
+    for entry in load_map(path).measurements:
+        if entry.noise is None:
+            raise LogError(f"{path}: {entry.output}: a plan needs its noise")
+        found |= dict.fromkeys(channels_of(entry.output, scene), entry.noise)
+    return found
 
 
 def _varied(scene, texts):
@@ -133,9 +217,13 @@ def _write(path, found, bag):
         f"# {name}: {value:.9g} ± {shown(deviation)}, {before:.9g} before, from {bag}"
         for name, value, deviation, before in zip(found.paths, found.values, found.deviations, found.before)
     ]
+    _write_new(path, "\n".join(lines) + "\n" + found.scene.text)
+
+
+def _write_new(path, text):
     try:
         with open(path, "x", encoding="utf-8") as file:
-            file.write("\n".join(lines) + "\n" + found.scene.text)
+            file.write(text)
     except FileExistsError:
         raise OutputError(f"{path}: the file already exists; remove it or choose another name") from None
     except OSError as error:

@@ -3,6 +3,7 @@
 
 import json
 import shutil
+import sys
 
 import numpy as np
 import pytest
@@ -307,3 +308,34 @@ def test_fields_of_messages():
 def _clean(folder):
     yield
     shutil.rmtree(folder, ignore_errors=True)
+
+
+def test_a_plan_is_a_motion_that_inverse_dynamics_takes(tmp_path, monkeypatch, capsys):
+    """Of an arm; its table has the efforts that inverse dynamics finds for its positions."""
+    planning = sys.modules["liegroup_core.identification.plan"]
+    monkeypatch.setattr(planning, "TRIES", 2)
+    monkeypatch.setattr(planning, "STEPS", 2)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "arm.yaml").write_text(machine("arm").text)
+    joints = ["motor", "hinge", "wrist"]
+    moves = [f"{joint}=-0.5:0.5:3" for joint in joints]
+    command = ["identify", "arm.yaml", "--vary", "hand.shape.mass", "lower.shape.mass", "--duration", "1"]
+    assert main([*command, "--plan", "plan.csv", "--move", *moves]) == 0
+    assert "motor alone" in capsys.readouterr().out
+    assert main(["inverse", "arm.yaml", "--motion", "plan.csv", "--joints", *joints, "--out", "efforts.csv"]) == 0
+    planned, efforts = (np.genfromtxt(name, delimiter=",", names=True) for name in ("plan.csv", "efforts.csv"))
+    for joint, column in zip(joints, (1, 3, 5)):
+        own, other = planned[f"{joint}effort"], efforts[efforts.dtype.names[column]]
+        assert np.abs(own - other).max() < 0.02 * np.abs(own).max()
+    capsys.readouterr()
+    for wrong, text in (
+        ([*command, "--plan", "plan.csv", "--move", *moves], "the file already exists"),
+        ([*command, "--plan", "a.csv"], "--plan takes no bag, and --move JOINT=LOW:HIGH"),
+        ([*command, "--plan", "a.csv", "--move", "motor=1"], "--move motor=1: give JOINT=LOW:HIGH"),
+        ([*command, "--plan", "a.csv", "--move", "motor=1:2"], "motor starts at 0: its limits must include that"),
+        ([*command, "--plan", "a.csv", "--move", "moter=-1:2"], "moter is no joint with one coordinate"),
+        ([*command, "--plan", "a.csv", "--move", "motor=-1:1", "motor=-1:1"], "motor is given twice"),
+        ([*command, "--plan", "a.txt", "--move", "motor=-1:1"], "the name must end in .csv"),
+        (command, "give a bag, or --plan FILE"),
+    ):
+        assert text in refused(wrong, capsys)

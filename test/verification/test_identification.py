@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What logs of simulated machines say of models: effects that are missing, numbers with intervals, delays."""
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ from machine_logs import DELAY, NOISE, log_of, machine
 from volume import some
 
 from liegroup_core import SceneError, Simulation
-from liegroup_core.identification import Given, Log, Measured, compare, identify
+from liegroup_core.identification import Given, Log, Measured, Move, compare, identify, plan
 from liegroup_core.identification.comparison import begin, first_point
 from liegroup_core.identification.log import joined
 from liegroup_core.scene.load import scene_from_text
@@ -217,6 +218,41 @@ def test_the_effort_that_a_joint_lacks_is_found_against_its_motion(key, law):
     assert (found.joint, found.variable, found.unit) == ("hinge", "velocity", "N m") and found.share > 0.8
     away = np.abs(found.at) > 0.3  # between its limits a step is no constant
     assert np.abs(found.values + 0.01 * law(found.at))[away].max() < 0.3 * 0.01
+
+
+def test_a_plan_foresees_the_deviations_of_a_fit(monkeypatch):
+    """Of a log of the planned motion, whose outputs come from a run with the driven joint; limits are kept.
+
+    A variance that is estimated from segments with starts of their own differs by less than a quarter.
+    """
+    planning = sys.modules["liegroup_core.identification.plan"]
+    monkeypatch.setattr(planning, "TRIES", 3)
+    monkeypatch.setattr(planning, "STEPS", 4)
+    scene, names, measured = machine("furuta"), ["rod.shape.mass"], {"motor.position": 5e-4, "hinge.position": 5e-4}
+    found = plan(scene, names, [Move("motor", -0.5, 1.5, 4.0)], measured, seconds=1.5, workers=1)
+    small = plan(scene, names, [Move("motor", -0.05, 0.05)], measured, seconds=1.5, workers=1)
+    assert found.positions.min() >= -0.5 - 1e-9 and found.positions.max() <= 1.5 + 1e-9
+    assert np.abs(found.rates).max() < 4.0 * (1.0 + 1e-4) and (small.deviations > 3.0 * found.deviations).all()
+    motion = {
+        "times": found.times.tolist(),
+        "positions": found.positions[:, 0].tolist(),
+        "velocities": found.rates[:, 0].tolist(),
+    }
+    joints = [j.remade(driven=True, motion=motion) if j.name == "motor" else j for j in scene.joints]
+    simulation = Simulation(scene.remade(joints=joints), accuracy=1e-7, quiet=True)
+    rng, rows, efforts, fine = np.random.default_rng(0), [], [], np.round(np.arange(0.0, 1.5, 1e-3), 9)
+    for time in fine:  # efforts change faster than the measurements are taken
+        simulation.advance_to(time)
+        sample = simulation.sample(time)
+        rows.append([sample.joint_coordinates[name.partition(".")[0]][0] for name in measured])
+        efforts.append(sample.drive_efforts["motor"])
+    noise = np.array(list(measured.values()))
+    values = np.array(rows[::10]) + noise * rng.standard_normal((len(rows[::10]), 2))
+    given = Given("motor.effort", fine, np.array(efforts), "linear")
+    log = Log((given,), (Measured("/joint_states", fine[::10], tuple(measured), values, noise, 0.0),))
+    fitted = identify(scene, log, names, length=planning.PART, workers=1)
+    assert fitted.deviations == pytest.approx(found.deviations, rel=0.25)
+    assert abs(fitted.values[0] - 0.15) < 4.0 * found.deviations[0]
 
 
 def test_several_recordings_are_one_log():
