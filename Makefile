@@ -25,7 +25,7 @@ demo: .venv/installed ## simulate, record, analyse
 
 # PYTHONSAFEPATH: pytest and the processes of the tests import the installed package, not this folder.
 # Three workers on two cores, as many tests wait for nodes.
-PYTEST = PYTHONSAFEPATH=1 .venv/bin/python -m pytest -n 3 --dist loadfile
+PYTEST = PYTHONSAFEPATH=1 .venv/bin/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 test: .venv/installed ## run the tests against the installed package (15 min on two cores)
 	@.venv/bin/python -P test/compile_kernels.py

@@ -13,7 +13,12 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(config, items):
-    """What `make test` leaves to other days, see volume.py; a case or test that is named runs."""
+    """What `make test` leaves to other days, see volume.py; a case or test that is named runs.
+
+    Files with slow tests come first, so that no worker is left with one of them at the end.
+    """
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
     if any("::" in argument for argument in config.args):
         return
     cases, left = {}, []

@@ -154,6 +154,7 @@ def test_a_far_position_is_refused_without_any_parameter(client, node):
     assert after.position[0] - before.position[0] == pytest.approx(0.15, abs=1e-12)
 
 
+@pytest.mark.turn(3)
 def test_every_part_of_the_recording_is_repeated_and_analysed(process, node):
     """A part that begins in a commanded motion has it; the reference integration follows it."""
     node.command(name=["hinge", "slide"], position=[0.3, 0.0], velocity=[0.0, 0.05])

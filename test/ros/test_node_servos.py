@@ -133,6 +133,7 @@ def test_a_position_beyond_command_jump_is_refused_and_counted(client, node):
     assert node.figure("joint_commands_accepted") == taken + 3
 
 
+@pytest.mark.turn(3)
 def test_every_part_of_the_recording_is_repeated_and_analysed(process, node):
     """A part that begins while a command acts has it; the reference integration follows it."""
     node.command(name=["hinge", "slide"], position=[0.3, 0.0], velocity=[0.0, 0.05])

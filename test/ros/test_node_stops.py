@@ -174,6 +174,7 @@ def test_many_events_are_summed_up_but_all_modes_are_sent(client, process, node)
     assert energy == pytest.approx(-2.0 * G, rel=1e-9)  # all of its potential energy
 
 
+@pytest.mark.turn(3)
 def test_bouncing_without_end_is_a_fault_with_the_last_good_state(client, tmp_path):
     (tmp_path / "rattle.yaml").write_text(RATTLE)
     parameters = {
@@ -207,6 +208,7 @@ def test_bouncing_without_end_is_a_fault_with_the_last_good_state(client, tmp_pa
         process.end(signal.SIGTERM)
 
 
+@pytest.mark.turn(3)
 def test_every_part_of_the_recording_is_repeated_and_analysed(client, process, node):
     """With a push while a joint sticks, a reset, a snapshot, and parts that begin in between."""
     node.steps(700)
