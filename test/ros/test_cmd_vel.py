@@ -128,7 +128,7 @@ def test_a_robot_file_rolls_on_its_wheels_and_names_its_drive(tmp_path):
     "options, text",
     [
         (["--roll", "left-wheel=0"], "--roll left-wheel: the radius must be greater than 0, got 0"),
-        (["--roll", "left-wheel"], "--roll left-wheel: give JOINT=VALUE"),
+        (["--roll", "left-wheel"], "--roll left-wheel: give JOINT=RADIUS"),
         (["--roll", "rear=0.1"], "roll: joint 'rear' is not in the robot; choose one of: fixed, left-wheel"),
         (["--roll", "fixed=0.1"], 'roll: joint "fixed" is fixed: only revolute joints turn a wheel'),
         (
