@@ -64,7 +64,7 @@ def twists(scene):
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("name", mechanisms.MECHANISMS)
-@pytest.mark.volume(30)
+@pytest.mark.volume(12)
 def test_assembly_satisfies_position_and_velocity_constraints(name, seed):
     scene = mechanisms.named(name, seed)
     rough = disturbed(scene, np.random.default_rng(seed), 0.1)

@@ -19,7 +19,7 @@ from liegroup_core import Simulation, load_scene
 from liegroup_core.compiling import backend
 results = {}
 for scene, method in json.loads(sys.argv[1]):
-    simulation = Simulation(load_scene(scene), method=method, step=1e-3)
+    simulation = Simulation(load_scene(scene), method=method, step=1e-3, estimate=False)
     simulation.advance(50)
     results[scene + " " + method] = [array.tobytes().hex() for array in simulation.state()]
 json.dump([backend.chosen().name, results], sys.stdout)
@@ -28,10 +28,10 @@ json.dump([backend.chosen().name, results], sys.stdout)
 # kernels once.
 CASES = [
     (["lagrangian_top"], "stoermer_verlet"),
-    (["heavy_top", "ball_chain"], "rkmk4"),
+    (["ball_chain"], "rkmk4"),
     (["four_bar"], "rkmk54"),
     (["double_pendulum"], "generalized_alpha"),
-    (["heavy_top", "free_body"], "generalized_alpha"),
+    (["heavy_top"], "generalized_alpha"),
     (["double_pendulum"], "constrained_rattle"),
 ]
 

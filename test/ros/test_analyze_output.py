@@ -190,6 +190,7 @@ def test_the_report_size_is_bounded_for_long_recordings(tmp_path, monkeypatch):
     assert abs(places[-1, 1, 3:] @ last.quaternion[-1]) == pytest.approx(1.0, abs=1e-6)
 
 
+@pytest.mark.turn(3)
 def test_plots_of_every_file_type(tmp_path, capsys):
     """An unsupported file type is refused before the analysis."""
     log = str(record(tmp_path / "a.mcap", scene_from_text(PAIR), 100))

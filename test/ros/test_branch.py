@@ -125,6 +125,7 @@ def test_a_damaged_checkpoint_is_one_line(tmp_path, many_checkpoints):
         assert said in str(error.value) and "\n" not in str(error.value)
 
 
+@pytest.mark.turn(3)
 def test_any_instant_of_an_hour_is_reached_at_once(tmp_path):
     """CPU time, so that other processes do not matter."""
     start = time.process_time()

@@ -15,6 +15,7 @@ FILES = re.findall(r"^`(\w+\.yaml)`[^`\n]*:\n\n```yaml\n(.*?)^```$", PAGE, re.MU
 COMMANDS = re.findall(r"^    (sed .*|liegroup_sim .*)$", PAGE, re.MULTILINE)
 
 
+@pytest.mark.turn(2)
 def test_the_page_names_the_friction_and_finds_it(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for name, text in FILES:

@@ -16,6 +16,7 @@ from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording.read import read_recording
 
 
+@pytest.mark.turn(2)
 def test_estimates_are_served_recorded_and_end_with_an_event(client, tmp_path):
     """A double pendulum at 8 ms leaves its motion within seconds."""
     path = tmp_path / "run.mcap"

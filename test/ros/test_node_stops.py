@@ -155,6 +155,7 @@ def test_a_state_beyond_a_stop_is_refused_and_nothing_changes(client, process, n
     assert before[0] == pytest.approx(1.0 - 0.5 * G * 0.1**2, abs=1e-12)
 
 
+@pytest.mark.turn(3)
 def test_many_events_are_summed_up_but_all_modes_are_sent(client, process, node):
     """The ball comes to rest after sqrt(2 / g) (1 + e) / (1 - e) = 4.06 s, by ever more impacts."""
     for _ in range(6):

@@ -68,6 +68,7 @@ def opened(browser, page, **look):
     assert browser.requests == [f"file://{page}"]
 
 
+@pytest.mark.turn(2)
 def test_slider_and_plots_control_the_animation(browser, pages, capsys):
     """The slider sets the recorded poses; a wrench is red; a click on a plot sets the time."""
     opened(browser, pages / "one.html")

@@ -69,6 +69,7 @@ def one_line(error, path):
     assert str(error).startswith(f"{path}: ") and "\n" not in str(error)
 
 
+@pytest.mark.turn(3)
 def test_a_file_truncated_at_any_byte_gives_exactly_its_beginning(small, tmp_path):
     path, written = small
     whole, cut, out = path.read_bytes(), tmp_path / "cut.mcap", tmp_path / "out.mcap"

@@ -110,6 +110,7 @@ def test_seek_step_rate_and_the_end(client, log):
         assert replay.process.returncode == 130 and "Traceback" not in err
 
 
+@pytest.mark.turn(3)
 def test_replay_in_a_loop(client, log):
     with Replay(client, log, "--rate", "0", "--loop", "--start", "3.5") as replay:
         replay.heard()

@@ -70,6 +70,7 @@ def written(console):
     return " ".join(console.file.getvalue().split())
 
 
+@pytest.mark.turn(3)
 def test_reports_of_random_recordings_are_written(found, terminal, tmp_path):
     """Terminal, JSON, bounds, and of some the image and the notebook."""
     good = {seed: each for seed, each in found.items() if not isinstance(each, RecordingError)}
@@ -88,6 +89,7 @@ def test_reports_of_random_recordings_are_written(found, terminal, tmp_path):
     print_overview([part["figures"] for part in parts_of(found)], terminal)
 
 
+@pytest.mark.turn(3)
 def test_pages_of_random_recordings_run_without_an_error(found, tmp_path):
     """All in one page, each opened in turn; a part of them is compared with another one."""
     parts = parts_of(found)
@@ -189,6 +191,7 @@ def test_a_single_sample_has_a_marker_and_an_axis_of_its_size():
     assert whole["mode"] == "lines" and "range" not in plane([whole], [], "N m")["layout"]["yaxis"]
 
 
+@pytest.mark.turn(3)
 def test_reports_of_random_trades_are_written(terminal, tmp_path):
     trades = [random_trade(seed) for seed in range(20)]
     for seed, part in enumerate(trades):

@@ -160,6 +160,7 @@ def test_options_of_robots_work_with_run_and_describe(folder, capsys):
     assert not Path("c.npz").exists()
 
 
+@pytest.mark.turn(3)
 def test_what_cannot_move_is_refused_by_import_as_by_describe(folder, capsys):
     Path("stretched.yaml").write_text(
         "robot: arm.urdf\njoints:\n  - {name: rod, type: revolute, parent: world, child: tool, "

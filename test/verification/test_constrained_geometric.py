@@ -145,6 +145,7 @@ def energies(method, step, count, samples=400, **settings):
     return np.array(found)
 
 
+@pytest.mark.turn(2)
 def test_energy_oscillates_and_does_not_drift():
     """200 000 steps of 4 ms: both halves of the run have the same mean error.
 

@@ -63,7 +63,7 @@ def position(pieces, starts, time):
 
 @pytest.mark.parametrize("accuracy", [1e-4, 1e-6])
 @pytest.mark.parametrize("make", [through_its_end, at_its_limit])
-@pytest.mark.volume(2)
+@pytest.mark.volume(1)
 def test_the_accuracy_is_kept_or_its_end_said(make, accuracy):
     """Finer ones end at rounding: no substep can be shorter than what rounding of a pose allows."""
     along = Frame(axis=(1, 0, 0))

@@ -59,6 +59,7 @@ def test_a_right_model_leaves_noise(name):
     assert max(part.max() for part in found.numerics) <= 0.1
 
 
+@pytest.mark.turn(2)
 def test_intervals_of_numbers_cover_the_truth():
     """Of 12 intervals of four standard errors none may miss; the rms of their z-scores is near 1.
 
@@ -185,6 +186,7 @@ def test_wrong_logs_have_one_line(change, text):
     assert "\n" not in str(raised.value)
 
 
+@pytest.mark.turn(2)
 def test_accelerometers_see_the_given_forces():
     """Of a free body, of which poses are known, too, under a force that changes at times of the log."""
     scene = scene_from_text(

@@ -173,6 +173,7 @@ def test_random_trees_stay_closed(method):
             assert_closed(random_tree(n), method, step)
 
 
+@pytest.mark.turn(3)
 def test_the_last_valid_state_of_runs_that_end_early_is_closed():
     """Methods without error control with steps that are too large for fast light bodies."""
     for n in (5, 12, 70, 200):
