@@ -259,9 +259,7 @@ class Effects:
         longest = max(last - first for first, last in fit.runs.log.spans)
         for k, t in enumerate(known):
             parts = [part[:, k] for part in late]
-            if (
-                np.linalg.norm(np.concatenate(parts)) * longest > 1.0
-            ):  # else any delay fits: nothing acts at known times
+            if np.linalg.norm(np.concatenate(parts)) * longest > 1.0:  # else any delay fits
                 add(f"delay of {fit.runs.log.measured[t].name}", "s", parts)
         return names, np.array(columns).T, units
 

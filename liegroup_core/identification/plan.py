@@ -148,7 +148,6 @@ class _Motions:
                 move.speed / max(speed, 1e-300),
             ]
             points[:, k] = self._start[k] + min(1.0, *room) * (points[:, k] - self._start[k])
-        points[-1] = np.clip(points[-1], [move.low for move in self._moves], [move.high for move in self._moves])
         try:
             motion, outputs = self._simulated(points)
             deviations = self._deviations(motion, outputs)

@@ -19,10 +19,11 @@ from liegroup_sim_ros.logs.load import channels_of
 from liegroup_sim_ros.logs.map import load_map
 from liegroup_sim_ros.numbers import shown
 from liegroup_sim_ros.recording.errors import OutputError
+from liegroup_sim_ros.recording.write_tables import close_new, new_file
 
 from .compare import LogError, add_log, check_log, log_of, show
 from .robot_options import robot_scene
-from .states import stopped
+from .states import refuse_repeated, stopped
 
 USUAL_NOISE = 1e-3  # rad or m, of measured positions without a map
 MOST_SECONDS = 60.0  # of a motion that is planned
@@ -96,8 +97,6 @@ def _plan(args):
     """Write and print a motion."""
     if Path(args.plan).suffix != ".csv":
         raise LogError(f"{args.plan}: the name must end in .csv")
-    if Path(args.plan).exists():
-        raise OutputError(f"{args.plan}: the file already exists; remove it or choose another name")
     if args.bag or not args.move:
         raise LogError("--plan takes no bag, and --move JOINT=LOW:HIGH")
     if not 0.5 <= args.duration <= MOST_SECONDS:
@@ -106,13 +105,17 @@ def _plan(args):
     names, _, _ = _varied(scene, args.vary)
     measured = _measured(args.map, scene)
     moves = [_move(text) for text in args.move]
-    if twice := [move.joint for move in moves if [one.joint for one in moves].count(move.joint) > 1]:
-        raise LogError(f"--move: {twice[0]} is given twice")
+    refuse_repeated("--move", [move.joint for move in moves])
+    file, is_written = new_file(args.plan, "x", encoding="utf-8"), False
     try:
         with Console(stderr=True).status("planning"):
             found = plan(scene, names, moves, measured, args.duration, workers=args.workers)
+        file.write(_motion_of(found))
+        is_written = True
     except SimulationError as error:
         return stopped(error)
+    finally:
+        close_new(file, args.plan, remove=not is_written)
     table = Table(box=None, padding=(0, 2, 0, 0))
     for name in ("number", "value", "deviation", *(f"{joint} alone" for joint in found.alone)):
         table.add_column(name)
@@ -120,13 +123,17 @@ def _plan(args):
         each = [found.deviations, *found.alone.values()]
         table.add_row(Text(path), f"{value:.6g}", *(shown(one[k]) if np.isfinite(one[k]) else "-" for one in each))
     Console(file=sys.stdout).print(table)
+    return 0
+
+
+def _motion_of(found):
+    """Text of the table of a Plan."""
     parts = ("position", "velocity", "effort")
     columns = [f"{joint}.{part}" for joint in found.joints for part in parts]
     rows = np.stack([found.positions, found.rates, found.efforts], axis=2).reshape(len(found.times), -1)
     text = [",".join(["time", *columns])]
     text += [",".join(map(repr, [time, *row])) for time, row in zip(found.times.tolist(), rows.tolist())]
-    _write_new(args.plan, "\n".join(text) + "\n")
-    return 0
+    return "\n".join(text) + "\n"
 
 
 def _move(text):
@@ -217,14 +224,8 @@ def _write(path, found, bag):
         f"# {name}: {value:.9g} ± {shown(deviation)}, {before:.9g} before, from {bag}"
         for name, value, deviation, before in zip(found.paths, found.values, found.deviations, found.before)
     ]
-    _write_new(path, "\n".join(lines) + "\n" + found.scene.text)
-
-
-def _write_new(path, text):
     try:
-        with open(path, "x", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError:
-        raise OutputError(f"{path}: the file already exists; remove it or choose another name") from None
+        with new_file(path, "x", encoding="utf-8") as file:
+            file.write("\n".join(lines) + "\n" + found.scene.text)
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error.strerror}") from None

@@ -21,18 +21,18 @@ from liegroup_core.linear.coordinates import Coordinates
 from liegroup_core.linear.inverse import joints_of_motions
 from liegroup_core.linear.probe import Probe
 from liegroup_sim_ros.numbers import counted, shown
-from liegroup_sim_ros.recording.errors import OutputError
 from liegroup_sim_ros.recording.motion import Motion
 from liegroup_sim_ros.recording.read import read_recording
+from liegroup_sim_ros.recording.write_tables import new_file
 
 from .robot_options import add_robot_options, robot_scene
-from .states import StateError, stopped
+from .states import StateError, refuse_repeated, stopped
 
 DEGREES = 3, 5  # of the splines whose derivatives are velocities and accelerations; the first for an error
 CONTRADICTS = 0.1  # of the way: difference of the integral of a derivative
 NOISE = 1e-3  # rad, or share of the mechanism's size, of measured positions; of velocities per s
 MADE = 1e-6  # of the largest acceleration plus gravity: what the inputs may leave
-COARSE = 0.01  # of it: uncertainty between the times that is told
+COARSE = 0.01  # of it: uncertainty between the times from which on a line says so
 PARTS = ("position", "velocity", "acceleration")
 
 
@@ -65,9 +65,8 @@ def run(args):
     """Run the subcommand; returns the exit code."""
     if args.out is not None and Path(args.out).suffix != ".csv":
         raise StateError(f"{args.out}: the name must end in .csv")
-    for option, names in (("--joints", args.joints or ()), ("--inputs", args.inputs or ())):
-        if twice := [name for name in names if names.count(name) > 1]:
-            raise StateError(f"{option}: {twice[0]} is given twice")
+    refuse_repeated("--joints", args.joints or [])
+    refuse_repeated("--inputs", args.inputs or [])
     scene = robot_scene(args.scene, args)
     is_recording = Path(args.motion).suffix == ".mcap"
     simulation = Simulation(scene, METHOD, STEP, estimate=False, quiet=True)
@@ -263,13 +262,7 @@ def _derivatives(times, q, v, degree):
 
 
 def _write(path, found, names, units):
-    try:
-        file = open(path, "x", newline="", encoding="utf-8")
-    except FileExistsError:
-        raise OutputError(f"{path}: the file already exists; remove it or choose another name") from None
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
-    with file:
+    with new_file(path, "x", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         columns = [f"{name}.{what}" for name in names for what in (f"effort [{units[name]}]", "power [W]")]
         writer.writerow(["time [s]", *columns, "residual"])

@@ -21,6 +21,12 @@ class StateError(LieGroupSimError):
     """The states are not available; one line of text, exit code 2."""
 
 
+def refuse_repeated(option, names):
+    """Raise StateError for a name that an option has twice."""
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise StateError(f"{option}: {twice[0]} is given twice")
+
+
 def add_states(parser):
     """Add the positional argument and the times."""
     parser.add_argument(

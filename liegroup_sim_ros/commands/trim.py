@@ -13,7 +13,7 @@ from liegroup_core.linear import TrimError, modes_of, trim
 from liegroup_sim_ros.numbers import shown
 
 from .linearise import STEADY, add_out, check_out, print_system, save
-from .states import StateError, add_states, states, stopped
+from .states import StateError, add_states, refuse_repeated, states, stopped
 
 RESTING = 1e-9  # rad/s or m/s
 
@@ -40,9 +40,8 @@ def add_arguments(parser):
 def run(args):
     """Run the subcommand; returns the exit code."""
     check_out(args)
-    for option, names in (("--hold", args.hold), ("--inputs", args.inputs)):
-        if twice := [name for name in names if names.count(name) > 1]:
-            raise StateError(f"{option}: {twice[0]} is given twice")
+    refuse_repeated("--hold", args.hold)
+    refuse_repeated("--inputs", args.inputs)
     rates, console, found = _rates(args.rates), Console(file=sys.stdout), []
     for time, simulation, inside in states(args):
         try:
