@@ -59,7 +59,7 @@ class AccuracyControl:
     ended    : s, the last checkpoint before the estimate exceeded the error bound; inf: never
     found    : at the checkpoint where it did: "time", "error" and "wanted", "tenfold": time in s in
                which errors grow tenfold, 0 if they do not grow exponentially, "room": mean of the
-               tolerances so far, as a multiple of the least one, and "finer", see `update`
+               tolerances so far, as a multiple of the least one, and "finer": whether smaller tolerances help
     """
 
     KEPT = (
@@ -108,11 +108,8 @@ class AccuracyControl:
             self.ended = math.inf
         self.tolerance = tolerance
 
-    def update(self, time, error, predictable, finer):
-        """Set the tolerance from the estimated error at a checkpoint.
-
-        finer : whether a smaller accuracy would have led to smaller steps
-        """
+    def update(self, time, error, predictable):
+        """Set the tolerance from the estimated error at a checkpoint."""
         span, since = time - self._last, time - self._begin
         wanted, before = self.wanted(time), self._last
         self._last = time
@@ -123,7 +120,7 @@ class AccuracyControl:
         if not error <= wanted and self.ended == math.inf:
             self.ended, room = before, self._sum / since / LEAST_TOLERANCE
             tenfold = self._tenfold(time, span)
-            self.found = dict(zip(_FOUND, (time, error, wanted, tenfold, room, float(finer and self._early > SEEDED))))
+            self.found = dict(zip(_FOUND, (time, error, wanted, tenfold, room, float(self._early > SEEDED))))
         self._below = [time if error <= wanted * 10.0**-k else below for k, below in enumerate(self._below, 1)]
         if not predictable:
             self.tolerance = self._first

@@ -29,7 +29,7 @@ from liegroup_core.placing import place
 from liegroup_core.reports import Warnings, explain
 from liegroup_core.scene.description import Scene
 from liegroup_core.state import State, decoded, kept, set_kept
-from liegroup_core.status import OK
+from liegroup_core.status import EVENT, OK
 
 Floats = NDArray[np.float64]
 
@@ -261,8 +261,11 @@ class Engine:
 
     @_memory.setter
     def _memory(self, memory):
-        self._before = None
         self._integrator.restart()
+        self._remember(memory)
+
+    def _remember(self, memory):
+        self._before = None
         for mine, array in zip(self._integrator.memory, memory):
             mine[...] = array
 
@@ -470,8 +473,9 @@ class Engine:
 
         Raises SimulationError, as `advance`.
         """
-        if self.runs_ahead and self._next_change() >= instant:
-            return self._state_inside(instant)[:2]
+        inside = self._state_inside(instant)
+        if inside is not None:
+            return inside[:2]
         with self._aside():
             self._go_to(instant)
             return self.state()
@@ -505,10 +509,6 @@ class Engine:
             if events is not None:
                 switching.take_log(events)
 
-    def _next_change(self):
-        """Instant after the present one before which no input changes."""
-        return self.change_after(self._present())
-
     def change_after(self, instant):
         """First Instant after another at which an input changes, or AFTER."""
         if not (self._timetable or self.inputs.schedule):
@@ -516,26 +516,36 @@ class Engine:
         return min(self._timetable.next_after(instant), self.inputs.schedule.next_after(instant))
 
     def _state_inside(self, end):
-        """Pose, twist and angles at an Instant before which no input changes, from the integration that runs ahead.
+        """Pose, twist, angles and modes (or None) at an Instant, from the integration that runs ahead, or None.
 
-        What it integrates for that is undone if inputs or tolerances change, so that a run does not depend on it.
+        None if it does not run ahead, if inputs change before, or if an event may come before. What it integrates is
+        undone if inputs or tolerances change, so that a run does not depend on it.
         """
         start = self._present()
+        if not self.runs_ahead or self.change_after(start) < end:
+            return None
         if self.inputs.schedule:
             self.inputs.update(start)
         if self._before is None and not self.covers(end):
             self._before = [array.copy() for array in self._memory], self._integrator.spent
         pose, twist, angle = self._pose.copy(), self._twist.copy(), self._work.angle.copy()
+        modes = [array.copy() for array in self._modes]
         try:
-            self._checked(self._integrate(start, self._grid.between(start, end), 1, end, pose, twist)[1])
-            return pose, twist, self._work.angle.copy()
+            self._prepare(start, self._grid.between(start, end), end)
+            _, status = self._integrator.look_ahead(self._grid.between(start, end), pose, twist, self.inputs.external)
+            if status == EVENT:
+                return None
+            self._checked(status)
+            return pose, twist, self._work.angle.copy(), self._switching and self._switching.present_modes()
         finally:
-            self._work.angle[:] = angle
+            self._work.angle[:], self._modes = angle, modes
 
     def undo(self):
         """Undo what was integrated for states after the present one."""
         if self._before is not None:
-            self._memory, self._integrator.spent = self._before
+            memory, self._integrator.spent = self._before
+            self._integrator.clear()
+            self._remember(memory)
 
     def _checked(self, status):
         if status != OK:
@@ -578,12 +588,16 @@ class Engine:
         """Take a part of a step of size h from an Instant to another; returns a status."""
         return self._integrate(start, h / self.events.parts, self.events.parts, end)[1]
 
-    def _integrate(self, start, h, steps, end, pose=None, twist=None):
+    def _integrate(self, start, h, steps, end):
         """Take steps of size h from an Instant to another, between which no wrench changes.
 
-        pose, twist : of the start, which become those of the end; None: the present state
         returns (steps done, status)
         """
+        self._prepare(start, h, end)
+        return self._integrator.advance(h, steps, self._pose, self._twist, self.inputs.external)
+
+    def _prepare(self, start, h, end):
+        """Set the inputs and times of steps of size h from an Instant to another."""
         self._set_inputs(start, h)
         if start.offset or end.offset:
             self._work.clock[NOW + 1 : STEP_SIZE] = *self._grid.parts(start), *self._grid.parts(end)
@@ -594,8 +608,6 @@ class Engine:
             if known is not AFTER or self._limited:
                 self._stop_at(*self._grid.parts(known), self._grid.between(start, known))
                 self._limited = known is not AFTER
-        pose, twist = (self._pose, self._twist) if pose is None else (pose, twist)
-        return self._integrator.advance(h, steps, pose, twist, self.inputs.external)
 
     def _instants_inside(self):
         """Instants inside the next step at which an input may start or end."""
@@ -637,8 +649,9 @@ class Engine:
                 f"the time {instant.time:.9g} s is after the present step, up to {end:.9g} s: advance first"
             )
         at = instant.time, self._grid.time_ns(instant)
-        if self.runs_ahead and self._next_change() >= instant:
-            return self._sample_of(*at, *self._state_inside(instant))
+        inside = self._state_inside(instant)
+        if inside is not None:
+            return self._sample_of(*at, *inside)
         with self._aside():
             self._go_to(instant)
             return self._sample_of(*at, *self.state(), self._work.angle.copy())
@@ -652,8 +665,8 @@ class Engine:
             self.advance_to(at)
             yield self.sample(at)
 
-    def _sample_of(self, time, time_ns, pose, twist, angle):
-        """Sample of a state at a time in s and ns."""
+    def _sample_of(self, time, time_ns, pose, twist, angle, modes=None):
+        """Sample of a state at a time in s and ns; modes : of stops and friction, None: the present ones."""
         sample = Sample(self.layout, time, time_ns, self.steps, pose, twist, angle)
         if self.inputs.schedule:
             sample.external = self.inputs.external.copy()
@@ -661,7 +674,7 @@ class Engine:
         if len(self._work.wanted):
             sample.wanted = self._work.wanted.copy()
         if self._switching is not None:
-            sample.switching = self._modes_now()
+            sample.switching = self._modes_now() if modes is None else modes
         if len(self._work.motions):
             sample.motions = self.layout.motions_at(time, self.inputs.commanded)
         return sample

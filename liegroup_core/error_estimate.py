@@ -143,20 +143,19 @@ class ErrorEstimate:
         last, before = (max(self._largest_m[k], self._largest_rad[k]) for k in parts)
         return max(1.0, last / before) if before > 0.0 else 1.0
 
-    def largest_error(self, largest, grown=1.0):
+    def largest_error(self, largest):
         """Largest estimated error of a pose, relative to the characteristic length or in rad.
 
         largest : m and rad of the present distances
-        grown   : ratio of the present distances to these
         """
         position = max(largest[0], FADING * max(self._largest_m))
         angle = max(largest[1], FADING * max(self._largest_rad))
-        scale = scale_of(position / self.size, angle, self._factor * grown)
+        scale = scale_of(position / self.size, angle, self._factor)
         return max(scale * position / self.size, scale * angle, self._least_pose)
 
-    def errors(self, distance, grown=1.0):
+    def errors(self, distance):
         """(n, 4) estimates of the errors of the bodies, as `largest_error`."""
         kept = np.maximum(distance, FADING * self._window.max(axis=0))
         errors = np.empty_like(kept)
-        self._errors(kept, self.size, self._factor * grown, self._least, errors)
+        self._errors(kept, self.size, self._factor, self._least, errors)
         return errors

@@ -24,11 +24,9 @@ their states at any time are those of interpolants, whose errors are part of the
 up to SUBSTEPS substeps, and earlier where the distance grows fast. In between, the two are compared when an estimate
 is read, and PART of the horizon after the last look; an estimate above the accuracy makes that a checkpoint, too.
 
-With error control and without running ahead, the companion takes one step for four of the simulation. With equal
+With error control and without an accuracy, the companion takes one step for four of the simulation. With equal
 steps the last substep, which ends with the step, would often make the substeps of both equal. Its substeps are at
-most 4/3 of a step, because it would step over contacts that the simulation meets. With an accuracy, that is with
-stops or friction, the two are compared only at checkpoints, MOST steps apart at most, and the last growth of the
-error is extrapolated.
+most 4/3 of a step, because it would step over contacts that the simulation meets.
 
 If the companion cannot continue, the estimate is infinite from then on. Before the first meeting it is NaN.
 
@@ -54,14 +52,12 @@ from liegroup_core.observables.distances import distances
 
 HIGH = 8  # order from which the steps of both are more similar
 FIRST_MEETINGS, MEETINGS = 2, 48  # between two checkpoints, from the second one on
-# Between checkpoints with an accuracy at most: substeps, and of a run that is not ahead steps.
-SUBSTEPS, MOST = 32, 8
-# Growth of the distance between two checkpoints of a run that is ahead, up to which the next one comes later, and above
-# which it comes earlier.
+SUBSTEPS = 32  # between checkpoints with an accuracy, at most
+# Growth of the distance between two checkpoints with an accuracy, up to which the next one comes later, and above which
+# it comes earlier.
 CALM, FAST = 2.0, 4.0
 LAG = 4  # steps after which the companion follows a run that is ahead, which spreads its work
 PART = 0.05  # of the horizon, between two looks at the estimate: errors may rise and fall between checkpoints
-FASTEST = 8.0  # largest growth between two meetings that is extrapolated to the next one
 # rad, or relative to the characteristic length: above it, a rebound that became plastic makes the estimate
 # infinite. Bouncing that comes to rest by itself is far below it when its impacts are that dense.
 LOST_REBOUND = 1e-7
@@ -96,8 +92,7 @@ class RunningError:
         method = METHODS[engine.method]
         order, controlled = method.order, method.controlled
         # Steps of the engine and of its companion in the same time.
-        ahead = by_work and not engine.layout.switches
-        self.ours, self._theirs = (1, 1) if ahead else (4, 1) if controlled else (4, 3) if order < HIGH else (6, 5)
+        self.ours, self._theirs = (1, 1) if by_work else (4, 1) if controlled else (4, 3) if order < HIGH else (6, 5)
         if controlled:
             ratio, least = BY_WORK if by_work else STIFF if method.implicit else CONTROLLED
         else:
@@ -105,7 +100,7 @@ class RunningError:
         self.ratio, self.size = ratio, engine.layout.size
         step = self.ours / self._theirs * engine.step
         self._companion = self._make_companion(step, ratio**method.power if controlled else 1.0)
-        if controlled and (engine.layout.switches or not by_work):
+        if controlled and not by_work:
             self._companion.limit_substeps(CONTROLLED[0] * engine.step)
         elif by_work:  # at the start, where substeps grow by the same factor, those of the two must not be equal
             self._companion.limit_substeps(ratio * engine.step)
@@ -165,7 +160,7 @@ class RunningError:
             return end
         if not self.begun:
             return min(end, (steps // self.ours + 1) * self.ours)
-        if self._look and self._companion.runs_ahead:
+        if self._by_work:
             return min(self._next, end, (steps // self._look + 1) * self._look)
         if self._next <= end:
             return self._next
@@ -186,7 +181,7 @@ class RunningError:
         """Advance the companion to the present step if they can meet, and estimate the error."""
         engine = self.engine
         steps = engine.steps
-        if self.ours == 1 and self.begun and steps != self._next and steps - self._companion.steps < LAG:
+        if self._by_work and self.begun and steps != self._next and steps - self._companion.steps < LAG:
             return
         self._failed = self._failed or engine.events.lost_rebound > LOST_REBOUND
         if not self._alive or steps % self.ours:
@@ -246,10 +241,8 @@ class RunningError:
         """Set the number of steps to the next checkpoint from the substeps since the last one."""
         substeps = self.engine.substeps[0]
         work, self._substeps = substeps - self._substeps, substeps
-        longest = min(MOST, 2 * self._block)
-        if self.engine.runs_ahead:
-            growth = self.estimate.growth
-            longest = 2 * self._block if growth < CALM else self._block if growth < FAST else max(1, self._block // 2)
+        growth = self.estimate.growth
+        longest = 2 * self._block if growth < CALM else self._block if growth < FAST else max(1, self._block // 2)
         while longest > self.ours and longest * work > SUBSTEPS * self._block:
             longest //= 2
         self._block = longest
@@ -277,12 +270,11 @@ class RunningError:
     def _now(self):
         """Distances at the present step, and their largest m and rad.
 
-        Between two meetings the companion computes its state at that step. If it does not run ahead, with an
-        accuracy they are those of the last meeting.
+        Between two meetings the companion computes its state at that step.
         """
         since = self.engine.steps - self._companion.steps * self.ours // self._theirs
         met = since <= 0 and not (self._by_work and self.engine.steps != self._next - self._block)
-        if self._extrapolates or not (self._alive and self.begun) or met:
+        if not (self._alive and self.begun) or met:
             return self.estimate.distance, self.estimate.largest
         if self._seen_at != self.engine.steps:
             if since == 0:
@@ -304,7 +296,7 @@ class RunningError:
 
     def errors_at(self, time_ns, pose, twist):
         """As `errors`, of a state at a time in ns within the present step."""
-        if self._unknown or self._extrapolates or not (self._alive and self.begun):
+        if self._unknown or not (self._alive and self.begun):
             return self.errors()
         distances = np.empty_like(self._seen)
         self._distances_at(distances, self._companion.instant_of(time_ns), pose, twist)
@@ -323,16 +315,6 @@ class RunningError:
         self.estimate.keep(self.engine.time)
 
     @property
-    def follows_tolerance(self):
-        """Whether tolerances, and not steps, limit the substeps."""
-        return self.engine.runs_ahead or self.engine.substeps[0] > self.engine.steps - self._set_at
-
-    @property
-    def _extrapolates(self):
-        """Whether estimates between two checkpoints follow from the last ones."""
-        return self._by_work and not self._companion.runs_ahead
-
-    @property
     def first_step(self):
         """Step at which the two first meet after the state was set."""
         return (-(-self._set_at // self.ours) + 1) * self.ours
@@ -341,8 +323,8 @@ class RunningError:
     def looks(self):
         """Whether a run that is ahead is at a time for a look, after its last checkpoint."""
         steps = self.engine.steps
-        is_ahead = self.begun and self._alive and self._companion.runs_ahead
-        return is_ahead and steps % self._look == 0 and steps > self._next - self._block
+        goes_on = self.begun and self._alive and self._by_work
+        return goes_on and steps % self._look == 0 and steps > self._next - self._block
 
     @property
     def begun(self):
@@ -364,7 +346,7 @@ class RunningError:
         """Largest estimated error of a pose, relative to the characteristic length or in rad."""
         if self._unknown:
             return math.nan
-        return self.estimate.largest_error(self._now()[1], self._growth())
+        return self.estimate.largest_error(self._now()[1])
 
     def restored(self):
         """Continue after `set_kept`, at the same state of the engine."""
@@ -379,16 +361,9 @@ class RunningError:
         """(n, 4) estimates of the errors of the bodies: m, rad, m/s, rad/s."""
         if self._unknown:
             return np.full_like(self._seen, np.nan)
-        return self.estimate.errors(self._now()[0], self._growth())
+        return self.estimate.errors(self._now()[0])
 
     @property
     def _unknown(self):
         """Whether the two have not met since the state was set."""
         return self._alive and self._set_at < self.engine.steps < self.first_step
-
-    def _growth(self):
-        """With an accuracy: growth since the last checkpoint, extrapolated from the two before."""
-        if not (self._extrapolates and self._alive and self._block):
-            return 1.0
-        stale = 1.0 - (self._next - self.engine.steps) / self._block
-        return min(FASTEST, self.estimate.growth) ** stale

@@ -45,8 +45,7 @@ class Simulation(Engine):
                or in rad; the error may grow by as much in each further horizon. Default 1e-4
     horizon  : s, at most 1e6; default 60
     step     : s, interval of `advance`; from a sequence, the longest suitable one. Default: at most 10 ms
-               and 1/50 of the horizon, with at most 20 substeps at the start. It does not limit the substeps,
-               but with stops or friction
+               and 1/50 of the horizon, with at most 20 substeps at the start. It does not limit the substeps
     stabilisation : default "projection" for joints that would drift, else "none"
 
     With a method, it takes the arguments of Engine, with their defaults.
@@ -337,7 +336,7 @@ class Simulation(Engine):
             if running.estimate.checkpoints > count:
                 if self._control is not None:
                     predictable = running.estimate.predictable_until == math.inf
-                    self._control.update(self.time, running.largest, predictable, running.follows_tolerance)
+                    self._control.update(self.time, running.largest, predictable)
                     self._choice.update()
                 self._look()
             if self.steps >= end or self._halted or (enough is not None and enough()):

@@ -22,8 +22,6 @@ from liegroup_core.methods.table import METHODS
 
 EXPLICIT, IMPLICIT = 0, 1  # numbers of the methods in the integrators
 STIFF = "radau5"
-# If a step of a companion that does not run ahead takes fewer evaluations, its steps limit the substeps.
-CHEAP = 100.0
 # Evaluations in the first FIRST steps of the companion, above which both methods are tried at once. An attempted
 # substep takes twelve, so that a tenth as many attempts show it.
 DEAR, FIRST = 1000, 4
@@ -97,8 +95,7 @@ class MethodChoice:
         if theirs < SEEN and self._integrators[0].chosen == EXPLICIT:
             return  # by then a substep more or less matters
         self._waiting -= theirs
-        short = self._engine.runs_ahead or theirs > CHEAP * steps
-        if self._waiting <= 0.0 and (short and ours < ALIKE * theirs or self._integrators[0].chosen == IMPLICIT):
+        if self._waiting <= 0.0 and (ours < ALIKE * theirs or self._integrators[0].chosen == IMPLICIT):
             self._choose(max(1, math.ceil(TRIAL * steps / theirs)) if theirs else 1)
         self._count()
 

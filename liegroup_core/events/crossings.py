@@ -15,12 +15,13 @@ import math
 import numpy as np
 
 from liegroup_core.compiling import kernel
-from liegroup_core.dynamics.switches import AT_STOP, LEAST, LOWER, MOST, RESTING, SLIDING, coordinate, set_guards
+from liegroup_core.dynamics.switches import AT_STOP, LEAST, LOWER, MOST, RESTING, SLIDING, UPPER, coordinate, set_guards
 from liegroup_core.mechanism.arrays import COORDINATE, NODES, RESTS, SIDE, SLIP
 
 NONE = -1.0  # in Work.crossed: the guard is not crossed
 START, END = 0, 1  # rows of Work.course of the first stage and of the end
 APART = 0.125  # fraction of a step; a stage that is closer to a chosen one is omitted
+LATEST = 0.9  # fraction of a substep with an event, that is repeated up to there at most
 PARTS, DOUBT = 16, 4.0  # parts of a step, at whose ends guards are tested; safety factor, see `lowest`
 
 
@@ -151,6 +152,30 @@ def lowest(g0, v0, a0, g1, v1, a1, h, depth, lag):
             if gap < least:
                 place, least = (i + aside) / PARTS, gap
     return place
+
+
+@kernel
+def first_place(model, work):
+    """Fraction of the substep at which the first of its events is expected, at most LATEST.
+
+    Of a guard that is negative at the end, by linear interpolation; where its start is not known half of it.
+    """
+    first = LATEST
+    for k in range(len(model.switches)):
+        for c in range(5):
+            place, after = work.crossed[k, c], work.guards[k, c]
+            if place == 1.0:
+                before = 0.0
+                if c == SLIDING:
+                    before = work.modes[k, SLIP] * work.since[k, 0]
+                elif c == LOWER:
+                    before = work.modes[k, COORDINATE] - model.switches[k]["lower"]
+                elif c == UPPER:
+                    before = model.switches[k]["upper"] - work.modes[k, COORDINATE]
+                place = before / (before - after) if 0.0 < before < math.inf else 0.5
+            if place != NONE:
+                first = min(first, place)
+    return first
 
 
 @kernel

@@ -3,7 +3,8 @@
 
 An event ends the smooth motion between two steps: a joint reaches a stop or leaves it, comes to rest
 or breaks away. munthe_kaas.py returns at the start of the substep in which a guard is crossed
-(crossings.py). times.py finds the event's time, mode_changes.py what changes.
+(crossings.py). times.py finds the event's time, mode_changes.py what changes. A method that runs ahead returns at the
+start of the step, which is completed from the lead on.
 
 More than MOST_EVENTS in a step are an error.
 """
@@ -15,7 +16,7 @@ import numpy as np
 from liegroup_core.dynamics.switches import LOWER, RESTING, SLIDING, UPPER, modes_of
 from liegroup_core.joints.stops import WITHIN_A_TURN
 from liegroup_core.mechanism.arrays import BEGIN, COORDINATE, KNOWN, SIDE, SLIP, SPAN, WATCHED
-from liegroup_core.mechanism.bodies import COUNT, OFFSET
+from liegroup_core.mechanism.bodies import COUNT, FROM, OFFSET, SINCE, TO, UNTIL
 from liegroup_core.status import BEYOND_STOP, EVENT, EVENTS_WITHOUT_END, MOST_EVENTS, OK, TOO_MANY_SUBSTEPS
 
 from .crossings import lowest
@@ -49,6 +50,7 @@ class Switching(EventTimes):
     """Steps of a Munthe-Kaas method with the events of the switches of its model.
 
     sizes, take, control : see EventTimes
+    lead    : Lead of the method
 
     instants : [JointInstant] since they were last taken; None: not recorded
     count   : number of events since the state was set
@@ -56,8 +58,9 @@ class Switching(EventTimes):
     tally   : (k,) number of instants at which a guard of each switch was zero, since the state was set
     """
 
-    def __init__(self, model, work, sizes, take, control):
+    def __init__(self, model, work, sizes, take, control, lead):
         super().__init__(model, work, sizes, take, control)
+        self._lead = lead
         self.instants, self.count = None, 0
         self.endless = self._inputs = None
         self.tally = np.zeros(len(work.guards), dtype=int)
@@ -105,39 +108,88 @@ class Switching(EventTimes):
         if steps == 0:
             return self._take(h, 0, *state)
         del self.events[:-MOST_KEPT]
-        done, first, base = 0, work.clock[COUNT], work.clock[OFFSET]
+        clock, done, first, base = work.clock, 0, work.clock[COUNT], work.clock[OFFSET]
+        begin, end = clock[FROM], clock[TO]
+        whole = clock[SINCE] == clock[UNTIL] == 0.0  # not a part of a step, which is completed at once
         status = self._meet_inputs(first * h + base, state)
         while status == OK and done < steps:
-            work.clock[COUNT], work.clock[OFFSET] = first + done, base
+            clock[COUNT], clock[OFFSET] = first + done, base
+            if whole:
+                self._lead.call(begin + done, end)
             more, status = self._take(h, steps - done, *state)
             done += more
-            if status == EVENT:
-                kept = self._keep(pose, twist, True)
-                log, instants = len(self.events), len(self.instants or ())
-                impacts, lost = len(self.impacts or ()), self.lost
+            if status == EVENT and self._lead.runs:
+                one = 1 if whole else steps
+                status = self._finish_from_lead(one * h, (first + done) * h + base, state)
+                done += one if status == OK else 0
+            elif status == EVENT:
+                kept, logged = self._keep(pose, twist, True), self._logged()
                 status = self._finish(h, (first + done) * h + base, state)
                 if status == OK:
                     done += 1
                 else:
                     self._return(kept, pose, twist)
                     self._change_rates(self._model, work, self._no_changes, pose, twist)
-                    self.count -= len(self.events) - log
-                    del self.events[log:]
-                    self.lost = lost
-                    self.impacts = self.impacts and self.impacts[:impacts]
-                    if self.instants:
-                        del self.instants[instants:]
-        work.clock[COUNT], work.clock[OFFSET] = first, base
+                    self._forget(logged)
+        clock[COUNT], clock[OFFSET], clock[FROM], clock[TO] = first, base, begin, end
         return done, status
+
+    def _finish_from_lead(self, h, start, state):
+        """Complete a step of size h with the next event, whose substep begins at the lead. Returns a status."""
+        work, (pose, twist, _) = self._work, state
+        own = work.angle, work.held, work.modes, pose, twist
+        kept, logged = [part.copy() for part in own], self._logged()
+        work.angle[:], work.modes[:, COORDINATE] = work.lead_angle, work.lead_coordinates
+        work.watch[SPAN] = min(work.watch[SPAN], h - work.watch[BEGIN])
+        self._change_rates(self._model, work, self._no_changes, pose, twist)
+        with self._lead.left():
+            status = self._finish(h, start, state)
+        if status != OK:
+            for part, values in zip(own, kept):
+                part[:] = values
+            self._lead.go_back()
+            self._forget(logged)
+        return status
+
+    def _logged(self):
+        return len(self.events), len(self.instants or ()), len(self.impacts or ()), self.lost
+
+    def _forget(self, logged):
+        """Remove what was logged after `logged`, because the step failed."""
+        events, instants, impacts, self.lost = logged
+        self.count -= len(self.events) - events
+        del self.events[events:]
+        self.impacts = self.impacts and self.impacts[:impacts]
+        if self.instants:
+            del self.instants[instants:]
+
+    def is_settled(self, external):
+        """Whether the modes are those of the present inputs."""
+        if self._work.modes[0, KNOWN] == 0.0:  # all are found together
+            return False
+        return not self._at_rest().any() or self._same(external)
+
+    def _note_inputs(self, external):
+        work = self._work
+        self._inputs = (external.copy(), work.acting.copy(), work.wanted.copy(), work.motions.copy())
+
+    def _same(self, external):
+        """Whether the inputs are those for which the modes were found."""
+        work = self._work
+        inputs = external, work.acting, work.wanted, work.motions
+        last = self._inputs
+        if self._lead.known:
+            last = work.lead_external, work.lead_acting, work.lead_wanted, work.lead_motions
+        return last is not None and all(map(np.array_equal, inputs, last))
 
     def _meet_inputs(self, time, state):
         """Find the modes after a state was set or the inputs changed."""
-        work, known = self._work, self._work.modes[:, KNOWN].all()
-        inputs = (state[2].copy(), work.acting.copy(), work.wanted.copy(), work.motions.copy())
-        same = self._inputs is not None and all(map(np.array_equal, inputs, self._inputs))
-        self._inputs = inputs
-        if known and (same or not self._at_rest().any()):
+        if self.is_settled(state[2]):
             return OK
+        work, known = self._work, self._work.modes[0, KNOWN] != 0.0
+        self._note_inputs(state[2])
+        if self._lead.known:
+            self._lead.go_back()
         if not known:
             work.modes[:, COORDINATE] = self._in_turns_of_stops(work.modes[:, COORDINATE])
         status = self._look(self._model, work, *state)
@@ -175,6 +227,7 @@ class Switching(EventTimes):
     def _finish(self, h, start, state):
         """Complete the step with the next event, from the substep of the event on. Returns a status."""
         self.step, self.same_time = h, min(SAME_TIME, SAME_PART * h)
+        self._note_inputs(state[2])
         status = self._take_events(h, start, state)
         self.is_dense = self.has_many = False
         return status
@@ -276,7 +329,7 @@ class Switching(EventTimes):
         self._note(time, before)
         self.count += len(self.events) - log
         if self.instants is not None:
-            self.instants.append(JointInstant(time, self._modes(), self.events[log:]))
+            self.instants.append(JointInstant(time, self.present_modes(), self.events[log:]))
         return OK
 
     def _is_slow(self, before, rates):
@@ -284,19 +337,20 @@ class Switching(EventTimes):
         slip = before[1][:, SLIP]
         return (slip != 0.0) & (slip * rates <= RESTING * (1.0 + np.abs(rates).max(initial=0.0)))
 
-    def _modes(self):
+    def present_modes(self):
+        """(k, 5) of all switches, see switches.modes_of, for a state that was not set."""
         return modes_of(self._model, self._work)
 
     def modes(self, time, state):
         """(k, 5) of all switches, see switches.modes_of; for a state that was set, the modes it will have."""
-        if self._work.modes[:, KNOWN].all():
-            return self._modes()
+        if self._work.modes[0, KNOWN] != 0.0:
+            return self.present_modes()
         self._look(self._model, self._work, *state)  # the links have this state from here on
         noted = self.events, self.impacts, self.instants, self.count, self._inputs
         kept, self.events, self.impacts, self.instants = self._keep(*state[:2]), [], None, None
         # If the state is beyond a stop, the next step reports that.
         self._meet_inputs(time, state)
-        modes = self._modes()
+        modes = self.present_modes()
         self._return(kept, *state[:2])
         self.events, self.impacts, self.instants, self.count, self._inputs = noted
         return modes

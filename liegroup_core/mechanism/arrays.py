@@ -236,14 +236,17 @@ class RelativeWork(Struct):
     middle: np.ndarray = shaped("freedoms", 2)  # its regularised accelerations, and those interpolated
     velocity: np.ndarray = shaped("links", 6)  # qdot at the start of the step
     slopes: np.ndarray = shaped("slopes", 2)  # k of stages, end and inside: algebra, then qdot part
-    # Of a state that is ahead of the caller's: its angles and derivative; of the kept substep the start, derivatives of
-    # its stages and angles; the inputs. See munthe_kaas/ahead.py.
+    # Of a state that is ahead of the caller's: its angles, coordinates of switches and derivative; of the kept substep
+    # the start, derivatives of its stages, angles and coordinates; the inputs. See munthe_kaas/ahead.py.
     lead_angle: np.ndarray
+    lead_coordinates: np.ndarray = shaped("switches")
     lead_slopes: np.ndarray = shaped("freedoms", 2)
     kept_pose: np.ndarray = shaped("state", 12)
     kept_twist: np.ndarray = shaped("state", 6)
     kept_slopes: np.ndarray = shaped("slopes", 2)
     kept_angle: np.ndarray
+    kept_coordinates: np.ndarray = shaped("switches")
+    start_coordinates: np.ndarray = shaped("switches")  # of the caller's state
     lead_external: np.ndarray = shaped("bodies", EXTERNAL_COLUMNS)
     lead_wanted: np.ndarray
     lead_acting: np.ndarray

@@ -50,6 +50,7 @@ def check(scene, wrenches=()):
 
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("axes", ["body", "world"])
+@pytest.mark.turn(3)
 def test_accelerations_are_the_derivatives_of_the_motion(name, axes):
     scene = load_scene(name)
     check(scene, [(scene.bodies[-1].name, PUSH, axes)])

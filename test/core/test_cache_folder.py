@@ -143,6 +143,7 @@ def test_the_folder_of_compiled_code_is_private(tmp_path, monkeypatch, caplog, h
 @pytest.mark.slow
 @pytest.mark.skipif(not compiled(), reason="nothing is compiled")
 @pytest.mark.parametrize("plain", ["0", "1"])
+@pytest.mark.turn(3)
 def test_no_variable_of_numba_moves_the_cache(tmp_path, plain):
     """Neither its own folder nor the choice of its kinds of places."""
     (tmp_path / "kernels.py").write_text(

@@ -60,6 +60,7 @@ def test_angles_whose_squares_underflow(method):
     assert errors == pytest.approx([errors[0]] * len(errors), rel=1e-6)
 
 
+@pytest.mark.turn(3)
 def test_flagged_refused_stopped_and_unjudged_verdicts():
     assert verdict(problems.step_free(0.25), "rkmk8")["verdict"] == ACCURATE
     assert verdict(problems.step_free(1.0), "rkmk2")["verdict"] == FLAGGED
@@ -133,6 +134,7 @@ def test_the_quick_map_has_no_undetected_error():
 
 
 @pytest.mark.slow
+@pytest.mark.turn(3)
 def test_an_interrupted_map_resumes_from_the_cache(tmp_path, monkeypatch):
     """An interrupted map continues with the same cells and the same verdicts."""
     axes = [axis for axis in AXES if axis.name in ("angle", "step_free")]

@@ -135,6 +135,7 @@ sys.exit(apart.main(*sys.argv[1:]))
         ("__import__('ctypes').CDLL(None).fork()", -1),
     ],
 )
+@pytest.mark.turn(3)
 def test_unchecked_code_in_a_xacro_file_can_do_no_harm(code, value, tmp_path):
     """The second wall holds without the first. value : that code returns; None: it raises an error."""
     canary, path = tmp_path / "canary", tmp_path / "arm.xacro"
@@ -160,6 +161,7 @@ def test_unchecked_code_in_a_xacro_file_can_do_no_harm(code, value, tmp_path):
         ("${xacro.load_yaml('/etc/passwd')}", "/etc/passwd is not read: it is outside of"),
     ],
 )
+@pytest.mark.turn(3)
 def test_a_hostile_xacro_file_is_refused_in_one_line(value, expected, tmp_path, monkeypatch):
     outside = written(tmp_path / "outside.yaml", "secret")
     path = tmp_path / "ws" / "package" / "arm.xacro"
@@ -172,6 +174,7 @@ def test_a_hostile_xacro_file_is_refused_in_one_line(value, expected, tmp_path, 
     assert "secret" not in text
 
 
+@pytest.mark.turn(3)
 def test_files_outside_of_the_tree_are_read_on_request_only(tmp_path):
     (tmp_path / "part.xacro").write_text(ARM)
     path = tmp_path / "ws" / "robots" / "arm.xacro"

@@ -140,6 +140,7 @@ fresh("kept").check()
 
 
 @pytest.mark.skipif(backend.chosen().name != "inlining", reason="plain Numba writes its own cache")
+@pytest.mark.turn(3)
 def test_a_cache_that_was_not_written_is_written_later(tmp_path):
     """Without memory for it, and by a process that dies before it has written a file."""
     out, err = run(FAILING, tmp_path)
@@ -151,6 +152,7 @@ def test_a_cache_that_was_not_written_is_written_later(tmp_path):
     assert again[0] != "Counter()\n" and again[1] == "Counter()\n"
 
 
+@pytest.mark.turn(3)
 def test_the_process_ends_soon_after_an_interrupt(tmp_path):
     """The work that continues is waited for only up to the next function."""
     out, err = run(
@@ -167,6 +169,7 @@ except KeyboardInterrupt:
     assert out == "interrupted 1\n" and err == ""
 
 
+@pytest.mark.turn(3)
 def test_the_first_use_of_the_compiler_may_be_any(tmp_path):
     """The address of a Struct, and a kernel that is called while its module is imported."""
     (tmp_path / "calls.py").write_text("from liegroup_core.compiling.check import check\ncheck()\nprint('checked')\n")

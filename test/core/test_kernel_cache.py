@@ -136,6 +136,7 @@ print(len(saved))
 
 
 @pytest.mark.slow
+@pytest.mark.turn(3)
 def test_of_many_processes_one_compiles(tmp_path):
     """Also from copies of the sources at different places."""
     environment = os.environ | {"LIEGROUP_CACHE_DIR": str(tmp_path / "cache")}

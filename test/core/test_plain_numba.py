@@ -48,7 +48,7 @@ def run(code, *arguments, **environment):
 
 
 @pytest.mark.parametrize("scenes, method", CASES)
-@pytest.mark.volume(1)
+@pytest.mark.volume(0)  # `make plain` and `make verify` run it
 def test_plain_numba_is_bit_identical_to_the_inlining_backend(scenes, method):
     """States after 50 steps. No subnormal numbers occur, which only `stepper` flushes to zero."""
     cases = json.dumps([(scene, method) for scene in scenes])

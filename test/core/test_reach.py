@@ -35,6 +35,7 @@ def driven_rocker():
     ids=lambda options: options.get("method", "accuracy"),
 )
 @pytest.mark.parametrize("change, end, sign", [(1.5, INNER, 1.0), (-3.0, OUTER, -1.0)])
+@pytest.mark.turn(3)
 def test_a_position_beyond_the_reach_of_a_loop_is_named(options, change, end, sign):
     """Within what the joint moves in four steps, at most 3 * 15/8 rad/s."""
     simulation = Simulation(driven_rocker(), quiet=True, **options)

@@ -148,6 +148,7 @@ OWN = '<inertial pos="0 0 0.5" mass="2" diaginertia="1 1 1"/>'
         (OWN, "", 'inertiafromgeom="true"', None),
     ],
 )
+@pytest.mark.turn(3)
 def test_a_mesh_of_mjcf_may_be_missing_unless_a_mass_follows_from_it(inertial, mass, rule, expected, tmp_path):
     path = written(tmp_path / "mesh.xml", MESHES.format(inertial=inertial, mass=mass, rule=rule))
     if expected is None:
@@ -173,6 +174,7 @@ XACRO = """<robot name="two" xmlns:xacro="http://www.ros.org/wiki/xacro">
 <axis xyz="0 1 0"/></joint></robot>"""
 
 
+@pytest.mark.turn(3)
 def test_xacro_files(tmp_path):
     path = written(tmp_path / "two.urdf.xacro", XACRO)
     scene = load_scene(path)
@@ -200,6 +202,7 @@ XACRO_WITH_ARGUMENTS = (
 )  # fmt: skip
 
 
+@pytest.mark.turn(3)
 def test_xacro_finds_the_packages_around_a_file(tmp_path, monkeypatch):
     """The folder of the package by its name or its package.xml, packages beside it, AMENT_PREFIX_PATH first."""
     monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
@@ -230,6 +233,7 @@ def test_xacro_finds_the_packages_around_a_file(tmp_path, monkeypatch):
     assert length("arm_src") == 0.5
 
 
+@pytest.mark.turn(3)
 def test_arguments_of_xacro(tmp_path):
     path, beside = tmp_path / "two.urdf.xacro", tmp_path / "two.yaml"
     path.write_text(XACRO_WITH_ARGUMENTS)
@@ -364,6 +368,7 @@ def test_a_robot_beside_yaml_that_is_not_there(tmp_path):
         ('pos="0.4 0 0"', 'pos="nan 0 0"', "bodies, hand, pos"),
     ],
 )
+@pytest.mark.turn(3)
 def test_numbers_of_mjcf_must_be_finite(old, new, where, tmp_path):
     path = tmp_path / "all.xml"
     assert MJCF_WITH_ALL_JOINTS.count(old) >= 1

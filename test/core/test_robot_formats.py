@@ -154,6 +154,7 @@ FOUR_BAR = """<mujoco><option gravity="0 -9.81 0"/><worldbody>
   </equality></mujoco>"""
 
 
+@pytest.mark.turn(3)
 def test_loops_and_welds_of_mjcf(tmp_path):
     path = written(tmp_path / "four_bar.xml", FOUR_BAR.format(more=""))
     simulation = Simulation(load_scene(path), "rkmk4", 1e-3)
@@ -963,6 +964,7 @@ frictionloss="0.1"/><geom name="g" size="0.1" pos="0.3 0 0" {solid}/></body></wo
         ('contact="disable" frictionloss="disable"', 0, [], ["limits", "stiffness", "damping"]),
     ],
 )
+@pytest.mark.turn(3)
 def test_flags_and_contact_pairs_of_mjcf(flag, height, changes, acting, tmp_path):
     """What a flag switches off has no effect and no note; a contact pair acts on shapes that collide with no other."""
     path = written(tmp_path / "flags.xml", HINGE.format(flag=flag, height=height, solid='contype="0" conaffinity="0"'))

@@ -355,6 +355,7 @@ def test_starts_satisfy_the_type_of_their_joint(text, good, bad, tmp_path):
         ("ball: {quaternion: [0, 0, 0, 1]}, lock: {ball: 0}", 'placed.yaml:2: start: joint "ball" is locked'),
     ],
 )
+@pytest.mark.turn(3)
 def test_wrong_starts_get_one_line(start, message, tmp_path):
     (tmp_path / "all.xml").write_text(MJCF_WITH_ALL_JOINTS)
     start, _, rest = start.partition(", lock")
@@ -391,6 +392,7 @@ TIP = Joint(name="tip", type="revolute", parent="left_end", child="right_end", p
         (five_bar_urdf().replace("continuous", "floating", 1), Options(joints=[TIP]), 9, 4),
     ],
 )
+@pytest.mark.turn(3)
 def test_joint_coordinates_count_what_floats(text, options, file, scene, tmp_path):
     path = written(tmp_path / f"robot.{'sdf' if text.startswith('<sdf') else 'urdf'}", text)
     saved = describe(make_layout(scene_from_robot(path, options)))["import"]
@@ -575,6 +577,7 @@ def test_mimic_joints_are_couplings(tmp_path):
 
 
 @pytest.mark.parametrize("curve", ["0 0 0", "0.2 0 0", "0.2 -0.05 0.03"])
+@pytest.mark.turn(3)
 def test_coupled_joints_have_mujocos_accelerations(curve, tmp_path):
     """MuJoCo without its soft equality, with exact rows of the couplings; the start satisfies its own equality."""
     mujoco = pytest.importorskip("mujoco")
@@ -709,6 +712,7 @@ def test_a_root_link_called_world_does_not_float(tmp_path):
     assert not any("base" in note for note in load_scene(path).notes)
 
 
+@pytest.mark.turn(3)
 def test_a_keyframe_that_violates_couplings_yields_to_them(tmp_path):
     """Numbers of a keyframe are rounded, or come from MuJoCo's soft constraints; start values are kept."""
     path = tmp_path / "geared.xml"

@@ -269,6 +269,7 @@ def places(value, path=()):
 
 @bounded
 @given(st.data())
+@pytest.mark.turn(3)
 def test_any_value_anywhere_loads_or_is_refused(data):
     """One or two values of a valid scene are replaced by arbitrary values."""
     values = yaml.safe_load(GOOD.replace("1e4", "1.0e4").replace("2e-1", "0.2"))

@@ -14,6 +14,7 @@ STEPS = {"four_bar": 1e-4, "lagrangian_top": 2e-4, "andrews_squeezer": 2e-6, "fl
 
 
 @each_scene
+@pytest.mark.turn(3)
 def test_an_example_scene_satisfies_constraints_and_conserves_energy(path):
     scene = load_scene(path)
     check_consistency(scene)

@@ -123,6 +123,7 @@ def test_non_finite_wrench_times_are_refused(times):
         Simulation(load_scene("free_body"), method="rkmk4").apply_wrench("body", (1, 0, 0, 0, 0, 0), **times)
 
 
+@pytest.mark.turn(3)
 def test_a_model_error_names_the_line_in_the_scene_file(tmp_path):
     links = mechanisms.two_links(1.0)
     path = tmp_path / "links.yaml"

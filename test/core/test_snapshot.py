@@ -147,6 +147,7 @@ def test_a_command_that_was_cleared_has_ended_for_the_estimate_too():
         lambda c: c["waiting"].append(3),
     ],
 )
+@pytest.mark.turn(3)
 def test_wrong_commands_in_a_state_are_refused(change):
     """Of the simulation or its companion; the state is then that of the poses alone, or an error."""
     simulation = Simulation(load_scene("four_bar"), quiet=True, accuracy=1e-5, step=1e-3)

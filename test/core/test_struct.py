@@ -362,6 +362,7 @@ def test_unsupported_field_types_are_refused():
 
 
 @pytest.mark.slow
+@pytest.mark.turn(3)
 def test_a_pickled_sample_is_complete_in_another_process(tmp_path):
     """Pickled here and loaded there; derived quantities are computed there."""
     sample = Simulation(load_scene("four_bar"), method="rkmk4").sample()

@@ -357,6 +357,7 @@ def test_a_folder_without_a_sweep_is_not_touched(tmp_path):
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["a.parquet", "b.parquet", "notes.txt"]
 
 
+@pytest.mark.turn(3)
 def test_derivatives_by_the_sampled_numbers_are_columns():
     """x = x0 cos(w t), w^2 = k / m: by x0, k and m, for each sample."""
     sweep = oscillator(4, gradient=["ball.x", "ball.vx"])

@@ -68,6 +68,7 @@ def test_errors_are_bit_identical_with_two_workers(scene, trade, tmp_path):
 
 
 @pytest.mark.parametrize("method", MEASURED)
+@pytest.mark.turn(3)
 def test_errors_decrease_at_the_order_of_the_method(trade, method):
     """Between rungs in the asymptotic range, in the middle: 0.2 of the order, as steps are no
     powers of each other and the next term of the error still counts. The reference is known to a

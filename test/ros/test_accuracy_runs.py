@@ -48,6 +48,7 @@ def repeats(path):
     return recording
 
 
+@pytest.mark.turn(3)
 def test_a_node_with_nothing_but_a_scene_keeps_its_accuracy_and_says_so(client, tmp_path):
     """Through pushes, a pause, single steps and a reset; the recording repeats bit for bit."""
     path = tmp_path / "run.mcap"
@@ -177,6 +178,7 @@ forces:
 """
 
 
+@pytest.mark.turn(3)
 def test_parts_with_joint_commands_repeat_alone(ros_node, tmp_path, monkeypatch):
     """Efforts, wanted values and a trajectory that span parts, a limit that is reached, a reset."""
     monkeypatch.setattr(real_time, "SHARE", math.inf)
@@ -213,6 +215,7 @@ def whatever_it_helps(monkeypatch):
     monkeypatch.setattr(real_time, "helps", lambda *costs: True)
 
 
+@pytest.mark.turn(3)
 def test_real_time_that_does_not_allow_the_accuracy_raises_it(ros_node, tmp_path, monkeypatch, caplog):
     """By ten, with an event and a warning; a reset returns to the accuracy asked for."""
     sent = []
@@ -265,6 +268,7 @@ def test_real_time_that_does_not_allow_the_accuracy_raises_it(ros_node, tmp_path
     assert later["kept"] is later["seconds"] is None
 
 
+@pytest.mark.turn(3)
 def test_restarts_do_not_end_an_accuracy(ros_node, tmp_path):
     """A reset begins anew. What continues a snapshot is not checked, and no larger error either."""
     with Run(ros_node, "heavy_top", record=tmp_path / "run.mcap") as run:
@@ -310,6 +314,7 @@ def test_the_accuracy_is_raised_at_most_to_a_tenth(ros_node, tmp_path, monkeypat
         (1e-12, 1000.0, 1000.0),  # the messages alone take more than a core
     ],
 )
+@pytest.mark.turn(3)
 def test_an_accuracy_is_not_given_away_if_that_does_not_help(
     ros_node, tmp_path, monkeypatch, caplog, accuracy, factor, publish_rate
 ):
@@ -399,6 +404,7 @@ def test_a_run_reports_that_its_error_exceeds_the_accuracy(tmp_path):
         (1e-2, events_of_runs.accuracy(1e-1, 0.3, 1e-2, 0.9, 0.1), True, 0.3, True),
     ],
 )
+@pytest.mark.turn(3)
 def test_each_period_is_judged_by_its_accuracy(tmp_path, first, text, kept, seconds, warned):
     """The error of this run is from 1e-6 to 1e-3 after 0.02 s. Real time ends a guarantee, a request does not."""
     promise = {"accuracy": first, "horizon": 60.0, "length": 0.5}
@@ -420,6 +426,7 @@ def test_each_period_is_judged_by_its_accuracy(tmp_path, first, text, kept, seco
 
 
 @pytest.mark.parametrize("push, kept, seconds", [(None, False, 0.6), (25, False, 0.6), (0, False, 0.6)])
+@pytest.mark.turn(3)
 def test_a_missed_accuracy_is_reported_as_a_problem(tmp_path, push, kept, seconds):
     """With a much too large step of a method; wrenches do not end the accuracy."""
     pushes = [] if push is None else [(push, ("top", (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)))]

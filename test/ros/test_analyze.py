@@ -32,6 +32,7 @@ def pushed_top(tmp_path_factory):
     return record(tmp_path_factory.mktemp("log") / "pushed.mcap", load_scene("heavy_top"), 1500, pushes=PUSHED.items())
 
 
+@pytest.mark.turn(3)
 def test_error_of_the_heavy_top_equals_an_independent_implementation(tmp_path):
     """The error after 6 s is what an independent implementation of the method has: 5.652e-6.
 
@@ -110,6 +111,7 @@ def test_energy_and_momentum_drift_of_force_free_intervals(pushed_top):
     assert figures["pushes"] == [{"body": "top", "from_s": 0.8, "to_s": pytest.approx(1.4)}]
 
 
+@pytest.mark.turn(3)
 def test_repetition_and_reference_use_the_recorded_wrenches(pushed_top, tmp_path):
     """With them the run is bit-identical and its error small; with one missing, neither."""
     good = figures_of(pushed_top)
@@ -140,6 +142,7 @@ def test_one_flipped_bit_is_detected(tmp_path):
     assert len(figures["problems"]) == 1
 
 
+@pytest.mark.turn(3)
 def test_every_reset_starts_a_new_interval(tmp_path):
     """Each interval starts from the initial state; a wrench counts until the reset ends it."""
     figures = figures_of(
@@ -211,6 +214,7 @@ def test_missing_samples_and_messages_are_reported(tmp_path):
     assert figures["problems"] == ["messages are missing: 3 of /clock", "missing from the recording: 1 sample"]
 
 
+@pytest.mark.turn(3)
 def test_the_recording_of_a_killed_process_is_analysed(tmp_path, pushed_top):
     """Truncated in the middle: the existing part is analysed and the file called incomplete."""
     log = tmp_path / "cut.mcap"

@@ -71,6 +71,7 @@ def run(path, scene, method="rkmk4", step=2e-3, duration=1.0, every=10, spoil=la
 
 
 @pytest.mark.parametrize("text, name", [(FREE, "free bodies"), (TOP, "symmetric heavy top")])
+@pytest.mark.turn(3)
 def test_the_error_against_the_exact_solution_and_the_reference_agree(tmp_path, text, name):
     """Closed form and independent integration share no code."""
     recording = read_recording(run(tmp_path / "a.mcap", scene_from_text(text), step=1e-2, every=5))
@@ -172,6 +173,7 @@ def checked(path):
     return document
 
 
+@pytest.mark.turn(3)
 def test_the_schema_describes_every_key(tmp_path, logs, capsys):
     jsonschema.Draft202012Validator.check_schema(json.loads(SCHEMA.read_text()))
     log = record(
@@ -216,6 +218,7 @@ def test_many_recordings_give_one_line_each(logs, tmp_path, capsys, monkeypatch,
     ]  # rkmk8 is exact enough
 
 
+@pytest.mark.turn(3)
 def test_a_violated_or_unjudged_limit_fails_the_command(logs, tmp_path, capsys, monkeypatch):
     """Exit code 1 and one line, also if a limit cannot be checked; exit code 2 for wrong input."""
     log = str(logs / "a.mcap")
@@ -326,6 +329,7 @@ def test_only_known_estimates_and_errors_above_the_uncertainty_count():
     assert figures["angular"] == {"unit": "rad/s", "max": 10.1, "samples": 0, "covering": None, "close": None}
 
 
+@pytest.mark.turn(3)
 def test_a_recorded_estimate_above_the_limit_fails_the_command(tmp_path, capsys):
     """Also an infinite one; not one that is unknown."""
     scene = load_scene("heavy_top")
@@ -420,6 +424,7 @@ def test_estimates_of_a_later_part_are_not_compared(tmp_path):
     assert {y for trace in error["data"][4:] for y in trace["y"]} == {None}
 
 
+@pytest.mark.turn(3)
 def test_the_coverage_is_the_estimate_divided_by_the_error(tmp_path):
     log = run(tmp_path / "a.mcap", load_scene("double_pendulum"), duration=2.0, estimate=True)
     analysis = analyse(read_recording(log))
@@ -505,6 +510,7 @@ def test_two_recordings_are_compared(logs, tmp_path):
         compare(one, read_recording(logs / "c.mcap"))
 
 
+@pytest.mark.turn(3)
 def test_long_recordings_are_analysed_in_pieces(tmp_path, monkeypatch):
     """The result equals that of a single piece, with and without thinned curves."""
     log = record(
@@ -633,6 +639,7 @@ def test_recordings_are_read_over_http(logs, capsys):
     refused("a", "Connect")
 
 
+@pytest.mark.turn(3)
 def test_the_library_works_without_ros(tmp_path):
     """Arrays and data frames in a Python where no ROS package can be imported."""
     log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 100, pushes=[(20, ("left", (0, 0, 1.0, 0, 0, 2.0)))])
@@ -659,6 +666,7 @@ assert recording.errors is None and recording.to_pandas("errors").empty
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.turn(3)
 def test_the_code_of_the_analysis_page_runs(tmp_path, monkeypatch, capsys):
     """Every Python block of docs/reference/analysis.md, in order and in one folder."""
     run(tmp_path / "run.mcap", load_scene("heavy_top"))

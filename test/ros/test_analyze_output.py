@@ -86,6 +86,7 @@ def test_an_offline_run_has_no_requested_real_time_factor(tmp_path):
     assert dict(sections(figures))["Real time"][0] == ("real-time factor", "-", "requested: as fast as possible")
 
 
+@pytest.mark.turn(3)
 def test_files_are_written_although_stdout_is_closed(tmp_path):
     log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 50)
     page, figures = tmp_path / "a.html", tmp_path / "a.json"
@@ -171,6 +172,7 @@ def test_an_accidental_tiny_error_does_not_stretch_a_log_axis():
     assert "range" not in axis(np.logspace(-15, 0, 500)) and "range" not in axis(np.zeros(9))
 
 
+@pytest.mark.turn(3)
 def test_the_report_size_is_bounded_for_long_recordings(tmp_path, monkeypatch):
     """The number of plotted points is bounded, and peaks are preserved."""
     y = np.sin(np.linspace(0.0, 300.0, 1_000_000))
@@ -252,6 +254,7 @@ def test_unwritable_output_and_invalid_scenes_give_one_line(tmp_path, capsys):
     assert err.count("\n") == 1 and "b.mcap" in err
 
 
+@pytest.mark.turn(3)
 def test_works_without_ros(tmp_path):
     """In a Python where no ROS package can be imported."""
     log = record(tmp_path / "a.mcap", scene_from_text(PAIR), 100)

@@ -172,6 +172,7 @@ def test_curves_of_a_joint_are_those_of_the_closed_form(tmp_path):
     assert drawn["Body positions, x"][1] == pytest.approx(x.tolist(), abs=1e-4)
 
 
+@pytest.mark.turn(3)
 def test_many_joints_are_drawn_a_few_at_a_time_and_angles_without_jumps(tmp_path):
     """Of 40 hinges that turn at different rates the six fastest are visible; a full turn is a gap."""
     bodies = "".join(

@@ -191,6 +191,7 @@ def equal_samples(one, other, first_ns, last_ns):
     return min(counts)
 
 
+@pytest.mark.turn(3)
 def test_every_instant_of_a_run_with_wrenches_is_reached(recorded):
     recording = read_recording(recorded)
     branches = Branches(recording)
@@ -236,6 +237,7 @@ def test_a_node_goes_on_from_an_instant(client, recorded, tmp_path, capsys, at):
         assert ": bit-identical in" in capsys.readouterr().out
 
 
+@pytest.mark.turn(3)
 def test_replay_from_an_instant_starts_a_node(client, recorded, tmp_path):
     path = tmp_path / "what_if.mcap"
     arguments = ["replay", recorded, "--from", "0.5", "--start-paused", "--record", path]

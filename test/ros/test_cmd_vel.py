@@ -41,6 +41,7 @@ def test_wrong_drives_are_refused(drive, text):
         scene_from_text(load_scene("diff_drive").text.replace("{left: left, right: right}", drive), source="t")
 
 
+@pytest.mark.turn(3)
 def test_a_robot_drives_a_circle_and_stops_without_commands(client, tmp_path):
     poses = client.listen(f"{NODE}/base/pose", PoseStamped)
     twists = client.listen(f"{NODE}/base/twist", TwistStamped)
@@ -103,6 +104,7 @@ drive: {left: left-wheel, right: right-wheel}
 """
 
 
+@pytest.mark.turn(3)
 def test_a_robot_file_rolls_on_its_wheels_and_names_its_drive(tmp_path):
     """The start is moved until the wheels touch; names of joints are those of the file; axes on both sides differ."""
     (tmp_path / "rover.urdf").write_text(ROVER)

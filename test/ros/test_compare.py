@@ -49,6 +49,7 @@ def refused(arguments, capsys):
     return lines[0]
 
 
+@pytest.mark.turn(3)
 def test_compare_names_the_rod_and_identify_finds_it(folder, capsys):
     page, figures, out = folder / "page.html", folder / "figures.json", folder / "found.yaml"
     common = [folder / "furuta.yaml", folder / "bag", "--map", folder / "map.yaml", "--workers", 1]
@@ -118,6 +119,7 @@ sensors:
 """
 
 
+@pytest.mark.turn(3)
 def test_poses_odometry_imu_and_tf_of_a_thrown_body_agree(tmp_path):
     """A turned frame of the tracker, quaternions of either sign, and an accelerometer with gravity."""
     scene, rng = scene_from_text(BODY), np.random.default_rng(0)
@@ -310,6 +312,7 @@ def _clean(folder):
     shutil.rmtree(folder, ignore_errors=True)
 
 
+@pytest.mark.turn(3)
 def test_a_plan_is_a_motion_that_inverse_dynamics_takes(tmp_path, monkeypatch, capsys):
     """Of an arm; its table has the efforts that inverse dynamics finds for its positions."""
     planning = sys.modules["liegroup_core.identification.plan"]

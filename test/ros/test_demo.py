@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from waiting import PATIENCE, wait_for
 
 from liegroup_sim_ros.commands.main import main
@@ -61,6 +62,7 @@ def test_demo(tmp_path):
     assert "applied from" in said and (out / "demo.html").stat().st_size > 1_000_000
 
 
+@pytest.mark.turn(3)
 def test_an_interrupted_demo_leaves_no_processes(tmp_path):
     out = tmp_path / "out"
     demo = start("--seconds", 60, "--out", out)

@@ -63,6 +63,7 @@ def refused(capsys, arguments, name):
 
 
 @pytest.mark.parametrize("name", ["run.npz", "run.csv", "run.mcap"])
+@pytest.mark.turn(3)
 def test_a_run_leaves_no_file(folder, capsys, name):
     refused(capsys, [*RUN, "--out", folder / name], name)
     assert list(folder.iterdir()) == []

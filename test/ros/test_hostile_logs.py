@@ -55,6 +55,7 @@ def motion(recording):
 
 
 @pytest.mark.parametrize("harm", ["cut", "flip", "garble", "random", "flip in arrays"])
+@pytest.mark.turn(3)
 def test_damage_never_gives_wrong_numbers(small, tmp_path, monkeypatch, harm):
     """Every value read was written, and missing data are reported; otherwise one error line.
 
@@ -200,6 +201,7 @@ STRANGE = (None, True, -1, 0, 1e-300, 1e300, math.nan, math.inf, 2**70, "x", "",
         "machine",
     ],
 )
+@pytest.mark.turn(3)
 def test_invalid_settings_in_a_recording(small, key):
     """One error line, or the same numbers if the setting does not affect them."""
     good = read_recording(small)

@@ -63,7 +63,6 @@ def test_the_python_code_of_the_page_runs(tmp_path):
 REACTIONS = (SOURCE / "docs" / "how-to" / "reactions.md").read_text()
 
 
-@pytest.mark.turn(3)
 def test_the_commands_of_the_page_on_reactions_run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     blocks = re.findall(r"^```sh\n(.*?)^```$", REACTIONS, re.MULTILINE | re.DOTALL)

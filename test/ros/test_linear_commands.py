@@ -158,6 +158,7 @@ def test_trim_writes_the_system_of_the_equilibrium(tmp_path, capsys):
         (["inverse", "four_bar", "--motion", "binary.csv"], "binary.csv: cannot be read: it is not a text file"),
     ],
 )
+@pytest.mark.turn(3)
 def test_wrong_input_is_one_line(tmp_path, monkeypatch, capsys, arguments, text):
     monkeypatch.chdir(tmp_path)
     for name, content in {

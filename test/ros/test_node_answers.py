@@ -4,6 +4,7 @@
 The period is so long that no other state comes while a test waits.
 """
 
+import pytest
 from commanded import Commanded
 from diagnostic_msgs.msg import DiagnosticArray
 from node_process import NodeProcess, on_grid, stamp_of
@@ -23,6 +24,7 @@ joints:
 """
 
 
+@pytest.mark.turn(3)
 def test_a_command_is_answered_at_once_and_states_stay_on_their_grid(client, tmp_path):
     (tmp_path / "bench.yaml").write_text(SCENE)
     rate, period = 1.0 / PERIOD, round(PERIOD * 1e9)

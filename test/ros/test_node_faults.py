@@ -28,6 +28,7 @@ def figures(messages):
 
 
 @pytest.mark.skipif(not has_namespaces(), reason="no mount namespaces for users here")
+@pytest.mark.turn(3)
 def test_a_full_disk_ends_the_recording_with_an_error_but_not_the_simulation(client, scene, tmp_path):
     script = SMALL_DISK.format(shlex.quote(str(tmp_path)))
     diagnostics = client.listen("/diagnostics", DiagnosticArray)
@@ -49,6 +50,7 @@ def test_a_full_disk_ends_the_recording_with_an_error_but_not_the_simulation(cli
         assert len(said) == 1 and said[0].startswith("[ERROR]")
 
 
+@pytest.mark.turn(3)
 def test_a_removed_recording_is_an_error_an_event_and_an_exit_code(client, scene, tmp_path):
     events = client.events("/emptied")
     log = tmp_path / "run.mcap"
@@ -65,6 +67,7 @@ def test_a_removed_recording_is_an_error_an_event_and_an_exit_code(client, scene
         assert len(said) == 1 and said[0].startswith("[ERROR]") and not log.exists()
 
 
+@pytest.mark.turn(3)
 def test_a_suspended_node_continues_without_a_burst_and_an_overloaded_one_reports_it(client, scene):
     poses = client.listen("/held/puck/pose", PoseStamped)
     diagnostics = client.listen("/diagnostics", DiagnosticArray)

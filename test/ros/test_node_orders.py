@@ -4,6 +4,7 @@
 import random
 
 import numpy as np
+import pytest
 from node_process import NodeProcess, stamp_ns
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -33,6 +34,7 @@ VALUES = {
 REFUSED = {("real_time_factor", -1.0), ("step_count", 0), ("wrench_hold", "for_ever"), ("method", "rkmk2")}
 
 
+@pytest.mark.turn(3)
 def test_random_commands_are_answered_and_all_recording_parts_repeat(client, tmp_path):
     rng = random.Random(5)
     clock = client.listen("/clock", Clock)

@@ -24,6 +24,7 @@ from liegroup_sim_ros.recording.motion import Motion
 from liegroup_sim_ros.recording.read import read_recording
 
 
+@pytest.mark.turn(3)
 def test_a_recording_with_wrenches_and_controls_repeats_bit_for_bit(client, scene, tmp_path):
     """Also: three SIGINTs, of which `ros2 launch` sends two, end the node cleanly with a complete file."""
     path, name = tmp_path / "run.mcap", "/recorded"
@@ -65,6 +66,7 @@ def test_a_recording_with_wrenches_and_controls_repeats_bit_for_bit(client, scen
     assert len(heard) > 50 and heard.items() <= kept.items()
 
 
+@pytest.mark.turn(3)
 def test_a_signal_ends_the_node_and_completes_its_file(client, scene, tmp_path):
     """SIGTERM, and others in other tests; with quality of service that is set by parameters."""
     path, name = tmp_path / "run.mcap", "/ended"
@@ -96,6 +98,7 @@ def test_a_signal_ends_the_node_and_completes_its_file(client, scene, tmp_path):
 
 
 @pytest.mark.skipif(not compiled(), reason="nothing is compiled")
+@pytest.mark.turn(3)
 def test_a_signal_during_compilation_ends_the_node(scene, tmp_path):
     path = tmp_path / "run.mcap"
     with NodeProcess({"scene": scene, "record": path}, env={"LIEGROUP_CACHE_DIR": str(tmp_path)}) as process:
@@ -146,12 +149,14 @@ def test_a_signal_during_compilation_ends_the_node(scene, tmp_path):
         ({"qos_overrides./sim_node/puk/pose.publisher.depth": 5}, "did you mean qos_overrides./sim_node/puck/pose"),
     ],
 )
+@pytest.mark.turn(3)
 def test_wrong_parameters_are_refused_in_one_line_before_recording(scene, tmp_path, capfd, parameters, message):
     path = tmp_path / "run.mcap"
     assert message in refusal(capfd, {"scene": scene, "record": path, **parameters})
     assert not path.exists()
 
 
+@pytest.mark.turn(3)
 def test_two_nodes_in_two_namespaces(client, scene):
     both = [
         NodeProcess({"scene": scene, "clock_rate": 0.0, "world_frame": f"map_{ns}"}, remap=[f"__ns:=/{ns}"])
@@ -172,6 +177,7 @@ def test_two_nodes_in_two_namespaces(client, scene):
         assert [process.wait()[0] for process in both] == [0, 0]
 
 
+@pytest.mark.turn(3)
 def test_rates_and_accuracy_change_while_the_node_runs_and_its_recording_repeats(client, tmp_path):
     path = tmp_path / "run.mcap"
     other = "another node has it as std_msgs/msg/String, this one as geometry_msgs/msg/WrenchStamped"

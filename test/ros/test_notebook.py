@@ -79,6 +79,7 @@ joints:
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
+@pytest.mark.turn(3)
 def test_the_frame_renders_inside_another_page(tmp_path):
     """As in a notebook, the sandboxed frame runs its scripts and sends no requests."""
     simulation = Simulation(load_scene("heavy_top"), "rkmk4", 1e-3)

@@ -381,6 +381,7 @@ def test_events_are_encoded_like_ros_strings(name, text):
     assert len(serialize_message(message)) == len(data)
 
 
+@pytest.mark.turn(3)
 def test_describe_says_that_a_mechanism_is_planar(capsys):
     for scene, expected in (("four_bar", True), ("bricard", False)):
         assert main(["describe", scene]) == 0
@@ -412,6 +413,7 @@ def test_figures(tmp_path, capsys):
     assert "here" in capsys.readouterr().out
 
 
+@pytest.mark.turn(3)
 def test_a_run_writes_the_reactions_on_request(tmp_path, capsys):
     """The same numbers in all three files, those of a simulation with the same settings."""
     arguments = ["run", "four_bar", "--method", "rkmk4", "--step", "1e-3", "--every", "50"]

@@ -154,6 +154,7 @@ def test_the_launch_file_compiles_and_its_preset_exists():
 
 
 @pytest.mark.parametrize("start", ["ros2 run", "python -m"])
+@pytest.mark.turn(3)
 def test_node_is_found_and_answers(start):
     command = (
         [Path(get_package_prefix(NAME), "lib", NAME, "sim_node")]
@@ -172,6 +173,7 @@ def test_node_is_found_and_answers(start):
     assert "Traceback" not in ended.stdout
 
 
+@pytest.mark.turn(3)
 def test_core_imports_no_ros():
     modules = imported_by("liegroup_core")
     assert "liegroup_core.simulation" in modules
@@ -180,6 +182,7 @@ def test_core_imports_no_ros():
     assert not roots & {"rclpy", "rosidl_runtime_py", "rosidl_parser", NAME}
 
 
+@pytest.mark.turn(3)
 def test_analysis_does_not_import_rclpy():
     assert "rclpy" not in imported_by(
         *(f"{NAME}.{part}" for part in ("messages", "recording", "analysis", "report")),

@@ -112,6 +112,7 @@ def test_slider_and_plots_control_the_animation(browser, pages, capsys):
     assert browser.run("views[0].playing") is False and browser.errors == []
 
 
+@pytest.mark.turn(3)
 def test_joints_are_chosen_and_axes_have_numbers(browser, pages):
     """A button hides a joint in all its plots, also after a change of the theme; every axis has tick labels."""
     opened(browser, pages / "one.html")
@@ -136,6 +137,7 @@ def test_joints_are_chosen_and_axes_have_numbers(browser, pages):
     assert len(labels) >= 7 and min(min(pair) for pair in labels) >= 2
 
 
+@pytest.mark.turn(3)
 def test_the_motion_fills_its_card(browser, pages):
     """The box of the axes, seen by a pinhole camera with plotly's field of view of 45 degrees, in a wide window."""
     opened(browser, pages / "one.html")
@@ -157,6 +159,7 @@ def turned(quaternion, vector):
     return vector + 2.0 * np.cross(axis, np.cross(axis, vector) + w * np.array(vector))
 
 
+@pytest.mark.turn(3)
 def test_layout_on_a_phone(browser, pages):
     """Nothing exceeds 360 px, plots follow the window width, touching a plot scrolls the page."""
 
@@ -194,6 +197,7 @@ def test_layout_on_a_phone(browser, pages):
     assert browser.run("scrollY") > before + 100
 
 
+@pytest.mark.turn(3)
 def test_the_verdict_is_green_yellow_or_red(browser, pages):
     """The run of one.mcap missed no deadline, that of other.mcap two, and bad.mcap cannot be read."""
     grades = []
@@ -207,6 +211,7 @@ def test_the_verdict_is_green_yellow_or_red(browser, pages):
     assert browser.run("document.querySelector('ul.warn').textContent") == "2 deadline misses of 100 ticks"
 
 
+@pytest.mark.turn(3)
 def test_light_and_dark_themes(browser, pages):
     """Colours of page and plots, also after a theme change while the page is open."""
     look = (
@@ -226,6 +231,7 @@ def test_light_and_dark_themes(browser, pages):
     assert browser.run(look) == dark
 
 
+@pytest.mark.turn(3)
 def test_hostile_names_are_shown_and_never_executed(browser, tmp_path, monkeypatch):
     """Names of bodies, joints, files and the scene, and all its texts."""
     monkeypatch.setattr(values, "_NAME", re.compile(r"[\s\S]*"))

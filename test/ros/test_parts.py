@@ -90,6 +90,7 @@ def same_bits(path):
     return len(poses[bodies[0]])
 
 
+@pytest.mark.turn(3)
 def test_every_part_alone_repeats_bit_for_bit(client, tmp_path):
     """With a world-axes wrench that spans parts, a pause, single steps and a reset."""
     scene = tmp_path / "wound.yaml"

@@ -112,6 +112,7 @@ def same(one, other):
 
 
 @pytest.mark.parametrize("reader", READERS)
+@pytest.mark.turn(3)
 def test_every_message_of_every_topic_is_decoded(reader, log, written):
     assert len(written) == 5 + 2 + 2 * 2 + 3 * 2 + 3 + ("tf" in OPTIONAL)
     found = {}

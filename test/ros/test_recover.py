@@ -124,6 +124,7 @@ def test_a_truncated_large_chunk_gives_its_beginning(small, tmp_path):
             out.unlink()
 
 
+@pytest.mark.turn(3)
 def test_every_flipped_bit_is_detected_and_no_message_changed(small, tmp_path):
     path, written = small
     whole, damaged, out = path.read_bytes(), tmp_path / "flipped.mcap", tmp_path / "out.mcap"

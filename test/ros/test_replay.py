@@ -61,6 +61,7 @@ class Replay:
         self.client.until(lambda: self.client.node.count_publishers("/sim_node/left/pose"), what="discovery")
 
 
+@pytest.mark.turn(3)
 def test_every_message_is_published_with_its_stamp_and_clock(client, log):
     """At four times the speed; afterwards the process exits by itself."""
     recording = read_recording(log)
@@ -87,6 +88,7 @@ def test_every_message_is_published_with_its_stamp_and_clock(client, log):
         assert len(ticks) >= 100
 
 
+@pytest.mark.turn(3)
 def test_seek_step_rate_and_the_end(client, log):
     with Replay(client, log) as replay:
         replay.heard()

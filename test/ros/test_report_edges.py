@@ -128,6 +128,7 @@ def test_pages_of_random_recordings_run_without_an_error(found, tmp_path):
         browser.close()
 
 
+@pytest.mark.turn(3)
 def test_most_accurate_runs_have_a_report(tmp_path, capsys):
     """All errors are below what the reference knows: no ratio of estimate and error is positive."""
     log, file = tmp_path / "a.mcap", tmp_path / "a.html"

@@ -27,6 +27,7 @@ def moved(states):
     return any(np.abs(state.velocity).max() > 1e-3 for state in states)
 
 
+@pytest.mark.turn(3)
 def test_a_node_serves_a_urdf_file_whose_links_and_joints_are_named_in_wrenches_and_states(client, tmp_path):
     """The tool is merged into the slide: a wrench on it acts at its origin, in its axes."""
     path = tmp_path / "arm.urdf"
@@ -150,6 +151,7 @@ HYPHENS = ARM_URDF.replace('"slide"', '"slide-1"')
         ("heavy_top", None, {"top"}),
     ],
 )
+@pytest.mark.turn(3)
 def test_robot_state_publisher_and_the_roots_are_one_tree(name, text, roots, tmp_path):
     """What robot_state_publisher makes of description and joint states, and /tf with the roots.
 
@@ -193,6 +195,7 @@ def test_robot_state_publisher_and_the_roots_are_one_tree(name, text, roots, tmp
 @pytest.mark.parametrize(
     "name", ["arm.sdf", "stewart.sdf", "apart.xml", "four_bar", "slider_crank", "bricard", "ball_chain"]
 )
+@pytest.mark.turn(3)
 def test_the_generated_urdf_moves_with_the_joint_states(name, tmp_path):
     """Poses of all links from the joints of the URDF and ~/joint_states are those of /tf.
 
@@ -236,6 +239,7 @@ def test_the_generated_urdf_moves_with_the_joint_states(name, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["five_bar", "lift", "platform", "apart", "slider_crank"])
+@pytest.mark.turn(3)
 def test_other_parsers_place_the_links_as_tf_does(name, tmp_path):
     """urdfdom's Python port and yourdfpy, in place of RViz and robot_state_publisher."""
     urdfdom, yourdfpy = (pytest.importorskip(each) for each in ("urdf_parser_py.urdf", "yourdfpy"))
@@ -348,6 +352,7 @@ def platform(folder):
         (platform, [f"leg{k}" for k in range(6)]),
     ],
 )
+@pytest.mark.turn(3)
 def test_the_node_runs_closed_loops(make, joints, client, ros_node, tmp_path):
     path = make(tmp_path)
     states = client.listen("/sim_node/joint_states", JointState)
@@ -380,6 +385,7 @@ WRONG_ADDITIONS = [
 ]  # fmt: skip
 
 
+@pytest.mark.turn(3)
 def test_a_wrong_file_beside_the_robot_keeps_the_scene_that_runs(client, tmp_path):
     path = five_bar(tmp_path)
     right = path.read_text()

@@ -70,6 +70,7 @@ def test_a_recording_is_repeated_without_the_robots_file(folder):
     assert figures["identical"] == figures["samples"] > 10
 
 
+@pytest.mark.turn(3)
 def test_the_command_beside_robot_state_publisher(folder, client):
     """/tf needs tf2_msgs, which is not on PyPI: without it the node publishes the rest."""
     assert ["sim_node", "--ros-args", "-p", "scene:=arm.urdf"] in LINES
@@ -206,6 +207,7 @@ BALL_URDF = """<robot name="ball"><link name="base"/>
     <axis xyz="0 1 0"/></joint></robot>"""
 
 
+@pytest.mark.turn(3)
 def test_the_page_draws_meshes_within_its_bound(tmp_path, capsys, monkeypatch):
     """A sphere of 81 920 triangles, scaled to an ellipsoid, is decimated; its shape stays."""
     trimesh = pytest.importorskip("trimesh")
@@ -250,6 +252,7 @@ def test_the_page_lists_what_does_not_act(tmp_path, monkeypatch):
     assert "<li>unknown parts of the URDF file, left out: &lt;dynamic&gt; in &lt;joint&gt; of line" in page
 
 
+@pytest.mark.turn(3)
 def test_a_damaged_mesh_leaves_a_box(tmp_path):
     pytest.importorskip("trimesh")
     (tmp_path / "meshes").mkdir()

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """~/save_snapshot and ~/restore_snapshot of a running node, over DDS, and in its recording."""
 
+import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from node_process import NodeProcess, stamp_in, stamp_of
@@ -22,6 +23,7 @@ def numbers(message):
     return [getattr(part, name) for part in parts for name in "xyzw" if hasattr(part, name)]
 
 
+@pytest.mark.turn(3)
 def test_a_restored_snapshot_continues_bit_for_bit_and_is_recorded(client, scene, tmp_path, capsys):
     name = NODE
     poses = client.listen(f"{name}/cube/pose", PoseStamped)

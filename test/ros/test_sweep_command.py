@@ -72,6 +72,7 @@ def test_sweep_gives_closed_form_results_and_resumes(fall, capsys):
     assert "bodies.stone.mass 1.0" in capsys.readouterr().out.splitlines()
 
 
+@pytest.mark.turn(3)
 def test_an_interrupted_sweep_keeps_its_runs(fall, capsys, monkeypatch):
     """The signal arrives while the third piece is written."""
     monkeypatch.setattr(sweeps, "FIRST", 0.0)

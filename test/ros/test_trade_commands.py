@@ -38,6 +38,7 @@ def measured(kept, monkeypatch):
     return kept
 
 
+@pytest.mark.turn(3)
 def test_trade_output_from_cached_measurements(measured, tmp_path, capsys):
     """Table, JSON valid by its schema, HTML report and plot, without new measurements."""
     files = [tmp_path / f"a.{kind}" for kind in ("json", "html", "png")]
@@ -80,6 +81,7 @@ def test_trade_output_from_cached_measurements(measured, tmp_path, capsys):
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
+@pytest.mark.turn(3)
 def test_the_html_report_on_a_screen_and_on_a_phone(measured, tmp_path):
     """Words are not broken, values are beside their names, nothing exceeds the phone's width."""
     page = tmp_path / "a.html"

@@ -5,7 +5,6 @@ import re
 import shlex
 from pathlib import Path
 
-import pytest
 from node_process import NodeProcess, push_command
 
 from liegroup_sim_ros.commands.main import main
@@ -17,7 +16,6 @@ COMMANDS = re.findall(r"```sh\n(.*?)\n```", PAGE, re.DOTALL)
 LINES = [shlex.split(line) for block in COMMANDS for line in block.splitlines()]
 
 
-@pytest.mark.turn(3)
 def test_all_tutorial_commands_without_ros(tmp_path, monkeypatch, capsys):
     (tmp_path / "crane.yaml").write_text(SCENE)
     monkeypatch.chdir(tmp_path)

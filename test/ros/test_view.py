@@ -288,6 +288,7 @@ def test_two_recordings_are_compared_at_common_times(tmp_path):
 
 
 @pytest.mark.parametrize("seconds, longest, least, most", [(0.0, 60.0, 25, 25), (0.5, 4.0, 2, 8)])
+@pytest.mark.turn(3)
 def test_a_video_has_the_length_of_the_motion(seconds, longest, least, most, tmp_path, monkeypatch):
     """However slowly the browser draws it: a picture takes some `seconds`, the video about `longest`."""
     av = pytest.importorskip("av")
@@ -413,6 +414,7 @@ def test_a_time_line_goes_back_and_the_motion_continues_from_there():
 
 
 @pytest.mark.parametrize("name, body", [("double_pendulum", 1), ("four_bar", 1), ("heavy_top", 0), ("free_body", 0)])
+@pytest.mark.turn(3)
 def test_the_hand_pulls_with_the_stated_frequency(name, body):
     """The acceleration of the picked point along the most mobile direction is (2 pi f)^2 times the stretch."""
 

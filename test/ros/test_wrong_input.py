@@ -3,6 +3,7 @@
 
 import json
 
+import pytest
 import yaml
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
@@ -185,6 +186,7 @@ BATCHES = settings(max_examples=3, deadline=None, phases=[Phase.generate], suppr
 
 @BATCHES
 @given(st.lists(wrong_scene(), min_size=40, max_size=40))
+@pytest.mark.turn(3)
 def test_an_invalid_scene_gives_one_line(tmp_path_factory, files):
     folder = tmp_path_factory.mktemp("scenes")
     for text, code, errors in answers(folder, files, ["-p", "scene:={}"]):
@@ -194,6 +196,7 @@ def test_an_invalid_scene_gives_one_line(tmp_path_factory, files):
 
 @BATCHES
 @given(st.lists(wrong_parameters(), min_size=40, max_size=40))
+@pytest.mark.turn(3)
 def test_an_invalid_parameter_file_gives_one_line(tmp_path_factory, files):
     folder = tmp_path_factory.mktemp("parameters")
     for text, code, errors in answers(folder, files, ["--params-file", "{}"]):

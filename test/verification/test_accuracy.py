@@ -235,7 +235,7 @@ def test_the_line_says_that_an_accuracy_ended_by_rounding(name, accuracy):
 def test_only_exponential_growth_is_called_so(estimate, said):
     control = AccuracyControl(1e-4, 60.0, lambda part: None)
     for k in range(1, 100):
-        control.update(0.1 * k, estimate(0.1 * k), True, True)
+        control.update(0.1 * k, estimate(0.1 * k), True)
     assert control.ended < 10.0
     assert control.reason.startswith(said) and bool(control.reason) == bool(said)
 

@@ -131,6 +131,7 @@ def test_four_bar_eliminates_one_redundant_row():
 
 
 @pytest.mark.parametrize("n", [1, 2, 4])
+@pytest.mark.turn(3)
 def test_windows_before_and_after_the_first_singular_pose(n):
     """At 0.5 s the cranks are upright; by 1 s they have passed the collinear pose."""
     times = [0.5, 1.0]
@@ -157,6 +158,7 @@ def test_windows_pass_their_singular_pose_repeatedly(n):
 
 
 @pytest.mark.parametrize("n", [2, 5])
+@pytest.mark.turn(3)
 def test_each_window_eliminates_three_redundant_rows(n):
     """A planar loop of four revolute joints has three redundant rows, all out of plane."""
     dropped = Simulation(four_bar_windows(n), method="rkmk4").layout.dropped_rows
@@ -240,6 +242,7 @@ def test_bricard_follows_lagranges_equation():
     assert simulation.singular_solves == 0
 
 
+@pytest.mark.turn(3)
 def test_bricard_eliminates_a_row_that_is_always_redundant():
     """The same for rotated and reflected linkages, and for another order of the joints."""
     scene = load_scene("bricard")
@@ -405,6 +408,7 @@ SQUEEZER_END = (
 )
 
 
+@pytest.mark.turn(3)
 def test_andrews_squeezer_against_its_index_one_equations():
     times = [0.01, 0.02, 0.03]
     reference = solved(
@@ -462,6 +466,7 @@ def slider_crank_reference(times, universal=True):
     return solved(rate, [0.0], times)[:, 0]
 
 
+@pytest.mark.turn(3)
 def test_slider_crank_follows_its_energy_integral():
     scene = load_scene("slider_crank")
     rod, slider = scene.bodies[1:]
@@ -509,6 +514,7 @@ def governor_rate(y):
     ]
 
 
+@pytest.mark.turn(3)
 def test_flyball_governor_against_minimal_coordinates():
     times = [0.5, 1.0, 2.0]
     reference = solved(governor_rate, [np.pi / 6, 0.5, 0.0, 0.0], times, method="Radau", rtol=1e-10, atol=1e-12)

@@ -88,6 +88,7 @@ def motion(masses, rate, times):
         ((1.0, 1.0, 1.0), 7.0, 1e-6),
     ],
 )
+@pytest.mark.turn(3)
 def test_folded_positions_are_passed_within_the_accuracy(masses, rate, accuracy):
     simulation = Simulation(scene_of(masses, rate), accuracy=accuracy, horizon=10.0, quiet=True)
     steps = round(10.0 / simulation.step)

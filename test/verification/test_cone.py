@@ -80,6 +80,7 @@ def test_slow_precession_leaves_the_cone():
 
 
 @pytest.mark.parametrize("e", [0.0, 0.5, 1.0])
+@pytest.mark.turn(3)
 def test_impacts_on_the_cone(e):
     """An impact turns round the rate of the tilt and keeps spin and angular momentum about the vertical.
 

@@ -119,6 +119,7 @@ def test_position_and_velocity_constraints_hold_to_round_off(name, group):
 
 @pytest.mark.parametrize("group", GROUPS)
 @pytest.mark.parametrize("method", CONSTRAINED)
+@pytest.mark.turn(3)
 def test_momentum_of_a_free_linkage_is_conserved_to_round_off(method, group):
     """Floating closed loop without gravity. Tolerance: a few same-sign round-offs per step."""
     links, loops = mechanisms.MECHANISMS["floating"]

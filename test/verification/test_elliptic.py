@@ -71,6 +71,7 @@ def test_free_body_in_every_regime_against_taylor_series(omega):
         assert far(free_body(diagonal, START, omega, 2, digits=60), series) <= mp.mpf(10) ** -28
 
 
+@pytest.mark.turn(3)
 def test_free_body_on_the_separatrix():
     """L^2 = 2 E I_2: I_1 (I_2 - I_1) w_1^2 = I_3 (I_3 - I_2) w_3^2, here 3 w_1^2 = 12 w_3^2."""
     omega = (2, 1, 1)
@@ -78,6 +79,7 @@ def test_free_body_on_the_separatrix():
     assert far(free_body((1, 4, 6), START, omega, 1), series) <= mp.mpf(10) ** -28
 
 
+@pytest.mark.turn(3)
 def test_free_body_with_full_inertia_and_arbitrary_attitude():
     rng = np.random.default_rng(3)
     points = rng.normal(size=(4, 3))
@@ -108,6 +110,7 @@ def test_symmetric_free_body_precesses():
     assert far((w, []), ((mp.cos(0.25), mp.sin(0.25), 4), [])) <= 1e-15
 
 
+@pytest.mark.turn(3)
 def test_heavy_top_against_taylor_series():
     """Slow top with large nutation, tilted start and oblique gravity."""
     g, omega = mp.matrix([3, -1, -9]), ("1.5", "-2", "0.7")

@@ -36,6 +36,7 @@ def runs():
 
 
 @pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.turn(3)
 def test_crank_angle_after_one_second(runs, group):
     for step, elsewhere in ANGLE_ERROR.items():
         assert angle_error(runs[group, step]) <= 1.1 * elsewhere
@@ -82,6 +83,7 @@ def speeds(run):
     return (8.0 * (angle[3:-1] - angle[1:-3]) - (angle[4:] - angle[:-4])) / (12.0 * h)
 
 
+@pytest.mark.turn(3)
 def test_period_of_the_crank():
     """Five turns take five periods, when an angle error of 1.1 ANGLE_ERROR counts as time.
 
@@ -139,6 +141,7 @@ def test_energy_drifts_at_order_four(runs):
         assert np.log10(drift[1e-3] / drift[1e-4]) == pytest.approx(4.0, abs=0.1)
 
 
+@pytest.mark.turn(3)
 def test_an_independent_planar_implementation_agrees_until_drift_dominates():
     """While constraints hold the motion is the same; with drift, the form of the rows matters."""
     planar, simulation = (PlanarFourBar(four_bar()), Simulation(four_bar(), method="rkmk4", step=1e-4))

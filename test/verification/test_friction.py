@@ -195,6 +195,7 @@ def test_a_stiff_oscillator_turns_round(friction, stiffness):
     assert engine.drain_events() == []  # it never sticks
 
 
+@pytest.mark.turn(3)
 def test_energy_that_friction_takes():
     """What the energy loses is friction times the angle that it slid, in both joints."""
     text = CHAIN.replace("SHOULDER", "4.0").replace("ELBOW", "1.0")

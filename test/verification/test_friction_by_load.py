@@ -184,6 +184,7 @@ def check_law(sample, scene, slack):
 
 
 @pytest.mark.parametrize("seed", range(6))
+@pytest.mark.turn(3)
 def test_random_chains_obey_the_law(seed):
     """Trees of nine hinges and slides with stops and friction by load, falling: the law holds in every
     sample, and energy is never gained. Loads settle to 1e-14 of the largest one.
@@ -223,6 +224,7 @@ joints:
 """
 
 
+@pytest.mark.turn(3)
 def test_a_loop_with_bearings_everywhere():
     """The law in a four-bar, whose cut joint has friction, too, until all of it is at rest."""
     bearing = "friction: {mu: 0.2, radius: 0.05, coulomb: 0.01}"

@@ -45,6 +45,7 @@ def se3_runs():
     return {h: run(h, "se3", 600) for h in SE3_ERROR}
 
 
+@pytest.mark.turn(3)
 def test_end_state_at_one_millisecond(se3_runs):
     sample = se3_runs[1e-3][1]
     assert attitude_error(sample) <= 4e-7
@@ -82,6 +83,7 @@ def test_energy_drift_equals_that_of_an_independent_implementation(se3_runs):
         assert drift[step] <= 1.05 * largest
 
 
+@pytest.mark.turn(3)
 def test_the_joint_drifts_at_order_four_on_so3xr3():
     residuals, errors = {}, {}
     for step in SO3XR3_ERROR:

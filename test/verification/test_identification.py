@@ -32,6 +32,7 @@ def timed(log):
 
 
 @pytest.mark.parametrize(("name", "keys", "effect", "size"), some(MISSING, 2))
+@pytest.mark.turn(3)
 def test_what_a_model_lacks_is_named_with_its_size(name, keys, effect, size):
     """Both names are right where two effects are the same: the mass of the Furuta arm adds to its inertia only.
 
@@ -212,6 +213,7 @@ def test_accelerometers_see_the_given_forces():
 
 
 @pytest.mark.parametrize(("key", "law"), [("coulomb", np.sign), ("viscous", lambda v: 0.3 * v)])
+@pytest.mark.turn(3)
 def test_the_effort_that_a_joint_lacks_is_found_against_its_motion(key, law):
     """A step of dry friction, a slope of viscous friction; without a law of friction in the fit."""
     size = {"coulomb": 0.01, "viscous": 0.003}[key]
@@ -222,6 +224,7 @@ def test_the_effort_that_a_joint_lacks_is_found_against_its_motion(key, law):
     assert np.abs(found.values + 0.01 * law(found.at))[away].max() < 0.3 * 0.01
 
 
+@pytest.mark.turn(3)
 def test_a_plan_foresees_the_deviations_of_a_fit(monkeypatch):
     """Of a log of the planned motion, whose outputs come from a run with the driven joint; limits are kept.
 
@@ -257,6 +260,7 @@ def test_a_plan_foresees_the_deviations_of_a_fit(monkeypatch):
     assert abs(fitted.values[0] - 0.15) < 4.0 * found.deviations[0]
 
 
+@pytest.mark.turn(3)
 def test_several_recordings_are_one_log():
     """With starts of their own, and one clock; the numbers are between those of each, and closer."""
     scene, names = machine("furuta"), ["rod.shape.mass"]

@@ -21,6 +21,7 @@ def of_joints(sample, joints):
 
 
 @pytest.mark.parametrize("name, duration", [("double_pendulum", 0.25), ("four_bar", 0.08)])
+@pytest.mark.turn(3)
 def test_a_run_with_the_efforts_that_were_found_returns_the_motion(name, duration):
     """Sines in the joints. Efforts are constant in each step, with the values of its middle.
 

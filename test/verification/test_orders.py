@@ -432,6 +432,7 @@ def test_generalized_alpha_unwraps_angles_and_restarts_at_wrench_changes(group):
 
 
 @pytest.mark.parametrize("group", ALL_GROUPS)
+@pytest.mark.turn(3)
 def test_generalized_alpha_has_order_two_with_wrench_changes_at_every_step(references, group):
     """The method restarts at each change. Reference: rkmk4 with 16 steps per step."""
     scene, _ = references["double pendulum"]

@@ -91,6 +91,7 @@ def test_relative_and_absolute_trajectories_are_the_same():
 
 @pytest.mark.parametrize("method", CONSTRAINED)
 @pytest.mark.parametrize("name", ["four_bar", "double_pendulum", "planar loops", "hinges"])
+@pytest.mark.turn(3)
 def test_backward_steps_undo_forward_steps_in_a_plane(method, name):
     """As test_constrained_geometric.test_backward_steps_undo_forward_steps in space."""
     known = {"hinges": mechanisms.chain(6, "revolute")} | scenes()

@@ -151,6 +151,7 @@ def as_thin_rods(scene, normal, thickness):
 
 
 @pytest.mark.parametrize("thickness", [1e-3, 1e-6])
+@pytest.mark.turn(3)
 def test_rods_of_any_thickness_need_no_refinement_in_a_plane(thickness):
     for seed in range(6):
         scene, wrenches = random_mechanisms.random_mechanism("planar loops", seed)
@@ -163,6 +164,7 @@ def test_rods_of_any_thickness_need_no_refinement_in_a_plane(thickness):
 
 
 @pytest.mark.parametrize("name", ["tree", "loops", "planar loops", "mass ratios"])
+@pytest.mark.turn(3)
 def test_rounded_rows_of_the_engine_meet_the_bound_if_they_are_solved_exactly(name):
     """The bound asks for what rounded numbers allow, and two derivations of the rows agree.
 

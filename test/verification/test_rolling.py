@@ -64,6 +64,7 @@ def test_the_poles_of_the_bicycle_are_those_of_the_benchmark(speed):
     assert np.abs(moving_poles(speed) - expected).max() < 5e-10
 
 
+@pytest.mark.turn(3)
 def test_the_bicycle_has_the_published_poles_and_the_speeds_where_it_becomes_stable():
     published = [-14.07838969279822, -0.77534188219585 - 4.46486771378823j, -0.77534188219585 + 4.46486771378823j]
     assert np.abs(moving_poles(5.0) - [*published, -0.32286642900409]).max() < 5e-10

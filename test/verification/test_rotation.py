@@ -79,6 +79,7 @@ def test_free_body_attitude_errors_equal_published_values(method):
 
 
 @pytest.mark.parametrize("method", [m for m in TOP_ATTITUDE if "austin" not in m])
+@pytest.mark.turn(3)
 def test_lagrangian_top_attitude_errors_equal_published_values(method):
     """To half a unit of the third digit, the order to two decimals.
 
@@ -106,6 +107,7 @@ RATES = {
 
 
 @pytest.mark.parametrize("method", ROTATION)
+@pytest.mark.turn(3)
 def test_order_on_both_problems(method):
     """The coadjoint methods come down to their order slowly on the top: from 4.2 and 10.6 here.
 
@@ -351,6 +353,7 @@ def test_simo_wong_takes_the_solution_continued_from_small_steps():
     assert np.abs(attitude(simulation) - SO3.exp(x)).max() <= 60 * 2.0**-52
 
 
+@pytest.mark.turn(3)
 def test_figures_use_exact_end_states_and_report_published_values(monkeypatch, tmp_path):
     """Tolerance: binary scene numbers differ from the decimal ones by 1e-15 of 150 rad."""
     assert np.abs(end_attitude("free_body", 10) - FREE_R_10).max() <= 1e-15

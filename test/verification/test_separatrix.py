@@ -29,6 +29,7 @@ def angle_between(one, other):
         ((0.55, 0.7, 0.95), (1e-7, 2.5, 1e-6)),
     ],
 )
+@pytest.mark.turn(3)
 def test_the_estimate_knows_an_error_that_is_all_rounding(inertia, rate):
     """Against Jacobi's elliptic functions in 30 digits; the steps are so fine that no tolerance matters."""
     body = Body(name="body", mass=1.0, inertia=inertia, angular_velocity=rate)

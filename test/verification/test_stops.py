@@ -366,6 +366,7 @@ def test_impulses_of_the_joints_at_an_impact():
     assert np.linalg.norm(impulse[:2]) == pytest.approx(abs(0.01 * jump), abs=1e-12)
 
 
+@pytest.mark.turn(3)
 def test_impulses_in_a_closed_loop_are_the_changes_of_momentum():
     """At the stop of a slider-crank the impulses of the joints are what the momenta of its bodies lose."""
     scene = scene_from_text(PRESS)

@@ -74,6 +74,7 @@ def few_samples(monkeypatch):
 
 
 @pytest.mark.parametrize("name, horizon, kind, runs", ELSEWHERE)
+@pytest.mark.turn(3)
 def test_errors_equal_independently_published_errors(name, horizon, kind, runs):
     """Tolerance: a unit of the fourth or fifth digit plus the reference uncertainty."""
     found = find_truth(make_layout(load_scene(name)), as_time(horizon))
@@ -91,6 +92,7 @@ def test_errors_equal_independently_published_errors(name, horizon, kind, runs):
         assert error == pytest.approx(elsewhere, rel=1e-3, abs=found.known), (method, step)
 
 
+@pytest.mark.turn(3)
 def test_four_bar_reference_against_energy_quadrature():
     found = find_truth(make_layout(load_scene("four_bar")), as_time(1.0))
     crank = found.motion.rotation[-1, 0]

@@ -45,6 +45,7 @@ joints:
 
 
 @pytest.mark.parametrize("speed, is_stable", [(40.0, False), (100.0, True), (160.0, True)])
+@pytest.mark.turn(3)
 def test_kapitzas_pendulum_stands_if_its_pivot_is_fast(speed, is_stable):
     """Multipliers of l q'' = (g + z'') q, with z'' of the quintic Hermite spline of the pivot.
 
@@ -67,6 +68,7 @@ def test_kapitzas_pendulum_stands_if_its_pivot_is_fast(speed, is_stable):
 
 
 @pytest.mark.parametrize("name", ["loops", "planar loops", "couplings", "driven"])
+@pytest.mark.turn(3)
 def test_differences_of_runs_arrive_as_the_transition_says(name):
     """Two runs that start apart by 1e-5 along random directions of the independent coordinates and rates."""
     scene, _ = random_mechanisms.random_mechanism(name, 5)

@@ -147,6 +147,7 @@ DIGITS = 1e-10
     ],
     ids=["stewart", "five bar", "on one foot", "on both feet"],
 )
+@pytest.mark.turn(3)
 def test_efforts_hold_a_pose(scene, joints, freedoms):
     """Those of the smallest sum of squares where there are more than needed: on both feet."""
     scene = scene()

@@ -15,17 +15,23 @@ The rows of Scheme.a after that of the end are the further stages, and last b(th
 of the inputs. If inputs change elsewhere, the integration goes back to the caller's state. So a run depends on its
 inputs, and not on the times at which states are asked for. Times are whole steps and seconds after them, so that
 differences are exact at late times, too.
+
+A substep with an event of a stop or of friction is repeated as one that ends before it, at the end of a step. The
+events of a step are found in that step alone (events/switching.py), and the lead goes on from its end.
 """
 
+import contextlib
 import math
 
 import numpy as np
 import scipy
 
 from liegroup_core.compiling import kernel
+from liegroup_core.mechanism.arrays import COORDINATE
 from liegroup_core.mechanism.bodies import FROM, SINCE, STEP_SIZE, TO, UNTIL, copy_state
 
 from .error_control import (
+    AHEAD,
     BASE,
     BEGINS,
     FRESH,
@@ -33,6 +39,7 @@ from .error_control import (
     KEPT_LEAD,
     LAST,
     LEAD,
+    LEADS,
     LEFT,
     LIMIT,
     LIMIT_BASE,
@@ -40,7 +47,51 @@ from .error_control import (
     NEXT_AFTER,
     NEXT_BASE,
     READY,
+    SEEN,
+    SIZE,
 )
+
+SAME_TIME = 1e-14  # relative to a step, round-off: a substep that ends so close to the end of a step ends there
+
+
+class Lead:
+    """The lead of a method: whether there is one, and where it starts.
+
+    work, control : of the method
+    """
+
+    def __init__(self, work, control):
+        self._work, self._control = work, control
+
+    @property
+    def runs(self):
+        """Whether the integration runs ahead."""
+        return self._control[AHEAD] != 0.0
+
+    @property
+    def known(self):
+        """Whether there is a lead, else it starts at the caller's state."""
+        return self._control[LEADS] != 0.0
+
+    def go_back(self):
+        """Continue from the caller's state."""
+        self._work.known[0] = self._control[LEADS] = 0.0
+
+    @contextlib.contextmanager
+    def left(self):
+        """Step by step, from the lead on, which has become the caller's state; then there is no lead."""
+        self._control[AHEAD] = 0.0
+        try:
+            yield
+        finally:
+            self._control[AHEAD], self._control[LEADS] = 1.0, 0.0
+
+    def call(self, begin, end):
+        """Set the whole steps at which a call begins and ends."""
+        clock, control = self._work.clock, self._control
+        if begin != clock[FROM]:
+            control[NEXT_AFTER] = (control[NEXT_BASE] - begin) * clock[STEP_SIZE] + control[NEXT]
+        clock[FROM], clock[TO], clock[UNTIL] = begin, end, 0.0
 
 
 def polynomials():
@@ -88,14 +139,14 @@ def _rows_differ(present, lead):
 
 
 @kernel
-def meet_inputs(work, external):
+def meet_inputs(work, external, control):
     """Keep the inputs; if they change, go back to the caller's state."""
     differs = _rows_differ(external, work.lead_external)
     differs = _rows_differ(work.wanted, work.lead_wanted) or differs
     differs = _rows_differ(work.motions, work.lead_motions) or differs
     differs = _differs(work.acting, work.lead_acting) or differs
     if differs:
-        work.known[0] = 0.0
+        work.known[0] = control[LEADS] = 0.0
 
 
 @kernel
@@ -109,7 +160,7 @@ def start_lead(work, control):
     """Start at the caller's time."""
     control[BASE], control[LEAD], control[FRESH] = work.clock[FROM], work.clock[SINCE], 0.0
     control[LIMIT_BASE], control[LIMIT], control[LEFT] = control[NEXT_BASE], control[NEXT], control[NEXT_AFTER]
-    control[BEGINS] = 1.0
+    control[BEGINS], control[LEADS], control[SEEN] = 1.0, 1.0, 0.0
 
 
 @kernel
@@ -126,6 +177,13 @@ def time_left(work, control):
     """Time in s from the lead to the end of the call."""
     clock = work.clock
     return between(control[BASE], control[LEAD], clock[TO], clock[UNTIL], clock[STEP_SIZE])
+
+
+@kernel
+def time_before(work, control):
+    """Time in s from the start of the call to the lead."""
+    clock = work.clock
+    return between(clock[FROM], clock[SINCE], control[BASE], control[LEAD], clock[STEP_SIZE])
 
 
 @kernel
@@ -146,7 +204,22 @@ def ends_step(work, control, size, at_limit):
     """Whether a substep from the lead on passes the end of a step."""
     if at_limit:
         return control[LIMIT_BASE] > control[BASE]
-    return control[LEAD] + size >= work.clock[STEP_SIZE]
+    return control[LEAD] + size >= work.clock[STEP_SIZE] * (1.0 - SAME_TIME)
+
+
+@kernel
+def shorten(work, control, size, place):
+    """Whether a substep with an event goes on beyond the step of the lead; then it is to be repeated with another size.
+
+    place : fraction of the substep at which the event is expected, below 1
+    """
+    step, lead = work.clock[STEP_SIZE], control[LEAD]
+    control[SEEN] = size
+    if lead + size <= step * (1.0 + SAME_TIME):
+        control[SIZE] = size
+        return False
+    control[SIZE] = max(1.0, math.floor((lead + place * size) / step)) * step - lead
+    return True
 
 
 @kernel
@@ -157,19 +230,34 @@ def go_on(work, control, size, at_limit):
     if at_limit:
         control[BASE], control[LEAD] = control[LIMIT_BASE], control[LIMIT]
     else:
-        control[LEAD] += size
-        whole = math.floor(control[LEAD] / work.clock[STEP_SIZE])
+        lead, step = control[LEAD] + size, work.clock[STEP_SIZE]
+        near = SAME_TIME * max(lead, step)
+        whole = math.floor((lead + near) / step)
         control[BASE] += whole
-        control[LEAD] -= whole * work.clock[STEP_SIZE]
+        control[LEAD] = lead - whole * step if lead - whole * step > near else 0.0
     if control[BASE] != before:
         control[BEGINS] = 1.0
+    control[SEEN] = max(0.0, control[SEEN] - size)
+    if 0.0 < control[SEEN] < control[SIZE]:
+        control[SIZE] = control[SEEN]
 
 
 @kernel
-def copy_angles(source, out):
-    """Copy angles."""
-    for i in range(len(source)):
-        out[i] = source[i]
+def keep_turns(work, angles, coordinates):
+    """Keep the unwrapped angles and the coordinates of switches."""
+    for i in range(len(angles)):
+        angles[i] = work.angle[i]
+    for k in range(len(coordinates)):
+        coordinates[k] = work.modes[k, COORDINATE]
+
+
+@kernel
+def set_turns(work, angles, coordinates):
+    """Return to kept angles and coordinates of switches."""
+    for i in range(len(angles)):
+        work.angle[i] = angles[i]
+    for k in range(len(coordinates)):
+        work.modes[k, COORDINATE] = coordinates[k]
 
 
 @kernel
@@ -183,7 +271,7 @@ def _copy_slopes(source, out, count):
 def keep(work, pose, twist, size, control):
     """Keep the substep that begins at the lead: its start and the derivatives of its stages."""
     copy_state(pose, twist, work.kept_pose, work.kept_twist)
-    copy_angles(work.angle, work.kept_angle)
+    keep_turns(work, work.kept_angle, work.kept_coordinates)
     keep_slopes(work)
     control[KEPT_BASE], control[KEPT_LEAD] = control[BASE], control[LEAD]
     control[LAST], control[READY] = size, 0.0

@@ -86,6 +86,6 @@ def substep(scheme, model, work, size, start, elapsed, first, last, pose, extern
             if dependent >= 0:
                 return DEPENDENT_ROWS + (dependent << 8)
             steps.store_slopes(model, work, scheme, stage)
-            if watching:
+            if watching and last == stages + 1:
                 steps.note_stage(model, work, scheme, stage)
     return OK

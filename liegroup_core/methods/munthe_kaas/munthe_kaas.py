@@ -18,8 +18,9 @@ import numpy as np
 
 from liegroup_core.compiling import SameTypes, borrowed, kernel, stepper
 from liegroup_core.dynamics.state import model_and_work
+from liegroup_core.events.crossings import first_place
 from liegroup_core.events.switching import Switching
-from liegroup_core.mechanism.arrays import FURTHER, links_of
+from liegroup_core.mechanism.arrays import BEGIN, FURTHER, links_of
 from liegroup_core.mechanism.bodies import (
     COUNT,
     FROM,
@@ -38,19 +39,23 @@ from liegroup_core.status import DEPENDENT_ROWS, EVENT, OK, SUBSTEP_TOO_SMALL, T
 
 from . import explicit, implicit
 from .ahead import (
-    copy_angles,
+    Lead,
     ends_step,
     fraction,
     go_on,
     keep,
     keep_lead,
     keep_slopes,
+    keep_turns,
     meet_inputs,
     meet_limit,
     recall,
     recall_lead,
+    set_turns,
     set_weights,
+    shorten,
     start_lead,
+    time_before,
     time_left,
     time_of,
 )
@@ -69,6 +74,7 @@ from .error_control import (
     KEPT_SIZE,
     LAST,
     LEAD,
+    LEADS,
     LEFT,
     LENGTH,
     LONGEST,
@@ -86,7 +92,7 @@ from .error_control import (
     judge,
 )
 from .passage import passage
-from .steps import begin, check_end, close, count_turns, enter, has_event, leave, place, store_slopes, watches
+from .steps import begin, check_end, close, count_turns, enter, has_event, leave, place, rest, store_slopes, watches
 
 MOST_SUBSTEPS = 100_000
 MOST_EQUAL = 2.0  # substeps up to a known change that are equal
@@ -101,7 +107,7 @@ TOO_TIGHT = (DEPENDENT_ROWS, SUBSTEP_TOO_SMALL, TOO_MANY_SUBSTEPS)
 def _save(work, pose, twist, control):
     """Save the state at the start of a step for `_restore`."""
     copy_state(pose, twist, work.start_pose, work.start_twist)
-    copy_angles(work.angle, work.start_angle)
+    keep_turns(work, work.start_angle, work.start_coordinates)
     control[KEPT_SIZE] = control[SIZE]
 
 
@@ -121,7 +127,7 @@ def _coarsen(factor, pose, twist):
 def _restore(work, pose, twist, control):
     """Restore the state saved by `_save`."""
     copy_state(work.start_pose, work.start_twist, pose, twist)
-    copy_angles(work.start_angle, work.angle)
+    set_turns(work, work.start_angle, work.start_coordinates)
     control[SIZE] = control[KEPT_SIZE]
 
 
@@ -132,10 +138,10 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
     model, work     : RelativeModel or PlaneModel, and RelativeWork
     external        : external wrenches of these steps, see forces/external.py
     control (28,)   : see error_control.py; AHEAD: the integration may run ahead, see ahead.py
-    returns (steps done, status): fewer steps if status is not OK. Pose, twist and work.angle are
-    those of the last valid step, after EVENT of the last valid substep. The low byte of status is
-    the code. The other bytes are the element for DEPENDENT_ROWS, and for TURNS_NOT_COUNTED the torsional
-    spring, or the switch, counted after the springs.
+    returns (steps done, status): fewer steps if status is not OK, or ahead before a step with an event. Pose, twist
+    and work.angle are those of the last valid step, but after EVENT, if not ahead, of the last valid substep. The low
+    byte of status is the code. The other bytes are the element for DEPENDENT_ROWS, and for TURNS_NOT_COUNTED the
+    torsional spring, or the switch, counted after the springs.
 
     Steps, substeps and stages are loops of one function, because the mechanics are inlined and compiled
     wherever they are called.
@@ -144,16 +150,18 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
     external_in, control = borrowed(external_in), borrowed(control)
     ahead = control[AHEAD] != 0.0
     if ahead:
-        meet_inputs(work, external_in)
-        copy_angles(work.angle, work.start_angle)
-    if ahead and work.known[0] != 0.0:
+        meet_inputs(work, external_in, control)
+        keep_turns(work, work.start_angle, work.start_coordinates)
+    if ahead and control[LEADS] != 0.0:
         meet_limit(work, control)
         pose, twist, external, status = enter(model, work, work.pose, work.twist, external_in)
-        copy_angles(work.lead_angle, work.angle)
+        set_turns(work, work.lead_angle, work.lead_coordinates)
     else:
         if ahead:
             start_lead(work, control)
         pose, twist, external, status = enter(model, work, pose_in, twist_in, external_in)
+        if ahead and watches(model, work):
+            rest(model, work, twist)
     if status != OK:
         return 0, status
     controlled = len(scheme.error) > 0
@@ -243,6 +251,12 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
             if status == OK and watching:
                 if has_event(model, work, scheme, h - remaining, size):
                     status = EVENT
+                    if ahead and shorten(work, control, size, first_place(model, work)):
+                        control[ACCEPTED] -= 1.0
+                        status = OK
+                        continue
+                    if ahead:
+                        work.watch[BEGIN] = time_before(work, control)
             if status == OK and model.projects:
                 status = close(model, work, controlled)
             if status == OK and ahead and (size >= remaining or ends_step(work, control, size, at_limit)):
@@ -269,7 +283,11 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
                 control[FRESH] = 0.0
                 if first == 1:
                     keep_lead(work, control)
-        if status == OK:
+        if status == EVENT and ahead and control[BASE] > work.clock[FROM]:
+            # The caller's state becomes that at the start of the step with the event, which follows in the next call.
+            status, steps, work.clock[TO] = OK, int(control[BASE] - work.clock[FROM]), control[BASE]
+            work.clock[UNTIL] = 0.0
+        elif status == OK:
             done += 1
         elif controlled and status != EVENT:
             control[PART] = 0.0
@@ -288,12 +306,12 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
         if done > 0 or status == EVENT:
             leave(model, work, pose, twist, pose_in, twist_in)
         return done, status
-    copy_angles(work.angle, work.lead_angle)
+    keep_turns(work, work.lead_angle, work.lead_coordinates)
     if status != OK or steps == 0:
-        copy_angles(work.start_angle, work.angle)
+        set_turns(work, work.start_angle, work.start_coordinates)
         return 0, status
     if remaining < 0.0:
-        copy_angles(work.kept_angle, work.angle)
+        set_turns(work, work.kept_angle, work.kept_coordinates)
         count_turns(model, work)
     else:
         begin(model, work, pose, twist)
@@ -324,12 +342,14 @@ class MuntheKaas:
         self._control = np.zeros(ENTRIES)
         self._control[MOST], self._control[LENGTH] = MOST_SUBSTEPS, 1.0
         self._tolerances = options.get("rtol", 0.0), options.get("atol", 1.0)
+        self._lead = Lead(self._work, self._control)
         self._methods, self._chosen, self._part = [], np.zeros(1), 1.0
         self.add(method)
         self._passage = SameTypes(passage)
         self.switching = None
         if len(self._model.switches):
-            self.switching = Switching(self._model, self._work, layout.switch_sizes, self._pass, self._control)
+            given = self._model, self._work, layout.switch_sizes, self._pass, self._control
+            self.switching = Switching(*given, self._lead)
         self.restart()
 
     def add(self, method, looser=1.0):
@@ -362,16 +382,20 @@ class MuntheKaas:
 
     def restart(self):
         """Clear the memory between calls: the state was set."""
+        self.clear()
+        if self.switching is not None:
+            self.switching.restart()
+
+    def clear(self):
+        """Clear the memory, but for the modes of stops and friction."""
         self._control[SUBSTEPS] = self._longest, 0.0, 0.0, self._longest
-        self._control[READY] = self._control[FRESH] = 0.0
+        self._control[LEADS : FRESH + 1] = 0.0
         self._control[BEGINS] = 1.0
         self.stop_at(math.inf, 0.0, math.inf)
         self._control[LONGEST], self._control[GROWTH] = math.inf if self._may_run_ahead else self._longest, 0.0
         self._chosen[0] = 0.0
         self._set_ahead()
         self._work.known[0] = 0.0
-        if self.switching is not None:
-            self.switching.restart()
 
     def tighten(self, part):
         """Set the tolerances to a fraction of those of the options."""
@@ -386,7 +410,7 @@ class MuntheKaas:
         bits : number of bits that are rounded away after every substep; a lower bound of tolerances, too
         """
         self.passes = True
-        self._may_run_ahead = not len(self._model.switches)  # events must be met in the order of time
+        self._may_run_ahead = True
         self._set_ahead()
         self._control[COARSE] = 2.0**bits + 1.0 if bits else 0.0
         self._control[LENGTH] = length
@@ -395,7 +419,7 @@ class MuntheKaas:
     @property
     def runs_ahead(self):
         """Whether the integration runs ahead of the caller, see ahead.py."""
-        return self._control[AHEAD] != 0.0
+        return self._lead.runs
 
     @property
     def spent(self):
@@ -410,7 +434,7 @@ class MuntheKaas:
     @property
     def lead(self):
         """(whole steps, s after them) that the integration has reached."""
-        return tuple(self._control[BASE : LEAD + 1].tolist()) if self._work.known[0] else (0.0, 0.0)
+        return tuple(self._control[BASE : LEAD + 1].tolist()) if self._lead.known else (0.0, 0.0)
 
     def _set_ahead(self):
         ahead = self._may_run_ahead and len(self._methods[self.chosen][0].inside) > 0
@@ -421,7 +445,7 @@ class MuntheKaas:
         """Continue with another of the methods, by its number in the order of `add`."""
         if number != self.chosen:
             self._control[SIZE] = self._longest
-            self._work.known[0] = 0.0  # the state ahead is that of the other method
+            self._lead.go_back()  # the state ahead is that of the other method
         self._chosen[0] = number
         self._set_ahead()
         self.tighten(self._part)
@@ -468,6 +492,7 @@ class MuntheKaas:
         lead = (
             (work.pose, work.twist, work.lead_angle, work.kept_pose, work.kept_twist, known)
             + (work.kept_angle, work.lead_external, work.lead_wanted, work.lead_acting, work.lead_motions)
+            + (work.lead_coordinates, work.kept_coordinates)
             if self._may_run_ahead
             else ()
         )
@@ -486,6 +511,15 @@ class MuntheKaas:
         """Take steps of size h in place; returns (steps done, status)."""
         advance = self._pass if self.switching is None else self.switching.advance
         return advance(h, steps, pose, twist, external)
+
+    def look_ahead(self, h, pose, twist, external):
+        """As `advance` of one step, for reading; status EVENT, and nothing done, if an event may come before."""
+        if self.switching is not None and not self.switching.is_settled(external):
+            return 0, EVENT
+        end = self._work.clock[TO : UNTIL + 1].copy()
+        done, status = self._pass(h, 1, pose, twist, external)
+        is_before = (self._work.clock[TO : UNTIL + 1] != end).any()
+        return done, EVENT if status == OK and is_before else status
 
     def passage(self, times, counts, places, wrenches, wanted, pose, twist, external, kept, angles):
         """Go through parts of time, see passage.py; returns (parts done, status). Only without error control."""

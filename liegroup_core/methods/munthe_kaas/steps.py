@@ -149,6 +149,16 @@ def count_turns(model, work):
 
 
 @kernel
+def rest(model, work, twist):
+    """Set the rates of held freedoms to zero: those of a state that was entered have round-off."""
+    n = len(model.parts)
+    for b in range(len(model.bodies)):
+        for k in range(model.bodies[b]["freedoms"]):
+            if work.held[model.bodies[b]["freedom"] + k] != 0.0:
+                twist[n + b, k] = 0.0
+
+
+@kernel
 def watches(model, work):
     """Whether steps stop at events."""
     return work.watch[WATCHED] > 0.0
