@@ -56,7 +56,7 @@ SUBSTEPS = 32  # between checkpoints with an accuracy, at most
 # Growth of the distance between two checkpoints with an accuracy, up to which the next one comes later, and above which
 # it comes earlier.
 CALM, FAST = 2.0, 4.0
-LAG = 4  # steps after which the companion follows a run that is ahead, which spreads its work
+LAG = 4  # steps after which the companion follows with an accuracy, which spreads its work; past events at once
 PART = 0.05  # of the horizon, between two looks at the estimate: errors may rise and fall between checkpoints
 # rad, or relative to the characteristic length: above it, a rebound that became plastic makes the estimate
 # infinite. Bouncing that comes to rest by itself is far below it when its impacts are that dense.
@@ -89,6 +89,7 @@ class RunningError:
         self.engine = engine
         self._by_work = by_work = horizon is not None
         self._look = max(1, int(PART * horizon / engine.step)) if by_work else 0
+        self._lag = 1 if engine.layout.switches else LAG
         method = METHODS[engine.method]
         order, controlled = method.order, method.controlled
         # Steps of the engine and of its companion in the same time.
@@ -181,7 +182,7 @@ class RunningError:
         """Advance the companion to the present step if they can meet, and estimate the error."""
         engine = self.engine
         steps = engine.steps
-        if self._by_work and self.begun and steps != self._next and steps - self._companion.steps < LAG:
+        if self._by_work and self.begun and steps != self._next and steps - self._companion.steps < self._lag:
             return
         self._failed = self._failed or engine.events.lost_rebound > LOST_REBOUND
         if not self._alive or steps % self.ours:

@@ -34,6 +34,7 @@ from .error_control import (
     AHEAD,
     BASE,
     BEGINS,
+    DUE,
     FRESH,
     KEPT_BASE,
     KEPT_LEAD,
@@ -160,7 +161,8 @@ def start_lead(work, control):
     """Start at the caller's time."""
     control[BASE], control[LEAD], control[FRESH] = work.clock[FROM], work.clock[SINCE], 0.0
     control[LIMIT_BASE], control[LIMIT], control[LEFT] = control[NEXT_BASE], control[NEXT], control[NEXT_AFTER]
-    control[BEGINS], control[LEADS], control[SEEN] = 1.0, 1.0, 0.0
+    control[BEGINS] = control[LEADS] = 1.0
+    control[SEEN] = control[DUE] = 0.0
 
 
 @kernel
@@ -216,7 +218,7 @@ def shorten(work, control, size, place):
     step, lead = work.clock[STEP_SIZE], control[LEAD]
     control[SEEN] = size
     if lead + size <= step * (1.0 + SAME_TIME):
-        control[SIZE] = size
+        control[DUE] = 1.0
         return False
     control[SIZE] = max(1.0, math.floor((lead + place * size) / step)) * step - lead
     return True
@@ -231,7 +233,7 @@ def go_on(work, control, size, at_limit):
         control[BASE], control[LEAD] = control[LIMIT_BASE], control[LIMIT]
     else:
         lead, step = control[LEAD] + size, work.clock[STEP_SIZE]
-        near = SAME_TIME * max(lead, step)
+        near = SAME_TIME * max(lead, step) if control[SEEN] > 0.0 else 0.0
         whole = math.floor((lead + near) / step)
         control[BASE] += whole
         control[LEAD] = lead - whole * step if lead - whole * step > near else 0.0

@@ -38,11 +38,12 @@ SIZE, ACCEPTED, ATTEMPTED, KEPT_SIZE, RTOL, ATOL, LONGEST, MOST, LENGTH, ROUNDED
 # Of a method that runs ahead, see ahead.py: 1 if it does; whole steps, and s after them, of the lead, of the start of
 # the kept substep, and of the next known change of the inputs; s from the lead to that; size of the kept substep in s;
 # 1 if the lead is known, else it starts at the caller's state; s from the lead within which an event was seen, or 0;
-# 1 if the further stages of the kept substep are known; 1 if the derivative at the lead is; of the call, the next
-# known change of inputs; 1 if no substep has begun since the lead passed the end of a step.
-AHEAD, BASE, LEAD, KEPT_BASE, KEPT_LEAD, LIMIT_BASE, LIMIT, LEFT, LAST, LEADS, SEEN = range(13, 24)
-READY, FRESH, NEXT_BASE, NEXT, NEXT_AFTER, BEGINS = range(24, 30)
-ENTRIES = 30
+# 1 if it is in the next substep within the step of the lead; 1 if the further stages of the kept substep are known; 1
+# if the derivative at the lead is; of the call, the next known change of inputs; 1 if no substep has begun since the
+# lead passed the end of a step.
+AHEAD, BASE, LEAD, KEPT_BASE, KEPT_LEAD, LIMIT_BASE, LIMIT, LEFT, LAST, LEADS, SEEN, DUE = range(13, 25)
+READY, FRESH, NEXT_BASE, NEXT, NEXT_AFTER, BEGINS = range(25, 31)
+ENTRIES = 31
 SUBSTEPS, TOLERANCES = slice(SIZE, RTOL), slice(RTOL, LONGEST)
 # Bounds of the ratio of two successive substeps, and safety factor of the next one.
 LARGEST_GROWTH, LARGEST_CUT, SAFETY = 5.0, 0.2, 0.9

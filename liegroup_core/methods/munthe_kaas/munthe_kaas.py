@@ -66,6 +66,7 @@ from .error_control import (
     BASE,
     BEGINS,
     COARSE,
+    DUE,
     ENTRIES,
     FRESH,
     GROWTH,
@@ -183,6 +184,8 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
         if len(work.motions) > 0:
             first = 0  # the time at the end of the last step differs by round-off
         attempts, tried = 0, control[SIZE]
+        if ahead and remaining > 0.0 and control[DUE] != 0.0:
+            status = EVENT
         while status == OK and (remaining > 0.0 or ahead and remaining < 0.0):
             count, since, origin, rates, is_step = 1, h - remaining, pose, twist, remaining > 0.0
             if ahead:
@@ -255,8 +258,6 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
                         control[ACCEPTED] -= 1.0
                         status = OK
                         continue
-                    if ahead:
-                        work.watch[BEGIN] = time_before(work, control)
             if status == OK and model.projects:
                 status = close(model, work, controlled)
             if status == OK and ahead and (size >= remaining or ends_step(work, control, size, at_limit)):
@@ -283,6 +284,8 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
                 control[FRESH] = 0.0
                 if first == 1:
                     keep_lead(work, control)
+        if status == EVENT and ahead:
+            work.watch[BEGIN] = time_before(work, control)
         if status == EVENT and ahead and control[BASE] > work.clock[FROM]:
             # The caller's state becomes that at the start of the step with the event, which follows in the next call.
             status, steps, work.clock[TO] = OK, int(control[BASE] - work.clock[FROM]), control[BASE]
@@ -492,7 +495,7 @@ class MuntheKaas:
         lead = (
             (work.pose, work.twist, work.lead_angle, work.kept_pose, work.kept_twist, known)
             + (work.kept_angle, work.lead_external, work.lead_wanted, work.lead_acting, work.lead_motions)
-            + (work.lead_coordinates, work.kept_coordinates)
+            + (work.lead_coordinates, work.kept_coordinates, work.watch, work.crossed)
             if self._may_run_ahead
             else ()
         )
