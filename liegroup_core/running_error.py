@@ -66,6 +66,7 @@ PARTS = 2  # of the step up to an event, whose size does not depend on that of o
 LEAST, LEAST_HIGH = 1.0, 0.75
 # q and this fraction with error control: for an explicit method, an implicit method, and an accuracy.
 CONTROLLED, STIFF, BY_WORK = (4.0 / 3.0, 0.5), (1.43, 0.5), (1.7, 0.4)
+EVENTS = 1.0  # with stops or friction: up to an event the companion takes smaller steps, and the distance is the error
 # With an accuracy the companion rounds away this number of bits of its state: its round-off is 64 times as large,
 # its tolerances are 70 times as large.
 BITS = 6
@@ -96,6 +97,7 @@ class RunningError:
         self.ours, self._theirs = (1, 1) if by_work else (4, 1) if controlled else (4, 3) if order < HIGH else (6, 5)
         if controlled:
             ratio, least = BY_WORK if by_work else STIFF if method.implicit else CONTROLLED
+            least = EVENTS if by_work and engine.layout.switches else least
         else:
             ratio, least = self.ours / self._theirs, LEAST if order < HIGH else LEAST_HIGH
         self.ratio, self.size = ratio, engine.layout.size
