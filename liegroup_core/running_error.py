@@ -23,6 +23,8 @@ With an accuracy both run ahead (methods/munthe_kaas/ahead.py): their substeps f
 their states at any time are those of interpolants, whose errors are part of the distance. Checkpoints follow after
 up to SUBSTEPS substeps, and earlier where the distance grows fast. In between, the two are compared when an estimate
 is read, and PART of the horizon after the last look; an estimate above the accuracy makes that a checkpoint, too.
+Steps with events of stops and friction are the same for both; there the companion's error may be the smaller one, so
+that with switches all of the distance counts.
 
 With error control and without an accuracy, the companion takes one step for four of the simulation. With equal
 steps the last substep, which ends with the step, would often make the substeps of both equal. Its substeps are at

@@ -95,6 +95,8 @@ def pushed(name, ask, **options):
         ("driven_arm", {"accuracy": 1e-4}),
         ("heavy_top", {"accuracy": 1e-6, "step": 0.1}),
         ("gripper", {"accuracy": 1e-4}),
+        ("stick_slip", {"accuracy": 1e-5}),
+        ("cable", {"accuracy": 1e-5}),
         ("door", {"method": "rkmk4", "step": 2e-3}),
         ("heavy_top", {"method": "constrained_rattle", "step": 2e-3}),
         ("four_bar", {"method": "radau5", "step": 1e-2}),
@@ -109,7 +111,17 @@ def test_a_run_does_not_depend_on_the_states_that_are_asked_for(name, options):
     assert len(one.drain_instants()) == len(other.drain_instants())
 
 
-@pytest.mark.parametrize("name, accuracy", [("four_bar", 1e-5), ("heavy_top", 1e-4), ("slider_crank", 1e-3)])
+@pytest.mark.parametrize(
+    "name, accuracy",
+    [
+        ("four_bar", 1e-5),
+        ("heavy_top", 1e-4),
+        ("slider_crank", 1e-3),
+        ("door", 1e-4),
+        ("cable", 1e-4),
+        ("gripper", 1e-5),
+    ],
+)
 def test_errors_between_steps_are_below_their_estimate_and_loops_stay_closed(name, accuracy):
     simulation, samples = pushed(name, True, accuracy=accuracy)
     size = simulation.promise["length"]
@@ -127,6 +139,19 @@ def test_errors_between_steps_are_below_their_estimate_and_loops_stay_closed(nam
         assert error.max() < accuracy * size and sample.constraint_residual < 1e-12
         energies.append(abs(sample.energy - true.energy) / (1.0 + abs(true.energy)))
     assert max(energies) < accuracy
+
+
+@pytest.mark.parametrize("name, most", [("door", 0.1), ("stick_slip", 0.25)])
+def test_stops_and_friction_limit_substeps_only_at_their_events(name, most):
+    """Attempted substeps in 10 s, as a part of the steps; and modes and times of the events are those to 1e-12."""
+    run, fine = (Simulation(load_scene(name), accuracy=accuracy, step=0.01, quiet=True) for accuracy in (1e-4, 1e-12))
+    for simulation in (run, fine):
+        simulation.advance(1000)
+    events, exact = run.drain_events(), fine.drain_events()
+    assert run.substeps[1] < most * run.steps and len(exact) >= 3
+    assert [(event.joint, event.kind) for event in events] == [(event.joint, event.kind) for event in exact]
+    assert [event.time for event in events] == pytest.approx([event.time for event in exact], abs=1e-5)
+    assert np.abs(run.sample().switching - fine.sample().switching).max() < 1e-4
 
 
 def test_only_times_of_the_present_step_can_be_had():
