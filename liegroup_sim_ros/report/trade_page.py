@@ -59,13 +59,13 @@ def _stars(part):
 
     stars = sorted((place(entry), f"{entry['accuracy']:g}") for entry in part["to_accuracy"])
     every = [*(at for at, _ in stars), *(place(cell) for _, cells in curves(part) for cell in cells)]
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):  # a cost or an error of zero is not shown
         logarithms = np.log10(np.array(every).reshape(-1, 2))
-    shown = logarithms[np.isfinite(logarithms).all(axis=1)]
-    for k in range(len(stars) - 1):
-        (at, text), (after, more) = stars[k : k + 2]
-        if (np.abs(logarithms[k + 1] - logarithms[k]) < CLOSE * np.ptp(shown, axis=0)).all():
-            stars[k : k + 2] = (at, ""), (after, f"{text}, {more}")
+        shown = logarithms[np.isfinite(logarithms).all(axis=1)]
+        for k in range(len(stars) - 1):
+            (at, text), (after, more) = stars[k : k + 2]
+            if (np.abs(logarithms[k + 1] - logarithms[k]) < CLOSE * np.ptp(shown, axis=0)).all():
+                stars[k : k + 2] = (at, ""), (after, f"{text}, {more}")
     return stars
 
 

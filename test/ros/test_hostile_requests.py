@@ -81,7 +81,6 @@ def call(client, process, name, *request):
     assert cpu_seconds(process) - before < FROZEN, (name, request)
 
 
-@pytest.mark.turn(3)
 def test_no_request_ends_or_freezes_the_node(client, besieged):
     process, folder = besieged
     messages = Messages(np.random.default_rng(11), texts(folder / "canary", NAMES))
@@ -221,7 +220,6 @@ def test_other_requests_are_answered_while_steps_are_taken(client, besieged):
         (signal.SIGHUP, {"scene": "andrews_squeezer", "method": "rkmk853", "step": 10.0}),
     ],
 )
-@pytest.mark.turn(3)
 def test_a_signal_ends_a_node_in_the_middle_of_a_long_tick(number, more, client, tmp_path):
     rates = {f"{name}_rate": 0.0 for name in ("state", "clock", "marker", "joint_state")}
     rates |= {"publish_rate": 0.1, "real_time_factor": 0.0}

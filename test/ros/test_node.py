@@ -77,7 +77,6 @@ def node(client, shared):
     return shared
 
 
-@pytest.mark.turn(3)
 def test_poses_twists_and_clock_have_their_grid(client, node):
     """The recordings of other tests show that none is missing."""
     begin = node.now_ns()
@@ -102,7 +101,6 @@ def test_a_late_subscriber_receives_the_start_event(node):
     assert node.events[0].name == "start"
 
 
-@pytest.mark.turn(3)
 def test_the_command_push_gives_its_impulse(client, node, capsys):
     """The node keeps each wrench until the next one, for a machine that delays the command."""
     assert client.set(NODE, wrench_hold="until_replaced").successful
@@ -130,7 +128,6 @@ def test_the_command_push_gives_its_impulse(client, node, capsys):
     assert twist.linear.z == 0.0
 
 
-@pytest.mark.turn(3)
 def test_push_refuses_an_unknown_body(node, capsys):
     assert push_command("bal", "--force", 1, 0, 0) == 2
     output, errors = capsys.readouterr()
@@ -275,7 +272,6 @@ def test_the_real_time_factor_is_held_and_can_be_changed(client, node):
     )
 
 
-@pytest.mark.turn(3)
 def test_divergence_stops_the_simulation_but_not_the_node(client, node):
     node.push("cube", torque=(1e99, 1e99, 0.0))
     client.until(lambda: node.events[-1].name == "fault", what="a fault")

@@ -64,7 +64,6 @@ def node(client, process):
     return process.node
 
 
-@pytest.mark.turn(3)
 def test_a_position_is_reached_in_the_motion_time_and_its_effort_reported(client, node):
     """At its stamp inside a step; then the wheel goes on at the commanded velocity."""
     now = node.now()

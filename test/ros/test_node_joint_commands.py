@@ -71,7 +71,6 @@ def node(client, process):
     return node
 
 
-@pytest.mark.turn(3)
 def test_a_constant_effort_gives_the_known_accelerations(node):
     """tau / I = 3 rad/s^2, f / m = -2 m/s^2; round-off of 100 steps."""
     node.command(name=["slide", "hinge"], effort=[-4.0, 1.5])
@@ -121,7 +120,6 @@ def test_wrong_commands_are_counted_and_change_nothing(node):
     assert not node.given and not any(node.states[-1].velocity)
 
 
-@pytest.mark.turn(3)
 def test_a_storm_of_commands_is_accepted_or_refused_one_by_one(client, node):
     """10 kHz, half of them wrong, while the node runs."""
     accepted, refused = "joint_commands_accepted", "joint_commands_refused_wrong_length"

@@ -64,7 +64,6 @@ def node(client, process):
     return process.node
 
 
-@pytest.mark.turn(3)
 def test_a_position_and_velocity_are_wanted_values_from_their_stamp(client, node):
     now = node.now()
     node.command(now + 20_300_000, name=["hinge"], position=[-0.7], velocity=[2.0])

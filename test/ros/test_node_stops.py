@@ -108,7 +108,6 @@ def joint_lines(process):
     return [event for event in process.events if event.name == "joint"]
 
 
-@pytest.mark.turn(3)
 def test_the_modes_after_a_reset_are_those_of_the_first_step(client, process, node):
     late = client.listen(f"{NODE}/joint_modes", Float64MultiArray, LATCHED)
     client.until(lambda: late, what="modes")

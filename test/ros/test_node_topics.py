@@ -119,7 +119,6 @@ def node(client, folder):
         assert "tf2_msgs" not in process.end()  # nothing is said of a default that is not possible
 
 
-@pytest.mark.turn(3)
 def test_every_topic_has_its_own_rate(client, node):
     begin = max(node.stamps(name)[-1] for name in node.messages)
     client.until_stamp(begin + 1000 * STEP_NS, *node.messages.values())

@@ -76,7 +76,6 @@ def motion(node, start):
     return np.array([t for t, _ in found]) * 1e-9, np.array([p for _, p in found])
 
 
-@pytest.mark.turn(3)
 def test_servos_follow_a_trajectory_from_its_stamp(process, node):
     """Two segments: a cubic from the present state, then a quintic; the servo lags by a part of its inertia."""
     node.steps(10)
@@ -99,7 +98,6 @@ def test_servos_follow_a_trajectory_from_its_stamp(process, node):
     assert np.abs(found[times < -1e-4]).max() == 0.0
 
 
-@pytest.mark.turn(3)
 def test_a_restored_snapshot_continues_its_trajectory(client, process, node):
     """Bit for bit, both one that is followed and one that waits."""
     start = node.now() + 50_300_000
@@ -121,7 +119,6 @@ def test_a_restored_snapshot_continues_its_trajectory(client, process, node):
         assert np.ptp([found[0][ns][:2] for ns in both], axis=0).min() > 0.05
 
 
-@pytest.mark.turn(3)
 def test_a_position_command_takes_its_joint_from_the_trajectory(process, node):
     process.lead(trajectory(["elbow", "shoulder"], (1.0, [0.5, 0.5], [0.0, 0.0])))
     node.steps(200)

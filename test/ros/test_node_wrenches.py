@@ -98,7 +98,6 @@ def node(client, process):
     return pushed
 
 
-@pytest.mark.turn(3)
 def test_a_late_subscriber_learns_what_acts(client, node):
     node.to["wrench/persistent"]("cube/late", force=(7.0, 0.0, 0.0))
     node.until_forces("cube", [7.0])

@@ -140,7 +140,6 @@ def test_the_page_lists_all_services_with_their_types():
     assert offered == set(listed.values())
 
 
-@pytest.mark.turn(3)
 def test_the_features_are_those_of_the_services(node):
     _, response = node("get_simulator_features")
     features = response.features
@@ -379,7 +378,6 @@ def test_a_world_without_its_meshes_is_refused_unless_they_are_ignored(node, fil
     assert load(node, (files / "rig.yaml").as_uri())[0] == 1
 
 
-@pytest.mark.turn(3)
 def test_a_robot_whose_mass_follows_from_a_missing_mesh_lacks_an_asset(node, files):
     """It cannot be loaded without: ignored or not, the answer is the same, and names the mesh."""
     path = files / "mass.xml"
@@ -494,7 +492,6 @@ assert call(SetEntityState, "set_entity_state", SetEntityState.Request(entity="s
 """
 
 
-@pytest.mark.turn(3)
 def test_the_flags_and_resources_of_the_latest_release(request, files):
     if missing():
         pytest.skip(f"{missing()} is missing")

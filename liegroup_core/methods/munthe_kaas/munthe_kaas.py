@@ -20,7 +20,7 @@ from liegroup_core.compiling import SameTypes, borrowed, kernel, stepper
 from liegroup_core.dynamics.state import model_and_work
 from liegroup_core.events.crossings import first_place
 from liegroup_core.events.switching import Switching
-from liegroup_core.mechanism.arrays import BEGIN, FURTHER, links_of
+from liegroup_core.mechanism.arrays import BEGIN, FURTHER, SPAN, links_of
 from liegroup_core.mechanism.bodies import (
     COUNT,
     FROM,
@@ -495,7 +495,7 @@ class MuntheKaas:
         lead = (
             (work.pose, work.twist, work.lead_angle, work.kept_pose, work.kept_twist, known)
             + (work.kept_angle, work.lead_external, work.lead_wanted, work.lead_acting, work.lead_motions)
-            + (work.lead_coordinates, work.kept_coordinates, work.watch, work.crossed)
+            + (work.lead_coordinates, work.kept_coordinates, work.watch[SPAN:], work.crossed)
             if self._may_run_ahead
             else ()
         )
