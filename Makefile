@@ -27,7 +27,7 @@ demo: .venv/installed ## simulate, record, analyse
 # Three workers on two cores, as many tests wait for nodes.
 PYTEST = PYTHONSAFEPATH=1 .venv/bin/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
-test: .venv/installed ## run the tests against the installed package (22 min on two cores)
+test: .venv/installed ## run the tests against the installed package (15 min on two cores)
 	@.venv/bin/python -P test/compile_kernels.py
 	@$(PYTEST) $(ARGS)
 

@@ -77,7 +77,8 @@ unit = _of(
     "return (ZERO3, (0.0, 0.0, value)) if column == 5 else ((0.0, 0.0, value), ZERO3)",
     "return (0.0, value, 0.0) if column == 1 else (value, 0.0, 0.0)",
 )
-# Pose of link b in its parent; a parent's twist in the axes of b, a wrench on b in the parent's axes.
+# The pose X of link b in its parent; with it, a twist of the parent in the frame of b, and a wrench on b in the frame
+# of the parent.
 relative = _of(
     "relative",
     "work b",

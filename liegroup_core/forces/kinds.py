@@ -84,7 +84,7 @@ class Forces(Struct):
     linear_servo: np.ndarray
     drag: np.ndarray
     applied_wrench: np.ndarray
-    counted: np.ndarray  # springs without stiffness at joints of couplings, then of servos: for their angles
+    counted: np.ndarray  # springs without stiffness that count the turns of joints: those of couplings, then of servos
     exist: bool  # True if there are forces other than `counted`
 
 

@@ -334,7 +334,7 @@ class Variations:
         return (columns / self._scales[:, None]).swapaxes(1, 2).reshape(len(columns), 2 * len(self._scales))
 
     def _frame(self, probe, outputs):
-        """(2 f, p) derivatives of Outputs along the freedoms and their rates, in the units of the freedoms."""
+        """(2 f, p) derivatives of p Outputs by the f freedoms, and by their f rates."""
         f, base = probe.freedoms, outputs.of(probe.neighbour())
         ways = np.eye(2 * f).reshape(2 * f, 2, f).swapaxes(1, 2) * self._scales[:, None]
         parts = [

@@ -144,8 +144,7 @@ def _bodies(robot, grouping, parts, notes):
             link, joint = grouping.held[0]
             raise robot.error(
                 robot.links[link].line,
-                f'link "{link}" at the end of joint "{joint.name}" has no mass, and no other link '
-                "moves: give it an inertial",
+                f'joint "{joint.name}" moves only link "{link}", which has no mass: give the link an inertial',
             )
         advice = (
             "let the root float with base: floating (--base floating), unlock a joint, or keep more links with only"

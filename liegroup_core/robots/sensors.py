@@ -25,7 +25,7 @@ def kept_fixed_joints(robot, options):
             raise options.unknown(("keep", i), "keep: joint", name, types)
         if types[name] != "fixed":
             raise options.error(
-                ("keep", i), f'keep: joint "{name}" is {types[name]}: only fixed joints are merged; omit it'
+                ("keep", i), f'keep: joint "{name}" is {types[name]}, and only fixed joints are merged: omit this name'
             )
     measured = [sensor.joint for sensor in robot.sensors if sensor.type == "force_torque"]
     measured += [each.joint for each in options.sensors if each.type == "force_torque"]
@@ -114,7 +114,7 @@ def _between(grouping, body_of, sensor):
         ends.append((body_of[id(group)], place[:3, :3] @ point + place[:3, 3]))
     if ends[0][0] == ends[1][0]:
         return None, "its links move as one body"
-    if ends[1][0] == WORLD:  # the child of a sensor must be a body
+    if ends[1][0] == WORLD:  # the second end of a sensor must be on a body, and not in the world
         ends.reverse()
     (parent, first), (child, second) = ends
     return {"parent": parent, "parent_point": first, "child": child, "child_point": second}, ""

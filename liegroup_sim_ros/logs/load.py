@@ -54,7 +54,9 @@ def fields_of(entry, scene, kind):
         texts = [*_vector(_joined(path, "orientation"), QUATERNION), *vectors[0], *vectors[1]]
         return [Field(text) for text in texts]
     if not path:
-        raise SceneError(f"{name}{part and '.'}{part}: give the field of {kind} that has it, such as data[0]")
+        raise SceneError(
+            f"{name}{part and '.'}{part}: is not a number: add the field of {kind} that has the value, such as data[0]"
+        )
     return [Field(path)]
 
 

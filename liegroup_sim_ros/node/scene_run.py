@@ -226,9 +226,8 @@ def make_simulation(values, signals):
     """
     if not (values.scene or values.continue_from):
         raise ParameterError(
-            "parameter scene: is empty; give a scene, such as --ros-args -p "
-            "scene:=heavy_top. In a parameter file it stands under /** or the node's name, "
-            "and ros__parameters"
+            "parameter scene is empty; give a scene, such as --ros-args -p scene:=heavy_top. In a parameter file it "
+            "stands under ros__parameters, and that under /** or the name of the node"
         )
     future = begin(_make, values, None)
     while not wait([future], ATTENTION).done:

@@ -33,7 +33,7 @@ LONGEST = 0.3  # of an arrow, relative to the mechanism
 MOST_TRACE = 400  # points of a trace
 # Shapes of joints: those that turn about an axis, those that slide along it, others.
 TURNS, SLIDES = ("revolute", "screw", "cylindrical", "universal"), ("prismatic", "cylindrical")
-# Changes of a body that are not sent, relative to the mechanism, and of a quaternion.
+# A pose is sent if its position, relative to the size of the mechanism, or its quaternion changed by more than this.
 UNSEEN = 1e-6
 LARGEST_HALO = 0.4  # radius relative to the mechanism: a camera inside a halo would not show it
 CHANGE = 0.05  # of the radius of a halo

@@ -213,7 +213,7 @@ def test_notes_tell_of_lost_doubled_and_disordered_messages(tmp_path):
         ("{output: motor.position, topic: /joint_states, field: 'position[motr]'}", "has a number position[motr]"),
         ("{output: motor.position, topic: /nothing, field: a}", "no topic /nothing; its topics: /"),
         ("{output: motr.position, topic: /joint_states, field: 'position[motor]'}", "unknown output 'motr.position'"),
-        ("{output: motor.position, topic: /joint_states}", "give the field of sensor_msgs/msg/JointState"),
+        ("{output: motor.position, topic: /joint_states}", "add the field of sensor_msgs/msg/JointState"),
         ("{output: motor.position, topic: /joint_states, field: 'a[', noise: 1}", "give names with dots and brackets"),
         ("{output: motor.position, topic: /joint_states, field: 'position[motor]', noise: -1}", "map.yaml:2: "),
         ("{output: motor.position, topic: /joint_states, feld: a}", 'did you mean "field"'),

@@ -112,7 +112,7 @@ def test_a_signal_during_compilation_ends_the_node(scene, tmp_path):
 @pytest.mark.parametrize(
     "parameters, message",
     [
-        ({"scene": "''"}, "parameter scene: is empty"),
+        ({"scene": "''"}, "parameter scene is empty"),
         ({"scene": ""}, "Couldn't parse parameter override rule: '-p scene:='"),
         ({"scene": "no_such_scene.yaml"}, "no_such_scene"),
         (

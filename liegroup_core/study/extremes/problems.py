@@ -419,7 +419,7 @@ def of_scene_step(name, horizon, step):
 
 
 def of_scene_speed(name, horizon, factor, step=1e-3):
-    """Scene of the user with scaled initial velocities, at 1 ms."""
+    """The scene of the user with scaled initial velocities, and a step of 1 ms."""
     scene = load_scene(name)
     bodies = [
         body.model_copy(
