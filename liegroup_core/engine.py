@@ -515,6 +515,10 @@ class Engine:
             return AFTER
         return min(self._timetable.next_after(instant), self.inputs.schedule.next_after(instant))
 
+    def changes_before(self, steps):
+        """Whether an input changes after the present step and before a step count."""
+        return self.change_after(self._present()) < self._grid.boundary(steps)
+
     def _state_inside(self, end):
         """Pose, twist, angles and modes (or None) at an Instant, from the integration that runs ahead, or None.
 

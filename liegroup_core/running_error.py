@@ -58,7 +58,7 @@ SUBSTEPS = 32  # between checkpoints with an accuracy, at most
 # Growth of the distance between two checkpoints with an accuracy, up to which the next one comes later, and above which
 # it comes earlier.
 CALM, FAST = 2.0, 4.0
-LAG = 4  # steps after which the companion follows with an accuracy, which spreads its work; past events at once
+LAG = 4  # steps after which the companion follows with an accuracy, which spreads its work; past changes at once
 PART = 0.05  # of the horizon, between two looks at the estimate: errors may rise and fall between checkpoints
 # rad, or relative to the characteristic length: above it, a rebound that became plastic makes the estimate
 # infinite. Bouncing that comes to rest by itself is far below it when its impacts are that dense.
@@ -186,7 +186,10 @@ class RunningError:
         """Advance the companion to the present step if they can meet, and estimate the error."""
         engine = self.engine
         steps = engine.steps
-        if self._by_work and self.begun and steps != self._next and steps - self._companion.steps < self._lag:
+        # Between checkpoints the companion only advances, which spreads its work.
+        between = self._by_work and self.begun and steps != self._next
+        follows = between and self._companion.changes_before(steps)
+        if between and not follows and steps - self._companion.steps < self._lag:
             return
         self._failed = self._failed or engine.events.lost_rebound > LOST_REBOUND
         if not self._alive or steps % self.ours:
@@ -197,9 +200,7 @@ class RunningError:
         meeting = steps // self.ours * self._theirs
         if self._companion.steps == meeting and steps != self._next:
             return
-        # Between checkpoints the companion only advances, which spreads its work.
-        between = self._by_work and steps != self._next
-        if between and self._companion.covers_step(meeting):
+        if between and not follows and self._companion.covers_step(meeting):
             return
         if not self._failed:
             try:

@@ -19,7 +19,6 @@ from liegroup_core.accuracy import DEFAULT, LONGEST, MINUTE, SMALLEST
 from liegroup_core.engine import STABILISATIONS, STEP
 from liegroup_core.fields.values import suggestion
 from liegroup_core.methods.table import CONFIGURATION_GROUPS, METHODS
-from liegroup_core.scene.switches import switches_of
 from liegroup_core.simulation import default_steps
 from liegroup_sim_ros.messages.samples import OPTIONAL, TF_LINKS
 from liegroup_sim_ros.messages.topics import MOST_OWN, own_by_default
@@ -129,7 +128,7 @@ TABLE = (
         "step",
         0.0,
         f"step size of the method, s; 0: {STEP:g}. With an accuracy: interval of checks and of single steps; "
-        "0: at most 0.01 and a fiftieth of accuracy_horizon; with stops or friction also the shortest period of a rate",
+        "0: at most 0.01, a fiftieth of accuracy_horizon and the shortest period of a rate",
         low=0.0,
         high=10.0,
     ),
@@ -386,13 +385,12 @@ def bodies_of(text, bodies):
     return tuple(body for body in bodies if body in names)
 
 
-def fitting_steps(values, scene):
-    """Step sizes for an accuracy, long to short.
+def fitting_steps(values):
+    """Step sizes for an accuracy, long to short; none is longer than the shortest period of a rate.
 
-    Where stops and friction end steps, a state within one takes a part of a step: none is then longer than the
-    shortest period of a rate.
+    A state after a command within a step takes parts of that step: it should not have many.
     """
-    most = max(values.rates.values()) if switches_of(scene) else 0.0
+    most = max(values.rates.values())
     return [step for step in default_steps(values.accuracy_horizon) if step * most <= 1.0 + 1e-9]
 
 

@@ -301,7 +301,7 @@ def _from_scene(values, scene):
         else:
             simulation = Simulation(
                 scene,
-                step=values.step or fitting_steps(values, scene),
+                step=values.step or fitting_steps(values),
                 **common,
                 accuracy=values.accuracy,
                 horizon=values.accuracy_horizon,

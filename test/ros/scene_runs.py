@@ -29,7 +29,7 @@ class Run:
         values = node_values(**parameters)
         if not isinstance(simulation, Simulation):
             scene = load_scene(simulation)
-            steps = fitting_steps(values, scene)
+            steps = fitting_steps(values)
             simulation = Simulation(scene, step=steps, accuracy=values.accuracy, horizon=values.accuracy_horizon)
         self.simulation = simulation
         self._run = SceneRun(ros_node, values, simulation, before and before._run)
