@@ -517,6 +517,8 @@ class Engine:
 
     def changes_before(self, steps):
         """Whether an input changes after the present step and before a step count."""
+        if not (self._timetable or self.inputs.schedule):
+            return False
         return self.change_after(self._present()) < self._grid.boundary(steps)
 
     def _state_inside(self, end):
@@ -533,16 +535,18 @@ class Engine:
         if self._before is None and not self.covers(end):
             self._before = [array.copy() for array in self._memory], self._integrator.spent
         pose, twist, angle = self._pose.copy(), self._twist.copy(), self._work.angle.copy()
-        modes = [array.copy() for array in self._modes]
+        modes, h = [array.copy() for array in self._modes], self._grid.between(start, end)
         try:
-            self._prepare(start, self._grid.between(start, end), end)
-            _, status = self._integrator.look_ahead(self._grid.between(start, end), pose, twist, self.inputs.external)
+            self._prepare(start, h, end)
+            _, status = self._integrator.look_ahead(h, pose, twist, self.inputs.external)
             if status == EVENT:
                 return None
             self._checked(status)
             return pose, twist, self._work.angle.copy(), self._switching and self._switching.present_modes()
         finally:
-            self._work.angle[:], self._modes = angle, modes
+            self._work.angle[:] = angle
+            if modes:
+                self._modes = modes
 
     def undo(self):
         """Undo what was integrated for states after the present one."""

@@ -517,7 +517,9 @@ class MuntheKaas:
 
     def look_ahead(self, h, pose, twist, external):
         """As `advance` of one step, for reading; status EVENT, and nothing done, if an event may come before."""
-        if self.switching is not None and not self.switching.is_settled(external):
+        if self.switching is None:
+            return self._pass(h, 1, pose, twist, external)
+        if not self.switching.is_settled(external):
             return 0, EVENT
         end = self._work.clock[TO : UNTIL + 1].copy()
         done, status = self._pass(h, 1, pose, twist, external)
