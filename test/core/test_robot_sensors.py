@@ -85,7 +85,7 @@ def test_a_base_that_is_fixed_to_the_world_shows_what_it_carries(tmp_path):
     "keep, text",
     [
         ("wrst", "keep: joint 'wrst' is not in the robot; did you mean \"wrist\""),
-        ("shoulder", 'keep: joint "shoulder" is revolute: only fixed joints are merged'),
+        ("shoulder", 'keep: joint "shoulder" is revolute, and only fixed joints are merged'),
         ("tcp_joint", 'keep: joint "tcp_joint" is cut or has no mass behind it'),
     ],
 )
