@@ -242,7 +242,6 @@ def way_along_axis(scene, trajectory):
 
 
 @pytest.mark.parametrize("name", CLOSED_FORMS)
-@pytest.mark.volume(5)
 def test_reference_integration_and_engine_agree_with_closed_forms(name):
     """Tolerance: the reported uncertainty plus round-off of values up to 100.
 
