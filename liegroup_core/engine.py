@@ -532,6 +532,8 @@ class Engine:
             return None
         if self.inputs.schedule:
             self.inputs.update(start)
+        if self._before is not None and self._integrator.kept_from > self._grid.parts(end):
+            self.undo()  # a later state was asked for before
         if self._before is None and not self.covers(end):
             self._before = [array.copy() for array in self._memory], self._integrator.spent
         pose, twist, angle = self._pose.copy(), self._twist.copy(), self._work.angle.copy()

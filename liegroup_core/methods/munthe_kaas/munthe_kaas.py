@@ -439,6 +439,11 @@ class MuntheKaas:
         """(whole steps, s after them) that the integration has reached."""
         return tuple(self._control[BASE : LEAD + 1].tolist()) if self._lead.known else (0.0, 0.0)
 
+    @property
+    def kept_from(self):
+        """(whole steps, s after them) from which on states inside substeps are known."""
+        return tuple(self._control[KEPT_BASE : KEPT_LEAD + 1].tolist()) if self._lead.known else (0.0, 0.0)
+
     def _set_ahead(self):
         ahead = self._may_run_ahead and len(self._methods[self.chosen][0].inside) > 0
         self._control[AHEAD] = float(ahead)
