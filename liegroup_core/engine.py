@@ -5,6 +5,7 @@ import contextlib
 import copy
 import time
 from collections.abc import Callable, Iterator
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from liegroup_core.forces.timetable import Timetable, just_after
 from liegroup_core.inputs import Inputs
 from liegroup_core.joint_events import JointEvents
 from liegroup_core.layout import Layout, make_layout
-from liegroup_core.mechanism.bodies import COUNT, LARGEST_TURN, NOW, OFFSET, SINGULAR_SOLVES, STEP_SIZE
+from liegroup_core.mechanism.bodies import COUNT, LARGEST_TURN, NOW, OFFSET, SINGULAR_SOLVES, STEP_SIZE, TO, UNTIL
 from liegroup_core.mechanism.body_model import initial_state
 from liegroup_core.methods.families import check_group, check_options, choose_group, make_integrator
 from liegroup_core.methods.table import METHODS, is_positive
@@ -42,6 +43,7 @@ NO_ROTATION = 1e-6
 METHOD, STEP = "rkmk4", 1e-3  # defaults; s
 # Number of steps per call of a kernel at first, and range of the wall time in s of later calls.
 FIRST_BLOCK, QUICK, SLOW = 16, 0.01, 0.03
+TOGETHER = 64  # states within a step that are computed together, at most
 
 
 def _next_block(steps, seconds):
@@ -148,7 +150,8 @@ class Engine:
         self._work = self._integrator.work
         self._switching = getattr(self._integrator, "switching", None)
         self._stop_at = getattr(self._integrator, "stop_at", None)
-        self._work.clock[STEP_SIZE], self._limited, self._before = self.step, False, None
+        self._work.clock[STEP_SIZE], self._limited = self.step, False
+        self._before, self._inside = None, {}  # see `undo`, `prepare`
         rows, motions = self.layout.model.forces.applied_wrench, self.layout.motions.values()
         self._grid = StepGrid(self.step)
         self._timetable = Timetable(rows, self._grid, motions)
@@ -232,7 +235,8 @@ class Engine:
         """Start again from a valid state; the engine takes over its arrays."""
         self._work.angle[:] = angles
         self._work.report[LARGEST_TURN] = 0.0
-        self._pose, self._twist, self.steps, self._before, self._reached = pose, twist, steps, None, BEFORE
+        self._pose, self._twist, self.steps, self._reached = pose, twist, steps, BEFORE
+        self._forget()
         self.inputs.clear()
         self._integrator.restart()
 
@@ -265,7 +269,7 @@ class Engine:
         self._remember(memory)
 
     def _remember(self, memory):
-        self._before = None
+        self._forget()
         for mine, array in zip(self._integrator.memory, memory):
             mine[...] = array
 
@@ -341,13 +345,9 @@ class Engine:
         """Whether substeps are as long as the motion allows."""
         return getattr(self._integrator, "runs_ahead", False)
 
-    def covers(self, instant):
-        """Whether the integration has reached an Instant already."""
-        return self.runs_ahead and self._integrator.lead >= self._grid.parts(instant)
-
     def covers_step(self, steps):
         """Whether the integration has reached a step count already."""
-        return self.covers(self._grid.boundary(steps))
+        return self.runs_ahead and self._integrator.lead >= (steps, 0.0)
 
     def limit_substeps(self, longest):
         """Set the longest substep in s of a method with error control; call it at the start."""
@@ -426,14 +426,18 @@ class Engine:
         """Instant of a time in s that is not before the present one. Raises ValueError."""
         if not is_finite(time):
             raise ValueError(f"a time must be a finite number of seconds, {got(time)}")
-        instant = self._grid.instant(float(time))
-        if instant < self._present() or instant is AFTER:
-            raise ValueError(f"the time {time:.9g} s is before the present one, {self.time:.9g} s, or too late")
+        return self._valid(self._grid.instant(float(time)))
+
+    def _valid(self, instant):
+        """An Instant that is not before the present one. Raises ValueError."""
+        if instant.step < self.steps or instant is AFTER:
+            raise ValueError(f"the time {instant.time:.9g} s is before the present one, {self.time:.9g} s, or too late")
         return instant
 
     def _advance(self, steps, enough=None):
         end = self.steps + steps
-        self._before = None if steps else self._before
+        if steps:
+            self._forget()
         self._warnings.begin()
         while True:
             start = self._present()
@@ -467,6 +471,10 @@ class Engine:
     def instant_of(self, time_ns):
         """Instant of a time in whole ns."""
         return self._grid.marked(time_ns)
+
+    def instant_ns(self, instant):
+        """Time in whole ns of an Instant."""
+        return self._grid.time_ns(instant)
 
     def state_at(self, instant):
         """State at an Instant from the present step on, as `state`; the present state does not change.
@@ -521,41 +529,63 @@ class Engine:
             return False
         return self.change_after(self._present()) < self._grid.boundary(steps)
 
-    def _state_inside(self, end):
-        """Pose, twist, angles and modes (or None) at an Instant, from the integration that runs ahead, or None.
+    def _states_inside(self, ends):
+        """{Instant: (pose, twist, angles, modes or None)} from the integration that runs ahead.
 
-        None if it does not run ahead, if inputs change before, or if an event may come before. What it integrates is
-        undone if inputs or tolerances change, so that a run does not depend on it.
+        Those after a change of the inputs, and from a possible event on, are missing. What it integrates is undone if
+        inputs or tolerances change, so that a run does not depend on it.
         """
-        start = self._present()
-        if not self.runs_ahead or self.change_after(start) < end:
-            return None
+        start, found = self._present(), {}
+        change = self.change_after(start) if self.runs_ahead else BEFORE
         if self.inputs.schedule:
             self.inputs.update(start)
-        if self._before is not None and self._integrator.kept_from > self._grid.parts(end):
-            self.undo()  # a later state was asked for before
-        if self._before is None and not self.covers(end):
-            self._before = [array.copy() for array in self._memory], self._integrator.spent
-        pose, twist, angle = self._pose.copy(), self._twist.copy(), self._work.angle.copy()
-        modes, h = [array.copy() for array in self._modes], self._grid.between(start, end)
-        try:
-            self._prepare(start, h, end)
-            _, status = self._integrator.look_ahead(h, pose, twist, self.inputs.external)
-            if status == EVENT:
-                return None
-            self._checked(status)
-            return pose, twist, self._work.angle.copy(), self._switching and self._switching.present_modes()
-        finally:
-            self._work.angle[:] = angle
-            if modes:
-                self._modes = modes
+        work, integrator, grid = self._work, self._integrator, self._grid
+        angle, modes = work.angle.copy(), [array.copy() for array in self._modes]
+        for end in ends:
+            if change < end:
+                break
+            at, h = grid.parts(end), grid.between(start, end)
+            if self._before is not None and integrator.kept_from > at:
+                self.undo()  # a later state was asked for before
+            if self._before is None and integrator.lead < at:
+                self._before = [array.copy() for array in self._memory], integrator.spent
+            pose, twist = self._pose.copy(), self._twist.copy()
+            try:
+                if found:
+                    work.clock[TO : UNTIL + 1] = at
+                else:
+                    self._prepare(start, h, end)
+                _, status = integrator.look_ahead(h, pose, twist, self.inputs.external)
+                if status == EVENT:
+                    break
+                self._checked(status)
+                found[end] = pose, twist, work.angle.copy(), self._switching and self._switching.present_modes()
+            finally:
+                work.angle[:] = angle
+                if modes:
+                    self._modes = modes
+        return found
+
+    def _state_inside(self, end):
+        """State at an Instant, see `_states_inside`; None: unknown."""
+        return self._inside.pop(end, None) or self._states_inside([end]).get(end)
+
+    def prepare(self, instants):
+        """Compute the states at Instants within the present step together; `sample` and `state_at` find them, once."""
+        with contextlib.suppress(SimulationError):  # it is raised when that state is asked for
+            self._inside = self._states_inside([each for each in instants if each.step > self.steps or each.offset])
 
     def undo(self):
         """Undo what was integrated for states after the present one."""
+        self._inside = {}
         if self._before is not None:
             memory, self._integrator.spent = self._before
             self._integrator.clear()
             self._remember(memory)
+
+    def _forget(self):
+        """The state was set, or has advanced."""
+        self._before, self._inside = None, {}
 
     def _checked(self, status):
         if status != OK:
@@ -671,9 +701,19 @@ class Engine:
 
         Raises the errors of `advance_to` and `sample`.
         """
-        for at in np.atleast_1d(floats("times must be finite numbers", times)).tolist():
-            self.advance_to(at)
-            yield self.sample(at)
+        times = np.atleast_1d(floats("times must be finite numbers", times)).tolist()
+        for group in self.by_steps(times):
+            self.reach(self._valid(group[0]))
+            self.prepare(group)
+            for instant in group:
+                self.reach(self._valid(instant))
+                yield self.sample_at(instant)
+
+    def by_steps(self, times):
+        """Lists of the Instants of times in s: each of one step, and TOGETHER of them at most."""
+        instants = enumerate(map(self._grid.instant, times))
+        for _, group in groupby(instants, lambda each: (each[1].step, each[0] // TOGETHER)):
+            yield [instant for _, instant in group]
 
     def _sample_of(self, time, time_ns, pose, twist, angle, modes=None):
         """Sample of a state at a time in s and ns; modes : of stops and friction, None: the present ones."""

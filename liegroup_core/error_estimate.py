@@ -43,12 +43,17 @@ _scale = kernel(scale_of)
 
 
 @kernel
-def _set_errors(distance, size, factor, least, out):
-    """Estimates from the distances of all bodies, and at least `least`; all (n, 4)."""
+def _set_errors(distance, window, size, factor, least, out):
+    """Estimates from the distances of all bodies (n, 4), those of the window, and at least `least`."""
     for i in range(len(distance)):
-        scale = _scale(distance[i, 0] / size, distance[i, 1], factor)
         for c in range(4):
-            out[i, c] = max(scale * distance[i, c], least[i, c])
+            kept = 0.0
+            for k in range(len(window)):
+                kept = max(kept, window[k, i, c])
+            out[i, c] = max(distance[i, c], FADING * kept)
+        scale = _scale(out[i, 0] / size, out[i, 1], factor)
+        for c in range(4):
+            out[i, c] = max(scale * out[i, c], least[i, c])
 
 
 @kernel
@@ -155,7 +160,6 @@ class ErrorEstimate:
 
     def errors(self, distance):
         """(n, 4) estimates of the errors of the bodies, as `largest_error`."""
-        kept = np.maximum(distance, FADING * self._window.max(axis=0))
-        errors = np.empty_like(kept)
-        self._errors(kept, self.size, self._factor, self._least, errors)
+        errors = np.empty_like(distance)
+        self._errors(distance, self._window, self.size, self._factor, self._least, errors)
         return errors

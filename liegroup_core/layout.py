@@ -84,7 +84,7 @@ class Layout:
     def in_space(self):
         """The same Layout with a `relative` that is not a PlaneModel, and its freedoms."""
         layout = replace(self)
-        layout.__dict__["relative"] = self.relative_in_space
+        layout.__dict__.update(relative=self.relative_in_space, motions=self.motions)
         return layout
 
     def floating(self, group):
@@ -176,10 +176,16 @@ class Layout:
         drives = resolve_drives(self.centred)
         return {self.centred.joints[j].name: rows for j, rows in drives.items()}
 
+    def with_motions(self, motions):
+        """Layout with other prescribed motions {joint: (m, 7)} of driven joints, wherever these are at the start."""
+        layout = replace(self)
+        layout.__dict__["motions"] = self.motions | motions
+        return layout
+
     def with_model(self, model):
         """Layout with other options of its model; reuses everything that does not depend on them."""
         layout = replace(self, model=model)
-        layout.__dict__["lack_of_inertia"] = self.lack_of_inertia
+        layout.__dict__.update(lack_of_inertia=self.lack_of_inertia, motions=self.motions)
 
         def changed(relative):
             return relative.replace(
@@ -295,6 +301,13 @@ class Layout:
             for joint, origin in enumerate(commanded[:, 0].tolist()):
                 if origin < math.inf:
                     found[joint] = commanded[joint]
+        return found
+
+    def motions_along(self, times):
+        """(m, d, 7) motions of the scene that hold at times (m,) in s."""
+        found = np.empty((len(times), len(self.motions), COLUMNS))
+        for joint, rows in enumerate(self.motions.values()):
+            found[:, joint] = rows[np.maximum(np.searchsorted(rows[:, 0], times, side="right") - 1, 0)]
         return found
 
     @cached_property

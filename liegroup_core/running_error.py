@@ -300,12 +300,19 @@ class RunningError:
             out[:] = math.inf
             return math.inf, math.inf
 
-    def errors_at(self, time_ns, pose, twist):
-        """As `errors`, of a state at a time in ns within the present step."""
+    def prepare(self, instants):
+        """As Engine.prepare, of the companion."""
+        if self._by_work and self._alive and self.begun:
+            self._companion.prepare(instants)
+
+    def errors_at(self, instant, pose, twist):
+        """As `errors`, of a state at an Instant within the present step."""
         if self._unknown or not (self._alive and self.begun):
             return self.errors()
+        if not self._by_work:  # its steps are others
+            instant = self._companion.instant_of(self.engine.instant_ns(instant))
         distances = np.empty_like(self._seen)
-        self._distances_at(distances, self._companion.instant_of(time_ns), pose, twist)
+        self._distances_at(distances, instant, pose, twist)
         return self.estimate.errors(distances)
 
     def _watch_motion(self):

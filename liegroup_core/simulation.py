@@ -219,14 +219,20 @@ class Simulation(Engine):
     def sample_at(self, instant=None):
         """As Engine.sample_at, with the estimated errors if they are carried."""
         sample = super().sample_at(instant)
-        if self._running is not None and sample.time_ns == self.time_ns:
+        if self._running is not None and (instant is None or instant == self._present()):
             sample.errors = self._running.errors()
         elif self._running is not None:
-            sample.errors = self._running.errors_at(sample.time_ns, *sample._state)
+            sample.errors = self._running.errors_at(instant, *sample._state)
         if self._control is not None:
             wanted = self._control.wanted(sample.time)
             sample.bound = wanted * self._running.size, wanted
         return sample
+
+    def prepare(self, instants):
+        """As Engine.prepare, with the estimated errors."""
+        super().prepare(instants)
+        if self._running is not None:
+            self._running.prepare(instants)
 
     @functools.cached_property
     def _identity(self):
@@ -321,7 +327,8 @@ class Simulation(Engine):
             super()._advance(steps, enough)
             return
         end = self.steps + steps
-        running.update()
+        if not running.begun:
+            running.update()
         if self._choice is not None:
             self._choice.start()
         while True:

@@ -127,3 +127,40 @@ def log_of(true, name, seed, seconds=4.0, rate=250.0, delay=DELAY, scale=1.0):
     values = np.array(rows) + sigma * rng.standard_normal((len(times), len(sigma)))
     unknown = np.full(len(sigma), np.nan)
     return Log(tuple(inputs), (Measured("/joint_states", times + delay, tuple(channels), values, unknown),))
+
+
+def driven_log_of(true, joints, outputs, seed, seconds=1.5, noise=1e-4, delay=DELAY):
+    """Log of a machine whose joints are driven: their positions at 250 Hz with noise, and measured outputs.
+
+    joints  : {joint: size of its motion, rad}
+    outputs : {JOINT.position, JOINT.velocity or JOINT.effort: noise}
+    """
+    rng, fine, motions, drives = np.random.default_rng(seed), np.linspace(0.0, seconds, int(500 * seconds) + 1), {}, []
+    for joint, size in joints.items():
+        a, w, p = size * rng.uniform(0.2, 0.5, 3), rng.uniform(2.0, 8.0, 3), rng.uniform(0.0, 6.0, 3)
+        # From rest at zero: sums of sines without their value and rate at the start.
+        turn = np.outer(fine, w) + p
+        q = (a * (np.sin(turn) - np.sin(p) - np.outer(fine, w * np.cos(p)))).sum(axis=1)
+        v, acceleration = (a * w * (np.cos(turn) - np.cos(p))).sum(axis=1), -(a * w**2 * np.sin(turn)).sum(axis=1)
+        acceleration[-1] = 0.0
+        values = fine.tolist(), q.tolist(), v.tolist(), acceleration.tolist()
+        motions[joint] = dict(zip(("times", "positions", "velocities", "accelerations"), values))
+        at = slice(0, None, 2)
+        known = q[at] + noise * rng.standard_normal(len(q[at]))
+        drives.append(Given(f"{joint}.motion", fine[at], known, "spline", noise))
+    scene = true.remade(
+        joints=[
+            each.remade(driven=True, motion=motions[each.name]) if each.name in motions else each
+            for each in true.joints
+        ]
+    )
+    times = np.round(np.arange(0.04, seconds - 0.05, 0.0041), 9)
+    rows, names = [], [name.split(".") for name in outputs]
+    for sample in Simulation(scene, quiet=True, accuracy=1e-8).samples(times):
+        found = {name: (*state, sample.drive_efforts.get(name)) for name, state in sample.joint_coordinates.items()}
+        rows.append([found[joint][("position", "velocity", "effort").index(part)] for joint, part in names])
+    sigma = np.array(list(outputs.values()))
+    values = np.array(rows) + sigma * rng.standard_normal((len(times), len(sigma)))
+    unknown = np.full(len(sigma), np.nan)
+    measured = Measured("/joint_states", times + delay, tuple(outputs), values, unknown)
+    return Log((), (measured,), drives=tuple(drives))

@@ -161,7 +161,7 @@ def _is_near(fit, solution):
 
 def _next_growth(before, last):
     """Growth of differences in segments four times as long, if it is exponential in time, from those of two lengths."""
-    return last * (last / before) ** 4
+    return last * (last / before) ** 4 if before > 0.0 else last
 
 
 def _refined(fit, solution):
@@ -256,7 +256,7 @@ def numerics(fit, point, outputs=None):
 def _rough_delays(fit, bounds, delays):
     """Delays with the smallest residuals on a grid: a common one of all free clocks, then each alone."""
     runs, free = fit.runs, np.flatnonzero(fit.free)
-    if not (len(free) and runs.log.inputs):  # without inputs, clocks differ by what the fit finds
+    if not (len(free) and (runs.log.inputs or runs.log.drives)):  # without inputs, clocks differ by what the fit finds
         return delays
     few = bounds[: 1 + int(FEW / (bounds[0, 1] - bounds[0, 0]))]
     # Of all clocks alike: starts, and nearly what their changes do, belong to measurements.

@@ -5,15 +5,19 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+import scipy
 
 from liegroup_core.errors import SceneError
+from liegroup_core.joints.motion import through
 
-PREVIOUS, LINEAR = "previous", "linear"
-HOLDS = (PREVIOUS, LINEAR)
+PREVIOUS, LINEAR, SPLINE = "previous", "linear", "spline"
+HOLDS = (PREVIOUS, LINEAR, SPLINE)
+MOTION = ".motion"  # end of the name of an input that is the position of a driven joint
 # Third differences of white noise have 20 times its variance, whatever the polynomial of degree two below it.
 THIRD, ROBUST = np.sqrt(20.0), 1.4826
 LEAST = 1e-6  # of the spread of the values: no sensor is better
 APART = 1.0  # s between joined recordings
+FINER, WIDER = 1.2, 8  # numbers of knots that are compared: ratio, and how far beyond the best one
 REPEATED = 0.05  # share of equal neighbours from which on values are rounded
 
 
@@ -21,24 +25,65 @@ REPEATED = 0.05  # share of equal neighbours from which on values are rounded
 class Given:
     """Values of one input.
 
-    name   : as `linear.channels.Inputs` takes it, such as JOINT.effort
+    name   : as `linear.channels.Inputs` takes it, such as JOINT.effort, or JOINT.motion
     times  : (k,) s since the start of the log, that increase
     values : (k,) SI units
-    hold   : previous: a value acts until the next one; linear: the mean of the straight line between two times acts
+    hold   : previous: a value acts until the next one; linear: the mean of the straight line between two times acts;
+             spline: that of the cubic spline through the values, of a motion the quintic one
+    noise  : standard deviation, for a spline that smooths the values; None: it passes through them
+    firsts : rows with which recordings begin
     """
 
     name: str
     times: np.ndarray
     values: np.ndarray
     hold: str = PREVIOUS
+    noise: float | None = None
+    firsts: tuple = (0,)
 
     def over(self, times):
         """(m,) values that act in the intervals between times (m + 1,); zero before the first one."""
+        if self.hold == SPLINE:
+            total = np.zeros(len(times) - 1)
+            for spline, (first, last) in self.splines:
+                within, integral = np.clip(times, first, last), spline.antiderivative()
+                total += np.diff(integral(within))
+            return total / np.diff(times)
         if self.hold == LINEAR:
             found = np.interp(times, self.times, self.values, left=0.0)
             return 0.5 * (found[1:] + found[:-1])
         row = np.searchsorted(self.times, times[:-1] + 1e-10, side="right") - 1
         return np.where(row >= 0, self.values[row], 0.0)
+
+    @property
+    def _degree(self):
+        """Degree of its splines: the acceleration of a motion acts, which a quintic one has ten times as well."""
+        return 5 if self.name.endswith(MOTION) else 3
+
+    @cached_property
+    def splines(self):
+        """[(spline, (first, last) time in s)] of each recording."""
+        found = []
+        for rows in np.split(np.arange(len(self.times)), self.firsts[1:]):
+            times, values, degree = self.times[rows], self.values[rows], self._degree
+            if len(rows) <= degree:
+                degree = 1 if len(rows) > 1 else 0
+            if self.noise is not None and degree > 1:
+                spline = _smoothed(times, values, self.noise, degree)
+            else:
+                spline = scipy.interpolate.make_interp_spline(times, values, degree)
+            found.append((scipy.interpolate.PPoly.from_spline(spline), (times[0], times[-1])))
+        return found
+
+    @property
+    def motion(self):
+        """(m, 7) prescribed motions (joints/motion.py) along the splines; quintic polynomials join recordings."""
+        points = []
+        for spline, (first, last) in self.splines:
+            knots = np.unique(spline.x[(spline.x >= first) & (spline.x <= last)])
+            points.append(np.column_stack([knots, *(spline(knots, order) for order in range(3))]))
+        points = np.vstack(points)
+        return through(points[0, 1:], points[:, 0], *points[1:, 1:].T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,9 +125,10 @@ class Measured:
 class Log:
     """Inputs and measurements.
 
-    inputs   : [Given]
+    inputs   : [Given] that act
     measured : [Measured]
     parts    : [(first, last)] times in s of the measurements of each recording that is joined; none: of all
+    drives   : [Given] positions of driven joints
     Raises SceneError for times that do not increase, or without measurements.
     """
 
@@ -90,9 +136,10 @@ class Log:
     measured: tuple
     notes: tuple = field(default=())
     parts: tuple = field(default=())
+    drives: tuple = field(default=())
 
     def __post_init__(self):
-        for each in (*self.inputs, *self.measured):
+        for each in (*self.inputs, *self.drives, *self.measured):
             if len(each.times) == 0 or not (np.diff(each.times) > 0.0).all():
                 raise SceneError(f"the times of {each.name} must increase, and there must be some")
         if not self.measured:
@@ -105,23 +152,41 @@ class Log:
         return self.parts or (whole,)
 
 
+def _smoothed(times, values, sigma, degree):
+    """Spline whose number of knots has the least expected error by Mallows' Cp; sigma : of the noise."""
+    best, count, n = (np.inf, 0, None), 0, len(times)
+    while count + degree < n and count <= WIDER * (best[1] + degree):
+        inner = np.quantile(times, np.linspace(0.0, 1.0, count + 2)[1:-1])
+        knots = np.concatenate([np.full(degree + 1, times[0]), inner, np.full(degree + 1, times[-1])])
+        spline = scipy.interpolate.make_lsq_spline(times, values, knots, degree)
+        expected = (((values - spline(times)) / sigma) ** 2).sum() + 2.0 * (count + degree + 1)
+        best = min(best, (expected, count, spline), key=lambda each: each[0])
+        count = max(count + 1, int(FINER * count))
+    return best[2]
+
+
 def joined(logs):
     """Log of several recordings of one machine with one map, as if one followed the other; inputs end in between."""
     if len(logs) == 1:
         return logs[0]
     shifts, end = [], 0.0
     for log in logs:
-        times = [each.times[k] for each in (*log.inputs, *log.measured) for k in (0, -1)]
+        times = [each.times[k] for each in (*log.inputs, *log.drives, *log.measured) for k in (0, -1)]
         shifts.append(end - min(times))
         end += max(times) - min(times) + APART
-    inputs = []
-    for parts in zip(*(log.inputs for log in logs)):
-        times, values = [], []
+    inputs, drives = [], []
+    for parts in zip(*((*log.inputs, *log.drives) for log in logs)):
+        times, values, firsts = [], [], []
         for each, shift, log in zip(parts, shifts, logs):
-            last = max(one.times[-1] for one in (*log.inputs, *log.measured))
-            times += [each.times + shift, [last + shift + 0.5 * APART]]
-            values += [each.values, [0.0]]
-        inputs.append(replace(parts[0], times=np.concatenate(times), values=np.concatenate(values)))
+            firsts.append(sum(map(len, times)))
+            times.append(each.times + shift)
+            values.append(each.values)
+            if each.hold != SPLINE:
+                last = max(one.times[-1] for one in (*log.inputs, *log.measured))
+                times.append([last + shift + 0.5 * APART])
+                values.append([0.0])
+        whole = {"times": np.concatenate(times), "values": np.concatenate(values), "firsts": tuple(firsts)}
+        (drives if parts[0].name.endswith(MOTION) else inputs).append(replace(parts[0], **whole))
     measured = [
         replace(
             parts[0],
@@ -131,7 +196,8 @@ def joined(logs):
         for parts in zip(*(log.measured for log in logs))
     ]
     spans = [(first + shift, last + shift) for log, shift in zip(logs, shifts) for first, last in log.spans]
-    return Log(tuple(inputs), tuple(measured), tuple(note for log in logs for note in log.notes), tuple(spans))
+    notes = tuple(note for log in logs for note in log.notes)
+    return Log(tuple(inputs), tuple(measured), notes, tuple(spans), tuple(drives))
 
 
 def _noise(values, parts):

@@ -6,15 +6,17 @@ classical Munthe-Kaas method of order four, as few as a longest step allows. So 
 start and of the numbers of the scene, and differences of two runs have only the errors of rounding.
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from liegroup_core.engine import METHOD, STEP, Engine
-from liegroup_core.errors import SimulationError
+from liegroup_core.engine import METHOD, Engine
+from liegroup_core.errors import SceneError, SimulationError
 from liegroup_core.forces.instants import AFTER
+from liegroup_core.joints.motion import COLUMNS, at
 from liegroup_core.layout import make_layout
 from liegroup_core.linear.channels import Inputs, Outputs
 from liegroup_core.linear.coordinates import Coordinates
@@ -24,7 +26,11 @@ from liegroup_core.observables.sample import Sample
 from liegroup_core.reports import explain
 from liegroup_core.status import NOT_FINITE, OK
 
+from .log import MOTION
+
 NS = 1e9
+PRESCRIBED = {"driven": True, "motion": None, "limits": None, "friction": None}  # keys of a driven joint
+STEP = 1e-9  # s, of the engine: states at all times are at a step; parts of runs have steps of their own
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,12 +40,14 @@ class State:
     pose, twist : (n, 12), (n, 6)
     angles      : Sample.angles
     near        : coordinates of joints with stops or friction
+    time        : s, at which driven joints are where they are
     """
 
     pose: np.ndarray
     twist: np.ndarray
     angles: np.ndarray
     near: np.ndarray
+    time: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +81,7 @@ def segments_of(machine, bounds, delays):
     log, found = machine.log, []
     shifted = [np.round((each.times - delay) * NS) / NS for each, delay in zip(log.measured, delays)]
     bounds = np.round((bounds - np.mean(delays)) * NS) / NS
-    changes = _changes(machine.engine, bounds.max())
+    changes = machine.changes(bounds.max())
     for first, last in bounds:
         rows = tuple(np.flatnonzero((times >= first) & (times < last)) for times in shifted)
         if any(map(len, rows)):
@@ -97,7 +105,7 @@ def _segment(machine, first, rows, own, changes):
 def moved(machine, segment, start, lag):
     """Segment that starts `start` s later, and in which everything was measured `lag` s later."""
     own = [segment.times[places] + lag for places in segment.places]
-    changes = _changes(machine.engine, segment.times[-1] + lag)
+    changes = machine.changes(segment.times[-1] + lag)
     return _segment(machine, segment.start + start, segment.rows, own, changes)
 
 
@@ -111,11 +119,11 @@ class Machine:
     """
 
     def __init__(self, scene, log, longest, in_space=False, turns=None):
-        layout, self.longest = make_layout(scene), longest
+        layout, self.longest = _driven(scene, log.drives), longest
         group = choose_group(METHOD, "auto")
         settings = group, "projection" if layout.drifts(group) else "none"
         options = {"space": "space"} if in_space else {}
-        self.engine = Engine(scene, METHOD, STEP, *settings, quiet=True, layout=layout, **options)
+        self.engine = Engine(layout.scene, METHOD, STEP, *settings, quiet=True, layout=layout, **options)
         self.probe = Probe(self.engine, in_space=in_space)
         self.layout, self.log = self.engine.layout, log
         inputs = Inputs(self.probe, [each.name for each in log.inputs])
@@ -127,13 +135,20 @@ class Machine:
         self.outputs = [Outputs(self.probe, each.channels, turns) for each in log.measured]
         self.turns = self.outputs[0].turns
         work = self.engine._work
-        self._is_smooth = self.engine._switching is None and not len(work.acting) and not len(work.motions)
+        self._changes = 0.0, np.zeros(0)
+        self._is_smooth = self.engine._switching is None and not len(work.acting)
+
+    def changes(self, end):
+        """Times in s up to an end at which inputs of the scene change."""
+        if end > self._changes[0]:
+            self._changes = 2.0 * end, _changes(self.engine, 2.0 * end)
+        return self._changes[1][self._changes[1] < end]
 
     @property
     def start(self):
         """State of the scene at its start."""
         self.engine.reset()
-        return self.present()
+        return replace(self.present(), time=math.nan)
 
     def placed(self, joints):
         """State with {joint: (position, velocity)}, in stops where these are beyond them; the others as they are."""
@@ -149,7 +164,24 @@ class Machine:
         """State of the engine, such as where the last run ended."""
         sample = self.engine.sample()
         near = np.zeros(0) if sample.switching is None else sample.switching[:, 3].copy()
-        return State(*self.engine.state(), sample.angles.copy(), near)
+        return State(*self.engine.state(), sample.angles.copy(), near, self.engine.time)
+
+    def timed(self, state, time):
+        """State at another time in s: driven joints are where they are then, the others as they are, if they can."""
+        if state.time == time or not self.layout.motions:
+            return replace(state, time=time)
+        wanted = {joint: at(row, time)[:2] for joint, row in zip(self.layout.motions, self.layout.motions_at(time))}
+        if math.isnan(state.time):  # the start of the scene may be far away
+            self._go(replace(state, time=0.0))
+            self.engine.place(joints=wanted)
+            return replace(self.present(), time=time)
+        before, y = self.at(state).joint_coordinates, np.zeros((self.probe.freedoms, 2))
+        for k, freedom in enumerate(self.layout.freedoms):
+            if freedom.name in wanted:
+                y[k] = freedom.sign * np.subtract(wanted[freedom.name], before[freedom.name])
+        self.probe.go_to_time(time)
+        _, pose, twist = self.probe.closed(y)
+        return replace(state, pose=pose, twist=twist, angles=self.layout.angles(pose, state.angles), time=time)
 
     def effort(self, joint):
         """(n, COLUMNS) change of the external wrenches by a unit effort of a joint."""
@@ -165,7 +197,7 @@ class Machine:
 
     def _go(self, state):
         engine = self.engine
-        engine._start_at(state.pose.copy(), state.twist.copy(), 0, state.angles)
+        engine._start_at(state.pose.copy(), state.twist.copy(), round(state.time * NS), state.angles)
         if len(state.near):
             engine._switching.expect(state.near)
 
@@ -178,7 +210,7 @@ class Machine:
             part * coordinates.neighbour(k, 1.0, rate=True) for k, part in enumerate(change[m:])
         )
         _, pose, twist = self.probe.closed(y)
-        return State(pose, twist, self.layout.angles(pose, state.angles), state.near)
+        return replace(state, pose=pose, twist=twist, angles=self.layout.angles(pose, state.angles))
 
     def coordinates(self, state):
         """Coordinates at a state, where the Probe goes."""
@@ -190,7 +222,7 @@ class Machine:
         other.at(state)
         self.probe.follow(other.probe)
         _, pose, twist = self.probe.closed()
-        return State(pose, twist, self.layout.angles(pose, state.angles), state.near)
+        return replace(state, pose=pose, twist=twist, angles=self.layout.angles(pose, state.angles))
 
     def run(self, segment, state, extra=None, halves=0):
         """Outputs [(r, p)] of each Measured in a Segment, from a state.
@@ -209,7 +241,7 @@ class Machine:
 
     def path(self, segment, state, seen, extra=None, halves=0):
         """Path at chosen times of a Segment, from a state; seen : their numbers. Others as of `run`."""
-        self._go(state)
+        self._go(self.timed(state, segment.start))
         engine, work, base, count = self.engine, self.engine._work, self.engine.inputs.external, len(segment.inputs)
         wrenches = base + np.tensordot(segment.inputs, self._wrenches, 1)
         if extra is not None:
@@ -226,7 +258,8 @@ class Machine:
         before = base.copy()
         try:
             if self._is_smooth:
-                given = wrenches.reshape(count * n, -1), targets.reshape(-1, 2)
+                motions = self.layout.motions_along(segment.times[:-1] + 0.5 * np.diff(segment.times))
+                given = wrenches.reshape(count * n, -1), targets.reshape(-1, 2), motions.reshape(-1, COLUMNS)
                 _, status = engine._integrator.passage(
                     segment.times, counts, places, *given, engine._pose, engine._twist, base, kept, path.angles
                 )
@@ -234,6 +267,7 @@ class Machine:
                 status = self._in_parts(segment, counts, places, path)
         finally:
             base[:] = before
+        engine.steps = segment.instants[-1].step
         if status == OK and not np.isfinite(path.poses).all():
             status = NOT_FINITE
         if status != OK:
@@ -241,7 +275,7 @@ class Machine:
         return path
 
     def _in_parts(self, segment, counts, places, path):
-        """Run with events or driven joints; returns a status."""
+        """Run with events or with wrenches of the scene that begin and end; returns a status."""
         engine, instants = self.engine, segment.instants
         sizes = np.diff(segment.times) / counts
         for k, place in enumerate(places.tolist()):
@@ -304,6 +338,18 @@ class Path:
         if len(engine._work.motions):
             found.motions = machine.layout.motions_at(instant.time, engine.inputs.commanded)
         return found
+
+
+def _driven(scene, drives):
+    """Layout of a scene whose joints move along the positions of [Given]. Raises SceneError."""
+    if not drives:
+        return make_layout(scene)
+    given = {each.name.removesuffix(MOTION): each for each in drives}
+    if missing := given.keys() - {joint.name for joint in scene.joints if "driven" in type(joint).model_fields}:
+        name = min(missing)
+        raise SceneError(f"{name}{MOTION}: the scene has no joint {name} that can be driven")
+    joints = [joint.remade(**PRESCRIBED) if joint.name in given else joint for joint in scene.joints]
+    return make_layout(scene.remade(joints=joints)).with_motions({name: each.motion for name, each in given.items()})
 
 
 def _changes(engine, end):

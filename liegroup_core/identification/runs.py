@@ -95,7 +95,8 @@ class Runs:
         """[(scales (c,), [State] with one of c coordinates or rates CHANGE of its scale away)] of the segments."""
         if self._starts[0] is not point:
             machine, found = self.machine(point.values), []
-            for state in point.states:
+            for segment, state in zip(self.segments(point), point.states):
+                state = machine.timed(state, segment.start)
                 coordinates = machine.coordinates(state)
                 scales = start_scales(machine, coordinates)
                 changes = CHANGE * np.diag(scales)

@@ -45,7 +45,7 @@ def _end(machine, segment, state):
 
 def _put(machine, log, state, time, delays):
     """State in which measured independent joints are where they were at a time."""
-    found = {}
+    found, state = {}, machine.timed(state, time)
     for each, delay in zip(log.measured, delays):
         for joint in dict.fromkeys(name.rpartition(".")[0] for name in each.channels if name.endswith(".position")):
             found.setdefault(joint, _guess(each, joint, time + delay))

@@ -4,8 +4,9 @@
 Inputs: JOINT.effort (N m or N), JOINT.target and JOINT.target_velocity of a servo, BODY.torque_x .. BODY.force_z
 in body axes. Outputs: JOINT.position and JOINT.velocity; BODY.rx .. BODY.z, the rotation vector in body axes and
 the displacement in world axes; BODY.wx .. BODY.vz, the twist in body axes; BODY.alpha_x .. BODY.az, the
-acceleration of the body frame in body axes; JOINT.torque_x .. JOINT.force_z, the
-reaction on the child in its joint frame; SENSOR.0, SENSOR.1, ..., without noise and steps of resolution.
+acceleration of the body frame in body axes; JOINT.effort of a servo or a driven joint; JOINT.torque_x ..
+JOINT.force_z, the reaction on the child in its joint frame; SENSOR.0, SENSOR.1, ..., without noise and steps of
+resolution.
 """
 
 from functools import cached_property
@@ -22,7 +23,7 @@ POSE, TWIST = ("rx", "ry", "rz", "x", "y", "z"), ("wx", "wy", "wz", "vx", "vy", 
 ACCELERATION = ("alpha_x", "alpha_y", "alpha_z", "ax", "ay", "az")
 # Names that stand for many.
 INPUTS = ("efforts", "targets", "wrenches")
-OUTPUTS = ("joints", "bodies", "twists", "accelerations", "reactions", "sensors")
+OUTPUTS = ("joints", "bodies", "twists", "accelerations", "efforts", "reactions", "sensors")
 
 
 class Inputs:
@@ -132,6 +133,7 @@ class Outputs:
             "bodies": [f"{body}.{name}" for body in bodies for name in POSE],
             "twists": [f"{body}.{name}" for body in bodies for name in TWIST],
             "accelerations": [f"{body}.{name}" for body in bodies for name in ACCELERATION],
+            "efforts": [f"{joint}.effort" for joint in (*layout.servos, *layout.motions)],
             "reactions": [f"{joint}.{name}" for joint in [each.name for each in scene.joints] for name in WRENCH],
             "sensors": [f"{each.name}.{k}" for each, size in zip(self._ideal, sizes) for k in range(size)],
         }
@@ -220,6 +222,9 @@ class Outputs:
 
     def _accelerations(self, sample):
         return np.array(list(sample.accelerations.values())).ravel()
+
+    def _efforts(self, sample):
+        return np.array([*sample.servo_efforts.values(), *sample.drive_efforts.values()])
 
     def _reactions(self, sample):
         return sample.reaction_array.ravel()

@@ -219,10 +219,10 @@ def _run(args):
     if asked is None:
         end, steps = None, whole_steps(args.duration, step)
         count = -(-steps // every)
-        due = ((min(k * every, steps), None) for k in range(1, count + 1))
+        due = ((min(k * every, steps), [None]) for k in range(1, count + 1))
     else:
         count, times, end = asked
-        due = ((simulation.step_before(at), at) for at in times)
+        due = ((group[0].step, group) for group in simulation.by_steps(times))
         steps, every = simulation.step_before(end), None if args.rate is None else steps_per_sample(args.rate, step)
     samples = 1 + count
     started = time.monotonic()
@@ -236,8 +236,8 @@ def _run(args):
             file = kind(args.out, simulation, every, samples, args.reactions)
             files.append(stack.enter_context(file))
 
-        def write(at=None):
-            sample = simulation.sample(at)
+        def write(instant=None):
+            sample = simulation.sample_at(instant)
             for file in files:
                 file.sample(sample)
             for joint in sample.slipping:
@@ -342,7 +342,7 @@ def times_in(path):
 
 
 def _simulate(simulation, steps, due, write, console, signals):
-    """Advance to all samples, (step, time in s within the next one or None), and call `write` at each."""
+    """Advance to all samples, (step, [Instants within the next one, or None]), and call `write` at each."""
     with Progress(
         TextColumn("simulating"),
         BarColumn(),
@@ -352,7 +352,7 @@ def _simulate(simulation, steps, due, write, console, signals):
     ) as progress:
         task = progress.add_task("", total=steps, status_text="")
         drawn = 0.0
-        for step, at in due:
+        for step, instants in due:
             while True:
                 left = step - simulation.steps
                 simulation.advance(left, lambda: signals.received or time.monotonic() > drawn + REDRAW)
@@ -362,7 +362,10 @@ def _simulate(simulation, steps, due, write, console, signals):
                     progress.update(task, completed=simulation.steps, status_text=f"{simulation.time:.3f} s")
                 if simulation.steps == step:
                     break
-            write(at)
+            if len(instants) > 1:
+                simulation.prepare(instants)
+            for instant in instants:
+                write(instant)
         progress.update(task, completed=steps, status_text=f"{simulation.time:.3f} s")
 
 

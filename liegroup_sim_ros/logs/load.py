@@ -5,7 +5,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from liegroup_core.errors import SceneError
-from liegroup_core.identification.log import Given, Log, Measured
+from liegroup_core.identification.log import MOTION, Given, Log, Measured
 from liegroup_core.linear.channels import ACCELERATION, TWIST, WRENCH
 from liegroup_sim_ros.numbers import counted
 
@@ -104,7 +104,7 @@ def load_log(bag, given, scene, turns):
         values = found[entry.topic].values[times[entry.topic][1], of[id(entry)]] * entry.factor + entry.offset
         for name, column in zip(channels_of(entry.input, scene), values.T):
             known = np.isfinite(column)
-            inputs.append(Given(name, seconds[entry.topic][known], column[known], entry.hold))
+            inputs.append(Given(name, seconds[entry.topic][known], column[known], entry.way, entry.noise))
     delays = {clock.topic: clock.delay for clock in given.clocks}
     measured = []
     for topic in dict.fromkeys(entry.topic for entry in given.measurements):
@@ -126,7 +126,8 @@ def load_log(bag, given, scene, turns):
         # Without inputs only differences of clocks show.
         first = measured[0]
         measured[0] = Measured(first.name, first.times, first.channels, first.values, first.deviation, 0.0)
-    return Log(tuple(inputs), tuple(measured), tuple(notes))
+    acting, drives = ([each for each in inputs if each.name.endswith(MOTION) == is_drive] for is_drive in (False, True))
+    return Log(tuple(acting), tuple(measured), tuple(notes), drives=tuple(drives))
 
 
 def _values(entry, values, turns):

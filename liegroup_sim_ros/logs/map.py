@@ -20,7 +20,7 @@ from pydantic import model_validator
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.frames import Frame
 from liegroup_core.fields.values import Described, Number, Positive, Text
-from liegroup_core.identification.log import HOLDS
+from liegroup_core.identification.log import HOLDS, MOTION, PREVIOUS, SPLINE
 from liegroup_core.scene.yaml_text import Lines, read_yaml
 
 LARGEST_FILE = 2**20  # bytes
@@ -47,8 +47,30 @@ class Value(Described):
 class InputEntry(Value):
     """Value that acts on the mechanism."""
 
-    input: Text = Described_Field(description="JOINT.effort, JOINT.target, BODY.force_x, ... or BODY.wrench")
-    hold: Literal[HOLDS] = Described_Field("previous", description="between two messages: previous or linear")
+    input: Text = Described_Field(
+        description="JOINT.effort, JOINT.target, JOINT.motion (position of a driven joint), BODY.force_x, ... or "
+        "BODY.wrench"
+    )
+    hold: Literal[HOLDS] | None = Described_Field(
+        None, description="between two messages: previous (default), linear, or spline, which JOINT.motion always has"
+    )
+    noise: Positive | None = Described_Field(
+        None,
+        description="standard deviation, SI units, of values that a spline smooths; default: it passes through them",
+    )
+
+    @model_validator(mode="after")
+    def _check(self):
+        if self.input.endswith(MOTION) and self.hold not in (None, SPLINE):
+            raise SceneError(f"{self.input} is a spline, as its acceleration acts: remove hold", place=("hold",))
+        if self.noise is not None and self.way != SPLINE:
+            raise SceneError(f"noise of {self.input} needs hold: spline", place=("noise",))
+        return self
+
+    @property
+    def way(self):
+        """How values go on between messages."""
+        return self.hold or (SPLINE if self.input.endswith(MOTION) else PREVIOUS)
 
 
 class MeasurementEntry(Value):

@@ -29,6 +29,11 @@ def suggest(bag, scene, layout):
             for joint in joints:
                 if joint not in first[0]["name"]:
                     continue
+                if joint in layout.motions:
+                    inputs.append((f"{joint}.motion", topic, f"position[{joint}]"))
+                    if first[0]["effort"]:
+                        measurements.append((f"{joint}.effort", topic, f"effort[{joint}]"))
+                    continue
                 for part in ("position", "velocity"):
                     if first[0][part]:
                         measurements.append((f"{joint}.{part}", topic, f"{part}[{joint}]"))

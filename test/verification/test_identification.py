@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from machine_logs import DELAY, NOISE, log_of, machine
+from machine_logs import DELAY, NOISE, driven_log_of, log_of, machine
 from volume import some
 
 from liegroup_core import SceneError, Simulation
@@ -258,6 +258,43 @@ def test_a_plan_foresees_the_deviations_of_a_fit(monkeypatch):
     fitted = identify(scene, log, names, length=planning.PART, workers=1)
     assert fitted.deviations == pytest.approx(found.deviations, rel=0.25)
     assert abs(fitted.values[0] - 0.15) < 4.0 * found.deviations[0]
+
+
+DRIVEN = [
+    ("furuta", {"motor": 1.0}, {"hinge.position": 5e-4, "hinge.velocity": 5e-3}, "hinge.friction.viscous", 0.003),
+    ("arm", dict.fromkeys(("motor", "hinge", "wrist"), 0.5), {"motor.effort": 0.02}, "lower.shape.mass", 1.1),
+]
+
+
+@pytest.mark.parametrize(("name", "joints", "outputs", "varied", "truth"), DRIVEN)
+@pytest.mark.turn(3)
+def test_measured_positions_drive_joints(name, joints, outputs, varied, truth):
+    """Friction of what hangs from a driven joint; masses from efforts. Positions have noise, the clock is late."""
+    friction = {"hinge": "friction: {viscous: %g}"} if name == "furuta" else {}
+    true = machine(name, **({"hinge": friction["hinge"] % truth} if friction else {"mass: 1}": "mass: 1.1}"}))
+    model = machine(name, **({"hinge": friction["hinge"] % 0.0} if friction else {}))
+    log = driven_log_of(true, joints, outputs, seed=5)
+    assert not compare(model, log, workers=1).agrees
+    found = identify(model, log, [varied], workers=1)
+    assert found.comparison.agrees and abs(found.values[0] - truth) < 4.0 * found.deviations[0] < 0.02 * truth
+    delay, deviation = found.comparison.delays["/joint_states"]
+    assert abs(delay - DELAY) < 4.0 * deviation < 1e-3
+
+
+def test_a_spline_of_an_input_acts_with_its_mean():
+    """Against the mean of the cubic itself; noise is smoothed, and recordings have splines of their own."""
+    times, cubic = np.linspace(0.0, 1.0, 21), np.polynomial.Polynomial([0.3, -1.0, 2.0, -1.5])
+    given = Given("hinge.effort", times, cubic(times), "spline")
+    parts = np.array([0.03, 0.21, 0.5, 0.97])
+    assert given.over(parts) == pytest.approx(np.diff(cubic.integ()(parts)) / np.diff(parts), abs=1e-13)
+    noisy = cubic(times) + 0.01 * np.random.default_rng(0).standard_normal(len(times))
+    smooth = replace(given, values=noisy, noise=0.01)
+    assert np.abs(smooth.over(parts) - given.over(parts)).max() < 0.01
+    log = Log((given,), (Measured("/m", times, ("hinge.position",), np.zeros((21, 1)), np.full(1, np.nan)),))
+    (both,) = joined([log, log]).inputs
+    start = both.times[21]
+    assert both.over(start + parts) == pytest.approx(given.over(parts), abs=1e-12)
+    assert both.over(np.array([1.2, 1.8])) == 0.0
 
 
 @pytest.mark.turn(3)

@@ -74,6 +74,10 @@ class Lead:
         """Whether there is a lead, else it starts at the caller's state."""
         return self._control[LEADS] != 0.0
 
+    def time(self, entry):
+        """(whole steps, s after them) of an entry of the control and the next; zeros without a lead."""
+        return tuple(self._control[entry : entry + 2].tolist()) if self.known else (0.0, 0.0)
+
     def go_back(self):
         """Continue from the caller's state."""
         self._work.known[0] = self._control[LEADS] = 0.0
@@ -271,10 +275,9 @@ def _copy_slopes(source, out, count):
 
 @kernel
 def keep(work, pose, twist, size, control):
-    """Keep the substep that begins at the lead: its start and the derivatives of its stages."""
+    """Keep the substep that begins at the lead, without its stages: its start."""
     copy_state(pose, twist, work.kept_pose, work.kept_twist)
     keep_turns(work, work.kept_angle, work.kept_coordinates)
-    keep_slopes(work)
     control[KEPT_BASE], control[KEPT_LEAD] = control[BASE], control[LEAD]
     control[LAST], control[READY] = size, 0.0
 

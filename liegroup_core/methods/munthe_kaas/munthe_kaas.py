@@ -264,6 +264,8 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
                 keep(work, pose, twist, size, control)
                 if implicitly:
                     implicit.keep_stages(scheme, work)
+                else:
+                    keep_slopes(work)
             if status == OK and controlled:
                 # First same as last: the end of a substep is stage 0 of the next one, where Psi is
                 # zero. Projection changes the end, so that it must be evaluated again.
@@ -437,12 +439,12 @@ class MuntheKaas:
     @property
     def lead(self):
         """(whole steps, s after them) that the integration has reached."""
-        return tuple(self._control[BASE : LEAD + 1].tolist()) if self._lead.known else (0.0, 0.0)
+        return self._lead.time(BASE)
 
     @property
     def kept_from(self):
         """(whole steps, s after them) from which on states inside substeps are known."""
-        return tuple(self._control[KEPT_BASE : KEPT_LEAD + 1].tolist()) if self._lead.known else (0.0, 0.0)
+        return self._lead.time(KEPT_BASE)
 
     def _set_ahead(self):
         ahead = self._may_run_ahead and len(self._methods[self.chosen][0].inside) > 0
@@ -531,9 +533,8 @@ class MuntheKaas:
         is_before = (self._work.clock[TO : UNTIL + 1] != end).any()
         return done, EVENT if status == OK and is_before else status
 
-    def passage(self, times, counts, places, wrenches, wanted, pose, twist, external, kept, angles):
+    def passage(self, *given):
         """Go through parts of time, see passage.py; returns (parts done, status). Only without error control."""
-        given = times, counts, places, wrenches, wanted, pose, twist, external, kept, angles
         return self._passage(self._model, self._work, self._methods[0][0], *given)
 
     def _pass(self, h, steps, pose, twist, external):

@@ -34,7 +34,20 @@ def _keep(work, pose, twist, place, poses_out, twists_out, angles_out):
 
 @stepper
 def passage(
-    model, work, scheme, times, counts, places, wrenches, wanted, pose_in, twist_in, external_in, kept, angles_out
+    model,
+    work,
+    scheme,
+    times,
+    counts,
+    places,
+    wrenches,
+    wanted,
+    motions,
+    pose_in,
+    twist_in,
+    external_in,
+    kept,
+    angles_out,
 ):
     """Go through m parts, in place of pose (n, 12) and twist (n, 6).
 
@@ -44,16 +57,19 @@ def passage(
     places   : (m + 1,) row of the kept states for each time, -1: not kept
     wrenches : (m n, COLUMNS) external wrenches of each part, see forces/external.py
     wanted   : (m s, 2) wanted positions and velocities of the servos
+    motions  : (m d, 7) motions of the driven joints
     kept, angles_out : (poses (k n, 12), twists (k n, 6)) and unwrapped angles (k, a) of the kept states
     returns (parts done, status), see `advance`
     """
     pose_now, twist_now, inputs = borrowed(pose_in), borrowed(twist_in), borrowed(external_in)
     n, servos, stages = len(pose_now), len(work.wanted), scheme.error.shape[1] - 1
+    driven = len(work.motions)
     for k in range(len(counts)):
         if places[k] >= 0:
             _keep(work, pose_now, twist_now, places[k], kept[0], kept[1], angles_out)
         _copy_rows(wrenches, k * n, inputs)
         _copy_rows(wanted, k * servos, work.wanted)
+        _copy_rows(motions, k * driven, work.motions)
         pose, twist, external, status = enter(model, work, pose_now, twist_now, inputs)
         size = (times[k + 1] - times[k]) / counts[k]
         for step in range(counts[k]):
