@@ -15,7 +15,9 @@ from .machine import Machine, moved, segments_of
 # Of starts, in rad and sizes of the mechanism and per s, and of numbers, relative. Runs repeat to round-off: of
 # differences it is 1e-7. Where outputs change by G of their spread per unit change, curvature adds 1e-8 G.
 CHANGE = 1e-8
-LAG = 1e-6  # s, change of times
+# s, change of times: whole ns, as instants are. Starts explain nearly all that a delay changes where motions part, so
+# that the curvature of that, times LAG, must be below what is left.
+LAG = 1e-8
 _own = threading.local()  # machines of each thread
 
 
