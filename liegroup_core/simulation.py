@@ -197,7 +197,7 @@ class Simulation(Engine):
 
     @property
     def largest_error(self) -> float:
-        """Largest estimated error of a pose, relative to the mechanism's size or in rad.
+        """Present estimated error of the worst pose, relative to the mechanism's size or in rad.
 
         NaN without an estimate, and before `estimated_from`.
         """
