@@ -20,6 +20,7 @@ from liegroup_sim_ros.logs.map import Map, load_map
 from liegroup_sim_ros.logs.suggest import suggest
 from liegroup_sim_ros.report.compare_page import document, make_page, print_comparison
 from liegroup_sim_ros.report.files import check_files, write_text
+from liegroup_sim_ros.signals import Signals
 
 from .robot_options import add_robot_options, robot_scene
 from .states import stopped
@@ -58,6 +59,10 @@ def add_arguments(parser):
         "of the clocks, and which effects (friction, inertia, mass, scales, offsets) would explain what is left."
     )
     parser.add_argument("--suggest", action="store_true", help="only print a map of the bag, found by types and names")
+    parser.add_argument("--view", action="store_true", help="show the machine in the browser, and the model as a ghost")
+    parser.add_argument(
+        "--no-browser", dest="browser", action="store_false", help="with --view: only print the address"
+    )
     add_log(parser)
 
 
@@ -79,6 +84,14 @@ def run(args):
     except SimulationError as error:
         return stopped(error)
     show(found, args, scene)
+    if args.view:
+        from liegroup_sim_ros.view.compared import sources_of
+
+        from .view import show as show_page
+
+        with Signals() as signals:
+            machine, model = sources_of(found)
+            show_page(machine, signals, args.browser, model)
     return 0
 
 

@@ -23,6 +23,7 @@ from liegroup_sim_ros.logs.bag import BagError, Field, open_bag
 from liegroup_sim_ros.logs.load import load_log
 from liegroup_sim_ros.logs.map import Map, load_map
 from liegroup_sim_ros.logs.suggest import suggest
+from liegroup_sim_ros.view.compared import sources_of
 
 
 @pytest.fixture(scope="module")
@@ -189,6 +190,13 @@ def test_poses_odometry_imu_and_tf_of_a_thrown_body_agree(tmp_path):
     found = compare(scene, log, workers=1)
     assert found.agrees, found.verdict
     assert {channel.count for channel in found.channels} == {len(poses)}
+    machine, model = sources_of(found)
+    assert len(machine.history.frames) == len(model.history.frames) == len(poses)
+    for frame, values in zip(machine.history.frames, log.measured[0].values):
+        assert frame.sample.poses["box"][1:3, 3] == pytest.approx(values[1:3], abs=1e-12)
+        assert frame.sample.poses["box"][:3, :3] == pytest.approx(
+            Rotation.from_rotvec(values[3:6]).as_matrix(), abs=1e-12
+        )
 
 
 def test_notes_tell_of_lost_doubled_and_disordered_messages(tmp_path):
@@ -218,10 +226,15 @@ def test_notes_tell_of_lost_doubled_and_disordered_messages(tmp_path):
         ("{output: motor.position, topic: /joint_states, field: 'position[motor]', noise: -1}", "map.yaml:2: "),
         ("{output: motor.position, topic: /joint_states, feld: a}", 'did you mean "field"'),
         ("{output: box.pose, topic: /joint_states, field: pose}", "no message on /joint_states"),
+        ("{input: motor.motion, topic: /joint_states, field: 'position[motor]', hold: linear}", "remove hold"),
+        ("{input: motor.effort, topic: /joint_states, field: 'effort[motor]', noise: 1}", "needs hold: spline"),
+        ("{input: motr.motion, topic: /joint_states, field: 'position[motor]'}", "no joint motr that can be driven"),
     ],
 )
 def test_wrong_maps_have_one_line(folder, entry, text, tmp_path, capsys):
-    (tmp_path / "map.yaml").write_text(f"measurements:\n  - {entry}\n")
+    measured = "{output: hinge.position, topic: /joint_states, field: 'position[hinge]'}"
+    inputs, measurements = (f"inputs: [{entry}]\n", measured) if entry.startswith("{input") else ("", entry)
+    (tmp_path / "map.yaml").write_text(f"{inputs}measurements:\n  - {measurements}\n")
     line = refused(["compare", folder / "furuta.yaml", folder / "bag", "--map", tmp_path / "map.yaml"], capsys)
     assert text in line
 

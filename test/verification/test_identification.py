@@ -13,6 +13,7 @@ from liegroup_core import SceneError, Simulation
 from liegroup_core.identification import Given, Log, Measured, Move, compare, identify, plan
 from liegroup_core.identification.comparison import begin, first_point
 from liegroup_core.identification.log import joined
+from liegroup_core.identification.motions import motions
 from liegroup_core.scene.load import scene_from_text
 
 ROTOR = "rotor: {inertia: 2.0e-5, ratio: 10}"
@@ -295,6 +296,28 @@ def test_a_spline_of_an_input_acts_with_its_mean():
     start = both.times[21]
     assert both.over(start + parts) == pytest.approx(given.over(parts), abs=1e-12)
     assert both.over(np.array([1.2, 1.8])) == 0.0
+
+
+@pytest.mark.parametrize("name", ["furuta", "four_bar"])
+@pytest.mark.turn(3)
+def test_the_machine_of_a_page_is_as_it_was_measured(name):
+    """Joints of a tree to round-off, of a closed loop within the noise."""
+    true = machine(name, hinge="friction: {viscous: 0.02}")
+    found = compare(machine(name), log_of(true, name, 4, **SHORT), workers=1)
+    (measured,) = found.fit.runs.log.measured
+    delay, _ = found.delays[measured.name]
+    apart = []
+    for time, one, other in motions(found, most=100):
+        row = int(np.abs(measured.times - delay - time).argmin())
+        for channel, value in zip(measured.channels, measured.values[row]):
+            joint, _, part = channel.partition(".")
+            k = part == "velocity"
+            off = one.joint_coordinates[joint][k] - value
+            off = off if k else np.angle(np.exp(1j * off))
+            assert abs(off) < (1e-9 if name == "furuta" else 6.0 * NOISE[part])
+        assert one.constraint_residual < 1e-8
+        apart.append(np.abs(one.pose - other.pose).max())
+    assert len(apart) > 50 and max(apart) > 1e-4
 
 
 @pytest.mark.turn(3)
