@@ -144,7 +144,12 @@ def _joint_name(engine, element):
 
 
 def explain(engine, status):
-    """Why an Engine stopped with a status, in one line."""
+    """When and why an Engine stopped with a status, in one line."""
+    return f"stopped at t = {engine.time:.9g} s (step {engine.steps}, h = {engine.step:g} s): {reason(engine, status)}"
+
+
+def reason(engine, status):
+    """Why an Engine stopped with a status."""
     joint = force = body = hint = ""
     # RATTLE reports the rotation of its step equation, which includes the effect of the torque.
     angle = math.sqrt(engine._work.report[STEP_TURN])
@@ -168,9 +173,8 @@ def explain(engine, status):
         number, unwrapped = status >> 8, engine.scene.unwrapped
         stops = engine.layout.switches[number - len(unwrapped) :]
         force = unwrapped[number][1] if number < len(unwrapped) else f"stops {stops[0].name!r}"
-    stopped = f"stopped at t = {engine.time:.9g} s (step {engine.steps}, h = {engine.step:g} s): "
     if engine.layout.motions and (text := _beyond_reach(engine)):
-        return stopped + text
+        return text
     smaller, fewer = _advice(engine)
     text = MESSAGES[status & 0xFF].format(
         joint=joint, force=force, body=body, angle=angle, hint=hint, events=MOST_EVENTS, smaller=smaller, fewer=fewer
@@ -179,7 +183,7 @@ def explain(engine, status):
         text += "".join(f"; {note}" for note in engine.scene.notes if note.startswith("stiff:"))
     if status & 0xFF in FAST and engine.layout.lack_of_inertia:
         text += f"; or a degree of freedom has no inertia at this pose, because {engine.layout.lack_of_inertia}"
-    return stopped + text
+    return text
 
 
 def _to_accuracy(engine):

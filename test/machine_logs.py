@@ -129,11 +129,12 @@ def log_of(true, name, seed, seconds=4.0, rate=250.0, delay=DELAY, scale=1.0):
     return Log(tuple(inputs), (Measured("/joint_states", times + delay, tuple(channels), values, unknown),))
 
 
-def driven_log_of(true, joints, outputs, seed, seconds=1.5, noise=1e-4, delay=DELAY):
+def driven_log_of(true, joints, outputs, seed, friction=(), seconds=1.5, noise=1e-4, delay=DELAY):
     """Log of a machine whose joints are driven: their positions at 250 Hz with noise, and measured outputs.
 
     joints  : {joint: size of its motion, rad}
     outputs : {JOINT.position, JOINT.velocity or JOINT.effort: noise}
+    friction : {joint: (coulomb, viscous)} that the efforts overcome, too
     """
     rng, fine, motions, drives = np.random.default_rng(seed), np.linspace(0.0, seconds, int(500 * seconds) + 1), {}, []
     for joint, size in joints.items():
@@ -157,7 +158,9 @@ def driven_log_of(true, joints, outputs, seed, seconds=1.5, noise=1e-4, delay=DE
     times = np.round(np.arange(0.04, seconds - 0.05, 0.0041), 9)
     rows, names = [], [name.split(".") for name in outputs]
     for sample in Simulation(scene, quiet=True, accuracy=1e-8).samples(times):
-        found = {name: (*state, sample.drive_efforts.get(name)) for name, state in sample.joint_coordinates.items()}
+        found = {name: [*state, sample.drive_efforts.get(name)] for name, state in sample.joint_coordinates.items()}
+        for joint, (coulomb, viscous) in dict(friction).items():
+            found[joint][2] += coulomb * np.sign(found[joint][1]) + viscous * found[joint][1]
         rows.append([found[joint][("position", "velocity", "effort").index(part)] for joint, part in names])
     sigma = np.array(list(outputs.values()))
     values = np.array(rows) + sigma * rng.standard_normal((len(times), len(sigma)))

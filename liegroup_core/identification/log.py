@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 
 from liegroup_core.errors import SceneError
-from liegroup_core.joints.motion import through
+from liegroup_core.joints.motion import through, uniform
 
 PREVIOUS, LINEAR, SPLINE = "previous", "linear", "spline"
 HOLDS = (PREVIOUS, LINEAR, SPLINE)
@@ -17,6 +17,7 @@ MOTION = ".motion"  # end of the name of an input that is the position of a driv
 THIRD, ROBUST = np.sqrt(20.0), 1.4826
 LEAST = 1e-6  # of the spread of the values: no sensor is better
 APART = 1.0  # s between joined recordings
+LONG = 100.0  # s, before which joints move as at the first value: delays may move starts to there
 FINER, WIDER = 1.2, 8  # numbers of knots that are compared: ratio, and how far beyond the best one
 REPEATED = 0.05  # share of equal neighbours from which on values are rounded
 
@@ -31,7 +32,7 @@ class Given:
     hold   : previous: a value acts until the next one; linear: the mean of the straight line between two times acts;
              spline: that of the cubic spline through the values, of a motion the quintic one
     noise  : standard deviation, for a spline that smooths the values; None: it passes through them
-    firsts : rows with which recordings begin
+    firsts : rows with which a recording begins, or goes on after a gap: a spline of its own
     """
 
     name: str
@@ -45,9 +46,10 @@ class Given:
         """(m,) values that act in the intervals between times (m + 1,); zero before the first one."""
         if self.hold == SPLINE:
             total = np.zeros(len(times) - 1)
-            for spline, (first, last) in self.splines:
+            begins = [*(first for _, (first, _) in self.splines[1:]), np.inf]
+            for (spline, (first, last)), after in zip(self.splines, begins):
                 within, integral = np.clip(times, first, last), spline.antiderivative()
-                total += np.diff(integral(within))
+                total += np.diff(integral(within)) + spline(last) * np.diff(np.clip(times, last, after))
             return total / np.diff(times)
         if self.hold == LINEAR:
             found = np.interp(times, self.times, self.values, left=0.0)
@@ -62,28 +64,32 @@ class Given:
 
     @cached_property
     def splines(self):
-        """[(spline, (first, last) time in s)] of each recording."""
-        found = []
+        """[(spline, (first, last) time in s)] of its parts that have enough values. Raises SceneError for none."""
+        found, degree = [], self._degree
         for rows in np.split(np.arange(len(self.times)), self.firsts[1:]):
-            times, values, degree = self.times[rows], self.values[rows], self._degree
-            if len(rows) <= degree:
-                degree = 1 if len(rows) > 1 else 0
-            if self.noise is not None and degree > 1:
+            times, values = self.times[rows], self.values[rows]
+            if len(rows) > degree:
                 spline = _smoothed(times, values, self.noise, degree)
-            else:
-                spline = scipy.interpolate.make_interp_spline(times, values, degree)
-            found.append((scipy.interpolate.PPoly.from_spline(spline), (times[0], times[-1])))
+                found.append((scipy.interpolate.PPoly.from_spline(spline), (times[0], times[-1])))
+        if not found:
+            raise SceneError(f"{self.name} is a spline: it needs at least {degree + 1} values without gaps")
         return found
 
     @property
     def motion(self):
-        """(m, 7) prescribed motions (joints/motion.py) along the splines; quintic polynomials join recordings."""
+        """(m, 7) prescribed motions (joints/motion.py) along the splines; quintic polynomials join them."""
         points = []
         for spline, (first, last) in self.splines:
             knots = np.unique(spline.x[(spline.x >= first) & (spline.x <= last)])
             points.append(np.column_stack([knots, *(spline(knots, order) for order in range(3))]))
         points = np.vstack(points)
-        return through(points[0, 1:], points[:, 0], *points[1:, 1:].T)
+        begin, q, v, _ = points[0]
+        rows = through(points[0, 1:], points[:, 0], *points[1:, 1:].T)
+        return np.vstack([uniform(begin - LONG, q - LONG * v, v), rows])
+
+    def covers(self, times):
+        """(m,) whether a spline goes through times (m,)."""
+        return np.any([(first <= times) & (times <= last) for _, (first, last) in self.splines], axis=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,9 +159,17 @@ class Log:
 
 
 def _smoothed(times, values, sigma, degree):
-    """Spline whose number of knots has the least expected error by Mallows' Cp; sigma : of the noise."""
-    best, count, n = (np.inf, 0, None), 0, len(times)
-    while count + degree < n and count <= WIDER * (best[1] + degree):
+    """Spline whose number of knots has the least expected error by Mallows' Cp; it may pass through the values.
+
+    sigma : of the noise; None: it passes through the values
+    """
+    through_all = scipy.interpolate.make_interp_spline(times, values, degree)
+    if sigma is None:
+        return through_all
+    # As many knots as a third of the values, as with more there may be none between two knots.
+    n, count = len(times), 0
+    best = 2.0 * n, n, through_all
+    while count <= n // 3 and count <= WIDER * (best[1] + degree):
         inner = np.quantile(times, np.linspace(0.0, 1.0, count + 2)[1:-1])
         knots = np.concatenate([np.full(degree + 1, times[0]), inner, np.full(degree + 1, times[-1])])
         spline = scipy.interpolate.make_lsq_spline(times, values, knots, degree)
@@ -178,7 +192,7 @@ def joined(logs):
     for parts in zip(*((*log.inputs, *log.drives) for log in logs)):
         times, values, firsts = [], [], []
         for each, shift, log in zip(parts, shifts, logs):
-            firsts.append(sum(map(len, times)))
+            firsts += [sum(map(len, times)) + row for row in each.firsts]
             times.append(each.times + shift)
             values.append(each.values)
             if each.hold != SPLINE:

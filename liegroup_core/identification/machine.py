@@ -23,7 +23,7 @@ from liegroup_core.linear.coordinates import Coordinates
 from liegroup_core.linear.probe import Probe
 from liegroup_core.methods.families import choose_group
 from liegroup_core.observables.sample import Sample
-from liegroup_core.reports import explain
+from liegroup_core.reports import reason
 from liegroup_core.status import NOT_FINITE, OK
 
 from .log import MOTION
@@ -133,7 +133,7 @@ class Machine:
             if name.rpartition(".")[2] in ("target", "target_velocity"):
                 self._wanted[self._targets[k] != 0.0] = 0.0
         self.outputs = [Outputs(self.probe, each.channels, turns) for each in log.measured]
-        self.turns = self.outputs[0].turns
+        self.turns, self._rubbing = self.outputs[0].turns, _friction(scene, log)
         work = self.engine._work
         self._changes = 0.0, np.zeros(0)
         self._is_smooth = self.engine._switching is None and not len(work.acting)
@@ -173,7 +173,10 @@ class Machine:
         wanted = {joint: at(row, time)[:2] for joint, row in zip(self.layout.motions, self.layout.motions_at(time))}
         if math.isnan(state.time):  # the start of the scene may be far away
             self._go(replace(state, time=0.0))
-            self.engine.place(joints=wanted)
+            try:
+                self.engine.place(joints=wanted)
+            except ValueError as error:
+                raise SceneError(f"the driven joints cannot be where they were at {time:.9g} s: {error}") from None
             return replace(self.present(), time=time)
         before, y = self.at(state).joint_coordinates, np.zeros((self.probe.freedoms, 2))
         for k, freedom in enumerate(self.layout.freedoms):
@@ -237,6 +240,9 @@ class Machine:
         for places, outputs in zip(segment.places, self.outputs):
             rows = np.searchsorted(seen, places)
             found.append(outputs.of_path(path, rows))
+        for t, k, joint, law in self._rubbing:
+            rate = path.joints[np.searchsorted(seen, segment.places[t]), self.layout.coordinates.names.index(joint), 1]
+            found[t][:, k] += law.coulomb * np.sign(rate) + law.viscous * rate
         return found
 
     def path(self, segment, state, seen, extra=None, halves=0):
@@ -271,7 +277,8 @@ class Machine:
         if status == OK and not np.isfinite(path.poses).all():
             status = NOT_FINITE
         if status != OK:
-            raise SimulationError(explain(engine, status), status & 0xFF)
+            hint = "; check the positions of driven joints" if self.log.drives else ""
+            raise SimulationError(f"{reason(engine, status)}{hint}", status & 0xFF)
         return path
 
     def _in_parts(self, segment, counts, places, path):
@@ -349,7 +356,34 @@ def _driven(scene, drives):
         name = min(missing)
         raise SceneError(f"{name}{MOTION}: the scene has no joint {name} that can be driven")
     joints = [joint.remade(**PRESCRIBED) if joint.name in given else joint for joint in scene.joints]
-    return make_layout(scene.remade(joints=joints)).with_motions({name: each.motion for name, each in given.items()})
+    layout = make_layout(scene.remade(joints=joints))
+    turning = {name for name, unit in layout.coordinates.units.items() if unit == "rad"}
+    unwrapped = {
+        name: replace(each, values=np.unwrap(each.values)) if name in turning else each for name, each in given.items()
+    }
+    return layout.with_motions({name: each.motion for name, each in unwrapped.items()})
+
+
+def _friction(scene, log):
+    """[(number of the Measured, of its output, joint, Friction)] of measured efforts of joints that a log drives.
+
+    Raises SceneError for friction by load.
+    """
+    joints, driven = (
+        {joint.name: joint for joint in scene.joints},
+        {each.name.removesuffix(MOTION) for each in log.drives},
+    )
+    found = []
+    for t, each in enumerate(log.measured):
+        for k, name in enumerate(each.channels):
+            joint, _, part = name.rpartition(".")
+            if part != "effort" or joint not in driven or joints[joint].friction is None:
+                continue
+            law = joints[joint].friction
+            if max(law.by_load) > 0.0:
+                raise SceneError(f"{name}: friction by load has no part in the effort of a driven joint: remove mu")
+            found.append((t, k, joint, law))
+    return found
 
 
 def _changes(engine, end):

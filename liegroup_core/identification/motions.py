@@ -7,7 +7,8 @@ from scipy.spatial.transform import Rotation
 from liegroup_core.linear.coordinates import Coordinates
 from liegroup_core.observables.sample import Sample
 
-PARTS = ("position", "velocity")
+from .starts import PARTS
+
 PLACES, TURNS = ("x", "y", "z"), ("rx", "ry", "rz")
 
 
@@ -48,15 +49,18 @@ def _measured(machine, model, values, own):
     probe, layout = machine.probe, machine.layout
     probe.take(model)
     probe.release(stops=True)
-    rows = [(*own[name], PARTS.index(part), *pair) for (name, part), pair in values.items() if name in own]
     coordinates = Coordinates(probe)
     m, n = len(coordinates.independent), len(coordinates.moving)
+    joints = [(*each, pair) for each, pair in values.items() if each[0] in own and each[1] in PARTS]
+    rows = [(*own[name], PARTS.index(part), *pair) for name, part, pair in joints]
     ways = [coordinates.neighbour(k, 1.0) for k in range(m)]
     ways += [coordinates.neighbour(k, 1.0, rate=True) for k in range(n)]
-    A = np.array([[sign * way[f, part] / sigma for way in ways] for f, sign, part, _, sigma in rows])
-    off = np.array([value / sigma for *_, value, sigma in rows])
-    change = np.linalg.lstsq(A.reshape(len(rows), m + n), off, rcond=None)[0]
-    _, pose, twist = probe.closed(np.tensordot(change, np.reshape(ways, (m + n, -1, 2)), 1))
+    y = np.zeros((probe.freedoms, 2))
+    if ways and rows:
+        A = np.array([[sign * way[f, part] / sigma for way in ways] for f, sign, part, _, sigma in rows])
+        off = np.array([value / sigma for *_, value, sigma in rows])
+        y = np.tensordot(np.linalg.lstsq(A, off, rcond=None)[0], np.array(ways), 1)
+    _, pose, twist = probe.closed(y)
     pose, twist = layout.offsets.to_bodies(pose, twist)
     pose = pose.copy()
     for i, body in enumerate(layout.body_names):

@@ -5,7 +5,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from liegroup_core.errors import SceneError
-from liegroup_core.identification.log import MOTION, Given, Log, Measured
+from liegroup_core.identification.log import MOTION, SPLINE, Given, Log, Measured
 from liegroup_core.linear.channels import ACCELERATION, TWIST, WRENCH
 from liegroup_sim_ros.numbers import counted
 
@@ -104,7 +104,12 @@ def load_log(bag, given, scene, turns):
         values = found[entry.topic].values[times[entry.topic][1], of[id(entry)]] * entry.factor + entry.offset
         for name, column in zip(channels_of(entry.input, scene), values.T):
             known = np.isfinite(column)
-            inputs.append(Given(name, seconds[entry.topic][known], column[known], entry.way, entry.noise))
+            if not known.all():
+                missing = counted(int((~known).sum()), "message")
+                notes.append(f"{entry.topic}: {missing} without a finite number for {name}: left out")
+            at = seconds[entry.topic][known]
+            inputs.append(Given(name, at, column[known], entry.way, entry.noise, _parts(at, entry.way)))
+    acting, drives = ([each for each in inputs if each.name.endswith(MOTION) == is_drive] for is_drive in (False, True))
     delays = {clock.topic: clock.delay for clock in given.clocks}
     measured = []
     for topic in dict.fromkeys(entry.topic for entry in given.measurements):
@@ -120,14 +125,29 @@ def load_log(bag, given, scene, turns):
         for name in names:
             if names.count(name) > 1:
                 raise SceneError(f"{name} is given twice on {topic}: keep one")
-        values = np.hstack(columns)
-        measured.append(Measured(topic, seconds[topic], tuple(names), values, np.array(noise), delays.get(topic)))
+        at, values = seconds[topic], np.hstack(columns)
+        for drive in drives:
+            if not (covered := drive.covers(at)).all():
+                notes.append(
+                    f"{topic}: {counted(int((~covered).sum()), 'message')} where {drive.name} is not known: left out"
+                )
+                at, values = at[covered], values[covered]
+        if not len(at):
+            raise SceneError(f"{topic}: all its messages are outside of those of {drive.name}")
+        measured.append(Measured(topic, at, tuple(names), values, np.array(noise), delays.get(topic)))
     if not inputs and all(each.delay is None for each in measured):
         # Without inputs only differences of clocks show.
         first = measured[0]
         measured[0] = Measured(first.name, first.times, first.channels, first.values, first.deviation, 0.0)
-    acting, drives = ([each for each in inputs if each.name.endswith(MOTION) == is_drive] for is_drive in (False, True))
     return Log(tuple(acting), tuple(measured), tuple(notes), drives=tuple(drives))
+
+
+def _parts(times, hold):
+    """Rows of an input with which a spline begins: the first one, and those after gaps."""
+    if hold != SPLINE or len(times) < 2:
+        return (0,)
+    steps = np.diff(times)
+    return (0, *(np.flatnonzero(steps > GAP * np.median(steps)) + 1).tolist())
 
 
 def _values(entry, values, turns):

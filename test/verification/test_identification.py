@@ -262,22 +262,34 @@ def test_a_plan_foresees_the_deviations_of_a_fit(monkeypatch):
 
 
 DRIVEN = [
-    ("furuta", {"motor": 1.0}, {"hinge.position": 5e-4, "hinge.velocity": 5e-3}, "hinge.friction.viscous", 0.003),
-    ("arm", dict.fromkeys(("motor", "hinge", "wrist"), 0.5), {"motor.effort": 0.02}, "lower.shape.mass", 1.1),
+    ("furuta", {"motor": 1.0}, {"hinge.position": 5e-4, "hinge.velocity": 5e-3}, {"hinge.friction.viscous": 0.003}),
+    (
+        "arm",
+        dict.fromkeys(("motor", "hinge", "wrist"), 0.5),
+        {"motor.effort": 0.02},
+        {"lower.shape.mass": 1.1, "motor.friction.coulomb": 0.3},
+    ),
 ]
 
 
-@pytest.mark.parametrize(("name", "joints", "outputs", "varied", "truth"), DRIVEN)
+@pytest.mark.parametrize(("name", "joints", "outputs", "truth"), DRIVEN)
 @pytest.mark.turn(3)
-def test_measured_positions_drive_joints(name, joints, outputs, varied, truth):
-    """Friction of what hangs from a driven joint; masses from efforts. Positions have noise, the clock is late."""
-    friction = {"hinge": "friction: {viscous: %g}"} if name == "furuta" else {}
-    true = machine(name, **({"hinge": friction["hinge"] % truth} if friction else {"mass: 1}": "mass: 1.1}"}))
-    model = machine(name, **({"hinge": friction["hinge"] % 0.0} if friction else {}))
-    log = driven_log_of(true, joints, outputs, seed=5)
+def test_measured_positions_drive_joints(name, joints, outputs, truth):
+    """Friction of what hangs from a driven joint; masses, and friction of the driven joint, from its effort.
+
+    Positions have noise, the clock is late.
+    """
+    if name == "furuta":
+        true, model = (machine(name, hinge="friction: {viscous: %g}" % law) for law in (0.003, 0.0))
+        log = driven_log_of(true, joints, outputs, seed=5)
+    else:
+        log = driven_log_of(machine(name, **{"mass: 1}": "mass: 1.1}"}), joints, outputs, 5, {"motor": (0.3, 0.2)})
+        model = machine(name, motor="friction: {coulomb: 0.2, viscous: 0.2}")
     assert not compare(model, log, workers=1).agrees
-    found = identify(model, log, [varied], workers=1)
-    assert found.comparison.agrees and abs(found.values[0] - truth) < 4.0 * found.deviations[0] < 0.02 * truth
+    found, expected = identify(model, log, list(truth), workers=1), np.array(list(truth.values()))
+    assert found.comparison.agrees and (np.abs(found.values - expected) < 4.0 * found.deviations).all()
+    assert (4.0 * found.deviations < 0.1 * expected).all()
+    assert len(list(motions(found.comparison, most=20))) > 10
     delay, deviation = found.comparison.delays["/joint_states"]
     assert abs(delay - DELAY) < 4.0 * deviation < 1e-3
 
@@ -295,7 +307,21 @@ def test_a_spline_of_an_input_acts_with_its_mean():
     (both,) = joined([log, log]).inputs
     start = both.times[21]
     assert both.over(start + parts) == pytest.approx(given.over(parts), abs=1e-12)
-    assert both.over(np.array([1.2, 1.8])) == 0.0
+    assert both.over(np.array([1.2, 1.8])) == pytest.approx(cubic(1.0))  # the last value holds
+
+
+def test_a_smoothed_motion_is_not_worse_than_its_values():
+    """Acceleration of a motion whose noise is stated right, and far too small; five values are no motion."""
+    times, fine = 0.048 * np.arange(28), np.linspace(0.1, 1.2, 200)
+    values = 0.5 * (1.0 - np.cos(5.0 * times)) + 1e-4 * np.random.default_rng(1).standard_normal(28)
+
+    def error(noise):
+        ((spline, _),) = Given("motor.motion", times, values, "spline", noise).splines
+        return np.abs(spline(fine, 2) - 12.5 * np.cos(5.0 * fine)).max()
+
+    assert error(1e-4) < error(None) and max(error(1e-5), error(1e-6)) < 1.01 * error(None)
+    with pytest.raises(SceneError, match="at least 6 values"):
+        _ = Given("motor.motion", times[:5], values[:5], "spline").motion
 
 
 @pytest.mark.parametrize("name", ["furuta", "four_bar"])
