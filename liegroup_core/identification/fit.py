@@ -255,7 +255,7 @@ class Fit:
     def _linear(self, point, outputs, residuals, starts_only=False):
         """For each segment weighted residuals (N_s,), columns of its start (N_s, c), and of delays and numbers."""
         runs = self.runs
-        scales = [scales for scales, _ in runs.starts(point)]
+        scales = [scales for scales, *_ in runs.starts(point)]
         most = max(map(len, scales))
         count = 0 if starts_only else len(runs.numbers)
         items = [("start", k) for k in range(most)] + [("number", k) for k in range(count)]
@@ -349,7 +349,7 @@ class Fit:
     def _moved(self, point, changes, step):
         """Point after a step."""
         runs = self.runs
-        scaled = [change * scales for (scales, _), change in zip(runs.starts(point), changes)]
+        scaled = [change * scales for (scales, *_), change in zip(runs.starts(point), changes)]
         q, free = len(runs.numbers), np.flatnonzero(self.free)
         delays = point.delays.copy()
         delays[free] += step[: len(free)]

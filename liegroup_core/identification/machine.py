@@ -19,7 +19,7 @@ from liegroup_core.forces.instants import AFTER
 from liegroup_core.joints.motion import COLUMNS, at
 from liegroup_core.layout import make_layout
 from liegroup_core.linear.channels import Inputs, Outputs
-from liegroup_core.linear.coordinates import Coordinates
+from liegroup_core.linear.coordinates import Coordinates, scales_of
 from liegroup_core.linear.probe import Probe
 from liegroup_core.methods.families import choose_group
 from liegroup_core.observables.sample import Sample
@@ -204,21 +204,17 @@ class Machine:
         if len(state.near):
             engine._switching.expect(state.near)
 
-    def beside(self, state, coordinates, change):
-        """State with a change (2 m,) of its Coordinates and independent rates; the Probe is at the state."""
+    def ways(self, state):
+        """As `directions`, at a state, where the Probe goes."""
+        self.at(state)
+        return directions(self.probe)
+
+    def beside(self, state, ways, change):
+        """State with a change (c,) along its ways; the Probe is at the state."""
         if not change.any():
             return state
-        m = len(coordinates.independent)
-        y = sum(part * coordinates.neighbour(k, 1.0) for k, part in enumerate(change[:m])) + sum(
-            part * coordinates.neighbour(k, 1.0, rate=True) for k, part in enumerate(change[m:])
-        )
-        _, pose, twist = self.probe.closed(y)
+        _, pose, twist = self.probe.closed(np.tensordot(change, ways, 1))
         return replace(state, pose=pose, twist=twist, angles=self.layout.angles(pose, state.angles))
-
-    def coordinates(self, state):
-        """Coordinates at a state, where the Probe goes."""
-        self.at(state)
-        return Coordinates(self.probe)
 
     def follow(self, other, state):
         """State of this scene with the joints' coordinates and rates of another scene's Machine at a state."""
@@ -345,6 +341,18 @@ class Path:
         if len(engine._work.motions):
             found.motions = machine.layout.motions_at(instant.time, engine.inputs.commanded)
         return found
+
+
+def directions(probe):
+    """(scales (c,), (c, f, 2)) of the independent coordinates and rates of a Probe.
+
+    Scales: 1 rad, or the mechanism's size, and per s.
+    """
+    coordinates, scales = Coordinates(probe), scales_of(probe.layout)
+    found = [coordinates.neighbour(k, 1.0) for k in range(len(coordinates.independent))]
+    found += [coordinates.neighbour(k, 1.0, rate=True) for k in range(len(coordinates.moving))]
+    sizes = np.concatenate([scales[coordinates.independent], scales[coordinates.moving]])
+    return sizes, np.reshape(found, (len(found), probe.freedoms, 2))
 
 
 def _driven(scene, drives):

@@ -4,9 +4,9 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from liegroup_core.linear.coordinates import Coordinates
 from liegroup_core.observables.sample import Sample
 
+from .machine import directions
 from .starts import PARTS
 
 PLACES, TURNS = ("x", "y", "z"), ("rx", "ry", "rz")
@@ -49,17 +49,13 @@ def _measured(machine, model, values, own):
     probe, layout = machine.probe, machine.layout
     probe.take(model)
     probe.release(stops=True)
-    coordinates = Coordinates(probe)
-    m, n = len(coordinates.independent), len(coordinates.moving)
     joints = [(*each, pair) for each, pair in values.items() if each[0] in own and each[1] in PARTS]
     rows = [(*own[name], PARTS.index(part), *pair) for name, part, pair in joints]
-    ways = [coordinates.neighbour(k, 1.0) for k in range(m)]
-    ways += [coordinates.neighbour(k, 1.0, rate=True) for k in range(n)]
-    y = np.zeros((probe.freedoms, 2))
-    if ways and rows:
+    ways, y = directions(probe)[1], np.zeros((probe.freedoms, 2))
+    if len(ways) and rows:
         A = np.array([[sign * way[f, part] / sigma for way in ways] for f, sign, part, _, sigma in rows])
         off = np.array([value / sigma for *_, value, sigma in rows])
-        y = np.tensordot(np.linalg.lstsq(A, off, rcond=None)[0], np.array(ways), 1)
+        y = np.tensordot(np.linalg.lstsq(A, off, rcond=None)[0], ways, 1)
     _, pose, twist = probe.closed(y)
     pose, twist = layout.offsets.to_bodies(pose, twist)
     pose = pose.copy()

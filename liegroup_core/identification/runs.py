@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from liegroup_core.errors import SceneError, SimulationError
-from liegroup_core.linear.coordinates import scales_of
 from liegroup_core.linear.numbers import Numbers
 
 from .machine import Machine, moved, segments_of
@@ -94,15 +93,14 @@ class Runs:
             raise SimulationError(f"the run from {segment.start:.9g} s on: {error}", error.status) from None
 
     def starts(self, point):
-        """[(scales (c,), [State] with one of c coordinates or rates CHANGE of its scale away)] of the segments."""
+        """[(scales (c,), State, ways, [State] with one of c ways CHANGE of its scale away)] of the segments."""
         if self._starts[0] is not point:
             machine, found = self.machine(point.values), []
             for segment, state in zip(self.segments(point), point.states):
                 state = machine.timed(state, segment.start)
-                coordinates = machine.coordinates(state)
-                scales = start_scales(machine, coordinates)
+                scales, ways = machine.ways(state)
                 changes = CHANGE * np.diag(scales)
-                found.append((scales, [machine.beside(state, coordinates, change) for change in changes]))
+                found.append((scales, state, ways, [machine.beside(state, ways, change) for change in changes]))
             self._starts = point, found
         return self._starts[1]
 
@@ -111,7 +109,7 @@ class Runs:
         machine = self.machine(point.values)
         return [
             self._checked(machine, segment, states[k], point) if k < len(states) else None
-            for segment, (_, states) in zip(self.segments(point), self.starts(point))
+            for segment, (*_, states) in zip(self.segments(point), self.starts(point))
         ]
 
     def beside_times(self, point, start):
@@ -151,14 +149,9 @@ class Runs:
         return tuple(other.follow(machine, state) for state in point.states)
 
     def moved(self, point, changes):
-        """States of the starts with changes [(2 m,)] of their coordinates."""
-        machine = self.machine(point.values)
-        return tuple(
-            machine.beside(state, machine.coordinates(state), change) for state, change in zip(point.states, changes)
-        )
-
-
-def start_scales(machine, coordinates):
-    """(2 m,) scales of coordinates and rates: 1 rad, or the mechanism's size, and per s."""
-    scales = scales_of(machine.layout)
-    return np.concatenate([scales[coordinates.independent], scales[coordinates.moving]])
+        """States of the starts with changes [(c,)] along their ways."""
+        machine, found = self.machine(point.values), []
+        for (_, state, ways, _), change in zip(self.starts(point), changes):
+            machine.at(state)
+            found.append(machine.beside(state, ways, change))
+        return tuple(found)

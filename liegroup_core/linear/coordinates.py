@@ -28,6 +28,7 @@ ANGLE, SHARE = 1e-2, 1e-2  # first displacement: rad, and of the mechanism's siz
 OF_JOINT, MOVING, PREFERRED = 10.0, 1e3, 1e5
 CLOSED, MOST_CLOSINGS = 1e-13, 100  # rad, or share of the mechanism's size: what closes joints still
 SMALL_MOVE = 1e-6  # of a direction: round-off
+FIRST = 1e-9  # preference for the first of several that are equally independent: above round-off
 NO_ROW = 1e-9  # relative size of a row, or a singular value, that is round-off
 
 
@@ -53,6 +54,7 @@ class Coordinates:
         self._scales = scales_of(probe.layout)
         basis = self._velocities()
         weights = np.array([OF_JOINT if freedom.is_of_joint else 1.0 for freedom in self.freedoms])
+        weights *= 1.0 - FIRST * np.arange(len(weights))
         weights[[self.number(name) for name in preferred]] = PREFERRED
         wanted = None if chosen is None else np.array([self.number(name) for name in chosen], dtype=int)
         if probe.layout.rolls or displaced and (probe.held.any() or probe.is_switched.any()):
