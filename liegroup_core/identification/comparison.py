@@ -17,8 +17,10 @@ PARTS = (16, 4, 1)  # of the length: segments with which fits begin, as short on
 FEW_SEGMENTS = 4  # of the longest, with which fits begin
 LEAST = 9  # measurements in a segment: as many as the first guess of a start takes
 LINEAR = 0.01  # of the spread of an output: largest rms that is not noise, for effects to be linear
-PARTED = 1e4  # largest growth of differences in a segment: they are linear to 1e-4 then, see CHANGE
-MUCH_PARTED = 1e6  # expected growth with which longer segments are not tried
+# Largest growth G of differences in a segment. Columns have a relative error of 1e-8 G, see CHANGE, and starts explain
+# all but 1/G of what delays and numbers change: of what is left, the error is 1e-8 G^2, here 1e-2.
+PARTED = 1e3
+MUCH_PARTED = 1e5  # expected growth with which longer segments are not tried
 LONGEST = 0.01  # s, first longest step; it is halved until the errors are a small part of the noise
 PART = 0.1  # of the noise: largest error of the integration
 MOST_HALVES = 8
