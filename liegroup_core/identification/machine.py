@@ -126,6 +126,10 @@ class Machine:
         self.engine = Engine(layout.scene, METHOD, STEP, *settings, quiet=True, layout=layout, **options)
         self.probe = Probe(self.engine, in_space=in_space)
         self.layout, self.log = self.engine.layout, log
+        for each in log.drives:
+            effort = f"{each.name.removesuffix(MOTION)}.effort"
+            if effort in [one.name for one in log.inputs]:
+                raise SceneError(f"{effort} and {each.name} are both inputs: remove one, or measure the effort")
         inputs = Inputs(self.probe, [each.name for each in log.inputs])
         self._wrenches, self._targets = inputs.changes(0)
         self._wanted = self.probe.wanted.copy()

@@ -228,6 +228,11 @@ def test_notes_tell_of_lost_doubled_and_disordered_messages(tmp_path):
         ("{output: box.pose, topic: /joint_states, field: pose}", "no message on /joint_states"),
         ("{input: motor.motion, topic: /joint_states, field: 'position[motor]', hold: linear}", "remove hold"),
         ("{input: motor.effort, topic: /joint_states, field: 'effort[motor]', noise: 1}", "needs hold: spline"),
+        (
+            "{input: motor.motion, topic: /joint_states, field: 'position[motor]'}, "
+            "{input: motor.effort, topic: /joint_states, field: 'velocity[motor]'}",
+            "motor.effort and motor.motion are both inputs",
+        ),
         ("{input: motr.motion, topic: /joint_states, field: 'position[motor]'}", "no joint motr that can be driven"),
     ],
 )
