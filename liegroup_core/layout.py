@@ -15,7 +15,7 @@ from liegroup_core.forces.joint_effort import unit_wrenches
 from liegroup_core.joints.coupling import COUPLED
 from liegroup_core.joints.kinds import ROLLING
 from liegroup_core.joints.limits import limits_of
-from liegroup_core.joints.motion import COLUMNS
+from liegroup_core.joints.motion import COLUMNS, row_at
 from liegroup_core.joints.pairs import LOWER_PAIRS
 from liegroup_core.lie.groups import UNKNOWN_TURN
 from liegroup_core.mechanism.arrays import PlaneModel
@@ -307,7 +307,7 @@ class Layout:
         """(m, d, 7) motions of the scene that hold at times (m,) in s."""
         found = np.empty((len(times), len(self.motions), COLUMNS))
         for joint, rows in enumerate(self.motions.values()):
-            found[:, joint] = rows[np.maximum(np.searchsorted(rows[:, 0], times, side="right") - 1, 0)]
+            found[:, joint] = row_at(rows, times)
         return found
 
     @cached_property

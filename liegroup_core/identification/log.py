@@ -65,17 +65,28 @@ class Given:
     @cached_property
     def splines(self):
         """[(spline, (first, last) time in s)] of its parts that have enough values. Raises SceneError for none."""
-        found, degree = [], self._degree
-        for rows in np.split(np.arange(len(self.times)), self.firsts[1:]):
-            times, values = self.times[rows], self.values[rows]
-            if len(rows) > degree:
-                spline = _smoothed(times, values, self.noise, degree)
-                found.append((scipy.interpolate.PPoly.from_spline(spline), (times[0], times[-1])))
-        if not found:
-            raise SceneError(f"{self.name} is a spline: it needs at least {degree + 1} values without gaps")
+        found = []
+        for rows in self._parts:
+            times = self.times[rows]
+            spline = _smoothed(times, self.values[rows], self.noise, self._degree)
+            found.append((scipy.interpolate.PPoly.from_spline(spline), (times[0], times[-1])))
         return found
 
     @property
+    def _parts(self):
+        """[Rows] of the parts that have enough values for a spline. Raises SceneError for none."""
+        parts = np.split(np.arange(len(self.times)), self.firsts[1:])
+        found = [rows for rows in parts if len(rows) > self._degree]
+        if not found:
+            raise SceneError(f"{self.name} is a spline: it needs at least {self._degree + 1} values without gaps")
+        return found
+
+    @cached_property
+    def unwrapped(self):
+        """The same with angles that go on over whole turns."""
+        return replace(self, values=np.unwrap(self.values))
+
+    @cached_property
     def motion(self):
         """(m, 7) prescribed motions (joints/motion.py) along the splines; quintic polynomials join them."""
         points = []
@@ -89,7 +100,8 @@ class Given:
 
     def covers(self, times):
         """(m,) whether a spline goes through times (m,)."""
-        return np.any([(first <= times) & (times <= last) for _, (first, last) in self.splines], axis=0)
+        ends = [self.times[rows[[0, -1]]] for rows in self._parts]
+        return np.any([(first <= times) & (times <= last) for first, last in ends], axis=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +162,11 @@ class Log:
                 raise SceneError(f"the times of {each.name} must increase, and there must be some")
         if not self.measured:
             raise SceneError("a log needs measurements")
+        names = [each.name for each in self.inputs]
+        for each in self.drives:
+            effort = f"{each.name.removesuffix(MOTION)}.effort"
+            if effort in names:
+                raise SceneError(f"{effort} and {each.name} are both inputs: remove one, or measure the effort")
 
     @property
     def spans(self):

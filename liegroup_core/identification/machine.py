@@ -69,6 +69,11 @@ class Segment:
     places: tuple
     instants: tuple
 
+    @property
+    def seen(self):
+        """Numbers of the times at which something was measured."""
+        return np.unique(np.concatenate(self.places))
+
 
 def segments_of(machine, bounds, delays):
     """[Segment] of the log of a Machine between bounds (s, 2) in s, which have measurements.
@@ -126,10 +131,6 @@ class Machine:
         self.engine = Engine(layout.scene, METHOD, STEP, *settings, quiet=True, layout=layout, **options)
         self.probe = Probe(self.engine, in_space=in_space)
         self.layout, self.log = self.engine.layout, log
-        for each in log.drives:
-            effort = f"{each.name.removesuffix(MOTION)}.effort"
-            if effort in [one.name for one in log.inputs]:
-                raise SceneError(f"{effort} and {each.name} are both inputs: remove one, or measure the effort")
         inputs = Inputs(self.probe, [each.name for each in log.inputs])
         self._wrenches, self._targets = inputs.changes(0)
         self._wanted = self.probe.wanted.copy()
@@ -208,11 +209,6 @@ class Machine:
         if len(state.near):
             engine._switching.expect(state.near)
 
-    def ways(self, state):
-        """As `directions`, at a state, where the Probe goes."""
-        self.at(state)
-        return directions(self.probe)
-
     def beside(self, state, ways, change):
         """State with a change (c,) along its ways; the Probe is at the state."""
         if not change.any():
@@ -234,7 +230,7 @@ class Machine:
         halves : how often the steps are halved
         Raises SimulationError.
         """
-        seen = np.unique(np.concatenate(segment.places))
+        seen = segment.seen
         path = self.path(segment, state, seen, extra, halves)
         found = []
         for places, outputs in zip(segment.places, self.outputs):
@@ -370,10 +366,10 @@ def _driven(scene, drives):
     joints = [joint.remade(**PRESCRIBED) if joint.name in given else joint for joint in scene.joints]
     layout = make_layout(scene.remade(joints=joints))
     turning = {name for name, unit in layout.coordinates.units.items() if unit == "rad"}
-    unwrapped = {
-        name: replace(each, values=np.unwrap(each.values)) if name in turning else each for name, each in given.items()
-    }
-    return layout.with_motions({name: each.motion for name, each in unwrapped.items()})
+    # Kept by the log, for all scenes with other numbers.
+    return layout.with_motions(
+        {name: (each.unwrapped if name in turning else each).motion for name, each in given.items()}
+    )
 
 
 def _friction(scene, log):

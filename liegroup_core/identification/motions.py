@@ -23,10 +23,10 @@ def motions(found, most=2000):
     runs, point, measured = found.fit.runs, found.solution.point, found.fit.runs.log.measured
     machine, segments = runs.machine(point.values), runs.segments(point)
     own = {freedom.name: (f, freedom.sign) for f, freedom in enumerate(machine.layout.freedoms) if freedom.is_of_joint}
-    count = sum(len(np.unique(np.concatenate(segment.places))) for segment in segments)
+    count = sum(len(segment.seen) for segment in segments)
     every = -(-count // most)
     for segment, state, residuals in zip(segments, point.states, found.solution.residuals):
-        seen = np.unique(np.concatenate(segment.places))[::every]
+        seen = segment.seen[::every]
         path = machine.path(segment, state, seen, halves=point.halves)
         for k, place in enumerate(seen.tolist()):
             model, values = path.sample(k), {}

@@ -9,7 +9,7 @@ import numpy as np
 from liegroup_core.errors import SceneError, SimulationError
 from liegroup_core.linear.numbers import Numbers
 
-from .machine import Machine, moved, segments_of
+from .machine import Machine, directions, moved, segments_of
 
 # Of starts, in rad and sizes of the mechanism and per s, and of numbers, relative. Runs repeat to round-off: of
 # differences it is 1e-7. Where outputs change by G of their spread per unit change, curvature adds 1e-8 G.
@@ -98,7 +98,8 @@ class Runs:
             machine, found = self.machine(point.values), []
             for segment, state in zip(self.segments(point), point.states):
                 state = machine.timed(state, segment.start)
-                scales, ways = machine.ways(state)
+                machine.at(state)
+                scales, ways = directions(machine.probe)
                 changes = CHANGE * np.diag(scales)
                 found.append((scales, state, ways, [machine.beside(state, ways, change) for change in changes]))
             self._starts = point, found

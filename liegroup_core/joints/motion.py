@@ -205,8 +205,8 @@ def prescribed(motion, q, v):
 
 
 def row_at(rows, time):
-    """Row (COLUMNS,) that holds at a time; rows: motions in the order of their origins."""
-    return rows[max(0, np.searchsorted(rows[:, 0], time, side="right") - 1)]
+    """Row (COLUMNS,) that holds at a time, or rows (m, COLUMNS); rows: motions in the order of their origins."""
+    return rows[np.maximum(0, np.searchsorted(rows[:, 0], time, side="right") - 1)]
 
 
 FROM_SCENE = np.array([math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])  # no command: the scene's motion holds
