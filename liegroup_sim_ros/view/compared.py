@@ -3,29 +3,21 @@
 
 from liegroup_core.identification.motions import motions
 
-from .source import Frame, Source, Status
+from .source import Frame, Known
 
 
-class Along(Source):
+class Along(Known):
     """Motion along a log, whose frames are added to its history.
 
     layout : Layout of the scene
     title, how : for the page
     """
 
-    is_live = is_motion = polled = False
+    state = "measured"
 
     def __init__(self, layout, title, how):
         super().__init__(layout, title)
         self.how = how
-
-    def frame(self):
-        """The first frame; a page shows those of the history."""
-        return self.history.frames[0]
-
-    def status(self):
-        """Status."""
-        return Status("measured", None, None, "")
 
 
 def sources_of(found):

@@ -5,20 +5,20 @@ from liegroup_core import SimulationError
 from liegroup_core.linear import shapes_of
 
 from .server import ViewError
-from .source import Frame, Source, Status
+from .source import Frame, Known
 
 COUNT, RATE = 60, 30.0  # instants of a period, and of a second of the page
 PERIODS, MOST = 2, 30  # of each mode; modes
 
 
-class Modes(Source):
+class Modes(Known):
     """Modes [liegroup_core.linear.Mode] of a simulation, each for PERIODS periods. Raises ViewError for none.
 
     time   : s, of their state
     titles : texts of the modes
     """
 
-    is_live = is_motion = polled = False
+    state = "shapes"
 
     def __init__(self, simulation, modes, titles, time=None):
         super().__init__(simulation.layout, f"{simulation.scene.name}: modes")
@@ -35,11 +35,3 @@ class Modes(Source):
                 instant += 1
         if not instant:
             raise ViewError(f"{simulation.scene.name}: has no mode to show")
-
-    def frame(self):
-        """The first frame; a page shows those of the history."""
-        return self.history.frames[0]
-
-    def status(self):
-        """Status."""
-        return Status("shapes", None, None, "")

@@ -124,6 +124,24 @@ class Source:
         """End it."""
 
 
+class Known(Source):
+    """Frames that are all in the history from the start, and are no motion.
+
+    state : one word, see Status
+    """
+
+    is_live = is_motion = polled = False
+    state = ""
+
+    def frame(self):
+        """The first frame; a page shows those of the history."""
+        return self.history.frames[0]
+
+    def status(self):
+        """Status."""
+        return Status(self.state, None, None, "")
+
+
 def _velocities(sample):
     """Velocities (n, 3) of the origins of the bodies of a Sample, world axes, m/s."""
     return np.einsum("nij,nj->ni", sample.pose[:, :9].reshape(-1, 3, 3), sample.twist[:, 3:])
