@@ -6,6 +6,7 @@ compares.
 """
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from liegroup_core import Simulation
 from liegroup_core.identification import Given, Log, Measured
@@ -127,6 +128,39 @@ def log_of(true, name, seed, seconds=4.0, rate=250.0, delay=DELAY, scale=1.0):
     values = np.array(rows) + sigma * rng.standard_normal((len(times), len(sigma)))
     unknown = np.full(len(sigma), np.nan)
     return Log(tuple(inputs), (Measured("/joint_states", times + delay, tuple(channels), values, unknown),))
+
+
+def seen_log_of(true, model, outputs, seed, joints=None, seconds=1.0, rate=100.0):
+    """Log of outputs of a true machine without inputs, which starts elsewhere than the model; sensors have no noise.
+
+    outputs : {name of a body, whose pose is measured, of a sensor, or of a joint: noise, of rotations twice that}
+    joints  : {joint: (position, velocity)} at the start
+    """
+    rng, simulation = np.random.default_rng(seed), Simulation(true, quiet=True, accuracy=1e-8)
+    simulation.place(joints=joints or {})
+    turns = {body.name: Rotation.from_matrix(body.pose[:3, :3]) for body in model.bodies}
+    times, channels, sigma, rows = np.arange(0.02, seconds, 1.0 / rate), [], [], []
+    sensors = {sensor.name for sensor in true.sensors}
+    for name, noise in outputs.items():
+        if name in turns:
+            channels += [f"{name}.{part}" for part in ("x", "y", "z", "rx", "ry", "rz")]
+            sigma += [noise] * 3 + [2.0 * noise] * 3
+        else:
+            channels.append(f"{name}.0" if name in sensors else f"{name}.position")
+            sigma.append(noise)
+    for sample in simulation.samples(times):
+        row = []
+        for name, noise in outputs.items():
+            if name not in turns:
+                value = sample.sensors[name][0] if name in sensors else sample.joint_coordinates[name][0]
+                row.append(value + noise * rng.standard_normal())
+                continue
+            pose = sample.poses[name]
+            turn = Rotation.from_rotvec(2.0 * noise * rng.standard_normal(3))
+            turn = turns[name].inv() * Rotation.from_matrix(pose[:3, :3]) * turn
+            row += [*(pose[:3, 3] + noise * rng.standard_normal(3)), *turn.as_rotvec()]
+        rows.append(row)
+    return Log((), (Measured("/seen", times, tuple(channels), np.array(rows), np.array(sigma), 0.0),))
 
 
 def driven_log_of(true, joints, outputs, seed, friction=(), seconds=1.5, noise=1e-4, delay=DELAY):

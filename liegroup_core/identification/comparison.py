@@ -2,6 +2,7 @@
 """Comparison of a log with a scene: what noise, errors of the integration, and the model account for."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -10,13 +11,16 @@ from liegroup_core.errors import SceneError, SimulationError
 from .contradictions import Effect, Effects, Missing, channel_fits
 from .fit import Fit, Solution
 from .runs import Point, Runs
-from .starts import first_states
+from .starts import first_states, starts_of
 
 LENGTH = 2.0  # s, of a segment
 PARTS = (16, 4, 1)  # of the length: segments with which fits begin, as short ones need no good start
 FEW_SEGMENTS = 4  # of the longest, with which fits begin
 LEAST = 9  # measurements in a segment: as many as the first guess of a start takes
 LINEAR = 0.01  # of the spread of an output: largest rms that is not noise, for effects to be linear
+# Three standard deviations of mean square minus estimated variance of n residuals that are white noise, by the variance
+# and sqrt(n): those of the mean square, sqrt(2), and of third differences, 3.1, which are correlated with it.
+BY_CHANCE = 3.0 * 2.7
 # Largest growth G of differences in a segment. Columns have a relative error of 1e-8 G, see CHANGE, and starts explain
 # all but 1/G of what delays and numbers change: of what is left, the error is 1e-8 G^2, here 1e-2.
 PARTED = 1e3
@@ -73,7 +77,12 @@ class Comparison:
             k += bool(free)
         return found
 
-    @property
+    @cached_property
+    def starts(self):
+        """[Start] of the segments."""
+        return starts_of(self.fit, self.solution, max(1.0, self.reduced))
+
+    @cached_property
     def reduced(self):
         """Sum of the squares of the weighted residuals by the degrees of freedom."""
         unknowns = sum(basis.shape[1] for basis in self.solution.bases) + self.solution.columns.shape[1]
@@ -192,12 +201,13 @@ def continued(fit, bounds, solution):
 
 
 def excess(fit, solution):
-    """Largest rms of residuals beyond the noise, by the spread of the output."""
+    """Largest rms of residuals beyond the noise and what it is by chance, by the spread of the output."""
     found = 0.0
     for t, (each, sigma) in enumerate(zip(fit.runs.log.measured, fit.deviation)):
         rest = np.concatenate([part[t] for part in solution.residuals])
         with np.errstate(invalid="ignore", divide="ignore"):
-            beyond = np.sqrt(np.maximum(np.nanmean(rest**2, axis=0) - sigma**2, 0.0))
+            noise = sigma**2 * (1.0 + BY_CHANCE / np.sqrt(np.isfinite(rest).sum(axis=0)))
+            beyond = np.sqrt(np.maximum(np.nanmean(rest**2, axis=0) - noise, 0.0))
             found = max(found, np.nan_to_num(beyond / np.nanstd(each.values, axis=0)).max(initial=0.0))
     return found
 

@@ -22,6 +22,7 @@ from .machine import Apart
 from .runs import CHANGE, LAG
 
 UNSEEN = 1e-9  # relative singular value of a direction that no measurement shows
+HIDDEN = 1e-6  # the same of starts: columns of what nothing shows are round-off, 1e-7 of differences
 MOST_STEPS, MOST_TRIES = 40, 12
 SAME = 1e-7  # relative decrease of the sum of squares in the last step
 CLOSE = 0.01  # of the standard deviations: last step
@@ -304,7 +305,7 @@ class Fit:
             more = np.sqrt(damping) * np.diag(np.maximum(sizes, 1e-300)) if damping else np.zeros((0, len(sizes)))
             A = np.vstack([J_x, more])
             U, singular, V = np.linalg.svd(A, full_matrices=False)
-            good = singular > UNSEEN * singular[:1].max(initial=0.0)
+            good = singular > HIDDEN * singular[:1].max(initial=0.0)
             U, singular, V = U[:, good], singular[good], V[good]
             U = U[: len(r)]
             eliminated.append((U, singular, V))
@@ -387,4 +388,4 @@ def _range(J):
     if not J.shape[1]:
         return J
     U, singular, _ = np.linalg.svd(J, full_matrices=False)
-    return U[:, singular > UNSEEN * singular.max(initial=0.0)]
+    return U[:, singular > HIDDEN * singular.max(initial=0.0)]

@@ -197,11 +197,15 @@ class Machine:
 
     def at(self, state):
         """Sample of a state, from which the Probe continues."""
-        self._go(state)
-        sample = self.engine.sample()
+        sample = self.seen(state)
         self.probe.take(sample)
         self.probe.release(stops=True)
         return sample
+
+    def seen(self, state):
+        """Sample of a state; the Probe stays where it is."""
+        self._go(state)
+        return self.engine.sample()
 
     def _go(self, state):
         engine = self.engine

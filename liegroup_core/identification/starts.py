@@ -1,23 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""First guesses of the starts of segments, from measured joints, and of the delays of clocks."""
+"""Starts of segments: guesses, from polynomials through the nearest measurements, and what a fit knows of them."""
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from liegroup_core.errors import LieGroupSimError, SceneError
-from liegroup_core.linear.coordinates import Coordinates
+from liegroup_core.linear.channels import POSE, TWIST, Outputs
+from liegroup_core.linear.coordinates import Coordinates, scales_of
 
-from .machine import segments_of
+from .fit import HIDDEN
+from .machine import Apart, directions, segments_of
+from .runs import CHANGE as STEP
 
 PARTS = ("position", "velocity")
 NEIGHBOURS = {1: 9, 2: 5}  # measurements to which a polynomial is fitted: positions alone, and with velocities
 DEGREE = 3
+CHANGE = 1e-7  # of starts, by their scales: first guesses need few digits
+MOST_STEPS, MOST_HALVES = 30, 6  # of Gauss and Newton, and of each step
+SMALL, NO_WAY = 1e-6, 1e-6  # last step, by the scales; relative singular value of what nothing shows
 
 
 def first_states(runs, bounds, delays=None, values=None):
     """[State] at the start of each segment between bounds (s, 2) in s.
 
-    Independent joints that were measured are put to where polynomials through the nearest measurements are; the others
-    are where the run of the segment before ends, or at the start of the scene.
+    Independent joints that were measured are put to where polynomials through the nearest measurements are, then all
+    of the mechanism in least squares if bodies or sensors were measured. What was not measured is where the run of the
+    segment before ends, or at the start of the scene.
 
     values : (q,) numbers of the scene; None: its own
     Raises SceneError if the mechanism cannot be put there.
@@ -25,12 +34,13 @@ def first_states(runs, bounds, delays=None, values=None):
     log = runs.log
     machine = runs.machine(runs.numbers.values if values is None else values)
     delays = np.zeros(len(log.measured)) if delays is None else delays
-    state, states = machine.start, []
+    state, states, seen = machine.start, [], _seen(machine, log)
     for pair in bounds:
         segments = segments_of(machine, pair[None], delays)
         if not segments:
             continue
-        states.append(_put(machine, log, state, segments[0].start, delays))
+        start = segments[0].start
+        states.append(_nearest(machine, seen, _put(machine, log, state, start, delays), start, delays))
         try:
             state = _end(machine, segments[0], states[-1])
         except LieGroupSimError:
@@ -84,3 +94,198 @@ def _guess(measured, joint, time):
         right.append(v[usable] / sigma)
     fitted = np.linalg.lstsq(np.vstack(left), np.concatenate(right), rcond=None)[0]
     return float(fitted[0]), float(fitted[1]) if degree else 0.0
+
+
+class _Seen:
+    """Outputs of a Measured that positions determine, or positions and rates.
+
+    number   : of the Measured
+    is_rate  : whether they change with rates
+    slope, slope_sigma : (p,) slope of the polynomial at its time, and standard deviations
+    """
+
+    def __init__(self, machine, number, measured, columns, is_rate):
+        self.number, self.is_rate, self._measured, self._columns = number, is_rate, measured, columns
+        self._outputs = Outputs(machine.probe, [measured.channels[k] for k in columns], machine.turns)
+        self._apart = Apart(self._outputs)
+
+    def aim(self, time):
+        """Take the polynomial at a time of the clock; returns whether enough was measured."""
+        values, times = self._measured.values[:, self._columns], self._measured.times
+        known = np.flatnonzero(np.isfinite(values).all(axis=1))
+        near = known[np.argsort(np.abs(times[known] - time), kind="stable")[: NEIGHBOURS[1]]]
+        if not len(near):
+            return False
+        x, self._base = times[near] - time, values[near[:1]]
+        powers = np.vander(x, min(DEGREE, len(near) - 1) + 1, increasing=True)
+        inverse = np.linalg.pinv(powers)
+        found = inverse @ self._apart(values[near], np.repeat(self._base, len(near), axis=0))
+        noise = self._measured.noise[self._columns]
+        sizes = np.linalg.norm(inverse, axis=1)
+        self._value, self._sigma = found[0], sizes[0] * noise
+        self.slope, self.slope_sigma = (found[1], sizes[1] * noise) if len(found) > 1 else (0.0, np.inf)
+        return True
+
+    def at(self, sample):
+        """(p,) outputs, relative to the measurement that is nearest."""
+        return self._apart(self._outputs.of(sample)[None], self._base)[0]
+
+    def off(self, found):
+        """(p,) weighted differences of outputs from the polynomial."""
+        return (found - self._value) / self._sigma
+
+    def weighted(self, changes):
+        """(d, p) changes of outputs by the deviation of the polynomial."""
+        return changes / self._sigma
+
+
+def _seen(machine, log):
+    """[_Seen] of a Log; none where only joints were measured, which can be put to where they were."""
+    parts = {sensor.name: sensor.parts for sensor in machine.layout.scene.sensors}
+    found, joints = [], set()
+    for t, each in enumerate(log.measured):
+        kinds = [_is_rate(name, parts) for name in each.channels]
+        joints |= {name for name in each.channels if name.endswith(".position")}
+        for is_rate in (False, True):
+            columns = [k for k, kind in enumerate(kinds) if kind is is_rate]
+            if columns:
+                found.append(_Seen(machine, t, each, columns, is_rate))
+    known = joints | {name.removesuffix("position") + "velocity" for name in joints}
+    names = [each.channels[k] for each in log.measured for k in range(len(each.channels))]
+    return found if any(_is_rate(name, parts) is not None and name not in known for name in names) else []
+
+
+def _is_rate(name, parts):
+    """Whether an output changes with rates, or positions alone determine it; None: it depends on what acts.
+
+    parts : {sensor: names and units of its numbers}
+    """
+    owner, _, part = name.rpartition(".")
+    if part.isdigit():
+        _, _, unit = parts[owner][int(part)].partition("[")
+        part = {"": "position", "m]": "position", "rad or m]": "position"}.get(
+            unit, "velocity" if "/s]" in unit else ""
+        )
+    return False if part in ("position", *POSE) else True if part in ("velocity", *TWIST) else None
+
+
+def _nearest(machine, seen, state, time, delays):
+    """State near another one in which [_Seen] outputs are near their polynomials at a time, in least squares."""
+    seen = [each for each in seen if each.aim(time + delays[each.number])]
+    places, rates = ([each for each in seen if each.is_rate == is_rate] for is_rate in (False, True))
+    return _with_rates(machine, places, rates, _with_places(machine, places, state) if places else state)
+
+
+def _with_places(machine, places, state):
+    """State with the positions that fit best, by the method of Gauss and Newton."""
+    off = np.concatenate([each.off(x) for each, x in zip(places, _at(machine, places, state))])
+    for _ in range(MOST_STEPS):
+        machine.at(state)
+        scales, ways = directions(machine.probe)
+        ways = (scales[:, None, None] * ways)[ways[:, :, 0].any(axis=1)]
+        step = -_solved(
+            np.hstack([each.weighted(D) for each, D in zip(places, _changes(machine, places, state, ways))]), off
+        )
+        for _ in range(MOST_HALVES):
+            other = machine.beside(state, ways, step)
+            found = np.concatenate([each.off(x) for each, x in zip(places, _at(machine, places, other))])
+            if found @ found < off @ off:
+                break
+            step *= 0.5
+        else:
+            break
+        state, off = other, found
+        if np.abs(step).max(initial=0.0) < SMALL:
+            break
+    return state
+
+
+def _with_rates(machine, places, rates, state):
+    """State with the rates that fit best: of rates that were measured, and slopes of places."""
+    machine.at(state)
+    scales, ways = directions(machine.probe)
+    ways = (scales[:, None, None] * ways)[~ways[:, :, 0].any(axis=1)]
+    present = machine.probe.closed()[0]
+    along = np.zeros((len(ways) + 1, *ways.shape[1:]))  # displacements along the rates, and the present ones
+    along[:-1, :, 0], along[-1, :, 0] = ways[:, :, 1], present
+    rows, off = [np.zeros((len(ways), 0))], [np.zeros(0)]
+    for each, D, x in zip(rates, _changes(machine, rates, state, ways), _at(machine, rates, state)):
+        rows.append(each.weighted(D))
+        off.append(each.off(x))
+    size = max(1.0, float(np.abs(present / scales_of(machine.layout)).max(initial=0.0)))
+    along[-1] /= size
+    for each, D in zip(places, _changes(machine, places, state, along)):
+        rows.append(D[:-1] / each.slope_sigma)
+        off.append((size * D[-1] - each.slope) / each.slope_sigma)
+    return machine.beside(state, ways, -_solved(np.hstack(rows), np.concatenate(off)))
+
+
+def _at(machine, of, state):
+    """[(p,)] outputs of [_Seen] at a State."""
+    sample = machine.seen(state)
+    return [each.at(sample) for each in of]
+
+
+def _changes(machine, of, state, ways):
+    """[(d, p)] derivatives of outputs of [_Seen] along ways (d, f, 2) from a State, where the Probe is."""
+    if not of:
+        return []
+    there = [_at(machine, of, machine.beside(state, ways, CHANGE * row)) for row in np.eye(len(ways))]
+    return [
+        (np.array(values).reshape(len(ways), -1) - x) / CHANGE
+        for values, x in zip(zip(*there), _at(machine, of, state))
+    ]
+
+
+def _solved(rows, right):
+    """(d,) least squares of rows (d, N), least where nothing shows."""
+    return np.linalg.lstsq(rows.T, right, rcond=NO_WAY)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Start of a segment.
+
+    time   : s, of the stamps of the measurements
+    names  : of outputs: joints, and bodies that float
+    values, deviations : (k,) SI units, and standard deviations, inf: the segment does not show it
+    """
+
+    time: float
+    names: tuple
+    values: np.ndarray
+    deviations: np.ndarray
+
+
+def starts_of(fit, solution, chi):
+    """[Start] of the segments of a Solution, whose covariance is multiplied by chi.
+
+    With J of a start and G of delays and numbers, both of weighted outputs, x = J^+ (r - G g).
+    """
+    runs, point = fit.runs, solution.point
+    machine = runs.machine(point.values)
+    outputs = Outputs(machine.probe, _reported(machine), machine.turns)
+    apart, found, late = Apart(outputs), [], float(np.mean(point.delays))
+    shared = np.nan_to_num(solution.covariance, posinf=0.0)
+    unknown = ~np.isfinite(np.diag(solution.covariance))
+    for segment, (_, state, _, beside), (J, G) in zip(runs.segments(point), runs.starts(point), solution.linear):
+        values = outputs.of(machine.seen(state))
+        there = np.array([outputs.of(machine.seen(other)) for other in beside]).reshape(len(beside), len(values))
+        D = apart(there, np.tile(values, (len(there), 1))).T / STEP
+        U, singular, V = np.linalg.svd(J, full_matrices=False)
+        seen = singular > HIDDEN * singular.max(initial=0.0)
+        own = D @ V[seen].T / singular[seen]
+        of_shared = own @ U[:, seen].T @ G
+        variances = np.sum(own**2, axis=1) + np.einsum("ki,ij,kj->k", of_shared, shared, of_shared)
+        off = np.abs(D - D @ V[seen].T @ V[seen]).max(axis=1, initial=0.0) > HIDDEN
+        off |= (np.abs(of_shared[:, unknown]) > HIDDEN).any(axis=1)
+        deviations = np.where(off, np.inf, np.sqrt(chi * variances))
+        found.append(Start(segment.start + late, tuple(outputs.names), values, deviations))
+    return found
+
+
+def _reported(machine):
+    """Names of outputs that make a state."""
+    freedoms = {freedom.name for freedom in machine.layout.freedoms}
+    floating = [body for body in machine.layout.body_names if f"{body}.rx" in freedoms]
+    return ["joints", *(f"{body}.{part}" for body in floating for part in (*POSE, *TWIST))]

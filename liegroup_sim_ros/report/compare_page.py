@@ -15,6 +15,7 @@ from .plots import COLOURS, joined, line, plane
 
 CHANNEL_HEAD = ("output", "measurements", "noise", "rms", "rms / noise", "largest", "white")
 EFFECT_HEAD = ("effect", "size", "explains")
+START_HEAD = ("start", "value", "standard deviation", "largest of all segments")
 EFFECTS_TITLE = "Effects that would explain them, one after the other"
 MOST_PLOTS, MOST_EFFECTS, MOST_MISSING = 12, 8, 2
 BAND = 2.0  # deviations of the noise
@@ -45,6 +46,7 @@ def document(comparison, names):
         ],
         "delays": {name: {"delay": delay, "deviation": sd} for name, (delay, sd) in result.delays.items()},
         "segments": len(result.solution.point.states),
+        "starts": [_start(each) for each in result.starts],
         "notes": list(result.fit.runs.log.notes),
     }
 
@@ -52,6 +54,24 @@ def document(comparison, names):
 def _effect(effect):
     found = dict(vars(effect))
     return found | {"deviation": found["deviation"] if np.isfinite(found["deviation"]) else None}
+
+
+def _start(start):
+    deviations = [x if np.isfinite(x) else None for x in start.deviations.tolist()]
+    parts = {"name": start.names, "value": start.values.tolist(), "deviation": deviations}
+    return {"time": float(start.time), "state": [dict(zip(parts, row)) for row in zip(*parts.values())]}
+
+
+def start_rows(result):
+    """Rows of START_HEAD, of the first segment."""
+    found = []
+    for k, each in enumerate(result["starts"][0]["state"]):
+        deviations = [start["state"][k]["deviation"] for start in result["starts"]]
+        own, most = (
+            "not shown by the log" if None in some else shown(max(some)) for some in (deviations[:1], deviations)
+        )
+        found.append((each["name"], shown(each["value"]), own, most))
+    return found
 
 
 def channel_rows(result):
@@ -128,6 +148,7 @@ def make_page(comparison, result):
         + '</div><div class="cards">'
         + (table(EFFECTS_TITLE, EFFECT_HEAD, effect_rows(result["effects"])) if result["effects"] else "")
         + table("Effects, each alone", EFFECT_HEAD, effect_rows(result["alone"][:MOST_EFFECTS]))
+        + table(f"Start at {result['starts'][0]['time']:.6g} s", START_HEAD, start_rows(result))
         + "</div>"
         + "".join(f'<p class="soft">{unbroken(text)}</p>' for text in _remarks(result))
         + '<div class="cards" data-part="0">'

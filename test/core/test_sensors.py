@@ -58,16 +58,22 @@ def test_an_imu_at_a_point_of_a_pendulum():
 
 
 def test_an_imu_of_a_body_at_rest_and_of_one_that_falls():
-    """At rest it shows g upwards, in free fall nothing, whatever the point if it does not turn."""
+    """At rest it shows g upwards, in free fall nothing; without gravity, nothing and g downwards."""
     falling = Scene(
         name="fall",
         gravity=(0, 0, -G),
         bodies=[{"name": "b", "mass": 1.0, "inertia": [1, 2, 2.5], "com": (0.1, 0.2, 0.3)}],
-        sensors=[{"name": "imu", "type": "imu", "body": "b"}],
+        sensors=[
+            {"name": "imu", "type": "imu", "body": "b"},
+            {"name": "driver", "type": "imu", "body": "b", "remove_gravity": True},
+        ],
     )
     assert read(falling)["imu"][7:] == pytest.approx([0, 0, 0], abs=1e-14)
-    hanging = pendulum({"type": "imu", "body": "rod"}, angle=0.0, rate=0.0)
-    assert read(hanging)["s0"][7:] == pytest.approx([0, 0, G], abs=1e-14)
+    assert read(falling)["driver"][7:] == pytest.approx([0, 0, -G], abs=1e-14)
+    kinds = {"type": "imu", "body": "rod"}, {"type": "imu", "body": "rod", "remove_gravity": True}
+    hanging = read(pendulum(*kinds, angle=0.0, rate=0.0))
+    assert hanging["s0"][7:] == pytest.approx([0, 0, G], abs=1e-14)
+    assert hanging["s1"][7:] == pytest.approx([0, 0, 0], abs=1e-14)
 
 
 def test_accelerations_are_the_rates_of_the_twists():

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from machine_logs import DELAY, NOISE, driven_log_of, log_of, machine
+from machine_logs import DELAY, NOISE, driven_log_of, log_of, machine, seen_log_of
+from scipy.spatial.transform import Rotation
 from volume import some
 
 from liegroup_core import SceneError, Simulation
@@ -186,6 +187,59 @@ def test_wrong_logs_have_one_line(change, text):
     with pytest.raises(SceneError, match=text) as raised:
         compare(machine("furuta"), change(log), workers=1)
     assert "\n" not in str(raised.value)
+
+
+BOX = """
+name: thrown
+gravity: [0, 0, -9.81]
+bodies: [{name: box, mass: 2, inertia: [0.1, 0.2, 0.3]}]
+"""
+THROWN = "position: [3, -2, 1], rotation_vector: [2, 1, -1], angular_velocity: [1, 5, -2], linear_velocity: [3, 1, 4],"
+ENCODERS = "sensors:\n" + "\n".join(f"  - {{name: of_{j}, type: encoder, joint: {j}}}" for j in ("motor", "hinge"))
+FAR = {"motor": (2.6, 1.0), "hinge": (2.0, 3.0)}
+# Model, machine, joints of the machine at the start, and what is measured with which noise.
+ELSEWHERE = {
+    "thrown": (BOX, BOX.replace("inertia:", f"{THROWN} inertia:"), {}, {"box": 1e-3}),
+    "hand": ("arm", "arm", FAR | {"wrist": (3.0, 3.0)}, {"hand": 1e-3}),
+    "unknown wrist": ("arm", "arm", {"motor": (0.9, 1.0), "hinge": (-1.2, -2.0)}, {"lower": 1e-3}),
+    "loop": ("four_bar", "four_bar", {"motor": (2.6, 1.0)}, {"coupler": 2e-3}),
+    "rod": ("furuta", "furuta", FAR, {"rod": 1e-3}),
+    "encoders": ("encoders", "encoders", FAR, {"of_motor": 5e-4, "of_hinge": 5e-4}),
+    "joint and pose": ("furuta", "furuta", FAR, {"motor": 5e-4, "rod": 1e-3}),
+}
+
+
+@pytest.mark.parametrize("name", ELSEWHERE)
+def test_starts_are_found_far_from_those_of_the_model(name):
+    """From poses of bodies and from sensors; states of the true machine are within four standard deviations.
+
+    What nothing shows is named: the wrist of the arm turns about the axis of the body that is seen.
+    """
+
+    def scene(text):
+        if text == "encoders":
+            return scene_from_text(machine("furuta").text + ENCODERS)
+        return scene_from_text(text) if "\n" in text else machine(text)
+
+    model, true, joints, outputs = ELSEWHERE[name]
+    model, true = scene(model), scene(true)
+    log = seen_log_of(true, model, outputs, 3, joints)
+    found = compare(model, log, workers=1)
+    assert found.agrees and found.solution.converged, found.verdict
+    simulation = Simulation(true, quiet=True, accuracy=1e-8)
+    simulation.place(joints=joints)
+    start = found.starts[0]
+    (state,), known = simulation.samples([start.time]), np.isfinite(start.deviations)
+    if joints:
+        truth = np.array(list(state.joint_coordinates.values())).ravel()
+    else:
+        pose = state.poses["box"]
+        truth = np.concatenate([Rotation.from_matrix(pose[:3, :3]).as_rotvec(), pose[:3, 3], state.twists["box"]])
+    off = start.values - truth
+    off[::2] = np.angle(np.exp(1j * off[::2])) if joints else off[::2]
+    assert (np.abs(off[known]) < 4.0 * start.deviations[known]).all() and start.deviations[known].max() < 0.05
+    hidden = {each.partition(".")[0] for each, is_known in zip(start.names, known) if not is_known}
+    assert hidden == ({"wrist"} if name == "unknown wrist" else set())
 
 
 @pytest.mark.turn(2)
