@@ -53,6 +53,16 @@ def modes_of(model, work):
     return np.hstack([at_rest[:, None], own])
 
 
+@kernel
+def write_modes(model, work, first, out):
+    """Write the modes of all switches, as of `modes_of`, to rows of out from `first` on."""
+    for k in range(len(model.switches)):
+        sign, rests = model.switches[k]["sign"], work.modes[k, RESTS]
+        out[first + k, 0] = work.held[model.switches[k]["freedom"]] + 2.0 * rests
+        out[first + k, 1], out[first + k, 2] = sign * work.modes[k, SLIP], sign * work.modes[k, SIDE]
+        out[first + k, 3], out[first + k, 4] = sign * work.modes[k, COORDINATE], sign * work.modes[k, EFFORT] * rests
+
+
 def set_modes(model, work, modes):
     """Set the modes to those that `modes_of` returned for another model of the same scene."""
     table = model.switches

@@ -163,11 +163,19 @@ class Switching(EventTimes):
         if self.instants:
             del self.instants[instants:]
 
+    @property
+    def are_known(self):
+        """Whether the modes were found since the state was set: all are found together."""
+        return self._work.modes[0, KNOWN] != 0.0
+
+    @property
+    def any_at_rest(self):
+        """Whether a stop or friction holds something: what it holds depends on the inputs."""
+        return bool(self._at_rest().any())
+
     def is_settled(self, external):
         """Whether the modes are those of the present inputs."""
-        if self._work.modes[0, KNOWN] == 0.0:  # all are found together
-            return False
-        return not self._at_rest().any() or self._same(external)
+        return self.are_known and (not self.any_at_rest or self._same(external))
 
     def _note_inputs(self, external):
         work = self._work

@@ -11,7 +11,7 @@ from liegroup_core.errors import SceneError, SimulationError
 from .contradictions import Effect, Effects, Missing, channel_fits
 from .fit import Fit, Solution
 from .runs import Point, Runs
-from .starts import first_states, starts_of
+from .starts import first_states, starts_of, state_at
 
 LENGTH = 2.0  # s, of a segment
 PARTS = (16, 4, 1)  # of the length: segments with which fits begin, as short ones need no good start
@@ -33,6 +33,7 @@ NEAR = 100.0  # mean square: residuals of ten deviations are no question of sing
 CLEARLY = 0.25  # of the mean square without a delay
 FEW = 1.0  # s of the log in which they are tried, at least
 ORDER = 4
+MOST_RESTARTS = 5  # of fits, from where segments before end
 REFINED, MOST_REFINED = 0.1, 3  # change of the noise that is small, and repetitions
 ROUGHLY = 1e-3  # relative decrease of the sum of squares in the last step: effects are judged by larger ones
 
@@ -138,7 +139,7 @@ def fitted(scene, log, names=(), length=LENGTH, workers=None, limits=None, prior
     found, level = _nested(fit, [_divided(each, few, len(bounds[-1])) for each in bounds])
     if len(few) < kept:
         parts = [_divided(each, np.arange(kept), len(bounds[-1])) for each in bounds[: level + 1]]
-        whole = fit.solve(continued(fit, parts[-1], found), ROUGHLY)
+        whole = _solved(fit, continued(fit, parts[-1], found))
         found, level = (_refined(fit, whole), level) if _is_near(fit, whole) else _nested(fit, parts, found)
     return fit, found, bounds[level][kept * len(bounds[level]) // len(bounds[-1]) :]
 
@@ -157,12 +158,41 @@ def _nested(fit, bounds, found=None):
     for each in bounds:
         if len(growths) > 1 and _next_growth(*growths[-2:]) > MUCH_PARTED:
             break
-        solution = fit.solve(first_point(fit, each) if found is None else continued(fit, each, found), ROUGHLY)
+        solution = _solved(fit, first_point(fit, each) if found is None else continued(fit, each, found))
         if best is not None and not _is_near(fit, solution):
             break
         best = found = _refined(fit, solution)
         growths.append(solution.growth)
     return best, len(growths) - 1
+
+
+def _solved(fit, point):
+    """Solution from a Point, none of whose segments would be nearer if it went on from the end of the one before."""
+    solution = fit.solve(point, ROUGHLY)
+    for _ in range(MOST_RESTARTS):
+        point = _gone_on(fit, solution)
+        if point is solution.point:
+            break
+        solution = fit.solve(point, ROUGHLY)
+    return solution
+
+
+def _gone_on(fit, solution):
+    """Point in which segments start where the ones before end, if they are nearer to the measurements then."""
+    runs, point = fit.runs, solution.point
+    machine, segments, states = runs.machine(point.values), runs.segments(point), list(point.states)
+    for s in range(1, len(segments)):
+        segment, rest = segments[s], solution.residuals[s]
+        state = state_at(machine, segments[s - 1], states[s - 1], segment.start, point.halves)
+        try:
+            outputs = machine.run(segment, state, halves=point.halves)
+        except SimulationError:
+            continue
+        others = fit.differences(segment, outputs)
+        if np.linalg.norm(fit.weighted(others)) < np.linalg.norm(fit.weighted(rest)):
+            states[s] = state
+    same = all(one is other for one, other in zip(states, point.states))
+    return point if same else replace(point, states=tuple(states))
 
 
 def _is_near(fit, solution):

@@ -213,11 +213,12 @@ class Fit:
 
     def residuals(self, point, outputs):
         """[[(r, p)]] measured minus outputs."""
-        segments = self.runs.segments(point)
-        return [
-            [apart(each.values[rows], values) for apart, each, rows, values in zip(self.apart, self._log, *parts)]
-            for parts in zip((segment.rows for segment in segments), outputs)
-        ]
+        return [self.differences(*each) for each in zip(self.runs.segments(point), outputs)]
+
+    def differences(self, segment, outputs):
+        """[(r, p)] measured minus outputs of a Segment."""
+        parts = zip(self.apart, self._log, segment.rows, outputs)
+        return [apart(each.values[rows], values) for apart, each, rows, values in parts]
 
     @property
     def _log(self):

@@ -24,7 +24,7 @@ from liegroup_core.linear.probe import Probe
 from liegroup_core.methods.families import choose_group
 from liegroup_core.observables.sample import Sample
 from liegroup_core.reports import reason
-from liegroup_core.status import NOT_FINITE, OK
+from liegroup_core.status import EVENT, NOT_FINITE, OK
 
 from .log import MOTION
 
@@ -95,12 +95,21 @@ def segments_of(machine, bounds, delays):
     return found
 
 
-def _segment(machine, first, rows, own, changes):
-    """Segment from a time on, with rows that were measured at times [(r,)]; changes (k,) s of inputs of the scene."""
-    end = max(times[-1] for times in own if len(times))
+def up_to(machine, segment, end):
+    """Segment that goes on to a time in s, after its last measurement."""
+    own = [segment.times[places] for places in segment.places]
+    return _segment(machine, segment.start, segment.rows, own, machine.changes(end), [end])
+
+
+def _segment(machine, first, rows, own, changes, more=()):
+    """Segment from a time on, with rows that were measured at times [(r,)]; changes (k,) s of inputs of the scene.
+
+    more : s, further times
+    """
+    end = max(times[-1] for times in (*own, more) if len(times))
     inside = [each.times[(each.times > first) & (each.times < end)] for each in machine.log.inputs]
     inside.append(changes[(changes > first) & (changes < end)])
-    stamps = np.unique(np.round(np.concatenate([[first], *own, *inside]) * NS)).astype(int)
+    stamps = np.unique(np.round(np.concatenate([[first], more, *own, *inside]) * NS)).astype(int)
     times = stamps / NS
     inputs = np.array([each.over(times) for each in machine.log.inputs]).reshape(-1, len(times) - 1).T
     places = tuple(np.searchsorted(times, each - 0.5e-9) for each in own)
@@ -139,9 +148,7 @@ class Machine:
                 self._wanted[self._targets[k] != 0.0] = 0.0
         self.outputs = [Outputs(self.probe, each.channels, turns) for each in log.measured]
         self.turns, self._rubbing = self.outputs[0].turns, _friction(scene, log)
-        work = self.engine._work
         self._changes = 0.0, np.zeros(0)
-        self._is_smooth = self.engine._switching is None and not len(work.acting)
 
     def changes(self, end):
         """Times in s up to an end at which inputs of the scene change."""
@@ -259,18 +266,10 @@ class Machine:
         n, k = len(engine._pose), len(seen)
         path = Path(self, segment, seen, wrenches, targets)
         path.poses, path.twists = np.empty((k, n, 12)), np.empty((k, n, 6))
-        path.angles = np.empty((k, len(work.angle)))
-        kept = path.poses.reshape(k * n, 12), path.twists.reshape(k * n, 6)
+        path.modes, path.angles = np.empty((k, len(self.layout.switches), 5)), np.empty((k, len(work.angle)))
         before = base.copy()
         try:
-            if self._is_smooth:
-                motions = self.layout.motions_along(segment.times[:-1] + 0.5 * np.diff(segment.times))
-                given = wrenches.reshape(count * n, -1), targets.reshape(-1, 2), motions.reshape(-1, COLUMNS)
-                _, status = engine._integrator.passage(
-                    segment.times, counts, places, *given, engine._pose, engine._twist, base, kept, path.angles
-                )
-            else:
-                status = self._in_parts(segment, counts, places, path)
+            status = self._along(segment, counts, places, path)
         finally:
             base[:] = before
         engine.steps = segment.instants[-1].step
@@ -281,23 +280,60 @@ class Machine:
             raise SimulationError(f"{reason(engine, status)}{hint}", status & 0xFF)
         return path
 
-    def _in_parts(self, segment, counts, places, path):
-        """Run with events or with wrenches of the scene that begin and end; returns a status."""
-        engine, instants = self.engine, segment.instants
-        sizes = np.diff(segment.times) / counts
-        for k, place in enumerate(places.tolist()):
-            if place >= 0:
-                engine.set_inputs_from(instants[k])
-                path.poses[place], path.twists[place] = engine.state()
-                path.angles[place] = engine._work.angle
-                path.modes.append(None if engine._switching is None else engine._modes_now())
-            if k == len(counts):
-                break
-            engine.inputs.external[:], engine._work.wanted[:] = path.wrenches[k], path.targets[k]
-            _, status = engine._integrate(instants[k], float(sizes[k]), int(counts[k]), instants[k + 1])
+    def _along(self, segment, counts, places, path):
+        """Run through the parts of a Segment, compiled from one change of stops or friction to the next; a status."""
+        engine, work, times = self.engine, self.engine._work, segment.times
+        n, m, s, d = len(engine._pose), len(counts), len(work.wanted), len(work.motions)
+        motions = self.layout.motions_along(times[:-1] + 0.5 * np.diff(times)).reshape(-1, COLUMNS)
+        wrenches, targets = path.wrenches.reshape(m * n, -1), path.targets.reshape(-1, 2)
+        kept = path.poses.reshape(-1, 12), path.twists.reshape(-1, 6), path.modes.reshape(-1, 5)
+        state = engine._pose, engine._twist, engine.inputs.external
+        k = 0
+        while k < m:
+            last, status = self._last_alike(segment, k, path), EVENT
+            if last > k:
+                parts = times[k : last + 1], counts[k:last], places[k : last + 1]
+                given = wrenches[k * n : last * n], targets[k * s : last * s], motions[k * d : last * d]
+                done, status = engine._integrator.passage(*parts, *given, *state, kept, path.angles)
+                k += done
+            if status == EVENT:
+                self._keep(segment, k, places[k], path)
+                size = float((times[k + 1] - times[k]) / counts[k])
+                state[2][:], work.wanted[:] = path.wrenches[k], path.targets[k]
+                _, status = engine._integrate(segment.instants[k], size, int(counts[k]), segment.instants[k + 1])
+                k += 1
             if status != OK:
                 return status
+        self._keep(segment, m, places[m], path)
         return OK
+
+    def _last_alike(self, segment, k, path):
+        """Number of the part up to which the compiled passage may go from part k on, at most; k: not at all."""
+        engine, work, last = self.engine, self.engine._work, len(path.wrenches)
+        if len(work.acting):
+            engine.set_inputs_from(segment.instants[k])
+            changes = self.changes(segment.times[-1])
+            after = changes[changes > segment.times[k] + 0.5e-9]
+            if len(after):
+                last = int(np.searchsorted(segment.times, after[0] - 0.5e-9))
+        switching = engine._switching
+        if switching is None or switching.are_known and not switching.any_at_rest:
+            return last
+        engine.inputs.external[:], work.wanted[:] = path.wrenches[k], path.targets[k]
+        if len(work.motions) or not switching.is_settled(engine.inputs.external):
+            return k
+        return min(last, int(path.changes[np.searchsorted(path.changes, k, side="right")]))
+
+    def _keep(self, segment, k, place, path):
+        """Write the present state, at time k, to its row of a Path; -1: none."""
+        if place < 0:
+            return
+        engine = self.engine
+        path.poses[place], path.twists[place] = engine.state()
+        path.angles[place] = engine._work.angle
+        if engine._switching is not None:
+            engine.set_inputs_from(segment.instants[k])
+            path.modes[place] = engine._modes_now()
 
 
 class Path:
@@ -305,12 +341,18 @@ class Path:
 
     poses, twists, angles : (k, n, 12), (k, n, 6) at the centres of mass, and (k, a) as Sample.angles
     wrenches, targets : (m, n, COLUMNS), (m, s, 2) of each part
-    modes  : [Sample.switching] of each state where there are events, else empty
+    modes  : (k, s, 5) as Sample.switching
     """
 
     def __init__(self, machine, segment, seen, wrenches, targets):
         self._machine, self._segment, self._seen = machine, segment, seen
-        self.wrenches, self.targets, self.modes = wrenches, targets, []
+        self.wrenches, self.targets = wrenches, targets
+
+    @cached_property
+    def changes(self):
+        """Numbers of the parts whose inputs are not those of the part before, and that of the end."""
+        inputs = np.hstack([each.reshape(len(each), -1) for each in (self.wrenches, self.targets)])
+        return np.append(np.flatnonzero((np.diff(inputs, axis=0) != 0.0).any(axis=1)) + 1, len(inputs))
 
     @cached_property
     def bodies(self):
@@ -340,7 +382,7 @@ class Path:
             found.external = self.wrenches[part]
             if self.targets.shape[1]:
                 found.wanted = self.targets[part]
-        if self.modes:
+        if engine._switching is not None:
             found.switching = self.modes[k]
         if len(engine._work.motions):
             found.motions = machine.layout.motions_at(instant.time, engine.inputs.commanded)

@@ -10,7 +10,7 @@ from liegroup_core.linear.channels import POSE, TWIST, Outputs
 from liegroup_core.linear.coordinates import Coordinates, scales_of
 
 from .fit import HIDDEN
-from .machine import Apart, directions, segments_of
+from .machine import Apart, directions, segments_of, up_to
 from .runs import CHANGE as STEP
 
 PARTS = ("position", "velocity")
@@ -39,17 +39,18 @@ def first_states(runs, bounds, delays=None, values=None):
         segments = segments_of(machine, pair[None], delays)
         if not segments:
             continue
-        start = segments[0].start
+        start, end = segments[0].start, pair[1] - np.mean(delays)
         states.append(_nearest(machine, seen, _put(machine, log, state, start, delays), start, delays))
-        try:
-            state = _end(machine, segments[0], states[-1])
-        except LieGroupSimError:
-            state = states[-1]
+        state = state_at(machine, segments[0], states[-1], end)
     return tuple(states)
 
 
-def _end(machine, segment, state):
-    machine.run(segment, state)
+def state_at(machine, segment, state, end, halves=0):
+    """State to which a Segment leads at a time in s after its measurements; where it starts if the run fails."""
+    try:
+        machine.run(up_to(machine, segment, end), state, halves=halves)
+    except LieGroupSimError:
+        return state
     return machine.present()
 
 

@@ -242,6 +242,47 @@ def test_starts_are_found_far_from_those_of_the_model(name):
     assert hidden == ({"wrist"} if name == "unknown wrist" else set())
 
 
+HELD = [
+    {"motor": "friction: {coulomb: 0.08, viscous: 0.001}", "hinge": "friction: {coulomb: 0.004}"},
+    {"motor": "friction: {coulomb: 0.02}", "hinge": "limits: {lower: -0.1, upper: 0.1, restitution: 0.6}"},
+    {"hinge": "limits: {lower: -0.2, upper: 0.3, stiffness: 300, damping: 0.5}"},
+]
+
+
+@pytest.mark.parametrize("keys", HELD, ids=["friction", "rigid stops", "compliant stops"])
+def test_stops_and_friction_act_inside_segments(keys):
+    """The machine sticks and hits its stops; forces of the scene begin and end between measurements."""
+    text = "forces: [{name: push, type: applied_wrench, body: rod, force: [0, 0.3, 0], start: 0.2137, end: 0.5521}]\n"
+    true = scene_from_text(machine("furuta", **keys).text + text)
+    log = timed(log_of(true, "furuta", 3, **SHORT))
+    found = compare(true, log, workers=1)
+    assert found.agrees, found.verdict
+    runs, point, events = found.fit.runs, found.solution.point, 0
+    own = runs.machine(point.values)
+    for segment, state in zip(runs.segments(point), point.states):
+        own.run(segment, state)
+        events += own.engine.event_count
+    assert events > 2
+    lacking = compare(machine("furuta", **keys), log, workers=1)
+    assert not lacking.agrees
+
+
+def test_segments_go_on_from_those_before():
+    """Where a first guess leads to a wrong minimum: an IMU and a force sensor do not show the angles of an arm."""
+    sensors = "sensors: [{name: imu, type: imu, body: hand}, {name: wrench, type: force_torque, joint: wrist}]\n"
+    scene, rng, rows = scene_from_text(machine("arm").text + sensors), np.random.default_rng(0), []
+    times, names = (
+        np.arange(0.01, 2.0, 0.005),
+        [*(f"imu.{k}" for k in range(4, 10)), *(f"wrench.{k}" for k in range(6))],
+    )
+    for sample in Simulation(scene, accuracy=1e-8, quiet=True).samples(times):
+        rows.append([*sample.sensors["imu"][4:], *sample.sensors["wrench"]])
+    values = np.array(rows) + 0.01 * rng.standard_normal((len(times), 12))
+    measured = Measured("/imu", times, tuple(names), values, np.full(12, 0.01), 0.0)
+    found = compare(scene, Log((), (measured,)), workers=1)
+    assert found.agrees, found.verdict
+
+
 @pytest.mark.turn(2)
 def test_accelerometers_see_the_given_forces():
     """Of a free body, of which poses are known, too, under a force that changes at times of the log."""
@@ -380,7 +421,7 @@ def test_a_smoothed_motion_is_not_worse_than_its_values():
 
 @pytest.mark.parametrize("name", ["furuta", "four_bar"])
 @pytest.mark.turn(3)
-def test_the_machine_of_a_page_is_as_it_was_measured(name):
+def test_the_own_a_page_is_as_it_was_measured(name):
     """Joints of a tree to round-off, of a closed loop within the noise."""
     true = machine(name, hinge="friction: {viscous: 0.02}")
     found = compare(machine(name), log_of(true, name, 4, **SHORT), workers=1)

@@ -5,11 +5,13 @@ One call for a whole run: between two calls for steps Python takes ten times as 
 """
 
 from liegroup_core.compiling import borrowed, kernel, stepper
+from liegroup_core.dynamics.switches import write_modes
 from liegroup_core.mechanism.bodies import ROUND_OFF, STEP_TURN, copy_state
-from liegroup_core.status import OK
+from liegroup_core.status import EVENT, OK
 
 from . import explicit
-from .steps import begin, check_end, close, count_turns, enter, leave
+from .ahead import keep_turns, set_turns
+from .steps import begin, check_end, close, count_turns, enter, has_event, leave, watches
 
 
 @kernel
@@ -20,14 +22,15 @@ def _copy_rows(source, first, out):
 
 
 @kernel
-def _keep(work, pose, twist, place, poses_out, twists_out, angles_out):
-    """Write poses, twists and unwrapped angles to the rows of a kept time."""
+def _keep(model, work, pose, twist, place, poses_out, twists_out, modes_out, angles_out):
+    """Write poses, twists, modes and unwrapped angles to the rows of a kept time."""
     n = len(pose)
     for i in range(n):
         for c in range(12):
             poses_out[place * n + i, c] = pose[i, c]
         for c in range(6):
             twists_out[place * n + i, c] = twist[i, c]
+    write_modes(model, work, place * len(model.switches), modes_out)
     for k in range(len(work.angle)):
         angles_out[place, k] = work.angle[k]
 
@@ -51,26 +54,31 @@ def passage(
 ):
     """Go through m parts, in place of pose (n, 12) and twist (n, 6).
 
-    scheme   : of an explicit method without error control, of a mechanism without stops and dry friction
+    A part in which stops or friction change is not begun: the status is EVENT.
+
+    scheme   : of an explicit method without error control
     times    : (m + 1,) s, the ends of the parts
     counts   : (m,) equal steps of each part
     places   : (m + 1,) row of the kept states for each time, -1: not kept
     wrenches : (m n, COLUMNS) external wrenches of each part, see forces/external.py
     wanted   : (m s, 2) wanted positions and velocities of the servos
     motions  : (m d, 7) motions of the driven joints
-    kept, angles_out : (poses (k n, 12), twists (k n, 6)) and unwrapped angles (k, a) of the kept states
+    kept, angles_out : (poses (k n, 12), twists (k n, 6), modes (k s, 5)) and unwrapped angles (k, a) of kept states
     returns (parts done, status), see `advance`
     """
     pose_now, twist_now, inputs = borrowed(pose_in), borrowed(twist_in), borrowed(external_in)
     n, servos, stages = len(pose_now), len(work.wanted), scheme.error.shape[1] - 1
-    driven = len(work.motions)
+    driven, watching = len(work.motions), watches(model, work)
     for k in range(len(counts)):
         if places[k] >= 0:
-            _keep(work, pose_now, twist_now, places[k], kept[0], kept[1], angles_out)
+            _keep(model, work, pose_now, twist_now, places[k], kept[0], kept[1], kept[2], angles_out)
         _copy_rows(wrenches, k * n, inputs)
         _copy_rows(wanted, k * servos, work.wanted)
         _copy_rows(motions, k * driven, work.motions)
+        keep_turns(work, work.start_angle, work.start_coordinates)
         pose, twist, external, status = enter(model, work, pose_now, twist_now, inputs)
+        if watching:
+            copy_state(pose, twist, work.start_pose, work.start_twist)
         size = (times[k + 1] - times[k]) / counts[k]
         for step in range(counts[k]):
             work.report[STEP_TURN] = work.report[ROUND_OFF] = 0.0
@@ -80,8 +88,13 @@ def passage(
             )
             if status == OK:
                 status = check_end(model, work, size)
+            if status == OK and watching and has_event(model, work, scheme, 0.0, size):
+                status = EVENT
             if status == OK and model.projects:
                 status = close(model, work, False)
+            if status == EVENT:
+                copy_state(work.start_pose, work.start_twist, pose, twist)
+                set_turns(work, work.start_angle, work.start_coordinates)
             if status != OK:
                 return k, status
             count_turns(model, work)
@@ -89,5 +102,5 @@ def passage(
         leave(model, work, pose, twist, pose_now, twist_now)
     last = len(counts)
     if places[last] >= 0:
-        _keep(work, pose_now, twist_now, places[last], kept[0], kept[1], angles_out)
+        _keep(model, work, pose_now, twist_now, places[last], kept[0], kept[1], kept[2], angles_out)
     return last, OK
