@@ -184,6 +184,8 @@ def _gone_on(fit, solution):
     for s in range(1, len(segments)):
         segment, rest = segments[s], solution.residuals[s]
         state = state_at(machine, segments[s - 1], states[s - 1], segment.start, point.halves)
+        if state is None:
+            continue
         try:
             outputs = machine.run(segment, state, halves=point.halves)
         except SimulationError:
@@ -273,7 +275,8 @@ def first_point(fit, bounds):
     """Point to begin with; steps are short enough for the noise."""
     runs = fit.runs
     delays = _rough_delays(fit, bounds, np.array([each.delay or 0.0 for each in runs.log.measured]))
-    return in_short_steps(fit, Point(bounds, delays, runs.numbers.values, first_states(runs, bounds, delays)))
+    values = np.clip(runs.numbers.values, *fit.limits.T)
+    return in_short_steps(fit, Point(bounds, delays, values, first_states(runs, bounds, delays, values)))
 
 
 def in_short_steps(fit, point, outputs=None):
@@ -309,8 +312,8 @@ def _rough_delays(fit, bounds, delays):
         """Mean square of what the best starts leave of the same measurements."""
         trial = delays + np.where(np.isin(np.arange(len(delays)), of), lag, 0.0)
         alike = len(of) == len(delays)
-        point = replace(common, delays=trial, states=common.states if alike else first_states(runs, few, trial))
         try:
+            point = replace(common, delays=trial, states=common.states if alike else first_states(runs, few, trial))
             left = fit.left(point, bases if alike else fit.bases(point))
         except SimulationError:
             return np.inf

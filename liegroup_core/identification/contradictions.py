@@ -2,9 +2,10 @@
 """What a model lacks: effects that would explain the residuals of a log, each with its size and share.
 
 An effect is a small change of the model: friction, a spring, rotor inertia or a constant effort at a joint, a scaled
-commanded effort, more mass of a body, an offset or a scale of a measurement, a late clock. Its column is the change of
-the weighted outputs along the fitted run. What starts and delays explain is projected out of residuals and columns, so
-that the sum of squares that an effect takes away is a score test. Effects are selected one after the other.
+commanded effort, more mass of a body, a force on one that floats, an offset or a scale of a measurement, a late clock.
+Its column is the change of the weighted outputs along the fitted run. What starts and delays explain is projected out
+of residuals and columns, so that the sum of squares that an effect takes away is a score test. Effects are selected one
+after the other.
 """
 
 from dataclasses import dataclass, replace
@@ -16,9 +17,11 @@ from liegroup_core.errors import SimulationError
 from liegroup_core.threads import one_blas_thread
 
 from .fit import without
+from .machine import floating
 from .starts import PARTS
 
 SMALL = 1e-3  # of the loads that occur: size of an effect in its run
+AXES = ("x", "y", "z")  # of the world
 MOST = 3  # effects that are named
 CLEAR = 25.0  # decrease of the sum of squares of a single effect above which it is not by chance: five deviations
 WORTH = 0.02  # share of the sum of squares that a further effect must explain
@@ -269,12 +272,15 @@ class Effects:
         parts[t][:, p] += values
         return self._fit.weighted(parts)
 
+    @property
+    def _weight(self):
+        """N, of all bodies; at least at 1 m/s^2."""
+        scene = self._machine.layout.scene
+        return sum(body.mass for body in scene.bodies) * max(float(np.linalg.norm(scene.gravity)), 1.0)
+
     def _loads(self):
         """[(joint, unit of its effort, small effort)] of joints with one coordinate that are not driven."""
-        layout = self._machine.layout
-        mass = sum(body.mass for body in layout.scene.bodies)
-        weight = mass * max(float(np.linalg.norm(layout.scene.gravity)), 1.0)
-        found = []
+        layout, weight, found = self._machine.layout, self._weight, []
         for joint in layout.unit_efforts:
             if joint not in layout.motions and joint in layout.coordinates.names:
                 turns = layout.coordinates.units.get(joint) == "rad"
@@ -300,6 +306,8 @@ class Effects:
                 found.append((f"scale of {given.name}", "1", "scale", k, SMALL))
         small = SMALL * sum(body.mass for body in scene.bodies)
         found += [(f"mass of {body.name}", "kg", "mass", body.name, small) for body in scene.bodies]
+        for body in floating(self._machine.layout):
+            found += [(f"force on {body} along {axis}", "N", axis, body, SMALL * self._weight) for axis in AXES]
         return found
 
 
@@ -338,6 +346,12 @@ class _Forced:
             a = np.diff(twist[:, 3:], axis=0) / steps[:, None] + np.cross(w, v)
             change = np.zeros_like(path.wrenches)
             change[:, body, 3:6] = np.array(machine.layout.scene.gravity) @ (0.5 * (turn[1:] + turn[:-1])) - a
+            return change
+        if kind in AXES:
+            body = list(machine.layout.body_names).index(of)
+            turn = path.poses[:, body, :9].reshape(-1, 3, 3)[:, AXES.index(kind)]
+            change = np.zeros_like(path.wrenches)
+            change[:, body, 3:6] = 0.5 * (turn[1:] + turn[:-1])
             return change
         if kind in PARTS:
             joint, low, high = of

@@ -18,6 +18,7 @@ import scipy
 from liegroup_core.errors import SceneError, SimulationError
 from liegroup_core.threads import one_blas_thread
 
+from .log import ENOUGH
 from .machine import Apart
 from .runs import CHANGE, LAG
 
@@ -28,6 +29,7 @@ SAME = 1e-7  # relative decrease of the sum of squares in the last step
 CLOSE = 0.01  # of the standard deviations: last step
 AS_TOLD = 0.1  # relative difference between decreases, expected and found, up to which columns serve again
 ROUND_OFF = 1e-12
+MOVES = 2.0  # spread of an output by its noise, from which on it shows a motion
 FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-7
 
 
@@ -41,7 +43,8 @@ class Solution:
     left       : (N,) weighted residuals without what changes of the starts explain
     columns    : (N, g) changes of the weighted outputs with the free delays, then the numbers by their scales, likewise
     bases      : [(N_s, c)] orthonormal directions of the weighted outputs that changes of each start give
-    growth     : largest change of an output, by its spread, with a start that changes by 1 rad or the mechanism's size
+    growth     : largest change of an output with a start that changes by 1 rad or the mechanism's size, by the spread
+                 of the output; of outputs that show a motion
     converged  : whether the last step was small
     linear     : [((N_s, c), (N_s, g))] changes of the weighted outputs with each start, and with delays and numbers
     deviation  : [(p,)] of the weights
@@ -153,10 +156,14 @@ class Fit:
             return point, None, np.inf, share, is_small
 
     def refine(self, solution):
-        """Estimate the noise again, from the residuals of a Solution, in which there is less motion."""
+        """Estimate the noise again, from the residuals of a Solution, in which there is less motion.
+
+        Residuals of a few values are small by chance: these keep the first estimate.
+        """
         for t, each in enumerate(self._log):
             own = each.noise_of([parts[t] for parts in solution.residuals])
-            self.deviation[t] = np.minimum(own, self.deviation[t])
+            is_less = (own < self.deviation[t]) & (np.isfinite(each.values).sum(axis=0) > ENOUGH)
+            self.deviation[t] = np.where(is_less, own, self.deviation[t])
 
     def columns(self, point):
         """[(N_s, c)] changes of the weighted outputs with starts, delays and numbers, for each segment."""
@@ -188,7 +195,7 @@ class Fit:
         left, others, bases, growth = [], [], [], 0.0
         spreads = [np.nanstd(each.values, axis=0) for each in self._log]
         parts = [
-            np.divide(sigma, spread, out=np.zeros_like(spread), where=spread > 0.0)
+            np.divide(sigma, spread, out=np.zeros_like(spread), where=spread > MOVES * sigma)
             for sigma, spread in zip(self.deviation, spreads)
         ]
         for r, one, (J_x, J_g) in zip(rest, residuals, columns):

@@ -19,6 +19,7 @@ LEAST = 1e-6  # of the spread of the values: no sensor is better
 APART = 1.0  # s between joined recordings
 LONG = 100.0  # s, before which joints move as at the first value: delays may move starts to there
 FINER, WIDER = 1.2, 8  # numbers of knots that are compared: ratio, and how far beyond the best one
+ENOUGH = 9  # third differences from which on their median is known to a third
 REPEATED = 0.05  # share of equal neighbours from which on values are rounded
 
 
@@ -234,15 +235,21 @@ def joined(logs):
 def _noise(values, parts):
     """Standard deviation of white noise on smooth signals, robust against outliers and jumps.
 
-    It is at least that of rounding to the smallest step of the values, if they repeat.
+    It is at least that of rounding to the smallest step of the values, if they repeat. Parts that are too short for
+    differences are all noise.
     """
     known = values[np.isfinite(values)]
     steps = np.abs(np.diff(known))
     rounding = steps[steps > 0.0].min(initial=np.inf) / np.sqrt(12.0)
     resolved = rounding if len(steps) and (steps == 0.0).mean() > REPEATED and np.isfinite(rounding) else 0.0
-    third = np.concatenate([np.diff(part[np.isfinite(part)], 3) for part in parts])
-    found = max(ROBUST * float(np.median(np.abs(third))) / THIRD if len(third) else 0.0, resolved)
-    return max(found, _least(known))
+    parts = [part[np.isfinite(part)] for part in parts]
+    third = np.concatenate([np.diff(part, 3) for part in parts])
+    if len(third) >= ENOUGH:
+        found = ROBUST * float(np.median(np.abs(third))) / THIRD
+    else:  # all of a signal may be noise
+        rest = np.concatenate(parts)
+        found = min(float(np.sqrt(np.mean(rest**2))), float(np.std(known))) if len(rest) else 0.0
+    return max(found, resolved, _least(known))
 
 
 def _least(values):

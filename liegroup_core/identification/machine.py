@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from liegroup_core.engine import METHOD, Engine
 from liegroup_core.errors import SceneError, SimulationError
 from liegroup_core.forces.instants import AFTER
-from liegroup_core.joints.motion import COLUMNS, at
+from liegroup_core.joints.motion import COLUMNS, at, row_at, uniform
 from liegroup_core.layout import make_layout
 from liegroup_core.linear.channels import Inputs, Outputs
 from liegroup_core.linear.coordinates import Coordinates, scales_of
@@ -31,6 +31,7 @@ from .log import MOTION
 NS = 1e9
 PRESCRIBED = {"driven": True, "motion": None, "limits": None, "friction": None}  # keys of a driven joint
 STEP = 1e-9  # s, of the engine: states at all times are at a step; parts of runs have steps of their own
+SHIFT = 1000.0  # s by which the engine is later than the log: delays move starts to before its first message
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +87,8 @@ def segments_of(machine, bounds, delays):
     log, found = machine.log, []
     shifted = [np.round((each.times - delay) * NS) / NS for each, delay in zip(log.measured, delays)]
     bounds = np.round((bounds - np.mean(delays)) * NS) / NS
+    if bounds.min() < -SHIFT:
+        raise SceneError(f"the delays make the log begin at {bounds.min():.6g} s: at least {-SHIFT:g} s are possible")
     changes = machine.changes(bounds.max())
     for first, last in bounds:
         rows = tuple(np.flatnonzero((times >= first) & (times < last)) for times in shifted)
@@ -113,7 +116,9 @@ def _segment(machine, first, rows, own, changes, more=()):
     times = stamps / NS
     inputs = np.array([each.over(times) for each in machine.log.inputs]).reshape(-1, len(times) - 1).T
     places = tuple(np.searchsorted(times, each - 0.5e-9) for each in own)
-    return Segment(first, times, inputs, rows, places, tuple(map(machine.engine.instant_of, stamps.tolist())))
+    return Segment(
+        first, times, inputs, rows, places, tuple(map(machine.engine.instant_of, (stamps + round(SHIFT * NS)).tolist()))
+    )
 
 
 def moved(machine, segment, start, lag):
@@ -149,11 +154,15 @@ class Machine:
         self.outputs = [Outputs(self.probe, each.channels, turns) for each in log.measured]
         self.turns, self._rubbing = self.outputs[0].turns, _friction(scene, log)
         self._changes = 0.0, np.zeros(0)
+        limited = [switch for switch in self.layout.switches if switch.limits is not None]
+        self._limits = {each.name: (each.limits.least, each.limits.largest) for each in limited}
+        names = self.layout.coordinates.names
+        self._rigid = [each.name for each in limited if each.limits.stiffness is None and each.name in names]
 
     def changes(self, end):
         """Times in s up to an end at which inputs of the scene change."""
         if end > self._changes[0]:
-            self._changes = 2.0 * end, _changes(self.engine, 2.0 * end)
+            self._changes = 2.0 * end, _changes(self.engine, 2.0 * end + SHIFT) - SHIFT
         return self._changes[1][self._changes[1] < end]
 
     @property
@@ -164,25 +173,41 @@ class Machine:
 
     def placed(self, joints):
         """State with {joint: (position, velocity)}, in stops where these are beyond them; the others as they are."""
-        engine = self.engine
-        limits = {switch.name: switch.limits for switch in self.layout.switches if switch.limits is not None}
-        for name in joints.keys() & limits.keys():
-            q, v = joints[name]
-            joints[name] = min(max(q, limits[name].least), limits[name].largest), v
-        engine.place(joints=joints)
+        self.engine.place(joints={name: self._between_stops(name, *pair) for name, pair in joints.items()})
         return self.present()
+
+    def _between_stops(self, name, q, v):
+        """Position and velocity of a joint; in its stop, without a velocity into it, if it is beyond."""
+        if name not in self._limits:
+            return q, v
+        least, largest = self._limits[name]
+        return min(max(q, least), largest), max(v, 0.0) if q < least else min(v, 0.0) if q > largest else v
+
+    def _go_between_stops(self):
+        """Move joints of the engine that are beyond rigid stops into them: measured starts have noise."""
+        if not self._rigid:
+            return
+        joints = self.engine.sample().joint_coordinates
+        found = {name: self._between_stops(name, *joints[name]) for name in self._rigid}
+        beyond = {name: pair for name, pair in found.items() if pair[0] != joints[name][0]}
+        if beyond:
+            self.engine.place(joints=beyond)
 
     def present(self):
         """State of the engine, such as where the last run ended."""
         sample = self.engine.sample()
         near = np.zeros(0) if sample.switching is None else sample.switching[:, 3].copy()
-        return State(*self.engine.state(), sample.angles.copy(), near, self.engine.time)
+        time = round((self.engine.time - SHIFT) * NS) / NS
+        return State(*self.engine.state(), sample.angles.copy(), near, time)
 
     def timed(self, state, time):
         """State at another time in s: driven joints are where they are then, the others as they are, if they can."""
         if state.time == time or not self.layout.motions:
             return replace(state, time=time)
-        wanted = {joint: at(row, time)[:2] for joint, row in zip(self.layout.motions, self.layout.motions_at(time))}
+        wanted = {
+            joint: at(row, time + SHIFT)[:2]
+            for joint, row in zip(self.layout.motions, self.layout.motions_at(time + SHIFT))
+        }
         if math.isnan(state.time):  # the start of the scene may be far away
             self._go(replace(state, time=0.0))
             try:
@@ -194,7 +219,7 @@ class Machine:
         for k, freedom in enumerate(self.layout.freedoms):
             if freedom.name in wanted:
                 y[k] = freedom.sign * np.subtract(wanted[freedom.name], before[freedom.name])
-        self.probe.go_to_time(time)
+        self.probe.go_to_time(time + SHIFT)
         _, pose, twist = self.probe.closed(y)
         return replace(state, pose=pose, twist=twist, angles=self.layout.angles(pose, state.angles), time=time)
 
@@ -216,7 +241,7 @@ class Machine:
 
     def _go(self, state):
         engine = self.engine
-        engine._start_at(state.pose.copy(), state.twist.copy(), round(state.time * NS), state.angles)
+        engine._start_at(state.pose.copy(), state.twist.copy(), round((state.time + SHIFT) * NS), state.angles)
         if len(state.near):
             engine._switching.expect(state.near)
 
@@ -255,6 +280,7 @@ class Machine:
     def path(self, segment, state, seen, extra=None, halves=0):
         """Path at chosen times of a Segment, from a state; seen : their numbers. Others as of `run`."""
         self._go(self.timed(state, segment.start))
+        self._go_between_stops()
         engine, work, base, count = self.engine, self.engine._work, self.engine.inputs.external, len(segment.inputs)
         wrenches = base + np.tensordot(segment.inputs, self._wrenches, 1)
         if extra is not None:
@@ -284,7 +310,8 @@ class Machine:
         """Run through the parts of a Segment, compiled from one change of stops or friction to the next; a status."""
         engine, work, times = self.engine, self.engine._work, segment.times
         n, m, s, d = len(engine._pose), len(counts), len(work.wanted), len(work.motions)
-        motions = self.layout.motions_along(times[:-1] + 0.5 * np.diff(times)).reshape(-1, COLUMNS)
+        motions = self.layout.motions_along(SHIFT + times[:-1] + 0.5 * np.diff(times)).reshape(-1, COLUMNS)
+        motions[:, 0] -= SHIFT  # compiled parts have the times of the log, which are more exact
         wrenches, targets = path.wrenches.reshape(m * n, -1), path.targets.reshape(-1, 2)
         kept = path.poses.reshape(-1, 12), path.twists.reshape(-1, 6), path.modes.reshape(-1, 5)
         state = engine._pose, engine._twist, engine.inputs.external
@@ -401,10 +428,20 @@ def directions(probe):
     return sizes, np.reshape(found, (len(found), probe.freedoms, 2))
 
 
+def floating(layout):
+    """Names of the bodies of a Layout that move freely in space."""
+    freedoms = {freedom.name for freedom in layout.freedoms}
+    return [body for body in layout.body_names if f"{body}.rx" in freedoms]
+
+
 def _driven(scene, drives):
-    """Layout of a scene whose joints move along the positions of [Given]. Raises SceneError."""
+    """Layout of a scene, SHIFT later, whose joints move along the positions of [Given]. Raises SceneError."""
+    timed = [force for force in scene.forces if getattr(force, "start", 0.0) or getattr(force, "end", None)]
+    if timed:
+        scene = scene.remade(forces=[_later(force) if force in timed else force for force in scene.forces])
     if not drives:
-        return make_layout(scene)
+        layout = make_layout(scene)
+        return layout.with_motions({name: _shifted(rows) for name, rows in layout.motions.items()})
     given = {each.name.removesuffix(MOTION): each for each in drives}
     if missing := given.keys() - {joint.name for joint in scene.joints if "driven" in type(joint).model_fields}:
         name = min(missing)
@@ -413,9 +450,21 @@ def _driven(scene, drives):
     layout = make_layout(scene.remade(joints=joints))
     turning = {name for name, unit in layout.coordinates.units.items() if unit == "rad"}
     # Kept by the log, for all scenes with other numbers.
-    return layout.with_motions(
-        {name: (each.unwrapped if name in turning else each).motion for name, each in given.items()}
-    )
+    own = {name: (each.unwrapped if name in turning else each).motion for name, each in given.items()}
+    return layout.with_motions({name: _shifted(rows) for name, rows in (layout.motions | own).items()})
+
+
+def _later(force):
+    """Force that begins and ends SHIFT later; one that acts from the start on acts before, too."""
+    start, end = force.start, force.end
+    return force.remade(start=start and start + SHIFT, end=None if end is None else end + SHIFT)
+
+
+def _shifted(rows):
+    """(m, 7) motion SHIFT later; before its first row it rests where it is at the start of the log."""
+    (present,), later = row_at(rows, np.zeros(1)), rows.copy()
+    later[:, 0] += SHIFT
+    return np.vstack([uniform(0.0, at(present, 0.0)[0], 0.0), later])
 
 
 def _friction(scene, log):

@@ -10,7 +10,7 @@ from liegroup_core.linear.channels import POSE, TWIST, Outputs
 from liegroup_core.linear.coordinates import Coordinates, scales_of
 
 from .fit import HIDDEN
-from .machine import Apart, directions, segments_of, up_to
+from .machine import Apart, directions, floating, segments_of, up_to
 from .runs import CHANGE as STEP
 
 PARTS = ("position", "velocity")
@@ -36,25 +36,39 @@ def first_states(runs, bounds, delays=None, values=None):
     delays = np.zeros(len(log.measured)) if delays is None else delays
     state, states, seen = machine.start, [], _seen(machine, log)
     for pair in bounds:
-        segments = segments_of(machine, pair[None], delays)
+        segments, k = segments_of(machine, pair[None], delays), len(states)
         if not segments:
             continue
         start, end = segments[0].start, pair[1] - np.mean(delays)
-        states.append(_nearest(machine, seen, _put(machine, log, state, start, delays), start, delays))
-        state = state_at(machine, segments[0], states[-1], end)
+        for guess in (_measured, _put, _gone_on):
+            states[k:] = [guess(machine, log, seen, state, start, delays)]
+            found = state_at(machine, segments[0], states[k], end)
+            if found is not None:
+                break
+        state = states[k] if found is None else found
     return tuple(states)
 
 
 def state_at(machine, segment, state, end, halves=0):
-    """State to which a Segment leads at a time in s after its measurements; where it starts if the run fails."""
+    """State to which a Segment leads at a time in s after its measurements; None if the run fails."""
     try:
         machine.run(up_to(machine, segment, end), state, halves=halves)
     except LieGroupSimError:
-        return state
+        return None
     return machine.present()
 
 
-def _put(machine, log, state, time, delays):
+def _measured(machine, log, seen, state, time, delays):
+    """State in which all that was measured is where it was at a time."""
+    return _nearest(machine, seen, _put(machine, log, seen, state, time, delays), time, delays)
+
+
+def _gone_on(machine, log, seen, state, time, delays):
+    """State where the run before ends."""
+    return machine.timed(state, time)
+
+
+def _put(machine, log, _, state, time, delays):
     """State in which measured independent joints are where they were at a time."""
     found, state = {}, machine.timed(state, time)
     for each, delay in zip(log.measured, delays):
@@ -85,7 +99,7 @@ def _guess(measured, joint, time):
     near.sort()
     if not len(near):
         return None
-    x, degree = measured.times[near] - time, min(DEGREE, len(near) - 1)
+    x, degree = measured.times[near] - _within(measured.times[near], time), min(DEGREE, len(near) - 1)
     powers, sigma = np.vander(x, degree + 1, increasing=True), noise[rows["position"]]
     left, right = [powers / sigma], [np.unwrap(q[near]) / sigma]
     if "velocity" in rows:
@@ -95,6 +109,12 @@ def _guess(measured, joint, time):
         right.append(v[usable] / sigma)
     fitted = np.linalg.lstsq(np.vstack(left), np.concatenate(right), rcond=None)[0]
     return float(fitted[0]), float(fitted[1]) if degree else 0.0
+
+
+def _within(times, time):
+    """Time for a polynomial through measurements at times (k,): not farther beyond them than their usual distance."""
+    usual = (times.max() - times.min()) / max(len(times) - 1, 1)
+    return float(np.clip(time, times.min() - usual, times.max() + usual))
 
 
 class _Seen:
@@ -117,7 +137,7 @@ class _Seen:
         near = known[np.argsort(np.abs(times[known] - time), kind="stable")[: NEIGHBOURS[1]]]
         if not len(near):
             return False
-        x, self._base = times[near] - time, values[near[:1]]
+        x, self._base = times[near] - _within(times[near], time), values[near[:1]]
         powers = np.vander(x, min(DEGREE, len(near) - 1) + 1, increasing=True)
         inverse = np.linalg.pinv(powers)
         found = inverse @ self._apart(values[near], np.repeat(self._base, len(near), axis=0))
@@ -247,7 +267,7 @@ def _solved(rows, right):
 class Start:
     """Start of a segment.
 
-    time   : s, of the stamps of the measurements
+    time   : s, of the clock of the inputs
     names  : of outputs: joints, and bodies that float
     values, deviations : (k,) SI units, and standard deviations, inf: the segment does not show it
     """
@@ -261,12 +281,13 @@ class Start:
 def starts_of(fit, solution, chi):
     """[Start] of the segments of a Solution, whose covariance is multiplied by chi.
 
-    With J of a start and G of delays and numbers, both of weighted outputs, x = J^+ (r - G g).
+    With J of a start and G of delays and numbers, both of weighted outputs, x = J^+ (r - G g). A start moves along the
+    run with the mean of the delays.
     """
     runs, point = fit.runs, solution.point
     machine = runs.machine(point.values)
     outputs = Outputs(machine.probe, _reported(machine), machine.turns)
-    apart, found, late = Apart(outputs), [], float(np.mean(point.delays))
+    apart, found, free = Apart(outputs), [], int(fit.free.sum())
     shared = np.nan_to_num(solution.covariance, posinf=0.0)
     unknown = ~np.isfinite(np.diag(solution.covariance))
     for segment, (_, state, _, beside), (J, G) in zip(runs.segments(point), runs.starts(point), solution.linear):
@@ -276,17 +297,25 @@ def starts_of(fit, solution, chi):
         U, singular, V = np.linalg.svd(J, full_matrices=False)
         seen = singular > HIDDEN * singular.max(initial=0.0)
         own = D @ V[seen].T / singular[seen]
-        of_shared = own @ U[:, seen].T @ G
+        of_shared = -own @ U[:, seen].T @ G
+        of_shared[:, :free] += (_rates(machine, outputs, apart, segment, state) / len(fit.free))[:, None]
         variances = np.sum(own**2, axis=1) + np.einsum("ki,ij,kj->k", of_shared, shared, of_shared)
         off = np.abs(D - D @ V[seen].T @ V[seen]).max(axis=1, initial=0.0) > HIDDEN
         off |= (np.abs(of_shared[:, unknown]) > HIDDEN).any(axis=1)
         deviations = np.where(off, np.inf, np.sqrt(chi * variances))
-        found.append(Start(segment.start + late, tuple(outputs.names), values, deviations))
+        found.append(Start(segment.start, tuple(outputs.names), values, deviations))
     return found
+
+
+def _rates(machine, outputs, apart, segment, state):
+    """(k,) rates of outputs at the start of a Segment; zero without a part that shows them."""
+    if len(segment.times) < 2:
+        return np.zeros(len(outputs))
+    path = machine.path(segment, state, np.array([0, 1]))
+    first, second = outputs.of_path(path, np.array([0, 1]))
+    return apart(second[None], first[None])[0] / (segment.times[1] - segment.times[0])
 
 
 def _reported(machine):
     """Names of outputs that make a state."""
-    freedoms = {freedom.name for freedom in machine.layout.freedoms}
-    floating = [body for body in machine.layout.body_names if f"{body}.rx" in freedoms]
-    return ["joints", *(f"{body}.{part}" for body in floating for part in (*POSE, *TWIST))]
+    return ["joints", *(f"{body}.{part}" for body in floating(machine.layout) for part in (*POSE, *TWIST))]

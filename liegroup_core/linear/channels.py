@@ -139,7 +139,7 @@ class Outputs:
         }
         self.names = _expanded(["joints"] if wanted is None else wanted, kinds, "output")
         chosen = set(self.names)
-        self._kinds = [kind for kind, names in kinds.items() if chosen & set(names)]
+        self._kinds = {kind: len(names) for kind, names in kinds.items() if chosen & set(names)}
         order = [name for kind in self._kinds for name in kinds[kind]]
         self._places = [order.index(name) for name in self.names]
         self.turns = probe.base.pose[:, :9].reshape(-1, 3, 3) if turns is None else turns
@@ -197,7 +197,7 @@ class Outputs:
             of_arrays[kind]() if kind in of_arrays else np.array([getattr(self, f"_{kind}")(each) for each in samples])
             for kind in self._kinds
         ]
-        found = [part.reshape(len(rows), -1) for part in parts]
+        found = [part.reshape(len(rows), count) for part, count in zip(parts, self._kinds.values())]
         return np.hstack(found)[:, self._places] if found else np.empty((len(rows), 0))
 
     def of(self, sample):

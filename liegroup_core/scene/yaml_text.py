@@ -107,7 +107,7 @@ class _Refused(Exception):
         self.line = line
 
 
-def read_yaml(text, source):
+def read_yaml(text, source, what="a scene", keys=tuple(Scene.model_fields)):
     """Root entry of a YAML text, or SceneError."""
     odd = _NOT_YAML.search(text)
     if odd:
@@ -126,7 +126,7 @@ def read_yaml(text, source):
             "(blanks, no tabs), colons and brackets up to here"
         ) from None
     if root is None or root.value is None:
-        raise SceneError(f"{source}:1: is empty: a scene has the keys {', '.join(Scene.model_fields)}")
+        raise SceneError(f"{source}:1: is empty: {what} has the keys {', '.join(keys)}")
     return root
 
 

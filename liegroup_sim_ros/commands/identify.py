@@ -20,6 +20,7 @@ from liegroup_sim_ros.logs.map import load_map
 from liegroup_sim_ros.numbers import shown
 from liegroup_sim_ros.recording.errors import OutputError
 from liegroup_sim_ros.recording.write_tables import close_new, new_file
+from liegroup_sim_ros.report.compare_page import NUMBER_HEAD, number_remarks, number_rows
 
 from .compare import LogError, add_log, check_log, log_of, show
 from .robot_options import robot_scene
@@ -27,7 +28,6 @@ from .states import refuse_repeated, stopped
 
 USUAL_NOISE = 1e-3  # rad or m, of measured positions without a map
 MOST_SECONDS = 60.0  # of a motion that is planned
-HEAD = ("number", "in the scene", "found", "95 % interval")
 
 
 def add_arguments(parser):
@@ -87,9 +87,10 @@ def run(args):
         return stopped(error)
     if args.out is not None:
         _write(args.out, found, ", ".join(args.bag))
+    figures = _figures(found)
     if args.json != "-":
-        _print(found, Console(file=sys.stdout))
-    show(found.comparison, args, found.scene, _figures(found))
+        _print(figures, Console(file=sys.stdout))
+    show(found.comparison, args, found.scene, figures)
     return 0
 
 
@@ -200,22 +201,15 @@ def _figures(found):
     }
 
 
-def _print(found, console):
+def _print(figures, console):
     table = Table(box=None, padding=(0, 2, 0, 0))
-    for name in HEAD:
-        table.add_column(name)
-    for path, before, value, (low, high) in zip(found.paths, found.before, found.values, found.intervals):
-        interval = f"{low:.6g} to {high:.6g}" if math.isfinite(low) else "the bag does not show it"
-        table.add_row(Text(path), f"{before:.6g}", f"{value:.6g}", interval)
+    for name in NUMBER_HEAD:
+        table.add_column(name, overflow="fold")
+    for row in number_rows(figures["numbers"]):
+        table.add_row(*map(Text, row))
     console.print(table)
-    for one in found.unknown:
-        parts = " ".join(f"{weight:+.2g} {path}" for path, weight in one.items())
-        console.print(Text(f"the bag does not show this combination of relative changes: {parts}", style="yellow"))
-    if found.held_out is not None:
-        before, after = found.held_out
-        console.print(
-            Text(f"segments left out: rms of residuals {shown(before)} of the noise before, {shown(after)} after")
-        )
+    for text in number_remarks(figures):
+        console.print(Text(text, style="yellow"))
 
 
 def _write(path, found, bag):

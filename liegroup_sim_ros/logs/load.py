@@ -119,7 +119,7 @@ def load_log(bag, given, scene, turns):
                 continue
             values = found[topic].values[times[topic][1], of[id(entry)]]
             own = channels_of(entry.output, scene)
-            columns.append(_values(entry, values, turns))
+            columns.append(_values(entry, values, turns, {sensor.name: sensor for sensor in scene.sensors}))
             names += own
             noise += [np.nan if entry.noise is None else entry.noise] * len(own)
         for name in names:
@@ -150,15 +150,30 @@ def _parts(times, hold):
     return (0, *(np.flatnonzero(steps > GAP * np.median(steps)) + 1).tolist())
 
 
-def _values(entry, values, turns):
-    """(k, p) of a map's entry in SI units, with rotation vectors for quaternions of poses."""
+def _is_rotation(quaternion):
+    """(k,) whether rows (k, 4) are quaternions of rotations."""
+    with np.errstate(invalid="ignore"):
+        return np.linalg.norm(quaternion, axis=1) > 0.5
+
+
+def _values(entry, values, turns, sensors):
+    """(k, p) of a map's entry in SI units, with rotation vectors for quaternions of poses.
+
+    Quaternions that are no rotation are unknown ones; encoders round down, so that half a step is added.
+    """
     name, _, part = entry.output.partition(".")
+    sensor = sensors.get(name)
     if part != "pose":
-        return values * entry.factor + entry.offset
+        values = values * entry.factor + entry.offset
+        if sensor is not None and sensor.type == "imu" and not part:
+            values[~_is_rotation(values[:, :4]), :4] = np.nan
+        if sensor is not None and sensor.type == "encoder":
+            values += 0.5 * (sensor.resolution or 0.0)
+        return values
     if name not in turns:
         raise SceneError(f"{entry.output}: the scene has no body {name}")
     position, quaternion = values[:, :3] * entry.factor, values[:, 3:]
-    usable = np.isfinite(quaternion).all(axis=1) & (np.linalg.norm(quaternion, axis=1) > 0.5)
+    usable = _is_rotation(quaternion)
     rotation = Rotation.identity(len(values))
     if usable.any():
         filled = np.where(usable[:, None], quaternion, [0.0, 0.0, 0.0, 1.0])

@@ -24,11 +24,14 @@ from liegroup_core.identification.log import HOLDS, MOTION, PREVIOUS, SPLINE
 from liegroup_core.scene.yaml_text import Lines, read_yaml
 
 LARGEST_FILE = 2**20  # bytes
+LEAST_NOISE = 1e-12
 UNITS = {"deg": np.pi / 180.0, "deg/s": np.pi / 180.0, "rpm": np.pi / 30.0, "mm": 1e-3, "cm": 1e-2, "g": 9.80665}
 
 
 class Value(Described):
-    """Where a value is: topic, field and unit."""
+    """Where a value is: topic, field and unit; a subclass has `noise`."""
+
+    noise: Positive | None = None
 
     topic: Text = Described_Field(description="name of the topic")
     field: str = Described_Field("", description="path in the message, such as position[elbow]")
@@ -37,6 +40,14 @@ class Value(Described):
         None, description="unit of the field; default: SI"
     )
     offset: Number = Described_Field(0.0, description="added after the scale, SI units: the zero of a joint")
+
+    @model_validator(mode="after")
+    def _check_scale(self):
+        if self.scale == 0.0:
+            raise SceneError("a scale of 0 leaves nothing of the values", place=("scale",))
+        if self.noise is not None and self.noise < LEAST_NOISE:
+            raise SceneError(f"noise below {LEAST_NOISE:g} is round-off, got {self.noise:g}", place=("noise",))
+        return self
 
     @property
     def factor(self):
@@ -80,6 +91,12 @@ class MeasurementEntry(Value):
     noise: Positive | None = Described_Field(None, description="standard deviation, SI units; default: estimated")
     world: Frame | None = Described_Field(None, description="frame of the measured poses in the world of the scene")
 
+    @model_validator(mode="after")
+    def _check_world(self):
+        if self.world is not None and not self.output.endswith(".pose"):
+            raise SceneError(f"{self.output} is no pose: remove world", place=("world",))
+        return self
+
 
 class Clock(Described):
     """Clock of a topic."""
@@ -99,6 +116,10 @@ class Map(Described):
     def _check(self):
         if not self.measurements:
             raise SceneError("measurements must have at least one entry", place=("measurements",))
+        known = {entry.topic for entry in self.measurements}
+        for k, clock in enumerate(self.clocks):
+            if clock.topic not in known:
+                raise SceneError(f"{clock.topic} has no measurements: remove its clock", place=("clocks", k))
         for kind, key in (("inputs", "input"), ("measurements", "output"), ("clocks", "topic")):
             seen = set()
             for k, entry in enumerate(getattr(self, kind)):
@@ -122,7 +143,7 @@ def load_map(path):
         raise SceneError(f"{path}: is not UTF-8 text: give a map (.yaml)") from None
     if len(content) > LARGEST_FILE:
         raise SceneError(f"{path}: is larger than 1 MiB: give a map (.yaml)")
-    root = read_yaml(text, str(path))
+    root = read_yaml(text, str(path), "a map", Map.model_fields)
     try:
         if not isinstance(root.value, dict):
             raise SceneError(f"a map must be a mapping with the keys {', '.join(Map.model_fields)}")

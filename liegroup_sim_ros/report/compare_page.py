@@ -15,7 +15,8 @@ from .plots import COLOURS, joined, line, plane
 
 CHANNEL_HEAD = ("output", "measurements", "noise", "rms", "rms / noise", "largest", "white")
 EFFECT_HEAD = ("effect", "size", "explains")
-START_HEAD = ("start", "value", "standard deviation", "largest of all segments")
+NUMBER_HEAD = ("number", "in the scene", "found", "95 % interval")
+START_HEAD = ("start", "value", "deviation", "largest deviation")
 EFFECTS_TITLE = "Effects that would explain them, one after the other"
 MOST_PLOTS, MOST_EFFECTS, MOST_MISSING = 12, 8, 2
 BAND = 2.0  # deviations of the noise
@@ -70,7 +71,29 @@ def start_rows(result):
         own, most = (
             "not shown by the log" if None in some else shown(max(some)) for some in (deviations[:1], deviations)
         )
-        found.append((each["name"], shown(each["value"]), own, most))
+        found.append((each["name"], f"{each['value']:.7g}", own, most))
+    return found
+
+
+def number_rows(numbers):
+    """Rows of NUMBER_HEAD, of an identification."""
+    found = []
+    for each in numbers:
+        low, high = each["interval"] or (np.nan, np.nan)
+        interval = "the bag does not show it" if each["interval"] is None else f"{low:.6g} to {high:.6g}"
+        found.append((each["name"], f"{each['before']:.6g}", f"{each['value']:.6g}", interval))
+    return found
+
+
+def number_remarks(result):
+    """Sentences on what the log does not show, and on segments that were left out."""
+    found = []
+    for one in result["unknown"]:
+        parts = " ".join(f"{weight:+.2g} {path}" for path, weight in one.items())
+        found.append(f"the bag does not show this combination of relative changes: {parts}")
+    if result["held_out"] is not None:
+        before, after = map(shown, result["held_out"])
+        found.append(f"segments left out: rms of residuals {before} of the noise before, {after} after")
     return found
 
 
@@ -139,16 +162,22 @@ def make_page(comparison, result):
     plots = [_missing_plot(each) for each in comparison.missing[:MOST_MISSING]] + _plots(comparison)
     state = "good" if result["agrees"] else "warn"
     sign = "✓ agrees" if result["agrees"] else "! contradiction"
+    found = ""
+    if "numbers" in result:
+        remarks = "".join(f'<p class="soft">{unbroken(text)}</p>' for text in number_remarks(result))
+        rows = table("Numbers", NUMBER_HEAD, number_rows(result["numbers"]))
+        found = f'<div class="cards">{rows}</div>{remarks}'
     body = (
         f"<header><h1>{escape(result['scene'])} against {escape(result['log'])}</h1>"
         f'<span class="state {state}">{sign}</span></header>'
         f'<p class="verdict">{unbroken(result["verdict"])}</p>'
+        + found
         + '<div class="cards">'
         + table("Residuals", CHANNEL_HEAD, channel_rows(result))
         + '</div><div class="cards">'
         + (table(EFFECTS_TITLE, EFFECT_HEAD, effect_rows(result["effects"])) if result["effects"] else "")
         + table("Effects, each alone", EFFECT_HEAD, effect_rows(result["alone"][:MOST_EFFECTS]))
-        + table(f"Start at {result['starts'][0]['time']:.6g} s", START_HEAD, start_rows(result))
+        + table(f"Start at {round(result['starts'][0]['time'], 6):g} s", START_HEAD, start_rows(result))
         + "</div>"
         + "".join(f'<p class="soft">{unbroken(text)}</p>' for text in _remarks(result))
         + '<div class="cards" data-part="0">'

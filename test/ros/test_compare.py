@@ -64,6 +64,8 @@ def test_compare_names_the_rod_and_identify_finds_it(folder, capsys):
     arguments = ["identify", *map(str, common), "--vary", "rod.shape.mass=0.05:0.5", "--out", str(out), "--json", "-"]
     assert main(arguments) == 0
     (number,) = json.loads(capsys.readouterr().out)["numbers"]
+    assert main([*arguments[:-4], "--html", str(folder / "found.html")]) == 0
+    assert "bodies.rod.shape.mass" in (folder / "found.html").read_text() and "0.165" in capsys.readouterr().out
     assert number["interval"][0] - 0.001 < 0.165 < number["interval"][1] + 0.001
     assert number["interval"][1] - number["interval"][0] < 0.002
     again = [*arguments[:2], str(folder / "sqlite"), *arguments[2:-4], *arguments[-2:]]  # the same bag, once more
@@ -109,6 +111,35 @@ def test_a_stamp_of_zero_is_a_time_of_clocks_that_begin_there(first, kept, tmp_p
     with open_bag(tmp_path / "bag") as bag:
         (measured,) = load_log(bag, given, machine("furuta"), {}).measured
     assert measured.times.tolist() == [0.0, 0.01, 0.02][:kept] and len(measured.values) == kept
+
+
+def test_sensors_of_the_scene_are_read_as_they_measure(tmp_path):
+    """Quaternions of zeros are unknown orientations; encoders round down by half a step in the mean."""
+    joints = "[{name: turn, type: revolute, parent: world, child: box, parent_frame: {axis: [0, 0, 1]}}]"
+    encoder = "{name: encoder, type: encoder, joint: turn, resolution: 0.1}"
+    scene = scene_from_text(
+        "name: s\ngravity: [0, 0, 0]\nbodies: [{name: box, mass: 1, inertia: [1, 1, 1]}]\n"
+        f"joints: {joints}\nsensors: [{encoder}, {{name: imu, type: imu, body: box}}]\n"
+    )
+    vector, none = TYPES["geometry_msgs/msg/Vector3"], np.zeros(0)
+    imu, turn = [], []
+    for k, w in enumerate((1.0, 0.0)):
+        ns = START_NS + 10_000_000 * k
+        quaternion, zeros = TYPES["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, w), np.zeros(9)
+        parts = quaternion, zeros, vector(0.0, 0.0, 1.0), zeros, vector(0.0, 0.0, 0.0), zeros
+        imu.append((ns, TYPES["sensor_msgs/msg/Imu"](header(ns, "imu"), *parts)))
+        turn.append((ns, TYPES["sensor_msgs/msg/JointState"](header(ns), ["turn"], np.full(1, 0.1 * k), none, none)))
+    write_bag(tmp_path / "bag", {"/imu": ("sensor_msgs/msg/Imu", imu), "/turn": ("sensor_msgs/msg/JointState", turn)})
+    given = Map(
+        measurements=[
+            {"output": "imu", "topic": "/imu"},
+            {"output": "encoder", "topic": "/turn", "field": "position[turn]"},
+        ]
+    )
+    with open_bag(tmp_path / "bag") as bag:
+        found, turned = load_log(bag, given, scene, {}).measured
+    assert np.isfinite(found.values).sum(axis=1).tolist() == [10, 6] and np.isnan(found.values[1, :4]).all()
+    assert turned.values[:, 0] == pytest.approx([0.05, 0.15])
 
 
 BODY = """
@@ -225,6 +256,13 @@ def test_notes_tell_of_lost_doubled_and_disordered_messages(tmp_path):
         ("{output: motor.position, topic: /joint_states, field: 'a[', noise: 1}", "give names with dots and brackets"),
         ("{output: motor.position, topic: /joint_states, field: 'position[motor]', noise: -1}", "map.yaml:2: "),
         ("{output: motor.position, topic: /joint_states, feld: a}", 'did you mean "field"'),
+        ("{output: motor.position, topic: /joint_states, field: 'position[motor]', scale: 0}", "leaves nothing"),
+        ("{output: motor.position, topic: /joint_states, field: 'position[motor]', noise: 1e-300}", "is round-off"),
+        ("{output: motor.position, topic: /joint_states, field: 'position[motor]', world: {}}", "is no pose"),
+        (
+            "{output: motor.position, topic: /joint_states, field: 'position[motor]'}\nclocks: [{topic: /a, delay: 0}]",
+            "/a has no measurements",
+        ),
         ("{output: box.pose, topic: /joint_states, field: pose}", "no message on /joint_states"),
         ("{input: motor.motion, topic: /joint_states, field: 'position[motor]', hold: linear}", "remove hold"),
         ("{input: motor.effort, topic: /joint_states, field: 'effort[motor]', noise: 1}", "needs hold: spline"),

@@ -242,6 +242,67 @@ def test_starts_are_found_far_from_those_of_the_model(name):
     assert hidden == ({"wrist"} if name == "unknown wrist" else set())
 
 
+def test_a_start_is_that_of_its_time():
+    """With a late clock whose delay is estimated: at the time of the inputs, within four standard deviations."""
+    scene = machine("furuta")
+    for seed in range(3):
+        log = log_of(scene, "furuta", seed, seconds=0.8, rate=125.0)
+        start, simulation = compare(scene, log, workers=1).starts[0], Simulation(scene, quiet=True, accuracy=1e-8)
+        (given,) = log.inputs
+        for time, effort in zip(given.times.tolist(), given.values.tolist()):
+            simulation.apply_effort("motor", effort, start=time)
+        (state,) = simulation.samples([start.time])
+        off = start.values - np.array(list(state.joint_coordinates.values())).ravel()
+        assert (np.abs(np.angle(np.exp(1j * off))) < 4.0 * start.deviations).all()
+
+
+def test_a_force_that_a_free_body_lacks_is_named():
+    """Gravity is weaker by half a percent; along y nothing moves, which is no reason for short segments."""
+    true = BOX.replace("-9.81", "-9.76").replace("inertia:", "linear_velocity: [0.5, 0, 4], inertia:")
+    log = seen_log_of(scene_from_text(true), scene_from_text(BOX), {"box": 1e-3}, 1, seconds=3.0)
+    found = compare(scene_from_text(BOX), log, workers=1)
+    assert len(found.solution.point.states) <= 2 and not found.agrees
+    named = [each for each in found.alone if each.text == "force on box along z"]
+    assert found.effects[0].share < 1.02 * named[0].share
+    assert abs(named[0].value - 2.0 * 0.05) < 4.0 * named[0].deviation < 0.02
+
+
+@pytest.mark.parametrize("kept", ["rare", "late", "with a gap", "four"])
+def test_a_second_clock_may_be_silent(kept):
+    """A pendulum whose velocity has few messages: segments without one have rows of the other."""
+    scene, rng = machine("furuta"), np.random.default_rng(4)
+    times, simulation = np.arange(0.01, 3.0, 0.01), Simulation(scene, quiet=True, accuracy=1e-8)
+    simulation.place(joints={"motor": (0.0, 0.0), "hinge": (1.1, 0.5)})
+    rows = np.array([list(each.joint_coordinates.values()) for each in simulation.samples(times)])
+    chosen = {
+        "rare": np.arange(len(times)) % 50 == 0,
+        "late": times > 2.2,
+        "with a gap": (times < 0.4) | (times > 2.3),
+        "four": np.isin(np.arange(len(times)), [20, 90, 170, 260]),
+    }[kept]
+    q = rows[:, :, 0] + 5e-4 * rng.standard_normal((len(times), 2))
+    v = rows[chosen, 1:, 1] + 5e-3 * rng.standard_normal((chosen.sum(), 1))
+    joints = Measured("/joints", times, ("motor.position", "hinge.position"), q, np.full(2, np.nan), 0.0)
+    rates = Measured("/rates", times[chosen] + 0.003, ("hinge.velocity",), v, np.full(1, np.nan))
+    found = compare(scene, Log((), (joints, rates)), length=0.5, workers=1)
+    assert found.agrees, found.verdict
+
+
+def test_a_log_may_begin_before_its_first_message():
+    """The clock is late, so that the start is before the first stamp; a push of the scene begins at its time."""
+    text = "forces: [{name: push, type: applied_wrench, body: rod, force: [0, 0.3, 0], start: 0.1, end: 0.15}]\n"
+    scene, rng = scene_from_text(machine("furuta").text + text), np.random.default_rng(5)
+    at, simulation = np.arange(0.0, 0.8, 0.01), Simulation(scene, quiet=True, accuracy=1e-8)
+    rows = [np.array(list(each.joint_coordinates.values()))[:, 0] for each in simulation.samples(at)]
+    values = np.array(rows) + 5e-4 * rng.standard_normal((len(at), 2))
+    measured = Measured("/late", at + 0.004, ("motor.position", "hinge.position"), values, np.full(2, 5e-4), 0.008)
+    found = compare(scene, Log((), (measured,)), workers=1)
+    assert not found.agrees  # 4 ms too much
+    right = compare(scene, Log((), (replace(measured, delay=0.004),)), workers=1)
+    assert right.agrees and right.starts[0].time == pytest.approx(0.0, abs=1e-9)
+    assert found.starts[0].time == pytest.approx(-0.004, abs=1e-9)
+
+
 HELD = [
     {"motor": "friction: {coulomb: 0.08, viscous: 0.001}", "hinge": "friction: {coulomb: 0.004}"},
     {"motor": "friction: {coulomb: 0.02}", "hinge": "limits: {lower: -0.1, upper: 0.1, restitution: 0.6}"},
@@ -265,6 +326,35 @@ def test_stops_and_friction_act_inside_segments(keys):
     assert events > 2
     lacking = compare(machine("furuta", **keys), log, workers=1)
     assert not lacking.agrees
+
+
+SLIDER = """
+name: pushed
+gravity: [0, 0, 0]
+bodies: [{name: box, mass: 1, inertia: [0.01, 0.01, 0.01]}]
+joints:
+  - {name: rail, type: prismatic, parent: world, child: box, parent_frame: {axis: [1, 0, 0]},
+     limits: {lower: -0.1, upper: 0.1, restitution: 0.3}, friction: {coulomb: 1}}
+"""
+
+
+@pytest.mark.parametrize("length", [0.25, 2.0])
+def test_segments_may_start_in_rigid_stops(length):
+    """The box is pushed against either stop for half a second: noise moves measured starts to beyond it."""
+    scene, rng = scene_from_text(SLIDER), np.random.default_rng(6)
+    simulation, at = Simulation(scene, quiet=True, accuracy=1e-8), np.arange(0.0, 2.0, 0.5)
+    given = Given("rail.effort", at, np.array([8.0, -8.0, 8.0, -8.0]))
+    for time, effort in zip(at.tolist(), given.values.tolist()):
+        simulation.apply_effort("rail", effort, start=time)
+    times = np.arange(0.005, 2.0, 0.005)
+    rows = np.array([each.joint_coordinates["rail"][0] for each in simulation.samples(times)])
+    assert (rows > 0.1 - 1e-6).any() and (rows < -0.1 + 1e-6).any()
+    values = (rows + 2e-4 * rng.standard_normal(len(rows)))[:, None]
+    log = Log((given,), (Measured("/rail", times, ("rail.position",), values, np.full(1, np.nan), 0.0),))
+    found = compare(scene, log, length=length, workers=1)
+    assert found.agrees, found.verdict
+    fitted = identify(scene, log, ["rail.friction.coulomb"], length=length, workers=1)
+    assert abs(fitted.values[0] - 1.0) < 4.0 * fitted.deviations[0] < 0.1
 
 
 def test_segments_go_on_from_those_before():
