@@ -7,11 +7,12 @@ from functools import cached_property
 import numpy as np
 
 from liegroup_core.errors import SceneError, SimulationError
+from liegroup_core.linear.coordinates import Coordinates
 
 from .contradictions import Effect, Effects, Missing, channel_fits
 from .fit import Fit, Solution
 from .runs import Point, Runs
-from .starts import first_states, starts_of, state_at
+from .starts import first_states, has_others, starts_of, state_at
 
 LENGTH = 2.0  # s, of a segment
 PARTS = (16, 4, 1)  # of the length: segments with which fits begin, as short ones need no good start
@@ -28,7 +29,7 @@ MUCH_PARTED = 1e5  # expected growth with which longer segments are not tried
 LONGEST = 0.01  # s, first longest step; it is halved until the errors are a small part of the noise
 PART = 0.1  # of the noise: largest error of the integration
 MOST_HALVES = 8
-RANGE, LAGS = 1.0, 41  # s, and number of delays that are tried in it
+RANGE, PART_OF_LOG, LAGS = 1.0, 0.5, 41  # s, and of a recording: delays up to these are tried; their number
 NEAR = 100.0  # mean square: residuals of ten deviations are no question of single clocks
 CLEARLY = 0.25  # of the mean square without a delay
 FEW = 1.0  # s of the log in which they are tried, at least
@@ -78,6 +79,19 @@ class Comparison:
             k += bool(free)
         return found
 
+    @property
+    def guessed(self):
+        """Names of independent coordinates that were not measured: a fit may find wrong starts of theirs."""
+        runs = self.fit.runs
+        if has_others(runs.log):
+            return []
+        known = [name.removesuffix(".position") for each in runs.log.measured for name in each.channels]
+        machine = runs.machine(self.solution.point.values)
+        machine.at(self.solution.point.states[0])
+        names = [freedom.name for freedom in machine.layout.freedoms]
+        found = Coordinates(machine.probe, preferred=[name for name in known if name in names])
+        return [name for name in found.names if name not in known and name not in machine.layout.motions]
+
     @cached_property
     def starts(self):
         """[Start] of the segments."""
@@ -96,7 +110,8 @@ class Comparison:
         worst, solution = self.worst, self.solution
         if self.agrees:
             return "The measurements agree with the model: what is left is noise."
-        text = f"{worst.name} is {worst.chi:.3g} times its noise off (rms {worst.rms:.3g})."
+        text = "" if solution.converged else "The fit of the starts did not converge. "
+        text += f"{worst.name} is {worst.chi:.3g} times its noise off (rms {worst.rms:.3g})."
         if not self.effects:
             return text + " No single effect explains it."
         first = self.effects[0]
@@ -106,8 +121,7 @@ class Comparison:
         if others:
             text += f"; so would {others[0].text}, {_sized(others[0])}, for {100.0 * others[0].share:.3g} %"
         more = self.effects[1:]
-        text += f"; after it {', '.join(f'{each.text} ({_sized(each)})' for each in more)}." if more else "."
-        return text if solution.converged else text + " The fit of the starts did not converge."
+        return text + (f"; after it {', '.join(f'{each.text} ({_sized(each)})' for each in more)}." if more else ".")
 
 
 def _sized(effect):
@@ -237,10 +251,10 @@ def excess(fit, solution):
     found = 0.0
     for t, (each, sigma) in enumerate(zip(fit.runs.log.measured, fit.deviation)):
         rest = np.concatenate([part[t] for part in solution.residuals])
-        with np.errstate(invalid="ignore", divide="ignore"):
-            noise = sigma**2 * (1.0 + BY_CHANCE / np.sqrt(np.isfinite(rest).sum(axis=0)))
-            beyond = np.sqrt(np.maximum(np.nanmean(rest**2, axis=0) - noise, 0.0))
-            found = max(found, np.nan_to_num(beyond / np.nanstd(each.values, axis=0)).max(initial=0.0))
+        counts = np.maximum(np.isfinite(rest).sum(axis=0), 1)
+        noise = sigma**2 * (1.0 + BY_CHANCE / np.sqrt(counts))
+        beyond = np.sqrt(np.maximum(np.nansum(rest**2, axis=0) / counts - noise, 0.0))
+        found = max(found, (beyond / np.maximum(each.spread, each.least)).max(initial=0.0))
     return found
 
 
@@ -257,6 +271,7 @@ def begin(scene, log, names=(), length=LENGTH, workers=None, limits=None, priors
     """(Fit, [bounds of segments of growing length]); arguments as of `fitted`."""
     if not (np.isfinite(length) and length > 0.0):
         raise SceneError(f"the length of segments must be a positive number of seconds, got {length}")
+    log = log.usable
     runs = Runs(scene, log, names, LONGEST)
     free = [each.delay is None for each in log.measured]
     fit = Fit(runs, [each.noise for each in log.measured], free, limits, priors, workers)
@@ -320,7 +335,8 @@ def _rough_delays(fit, bounds, delays):
         return float(left @ left) / max(np.count_nonzero(left), 1)
 
     def best(of):
-        grid = np.linspace(-RANGE, RANGE, LAGS)
+        span = min(last - first for first, last in runs.log.spans)
+        grid = min(RANGE, PART_OF_LOG * span) * np.linspace(-1.0, 1.0, LAGS)
         costs = [cost(of, lag) for lag in grid]
         k = int(np.argmin(costs))
         # Starts absorb a common delay where little acts: without a clear minimum stamps are right.

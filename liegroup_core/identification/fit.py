@@ -193,10 +193,9 @@ class Fit:
         if columns is None or [len(r) for r in rest] != [len(J_x) for J_x, _ in columns]:
             columns = [(J_x, J_g) for _, J_x, J_g in self._linear(point, outputs, residuals)]
         left, others, bases, growth = [], [], [], 0.0
-        spreads = [np.nanstd(each.values, axis=0) for each in self._log]
         parts = [
-            np.divide(sigma, spread, out=np.zeros_like(spread), where=spread > MOVES * sigma)
-            for sigma, spread in zip(self.deviation, spreads)
+            np.divide(sigma, each.spread, out=np.zeros_like(sigma), where=each.spread > MOVES * sigma)
+            for sigma, each in zip(self.deviation, self._log)
         ]
         for r, one, (J_x, J_g) in zip(rest, residuals, columns):
             size = np.concatenate([np.tile(part, len(values)) for part, values in zip(parts, one)])
@@ -237,10 +236,10 @@ class Fit:
         return np.concatenate(rows)
 
     def cost(self, point, residuals):
-        """Mean square of the weighted residuals, with the priors."""
+        """Mean square of the weighted residuals, with the priors; inf if delays move all measurements away."""
         total = sum(float(np.sum(self.weighted(parts) ** 2)) for parts in residuals)
         count = sum(int(np.isfinite(part).sum()) for parts in residuals for part in parts)
-        return (total + float(np.sum(self._prior(point) ** 2))) / max(count, 1)
+        return (total + float(np.sum(self._prior(point) ** 2))) / count if count else np.inf
 
     def _prior(self, point):
         """(q,) deviations of the numbers from their priors."""

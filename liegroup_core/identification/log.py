@@ -19,6 +19,7 @@ LEAST = 1e-6  # of the spread of the values: no sensor is better
 APART = 1.0  # s between joined recordings
 LONG = 100.0  # s, before which joints move as at the first value: delays may move starts to there
 FINER, WIDER = 1.2, 8  # numbers of knots that are compared: ratio, and how far beyond the best one
+FEWEST = 4  # values that show a noise
 ENOUGH = 9  # third differences from which on their median is known to a third
 REPEATED = 0.05  # share of equal neighbours from which on values are rounded
 
@@ -130,6 +131,12 @@ class Measured:
         return self.noise_of([self.values])
 
     @cached_property
+    def spread(self):
+        """(p,) standard deviations of the values; 0 where nothing was measured."""
+        columns = [column[np.isfinite(column)] for column in self.values.T]
+        return np.array([np.std(column) if len(column) else 0.0 for column in columns])
+
+    @cached_property
     def least(self):
         """(p,) least standard deviations that noise may have."""
         return np.array([_least(values) for values in self.values.T])
@@ -168,6 +175,20 @@ class Log:
             effort = f"{each.name.removesuffix(MOTION)}.effort"
             if effort in names:
                 raise SceneError(f"{effort} and {each.name} are both inputs: remove one, or measure the effort")
+
+    @property
+    def usable(self):
+        """The same without outputs whose noise is not given nor can be estimated. Raises SceneError for no others."""
+        measured, notes = [], []
+        for each in self.measured:
+            counts = np.isfinite(each.values).sum(axis=0)
+            few = ~np.isfinite(each.deviation) & (counts < FEWEST)
+            for name, count in zip(np.array(each.channels)[few], counts[few]):
+                notes.append(f"{name} in {each.name}: {count} values do not show their noise: left out; give it")
+            measured.append(replace(each, values=np.where(few, np.nan, each.values)) if few.any() else each)
+        if not any(np.isfinite(each.values).any() for each in measured):
+            raise SceneError(f"no output has {FEWEST} values: give its noise")
+        return replace(self, measured=tuple(measured), notes=(*self.notes, *notes)) if notes else self
 
     @property
     def spans(self):

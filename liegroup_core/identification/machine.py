@@ -77,7 +77,7 @@ class Segment:
 
 
 def segments_of(machine, bounds, delays):
-    """[Segment] of the log of a Machine between bounds (s, 2) in s, which have measurements.
+    """[Segment] of the log of a Machine between bounds (s, 2) in s.
 
     Bounds are late, too, by the mean of the delays. So a start belongs to the same measurements whatever the delay, and
     delays change only when the inputs act, and times of clocks against each other.
@@ -92,9 +92,8 @@ def segments_of(machine, bounds, delays):
     changes = machine.changes(bounds.max())
     for first, last in bounds:
         rows = tuple(np.flatnonzero((times >= first) & (times < last)) for times in shifted)
-        if any(map(len, rows)):
-            own = [times[row] for times, row in zip(shifted, rows)]
-            found.append(_segment(machine, first, rows, own, changes))
+        own = [times[row] for times, row in zip(shifted, rows)]
+        found.append(_segment(machine, first, rows, own, changes))
     return found
 
 
@@ -109,12 +108,13 @@ def _segment(machine, first, rows, own, changes, more=()):
 
     more : s, further times
     """
-    end = max(times[-1] for times in (*own, more) if len(times))
+    end = max([first, *(times[-1] for times in (*own, more) if len(times))])
     inside = [each.times[(each.times > first) & (each.times < end)] for each in machine.log.inputs]
     inside.append(changes[(changes > first) & (changes < end)])
     stamps = np.unique(np.round(np.concatenate([[first], more, *own, *inside]) * NS)).astype(int)
     times = stamps / NS
-    inputs = np.array([each.over(times) for each in machine.log.inputs]).reshape(-1, len(times) - 1).T
+    inputs = np.array([each.over(times) for each in machine.log.inputs])
+    inputs = inputs.reshape(len(machine.log.inputs), len(times) - 1).T
     places = tuple(np.searchsorted(times, each - 0.5e-9) for each in own)
     return Segment(
         first, times, inputs, rows, places, tuple(map(machine.engine.instant_of, (stamps + round(SHIFT * NS)).tolist()))
@@ -312,7 +312,7 @@ class Machine:
         n, m, s, d = len(engine._pose), len(counts), len(work.wanted), len(work.motions)
         motions = self.layout.motions_along(SHIFT + times[:-1] + 0.5 * np.diff(times)).reshape(-1, COLUMNS)
         motions[:, 0] -= SHIFT  # compiled parts have the times of the log, which are more exact
-        wrenches, targets = path.wrenches.reshape(m * n, -1), path.targets.reshape(-1, 2)
+        wrenches, targets = path.wrenches.reshape(m * n, path.wrenches.shape[2]), path.targets.reshape(-1, 2)
         kept = path.poses.reshape(-1, 12), path.twists.reshape(-1, 6), path.modes.reshape(-1, 5)
         state = engine._pose, engine._twist, engine.inputs.external
         k = 0

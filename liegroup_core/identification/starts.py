@@ -35,14 +35,11 @@ def first_states(runs, bounds, delays=None, values=None):
     machine = runs.machine(runs.numbers.values if values is None else values)
     delays = np.zeros(len(log.measured)) if delays is None else delays
     state, states, seen = machine.start, [], _seen(machine, log)
-    for pair in bounds:
-        segments, k = segments_of(machine, pair[None], delays), len(states)
-        if not segments:
-            continue
-        start, end = segments[0].start, pair[1] - np.mean(delays)
+    for k, (pair, segment) in enumerate(zip(bounds, segments_of(machine, bounds, delays))):
+        start, end = segment.start, pair[1] - np.mean(delays)
         for guess in (_measured, _put, _gone_on):
             states[k:] = [guess(machine, log, seen, state, start, delays)]
-            found = state_at(machine, segments[0], states[k], end)
+            found = state_at(machine, segment, states[k], end)
             if found is not None:
                 break
         state = states[k] if found is None else found
@@ -158,6 +155,11 @@ class _Seen:
     def weighted(self, changes):
         """(d, p) changes of outputs by the deviation of the polynomial."""
         return changes / self._sigma
+
+
+def has_others(log):
+    """Whether a Log has outputs that are neither positions nor velocities of joints."""
+    return any(name.rpartition(".")[2] not in PARTS for each in log.measured for name in each.channels)
 
 
 def _seen(machine, log):

@@ -48,13 +48,18 @@ def document(comparison, names):
         "delays": {name: {"delay": delay, "deviation": sd} for name, (delay, sd) in result.delays.items()},
         "segments": len(result.solution.point.states),
         "starts": [_start(each) for each in result.starts],
-        "notes": list(result.fit.runs.log.notes),
+        "notes": [*result.fit.runs.log.notes, *_guessed(result)],
     }
 
 
 def _effect(effect):
     found = dict(vars(effect))
     return found | {"deviation": found["deviation"] if np.isfinite(found["deviation"]) else None}
+
+
+def _guessed(comparison):
+    names = comparison.guessed
+    return [f"not measured: {', '.join(names)}; their starts follow from the rest, and may be wrong"] if names else []
 
 
 def _start(start):
