@@ -185,10 +185,8 @@ def _is_rate(name, parts):
     """
     owner, _, part = name.rpartition(".")
     if part.isdigit():
-        _, _, unit = parts[owner][int(part)].partition("[")
-        part = {"": "position", "m]": "position", "rad or m]": "position"}.get(
-            unit, "velocity" if "/s]" in unit else ""
-        )
+        unit = parts[owner][int(part)].partition("[")[2]
+        part = "velocity" if "/s]" in unit else "position" if unit in ("", "m]", "rad or m]") else ""
     return False if part in ("position", *POSE) else True if part in ("velocity", *TWIST) else None
 
 

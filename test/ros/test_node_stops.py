@@ -84,7 +84,12 @@ def process(client, tmp_path_factory):
 def node(client, process):
     """At the initial state."""
     process.node.restart()
-    client.until(lambda: process.events[-1].name == "reset" and stamp_of(process.events[-1]) == process.node.now())
+    client.until(
+        lambda: (
+            [each.name for each in process.events[-1:]] == ["reset"]
+            and stamp_of(process.events[-1]) == process.node.now()
+        )
+    )
     # The ball is at its height of 1 m at the start only.
     client.until(lambda: process.modes and matrix(process.modes[-1])["track"]["coordinate"] == 1.0, "modes")
     process.events.clear()
