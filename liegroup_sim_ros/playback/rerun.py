@@ -9,12 +9,14 @@ from liegroup_core.errors import LieGroupSimError
 from liegroup_core.forces.commands import MOTION, TARGET, Command
 from liegroup_core.forces.instants import NS
 from liegroup_core.mechanism.body_model import initial_state as state_of_scene
+from liegroup_core.methods.table import METHODS
 from liegroup_sim_ros.recording.attachments import restore
 from liegroup_sim_ros.recording.read import RecordingError
 
 # Limit on the number of steps, for damaged files; a step takes at least about 1 us.
 MOST_STEPS = 10**9
-AT_ONCE = 8  # steps between two checks of the limit; a step may take 1e5 substeps
+# Steps between two checks of the limit: where a step may take 1e5 substeps, and where it is one.
+AT_ONCE, ALIKE_AT_ONCE = 8, 1000
 
 
 class ReplayError(LieGroupSimError):
@@ -34,8 +36,9 @@ class Work:
         """Call the `advance` of a simulation. Raises SimulationError, also beyond the limit."""
         if steps > self._left:
             self._end()
+        is_one = not (METHODS[simulation.method].controlled or simulation.layout.switches)
         while steps > 0:
-            some = min(steps, AT_ONCE)
+            some = min(steps, ALIKE_AT_ONCE if is_one else AT_ONCE)
             before = simulation.substeps[1]
             simulation.advance(some)
             steps -= some
