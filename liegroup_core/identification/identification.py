@@ -96,8 +96,9 @@ def identify(scene, log, names, limits=None, priors=None, length=LENGTH, held_ou
 def _noise(fit, solution, given):
     """[(p,)] standard deviations: given ones, others as the residuals have."""
     found, channels = [], iter(channel_fits(fit, solution))
-    for each, sigma, known in zip(fit.runs.log.measured, fit.deviation, given):
-        own = [next(channels).chi for _ in each.channels]
+    for t, (each, sigma, known) in enumerate(zip(fit.runs.log.measured, fit.deviation, given)):
+        counts = sum(np.isfinite(parts[t]).sum(axis=0) for parts in solution.residuals)
+        own = [next(channels).chi if count else 1.0 for count in counts]
         found.append(np.where(known, sigma, np.maximum(sigma * np.array(own), each.least)))
     return found
 
