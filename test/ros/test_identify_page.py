@@ -32,7 +32,7 @@ def test_the_page_names_the_friction_and_finds_it(tmp_path, monkeypatch, capsys)
     assert not compared["agrees"] and compared["effects"][0]["text"] == "viscous friction of hinge"
     assert "Viscous friction of hinge" in Path("compare.html").read_text()
     (number,) = identified["numbers"]
-    value, half = map(float, re.search(r"finds ([\d.]+) with an interval of ([\d.]+\d)", PAGE).groups())
+    value, half = map(float, re.search(r"finds ([\d.]+) ± ([\d.]+\d)", PAGE).groups())
     low, high = number["interval"]
     assert abs(number["value"] - value) < 2.0 * half and 0.3 * half < high - low < 3.0 * half
     assert identified["effects"][0]["text"].startswith("offset of hinge.position")
