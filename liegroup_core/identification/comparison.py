@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy
 
 from liegroup_core.errors import SceneError, SimulationError
 from liegroup_core.linear.coordinates import Coordinates
@@ -14,6 +15,7 @@ from .fit import Fit, Solution
 from .runs import Point, Runs
 from .starts import first_states, has_others, starts_of, state_at
 
+LEVEL = 0.95  # of intervals
 LENGTH = 2.0  # s, of a segment
 PARTS = (16, 4, 1)  # of the length: segments with which fits begin, as short ones need no good start
 FEW_SEGMENTS = 4  # of the longest, with which fits begin
@@ -100,9 +102,20 @@ class Comparison:
     @cached_property
     def reduced(self):
         """Sum of the squares of the weighted residuals by the degrees of freedom."""
+        return float(self.solution.left @ self.solution.left) / self._freedom
+
+    @cached_property
+    def _freedom(self):
         unknowns = sum(basis.shape[1] for basis in self.solution.bases) + self.solution.columns.shape[1]
         count = sum(int(np.isfinite(part).sum()) for parts in self.solution.residuals for part in parts)
-        return float(self.solution.left @ self.solution.left) / max(count - unknowns, 1)
+        return max(count - unknowns, 1)
+
+    @property
+    def half_width(self):
+        """Half of a 95 % interval by the standard deviation: of Student's distribution if noise is estimated."""
+        if all(np.isfinite(each.deviation).all() for each in self.fit.runs.log.measured):
+            return float(scipy.special.ndtri(0.5 + 0.5 * LEVEL))
+        return float(scipy.special.stdtrit(self._freedom, 0.5 + 0.5 * LEVEL))
 
     @property
     def verdict(self):

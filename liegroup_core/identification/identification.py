@@ -4,7 +4,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 
 from .comparison import LENGTH, Comparison, fitted, judged
 from .contradictions import channel_fits
@@ -13,7 +12,6 @@ from .runs import Runs
 from .starts import first_states
 
 ROUNDS = 3  # of fits, with the noise of the residuals of the one before
-LEVEL = 0.95
 UNKNOWN = 1.0  # standard deviation of a combination, relative to the numbers: above it nothing is known
 NAMED = 0.1  # of the largest weight in a combination
 
@@ -45,7 +43,7 @@ class Identification:
     @property
     def intervals(self):
         """(q, 2) of 95 %."""
-        half = scipy.special.ndtri(0.5 + 0.5 * LEVEL) * self.deviations
+        half = self.comparison.half_width * self.deviations
         return np.stack([self.values - half, self.values + half], axis=1)
 
 

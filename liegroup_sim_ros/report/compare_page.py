@@ -4,7 +4,6 @@
 from html import escape
 
 import numpy as np
-import scipy
 from rich.table import Table
 from rich.text import Text
 
@@ -45,7 +44,14 @@ def document(comparison, names):
             {**vars(each), **{key: getattr(each, key).tolist() for key in ("at", "values", "deviations")}}
             for each in result.missing
         ],
-        "delays": {name: {"delay": delay, "deviation": sd} for name, (delay, sd) in result.delays.items()},
+        "delays": {
+            name: {
+                "delay": delay,
+                "deviation": sd,
+                "interval": [delay - result.half_width * sd, delay + result.half_width * sd],
+            }
+            for name, (delay, sd) in result.delays.items()
+        },
         "segments": len(result.solution.point.states),
         "starts": [_start(each) for each in result.starts],
         "notes": [*result.fit.runs.log.notes, *_guessed(result)],
@@ -156,7 +162,7 @@ def _remarks(result):
     ]
     for topic, delay in result["delays"].items():
         if delay["deviation"]:
-            half = scipy.special.ndtri(0.975) * delay["deviation"]
+            half = 0.5 * (delay["interval"][1] - delay["interval"][0])
             rest = "" if result["agrees"] else "; what the model lacks changes it"
             found.append(f"{topic} is late by {1e3 * delay['delay']:.4g} ms ± {shown(1e3 * half, 'ms')} (95 %){rest}")
     return found + result["notes"]
