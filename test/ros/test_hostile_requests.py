@@ -13,6 +13,7 @@ import pytest
 from hostile import Messages, texts, xacro_text
 from node_process import UNDISCOVERED, NodeProcess
 
+from liegroup_core.scene.library import chain
 from liegroup_sim_ros.recording.read import read_recording
 
 NODE = "/besieged"
@@ -215,15 +216,18 @@ def test_other_requests_are_answered_while_steps_are_taken(client, besieged):
 @pytest.mark.parametrize(
     "number, more",
     [
-        # A tick of 1e9 steps; a step of more than the 1e5 substeps at which it would be a fault, seconds later.
+        # A tick of 1e9 steps; a step of thousands of substeps of 600 links, which take 10 s.
         (signal.SIGINT, {"scene": "heavy_top", "method": "rkmk4", "step": 1e-8, "estimate": False}),
-        (signal.SIGHUP, {"scene": "andrews_squeezer", "method": "rkmk853", "step": 10.0}),
+        (signal.SIGHUP, {"scene": "links.yaml", "method": "rkmk853", "step": 10.0}),
     ],
 )
 def test_a_signal_ends_a_node_in_the_middle_of_a_long_tick(number, more, client, tmp_path):
     rates = {f"{name}_rate": 0.0 for name in ("state", "clock", "marker", "joint_state")}
     rates |= {"publish_rate": 0.1, "real_time_factor": 0.0}
     record = tmp_path / "run.mcap"
+    if more["scene"] == "links.yaml":
+        (tmp_path / "links.yaml").write_text(chain(600).text)
+        more = more | {"scene": tmp_path / "links.yaml"}
     events = client.events("/long")
     with NodeProcess(more | rates | {"record": record}, ["__node:=long"]) as process:
         client.until(lambda: events, "the start")
