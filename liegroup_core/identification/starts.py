@@ -37,7 +37,7 @@ def first_states(runs, bounds, delays=None, values=None):
     state, states, seen = machine.start, [], _seen(machine, log)
     for k, (pair, segment) in enumerate(zip(bounds, segments_of(machine, bounds, delays))):
         start, end = segment.start, pair[1] - np.mean(delays)
-        for guess in (_measured, _put, _gone_on):
+        for guess in (_measured, _put, _as_before):
             states[k:] = [guess(machine, log, seen, state, start, delays)]
             found = state_at(machine, segment, states[k], end)
             if found is not None:
@@ -60,7 +60,7 @@ def _measured(machine, log, seen, state, time, delays):
     return _nearest(machine, seen, _put(machine, log, seen, state, time, delays), time, delays)
 
 
-def _gone_on(machine, log, seen, state, time, delays):
+def _as_before(machine, log, seen, state, time, delays):
     """State where the run before ends."""
     return machine.timed(state, time)
 
@@ -174,7 +174,7 @@ def _seen(machine, log):
             if columns:
                 found.append(_Seen(machine, t, each, columns, is_rate))
     known = joints | {name.removesuffix("position") + "velocity" for name in joints}
-    names = [each.channels[k] for each in log.measured for k in range(len(each.channels))]
+    names = [name for each in log.measured for name in each.channels]
     return found if any(_is_rate(name, parts) is not None and name not in known for name in names) else []
 
 

@@ -11,11 +11,11 @@ clocks:
 - {topic: /imu, delay: 0.004}
 """
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import AfterValidator, model_validator
 from pydantic import Field as Described_Field
-from pydantic import model_validator
 
 from liegroup_core.errors import SceneError
 from liegroup_core.fields.frames import Frame
@@ -28,10 +28,17 @@ LEAST_NOISE = 1e-12
 UNITS = {"deg": np.pi / 180.0, "deg/s": np.pi / 180.0, "rpm": np.pi / 30.0, "mm": 1e-3, "cm": 1e-2, "g": 9.80665}
 
 
-class Value(Described):
-    """Where a value is: topic, field and unit; a subclass has `noise`."""
+def _above_round_off(noise):
+    if noise < LEAST_NOISE:
+        raise ValueError(f"below {LEAST_NOISE:g} is round-off")
+    return noise
 
-    noise: Positive | None = None
+
+Noise = Annotated[Positive, AfterValidator(_above_round_off)]
+
+
+class Value(Described):
+    """Where a value is: topic, field and unit."""
 
     topic: Text = Described_Field(description="name of the topic")
     field: str = Described_Field("", description="path in the message, such as position[elbow]")
@@ -45,8 +52,6 @@ class Value(Described):
     def _check_scale(self):
         if self.scale == 0.0:
             raise SceneError("a scale of 0 leaves nothing of the values", place=("scale",))
-        if self.noise is not None and self.noise < LEAST_NOISE:
-            raise SceneError(f"noise below {LEAST_NOISE:g} is round-off, got {self.noise:g}", place=("noise",))
         return self
 
     @property
@@ -65,7 +70,7 @@ class InputEntry(Value):
     hold: Literal[HOLDS] | None = Described_Field(
         None, description="between two messages: previous (default), linear, or spline, which JOINT.motion always has"
     )
-    noise: Positive | None = Described_Field(
+    noise: Noise | None = Described_Field(
         None,
         description="standard deviation, SI units, of values that a spline smooths; default: it passes through them",
     )
@@ -88,7 +93,7 @@ class MeasurementEntry(Value):
     """Value that was measured."""
 
     output: Text = Described_Field(description="JOINT.position, BODY.pose, BODY.twist, name of a sensor, ...")
-    noise: Positive | None = Described_Field(None, description="standard deviation, SI units; default: estimated")
+    noise: Noise | None = Described_Field(None, description="standard deviation, SI units; default: estimated")
     world: Frame | None = Described_Field(None, description="frame of the measured poses in the world of the scene")
 
     @model_validator(mode="after")
