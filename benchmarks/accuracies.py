@@ -91,11 +91,6 @@ class Run:
         return Trajectory(None, rotation.copy(), position.copy(), twist[None].copy())
 
 
-def steps_of(horizon):
-    """Steps in s from a fiftieth of the horizon down, the times of the samples."""
-    return [horizon / SAMPLES / part for part in PARTS]
-
-
 def apart(one, other, size):
     """Distance of two states as one number, relative to the size or in rad."""
     found = distance(one, other)
@@ -139,7 +134,7 @@ def independent(scene, pushes, times, states, size):
 def keep(scene, pushes, times, truth, size, accuracy, horizon, budget):
     """Results of a simulation to an accuracy, with the number of compared samples."""
     states, unknown = truth
-    run = Run(scene, pushes, step=steps_of(horizon), accuracy=accuracy, horizon=horizon)
+    run = Run(scene, pushes, accuracy=accuracy, horizon=horizon)
     errors, estimates, cpu, last = [], [], [], "end"
     for k, at in enumerate(times):
         state = run.state_at(at)
@@ -215,7 +210,7 @@ def _measured(scene, pushes, times, states, size, accuracy, settings):
 
 def rows_of(scene, horizon, accuracies, seed, budget, first):
     """Rows of one scene and horizon."""
-    default = Simulation(scene, step=steps_of(horizon), horizon=horizon, quiet=True)
+    default = Simulation(scene, horizon=horizon, quiet=True)
     size, stabilisation, step = default.promise["length"], default.stabilisation, default.step
     name = sum(map(ord, scene.name))
     pushes = random_pushes(scene, size, horizon, np.random.default_rng([seed, name, int(horizon)]))
@@ -247,7 +242,7 @@ def rows_of(scene, horizon, accuracies, seed, budget, first):
 def _again(case, times):
     """CPU time in s of one more run to an accuracy."""
     scene, pushes, *_, accuracy, horizon, _ = case
-    run = Run(scene, pushes, step=steps_of(horizon), accuracy=accuracy, horizon=horizon)
+    run = Run(scene, pushes, accuracy=accuracy, horizon=horizon)
     for at in times:
         run.state_at(at)
     return run.cpu

@@ -135,6 +135,25 @@ class AccuracyControl:
         tolerance = 2.0 * max(allowed / gain - committed, NEW * committed) / ahead**2
         self.tolerance = min(max(tolerance, SLOWER * self._tolerance), FASTER * self._tolerance)
 
+    def find_first(self, span, error_after):
+        """Reduce the first tolerance while the error after the first `span` s shows that it is too large.
+
+        error_after : function that returns the estimated error there, with the present tolerance; NaN: it is not needed
+        Errors of fast motions add up faster: those of a body that spins at w grow with w^2. An error that does not
+        fall with the tolerance is round-off.
+        """
+        found = None
+        while (error := error_after()) < math.inf:
+            if found is not None and error > 0.5 * found[1]:
+                self.tolerance = found[0]
+                return
+            found = self._tolerance, error
+            gain = error / (0.5 * self._tolerance * span**2)
+            needed = 2.0 * AIM * self.accuracy / (gain * self.horizon**2) if gain > LEAST_GAIN else math.inf
+            if needed > SLOWER * self._tolerance or self._tolerance <= LEAST_TOLERANCE:
+                return
+            self.tolerance = needed
+
     def _tenfold(self, time, span):
         """Time in s in which the estimate grows tenfold; 0 if it does not grow exponentially.
 

@@ -304,6 +304,7 @@ class Engine:
 
     def snapshot(self) -> State:
         """Copy of the whole state, with the commands that act or start later, for `restore`."""
+        self.undo()
         return State({}, kept(self))
 
     def restore(self, state: State) -> None:
@@ -400,10 +401,10 @@ class Engine:
         self._advance(steps - self.steps)
 
     def advance_to(self, time: float) -> None:
-        """Advance to the last step that is not after a time in s, from where `sample(time)` gives the state then.
+        """Advance to a time in s: `sample` gives the state then, and commands without a start begin then.
 
-        Commands without a start begin at this time. Raises ValueError for a time before the present one, and
-        SimulationError, as `advance`.
+        `steps`, `time` and `state` are those of the last step that is not after it. Raises ValueError for a time
+        before the present step, and SimulationError, as `advance`.
         """
         self.reach(self._instant(time))
 
@@ -672,15 +673,16 @@ class Engine:
     def sample(self, time: float | None = None) -> Sample:
         """Create a Sample of the present state, or of one within the present step.
 
-        time : s, from the present one to the end of the step, rounded to whole ns; None: the present one. The state
-               there is that of a step of this size, of the method's order; of a simulation to an accuracy it is an
-               interpolant in the algebra, of order 7 for rkmk853 and 3 for radau5. The run does not depend on it
+        time : s, from the present step to its end, rounded to whole ns; None: that of the last `advance_to`, or of the
+               present step. The state there is that of a step of this size, of the method's order; of a simulation
+               to an accuracy it is an interpolant in the algebra, of order 7 for rkmk853 and 3 for radau5. The run
+               does not depend on it
         Raises ValueError for another time, and SimulationError if the state cannot be computed.
         """
-        return self.sample_at(None if time is None else self._instant(time))
+        return self.sample_at(self._earliest() if time is None else self._instant(time))
 
     def sample_at(self, instant=None):
-        """As `sample`, of an Instant."""
+        """As `sample`, of an Instant; None: the present step."""
         if instant is None or instant == self._present():
             return self._sample_of(self.time, self.time_ns, *self.state(), self._work.angle.copy())
         if instant > self._grid.boundary(self.steps + 1):
@@ -754,7 +756,7 @@ class Engine:
             reactions.take(*self._inputs_now())
         external = self.inputs.external if self.inputs.schedule else reactions.idle
         if reactions.present(self._pose, self._twist, external, found) != REGULAR:
-            return self._given(self.sample().reaction_array, out)  # a singular pose, or an error
+            return self._given(self.sample_at().reaction_array, out)  # a singular pose, or an error
         return self._given(found[: len(reactions.names)], out)
 
     @staticmethod

@@ -86,16 +86,16 @@ class ErrorEstimate:
     largest  : largest m and rad of them
     checkpoints       : number of checkpoints so far
     predictable_until : s, the last checkpoint before the estimate was UNPREDICTABLE; inf: never
+    whole : whether all of a distance counts
     """
 
     KEPT = (
         *("distance", "largest", "checkpoints", "predictable_until", "_kept_at"),
-        *("_window", "_largest_m", "_largest_rad", "_motion", "_least", "_least_pose"),
+        *("_window", "_largest_m", "_largest_rad", "_motion", "_least", "_least_pose", "whole"),
     )
 
     def __init__(self, n, size, ratio, order, least):
-        self.size, self._explicit = size, max(least, SEEN / (ratio**order - 1.0))
-        self._factor = self._explicit
+        self.size, self._part = size, max(least, SEEN / (ratio**order - 1.0))
         self.distance, self._window = np.zeros((n, 4)), np.zeros((WINDOW, n, 4))
         # The largest motion of each body, and least estimates.
         self._motion, self._least = np.zeros((n, 4)), np.zeros((n, 4))
@@ -104,14 +104,14 @@ class ErrorEstimate:
         self.errors(self.distance)  # compiles it
         self.note_motion(self.distance)
 
-    def weigh(self, implicit):
-        """Take all of a distance if states come from the interpolant of an implicit method, whose order is low."""
-        self._factor = 1.0 if implicit else self._explicit
+    @property
+    def _factor(self):
+        return 1.0 if self.whole else self._part
 
     def restart(self, time):
         """Clear the errors, because the state was set at a time in s."""
         self.distance[:] = self._window[:] = self._motion[:] = self._least[:] = 0.0
-        self._least_pose = 0.0
+        self._least_pose, self.whole = 0.0, False
         # Largest m and rad of all bodies, of the distance and of each part of the window.
         self.largest, self._largest_m, self._largest_rad = ((0.0, 0.0), [0.0] * WINDOW, [0.0] * WINDOW)
         self.checkpoints, self.predictable_until, self._kept_at = 0, math.inf, time

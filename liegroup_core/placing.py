@@ -72,7 +72,7 @@ def place(engine, poses=None, twists=None, joints=None) -> None:
     _refuse_beyond_stops(engine, *state, joints, angles)
     _refuse_beyond_limits(engine, *state, joints)
     commanded, before = engine.inputs.commanded.copy(), engine.inputs.commands
-    present = engine.sample()
+    present = engine.sample_at()
     engine.set_state(*state, engine.steps, np.array([angles[joint] for joint in counted]))
     _keep_turns(engine, present, joints)
     engine.inputs.commands = _motions_after(engine, commanded, before, joints)
@@ -86,7 +86,7 @@ def _keep_turns(engine, before, joints):
     """
     if engine._switching is None:
         return
-    now, were = engine.sample().joint_coordinates, before.joint_coordinates
+    now, were = engine.sample_at().joint_coordinates, before.joint_coordinates
     near = before.switching[:, 3].copy()
     for k, switch in enumerate(engine.layout.switches):
         given, _ = joints.get(switch.name, (None, None))

@@ -2,29 +2,29 @@
 """Running estimate of the global error of a simulation, from a companion with a larger step.
 
 The companion is a second run under the same wrenches with steps of q h, q = 4/3, or 6/5 for orders from 8.
-With error control its tolerances are larger, so that its substeps are q times as long, q = 4/3, 1.43 for an
-implicit method, or 1.7 with an accuracy. error_estimate.py derives the error from the distance of the two.
+With error control its tolerances are larger, so that its substeps are q times as long, q = 4/3, or sqrt(2) for an
+implicit method and with an accuracy. error_estimate.py derives the error from the distance of the two.
 
 The estimate is at least a fraction of this distance. The fraction is below 1 where, as measured, the distance
 is more often far above the error than below it: with order 8, whose errors fall faster than h^8 before they
-are round-off, and with error control, whose substeps sometimes differ by more than q. With an accuracy q is
-larger, so that two errors are hardly ever equal by chance. There the estimate sets the tolerance: it may be
-far above the error, but not below it.
+are round-off, and with error control, whose substeps sometimes differ by more than q.
 
 The two meet every 4 or 6 steps. If an estimate is read in between, the companion advances to the present time,
 by whole steps and a part of one, and returns (`Engine.state_at`). Checkpoints follow after MEETINGS meetings, more
 often at the start. They depend only on the step count, so that a repeated run has bit-identical estimates.
 
-With an accuracy the round-off of the companion is also larger. If steps are so small that all error is
-round-off, as near a separatrix, two runs of the same precision differ by the error of either, and the estimate
-would be less than half of their distance.
+With an accuracy the round-off of the companion is larger by the same factor as its tolerances, q^8 = 2^BITS. If
+steps are so small that all error is round-off, as near a separatrix, two runs of the same precision differ by the
+error of either, and the estimate would be less than half of their distance.
 
 With an accuracy both run ahead (methods/munthe_kaas/ahead.py): their substeps follow their tolerances alone, and
 their states at any time are those of interpolants, whose errors are part of the distance. Checkpoints follow after
 up to SUBSTEPS substeps, and earlier where the distance grows fast. In between, the two are compared when an estimate
 is read, and PART of the horizon after the last look; an estimate above the accuracy makes that a checkpoint, too.
 Steps with events of stops and friction are the same for both; there the companion's error may be the smaller one, so
-that with switches all of the distance counts.
+that with switches all of the distance counts. So it does once a substep had an error far above the expected one, as
+where a force jumps: there the order is not seen. A substep that would be the same for both is divided by the companion
+(error_control.DIVIDED).
 
 With error control and without an accuracy, the companion takes one step for four of the simulation. With equal
 steps the last substep, which ends with the step, would often make the substeps of both equal. Its substeps are at
@@ -66,12 +66,10 @@ LOST_REBOUND = 1e-7
 PARTS = 2  # of the step up to an event, whose size does not depend on that of other steps
 # Fraction of the distance that counts if the order is not seen.
 LEAST, LEAST_HIGH = 1.0, 0.75
-# q and this fraction with error control: for an explicit method, an implicit method, and an accuracy.
-CONTROLLED, STIFF, BY_WORK = (4.0 / 3.0, 0.5), (1.43, 0.5), (1.7, 0.4)
+CONTROLLED = 0.5  # the same with error control
 EVENTS = 1.0  # with stops or friction: up to an event the companion takes smaller steps, and the distance is the error
-# With an accuracy the companion rounds away this number of bits of its state: its round-off is 64 times as large,
-# its tolerances are 70 times as large.
-BITS = 6
+BITS = 4  # number of bits of its state that the companion rounds away with an accuracy
+LONGER, LONG = 4.0 / 3.0, 2.0 ** (BITS / HIGH)  # q with error control: of explicit methods, else
 
 
 class RunningError:
@@ -98,15 +96,15 @@ class RunningError:
         # Steps of the engine and of its companion in the same time.
         self.ours, self._theirs = (1, 1) if by_work else (4, 1) if controlled else (4, 3) if order < HIGH else (6, 5)
         if controlled:
-            ratio, least = BY_WORK if by_work else STIFF if method.implicit else CONTROLLED
-            least = EVENTS if by_work and engine.layout.switches else least
+            ratio = LONG if by_work or method.implicit else LONGER
+            least = EVENTS if by_work and engine.layout.switches else CONTROLLED
         else:
             ratio, least = self.ours / self._theirs, LEAST if order < HIGH else LEAST_HIGH
         self.ratio, self.size = ratio, engine.layout.size
         step = self.ours / self._theirs * engine.step
         self._companion = self._make_companion(step, ratio**method.power if controlled else 1.0)
         if controlled and not by_work:
-            self._companion.limit_substeps(CONTROLLED[0] * engine.step)
+            self._companion.limit_substeps(LONGER * engine.step)
         elif by_work:  # at the start, where substeps grow by the same factor, those of the two must not be equal
             self._companion.limit_substeps(ratio * engine.step)
         if by_work:
@@ -218,6 +216,8 @@ class RunningError:
             self.estimate.set_infinite()
             self._keep()
             return
+        if steps == self._next:
+            self.weigh()
         self._compare()
         if self._added is not None:
             since = steps - self._set_at
@@ -228,6 +228,15 @@ class RunningError:
             if self._by_work:
                 self._adapt()
             self._next = self._next_checkpoint(steps)
+
+    def weigh(self):
+        """Count all of a distance with an implicit method, whose interpolant has low order, and once a force jumped.
+
+        There the order may not be seen. Call it at checkpoints only: between them a run may be ahead.
+        """
+        if self._by_work:
+            present = self.integrators[0]
+            self.estimate.whole = present.chosen != 0 or present.jumps > 0
 
     def make_checkpoint(self):
         """Make the present step, which is before the next checkpoint, a checkpoint."""
@@ -299,6 +308,24 @@ class RunningError:
         except SimulationError:
             out[:] = math.inf
             return math.inf, math.inf
+
+    def error_ahead(self):
+        """Estimated error after one step more with the present tolerances; inf if it cannot be computed.
+
+        NaN after SUBSTEPS substeps or fewer: a checkpoint after them is early enough.
+        """
+        engines = self.engine, self._companion
+        for engine in engines:
+            engine.undo()
+        mine, theirs = (engine.instant_after(1, 0.0) for engine in engines)
+        before = self.engine.substeps[0]
+        try:
+            state = self.engine.state_at(mine)
+        except SimulationError:
+            return math.inf
+        if self.engine.substeps[0] - before <= SUBSTEPS:
+            return math.nan
+        return self.estimate.largest_error(self._distances_at(np.empty_like(self._seen), theirs, *state))
 
     def prepare(self, instants):
         """As Engine.prepare, of the companion."""

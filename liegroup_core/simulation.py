@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 
 from liegroup_core.accuracy import DEFAULT, LONGEST, METHOD, MINUTE, SMALLEST, AccuracyControl
 from liegroup_core.engine import Engine
-from liegroup_core.errors import SimulationError
 from liegroup_core.fields.arguments import got
 from liegroup_core.forces.instants import BEFORE, NEVER
 from liegroup_core.layout import make_layout
@@ -21,18 +20,13 @@ from liegroup_core.methods.table import is_positive
 from liegroup_core.running_error import RunningError
 from liegroup_core.scene.description import Scene
 from liegroup_core.state import State, decoded, encoded, kept, set_kept
-from liegroup_core.stiffness import MOST_ATTEMPTS, STIFF, MethodChoice
+from liegroup_core.stiffness import MethodChoice
 
 log = logging.getLogger("liegroup_core")
 
-# Possible steps of a simulation to an accuracy, s. It takes the longest that is at most PART of the horizon and
-# has at most SUBSTEPS substeps at the start: checkpoints lie at steps.
+# Possible steps of a simulation to an accuracy, s: the longest that is at most PART of the horizon.
 STEPS = tuple(float(f"{digit}e{power}") for power in range(-3, -8, -1) for digit in (10, 5, 2))
 PART = 0.02
-SUBSTEPS = 20
-# Largest number of attempted substeps in each trial step.
-TRIALS = {METHOD: [2 * SUBSTEPS], STIFF: [MOST_ATTEMPTS, 2 * SUBSTEPS]}
-MANY = 500  # number of freedoms above which the matrices take too long for a trial
 
 
 class Simulation(Engine):
@@ -44,8 +38,7 @@ class Simulation(Engine):
     accuracy : largest error of a pose in the first `horizon` seconds, relative to the mechanism's size,
                or in rad; the error may grow by as much in each further horizon. Default 1e-4
     horizon  : s, at most 1e6; default 60
-    step     : s, interval of `advance`; from a sequence, the longest suitable one. Default: at most 10 ms
-               and 1/50 of the horizon, with at most 20 substeps at the start. It does not limit the substeps
+    step     : s, interval of `advance`, which does not limit the substeps. Default: 10 ms, at most 1/50 of the horizon
     stabilisation : default "projection" for joints that would drift, else "none"
 
     With a method, it takes the arguments of Engine, with their defaults.
@@ -68,7 +61,7 @@ class Simulation(Engine):
         self,
         scene: Scene,
         method: str | None = None,
-        step: float | Sequence[float] | None = None,
+        step: float | None = None,
         group: str = "auto",
         stabilisation: str | None = None,
         baumgarte_time: float | None = None,
@@ -90,8 +83,6 @@ class Simulation(Engine):
         horizon = MINUTE if horizon is None else horizon
         if not (is_positive(horizon) and horizon <= LONGEST):
             raise ValueError(f"the horizon must be a positive number of seconds up to {LONGEST:g}, {got(horizon)}")
-        if step is None:
-            step = default_steps(horizon)
         if not estimate:
             raise ValueError("an accuracy requires the error estimate: enable it, or give a method")
         for name in {"rtol", "atol"} & options.keys():
@@ -102,10 +93,8 @@ class Simulation(Engine):
         group = choose_group(METHOD, group)
         if stabilisation is None:
             stabilisation = "projection" if layout.drifts(group) else "none"
-        settings = (group, stabilisation, baumgarte_time)
-        if isinstance(step, (list, tuple)):
-            step, layout = _suitable(step, scene, layout, settings, tolerances)
-        super().__init__(scene, METHOD, step, *settings, quiet, layout, **tolerances)
+        step = default_steps(horizon)[0] if step is None else step
+        super().__init__(scene, METHOD, step, group, stabilisation, baumgarte_time, quiet, layout, **tolerances)
         self._running = RunningError(self, float(horizon))
         self._choice = MethodChoice(self._running)
         self._control = AccuracyControl(accuracy, float(horizon), self._tighten)
@@ -329,8 +318,8 @@ class Simulation(Engine):
         end = self.steps + steps
         if not running.begun:
             running.update()
-        if self._choice is not None:
-            self._choice.start()
+        if self._choice is not None and steps and self._choice.start():
+            self._control.find_first(self.step, running.error_ahead)
         while True:
             stop = running.next_stop(self.steps, end)
             super()._advance(stop - self.steps, enough)
@@ -387,36 +376,3 @@ def _checked(accuracy):
 def default_steps(horizon):
     """Possible steps in s of a simulation to an accuracy, long to short; horizon : s."""
     return [step for step in STEPS if step <= PART * horizon] or STEPS[-1:]
-
-
-def _suitable(steps, scene, layout, settings, tolerances):
-    """The longest step that takes at most SUBSTEPS substeps at the start of the scene, and the layout.
-
-    With the implicit method, which starts with small substeps, the second step may count instead.
-    """
-    if not steps:
-        raise ValueError(f"expected a step in s or several of them, got {steps!r}")
-    freedoms = 0  # set by the trial of the explicit method, which is first
-    for step in steps:
-        for method, attempts in TRIALS.items():
-            if method == STIFF and freedoms > MANY:
-                continue
-            engine = Engine(scene, method, step, *settings, True, layout, **tolerances)
-            freedoms = engine.freedoms
-            if _takes_few(engine, attempts):
-                return step, engine.layout
-    return step, engine.layout
-
-
-def _takes_few(engine, attempts):
-    """Whether one of the first steps takes at most SUBSTEPS substeps; attempts: limit for each step."""
-    for most in attempts:
-        before = engine.substeps[0]
-        engine.limit_attempts(most)
-        try:
-            engine.advance(1)
-        except SimulationError:
-            return False
-        if engine.substeps[0] - before <= SUBSTEPS:
-            return True
-    return False

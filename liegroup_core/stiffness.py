@@ -60,12 +60,11 @@ class MethodChoice:
 
     def _continue(self):
         self._name_method()
+        self._running.weigh()
         self._count()
 
     def _name_method(self):
-        chosen = self._integrators[0].chosen
-        self._engine.method = self._names[chosen]
-        self._running.estimate.weigh(chosen == IMPLICIT)
+        self._engine.method = self._names[self._integrators[0].chosen]
 
     def _count(self):
         self._counted = [integrator.evaluations for integrator in self._integrators]
@@ -82,12 +81,18 @@ class MethodChoice:
         self._counted = [i.evaluations - before for i, before in zip(self._integrators, spent)]
 
     def start(self):
-        """Try both if the start is expensive; call it when the companion may have started."""
-        if not self._begun and self._running.begun:
-            self._begun = True
-            if self._cost(EXPLICIT, DEAR // 10, FIRST) > DEAR:
-                self._choose(FIRST)
-            self._count()
+        """Try both if the start is expensive; call it when the companion may have started.
+
+        returns whether this is the start
+        """
+        if self._begun or not self._running.begun:
+            return False
+        self._begun = True
+        self._engine.undo()  # what was integrated for states after the start does not count
+        if self._cost(EXPLICIT, DEAR // 10, FIRST) > DEAR:
+            self._choose(FIRST)
+        self._count()
+        return True
 
     def update(self):
         """Change the method if that pays; call it at a checkpoint."""

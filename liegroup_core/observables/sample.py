@@ -112,7 +112,9 @@ class Sample:
     def error(self) -> dict[str, NDArray[np.float64]] | None:
         """{body: (4,)} estimated errors of position m, attitude rad, velocity m/s, rotation rad/s.
 
-        None if the simulation carries no estimate.
+        How far the state may be from the exact motion of the scene since the start, all earlier steps and wrenches
+        included. To an accuracy it is 9 times the true error in the median, and in 2 % of all samples below half of
+        it (benchmarks/estimate_coverage.py). None if the simulation carries no estimate.
         """
         return None if self.errors is None else self._by_body(self.errors)
 

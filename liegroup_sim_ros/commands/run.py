@@ -167,16 +167,14 @@ def given_settings(args):
     elif "step" not in settings and args.duration is not None:
         whole_steps(args.duration, args.duration)  # raises RunError for an invalid duration
         horizon = MINUTE if args.horizon is None else args.horizon
-        settings["step"] = dividing_steps(args.duration, horizon)
+        settings["step"] = dividing_step(args.duration, horizon)
     return settings
 
 
-def dividing_steps(duration, horizon):
-    """Steps for an accuracy that divide a duration, from long to short."""
+def dividing_step(duration, horizon):
+    """Step in s for an accuracy that divides a duration."""
     usual = default_steps(horizon)
-    return [step for step in usual if divides(step, duration)] or [
-        duration / math.ceil(duration / step) for step in usual
-    ]
+    return next((step for step in usual if divides(step, duration)), duration / math.ceil(duration / usual[0]))
 
 
 def run(args):

@@ -10,7 +10,7 @@ import sys
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from liegroup_core import Simulation, load_scene
+from liegroup_core import load_scene
 from liegroup_core.engine import STEP
 from liegroup_core.linear.channels import OUTPUTS
 from liegroup_core.scene.consistency import AT_POSES, AT_VELOCITIES
@@ -137,10 +137,8 @@ def _sweep_of(scene, args):
     """(Sweep, description for the file) from the arguments."""
     settings = given_settings(args)
     try:
-        if isinstance(settings.get("step"), list):
-            if args.keep is not None:
-                settings["step"] = _steps_of_both(settings["step"], args.duration, args.keep)
-            settings["step"] = Simulation(scene, **settings).step
+        if args.keep is not None and args.step is None and "method" not in settings:
+            settings["step"] = _step_of_both(settings["step"], args.duration, args.keep)
         step = settings.get("step", STEP)
         if not step > 0.0:
             raise ValueError(f"the step must be a positive number of seconds, got {step:g}")
@@ -168,21 +166,16 @@ def _sweep_of(scene, args):
     }
 
 
-def _steps_of_both(steps, duration, keep):
-    """Steps that divide both a duration, as `steps` do, and the period of --keep; from long to short."""
+def _step_of_both(step, duration, keep):
+    """Longest step up to a given one that divides both a duration and the period of --keep."""
     whole_steps(keep, keep, "--keep")  # raises RunError for an invalid period
-    parts = {*steps, *(keep / math.ceil(keep / step) for step in steps)}
-    found = [
-        step
-        for step in sorted(parts, reverse=True)
-        if MOST_PARTS * step >= keep and divides(step, keep) and divides(step, duration)
-    ]
-    if not found:
-        raise RunError(
-            f"--keep {keep:g} s: no suitable step divides it and --duration {duration:g} s; choose "
-            "a part of the duration"
-        )
-    return found
+    least = max(1, math.ceil(keep / step * (1.0 - 1e-6)))  # as whole_steps rounds
+    for parts in range(least, max(least, MOST_PARTS) + 1):
+        if divides(keep / parts, duration):
+            return keep / parts
+    raise RunError(
+        f"--keep {keep:g} s: no suitable step divides it and --duration {duration:g} s; choose a part of the duration"
+    )
 
 
 def _run_missing(sweep, file, args, console):

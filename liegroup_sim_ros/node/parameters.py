@@ -385,13 +385,13 @@ def bodies_of(text, bodies):
     return tuple(body for body in bodies if body in names)
 
 
-def fitting_steps(values):
-    """Step sizes for an accuracy, long to short; none is longer than the shortest period of a rate.
+def fitting_step(values):
+    """Step for an accuracy, s, that is not longer than the shortest period of a rate.
 
     A state after a command within a step takes parts of that step: it should not have many.
     """
     most = max(values.rates.values())
-    return [step for step in default_steps(values.accuracy_horizon) if step * most <= 1.0 + 1e-9]
+    return next(step for step in default_steps(values.accuracy_horizon) if step * most <= 1.0 + 1e-9)
 
 
 def watch_parameters(node, prepare, changed):

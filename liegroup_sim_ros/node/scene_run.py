@@ -21,7 +21,7 @@ from . import standard_services
 from .answers import begin
 from .joint_command_topics import JointCommandTopics
 from .outputs import Outputs
-from .parameters import AUTO, ParameterError, bodies_of, fitting_steps
+from .parameters import AUTO, ParameterError, bodies_of, fitting_step
 from .qos import QosOverrides
 from .simulation_thread import SimulationServer
 from .streams import NodeStreams
@@ -167,7 +167,7 @@ class SceneRun:
             self._attach_pacing()
             self._more = {"part": recorder.part + 1, "previous": recorder.path.name, "sequences": recorder.sequences}
             recorder.divide(stamp_ns, self._attachments(stamp_ns, self.server.state))
-            self.outputs.record_acting(stamp_ns, simulation.sample())
+            self.outputs.record_acting(stamp_ns, simulation.sample_at())
 
     def _add_checkpoint(self, stamp_ns):
         self._checkpoints.add_if_due(stamp_ns)
@@ -197,7 +197,7 @@ class SceneRun:
         """Close the simulation, the recording and the topics; returns whether the recording is complete."""
         self.server.stop()
         if self.recorder is not None:
-            self.outputs.complete(self.server.step_stamp_ns, self.simulation.sample())
+            self.outputs.complete(self.server.step_stamp_ns, self.simulation.sample_at())
             self._attach_pacing()
             self.recorder.close()
             if self.recorder.failure is None:
@@ -301,7 +301,7 @@ def _from_scene(values, scene):
         else:
             simulation = Simulation(
                 scene,
-                step=values.step or fitting_steps(values),
+                step=values.step or fitting_step(values),
                 **common,
                 accuracy=values.accuracy,
                 horizon=values.accuracy_horizon,

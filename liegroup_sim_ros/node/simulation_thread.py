@@ -203,7 +203,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
         if self._output.impulses:
             self._simulation.drain_impacts()  # the simulation collects impacts from here on
         self._send_outputs(self.stamp_ns, everything=True)
-        self._reference_energy = self._simulation.sample().energy
+        self._reference_energy = self._simulation.sample_at().energy
         self._next_diagnostics = time.monotonic() + DIAGNOSTICS_PERIOD
         if self.state == "running":
             self.pacer.start(self._seconds())
@@ -329,12 +329,12 @@ class SimulationServer(SimulationCommands, threading.Thread):
         self._tell_of_the_error()
         for output in self._rates.due(stamp_ns - self._base_ns, stamp_ns, everything):
             if output.of_state:
-                sample = sample or self._simulation.sample()
+                sample = sample or self._simulation.sample_at()
                 if output.answers:
                     self._unseen = None
             output.send(stamp_ns, sample)
         if self._watching:
-            sample = sample or self._simulation.sample()
+            sample = sample or self._simulation.sample_at()
             self._keep_positions(sample)
         if sample is not None:
             for joint in self._saturation.reached(sample):

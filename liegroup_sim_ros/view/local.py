@@ -55,7 +55,7 @@ class Local(Source):
 
     def __init__(self, simulation, title, record="", start_ns=0, paused=False, factor=1.0):
         super().__init__(simulation.layout, title)
-        sample = simulation.sample()
+        sample = simulation.sample_at()
         self._simulation, self._newest = simulation, Frame(start_ns * 1e-9, sample, sample.bound)
         self.history.add(self._newest)
         rates = {"publish_rate": RATE, "record_rate": 0.0, "state_rate": 0.0, "clock_rate": 0.0}

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 from waiting import PATIENCE, wait_for
 
 from liegroup_core import Simulation, load_scene
-from liegroup_sim_ros.node.parameters import RATES, TABLE, fitting_steps
+from liegroup_sim_ros.node.parameters import RATES, TABLE, fitting_step
 from liegroup_sim_ros.node.scene_run import SceneRun
 from liegroup_sim_ros.node.wrench_input import Push
 
@@ -29,8 +29,8 @@ class Run:
         values = node_values(**parameters)
         if not isinstance(simulation, Simulation):
             scene = load_scene(simulation)
-            steps = fitting_steps(values)
-            simulation = Simulation(scene, step=steps, accuracy=values.accuracy, horizon=values.accuracy_horizon)
+            step = fitting_step(values)
+            simulation = Simulation(scene, step=step, accuracy=values.accuracy, horizon=values.accuracy_horizon)
         self.simulation = simulation
         self._run = SceneRun(ros_node, values, simulation, before and before._run)
         self.server, self.outputs = self._run.server, self._run.outputs

@@ -44,7 +44,7 @@ def test_the_estimate_knows_an_error_that_is_all_rounding(inertia, rate):
     times, errors, estimates = np.array(rows).T
     kept = times <= simulation.accurate_until
     assert (errors[kept] <= 1e-4 * np.maximum(1.0, times[kept] / 60.0)).all()
-    # The companion rounds to 64 times as much; both are random, and close to each other by chance.
+    # The companion rounds to 16 times as much; both are random, and close to each other by chance.
     known = errors > 1e-11
     assert np.median(estimates[known] / errors[known]) > 1.0
     assert "finer" not in (simulation.doubt or "") and "times smaller" not in (simulation.doubt or "")

@@ -34,6 +34,8 @@ from .error_control import (
     AHEAD,
     BASE,
     BEGINS,
+    COARSE,
+    DIVIDED,
     DUE,
     FRESH,
     KEPT_BASE,
@@ -49,6 +51,7 @@ from .error_control import (
     NEXT_BASE,
     READY,
     SEEN,
+    SHARED,
     SIZE,
 )
 
@@ -165,7 +168,7 @@ def start_lead(work, control):
     """Start at the caller's time."""
     control[BASE], control[LEAD], control[FRESH] = work.clock[FROM], work.clock[SINCE], 0.0
     control[LIMIT_BASE], control[LIMIT], control[LEFT] = control[NEXT_BASE], control[NEXT], control[NEXT_AFTER]
-    control[BEGINS] = control[LEADS] = 1.0
+    control[BEGINS] = control[LEADS] = control[SHARED] = 1.0
     control[SEEN] = control[DUE] = 0.0
 
 
@@ -225,13 +228,22 @@ def shorten(work, control, size, place):
         control[DUE] = 1.0
         return False
     control[SIZE] = max(1.0, math.floor((lead + place * size) / step)) * step - lead
+    if divides(control):
+        control[SIZE] *= DIVIDED
     return True
+
+
+@kernel
+def divides(control):
+    """Whether a companion is to divide a substep that ends where that of the simulation does."""
+    return control[COARSE] != 0.0 and control[SHARED] != 0.0
 
 
 @kernel
 def go_on(work, control, size, at_limit):
     """Move the time of the lead by a substep."""
     control[LEFT] -= size
+    control[SHARED] = 1.0 if at_limit else 0.0
     before = control[BASE]
     if at_limit:
         control[BASE], control[LEAD] = control[LIMIT_BASE], control[LIMIT]

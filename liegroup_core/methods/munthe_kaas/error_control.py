@@ -33,20 +33,25 @@ from . import steps
 # the start of the step; rtol of velocities; atol in rad, m, rad/s, m/s; longest substep in s; most attempts in a
 # step; length in m, factor of atol for positions; round-off of a pose; after too many attempts, their fraction of
 # those of the whole step if its rest takes equal substeps; factor of `_coarsen` or 0; e_3 atol / h^4 of the last
-# substep or 0. Entries from RTOL on are for schemes with error control.
-SIZE, ACCEPTED, ATTEMPTED, KEPT_SIZE, RTOL, ATOL, LONGEST, MOST, LENGTH, ROUNDED, PART, COARSE, GROWTH = range(13)
+# substep or 0; 1 if the last substep was rejected; 1 if the lead is at a time at which that of every other run is,
+# too; number of substeps in which a force seemed to jump. Entries from RTOL on are for schemes with error control.
+SIZE, ACCEPTED, ATTEMPTED, KEPT_SIZE, RTOL, ATOL, LONGEST, MOST, LENGTH, ROUNDED, PART = range(11)
+COARSE, GROWTH, REJECTED, SHARED, JUMPS = range(11, 16)
 # Of a method that runs ahead, see ahead.py: 1 if it does; whole steps, and s after them, of the lead, of the start of
 # the kept substep, and of the next known change of the inputs; s from the lead to that; size of the kept substep in s;
 # 1 if the lead is known, else it starts at the caller's state; s from the lead within which an event was seen, or 0;
 # 1 if it is in the next substep within the step of the lead; 1 if the further stages of the kept substep are known; 1
 # if the derivative at the lead is; of the call, the next known change of inputs; 1 if no substep has begun since the
 # lead passed the end of a step.
-AHEAD, BASE, LEAD, KEPT_BASE, KEPT_LEAD, LIMIT_BASE, LIMIT, LEFT, LAST, LEADS, SEEN, DUE = range(13, 25)
-READY, FRESH, NEXT_BASE, NEXT, NEXT_AFTER, BEGINS = range(25, 31)
-ENTRIES = 31
+AHEAD, BASE, LEAD, KEPT_BASE, KEPT_LEAD, LIMIT_BASE, LIMIT, LEFT, LAST, LEADS, SEEN, DUE = range(16, 28)
+READY, FRESH, NEXT_BASE, NEXT, NEXT_AFTER, BEGINS = range(28, 34)
+ENTRIES = 34
 SUBSTEPS, TOLERANCES = slice(SIZE, RTOL), slice(RTOL, LONGEST)
 # Bounds of the ratio of two successive substeps, and safety factor of the next one.
-LARGEST_GROWTH, LARGEST_CUT, SAFETY = 5.0, 0.2, 0.9
+LARGEST_GROWTH, LARGEST_CUT, SAFETY = 5.0, 0.2, 0.85
+# A companion with an accuracy divides a substep that would begin and end where that of the simulation does, and its
+# substeps may grow by more: equal substeps have equal errors. In the golden ratio, parts differ most from equal ones.
+DIVIDED = 0.5 * (math.sqrt(5.0) - 1.0)
 # Round-off of a pose, m or rad, as it appears in an error estimate: stiff forces turn it into accelerations. With
 # h at their fastest oscillation, these change velocities by about the round-off of a pose divided by h.
 ROUNDING = 0.03 * 2.0**-52
@@ -57,8 +62,8 @@ JUMP = 1e3
 
 
 @kernel
-def _change(error, estimates):
-    """Ratio of the next substep to this one: 0.9 error^(-3/16), or 0.9 error^(-1/8), within bounds.
+def _change(error, most, estimates):
+    """Ratio of the next substep to this one: SAFETY error^(-3/16), or SAFETY error^(-1/8), up to `most`.
 
     For an estimate of order 4 the error is proportional to h^5. The exponent 3/16 instead of 1/5
     needs only square roots. They are bit-identical on every machine, and so is the run. With two
@@ -69,7 +74,7 @@ def _change(error, estimates):
     root = math.sqrt(math.sqrt(math.sqrt(max(error, 1e-8))))
     if estimates == 1:
         root *= math.sqrt(root)
-    return min(LARGEST_GROWTH, max(LARGEST_CUT, SAFETY / root))
+    return min(most, max(LARGEST_CUT, SAFETY / root))
 
 
 @kernel
@@ -106,9 +111,15 @@ def judge(model, work, scheme, h, size, status, twist, control):
             growth = error_3 * control[ATOL] / (size * size * size * size)
         if growth > JUMP * control[GROWTH] > 0.0:
             error = max(error, error_3)
-    change = _change(error, len(scheme.error))
+    most = LARGEST_GROWTH if control[COARSE] == 0.0 else LARGEST_GROWTH / DIVIDED
+    change = _change(error, most, len(scheme.error))
+    if control[REJECTED] != 0.0:
+        change = min(1.0, change)  # else stability, or a force with kinks, would have every second substep rejected
+    control[REJECTED] = 0.0 if error <= 1.0 else 1.0
+    if control[GROWTH] > 0.0 and control[SHARED] == 0.0 and JUMP < error < math.inf:
+        control[JUMPS] += 1.0  # a known one begins at a shared time
     # A substep that ends early, at a change of inputs, says little about the longer one before it.
-    kept = control[SIZE] if change == LARGEST_GROWTH else 0.0
+    kept = control[SIZE] if change == most else 0.0
     control[SIZE] = min(control[LONGEST], max(kept, size * change))
     control[ATTEMPTED] += 1.0
     if error <= 1.0:

@@ -40,6 +40,7 @@ from liegroup_core.status import DEPENDENT_ROWS, EVENT, OK, SUBSTEP_TOO_SMALL, T
 from . import explicit, implicit
 from .ahead import (
     Lead,
+    divides,
     ends_step,
     fraction,
     go_on,
@@ -66,10 +67,12 @@ from .error_control import (
     BASE,
     BEGINS,
     COARSE,
+    DIVIDED,
     DUE,
     ENTRIES,
     FRESH,
     GROWTH,
+    JUMPS,
     KEPT_BASE,
     KEPT_LEAD,
     KEPT_SIZE,
@@ -209,6 +212,8 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
                 if 0.0 < left < size * MOST_EQUAL:
                     count = max(1, math.ceil(left / size - 1e-6))
                     size = left / count
+                    if divides(control):
+                        count, size = count + 1, size * DIVIDED
                 at_limit = count == 1 and size == left
                 if control[BEGINS] == 0.0:
                     start, since = 0.0, start  # an implicit method keeps its Jacobian
@@ -397,7 +402,8 @@ class MuntheKaas:
         self._control[LEADS : FRESH + 1] = 0.0
         self._control[BEGINS] = 1.0
         self.stop_at(math.inf, 0.0, math.inf)
-        self._control[LONGEST], self._control[GROWTH] = math.inf if self._may_run_ahead else self._longest, 0.0
+        self._control[LONGEST] = math.inf if self._may_run_ahead else self._longest
+        self._control[GROWTH : JUMPS + 1] = 0.0
         self._chosen[0] = 0.0
         self._set_ahead()
         self._work.known[0] = 0.0
@@ -425,6 +431,11 @@ class MuntheKaas:
     def runs_ahead(self):
         """Whether the integration runs ahead of the caller, see ahead.py."""
         return self._lead.runs
+
+    @property
+    def jumps(self):
+        """Number of substeps since the restart in which a force seemed to jump."""
+        return int(self._control[JUMPS])
 
     @property
     def spent(self):
@@ -456,6 +467,7 @@ class MuntheKaas:
         if number != self.chosen:
             self._control[SIZE] = self._longest
             self._lead.go_back()  # the state ahead is that of the other method
+            self._work.kept_slopes[:] = 0.0  # equal states have equal snapshots
         self._chosen[0] = number
         self._set_ahead()
         self.tighten(self._part)
