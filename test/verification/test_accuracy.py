@@ -163,15 +163,15 @@ def test_a_run_continues_to_the_bit_from_its_state(name):
 
 
 def test_a_fast_spin_keeps_the_accuracy_from_the_first_step_on():
-    """A symmetric rotor at 1e4 rad/s against its closed form; its first step has hundreds of substeps.
+    """A symmetric rotor at 4e4 rad/s against its closed form; its first step has thousands of substeps.
 
     R(t) = exp(t L / A) exp(t (1 - C / A) r e3), inertia diag(A, A, C), angular momentum L, spin r.
     """
-    inertia, rate = np.array([0.02, 0.02, 0.03]), np.array([1e3, 0.0, 1e4])
+    inertia, rate = np.array([0.02, 0.02, 0.03]), np.array([3e4, 0.0, 3e4])
     body = Body(name="rotor", mass=1.0, inertia=inertia, angular_velocity=rate)
     simulation = Simulation(Scene(name="rotor", gravity=(0, 0, 0), bodies=[body]), quiet=True)
     precession, spin = inertia * rate / inertia[0], np.array([0.0, 0.0, (1.0 - inertia[2] / inertia[0]) * rate[2]])
-    for time in (0.01, 0.1, 1.0, 10.0):
+    for time in (0.01, 0.1, 1.0):
         simulation.advance_to(time)
         exact = Rotation.from_rotvec(time * precession) * Rotation.from_rotvec(time * spin)
         error = (Rotation.from_matrix(simulation.sample().pose_matrices[0][:3, :3]) * exact.inv()).magnitude()
