@@ -354,15 +354,6 @@ class Engine:
         """Set the longest substep in s of a method with error control; call it at the start."""
         self._integrator.limit(longest)
 
-    @property
-    def freedoms(self):
-        """Number of freedoms that a Munthe-Kaas method integrates."""
-        return self._integrator.freedoms
-
-    def limit_attempts(self, most):
-        """Set the most attempted substeps in a step of a method with error control."""
-        self._integrator.limit_attempts(most)
-
     def halt(self) -> None:
         """End an `advance` of another thread after its last valid step, within a few ms."""
         self._halted = True
@@ -779,5 +770,5 @@ class Engine:
         return work.angle, acting, work.wanted, motions, modes, self.time
 
     def energy(self) -> float:
-        """Kinetic energy plus potential energy of gravity and springs at the present state, J."""
+        """Kinetic energy plus potential energy of gravity and springs of the state that `sample` gives, J."""
         return self.sample().energy

@@ -51,6 +51,7 @@ from liegroup_core.errors import SimulationError
 from liegroup_core.methods.added_inertia import AddedInertia
 from liegroup_core.methods.table import METHODS
 from liegroup_core.observables.distances import distances
+from liegroup_core.stiffness import EXPLICIT
 
 HIGH = 8  # order from which the steps of both are more similar
 FIRST_MEETINGS, MEETINGS = 2, 48  # between two checkpoints, from the second one on
@@ -69,7 +70,8 @@ LEAST, LEAST_HIGH = 1.0, 0.75
 CONTROLLED = 0.5  # the same with error control
 EVENTS = 1.0  # with stops or friction: up to an event the companion takes smaller steps, and the distance is the error
 BITS = 4  # number of bits of its state that the companion rounds away with an accuracy
-LONGER, LONG = 4.0 / 3.0, 2.0 ** (BITS / HIGH)  # q with error control: of explicit methods, else
+# q with error control, of given tolerances of an explicit method, else. Tolerances of order 8 differ by q^8 = 2^BITS.
+EXPLICIT_RATIO, RATIO = 4.0 / 3.0, 2.0 ** (BITS / 8.0)
 
 
 class RunningError:
@@ -96,7 +98,7 @@ class RunningError:
         # Steps of the engine and of its companion in the same time.
         self.ours, self._theirs = (1, 1) if by_work else (4, 1) if controlled else (4, 3) if order < HIGH else (6, 5)
         if controlled:
-            ratio = LONG if by_work or method.implicit else LONGER
+            ratio = RATIO if by_work or method.implicit else EXPLICIT_RATIO
             least = EVENTS if by_work and engine.layout.switches else CONTROLLED
         else:
             ratio, least = self.ours / self._theirs, LEAST if order < HIGH else LEAST_HIGH
@@ -104,7 +106,7 @@ class RunningError:
         step = self.ours / self._theirs * engine.step
         self._companion = self._make_companion(step, ratio**method.power if controlled else 1.0)
         if controlled and not by_work:
-            self._companion.limit_substeps(LONGER * engine.step)
+            self._companion.limit_substeps(EXPLICIT_RATIO * engine.step)
         elif by_work:  # at the start, where substeps grow by the same factor, those of the two must not be equal
             self._companion.limit_substeps(ratio * engine.step)
         if by_work:
@@ -236,7 +238,7 @@ class RunningError:
         """
         if self._by_work:
             present = self.integrators[0]
-            self.estimate.whole = present.chosen != 0 or present.jumps > 0
+            self.estimate.whole = present.chosen != EXPLICIT or present.jumps > 0
 
     def make_checkpoint(self):
         """Make the present step, which is before the next checkpoint, a checkpoint."""

@@ -255,10 +255,10 @@ def test_attempts_are_those_of_the_whole_step():
     attempts = engine.substeps[1]
     assert engine.event_count == 2
     engine.restore(start)
-    engine.limit_attempts(attempts)
+    engine._integrator.limit_attempts(attempts)
     engine.advance(1)
     engine.restore(start)
-    engine.limit_attempts(2 * attempts // 3)  # more than in any part between two impacts
+    engine._integrator.limit_attempts(2 * attempts // 3)  # more than in any part between two impacts
     with pytest.raises(SimulationError, match="too many substeps"):
         engine.advance(1)
     assert engine.steps == 0 and 0.6 < engine._integrator.part < 1.0
