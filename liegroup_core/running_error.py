@@ -51,7 +51,6 @@ from liegroup_core.errors import SimulationError
 from liegroup_core.methods.added_inertia import AddedInertia
 from liegroup_core.methods.table import METHODS
 from liegroup_core.observables.distances import distances
-from liegroup_core.stiffness import EXPLICIT
 
 HIGH = 8  # order from which the steps of both are more similar
 FIRST_MEETINGS, MEETINGS = 2, 48  # between two checkpoints, from the second one on
@@ -238,7 +237,7 @@ class RunningError:
         """
         if self._by_work:
             present = self.integrators[0]
-            self.estimate.whole = present.chosen != EXPLICIT or present.jumps > 0
+            self.estimate.whole = present.chosen != 0 or present.jumps > 0  # 0: the explicit method
 
     def make_checkpoint(self):
         """Make the present step, which is before the next checkpoint, a checkpoint."""
