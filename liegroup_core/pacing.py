@@ -15,10 +15,11 @@ import time
 # A run is too slow below this fraction of the requested real-time factor.
 SLOW = 0.95
 
-# The operating system wakes a sleeping thread 40 to 100 us late. From this long before a deadline
-# the thread polls the clock instead and keeps the GIL: this makes the median latency 0.1 us. With
-# sleep(0) in the loop it is 18 us.
-WATCH = 150e-6
+# The operating system wakes a sleeping thread 5 to 150 us late. So it is woken earlier, and polls the clock up to the
+# deadline, with the GIL: this makes the median latency 0.1 us. With sleep(0) in the loop it is 18 us. It is woken
+# earlier by the lateness that all but LATE of the recent ticks had, in s at most WATCH, because polling takes the core:
+# each tick lowers this by LATE of its part CHANGE, and a tick that was later still raises it by the rest of that.
+WATCH, LATE, CHANGE = 150e-6, 0.01, 0.1
 
 # Largest delay that is made up by ticks without waiting, s.
 CATCH_UP = 0.1
@@ -89,6 +90,7 @@ class Pacer:
         self._anchor = self._start = self._last = self._mark = (0.0, 0.0)
         self._spans = (0.0, 0.0)  # simulated and wall seconds of the finished stretches
         self._factor_seen = 0.0
+        self._watch = WATCH  # s, how long before a deadline the thread is woken
 
     def start(self, sim_time):
         """Set the anchor at simulated time `sim_time`: at start, resume, or change of the factor."""
@@ -114,11 +116,17 @@ class Pacer:
             deadline = w0 + (sim_time - t0) / self.factor
             allowed = deadline if earliest is None else w0 + (earliest - t0) / self.factor
             if allowed > now:
-                if allowed - now > WATCH:
-                    if self._sleep(min(allowed - now - WATCH, longest)) or allowed - self._clock() > WATCH:
+                if allowed - now > self._watch:
+                    wake = min(allowed - self._watch, now + longest)
+                    if self._sleep(wake - now):
                         return False
-                while (now := self._clock()) < allowed:
-                    pass
+                    now = self._clock()
+                    change = CHANGE * ((now - wake > self._watch) - LATE)
+                    self._watch = min(WATCH, (1.0 + change) * self._watch)
+                    if allowed - now > WATCH:
+                        return False
+                while now < allowed:
+                    now = self._clock()
             elif deadline <= now:
                 self.overruns += 1
             if now < deadline:

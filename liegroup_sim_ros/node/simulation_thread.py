@@ -20,6 +20,7 @@ from operator import attrgetter, itemgetter
 from liegroup_core import SimulationError
 from liegroup_core.forces.commands import MOTION, TARGET
 from liegroup_core.pacing import Pacer
+from liegroup_core.threads import wake_on_time
 from liegroup_sim_ros.messages import events
 from liegroup_sim_ros.messages.joint_modes import JointReports
 
@@ -166,6 +167,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
 
     def run(self):
         """Run until `stop`; an unexpected exception ends the thread and is stored in `failure`."""
+        wake_on_time()
         try:
             self._begin()
             while not self._stopping:
