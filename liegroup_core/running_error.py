@@ -258,10 +258,10 @@ class RunningError:
         substeps = self.engine.substeps[0]
         work, self._substeps = substeps - self._substeps, substeps
         growth = self.estimate.growth
-        longest = 2 * self._block if growth < CALM else self._block if growth < FAST else max(1, self._block // 2)
-        while longest > self.ours and longest * work > SUBSTEPS * self._block:
-            longest //= 2
-        self._block = longest
+        longest = 2 * self._block if growth < CALM else self._block if growth < FAST else self._block // 2
+        if longest * work > SUBSTEPS * self._block:
+            longest = SUBSTEPS * self._block // work
+        self._block = max(1, longest)
 
     def _begin(self, steps):
         """Start the companion at the state of the engine."""
