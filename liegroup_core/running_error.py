@@ -267,7 +267,8 @@ class RunningError:
         """Start the companion at the state of the engine."""
         engine = self.engine
         self._companion.start_from(engine, steps // self.ours * self._theirs)
-        self._start, self._block, self._substeps = steps, self.ours, engine.substeps[0]
+        # Substeps count from the start, where those for states after it, which may have been read, do not count.
+        self._start, self._block, self._substeps = steps, self.ours, 0
         self._lead()
         self._origin[:] = engine._pose
         self._watch_motion()
@@ -335,10 +336,15 @@ class RunningError:
 
     def errors_at(self, instant, pose, twist):
         """As `errors`, of a state at an Instant within the present step."""
-        if self._unknown or not (self._alive and self.begun):
-            return self.errors()
-        if not self._by_work:  # its steps are others
+        if self._by_work:
+            if not self.begun:
+                self.update()
+        elif self._alive and self.engine.steps < self.first_step:
+            return self._nothing()  # up to the first meeting both take the same part of a step
+        else:  # its steps are others
             instant = self._companion.instant_of(self.engine.instant_ns(instant))
+        if not self._alive:
+            return self.errors()
         distances = np.empty_like(self._seen)
         self._distances_at(distances, instant, pose, twist)
         return self.estimate.errors(distances)
@@ -400,9 +406,10 @@ class RunningError:
 
     def errors(self):
         """(n, 4) estimates of the errors of the bodies: m, rad, m/s, rad/s."""
-        if self._unknown:
-            return np.full_like(self._seen, np.nan)
-        return self.estimate.errors(self._now()[0])
+        return self._nothing() if self._unknown else self.estimate.errors(self._now()[0])
+
+    def _nothing(self):
+        return np.full_like(self._seen, np.nan)
 
     @property
     def _unknown(self):

@@ -66,7 +66,7 @@ class Branches:
         checkpoint = self._recording.checkpoint(reached[-1]) if reached else None
         try:
             self._rerun.begin(stretch, checkpoint)
-            self._rerun.advance_to(steps)
+            self._rerun.advance_to(steps, True)
         except SimulationError as error:
             raise ReplayError(f"{self._recording.path}: cannot be repeated: {error}") from None
         if inputs:

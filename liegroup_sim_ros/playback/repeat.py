@@ -77,7 +77,7 @@ class Repeat:
         done = 0
         try:
             for step, time, between in zip(steps.tolist(), block.times.tolist(), inside.tolist()):
-                self._rerun.advance_to(step)
+                self._rerun.advance_to(step, between)
                 if between:
                     self._rerun.apply_changes(time)
                     pose[done], twist[done] = simulation.state_at(simulation.instant_of(round(time * NS)))

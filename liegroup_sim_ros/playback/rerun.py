@@ -130,10 +130,13 @@ class Rerun:
             if simulation.promise and (step := round(recorded_step * self.ratio)) >= start
         ]
 
-    def advance_to(self, step):
-        """Advance to a step with the recorded wrenches. Raises SimulationError."""
+    def advance_to(self, step, beyond=False):
+        """Advance to a step with the recorded wrenches. Raises SimulationError.
+
+        beyond : True: a change of the accuracy at this step acts, too, as it does on states after it
+        """
         simulation = self.simulation
-        while self._accuracies and self._accuracies[0][0] < step:
+        while self._accuracies and self._accuracies[0][0] < step + beyond:
             at, accuracy = self._accuracies.pop(0)
             self._go(at)
             simulation.set_accuracy(accuracy)

@@ -161,6 +161,18 @@ def test_parts_of_a_run_to_an_accuracy_repeat_alone(ros_node, tmp_path, monkeypa
     assert any(commands_in(each.initial_state).acting for each in recordings)
 
 
+def test_an_accuracy_that_changes_between_states_of_one_step_repeats(ros_node, tmp_path):
+    """The states after the change have it, also those within the step that begins there."""
+    given = {"record": tmp_path / "run.mcap", "publish_rate": 333.0}
+    simulation = Simulation(load_scene("four_bar"), step=0.1, accuracy=1e-7)
+    with Run(ros_node, simulation, **given) as run:
+        run.pass_time(0.35)
+        run.call("accuracy", 1e-3)
+        run.pass_time(0.35)
+    recording = repeats(tmp_path / "run.mcap")
+    assert [event.name for event in recording.events].count("accuracy") == 1
+
+
 ARM = """
 name: arm
 gravity: [0, 0, -9.81]
