@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from liegroup_core.compiling import warm_up
 from liegroup_core.errors import SimulationError
 from liegroup_core.fields.arguments import finite, floats, got, is_count, is_finite
-from liegroup_core.forces.instants import AFTER, BEFORE, NEVER, StepGrid
+from liegroup_core.forces.instants import AFTER, BEFORE, LATEST, NEVER, StepGrid
 from liegroup_core.forces.timetable import Timetable, just_after
 from liegroup_core.inputs import Inputs
 from liegroup_core.joint_events import JointEvents
@@ -309,8 +309,8 @@ class Engine:
 
     def restore(self, state: State) -> None:
         """Return to a snapshot. The continuation is bit-identical."""
-        set_kept(self, state.parts)
         self._reached = BEFORE
+        set_kept(self, state.parts)
 
     @property
     def time(self) -> float:
@@ -410,20 +410,29 @@ class Engine:
         """Time in s of the last `advance_to`, or of the present step if that is later."""
         return self._earliest().time
 
+    @property
+    def _reached_ns(self):
+        """`reached` in whole ns, as a snapshot has it."""
+        return self._grid.time_ns(self._earliest())
+
+    @_reached_ns.setter
+    def _reached_ns(self, time_ns):
+        self._reached = self._grid.marked(time_ns)
+
     def step_before(self, time: float) -> int:
         """Last step that is not after a time in s, which must not be before the present one. Raises ValueError."""
         return self._instant(time).step
 
     def _instant(self, time):
         """Instant of a time in s that is not before the present one. Raises ValueError."""
-        if not is_finite(time):
-            raise ValueError(f"a time must be a finite number of seconds, {got(time)}")
+        if not (is_finite(time) and time <= LATEST):
+            raise ValueError(f"a time must be a number of seconds, {LATEST:g} at most, {got(time)}")
         return self._valid(self._grid.instant(float(time)))
 
     def _valid(self, instant):
-        """An Instant that is not before the present one. Raises ValueError."""
-        if instant.step < self.steps or instant is AFTER:
-            raise ValueError(f"the time {instant.time:.9g} s is before the present one, {self.time:.9g} s, or too late")
+        """An Instant that is not before the present step. Raises ValueError."""
+        if instant.step < self.steps:
+            raise ValueError(f"the time {instant.time:.9g} s is before the present step, at {self.time:.9g} s")
         return instant
 
     def _advance(self, steps, enough=None):
@@ -692,9 +701,17 @@ class Engine:
     def samples(self, times: ArrayLike) -> Iterator[Sample]:
         """Advance through times in s that do not decrease, and yield a Sample at each of them.
 
-        Raises the errors of `advance_to` and `sample`.
+        Raises ValueError for other times and SimulationError, as `advance_to`.
         """
-        times = np.atleast_1d(floats("times must be finite numbers", times)).tolist()
+        what = "times must be finite numbers in one row that do not decrease"
+        times = np.atleast_1d(floats(what, times))
+        if times.ndim != 1 or not np.isfinite(times).all() or (np.diff(times) < 0.0).any():
+            raise ValueError(f"{what}, {got(times)}")
+        for at in times[[0, -1]].tolist() if len(times) else ():
+            self._instant(at)
+        return self._samples(times.tolist())
+
+    def _samples(self, times):
         for group in self.by_steps(times):
             self.reach(self._valid(group[0]))
             self.prepare(group)
@@ -733,7 +750,7 @@ class Engine:
         return self._switching.modes(self.time, (self._pose, self._twist, self.inputs.external))
 
     def reaction_array(self, out: Floats | None = None) -> Floats:
-        """Reactions of all joints at the present state, bit-identical to those of a Sample.
+        """Reactions of all joints of the state that `sample` gives, bit-identical to those of the Sample.
 
         out : (J, 6) array, of any memory layout, that takes them; None: a new one
         returns (J, 6) torque N m, force N of the joints in the order of the scene; see
@@ -742,6 +759,8 @@ class Engine:
         reactions = self.layout.reactions
         if not reactions.names:
             return self._given(np.empty((0, 6)), out)
+        if self._reached > self._present():
+            return self._given(self.sample().reaction_array, out)
         found = reactions.empty()
         if reactions.has_inputs:
             reactions.take(*self._inputs_now())

@@ -31,7 +31,8 @@ def place(engine, poses=None, twists=None, joints=None) -> None:
     Given values are kept exactly. Joints that are not given keep their coordinates and
     velocities if `joints` are given and no loop prevents it. Otherwise the other values are the
     nearest that satisfy all joints. Bodies without a path of joints to a given one are not changed. Step
-    count and time continue. The wrenches of `apply_wrench` are cleared. A driven joint keeps its
+    count and time continue; after an `advance_to` within a step, the step is taken to its end first. The
+    wrenches of `apply_wrench` are cleared. A driven joint keeps its
     velocity unless the given values prevent it; if it is moved, it continues at its new velocity.
     Raises SceneError with the joint, and its residual or its stop, if the joints do not allow it,
     BeyondLimits, a ValueError, beyond the limits of commands (joints/limits.py), and ValueError for an
@@ -62,6 +63,8 @@ def place(engine, poses=None, twists=None, joints=None) -> None:
             and all(value is None or is_finite(value) for value in values)
         ):
             raise ValueError(f"{joint} must be (position, velocity), both finite or None, {got(values)}")
+    if engine.reached > engine.time:
+        engine.advance(1)
     counted = [joint for joint, _ in engine.scene.unwrapped]
     angles = dict(zip(counted, engine._work.angle.tolist()))
     motions = engine.layout.motions_at(engine.time, engine.inputs.commanded)

@@ -104,7 +104,7 @@ class Simulation(Engine):
         """Name the parts of the state; the choice of the method refers to the state of both engines."""
         parts = ("_running", "_choice", "_control")
         given = tuple(part for part in parts if getattr(self, part) is not None)
-        self.KEPT = (*Engine.KEPT, *(("_warned", "_lost") if given else ()), *given)
+        self.KEPT = (*Engine.KEPT, "_reached_ns", *(("_warned", "_lost") if given else ()), *given)
 
     def _tighten(self, part):
         for integrator in self._running.integrators:
@@ -257,10 +257,10 @@ class Simulation(Engine):
     def restore_parts(self, data):
         """Continue from the parts of a State as JSON types. Raises ValueError; the state is then unchanged.
 
-        With a method the estimate of the error may be missing, or be left out.
+        The time reached may be missing, and with a method the estimate of the error.
         """
         before = kept(self)
-        needed = before if self._control is not None else kept(self, Engine.KEPT)
+        needed = kept(self, Engine.KEPT) if self._control is None else before.keys() - {"reached_ns"}
         like = {name: part for name, part in before.items() if name in needed or name in data}
         parts = decoded({name: data[name] for name in like if name in data}, like, "the snapshot")
         if not 0 <= parts["steps"] < NEVER:

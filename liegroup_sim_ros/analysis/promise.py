@@ -22,6 +22,14 @@ def periods(promise, stretch):
     return [(stretch.start * stretch.step, promise["accuracy"]), *changes]
 
 
+def allowed(promise, stretch, times):
+    """Errors that an accuracy allows at times (k,) in s since step 0 of a stretch."""
+    accuracy = np.empty(len(times))
+    for since, value in periods(promise, stretch):
+        accuracy[(times > since + 0.5 * stretch.step) | (since <= stretch.start * stretch.step)] = value
+    return accuracy * np.maximum(1.0, times / promise["horizon"])
+
+
 class Promise:
     """Check of an accuracy, block by block.
 
@@ -55,21 +63,17 @@ class Promise:
         if not inside.any():
             return
         error, known = error[inside], known[inside]
-        first, *later = periods(self._promise, stretch)
-        accuracy = np.full(len(times), first[1])
-        for since, value in later:
-            accuracy[times > since + 0.5 * stretch.step] = value
         self._changes[stretch.begin_ns] = [
             (stretch.base_ns * 1e-9 + since, value)
-            for since, value in later
+            for since, value in periods(self._promise, stretch)[1:]
             if since < stretch.inaccurate_from - 0.5 * stretch.step
         ]
-        allowed = accuracy[inside] * np.maximum(1.0, times[inside] / self._promise["horizon"])
         self._inside = max(self._inside, float(error.max()))
         self._known = max(self._known, float(known.max()))
-        self._part = max(self._part, float((error / allowed).max()))
-        self._known_part = max(self._known_part, float((known / allowed).max()))
-        self._sure_part = max(self._sure_part, float(((error - known) / allowed).max()))
+        most = allowed(self._promise, stretch, times[inside])
+        self._part = max(self._part, float((error / most).max()))
+        self._known_part = max(self._known_part, float((known / most).max()))
+        self._sure_part = max(self._sure_part, float(((error - known) / most).max()))
         self._seconds[stretch.begin_ns] = float(times[inside].max())
 
     def figures(self, by):

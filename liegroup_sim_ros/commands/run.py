@@ -21,6 +21,7 @@ from liegroup_core import Simulation, SimulationError
 from liegroup_core.accuracy import DEFAULT, LONGEST, MINUTE
 from liegroup_core.engine import STABILISATIONS, STEP
 from liegroup_core.errors import LieGroupSimError
+from liegroup_core.forces.instants import LATEST
 from liegroup_core.methods.table import CONFIGURATION_GROUPS, METHODS
 from liegroup_core.simulation import default_steps
 from liegroup_sim_ros.messages.events import slips
@@ -86,7 +87,10 @@ def add_arguments(parser):
         "--rate", type=float, metavar="HZ", help="samples in a second instead of --every, also between steps"
     )
     parser.add_argument(
-        "--times", metavar="FILE", help="text file of the times of the samples in s, one in a line, in their order"
+        "--times",
+        metavar="FILE",
+        help="text file of the times of the samples in s, one in a line, after # a comment, at least 1 ns apart; "
+        "the start is always written",
     )
     parser.add_argument(
         "--no-estimate",
@@ -302,8 +306,8 @@ def sample_times(args):
         return None
     if not (math.isfinite(args.rate) and 0.0 < args.rate <= HIGHEST_RATE):
         raise RunError(f"--rate must be a positive number of samples in a second up to {HIGHEST_RATE:g}")
-    if not (math.isfinite(args.duration) and args.duration > 0.0):
-        raise RunError(f"--duration must be a positive number of seconds, got {args.duration:g}")
+    if not 0.0 < args.duration <= LATEST:
+        raise RunError(f"--duration must be a positive number of seconds, {LATEST:g} at most, got {args.duration:g}")
     count = math.ceil(args.duration * args.rate - 1e-6)
     if count > MOST_SAMPLES:
         raise RunError(
@@ -316,20 +320,22 @@ def sample_times(args):
 def times_in(path):
     """Times in s of a text file, positive and increasing by 1 ns at least. Raises RunError."""
     try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines()
+        lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise RunError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
     found = []
     for number, line in enumerate(lines, 1):
-        if not line.strip() or line.lstrip().startswith("#"):
+        line = line.partition("#")[0].strip()
+        if not line:
             continue
         try:
             at = float(line)
         except ValueError:
-            raise RunError(f"{path}, line {number}: expected a time in s, got {line.strip()!r:.60}") from None
-        if not (math.isfinite(at) and at >= (found[-1] + 1e-9 if found else 0.0)):
+            raise RunError(f"{path}, line {number}: expected a time in s, got {line!r:.60}") from None
+        # Rounding of the decimals may take a hundredth of a ns at late times.
+        if not (0.0 <= at <= LATEST and (not found or at >= found[-1] + 0.99e-9)):
             raise RunError(
-                f"{path}, line {number}: times must be finite, not negative and increase, got {line.strip()}"
+                f"{path}, line {number}: times must be from 0 to {LATEST:g} s and increase by at least 1 ns, got {line}"
             )
         found.append(at)
     if found[:1] == [0.0]:

@@ -59,6 +59,10 @@ class Rates:
                 each.go_on(now)
         return min([each.next for each in self._times.values()])
 
+    def need_state(self, now):
+        """Whether an output that is due at a time sends a state."""
+        return any(output.of_state and times.next == now for output, times in self._outputs)
+
     def due(self, now, stamp_ns, everything=False):
         """Outputs that are due at a time, or all; without those that were sent with this stamp already.
 

@@ -88,6 +88,7 @@ class SimulationCommands:
 
     def _place(self, poses, twists, joints, reason):
         self._refuse_if_faulted()
+        self._settle()
         try:
             self._simulation.place(poses, twists, joints)
         except (SceneError, ValueError) as error:

@@ -285,7 +285,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
                 if simulation.steps < instant.step:
                     return not self._stopping
             simulation.reach(instant)
-            if instant.offset:
+            if instant.offset and (self._watching or self._rates.need_state(tick - self._base_ns)):
                 sample = simulation.sample_at(instant)
         except SimulationError as error:
             if not self._stopping:

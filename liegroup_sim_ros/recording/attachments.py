@@ -40,8 +40,9 @@ def at_start(simulation, node, world_frame, sample_steps, topics, stamp_ns=0, **
 
 
 def state(simulation, stamp_ns):
-    """Current state of a simulation as JSON types; `restore` is the inverse."""
+    """State of a simulation at its last step as JSON types; `restore` is the inverse."""
     parts = dict(simulation.snapshot().parts)
+    del parts["reached_ns"]
     # JSON writes the shortest text that is read as the same float64: the state is exact.
     return {
         "bodies": list(simulation.layout.body_names),

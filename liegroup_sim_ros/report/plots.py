@@ -13,7 +13,7 @@ from liegroup_core.observables.along import STORES
 from liegroup_sim_ros.analysis.balance import WORKS
 from liegroup_sim_ros.analysis.estimate import LEAST, MOST
 from liegroup_sim_ros.analysis.joint_motion import MOST_TIMES
-from liegroup_sim_ros.analysis.promise import periods
+from liegroup_sim_ros.analysis.promise import allowed
 from liegroup_sim_ros.numbers import shown
 
 BINS = 1000  # number of bins of a curve; the minimum and the maximum of each bin are drawn
@@ -56,23 +56,16 @@ def make_plots(analysis, bodies=False):
         plots += _energy_plots(figures["balance"], curves["balance"], bands)
     remark, traces = _errors(analysis)
     if traces:
-        lines = []
-        if promise := figures.get("promise"):
-            for (since, accuracy), until in _accuracies(promise, analysis.motion):
-                for value, colour in ((accuracy * promise["length"], "--blue"), (accuracy, "--orange")):
-                    lines.append((value, colour, since, until))
-            remark += f"; horizontal: accuracy requested for the first {promise['horizon']:g} s"
-        plots.append(("Error", remark, _with_lines(plane(traces, bands, "m, rad", log=True), lines)))
+        if figures.get("promise"):
+            plots.append(("Accuracy", *_accuracy_plot(analysis, bands)))
+        plots.append(("Error", remark, plane(traces, bands, "m, rad", log=True)))
         ratios = _coverage_traces(curves.get("reference") or [])
         if ratios:
             plots.append(
                 (
                     "Coverage",
                     f"estimate / error, where the error exceeds the uncertainty; lines at {LEAST:g} and {MOST:g}",
-                    _with_lines(
-                        plane(ratios, bands, "estimate / error", log=True),
-                        [(value, "--grey", None, None) for value in (LEAST, MOST)],
-                    ),
+                    _with_lines(plane(ratios, bands, "estimate / error", log=True), (LEAST, MOST)),
                 )
             )
     conserved = [
@@ -142,17 +135,24 @@ def _errors(analysis):
     return "estimate recorded with the run, largest of all bodies", _error_traces(parts, ERRORS[4:])
 
 
-def _accuracies(promise, motion):
-    """[((from, accuracy), to)] in s of the recording; ends are None if the accuracy never changes."""
-    if not promise["changes"]:
-        return [((None, promise["accuracy"]), None)]
-    found = []
-    for stretch in motion.stretches:
-        base = stretch.base_ns * 1e-9
-        parts = [(base + since, accuracy) for since, accuracy in periods(promise, stretch)]
-        ends = [*(since for since, _ in parts[1:]), float(stretch.log_times[-1])]
-        found += zip(parts, ends)
-    return found[:MOST_RESTARTS]
+def _accuracy_plot(analysis, bands):
+    """(remark, plot) of true error, estimate and accuracy, each as the number that the accuracy limits."""
+    promise, stretches = analysis.figures["promise"], analysis.motion.stretches
+
+    def worst(position, angle):
+        return np.maximum(position / promise["length"], angle)
+
+    true = [(part[0], worst(*part[1:3])) for part in analysis.curves.get("reference") or []]
+    estimates = [(s.log_times, worst(*s.errors.max(axis=1).T[:2])) for s in stretches if s.errors is not None]
+    limits = [(s.log_times, allowed(promise, s, s.log_times - s.base_ns * 1e-9)) for s in stretches]
+    kinds = ("true error", "--blue", "solid"), ("estimated error", "--orange", "solid"), ("accuracy", "--red", "dash")
+    traces = [
+        line(name, *(joined(column) for column in zip(*parts)), colour, dash)
+        for (name, colour, dash), parts in zip(kinds, (true, estimates, limits))
+        if parts
+    ]
+    remark = f"of the worst body, relative to the mechanism's size of {promise['length']:.3g} m, or in rad"
+    return remark, plane(traces, bands, "error", log=True)
 
 
 def _error_traces(parts, names):
@@ -180,26 +180,25 @@ def _coverage_traces(parts):
     return traces
 
 
-def _with_lines(plot, lines):
-    """Plot with a log axis and horizontal lines, [(value, colour, from s, to s)]; None: over the whole width."""
-    layout, dash = plot["layout"], "longdash"
+def _with_lines(plot, values):
+    """Plot with a log axis and horizontal lines."""
+    layout = plot["layout"]
     layout["shapes"] = layout["shapes"] + [
         {
             "type": "line",
-            "xref": "paper" if since is None else "x",
+            "xref": "paper",
             "yref": "y",
-            "x0": 0 if since is None else since,
-            "x1": 1 if since is None else until,
+            "x0": 0,
+            "x1": 1,
             "y0": value,
             "y1": value,
-            "line": {"color": colour, "width": 1.5, "dash": dash},
+            "line": {"color": "--grey", "width": 1.5, "dash": "longdash"},
         }
-        for value, colour, since, until in lines
+        for value in values
     ]
-    if lines:
-        before = layout["yaxis"].get("range") or _logarithms(plot["data"]) or [0.0]
-        ends = [*before, *(math.log10(factor * value) for value, *_ in lines for factor in (0.5, 2.0))]
-        layout["yaxis"]["range"] = [min(ends), max(ends)]
+    before = layout["yaxis"].get("range") or _logarithms(plot["data"]) or [0.0]
+    ends = [*before, *(math.log10(factor * value) for value in values for factor in (0.5, 2.0))]
+    layout["yaxis"]["range"] = [min(ends), max(ends)]
     return plot
 
 

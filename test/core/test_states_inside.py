@@ -80,11 +80,11 @@ def pushed(name, ask, **options):
     simulation.apply_wrench(body, PUSH, 3.33 * simulation.step, 2.111 * simulation.step)
     simulation.drain_instants()
     for k in range(120):
+        if ask:
+            found += [simulation.sample(simulation.time + part * simulation.step) for part in np.sort(rng.random(2))]
         simulation.advance(1)
         if k == 70:
             simulation.apply_wrench(body, PUSH, None, 0.5)
-        if ask:
-            found += [simulation.sample(simulation.time + part * simulation.step) for part in np.sort(rng.random(2))]
     return simulation, found
 
 
@@ -94,6 +94,7 @@ def pushed(name, ask, **options):
         ("four_bar", {"accuracy": 1e-5}),
         ("driven_arm", {"accuracy": 1e-4}),
         ("heavy_top", {"accuracy": 1e-6, "step": 0.1}),
+        ("flyball_governor", {"accuracy": 1e-4}),
         ("gripper", {"accuracy": 1e-4}),
         ("stick_slip", {"accuracy": 1e-5}),
         ("cable", {"accuracy": 1e-5}),
@@ -233,8 +234,43 @@ def test_only_times_of_the_present_step_can_be_had():
             simulation.sample(time)
     with pytest.raises(ValueError, match="before the present"):
         simulation.advance_to(0.01)
-    with pytest.raises(ValueError, match="before the present"):
-        list(simulation.samples([0.06, 0.055]))
+    for times in ([0.06, 0.055], [0.06, np.nan], np.ones((2, 2)), ["now"]):
+        with pytest.raises(ValueError, match="times must be finite numbers in one row that do not decrease"):
+            simulation.samples(times)
+    with pytest.raises(ValueError, match=r"9.2e\+09 at most, got 10000000000.0"):
+        simulation.samples([0.06, 1e10])
+
+
+def test_reactions_snapshots_and_places_are_those_of_the_time_reached():
+    one, other = (Simulation(load_scene("double_pendulum"), step=0.1, quiet=True) for _ in range(2))
+    one.advance_to(2.0777)
+    assert (one.reaction_array() == one.sample().reaction_array).all()
+    other.restore(one.snapshot())
+    assert other.reached == one.reached == 2.0777
+    for each in (one, other):
+        each.apply_wrench("lower", PUSH, None, 0.1)
+        each.advance(10)
+    assert one.snapshot() == other.snapshot()
+    other.advance_to(3.1777)
+    one.advance_to(3.2)
+    other.place(joints={"shoulder": (one.sample().joint_coordinates["shoulder"][0], None)})
+    assert (other.time, other.steps) == (one.time, one.steps)  # the end of the step
+    assert np.abs(other.sample().pose - one.sample().pose).max() < 1e-12
+
+
+def test_the_error_between_the_first_steps_is_estimated_or_unknown():
+    """To an accuracy the companion starts with the first state, with a method they meet after four steps."""
+    to_accuracy, fine = (Simulation(load_scene("heavy_top"), step=0.1, accuracy=a, quiet=True) for a in (1e-2, 1e-12))
+    for time in (0.05, 0.09, 0.15):
+        to_accuracy.advance_to(time)
+        fine.advance_to(time)
+        one, true = to_accuracy.sample(), fine.sample()
+        error = np.linalg.norm(one.pose[:, 9:] - true.pose[:, 9:], axis=1).max()
+        assert 0.0 < 0.2 * error < one.errors[:, 0].max() < 1e-2
+    given = Simulation(load_scene("heavy_top"), "rkmk4", 0.01, quiet=True)
+    assert (given.sample().errors == 0.0).all()
+    unknown = [np.isnan(sample.errors).all() for sample in given.samples([0.005, 0.01, 0.015, 0.035, 0.04, 0.045])]
+    assert unknown == [True] * 4 + [False] * 2
 
 
 def test_a_repeated_run_with_servos_may_know_later_commands():

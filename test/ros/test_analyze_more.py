@@ -403,8 +403,9 @@ def test_without_a_reference_the_recorded_estimate_takes_its_place(
     assert f"estimated error at most {largest:g} m and {0.5 * largest:g} rad" in figures["verdict"]
     assert [max(trace["y"]) for trace in plots["Error"]["data"][:2]] == [largest, 0.5 * largest]
     assert overview(analysis.figures)[:2] == [f"~{largest:g} m", f"~{0.5 * largest:g} rad"]
-    lines = [shape["y0"] for shape in plots["Error"]["layout"]["shapes"] if shape["y0"]]
-    assert lines == pytest.approx([1e-4 * promise["length"], 1e-4][: len(lines)]) and lines
+    lines = {trace["name"]: set(trace["y"]) for trace in plots["Accuracy"]["data"]}
+    assert lines.keys() - {"events at joints"} == {"estimated error", "accuracy"} and lines["accuracy"] == {1e-4}
+    assert max(lines["estimated error"]) == pytest.approx(promise["error"])
 
 
 def test_estimates_of_a_later_part_are_not_compared(tmp_path):
