@@ -350,9 +350,12 @@ class Engine:
         """Whether the integration has reached a step count already."""
         return self.runs_ahead and self._integrator.lead >= (steps, 0.0)
 
-    def limit_substeps(self, longest):
-        """Set the longest substep in s of a method with error control; call it at the start."""
-        self._integrator.limit(longest)
+    def limit_substeps(self, longest, longer=0.0):
+        """Set the longest substep in s of a method with error control; call it at the start.
+
+        longer : of a companion with given tolerances, ratio of its substeps to those of the simulation
+        """
+        self._integrator.limit(longest, longer)
 
     def halt(self) -> None:
         """End an `advance` of another thread after its last valid step, within a few ms."""

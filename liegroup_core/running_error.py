@@ -28,7 +28,8 @@ where a force jumps: there the order is not seen. A substep that would be the sa
 
 With error control and without an accuracy, the companion takes one step for four of the simulation. With equal
 steps the last substep, which ends with the step, would often make the substeps of both equal. Its substeps are at
-most 4/3 of a step, because it would step over contacts that the simulation meets.
+most 4/3 of a step, because it would step over contacts that the simulation meets. In parts of steps, which changes of
+the inputs end, it is more accurate than the simulation, and all of the distance counts (error_control.unlike).
 
 If the companion cannot continue, the estimate is infinite from then on. Before the first meeting it is NaN.
 
@@ -105,7 +106,7 @@ class RunningError:
         step = self.ours / self._theirs * engine.step
         self._companion = self._make_companion(step, ratio**method.power if controlled else 1.0)
         if controlled and not by_work:
-            self._companion.limit_substeps(EXPLICIT_RATIO * engine.step)
+            self._companion.limit_substeps(EXPLICIT_RATIO * engine.step, ratio)
         elif by_work:  # at the start, where substeps grow by the same factor, those of the two must not be equal
             self._companion.limit_substeps(ratio * engine.step)
         if by_work:
@@ -142,7 +143,8 @@ class RunningError:
             layout=engine.layout,
             **options,
         )
-        companion.events.divide(PARTS)
+        if engine.layout.switches or not METHODS[engine.method].controlled:
+            companion.events.divide(PARTS)
         companion.inputs.log = None  # nothing reads it
         return companion
 
@@ -231,13 +233,16 @@ class RunningError:
             self._next = self._next_checkpoint(steps)
 
     def weigh(self):
-        """Count all of a distance with an implicit method, whose interpolant has low order, and once a force jumped.
+        """Count all of a distance where the order is not seen.
 
-        There the order may not be seen. Call it at checkpoints only: between them a run may be ahead.
+        With an accuracy: with an implicit method, whose interpolant has low order, and once a force jumped. With given
+        tolerances: once the companion took a part of a step. Call it at checkpoints: between them a run may be ahead.
         """
         if self._by_work:
             present = self.integrators[0]
             self.estimate.whole = present.chosen != 0 or present.jumps > 0  # 0: the explicit method
+        elif METHODS[self.engine.method].controlled:
+            self.estimate.whole = self.integrators[1].jumps > 0
 
     def make_checkpoint(self):
         """Make the present step, which is before the next checkpoint, a checkpoint."""

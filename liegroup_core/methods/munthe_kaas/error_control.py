@@ -24,7 +24,7 @@ with SUBSTEP_TOO_SMALL.
 import math
 
 from liegroup_core.compiling import kernel
-from liegroup_core.mechanism.bodies import ROUND_OFF
+from liegroup_core.mechanism.bodies import ROUND_OFF, STEP_SIZE
 from liegroup_core.status import OK, SUBSTEP_TOO_SMALL
 
 from . import steps
@@ -34,7 +34,9 @@ from . import steps
 # step; length in m, factor of atol for positions; round-off of a pose; after too many attempts, their fraction of
 # those of the whole step if its rest takes equal substeps; factor of `_coarsen` or 0; e_3 atol / h^4 of the last
 # substep or 0; 1 if the last substep was rejected; 1 if the lead is at a time at which that of every other run is,
-# too; number of substeps in which a force seemed to jump. Entries from RTOL on are for schemes with error control.
+# too; number of substeps in which a force seemed to jump, and of parts of steps that a companion with given tolerances
+# took. Entries from RTOL on are for schemes with error control. The last one is the ratio of the substeps of such a
+# companion to those of the simulation, else 0.
 SIZE, ACCEPTED, ATTEMPTED, KEPT_SIZE, RTOL, ATOL, LONGEST, MOST, LENGTH, ROUNDED, PART = range(11)
 COARSE, GROWTH, REJECTED, SHARED, JUMPS = range(11, 16)
 # Of a method that runs ahead, see ahead.py: 1 if it does; whole steps, and s after them, of the lead, of the start of
@@ -44,8 +46,8 @@ COARSE, GROWTH, REJECTED, SHARED, JUMPS = range(11, 16)
 # if the derivative at the lead is; of the call, the next known change of inputs; 1 if no substep has begun since the
 # lead passed the end of a step.
 AHEAD, BASE, LEAD, KEPT_BASE, KEPT_LEAD, LIMIT_BASE, LIMIT, LEFT, LAST, LEADS, SEEN, DUE = range(16, 28)
-READY, FRESH, NEXT_BASE, NEXT, NEXT_AFTER, BEGINS = range(28, 34)
-ENTRIES = 34
+READY, FRESH, NEXT_BASE, NEXT, NEXT_AFTER, BEGINS, LONGER = range(28, 35)
+ENTRIES = 35
 SUBSTEPS, TOLERANCES = slice(SIZE, RTOL), slice(RTOL, LONGEST)
 # Bounds of the ratio of two successive substeps, and safety factor of the next one.
 LARGEST_GROWTH, LARGEST_CUT, SAFETY = 5.0, 0.2, 0.85
@@ -93,6 +95,21 @@ def _error(model, work, scheme, h, twist, control):
             return math.inf, 0.0
         largest = max(largest, error)
     return math.sqrt(largest), math.sqrt(largest_3)
+
+
+@kernel
+def unlike(work, control, time, count):
+    """Number of substeps of a companion with given tolerances in a step or a part of one, in place of `count`.
+
+    It differs from that of the simulation, because equal substeps have equal errors. In parts of steps, which changes
+    of the inputs end, substeps follow tolerances less well, and the simulation may have another end of a step. So there
+    the companion has more than twice as many: the two differ by the error of the simulation.
+    """
+    likely = max(1, math.ceil(control[LONGER] * time / control[SIZE] - 1e-6))
+    if time < work.clock[STEP_SIZE]:
+        control[JUMPS] += 1.0
+        return 2 * likely + 1
+    return likely + 1 if likely <= count else count
 
 
 @kernel

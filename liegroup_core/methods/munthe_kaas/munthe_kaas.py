@@ -81,6 +81,7 @@ from .error_control import (
     LEADS,
     LEFT,
     LENGTH,
+    LONGER,
     LONGEST,
     MOST,
     NEXT_AFTER,
@@ -94,6 +95,7 @@ from .error_control import (
     SUBSTEPS,
     TOLERANCES,
     judge,
+    unlike,
 )
 from .passage import passage
 from .steps import begin, check_end, close, count_turns, enter, has_event, leave, place, rest, store_slopes, watches
@@ -186,7 +188,7 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
             remaining = time_left(work, control)
         if len(work.motions) > 0:
             first = 0  # the time at the end of the last step differs by round-off
-        attempts, tried = 0, control[SIZE]
+        attempts, planned, tried = 0, 0, control[SIZE]
         if ahead and remaining > 0.0 and control[DUE] != 0.0:
             status = EVENT
         while status == OK and (remaining > 0.0 or ahead and remaining < 0.0):
@@ -224,6 +226,9 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
                 if controlled:
                     # Equal substeps up to the end of the step, so that the last one is not tiny.
                     count = max(1, math.ceil(remaining / control[SIZE] - 1e-6))
+                if remaining == h and control[LONGER] > 0.0:
+                    planned = unlike(work, control, h, count)
+                count = max(count, planned)
                 size = remaining / count
             work.report[STEP_TURN] = work.report[ROUND_OFF] = 0.0
             begin(model, work, origin, rates)
@@ -283,7 +288,7 @@ def advance(model, work, scheme, h, steps, pose_in, twist_in, external_in, contr
                     _coarsen(control[COARSE], pose, twist)
                     first = 0
                 work.report[LARGEST_TURN] = max(work.report[LARGEST_TURN], work.report[STEP_TURN])
-                remaining = remaining - size if count > 1 else 0.0
+                remaining, planned = remaining - size if count > 1 else 0.0, planned - 1
             if status == OK and ahead:
                 tried = control[SIZE]
                 go_on(work, control, size, at_limit)
@@ -493,9 +498,9 @@ class MuntheKaas:
         """Fraction of its attempts that the last step made before it failed because of too many; otherwise 0."""
         return float(self._control[PART])
 
-    def limit(self, longest):
-        """Set the longest substep in s, and restart."""
-        self._longest = longest
+    def limit(self, longest, longer=0.0):
+        """Set the longest substep in s and, of a companion with given tolerances, its ratio q; and restart."""
+        self._longest, self._control[LONGER] = longest, longer
         self.restart()
 
     @property
