@@ -161,7 +161,7 @@ class Inputs:
 
         body     : name of the body
         wrench   : (6,) torque N m, force N. Zero ends it
-        start    : simulated time, s; None or a past time: the next step. A Fraction is exact: floats
+        start    : simulated time, s; None or a past time: the time reached. A Fraction is exact: floats
                    resolve whole ns up to 4e6 s
         duration : s; None: until it is replaced. Start and end are rounded to whole ns, as stamps of ROS
                    and of recordings are; `drain_applied` returns them
