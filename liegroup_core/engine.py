@@ -151,7 +151,7 @@ class Engine:
         self._switching = getattr(self._integrator, "switching", None)
         self._stop_at = getattr(self._integrator, "stop_at", None)
         self._work.clock[STEP_SIZE], self._limited = self.step, False
-        self._before, self._inside = None, {}  # see `undo`, `prepare`
+        self._before, self._inside, self._mark = None, {}, None  # see `undo`, `prepare`, `_go_to`
         rows, motions = self.layout.model.forces.applied_wrench, self.layout.motions.values()
         self._grid = StepGrid(self.step)
         self._timetable = Timetable(rows, self._grid, motions)
@@ -493,18 +493,29 @@ class Engine:
             return self.state()
 
     def _go_to(self, instant):
-        """Advance to an Instant, with a part of a step at its end; without what a subclass does in addition."""
-        Engine._advance(self, instant.step - self.steps)
-        if instant.offset:
+        """Advance to an Instant, with a part of a step at its end; without what a subclass does in addition.
+
+        A run ahead continues from the last such state in the step: its states do not depend on others.
+        """
+        start, state = self._mark or (AFTER, None)
+        if start.step == instant.step and start <= instant:
+            set_kept(self, state)
+        else:
+            Engine._advance(self, instant.step - self.steps)
             start = self._present()
-            self.inputs.update(start)
+        if instant.offset:
             inside = [each for each in self._instants_inside() if each < instant]
-            self._checked(self._take_in_parts(start, inside, self._grid.between(start, instant), instant))
+            self.inputs.update(max([self._present(), *(each for each in inside if each <= start)]))
+            inside = [each for each in inside if each > start]
+            if instant > start:
+                self._checked(self._take_in_parts(start, inside, self._grid.between(start, instant), instant))
+            if self.runs_ahead and self._switching is None:
+                self._mark = instant, kept(self, [name for name in Engine.KEPT if name != "inputs"])
 
     @contextlib.contextmanager
     def _aside(self):
         """Return to the present state afterwards, with all that was logged and counted."""
-        self.undo()
+        self.undo(AFTER)
         inputs, switching = self.inputs, self._switching
         before, held = kept(self, [name for name in Engine.KEPT if name != "inputs"]), inputs.held()
         log, follower, inputs.log, inputs.follower = inputs.log, inputs.follower, None, None
@@ -513,7 +524,9 @@ class Engine:
         try:
             yield
         finally:
+            mark = self._mark
             set_kept(self, before)
+            self._mark = mark
             inputs.give_back(held)
             inputs.log, inputs.follower = log, follower
             if spent is not None:
@@ -550,7 +563,7 @@ class Engine:
                 break
             at, h = grid.parts(end), grid.between(start, end)
             if self._before is not None and integrator.kept_from > at:
-                self.undo()  # a later state was asked for before
+                self.undo(AFTER)  # a later state was asked for before
             if self._before is None and integrator.lead < at:
                 self._before = [array.copy() for array in self._memory], integrator.spent
             pose, twist = self._pose.copy(), self._twist.copy()
@@ -579,9 +592,14 @@ class Engine:
         with contextlib.suppress(SimulationError):  # it is raised when that state is asked for
             self._inside = self._states_inside([each for each in instants if each.step > self.steps or each.offset])
 
-    def undo(self):
-        """Undo what was integrated for states after the present one."""
+    def undo(self, since=BEFORE):
+        """Undo what was integrated for states after the present one.
+
+        since : Instant from which on they will be others
+        """
         self._inside = {}
+        if self._mark is not None and since < self._mark[0]:
+            self._mark = None
         if self._before is not None:
             memory, self._integrator.spent = self._before
             self._integrator.clear()
@@ -589,7 +607,7 @@ class Engine:
 
     def _forget(self):
         """The state was set, or has advanced."""
-        self._before, self._inside = None, {}
+        self._before, self._inside, self._mark = None, {}, None
 
     def _checked(self, status):
         if status != OK:

@@ -22,7 +22,7 @@ class Inputs:
     grid    : StepGrid of the steps
     wanted  : (k, 2) array of the integrator, set to the wanted values of servos that act
     present : function that returns the Instant of the present step
-    change  : function that is called before a command is taken
+    change  : function that is called with its start before a command is taken
 
     external  : (n, COLUMNS) external wrenches that act, see forces/external.py
     commanded : (d, 7) commanded motions of driven joints, or FROM_SCENE
@@ -34,7 +34,7 @@ class Inputs:
 
     KEPT = ("commands",)
 
-    def __init__(self, layout, grid, wanted, present, change=lambda: None):
+    def __init__(self, layout, grid, wanted, present, change=lambda begin: None):
         self._layout, self._grid, self._present, self._change = layout, grid, present, change
         self._bodies = {name: i for i, name in enumerate(layout.body_names)}
         self._drives, self._servos = tuple(layout.motions), tuple(layout.servos)
@@ -113,7 +113,7 @@ class Inputs:
 
     def _insert(self, command, begin, end):
         """Take a Command from an Instant on, up to another one."""
-        self._change()
+        self._change(begin)
         command = command._replace(
             start_ns=self._grid.mark(begin), end_ns=None if end == AFTER else self._grid.mark(end)
         )
