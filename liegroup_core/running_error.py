@@ -22,9 +22,9 @@ their states at any time are those of interpolants, whose errors are part of the
 up to SUBSTEPS substeps, and earlier where the distance grows fast. In between, the two are compared when an estimate
 is read, and PART of the horizon after the last look; an estimate above the accuracy makes that a checkpoint, too.
 Steps with events of stops and friction are the same for both; there the companion's error may be the smaller one, so
-that with switches all of the distance counts. So it does once a substep had an error far above the expected one, as
-where a force jumps: there the order is not seen. A substep that would be the same for both is divided by the companion
-(error_control.DIVIDED).
+that with switches all of the distance counts. So it does once a substep was near a singular pose, or had an error far
+above the expected one, as where a force jumps: there the order is not seen. A substep that would be the same for both
+is divided by the companion (error_control.DIVIDED).
 
 With error control and without an accuracy, the companion takes one step for four of the simulation. With equal
 steps the last substep, which ends with the step, would often make the substeps of both equal. Its substeps are at
@@ -235,8 +235,9 @@ class RunningError:
     def weigh(self):
         """Count all of a distance where the order is not seen.
 
-        With an accuracy: with an implicit method, whose interpolant has low order, and once a force jumped. With given
-        tolerances: once the companion took a part of a step. Call it at checkpoints: between them a run may be ahead.
+        With an accuracy: with an implicit method, whose interpolant has low order, once a force jumped, and once a
+        singular pose was near. With given tolerances: once the companion took a part of a step. Call it at checkpoints:
+        between them a run may be ahead.
         """
         if self._by_work:
             present = self.integrators[0]

@@ -29,14 +29,14 @@ from liegroup_core.status import OK, SUBSTEP_TOO_SMALL
 
 from . import steps
 
-# Entries of `control`: next substep in s; numbers of accepted and of attempted substeps so far; next substep at
-# the start of the step; rtol of velocities; atol in rad, m, rad/s, m/s; longest substep in s; most attempts in a
-# step; length in m, factor of atol for positions; round-off of a pose; after too many attempts, their fraction of
-# those of the whole step if its rest takes equal substeps; factor of `_coarsen` or 0; e_3 atol / h^4 of the last
-# substep or 0; 1 if the last substep was rejected; 1 if the lead is at a time at which that of every other run is,
-# too; number of substeps in which a force seemed to jump, and of parts of steps that a companion with given tolerances
-# took. Entries from RTOL on are for schemes with error control. The last one is the ratio of the substeps of such a
-# companion to those of the simulation, else 0.
+# Entries of `control`: next substep in s; numbers of accepted and of attempted substeps so far; next substep at the
+# start of the step; rtol of velocities; atol in rad, m, rad/s, m/s; longest substep in s; most attempts in a step;
+# length in m, factor of atol for positions; round-off of a pose; after too many attempts, their fraction of those of
+# the whole step if its rest takes equal substeps; factor of `_coarsen` or 0; e_3 atol / h^4 of the last substep or 0; 1
+# if the last substep was rejected; 1 if the lead is at a time at which that of every other run is, too; number of
+# substeps near a singular pose or in which a force seemed to jump, and of parts of steps that a companion with given
+# tolerances took. Entries from RTOL on are for schemes with error control. The last one is the ratio of the substeps of
+# such a companion to those of the simulation, else 0.
 SIZE, ACCEPTED, ATTEMPTED, KEPT_SIZE, RTOL, ATOL, LONGEST, MOST, LENGTH, ROUNDED, PART = range(11)
 COARSE, GROWTH, REJECTED, SHARED, JUMPS = range(11, 16)
 # Of a method that runs ahead, see ahead.py: 1 if it does; whole steps, and s after them, of the lead, of the start of
@@ -133,7 +133,7 @@ def judge(model, work, scheme, h, size, status, twist, control):
     if control[REJECTED] != 0.0:
         change = min(1.0, change)  # else stability, or a force with kinks, would have every second substep rejected
     control[REJECTED] = 0.0 if error <= 1.0 else 1.0
-    if control[GROWTH] > 0.0 and control[SHARED] == 0.0 and JUMP < error < math.inf:
+    if work.report[ROUND_OFF] > 0.0 or control[GROWTH] > 0.0 and control[SHARED] == 0.0 and JUMP < error < math.inf:
         control[JUMPS] += 1.0  # a known one begins at a shared time
     # A substep that ends early, at a change of inputs, says little about the longer one before it.
     kept = control[SIZE] if change == most else 0.0

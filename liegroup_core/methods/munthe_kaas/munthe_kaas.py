@@ -439,7 +439,7 @@ class MuntheKaas:
 
     @property
     def jumps(self):
-        """Number of substeps since the restart in which a force seemed to jump."""
+        """Number of substeps since the restart in which the order is not seen, see `JUMPS`."""
         return int(self._control[JUMPS])
 
     @property
