@@ -220,7 +220,7 @@ def test_every_part_of_the_recording_is_repeated_and_analysed(client, process, n
     node.steps(700)
     assert client.call(f"{NODE}/save_snapshot").success
     node.command(node.now() + 300_500_000, name=["elbow"], effort=[4.0])
-    node.steps(2000)
+    node.steps(4000)  # the ball comes to rest
     assert client.call(f"{NODE}/restore_snapshot").success
     node.steps(1500)
     assert client.call(f"{NODE}/reset").success
