@@ -90,16 +90,20 @@ class Inputs:
         self.schedule.clear_all()
         for command in commands.acting:
             key, parts = self._effects(command)
-            self.schedule.resume(command, key, parts, self._end(command))
+            self.schedule.resume(command, key, parts, self._ends(command))
         for command in commands.waiting:
             key, parts = self._effects(command)
-            self.schedule.insert(command, key, parts, self._grid.marked(command.start_ns), self._end(command))
+            self.schedule.insert(command, key, parts, self._grid.marked(command.start_ns), self._ends(command))
         self._take_totals()
 
     def _marked(self, entry):
-        """Command of an Entry; a command that was ended has its earlier end."""
-        end = None if entry.end == AFTER else self._grid.mark(entry.end)
-        return entry.command._replace(end_ns=end)
+        """Command of an Entry, as it was given, and the time at which it was cleared."""
+        cleared = None if entry.end == self._end(entry.command) else self._grid.mark(entry.end)
+        return entry.command._replace(cleared_ns=cleared)
+
+    def _ends(self, command):
+        """Instant at which a command of a state ends."""
+        return self._end(command) if command.cleared_ns is None else self._grid.marked(command.cleared_ns)
 
     def _end(self, command):
         return AFTER if command.end_ns is None else self._grid.marked(command.end_ns)

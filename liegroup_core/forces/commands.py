@@ -30,6 +30,7 @@ class Command(NamedTuple):
     source : a command replaces that of the same kind, source and name
     axes   : "body" or "world", of a wrench
     point  : (3,) m, in the body frame, at which the force of a wrench acts; None: the origin
+    cleared_ns : in a state, simulated time in ns at which a clear ends it, before its end; else None
     """
 
     kind: str
@@ -40,6 +41,7 @@ class Command(NamedTuple):
     source: str = ""
     axes: str = "body"
     point: tuple[float, ...] | None = None
+    cleared_ns: int | float | None = None
 
     @property
     def start(self) -> float:
@@ -74,6 +76,7 @@ class Command(NamedTuple):
             "source": isinstance(data.get("source", ""), str),
             "axes": data.get("axes", "body") in AXES,
             "point": data.get("point") is None or _numbers(data["point"], 3),
+            "cleared_ns": data.get("cleared_ns") is None or is_finite(data["cleared_ns"]),
         }
         for name, fits in checks.items():
             if not fits:
@@ -86,11 +89,21 @@ def _numbers(values, count):
     return isinstance(values, (list, tuple)) and len(values) == count and all(map(is_finite, values))
 
 
+def _as_it_ends(command):
+    cleared = command.cleared_ns
+    return command if cleared is None else command._replace(end_ns=cleared, cleared_ns=None)
+
+
 class Commands(NamedTuple):
     """Commands that act, and those that start later, in the order in which they were given."""
 
     acting: tuple[Command, ...] = ()
     waiting: tuple[Command, ...] = ()
+
+    @property
+    def as_they_end(self) -> "Commands":
+        """Commands with the ends that hold; a run that continues also knows those that were given."""
+        return Commands(*(tuple(map(_as_it_ends, part)) for part in self))
 
     def as_json(self) -> dict[str, Any]:
         """JSON types."""

@@ -199,8 +199,8 @@ class Schedule:
         """Instant up to which totals stay as they are at an Instant, at least."""
         if self._next > instant:
             return self._next
-        ends = [entry.end for entry in self._acting.values()] + [entry.start for entry in self.waiting]
-        return min((each for each in ends if each > instant), default=AFTER)
+        entries = *self._acting.values(), *self.waiting  # one that waits may start at the Instant
+        return min((each for entry in entries for each in (entry.start, entry.end) if each > instant), default=AFTER)
 
     def inside(self, step):
         """Instants inside a step at which a command starts or ends, in order."""

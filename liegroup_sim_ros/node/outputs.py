@@ -316,7 +316,7 @@ class Outputs:
 
         Late subscribers receive the history of the topic, so it must always contain such a message.
         """
-        commands = [c for part in present for c in part if c.kind in (WRENCH, EFFORT)]
+        commands = [c for part in present.as_they_end for c in part if c.kind in (WRENCH, EFFORT)]
         self._inputs.publish(inputs.encode(base_ns, commands, everything=True))
         self._sent = 0
 

@@ -316,7 +316,7 @@ class Motion:
     def _commands_in(self, state):
         """Wrenches and efforts that act or wait in the entries of a state. Raises RecordingError."""
         try:
-            commands = commands_in(state)
+            commands = commands_in(state).as_they_end
         except ValueError as error:
             raise RecordingError(f"{self._recording.path}: {error}") from None
         return [c for part in commands for c in part if c.kind in KINDS]
