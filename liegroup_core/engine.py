@@ -441,6 +441,8 @@ class Engine:
     def _advance(self, steps, enough=None):
         end = self.steps + steps
         if steps:
+            if self._before is not None and self._integrator.kept_from > (self.steps + 1, 0.0):
+                self.undo()  # states of later steps were read: that at the next one is no longer known
             self._forget()
         self._warnings.begin()
         while True:

@@ -253,6 +253,8 @@ class RunningError:
 
     def meet(self):
         """Advance the companion to the last meeting, so that a state depends on its time alone."""
+        if self._by_work and not self.begun:
+            self.update()
         self._companion.undo()
         meeting = self.engine.steps // self.ours * self._theirs
         if self._alive and self.begun and not self._failed and self._companion.steps < meeting:

@@ -93,8 +93,8 @@ class Schedule:
 
     @property
     def acting(self):
-        """[Entry] of the commands that act, in the order of their arrival."""
-        return sorted(self._acting.values(), key=lambda entry: entry.number)
+        """[Entry] of the commands that act, in an order that does not depend on that of their arrival."""
+        return [entry for _, entry in sorted(self._acting.items())]
 
     @property
     def sources(self):
