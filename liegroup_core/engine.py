@@ -487,7 +487,8 @@ class Engine:
 
         Raises SimulationError, as `advance`.
         """
-        inside = self._state_inside(instant)
+        with self.inputs.acting_from(self._present()):
+            inside = self._state_inside(instant)
         if inside is not None:
             return inside[:2]
         with self._aside():
@@ -556,8 +557,6 @@ class Engine:
         """
         start, found = self._present(), {}
         change = self.change_after(start) if self.runs_ahead else BEFORE
-        if self.inputs.schedule:
-            self.inputs.update(start)
         work, integrator, grid = self._work, self._integrator, self._grid
         angle, modes = work.angle.copy(), [array.copy() for array in self._modes]
         for end in ends:
@@ -591,7 +590,8 @@ class Engine:
 
     def prepare(self, instants):
         """Compute the states at Instants within the present step together; `sample` and `state_at` find them, once."""
-        with contextlib.suppress(SimulationError):  # it is raised when that state is asked for
+        # An error is raised when that state is asked for.
+        with contextlib.suppress(SimulationError), self.inputs.acting_from(self._present()):
             self._inside = self._states_inside([each for each in instants if each.step > self.steps or each.offset])
 
     def undo(self, since=BEFORE):
@@ -714,9 +714,10 @@ class Engine:
                 f"the time {instant.time:.9g} s is after the present step, up to {end:.9g} s: advance first"
             )
         at = instant.time, self._grid.time_ns(instant)
-        inside = self._state_inside(instant)
-        if inside is not None:
-            return self._sample_of(*at, *inside)
+        with self.inputs.acting_from(self._present()):
+            inside = self._state_inside(instant)
+            if inside is not None:
+                return self._sample_of(*at, *inside)
         with self._aside():
             self._go_to(instant)
             return self._sample_of(*at, *self.state(), self._work.angle.copy())

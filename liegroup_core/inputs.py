@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Inputs of an Engine that act from one time to another: wrenches, efforts, servos, motions."""
 
+from contextlib import contextmanager
 from fractions import Fraction
 
 import numpy as np
@@ -56,6 +57,20 @@ class Inputs:
         """Return to what `held` gave."""
         schedule, self.known_end, self.external[:], self.wanted[:], self.commanded[:] = held
         self.schedule.give_back(schedule)
+
+    @contextmanager
+    def acting_from(self, instant):
+        """Let what acts from an Instant on act for a while, without a word; then what acted before."""
+        if not self.schedule or instant < self.schedule.next:
+            yield
+            return
+        held, log, self.log = self.held(), self.log, None
+        self.update(instant)
+        try:
+            yield
+        finally:
+            self.give_back(held)
+            self.log = log
 
     def freeze(self):
         """Keep what acts, and discard all commands, until `commands` are set: nothing changes."""

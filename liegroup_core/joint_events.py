@@ -65,6 +65,18 @@ class JointEvents:
         return [event._replace(joint=self._layout.switches[event.joint].name) for event in events]
 
     @property
+    def pending(self):
+        """What was not drained yet, and the number of events; a state that is set discards it."""
+        has = self._switching
+        return None if has is None else (has.events, has.instants, has.impacts, has.count)
+
+    @pending.setter
+    def pending(self, pending):
+        if pending is not None:
+            has = self._switching
+            has.events, has.instants, has.impacts, has.count = pending
+
+    @property
     def lost_rebound(self):
         """Largest displacement of a rebound that became plastic since the state was set, see ModeChanges.lost."""
         return 0.0 if self._switching is None else self._switching.lost

@@ -75,10 +75,11 @@ def place(engine, poses=None, twists=None, joints=None) -> None:
     _refuse_beyond_stops(engine, *state, joints, angles)
     _refuse_beyond_limits(engine, *state, joints)
     commanded, before = engine.inputs.commanded.copy(), engine.inputs.commands
-    present = engine.sample_at()
+    present, applied, events = engine.sample_at(), engine.inputs.log, engine.events.pending
     engine.set_state(*state, engine.steps, np.array([angles[joint] for joint in counted]))
     _keep_turns(engine, present, joints)
     engine.inputs.commands = _motions_after(engine, commanded, before, joints)
+    engine.inputs.log, engine.events.pending = applied, events  # the run goes on
     engine.inputs.update(engine._present())
 
 

@@ -156,7 +156,7 @@ class Schedule:
         self._known_next = None
 
     @property
-    def _next(self):
+    def next(self):
         """Instant before which `update` changes nothing."""
         if self._known_next is None:
             ends = [BEFORE if entry.ends_at_once else entry.end for entry in self._acting.values()]
@@ -165,7 +165,7 @@ class Schedule:
 
     def update(self, instant):
         """Set `total` to what acts from an Instant on. Returns the changed [(number, axes)]."""
-        if instant < self._next:
+        if instant < self.next:
             return []
         self._known_next, touched = None, set()
         while self.waiting and self.waiting[0].start <= instant:
@@ -197,21 +197,21 @@ class Schedule:
 
     def next_after(self, instant):
         """Instant up to which totals stay as they are at an Instant, at least."""
-        if self._next > instant:
-            return self._next
+        if self.next > instant:
+            return self.next
         entries = *self._acting.values(), *self.waiting  # one that waits may start at the Instant
         return min((each for entry in entries for each in (entry.start, entry.end) if each > instant), default=AFTER)
 
     def inside(self, step):
         """Instants inside a step at which a command starts or ends, in order."""
-        if self._next.step > step:
+        if self.next.step > step:
             return []
         return sorted({i for i in self._instants(step) if i.step == step and i.offset})
 
     def next_change(self, step):
         """First later step that starts with a change of the totals, or contains one."""
-        if self._next.step > step:
-            return self._next.step
+        if self.next.step > step:
+            return self.next.step
         return min((i.step for i in self._instants(step) if i.step > step), default=NEVER)
 
     def _instants(self, step):
