@@ -565,14 +565,14 @@ class Engine:
             at, h = grid.parts(end), grid.between(start, end)
             if self._before is not None and integrator.kept_from > at:
                 self.undo(AFTER)  # a later state was asked for before
-            if self._before is None and integrator.lead < at:
-                self._before = [array.copy() for array in self._memory], integrator.spent
             pose, twist = self._pose.copy(), self._twist.copy()
             try:
                 if found:
                     work.clock[TO : UNTIL + 1] = at
                 else:
                     self._prepare(start, h, end)
+                if self._before is None and (integrator.lead < at or integrator.has_others(self.inputs.external)):
+                    self._before = [array.copy() for array in self._memory], integrator.spent
                 _, status = integrator.look_ahead(h, pose, twist, self.inputs.external)
                 if status == EVENT:
                     break

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Inputs of an Engine that act from one time to another: wrenches, efforts, servos, motions."""
 
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from fractions import Fraction
 
 import numpy as np
@@ -14,6 +14,8 @@ from liegroup_core.forces.instants import AFTER
 from liegroup_core.forces.kinds import servos, wanted_values
 from liegroup_core.forces.schedule import BODY, DRIVE, IN_WORLD, LEVERS, SERVO, Schedule
 from liegroup_core.joints.motion import at, row_at, through
+
+NO_CHANGE = nullcontext()
 
 
 class Inputs:
@@ -58,12 +60,13 @@ class Inputs:
         schedule, self.known_end, self.external[:], self.wanted[:], self.commanded[:] = held
         self.schedule.give_back(schedule)
 
-    @contextmanager
     def acting_from(self, instant):
-        """Let what acts from an Instant on act for a while, without a word; then what acted before."""
-        if not self.schedule or instant < self.schedule.next:
-            yield
-            return
+        """Context in which what acts from an Instant on acts, without a word; then what acted before."""
+        changes = self.schedule and not instant < self.schedule.next
+        return self._acting_from(instant) if changes else NO_CHANGE
+
+    @contextmanager
+    def _acting_from(self, instant):
         held, log, self.log = self.held(), self.log, None
         self.update(instant)
         try:

@@ -81,9 +81,12 @@ from .error_control import (
     LEADS,
     LEFT,
     LENGTH,
+    LIMIT,
+    LIMIT_BASE,
     LONGER,
     LONGEST,
     MOST,
+    NEXT,
     NEXT_AFTER,
     NEXT_BASE,
     PART,
@@ -456,6 +459,15 @@ class MuntheKaas:
     def lead(self):
         """(whole steps, s after them) that the integration has reached."""
         return self._lead.time(BASE)
+
+    def has_others(self, external):
+        """Whether the integration ran ahead with other inputs, or another time at which they change."""
+        work, control = self._work, self._control
+        if control[NEXT_BASE] != control[LIMIT_BASE] or control[NEXT] != control[LIMIT]:
+            return True
+        now = external, work.wanted, work.motions, work.acting
+        then = work.lead_external, work.lead_wanted, work.lead_motions, work.lead_acting
+        return any((one != other).any() for one, other in zip(now, then) if len(one))
 
     @property
     def kept_from(self):
