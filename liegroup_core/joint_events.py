@@ -66,15 +66,15 @@ class JointEvents:
 
     @property
     def pending(self):
-        """What was not drained yet, and the number of events; a state that is set discards it."""
+        """What was not drained yet; a state that is set discards it."""
         has = self._switching
-        return None if has is None else (has.events, has.instants, has.impacts, has.count)
+        return None if has is None else (has.events, has.instants, has.impacts)
 
     @pending.setter
     def pending(self, pending):
         if pending is not None:
             has = self._switching
-            has.events, has.instants, has.impacts, has.count = pending
+            has.events, has.instants, has.impacts = pending
 
     @property
     def lost_rebound(self):
