@@ -20,6 +20,7 @@ SLOW = 0.95
 # earlier by the lateness that all but LATE of the recent ticks had, in s at most WATCH, because polling takes the core:
 # each tick lowers this by LATE of its part CHANGE, and a tick that was later still raises it by the rest of that.
 WATCH, LATE, CHANGE = 150e-6, 0.01, 0.1
+SHORTEST = 50e-6  # s: to sleep and wake takes about as much CPU time
 
 # Largest delay that is made up by ticks without waiting, s.
 CATCH_UP = 0.1
@@ -116,7 +117,7 @@ class Pacer:
             deadline = w0 + (sim_time - t0) / self.factor
             allowed = deadline if earliest is None else w0 + (earliest - t0) / self.factor
             if allowed > now:
-                if allowed - now > self._watch:
+                if allowed - now > self._watch + SHORTEST:
                     wake = min(allowed - self._watch, now + longest)
                     if self._sleep(wake - now):
                         return False
