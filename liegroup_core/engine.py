@@ -100,7 +100,8 @@ class Engine:
     Orders: test/verification/test_orders.py; constraint residuals: test_heavy_top.py.
     """
 
-    KEPT: tuple[str, ...] = ("_pose", "_twist", "steps", "_angles", "_memory", "_modes", "inputs")
+    MOTION: tuple[str, ...] = ("_pose", "_twist", "steps", "_angles", "_memory", "_modes")
+    KEPT: tuple[str, ...] = (*MOTION, "inputs")
 
     apply_wrench = method_of("inputs", Inputs.apply_wrench)
     apply_effort = method_of("inputs", Inputs.apply_effort)
@@ -513,14 +514,14 @@ class Engine:
             if instant > start:
                 self._checked(self._take_in_parts(start, inside, self._grid.between(start, instant), instant))
             if self.runs_ahead and self._switching is None:
-                self._mark = instant, kept(self, [name for name in Engine.KEPT if name != "inputs"])
+                self._mark = instant, kept(self, Engine.MOTION)
 
     @contextlib.contextmanager
     def _aside(self):
         """Return to the present state afterwards, with all that was logged and counted."""
         self.undo(AFTER)
         inputs, switching = self.inputs, self._switching
-        before, held = kept(self, [name for name in Engine.KEPT if name != "inputs"]), inputs.held()
+        before, held = kept(self, Engine.MOTION), inputs.held()
         log, follower, inputs.log, inputs.follower = inputs.log, inputs.follower, None, None
         spent = getattr(self._integrator, "spent", None)
         events = None if switching is None else switching.log()

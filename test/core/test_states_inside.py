@@ -346,7 +346,7 @@ def played(name, program, rng=None):
 )
 @pytest.mark.volume(2)
 def test_random_commands_have_one_effect_however_often_states_are_read(name):
-    """To the bit: pushes within steps, clears, and a companion that is behind are not seen too early or too late."""
+    """Bit-identical: pushes within steps, clears, and a companion that is behind are not seen too early or too late."""
     for seed in range(6):
         program = random_program(np.random.default_rng(seed), 0.25)
         expected = played(name, program)
