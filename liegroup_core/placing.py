@@ -109,12 +109,13 @@ def switch_places(layout, pose, twist):
 def _refuse_beyond_stops(engine, pose, twist, joints, angles):
     """Raise SceneError if a rigid stop does not allow a state, or a coordinate that was given."""
     layout, start = engine.layout, _start_of(engine.layout, pose, twist)
-    for switch, q in switch_coordinates(layout.centred, start, layout.joint_frames, angles):
+    coordinates = switch_coordinates(layout.centred, start, layout.joint_frames, angles)
+    for (switch, q), size in zip(coordinates, layout.switch_sizes):
         limits, (given, _) = switch.limits, joints.get(switch.name, (None, None))
         if limits is None or limits.stiffness is not None:
             continue
         q = q if given is None else given
-        if limits.excess(q) > BEYOND:
+        if limits.excess(q) > BEYOND * size:
             unit = unit_of(switch, engine.scene)
             what = "joint" if switch.coupling is None else "coupling"
             raise SceneError(

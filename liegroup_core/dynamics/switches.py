@@ -36,8 +36,9 @@ from .trees import move_links
 LOWER, UPPER, SLIDING, LEAST, MOST = 0, 1, 2, 3, 4
 # Round-off of an effort that holds, relative to the sum of the wrenches on all links.
 ROUND_OFF = 1e-13
-MOVES = 1e-9  # rad/s or m/s: from this rate on, a switch that rests because of others moves
-# Round-off: depth beyond a stop below AT_STOP (1 + |stop|), rad or m, and rates up to RESTING.
+# All relative to 1 rad or the characteristic length, `unit` of a switch.
+MOVES = 1e-9  # 1/s: from this rate on, a switch that rests because of others moves
+# Round-off: depth beyond a stop below AT_STOP (unit + |stop|), and rates up to RESTING unit, per second.
 AT_STOP, RESTING = 1e-13, 1e-11
 
 
@@ -238,7 +239,7 @@ def set_guards(model, work):
             continue
         rate = work.now[k, 0]
         if work.modes[k, RESTS] != 0.0:
-            guards[k, SLIDING] = MOVES - abs(rate)
+            guards[k, SLIDING] = MOVES * switch["unit"] - abs(rate)
             continue
         q = coordinate(model, work, k, work.stage_pose)
         if switch["stiffness"] == 0.0:

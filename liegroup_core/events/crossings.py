@@ -200,10 +200,10 @@ def crossed(model, work, h, weights):
                 stop = switch["lower"] if c == LOWER else switch["upper"]
                 # Held rows drift by round-off and the error of the method, so one that leaves its stop may
                 # start beyond it. It leaves with the third power of time.
-                before, depth, lag = sign * (q0 - stop), AT_STOP * (1.0 + abs(stop)), 0.0
+                before, depth, lag = sign * (q0 - stop), AT_STOP * (switch["unit"] + abs(stop)), 0.0
                 if guards[k, c] < 0.0:
                     further = guards[k, c] < min(before, 0.0) - depth
-                    if soft or further or sign * v1 < -RESTING:
+                    if soft or further or sign * v1 < -RESTING * switch["unit"]:
                         places[k, c] = 1.0
                 elif before < math.inf:
                     after = guards[k, c]

@@ -36,7 +36,6 @@ SMALLEST_REBOUND, LOW_REBOUND = 1e-10, 1e-8
 LAST_DIGITS = 1e-14  # round-off of a position, relative to the largest distance from the origin
 RETURNING = 1e-10  # relative to its terms: a smaller acceleration is zero
 SAME_LOADS = 1e-12
-ACCELERATION = 1e-13  # round-off of an acceleration, relative to the largest one of the mechanism
 SPENT = 1e-9  # relative to its bound: an effort nearer to it is at the bound
 IMMOBILE = 1e-13  # relative to the mobility without closed loops: below it, loops hold the coordinate at this pose
 IMPACT = "impact"
@@ -62,7 +61,6 @@ class JointEvent(NamedTuple):
 class ModeChanges:
     """Impulses and modes at an event of the switches of a model, at the state in `work`.
 
-    sizes   : (k,) characteristic length in the units of the switches: 1 rad, or m
     events  : [JointEvent] since they were last taken
     impacts : [(time in s, pose (n, 12), angles (u,), impulses (k,) on the coordinates of the joints)] since
               they were last taken; None: not recorded
@@ -70,9 +68,11 @@ class ModeChanges:
               stop, rad or relative to the characteristic length
     """
 
-    def __init__(self, model, work, sizes):
-        self._model, self._work, self._sizes = model, work, sizes
+    def __init__(self, model, work):
+        self._model, self._work = model, work
         table = model.switches
+        self._unit = table["unit"]
+        self._still = RESTING * self._unit
         self._freedoms, self._is_row = table["freedom"], table["row"] >= 0
         self._rigid = table["stiffness"] == 0.0
         self._dry = table["static"] + table["static_by_load"] > 0.0
@@ -89,11 +89,11 @@ class ModeChanges:
 
     def _height(self, pose, part):
         """(k,) `part` of 1 rad or of the characteristic length, at least round-off, rad or m."""
-        return np.maximum(part * self._sizes, LAST_DIGITS * np.abs(pose[:, 9:]).max())
+        return np.maximum(part * self._unit, LAST_DIGITS * np.abs(pose[:, 9:]).max())
 
     def _reach(self, pose, stop):
         """(k,) distance up to which a coordinate counts as being at a stop, rad or m."""
-        round_off = AT_STOP * (1.0 + np.abs(stop))
+        round_off = AT_STOP * (self._unit + np.abs(stop))
         if not self.is_dense:
             return round_off
         return np.maximum(self._height(pose, SMALLEST_REBOUND), round_off)
@@ -150,7 +150,7 @@ class ModeChanges:
         lo = np.where((side[hit] > 0.0) | stays[hit], -np.inf, 0.0)
         hi = np.where((side[hit] < 0.0) | stays[hit], np.inf, 0.0)
         approach = np.where(side[hit] * rates[hit] > 0.0, rates[hit], 0.0)
-        smallest = restitution[side[hit] * rates[hit] > RESTING].min(initial=1.0)
+        smallest = restitution[side[hit] * rates[hit] > self._still[hit]].min(initial=1.0)
         for e in (restitution, np.full(len(hit), smallest)):
             p, _, at = solve(A, rates[hit] + e * approach, lo, hi)
             after = rates[hit] + p @ A
@@ -166,7 +166,8 @@ class ModeChanges:
             impulses[hit] = signs[hit] * p
             self.impacts.append((time, state[0].copy(), work.angle.copy(), impulses))
         for k, impulse, loss in zip(hit, p, energy):
-            if impulse != 0.0 and side[k] != 0.0:  # else its friction ends a slide
+            # Else it is round-off, or friction that ends a slide.
+            if abs(impulse) * self._mobility[k, k] > self._still[k] and side[k] != 0.0:
                 self.events.append(JointEvent(time, int(k), IMPACT, float(signs[k] * impulse), float(loss)))
         return self._look(model, work, *state)
 
@@ -188,7 +189,7 @@ class ModeChanges:
     def _end_soon(self, pose, side):
         """Mask of the switches that leave their stops, or slide, for a way at which rebounds become zero."""
         rates, accelerations = self._work.now.T
-        moves = (side * rates < -RESTING) | ((self._work.modes[:, SLIP] != 0.0) & (np.abs(rates) > RESTING))
+        moves = (side * rates < -self._still) | ((self._work.modes[:, SLIP] != 0.0) & (np.abs(rates) > self._still))
         slows = (rates * accelerations < 0.0) & (self._at_rest() == 0.0)
         return moves & slows & (rates**2 <= 2.0 * self._lowest(pose) * np.abs(accelerations))
 
@@ -200,7 +201,7 @@ class ModeChanges:
         """Update `lost` for rebounds that become plastic; towards: accelerations towards their stops."""
         with np.errstate(divide="ignore", invalid="ignore"):
             height = np.where(towards > 0.0, rebound**2 / (2.0 * towards), np.inf)
-        way = np.minimum(rebound * self.step, height) / self._sizes[hit]
+        way = np.minimum(rebound * self.step, height) / self._unit[hit]
         self.lost = max(self.lost, float(way.max(initial=0.0)))
 
     def _choose(self, state, side, resting, rates, crossed, pressed):
@@ -257,9 +258,8 @@ class ModeChanges:
         loads = work.loads[:, LOAD].copy()
         status = self._look_with_loads(state)
         b = work.now[chosen, 1].copy()
-        # Terms of the size of gravity may cancel, for example where a cable goes slack.
-        turning = np.abs(work.twist).max(initial=0.0) ** 2
-        round_off = ACCELERATION * (np.abs(work.acceleration).max(initial=0.0) + turning)
+        # Forces may cancel: an acceleration is zero if it cannot move the switch within a step.
+        round_off = 2.0 * AT_STOP * self._unit[chosen] / self.step**2
         if status == OK:
             status = self._respond_at_stage()
         if status != OK:
@@ -288,7 +288,7 @@ class ModeChanges:
                 break
             lo[away & (at == LOW)] = -sliding[away & (at == LOW)]
             hi[away & (at != LOW)] = sliding[away & (at != LOW)]
-        slow = np.abs(w) <= RETURNING * (np.abs(A) @ np.abs(x) + np.abs(b))
+        slow = np.abs(w) <= RETURNING * (np.abs(A) @ np.abs(x) + np.abs(b)) + round_off
         held |= slow & (released == FREE) & pressed[chosen] & ~rests
         rests &= slow
         for i, k in enumerate(chosen):

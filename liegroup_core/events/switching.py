@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from liegroup_core.dynamics.switches import LOWER, RESTING, SLIDING, UPPER, modes_of
+from liegroup_core.dynamics.switches import LOWER, SLIDING, UPPER, modes_of
 from liegroup_core.joints.stops import WITHIN_A_TURN
 from liegroup_core.mechanism.arrays import BEGIN, COORDINATE, KNOWN, SIDE, SLIP, SPAN, WATCHED
 from liegroup_core.mechanism.bodies import COUNT, FROM, OFFSET, SINCE, TO, UNTIL
@@ -23,7 +23,7 @@ from .crossings import lowest
 from .mode_changes import IMPACT, JointEvent
 from .times import SAME_PART, SAME_TIME, EventTimes
 
-BEYOND = 1e-9  # rad or m: a state that is set further beyond a stop is refused
+BEYOND = 1e-9  # rad, or relative to the characteristic length: a state that is set further beyond a stop is refused
 # Endless impacts of several contacts become plastic: after half of MOST_EVENTS in a step, if the last DENSE
 # are within this fraction of it.
 DENSE, SHORT = 50, 0.005
@@ -49,7 +49,7 @@ class JointInstant(NamedTuple):
 class Switching(EventTimes):
     """Steps of a Munthe-Kaas method with the events of the switches of its model.
 
-    sizes, take, control : see EventTimes
+    take, control : see EventTimes
     lead    : Lead of the method
 
     instants : [JointInstant] since they were last taken; None: not recorded
@@ -58,8 +58,8 @@ class Switching(EventTimes):
     tally   : (k,) number of instants at which a guard of each switch was zero, since the state was set
     """
 
-    def __init__(self, model, work, sizes, take, control, lead):
-        super().__init__(model, work, sizes, take, control)
+    def __init__(self, model, work, take, control, lead):
+        super().__init__(model, work, take, control)
         self._lead = lead
         self.instants, self.count = None, 0
         self.endless = self._inputs = None
@@ -108,6 +108,7 @@ class Switching(EventTimes):
         if steps == 0:
             return self._take(h, 0, *state)
         del self.events[:-MOST_KEPT]
+        self.step = h
         clock, done, first, base = work.clock, 0, work.clock[COUNT], work.clock[OFFSET]
         begin, end = clock[FROM], clock[TO]
         whole = clock[SINCE] == clock[UNTIL] == 0.0  # not a part of a step, which is completed at once
@@ -204,7 +205,7 @@ class Switching(EventTimes):
         if status != OK:
             return status
         if not known:
-            beyond = (self._rigid[:, None] & (work.guards[:, : UPPER + 1] < -BEYOND)).any(axis=1)
+            beyond = (self._rigid[:, None] & (work.guards[:, : UPPER + 1] < -BEYOND * self._unit[:, None])).any(axis=1)
             if beyond.any():
                 return BEYOND_STOP + (int(np.argmax(beyond)) << 8)
             rates = self._rates()
@@ -316,12 +317,12 @@ class Switching(EventTimes):
         stays = touching & crossed[:, : UPPER + 1].any(axis=1) & (side * rates <= 0.0)
         pressed = (before[0] != 0.0) | crossed[:, : UPPER + 1].any(axis=1)
         while True:
-            if (touching & (side * rates > RESTING)).any() or stays.any():
+            if (touching & (side * rates > self._still)).any() or stays.any():
                 status = self._impact(time, state, side, touching, rates, stays)
                 if status != OK:
                     return status
                 rates = self._rates() - drift
-            resting = (np.abs(rates) <= RESTING) | (crossed[:, SLIDING] & self._is_slow(before, rates))
+            resting = (np.abs(rates) <= self._still) | (crossed[:, SLIDING] & self._is_slow(before, rates))
             resting &= self._dry | touching
             status = self._choose(state, side, resting, rates, crossed, pressed)
             if status == OK:
@@ -343,7 +344,7 @@ class Switching(EventTimes):
     def _is_slow(self, before, rates):
         """Mask of the switches that slid until now and whose rate has changed its sign, or is zero."""
         slip = before[1][:, SLIP]
-        return (slip != 0.0) & (slip * rates <= RESTING * (1.0 + np.abs(rates).max(initial=0.0)))
+        return (slip != 0.0) & (slip * rates <= self._still * (1.0 + np.abs(rates / self._unit).max(initial=0.0)))
 
     def present_modes(self):
         """(k, 5) of all switches, see switches.modes_of, for a state that was not set."""

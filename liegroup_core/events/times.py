@@ -32,7 +32,6 @@ LOOSE = 1e100  # tolerance of error control that every step meets
 class EventTimes(ModeChanges):
     """Times of events, by steps of a Munthe-Kaas method.
 
-    sizes   : see ModeChanges
     take    : function (h, steps, pose, twist, external) -> (steps done, status)
     control : of error control, see munthe_kaas.advance
 
@@ -40,8 +39,8 @@ class EventTimes(ModeChanges):
               shows their error, see RunningError
     """
 
-    def __init__(self, model, work, sizes, take, control):
-        super().__init__(model, work, sizes)
+    def __init__(self, model, work, take, control):
+        super().__init__(model, work)
         self._take, self._control, self.parts = take, control, 1
         self.same_time = SAME_TIME
         table = model.switches
@@ -49,9 +48,9 @@ class EventTimes(ModeChanges):
         self._at_zero, self._digit = np.zeros((2, len(table), 5))
         for end, stop in ((LOWER, table["lower"]), (UPPER, table["upper"])):
             far = np.where(np.isfinite(stop), np.abs(stop), 0.0)
-            self._at_zero[:, end] = AT_STOP * (1.0 + far)
-            self._digit[:, end] = DIGIT * (sizes + far)
-        self._at_zero[:, SLIDING] = RESTING
+            self._at_zero[:, end] = AT_STOP * (self._unit + far)
+            self._digit[:, end] = DIGIT * (self._unit + far)
+        self._at_zero[:, SLIDING] = RESTING * self._unit
         # s: when a compliant stop is left, its pressure vanishes this long before its depth.
         self._lag = table["damping"] / np.where(self._rigid, np.inf, table["stiffness"])
 
@@ -176,7 +175,12 @@ class EventTimes(ModeChanges):
                     break
             else:
                 return 0.0
-        return scipy.optimize.brentq(guard, begin, end, (k, c), precise, 1e-15)
+        time = scipy.optimize.brentq(guard, begin, end, (k, c), precise, 1e-15)
+        # A held switch is released where its effort is at its bound or beyond: then it moves away.
+        ahead = precise
+        while c > SLIDING and guard(time, k, c) > 0.0:
+            time, ahead = min(time + ahead, end), 2.0 * ahead
+        return time
 
     def _closed(self, guard, gap, near, end, precise, k, c):
         """Time at which a gap closes, by Newton's method from `near`, or None."""

@@ -108,6 +108,7 @@ SWITCH = np.dtype(
         ("link", "i8"),
         ("freedom", "i8"),  # of the tree; of row r: f + r
         ("component", "i8"),  # of the rates of the link
+        ("unit", "f8"),  # 1 rad, or the characteristic length, m: round-off refers to it
         ("turned", "i8"),  # 1: poses determine the coordinate modulo 2 pi
         ("sign", "f8"),  # of this coordinate when that of the joint increases
         ("lower", "f8"),

@@ -15,6 +15,7 @@ from .freedoms_without_inertia import check_inertia
 from .links import find_links, link_poses, link_records
 from .planar import find_plane, plane_axes
 from .redundancy import loop_joints
+from .size import mechanism_size
 from .spanning_tree import WORLD_NAME, spanning_tree
 from .switch_records import stop_rows, switch_arrays
 
@@ -60,7 +61,7 @@ def relative_model(scene, model, in_space=False, group=None):
         bodies=records,
         parts=part_records,
         elements=elements,
-        **switch_arrays(scene, links, records, arrays, elements, places),
+        **switch_arrays(scene, links, records, arrays, elements, places, mechanism_size(model, scene.joints)),
         refinements=_refinements(scene, model, len(arrays["joints"]) > 0, normal),
         is_empty_tree=group is not None,
         only_free_bodies=not scene.joints and all(link.group == FREE for link in links),

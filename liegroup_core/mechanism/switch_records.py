@@ -8,7 +8,7 @@ import numpy as np
 from liegroup_core.joints.elements import WORLD
 from liegroup_core.joints.kinds import COORDINATES
 from liegroup_core.joints.stops import SLIDE, TURN
-from liegroup_core.scene.switches import switches_of
+from liegroup_core.scene.switches import switches_of, unit_of
 
 from .arrays import SWITCH
 
@@ -30,12 +30,12 @@ def stop_rows(scene, links):
     ]
 
 
-def switch_arrays(scene, links, records, arrays, elements, places):
+def switch_arrays(scene, links, records, arrays, elements, places, size):
     """Arrays of a RelativeModel: its switches, in the order of `switches_of`, and which rows are theirs.
 
     links, records : links of the spanning tree, and their LINK records
     arrays         : of the rows (cuts.py);  elements : those of the cut joints, stops and couplings
-    places         : {body: (link or WORLD, its pose there)}
+    places         : {body: (link or WORLD, its pose there)};  size : characteristic length, m
     """
     in_tree, found = _links_of(links), switches_of(scene)
     freedoms, rows = int(records["freedoms"].sum()), len(arrays["row_residual"])
@@ -65,6 +65,7 @@ def switch_arrays(scene, links, records, arrays, elements, places):
             row = record["row"] = of_element[element]
             record["freedom"], switched[row] = freedoms + row, 1
         record["turned"], record["sign"] = switch.is_angle, sign
+        record["unit"] = size if unit_of(switch, scene) == "m" else 1.0
         record["bearing"] = -1
         _set_numbers(record, switch, sign)
         if record["static_by_load"] and record["row"] >= 0:

@@ -366,8 +366,7 @@ class MuntheKaas:
         self._passage = SameTypes(passage)
         self.switching = None
         if len(self._model.switches):
-            given = self._model, self._work, layout.switch_sizes, self._pass, self._control
-            self.switching = Switching(*given, self._lead)
+            self.switching = Switching(self._model, self._work, self._pass, self._control, self._lead)
         self.restart()
 
     def add(self, method, looser=1.0):
