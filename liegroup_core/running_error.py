@@ -206,8 +206,8 @@ class RunningError:
         if not self._failed:
             try:
                 self._companion.advance_to_step(meeting)
-            except SimulationError:
-                self._failed = True
+            except SimulationError as error:
+                self._failed, self.failure = True, str(error)
         if not self._failed and self._companion.steps < meeting:
             return  # it was halted, too
         if between:

@@ -27,7 +27,7 @@ from liegroup_core.dynamics.switches import AT_STOP, LEAST, MOST, RESTING, ROUND
 from liegroup_core.mechanism.arrays import COORDINATE, EFFORT, RESTS, SIDE, SLIP
 from liegroup_core.status import NO_FRICTION, OK
 
-from .complementarity import FREE, HIGH, LOW, independent, solve
+from .complementarity import FREE, HIGH, LOW, REDUNDANT, independent, solve
 from .kernels import change_rates, look, respond
 
 # rad, or relative to the characteristic length: a rebound that would stay below this height becomes zero.
@@ -270,10 +270,14 @@ class ModeChanges:
         lo, hi = np.array(ends).T.copy()
         sliding = (table["coulomb"] + table["sliding_by_load"] * loads)[chosen]
         if released.any():
-            # A switch that rests because of others with its effort at a bound cannot replace them.
+            # A switch that rests because of others, with its effort at the bound to which theirs grow, cannot
+            # replace them.
             share = shares[chosen]
-            released[(share != 0.0) & (share <= lo * (1.0 - SPENT))] = LOW
-            released[(share != 0.0) & (share >= hi * (1.0 - SPENT))] = HIGH
+            others = (released == FREE) & (share == 0.0)
+            grows = A @ released
+            grows -= A[:, others] @ np.linalg.lstsq(A[np.ix_(others, others)], grows[others], rcond=REDUNDANT)[0]
+            released[(share != 0.0) & (share <= lo * (1.0 - SPENT)) & (grows < 0.0)] = LOW
+            released[(share != 0.0) & (share >= hi * (1.0 - SPENT)) & (grows > 0.0)] = HIGH
         for _ in range(2 * len(chosen)):
             x, w, at = solve(A, b, lo, hi, released)
             back = released * w > RETURNING * (np.abs(A) @ np.abs(x) + np.abs(b)) + round_off
