@@ -2,10 +2,12 @@
 """Collocation of high order for the reference integration: Radau IIA with STAGES stages, order 2 STAGES - 1.
 
 A step finds the polynomial that satisfies the equations at the nodes. Its coefficients decay, and the last one
-is the estimate of the error inside the step; at the end of the step the error is smaller by many orders. The
-polynomial is also the motion between the ends of steps. Stages are found by iteration, or by Newton's method where
-the step is long against the fastest decay or vibration: Hairer and Wanner, Solving Ordinary Differential Equations
-II, sections IV.5 and IV.8.
+is the estimate of the error inside the step; at the end of the step the error is smaller by many orders. A force that
+changes its law before the first node shows in the derivative at the start, which is no node. The polynomial is also
+the motion between the ends of steps.
+
+Stages are found by iteration, or by Newton's method where the step is long against the fastest decay or vibration:
+Hairer and Wanner, Solving Ordinary Differential Equations II, sections IV.5 and IV.8.
 """
 
 import numpy as np
@@ -34,6 +36,8 @@ def _tableau():
 
 
 NODES, MATRIX, COEFFICIENTS = _tableau()
+# Derivative of the polynomial at 0, times the part of the step before the first node.
+_START = NODES[0] * np.array([(-1.0) ** (k + 1) * k * (k + 1) for k in range(STAGES + 1)])
 _VALUES, _VECTORS = np.linalg.eig(MATRIX)
 _UPPER = _VALUES.imag >= 0.0
 _INTO = np.linalg.inv(_VECTORS)[_UPPER]
@@ -45,7 +49,7 @@ class Collocation:
     """Steps of an integration from (time, state), one by one.
 
     function(times (p,), states (p, N), out (p, N)) : writes the time derivatives
-    scales(state, step)                             : (N,) sizes that errors are relative to
+    scales(state, slope)                            : (N,) sizes that errors are relative to
     """
 
     def __init__(self, function, scales, time, state, tolerance):
@@ -58,18 +62,22 @@ class Collocation:
     def at(self, times):
         """States (k, N) at times within the last step."""
         x = 2.0 * (np.asarray(times) - self._begin) / self.step - 1.0
-        return self._before + legendre.legval(x, self._polynomial).T  # no product of matrices: bits depend on their size
+        return (
+            self._before + legendre.legval(x, self._polynomial).T
+        )  # no product of matrices: bits depend on their size
 
     def restart(self):
         """Forget the previous step, because the equations change."""
         self._inverse, self._is_new = None, True
 
     def advance(self, end):
-        """Take one step, to `end` at most; returns whether it has succeeded. On failure, `advance` may be called again."""
-        slope = np.empty((1, len(self.state)))
+        """Take one step, to `end` at most; returns whether it has succeeded."""
+        if self._is_new:
+            self._slope = np.empty_like(self.state)
+            self.function(np.array([self.time]), self.state[None], self._slope[None])
+        scale = self._scales(self.state, self._slope)
         if self.wanted is None:
-            self.function(np.array([self.time]), self.state[None], slope)
-            change = np.abs(slope[0] / self._scales(self.state, 0.1)).max()
+            change = np.abs(self._slope / scale).max()
             self.wanted = 0.01 / max(change, 0.1) if np.isfinite(change) else 0.1
         left = end - self.time
         step = self.wanted if self.wanted < left else left
@@ -78,8 +86,7 @@ class Collocation:
         for _ in range(MOST_ATTEMPTS):
             if not step > 4.0 * EPS * abs(self.time):
                 return False
-            scale = self._scales(self.state, step)
-            increments, is_slow = self._stages(step, scale)
+            increments, slope, is_slow = self._stages(step, scale)
             if increments is None:
                 if is_slow and self._inverse is None and self._set_jacobian(scale) * step > 1.0:
                     self._set_inverse(step)
@@ -91,12 +98,14 @@ class Collocation:
                     self._inverse = None
                 continue
             polynomial = COEFFICIENTS[:, 1:] @ increments
-            error = np.abs(polynomial[-1] / scale).max()
+            start = _START @ polynomial - NODES[0] * step * self._slope
+            error = max(np.abs(polynomial[-1] / scale).max(), np.abs(start / scale).max())
             factor = 0.9 * (self._tolerance / max(error, 1e-30)) ** (1.0 / (STAGES + 1))
             if error > self._tolerance:
                 step *= max(min(factor, 0.8), 0.2)
                 continue
             self._accept(step, increments[-1], polynomial, end)
+            self._slope = slope
             factor = min(factor, 2.0)
             if self._inverse is not None:
                 self._age += 1
@@ -106,7 +115,9 @@ class Collocation:
                     else:
                         self._inverse_step = 0.0
                 factor = factor if factor > KEEP else 1.0
-            self.wanted = max(self.wanted if step < self.wanted else 0.0, step * factor) if step == left else step * factor
+            self.wanted = (
+                max(self.wanted if step < self.wanted else 0.0, step * factor) if step == left else step * factor
+            )
             return True
         return False
 
@@ -118,7 +129,7 @@ class Collocation:
         self.time, self._is_new = end if step >= end - self.time else self.time + step, False
 
     def _stages(self, step, scale):
-        """(increments (s, N) at the nodes or None, whether the iteration was slow)."""
+        """(increments (s, N) at the nodes or None, derivative at the end, whether the iteration was slow)."""
         if self._inverse is not None and self._inverse_step != step:
             self._set_inverse(step)
         if self._is_new or step > 2.0 * self.step:
@@ -136,14 +147,14 @@ class Collocation:
             found += change
             size = np.abs(change / scale).max()
             if not np.isfinite(size):
-                return None, False
+                return None, None, False
             if size <= EPS or (size >= SLOW * before and size <= CLOSE):
-                return found, False
+                return found, slopes[-1].copy(), False
             slow = slow + 1 if size > SLOW * before else 0
             if slow == 3 or size > 1e3 * before:
-                return None, True
+                return None, None, True
             before = size
-        return None, True
+        return None, None, True
 
     def _set_jacobian(self, scale):
         """Set the Jacobian at the present state by differences; returns its spectral radius, 1/s."""

@@ -57,7 +57,7 @@ class Equations(NamedTuple):
     """Equations of all joints of a scene: k rows, t joints with an integrated angle."""
 
     kind: np.ndarray  # (k,) ACROSS, LEVEL, DISTANCE or ANGLE
-    body: np.ndarray  # (k, 2) parent, child; n: the world
+    body: np.ndarray  # (k, 4) parent, child, those of the second joint of a coupling; n: the world, or none
     point: np.ndarray  # (k, 6) m, in the frames of parent and child
     axis: np.ndarray  # (k, 6) e in the parent's axes, f in the child's
     normal: np.ndarray  # (k, 3) z of the parent's joint frame in its axes
@@ -69,7 +69,6 @@ class Equations(NamedTuple):
     curve: np.ndarray  # (c, 3) a_2, a_3, a_4
     offset: np.ndarray  # (c,) q_1 - p(q_2)
     driven: np.ndarray  # (c,) number of a driven joint, whose ratio is 0; -1: a coupling
-    slots: np.ndarray  # (k,) ends of the joints of the row: 2, or 4 for the first row of a coupling
     compliance: np.ndarray  # (k,) 1/inertia of the rotor on the coordinate of the row, 1/(kg m^2) or 1/kg; else 0
 
 

@@ -82,7 +82,10 @@ def _joint_forces(loads, frame, angle, force, angle_rate_out):
     for i in range(len(loads.slide_body)):
         parent, child = loads.slide_body[i, 0], loads.slide_body[i, 1]
         axis = turned(frame, parent, three(loads.slide_axis, i, 0))
-        start, end = point(frame, parent, three(loads.slide_point, i, 0)), point(frame, child, three(loads.slide_point, i, 3))
+        start, end = (
+            point(frame, parent, three(loads.slide_point, i, 0)),
+            point(frame, child, three(loads.slide_point, i, 3)),
+        )
         d, d_rate = plus(end[0], -1.0, start[0]), plus(end[1], -1.0, start[1])
         rate = dot(cross(three(frame, parent, 15), axis), d) + dot(axis, d_rate)
         _between(force, frame, loads.slide_body, i, end[0], _value(loads.slide_law, i, dot(axis, d), rate), axis)

@@ -54,10 +54,9 @@ class Chosen(NamedTuple):
 
 def chosen_rows(system, rows):
     """Chosen for some rows, in increasing order."""
-    equations, on_body = system.equations, {}
-    for i, row in enumerate(rows):
-        slots = equations.body[row : row + equations.slots[row] // 2].ravel().tolist()
-        for slot, body in enumerate(slots):
+    on_body = {}
+    for i, bodies in enumerate(system.equations.body[rows].tolist()):
+        for slot, body in enumerate(bodies):
             if body < len(system.mass):
                 on_body.setdefault(body, []).append((i, slot))
     pairs = [(i, j, a, b) for ends in on_body.values() for i, a in ends for j, b in ends if j <= i]
@@ -111,12 +110,6 @@ def _solve(first, factor, x):
             x[k] -= factor[i, k] * x[i]
 
 
-@kernel
-def _slot_body(equations, r, slot):
-    """Body of a slot of row r."""
-    return equations.body[r, slot] if slot < 2 else equations.body[r + 1, slot - 2]
-
-
 @subroutine
 def _set_matrix(system, chosen, rows, frame, moved, matrix):
     """Write moved (k, 24) = A M^-1, and the lower part of the matrix A M^-1 A^T + C."""
@@ -126,8 +119,8 @@ def _set_matrix(system, chosen, rows, frame, moved, matrix):
         for k in range(chosen.first[i], i):
             matrix[i, k] = 0.0
         matrix[i, i] = equations.compliance[r]
-        for slot in range(equations.slots[r]):
-            body = _slot_body(equations, r, slot)
+        for slot in range(4):
+            body = equations.body[r, slot]
             if body == world:
                 continue
             torque = turned_back(frame, body, three(rows, r, 6 * slot + 3))
@@ -185,19 +178,18 @@ def rates(system, chosen, given, states, wrench, acting, out):
                     x[i] = -gap[2, r] - equations.compliance[r] * total[i]
                     if equations.compliance[r] == 0.0:
                         x[i] -= 2.0 * DRIFT_DAMPING * gap[1, r] + DRIFT_DAMPING**2 * gap[0, r]
-                    for slot in range(equations.slots[r]):
-                        body = _slot_body(equations, r, slot)
-                        for c in range(6):
+                    for slot in range(4):
+                        body = equations.body[r, slot]
+                        for c in range(6 if body < n else 0):
                             x[i] -= rows[r, 6 * slot + c] * a[body, c]
                 _solve(chosen.first, matrix, x)
                 for i in range(m):
                     r = chosen.row[i]
                     total[i] += x[i]
-                    for slot in range(equations.slots[r]):
-                        body = _slot_body(equations, r, slot)
-                        if body < n:
-                            for c in range(6):
-                                a[body, c] += moved[r, 6 * slot + c] * x[i]
+                    for slot in range(4):
+                        body = equations.body[r, slot]
+                        for c in range(6 if body < n else 0):
+                            a[body, c] += moved[r, 6 * slot + c] * x[i]
             if not pivot > 0.0:
                 a[:] = np.nan
         for i in range(n):
@@ -212,34 +204,24 @@ def rates(system, chosen, given, states, wrench, acting, out):
                 out[p, o + 4 + c] = state[i, 7 + c]
                 out[p, o + 7 + c] = a[i, c]
                 out[p, o + 10 + c] = change[c]
-        a[n] = 0.0
     return least
 
 
-@subroutine
-def unit_rows(system, state, given, rows_out):
-    """Write the unit rows (k, 6 n) for (rddot, size omegadot) of all equations at a state (13 n + t,).
+def unit_rows(system, state, given):
+    """Unit rows (k, 6 n) for (rddot, size omegadot) of all equations at a state, and their g (k,) relative to the size.
 
-    returns the largest g of the unit rows relative to the size
+    Rows that are no equations, those of rotors and of the second joint of a coupling, are zero.
     """
     n, k = len(system.mass), len(system.equations.kind)
     frame, rows, gap = np.zeros((n + 1, FRAME)), np.zeros((k, 24)), np.zeros((3, k))
     place(state[: STATE * n].reshape(n, STATE), frame)
     joint_equations(system.equations, frame, state[STATE * n :], given, rows, gap)
-    worst = 0.0
-    rows_out[:] = 0.0
-    for r in range(k):
-        if system.equations.slots[r] == 0 or system.equations.compliance[r] > 0.0:
-            continue
-        total = 0.0
-        for slot in range(system.equations.slots[r]):
-            body = _slot_body(system.equations, r, slot)
-            for c in range(6 if body < n else 0):
-                rows_out[r, 6 * body + c] += rows[r, 6 * slot + c] / (1.0 if c < 3 else system.size)
-        for c in range(6 * n):
-            total += rows_out[r, c] ** 2
-        scale = 1.0 / np.sqrt(total) if total > 0.0 else 0.0
-        worst = max(worst, scale * abs(gap[0, r]) / system.size)
-        for c in range(6 * n):
-            rows_out[r, c] *= scale
-    return worst
+    dense = np.zeros((k, n + 1, 6))
+    for slot in range(4):
+        dense[np.arange(k), system.equations.body[:, slot]] += rows[:, 6 * slot : 6 * slot + 6]
+    dense[..., 3:] /= system.size
+    dense[system.equations.coupled + 1] = dense[system.equations.compliance > 0.0] = 0.0
+    dense = dense[:, :n].reshape(k, 6 * n)
+    length = np.linalg.norm(dense, axis=1)
+    scale = np.divide(1.0, length, out=np.zeros(k), where=length > 0.0)
+    return scale[:, None] * dense, scale * gap[0] / system.size

@@ -146,13 +146,14 @@ def _equations(scene, index, frames, relative, couplings):
         row[: len(entry.curve)] = entry.curve
     values = np.array(values).reshape(-1, 2)
     values[len(ratio) - len(drives) :] = 0.0
-    compliance, slots = np.zeros(len(kind)), np.full(len(kind), 2)
+    compliance, bodies = np.zeros(len(kind)), np.full((len(kind), 4), len(scene.bodies))
+    bodies[:, :2] = _table(body, (2,), int)
     compliance[len(kind) - len(rotors) :] = [1.0 / joint.rotor_inertia for joint in rotors]
     first = len(kind) - len(rotors) - len(coupled) + 2 * np.arange(len(ratio))
-    slots[first[: len(scene.couplings)]], slots[first + 1] = 4, 0  # the second row of a pair is no equation
+    bodies[first, 2:] = bodies[first + 1, :2]
     return Equations(
         _table(kind, (), int),
-        _table(body, (2,), int),
+        bodies,
         _table(point, (6,)),
         _table(axis, (6,)),
         _table(normal, (3,)),
@@ -164,7 +165,6 @@ def _equations(scene, index, frames, relative, couplings):
         curve,
         values[:, 0] - ratio * values[:, 1] - (curve * values[:, 1:] ** np.arange(2, 5)).sum(axis=1),
         np.concatenate([np.full(len(scene.couplings), -1), drives]),
-        slots,
         compliance,
     )
 

@@ -3,7 +3,6 @@
 
 from typing import NamedTuple
 
-import os
 import numpy as np
 from scipy.linalg import qr
 from scipy.spatial.transform import Rotation
@@ -30,6 +29,7 @@ MOST_STEPS = 2_000_000
 # Every LOOKS steps the integration ends if the first requested time after the start would take more than HOPELESS
 # steps: the motion is unrealistically fast.
 LOOKS, HOPELESS = 500, 1_000_000
+SLOWEST = 0.1  # 1/s, rate of a motion that is as good as at rest
 CHUNK = 64  # times between two comparisons of the two runs
 # Bounds of the singular values of the unit rows of all joints. At the start, values below REDUNDANT
 # belong to redundant rows (the pose is accurate to 1e-9 or better). Ten rods on revolute joints have
@@ -188,7 +188,9 @@ class Reference:
             states.append(run.at(times))
             times = times[: len(states[-1])]
             self.stopped = self.stopped or run.stopped
-        tight, loose = (_at_bodies(self._offsets, _to_trajectory(times, part[: len(times)], self._shape)) for part in states)
+        tight, loose = (
+            _at_bodies(self._offsets, _to_trajectory(times, part[: len(times)], self._shape)) for part in states
+        )
         largest = Distance(*(np.maximum.accumulate(part, axis=0) for part in distance(tight, loose)))
         if self._largest is not None:
             largest = Distance(*map(np.maximum, largest, self._largest))
@@ -196,8 +198,8 @@ class Reference:
         if unknown.any():
             k = int(np.argmax(unknown))
             self.stopped = (
-                f"the motion is chaotic or too long: from t = {times[k]:.6g} s on, two reference integrations differ "
-                f"by more than {UNCERTAIN:g} (of the characteristic length, or rad)"
+                f"from t = {times[k]:.6g} s on the uncertainty of the reference integration exceeds {UNCERTAIN:g} "
+                "(of the characteristic length, or rad), because the motion amplifies small differences"
             )
             tight, largest = Trajectory(*(part[:k] for part in tight)), Distance(*(part[:k] for part in largest))
         if len(tight.times):
@@ -287,8 +289,7 @@ def _independent(system, rows):
     1e-9 (scene/consistency.py). Those of independent unit rows are of the size of the angles between
     them.
     """
-    joints = np.flatnonzero((system.equations.compliance == 0.0) & (system.equations.slots > 0))
-    rank = 0
+    joints, rank = np.flatnonzero(rows.any(axis=1)), 0
     if len(joints):
         singular = np.linalg.svd(rows[joints], compute_uv=False)
         rank = len(singular)
@@ -301,7 +302,7 @@ def _independent(system, rows):
 
 def _best_rows(system, rows, rank):
     """Chosen rows: those that are farthest from each other, and all rows of rotors."""
-    joints = np.flatnonzero((system.equations.compliance == 0.0) & (system.equations.slots > 0))
+    joints = np.flatnonzero(rows.any(axis=1))
     if len(joints) > rank:
         joints = joints[qr(rows[joints].T, mode="r", pivoting=True)[1][:rank]]
     return chosen_rows(system, sorted([*joints, *np.flatnonzero(system.equations.compliance)]))
@@ -314,7 +315,6 @@ class _Run:
         self._system, self._rtol, self._most_steps = system, rtol, most_steps
         self._pending = list(pieces)
         self._state, self.reached = state, start
-        self._rows = np.empty((len(system.equations.kind), 6 * len(system.mass)))
         self._solver = self.stopped = None
         self.steps_taken = 0
         self._start = self._seen = start
@@ -359,13 +359,13 @@ class _Run:
         self.steps_taken += 1
         moves = solver.advance(self._end)
         self._state, self.reached = solver.state, solver.time
-        gap = unit_rows(self._system, self._state, self._given(self.reached), self._rows)
+        rows, gap = unit_rows(self._system, self._state, self._given(self.reached))
         if not moves:
-            self.stopped = self._cause()
-        elif gap > SINGULAR:
+            self.stopped = self._cause(rows)
+        elif np.abs(gap).max(initial=0.0) > SINGULAR:
             self.stopped = self._singular()
         elif self._pivot_of_choice is not None and self._pivot < FLAT * self._pivot_of_choice:
-            self._chosen, self._pivot_of_choice = _best_rows(self._system, self._rows, self._rank), None
+            self._chosen, self._pivot_of_choice = _best_rows(self._system, rows, self._rank), None
         if self._pivot_of_choice is None:
             self._pivot_of_choice = self._pivot
         return True
@@ -376,10 +376,9 @@ class _Run:
             "where the constraints do not determine the motion"
         )
 
-    def _cause(self):
+    def _cause(self, rows):
         """Why no step succeeds at the present state."""
-        singular = np.linalg.svd(self._rows, compute_uv=False) if self._rank else np.ones(1)
-        if os.environ.get('DBG'): print(singular[max(self._rank - 1, 0)], self._pivot, self._solver.wanted)
+        singular = np.linalg.svd(rows, compute_uv=False) if self._rank else np.ones(1)
         if singular[max(self._rank - 1, 0)] < SINGULAR:
             return self._singular()
         slope = np.empty((1, len(self._state)))
@@ -399,8 +398,7 @@ class _Run:
             self._pivot = rates(system, self._chosen, given, states, wrench, acting, out)
 
         if self._solver is None:
-            unit_rows(system, self._state, self._given(begin), self._rows)
-            self._chosen, self._rank = _independent(system, self._rows)
+            self._chosen, self._rank = _independent(system, unit_rows(system, self._state, self._given(begin))[0])
             self._pivot_of_choice = None
             self._solver = Collocation(function, self._scales, begin, self._state, self._rtol)
         self._function = self._solver.function = function
@@ -412,13 +410,14 @@ class _Run:
             given[:, d] = at(motion, time)
         return given
 
-    def _scales(self, state, step):
-        """Sizes that errors are relative to: the mechanism, a radian, and their change in a step or as it moves."""
+    def _scales(self, state, slope):
+        """Sizes that errors are relative to: the mechanism, a radian, and their change at the rate of the motion."""
         n = len(self._system.mass)
         out, bodies = np.ones(len(state)), state[: STATE * n].reshape(n, STATE)
         scale, size = out[: STATE * n].reshape(n, STATE), self._system.size
-        velocity, omega = (np.linalg.norm(bodies[:, part : part + 3], axis=1) for part in (7, 10))
-        rate = max(omega.max(), velocity.max() / size) + 1.0 / step
+        change = np.abs(slope[: STATE * n].reshape(n, STATE))
+        rate = max(change[:, 4:7].max() / size, np.abs(bodies[:, 10:13]).max(), SLOWEST)
+        rate = max(rate, np.sqrt(max(change[:, 7:10].max() / size, change[:, 10:13].max())))
         scale[:, 4:7] = size + np.abs(bodies[:, 4:7])
         scale[:, 7:10], scale[:, 10:13] = size * rate, rate
         out[STATE * n :] += np.abs(state[STATE * n :])

@@ -100,7 +100,9 @@ def analyse(
     layout = make_layout(scene)
     motion = Motion(recording, layout)
     limits = reference_seconds, reference_steps
-    total = min(reference_seconds, motion.expected * recording.settings["step"] * (recording.settings["steps_per_sample"] or 1))
+    total = min(
+        reference_seconds, motion.expected * recording.settings["step"] * (recording.settings["steps_per_sample"] or 1)
+    )
     parts = _Parts(
         scene, recording, layout, motion, reference, *limits, lambda seconds: covered(min(seconds, total), total)
     )

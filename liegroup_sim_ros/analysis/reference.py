@@ -147,7 +147,9 @@ class ReferenceError:
             reason = self._reference.stopped
             if self._reference.steps >= self._steps_left:
                 limit = counted(self._steps, "step")
-                reason = f"the reference integration reached its limit of {limit}; use --reference-steps for a larger one"
+                reason = (
+                    f"the reference integration reached its limit of {limit}; use --reference-steps for a larger one"
+                )
             self._stopped = f"the error is known up to {shown(at, 's')} only: {reason}"
             if k == 0:
                 return
