@@ -78,7 +78,7 @@ class Collocation:
         scale = self._scales(self.state, self._slope)
         if self.wanted is None:
             change = np.abs(self._slope / scale).max()
-            self.wanted = 0.01 / max(change, 0.1) if np.isfinite(change) else 0.1
+            self.wanted = 0.1 / max(change, 0.1) if np.isfinite(change) else 0.1
         left = end - self.time
         step = self.wanted if self.wanted < left else left
         if step < left < 2.0 * step:

@@ -360,27 +360,25 @@ class _Run:
         moves = solver.advance(self._end)
         self._state, self.reached = solver.state, solver.time
         rows, gap = unit_rows(self._system, self._state, self._given(self.reached))
-        if not moves:
-            self.stopped = self._cause(rows)
-        elif np.abs(gap).max(initial=0.0) > SINGULAR:
-            self.stopped = self._singular()
-        elif self._pivot_of_choice is not None and self._pivot < FLAT * self._pivot_of_choice:
-            self._chosen, self._pivot_of_choice = _best_rows(self._system, rows, self._rank), None
+        gap = np.abs(gap).max(initial=0.0)
+        if not moves or gap > SINGULAR or self._pivot < SINGULAR:
+            self.stopped = self._cause(rows, gap, moves)
         if self._pivot_of_choice is None:
             self._pivot_of_choice = self._pivot
+        elif self._pivot < FLAT * self._pivot_of_choice:
+            self._chosen, self._pivot_of_choice = _best_rows(self._system, rows, self._rank), None
         return True
 
-    def _singular(self):
-        return (
-            f"the reference integration reached a singular configuration at t = {self.reached:.6g} s, "
-            "where the constraints do not determine the motion"
-        )
-
-    def _cause(self, rows):
-        """Why no step succeeds at the present state."""
+    def _cause(self, rows, gap, moves):
+        """Why the integration ends at the present state; None: it goes on."""
         singular = np.linalg.svd(rows, compute_uv=False) if self._rank else np.ones(1)
-        if singular[max(self._rank - 1, 0)] < SINGULAR:
-            return self._singular()
+        if gap > SINGULAR or singular[max(self._rank - 1, 0)] < SINGULAR:
+            return (
+                f"the reference integration reached a singular configuration at t = {self.reached:.6g} s, "
+                "where the constraints do not determine the motion"
+            )
+        if moves:
+            return None
         slope = np.empty((1, len(self._state)))
         self._function(np.array([self.reached]), self._state[None], slope)
         if not np.isfinite(slope).all():
