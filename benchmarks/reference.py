@@ -47,7 +47,7 @@ gravity: [0, 0, -9.81]
 assemble: true
 bodies:
   - {name: crank, shape: {type: rod, axis: [1, 0, 0], length: 0.3, radius: 0.02, mass: 0.5, position: [0.15, 0, 0]},
-     initial: fixed}
+     position: [0, 0, 0], initial: fixed}
   - {name: coupler, shape: {type: rod, axis: [1, 0, 0], length: 1.2, radius: 0.02, mass: 1, position: [0.6, 0, 0]},
      position: [0.3, 0, 0], rotation_vector: [0, -0.5, 0.8]}
   - {name: rocker, shape: {type: rod, axis: [0, 0, 1], length: 0.8, radius: 0.02, mass: 1, position: [0, 0, 0.4]},

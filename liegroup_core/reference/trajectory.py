@@ -333,7 +333,7 @@ class _Run:
             if done == len(times) or self.stopped:
                 return out[:done]
             if self.steps_taken == self._most_steps:
-                self.stopped = f"the reference integration reached its limit of {self._most_steps} steps"
+                self.stopped = f"the reference integration reached its limit of steps, {self._most_steps}"
             elif not self._is_useful and self.steps_taken and self.steps_taken % LOOKS == 0:
                 self._look_ahead(times[done])
             if not self.stopped and not self._advance():  # the last time is the end, up to round-off

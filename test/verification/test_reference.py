@@ -234,8 +234,8 @@ def test_evaluation_in_pieces_is_bit_identical():
     for k, name in enumerate(("rotation", "position", "twist"), 1):
         assert np.array_equal(np.concatenate([part[k] for part, _ in parts]), whole[k]), name
     assert np.array_equal(np.concatenate([part.angle for _, part in parts]), known.angle)
-    with pytest.raises(SimulationError, match="limit of 2 steps"):
-        Reference(scene, pose, twist, changes, end=1.0, most_steps=2).at(times)
+    with pytest.raises(SimulationError, match="limit of steps, 1"):
+        Reference(scene, pose, twist, changes, end=1.0, most_steps=1).at(times)
     limited = Reference(scene, pose, twist, changes, end=1.0, most_steps=reference.steps - 1)
     part, apart = limited.up_to_limit(times)
     k = len(part.times)
