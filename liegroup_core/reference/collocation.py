@@ -78,7 +78,10 @@ class Collocation:
         scale = self._scales(self.state, self._slope)
         if self.wanted is None:
             change = np.abs(self._slope / scale).max()
-            self.wanted = 0.1 / max(change, 0.1) if np.isfinite(change) else 0.1
+            # Runs with different tolerances take different steps from the start: else they would have the same errors.
+            self.wanted = (
+                (1e4 * self._tolerance) ** (1.0 / (STAGES + 1)) / max(change, 0.1) if np.isfinite(change) else 0.1
+            )
         left = end - self.time
         step = self.wanted if self.wanted < left else left
         if step < left < 2.0 * step:
