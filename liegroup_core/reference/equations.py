@@ -16,17 +16,18 @@ A coupling is the difference q_1 - p(q_2) of two such coordinates, minus its val
 p(q) = ratio q + a_2 q^2 + a_3 q^3 + a_4 q^4.
 A driven joint is one coordinate minus its motion, whose q(t), rate and acceleration are given.
 theta is the angle of a screw. Its rate is integrated with the motion, so that it is unwrapped. Each
-equation g = 0 is given with its first and second time derivatives.
+equation g = 0 is given with its first and second time derivatives. A rotor of inertia I is a row with the
+compliance 1/I: its coordinate is free, and the acceleration needs the force I qddot.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from liegroup_core.compiling import subroutine
+from liegroup_core.compiling import kernel, subroutine
 
-GROUND = -1  # body index of the world
-STATE = 13  # numbers per body: quaternion, position, velocity, angular velocity
+from .vectors import add_three, cross, direction, dot, plus, point, three, turning
+
 ACROSS, LEVEL, DISTANCE, ANGLE, WHEEL, BALL, EDGE = 0, 1, 2, 3, 4, 5, 6
 X, Y, Z = 0, 1, 2  # axes of a joint frame
 
@@ -56,9 +57,9 @@ class Equations(NamedTuple):
     """Equations of all joints of a scene: k rows, t joints with an integrated angle."""
 
     kind: np.ndarray  # (k,) ACROSS, LEVEL, DISTANCE or ANGLE
-    body: np.ndarray  # (k, 2) parent, child; GROUND = -1
-    point: np.ndarray  # (k, 2, 3) m, in the frames of parent and child
-    axis: np.ndarray  # (k, 2, 3) e in the parent's axes, f in the child's
+    body: np.ndarray  # (k, 4) parent, child, those of the second joint of a coupling; n: the world, or none
+    point: np.ndarray  # (k, 6) m, in the frames of parent and child
+    axis: np.ndarray  # (k, 6) e in the parent's axes, f in the child's
     normal: np.ndarray  # (k, 3) z of the parent's joint frame in its axes
     length: np.ndarray  # (k,) m, of a DISTANCE; the offset of a LEVEL; the radius of a WHEEL or BALL
     pitch: np.ndarray  # (k,) m/rad
@@ -68,210 +69,131 @@ class Equations(NamedTuple):
     curve: np.ndarray  # (c, 3) a_2, a_3, a_4
     offset: np.ndarray  # (c,) q_1 - p(q_2)
     driven: np.ndarray  # (c,) number of a driven joint, whose ratio is 0; -1: a coupling
-    given: np.ndarray  # (3, d) coordinate, rate, acceleration of driven joints: input of an evaluation
+    compliance: np.ndarray  # (k,) 1/inertia of the rotor on the coordinate of the row, 1/(kg m^2) or 1/kg; else 0
 
 
-@subroutine
-def rotate(q, x):
-    """Vector x rotated by the quaternion q (w, x, y, z) of any norm except zero."""
-    u = q[1:4]
-    t = 2.0 * np.cross(u, x) / np.dot(q, q)
-    return x + q[0] * t + np.cross(u, t)
+@kernel
+def _pull(rows, r, slot, arm, axis, sign):
+    """Add to a row the acceleration along an axis of the point of a body at an arm from its centre."""
+    add_three(rows, r, 6 * slot, sign, axis)
+    add_three(rows, r, 6 * slot + 3, sign, cross(arm, axis))
 
 
-@subroutine
-def rotate_back(q, x):
-    """Vector x rotated by the inverse of q."""
-    u = -q[1:4]
-    t = 2.0 * np.cross(u, x) / np.dot(q, q)
-    return x + q[0] * t + np.cross(u, t)
+@kernel
+def _turn(rows, r, axis, factor):
+    """Add to a row a multiple of the angular acceleration of the child, relative to the parent, about an axis."""
+    add_three(rows, r, 9, factor, axis)
+    add_three(rows, r, 3, -factor, axis)
 
 
-@subroutine
-def direction(state, body, fixed):
-    """World components (3, 3) of a body-fixed direction and its first two time derivatives.
-
-    The second derivative excludes the terms with omegadot.
-    """
-    out = np.zeros((3, 3))
-    if body == GROUND:
-        out[0] = fixed
-        return out
-    q = state[body, 0:4]
-    omega = state[body, 10:13]
-    rate = np.cross(omega, fixed)
-    out[0] = rotate(q, fixed)
-    out[1] = rotate(q, rate)
-    out[2] = rotate(q, np.cross(omega, rate))
-    return out
-
-
-@subroutine
-def point(state, body, fixed):
-    """Position, velocity and acceleration (3, 3) of a body-fixed point, world axes.
-
-    The acceleration excludes the terms with rddot and omegadot.
-    """
-    out = direction(state, body, fixed)
-    if body != GROUND:
-        out[0] += state[body, 4:7]
-        out[1] += state[body, 7:10]
-    return out
-
-
-@subroutine
-def turning(state, parent, child):
-    """Angular velocity of the child relative to the parent, world axes, rad/s."""
-    out = np.zeros(3)
-    if child != GROUND:
-        out += rotate(state[child, 0:4], state[child, 10:13])
-    if parent != GROUND:
-        out -= rotate(state[parent, 0:4], state[parent, 10:13])
-    return out
-
-
-@subroutine
-def _add_translation(row, state, body, offset, axis):
-    """Add to a row the acceleration along a world vector of a point of a body.
-
-    offset : (3,) m, of the point in the body frame
-    """
-    if body != GROUND:
-        row[6 * body : 6 * body + 3] += axis
-        # axis . (R (omegadot x p)) = omegadot . (p x R^T axis)
-        row[6 * body + 3 : 6 * body + 6] += np.cross(offset, rotate_back(state[body, 0:4], axis))
-
-
-@subroutine
-def _add_rotation(row, state, body, axis):
-    """Add to a row the angular acceleration of a body about a world vector."""
-    if body != GROUND:
-        row[6 * body + 3 : 6 * body + 6] += rotate_back(state[body, 0:4], axis)
-
-
-@subroutine
-def _contact(equations, r, state):
-    """Contact point of a WHEEL or BALL, the point of an EDGE: position and velocity (2, 3), world axes."""
-    parent, child = equations.body[r]
-    out = point(state, child, equations.point[r, 1])[:2].copy()
-    if equations.kind[r] == EDGE:
-        return out
-    down = -direction(state, parent, equations.normal[r])[:2]
-    if equations.kind[r] == WHEEL:
-        a = direction(state, child, equations.axis[r, 1])
-        along, rate = np.dot(a[0], down[0]), np.dot(a[1], down[0]) + np.dot(a[0], down[1])
-        across = down[0] - along * a[0]
-        moving = down[1] - rate * a[0] - along * a[1]
-        length = np.sqrt(np.dot(across, across))
-        down[0] = across / length
-        down[1] = (moving - np.dot(down[0], moving) * down[0]) / length
-    out += equations.length[r] * down
-    return out
-
-
-@subroutine
-def _set_rolling(equations, r, state, row, gap_out):
+@kernel
+def _set_rolling(equations, r, frame, rows, gap_out):
     """Row and gaps of a WHEEL, BALL or EDGE."""
-    parent, child = equations.body[r]
-    s = _contact(equations, r, state)
-    if equations.kind[r] == EDGE:
-        t = direction(state, child, equations.axis[r, 1])
+    kind, a, b = equations.kind[r], equations.body[r, 0], equations.body[r, 1]
+    s, s_rate, _ = point(frame, b, three(equations.point, r, 3))
+    n, n_rate, _ = direction(frame, a, three(equations.normal, r, 0))
+    f, f_rate, _ = direction(frame, b, three(equations.axis, r, 3))
+    t, t_rate, _ = direction(frame, a, three(equations.axis, r, 0))
+    if kind == EDGE:
+        t, t_rate = f, f_rate
+    else:  # the contact point is lowest
+        down, down_rate = plus(n, -2.0, n), plus(n_rate, -2.0, n_rate)
+        if kind == WHEEL:
+            along, rate = dot(f, down), dot(f_rate, down) + dot(f, down_rate)
+            across = plus(down, -along, f)
+            moving = plus(plus(down_rate, -rate, f), -along, f_rate)
+            length = np.sqrt(dot(across, across))
+            down = plus(across, 1.0 / length - 1.0, across)
+            down_rate = plus(moving, -dot(down, moving), down)
+            down_rate = plus(down_rate, 1.0 / length - 1.0, down_rate)
+        s, s_rate = plus(s, equations.length[r], down), plus(s_rate, equations.length[r], down_rate)
+        at = point(frame, a, three(equations.point, r, 0))[0]
+        if dot(n, t) > 0.5:
+            gap_out[0, r] = dot(n, plus(s, -1.0, at))
+    for slot in range(2):
+        body, sign = equations.body[r, slot], 2.0 * slot - 1.0
+        omega, velocity = three(frame, body, 15), three(frame, body, 12)
+        arm, rate = plus(s, -1.0, three(frame, body, 9)), plus(s_rate, -1.0, velocity)
+        slip = plus(velocity, 1.0, cross(omega, arm))
+        gap_out[1, r] += sign * dot(t, slip)
+        gap_out[2, r] += sign * (dot(t_rate, slip) + dot(t, cross(omega, rate)))
+        _pull(rows, r, slot, arm, t, sign)
+
+
+@kernel
+def _set_row(equations, r, frame, angle, rows, gap_out):
+    """Row and gaps of any other equation; the turn of a screw included."""
+    kind, a, b = equations.kind[r], equations.body[r, 0], equations.body[r, 1]
+    e, e_rate, e_change = direction(frame, a, three(equations.axis, r, 0))
+    turn, spin = equations.turn[r], turning(frame, a, b)
+    theta = angle[turn] if turn >= 0 else 0.0
+    if kind == ACROSS:
+        f, f_rate, f_change = direction(frame, b, three(equations.axis, r, 3))
+        gap_out[0, r] = dot(e, f)
+        gap_out[1, r] = dot(e_rate, f) + dot(e, f_rate)
+        gap_out[2, r] = dot(e_change, f) + 2.0 * dot(e_rate, f_rate) + dot(e, f_change)
+        _turn(rows, r, cross(f, e), 1.0)
+    elif kind == ANGLE:
+        gap_out[0, r], gap_out[1, r], gap_out[2, r] = theta, dot(e, spin), dot(e_rate, spin)
+        _turn(rows, r, e, 1.0)
     else:
-        t = direction(state, parent, equations.axis[r, 0])
-    slip, change = np.zeros(3), np.zeros(3)
-    for end in range(2):
-        body = child if end == 0 else parent
-        if body == GROUND:
-            continue
-        sign = 1.0 if end == 0 else -1.0
-        arm, rate = s[0] - state[body, 4:7], s[1] - state[body, 7:10]
-        omega = rotate(state[body, 0:4], state[body, 10:13])
-        slip += sign * (state[body, 7:10] + np.cross(omega, arm))
-        change += sign * np.cross(omega, rate)
-        row[6 * body : 6 * body + 3] += sign * t[0]
-        row[6 * body + 3 : 6 * body + 6] += sign * rotate_back(state[body, 0:4], np.cross(arm, t[0]))
-    if equations.kind[r] != EDGE:
-        n = direction(state, parent, equations.normal[r])[0]
-        at = point(state, parent, equations.point[r, 0])[0]
-        gap_out[0, r] = np.dot(n, s[0] - at) if np.dot(n, t[0]) > 0.5 else 0.0
-    gap_out[1, r] = np.dot(t[0], slip)
-    gap_out[2, r] = np.dot(t[1], slip) + np.dot(t[0], change)
+        start, end = point(frame, a, three(equations.point, r, 0)), point(frame, b, three(equations.point, r, 3))
+        d, d_rate, d_change = plus(end[0], -1.0, start[0]), plus(end[1], -1.0, start[1]), plus(end[2], -1.0, start[2])
+        length, pitch = equations.length[r], equations.pitch[r]
+        if kind == DISTANCE:
+            gap_out[0, r] = (dot(d, d) / length - length) / 2.0
+            gap_out[1, r] = dot(d, d_rate) / length
+            gap_out[2, r] = (dot(d_rate, d_rate) + dot(d, d_change)) / length
+            axis = plus(d, 1.0 / length - 1.0, d)
+        else:
+            gap_out[0, r] = dot(e, d) - length - pitch * theta
+            gap_out[1, r] = dot(e_rate, d) + dot(e, d_rate) - pitch * dot(e, spin)
+            gap_out[2, r] = dot(e_change, d) + 2.0 * dot(e_rate, d_rate) + dot(e, d_change) - pitch * dot(e_rate, spin)
+            axis = e
+        # e of the parent turns: the force on it acts at the point of the child
+        _pull(rows, r, 0, plus(end[0], -1.0, three(frame, a, 9)), axis, -1.0)
+        _pull(rows, r, 1, plus(end[0], -1.0, three(frame, b, 9)), axis, 1.0)
+        if kind == LEVEL:
+            _turn(rows, r, e, -pitch)
 
 
 @subroutine
-def joint_equations(equations, state, angle, rows_out, gap_out):
+def joint_equations(equations, frame, angle, given, rows_out, gap_out):
     """Evaluate all equations g = 0 at one state.
 
-    state    : (n, 13) quaternion, position, velocity (world), omega (body) of each body
+    frame    : (n + 1, FRAME) of vectors.place
     angle    : (t,) rad
-    rows_out : (k, 6 n) A, so that gddot = A a + gap_out[2] with a = (rddot, omegadot) per body
+    given    : (3, d) coordinate, rate, acceleration of the driven joints
+    rows_out : (k, 24) A: for parent and child, and those of the second joint of a coupling, the factors of
+               (rddot, omegadot) in world axes, so that gddot = A a + gap_out[2]
     gap_out  : (3, k) g, gdot, and gddot at a = 0. g is in m; for ACROSS it is the cosine, which is an
                angle in rad if small
     """
-    rows_out[:] = 0.0
     for r in range(len(equations.kind)):
-        row = rows_out[r]
-        parent, child = equations.body[r]
-        e = direction(state, parent, equations.axis[r, 0])
-        if equations.kind[r] == ACROSS:
-            f = direction(state, child, equations.axis[r, 1])
-            gap_out[0, r] = np.dot(e[0], f[0])
-            gap_out[1, r] = np.dot(e[1], f[0]) + np.dot(e[0], f[1])
-            gap_out[2, r] = np.dot(e[2], f[0]) + 2.0 * np.dot(e[1], f[1]) + np.dot(e[0], f[2])
-            axis = np.cross(f[0], e[0])
-            _add_rotation(row, state, child, axis)
-            _add_rotation(row, state, parent, -axis)
-            continue
-        if equations.kind[r] == ANGLE:
-            spin = turning(state, parent, child)
-            gap_out[0, r] = angle[equations.turn[r]]
-            gap_out[1, r] = np.dot(e[0], spin)
-            gap_out[2, r] = np.dot(e[1], spin)
-            _add_rotation(row, state, child, e[0])
-            _add_rotation(row, state, parent, -e[0])
-            continue
+        for c in range(24):
+            rows_out[r, c] = 0.0
+        for c in range(3):
+            gap_out[c, r] = 0.0
         if equations.kind[r] >= WHEEL:
-            _set_rolling(equations, r, state, row, gap_out)
-            continue
-        d = point(state, child, equations.point[r, 1]) - point(state, parent, equations.point[r, 0])
-        length = equations.length[r]
-        if equations.kind[r] == DISTANCE:
-            gap_out[0, r] = (np.dot(d[0], d[0]) / length - length) / 2.0
-            gap_out[1, r] = np.dot(d[0], d[1]) / length
-            gap_out[2, r] = (np.dot(d[1], d[1]) + np.dot(d[0], d[2])) / length
-            axis = d[0] / length
+            _set_rolling(equations, r, frame, rows_out, gap_out)
         else:
-            gap_out[0, r] = np.dot(e[0], d[0]) - length
-            gap_out[1, r] = np.dot(e[1], d[0]) + np.dot(e[0], d[1])
-            gap_out[2, r] = np.dot(e[2], d[0]) + 2.0 * np.dot(e[1], d[1]) + np.dot(e[0], d[2])
-            axis = e[0]
-            _add_rotation(row, state, parent, np.cross(e[0], d[0]))
-        _add_translation(row, state, child, equations.point[r, 1], axis)
-        _add_translation(row, state, parent, equations.point[r, 0], -axis)
-        if equations.turn[r] >= 0:
-            pitch, spin = equations.pitch[r], turning(state, parent, child)
-            gap_out[0, r] -= pitch * angle[equations.turn[r]]
-            gap_out[1, r] -= pitch * np.dot(e[0], spin)
-            gap_out[2, r] -= pitch * np.dot(e[1], spin)
-            _add_rotation(row, state, child, -pitch * e[0])
-            _add_rotation(row, state, parent, pitch * e[0])
+            _set_row(equations, r, frame, angle, rows_out, gap_out)
     for c in range(len(equations.coupled)):
-        first = equations.coupled[c]
-        (q, v, a), curve = gap_out[:, first + 1], equations.curve[c]
-        slope, bend = equations.ratio[c], 0.0
-        gap_out[0, first] -= equations.ratio[c] * q
+        first, d = equations.coupled[c], equations.driven[c]
+        q, v, a = gap_out[0, first + 1], gap_out[1, first + 1], gap_out[2, first + 1]
+        value, slope, bend = equations.ratio[c] * q, equations.ratio[c], 0.0
         for k in range(3):
-            gap_out[0, first] -= curve[k] * q ** (k + 2)
-            slope += (k + 2) * curve[k] * q ** (k + 1)
-            bend += (k + 2) * (k + 1) * curve[k] * q**k
-        rows_out[first] -= slope * rows_out[first + 1]
+            factor = equations.curve[c, k]
+            value += factor * q ** (k + 2)
+            slope += (k + 2) * factor * q ** (k + 1)
+            bend += (k + 2) * (k + 1) * factor * q**k
+        gap_out[0, first] -= value + equations.offset[c]
         gap_out[1, first] -= slope * v
         gap_out[2, first] -= slope * a + bend * v * v
-        gap_out[0, first] -= equations.offset[c]
-        d = equations.driven[c]
+        for k in range(12):
+            rows_out[first, 12 + k] = -slope * rows_out[first + 1, k]
         if d >= 0:
-            gap_out[:, first] -= equations.given[:, d]
+            for k in range(3):
+                gap_out[k, first] -= given[k, d]
             if equations.kind[first] == ANGLE:
                 gap_out[0, first] -= 2.0 * np.pi * np.round(gap_out[0, first] / (2.0 * np.pi))
-        rows_out[first + 1] = 0.0
-        gap_out[:, first + 1] = 0.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gravity and all forces of a scene, with unit quaternions and in world axes.
+"""Gravity and all forces of a scene, in world axes.
 
 Forces between bodies act along the line between two points, about the z axis of a joint, or along
 that axis. Each of them is linear in coordinate and rate:
@@ -14,23 +14,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from liegroup_core.compiling import subroutine
+from liegroup_core.compiling import kernel, subroutine
 
-from .equations import GROUND, direction, point, rotate, rotate_back, turning
+from .vectors import add_three, cross, dot, plus, point, three, turned, turning
 
 
 class Loads(NamedTuple):
     """Gravity and forces of a scene of n bodies; a law is (constant, stiffness, damping, limit)."""
 
-    gravity: np.ndarray  # (3,) m/s^2
-    line_body: np.ndarray  # (l, 2) parent, child; GROUND = -1
-    line_point: np.ndarray  # (l, 2, 3) m, in the frames of the two
+    gravity: np.ndarray  # (1, 3) m/s^2
+    line_body: np.ndarray  # (l, 2) parent, child; n: the world
+    line_point: np.ndarray  # (l, 6) m, in the frames of the two
     line_law: np.ndarray  # (l, 4) N, N/m, N s/m, N; coordinate: the length
     turn_body: np.ndarray  # (t, 2)
     turn_axis: np.ndarray  # (t, 3) z of the joint in the parent's axes
     turn_law: np.ndarray  # (t, 4) N m, N m/rad, N m s/rad, N m; coordinate: the angle; zero for screws
     slide_body: np.ndarray  # (s, 2)
-    slide_point: np.ndarray  # (s, 2, 3) m, origins of the joint frames
+    slide_point: np.ndarray  # (s, 6) m, origins of the joint frames
     slide_axis: np.ndarray  # (s, 3) z of the joint in the parent's axes
     slide_law: np.ndarray  # (s, 4) N, N/m, N s/m, N; coordinate: origin of the child's frame along z
     drag: np.ndarray  # (n, 4) N s/m, N s^2/m^2, N m s, N m s^2: linear, quadratic, the same angular
@@ -40,107 +40,92 @@ class Loads(NamedTuple):
     push_load: np.ndarray  # (p, 6) torque N m, force N
 
 
-@subroutine
-def _add_force(force, state, body, offset, f):
-    """Add a force, world axes, at a body-fixed point; offset: (3,) m, body frame."""
-    if body != GROUND:
-        force[body, 0:3] += f
-        force[body, 3:6] += np.cross(offset, rotate_back(state[body, 0:4], f))
+@kernel
+def _add_force(force, frame, body, position, factor, f):
+    """Add a multiple of a force at a position, both in world axes."""
+    add_three(force, body, 0, factor, f)
+    add_three(force, body, 3, factor, cross(plus(position, -1.0, three(frame, body, 9)), f))
 
 
-@subroutine
-def _add_torque(force, state, body, torque):
-    """Add a torque, world axes, on a body."""
-    if body != GROUND:
-        force[body, 3:6] += rotate_back(state[body, 0:4], torque)
+@kernel
+def _between(force, frame, bodies, i, position, f, axis):
+    """Add a force f along an axis at a position on the child, and its opposite on the parent."""
+    _add_force(force, frame, bodies[i, 1], position, f, axis)
+    _add_force(force, frame, bodies[i, 0], position, -f, axis)
 
 
-@subroutine
-def _lines(loads, state, force):
+@kernel
+def _value(law, i, coordinate, rate):
+    """Force of a law."""
+    return min(max(law[i, 0] - law[i, 1] * coordinate - law[i, 2] * rate, -law[i, 3]), law[i, 3])
+
+
+@kernel
+def _joint_forces(loads, frame, angle, force, angle_rate_out):
     for i in range(len(loads.line_body)):
-        parent, child = loads.line_body[i]
-        start = point(state, parent, loads.line_point[i, 0])
-        end = point(state, child, loads.line_point[i, 1])
-        constant, stiffness, damping, _ = loads.line_law[i]
-        d = end[0] - start[0]
-        length = np.sqrt(np.dot(d, d))
-        f = -stiffness * d
+        start = point(frame, loads.line_body[i, 0], three(loads.line_point, i, 0))
+        end = point(frame, loads.line_body[i, 1], three(loads.line_point, i, 3))
+        d = plus(end[0], -1.0, start[0])
+        length = np.sqrt(dot(d, d))
         if length > 0.0:
-            unit = d / length
-            f += (constant - damping * np.dot(unit, end[1] - start[1])) * unit
-        _add_force(force, state, child, loads.line_point[i, 1], f)
-        _add_force(force, state, parent, loads.line_point[i, 0], -f)
-
-
-@subroutine
-def _turns(loads, state, angle, force, angle_rate_out):
+            unit = plus(d, 1.0 / length - 1.0, d)
+            rate = dot(unit, plus(end[1], -1.0, start[1]))
+            f = _value(loads.line_law, i, length, rate)
+            _between(force, frame, loads.line_body, i, end[0], f, unit)
     for i in range(len(loads.turn_body)):
-        parent, child = loads.turn_body[i]
-        axis = direction(state, parent, loads.turn_axis[i])[0]
-        angle_rate_out[i] = np.dot(axis, turning(state, parent, child))
-        constant, stiffness, damping, limit = loads.turn_law[i]
-        torque = constant - stiffness * angle[i] - damping * angle_rate_out[i]
-        torque = min(max(torque, -limit), limit) * axis
-        _add_torque(force, state, child, torque)
-        _add_torque(force, state, parent, -torque)
-
-
-@subroutine
-def _slides(loads, state, force):
+        parent, child = loads.turn_body[i, 0], loads.turn_body[i, 1]
+        axis = turned(frame, parent, three(loads.turn_axis, i, 0))
+        angle_rate_out[i] = dot(axis, turning(frame, parent, child))
+        torque = _value(loads.turn_law, i, angle[i], angle_rate_out[i])
+        add_three(force, child, 3, torque, axis)
+        add_three(force, parent, 3, -torque, axis)
     for i in range(len(loads.slide_body)):
-        parent, child = loads.slide_body[i]
-        axis = direction(state, parent, loads.slide_axis[i])
-        end = point(state, child, loads.slide_point[i, 1])
-        d = end - point(state, parent, loads.slide_point[i, 0])
-        constant, stiffness, damping, limit = loads.slide_law[i]
-        f = constant - stiffness * np.dot(axis[0], d[0]) - damping * (np.dot(axis[1], d[0]) + np.dot(axis[0], d[1]))
-        f = min(max(f, -limit), limit) * axis[0]
-        _add_force(force, state, child, loads.slide_point[i, 1], f)
-        if parent != GROUND:  # at the same point, so that the wrenches on both bodies cancel
-            arm = end[0] - state[parent, 4:7]
-            force[parent, 0:3] -= f
-            force[parent, 3:6] -= rotate_back(state[parent, 0:4], np.cross(arm, f))
+        parent, child = loads.slide_body[i, 0], loads.slide_body[i, 1]
+        axis = turned(frame, parent, three(loads.slide_axis, i, 0))
+        start, end = (
+            point(frame, parent, three(loads.slide_point, i, 0)),
+            point(frame, child, three(loads.slide_point, i, 3)),
+        )
+        d, d_rate = plus(end[0], -1.0, start[0]), plus(end[1], -1.0, start[1])
+        rate = dot(cross(three(frame, parent, 15), axis), d) + dot(axis, d_rate)
+        _between(force, frame, loads.slide_body, i, end[0], _value(loads.slide_law, i, dot(axis, d), rate), axis)
 
 
 @subroutine
-def add_loads(loads, mass, state, angle, wrench, acting, force, angle_rate_out):
+def add_loads(loads, mass, frame, angle, wrench, acting, force, angle_rate_out):
     """Add gravity, external wrenches and all forces of the scene at one state to `force`.
 
     mass   : (n,) kg
-    state  : (n, 13), see rigid_body_dae.py
+    frame  : (n + 1, FRAME) of vectors.place
     angle  : (t,) rad, of the joints with an integrated angle
     wrench : (n, 24) external wrenches: (6) body axes, about the centre of mass; (6) world axes,
              about the point (3) of the body, relative to the centre of mass; (9) forces in world axes
              1 m from this point along x, y and z of the body, whose opposites act at this point
     acting : (p,) mask of the applied wrenches
-    force  : (n, 6) force in N, world axes; torque in N m, body axes, about the centre of mass
+    force  : (n + 1, 6) force in N; torque in N m about the centre of mass; world axes
     angle_rate_out : (t,) rad/s
     """
+    g = three(loads.gravity, 0, 0)
     for i in range(len(mass)):
-        q, v, omega = state[i, 0:4], state[i, 7:10], state[i, 10:13]
-        linear, quadratic, angular, angular_quadratic = loads.drag[i]
-        force[i, 0:3] += (
-            mass[i] * loads.gravity + rotate(q, wrench[i, 3:6]) - (linear + quadratic * np.sqrt(np.dot(v, v))) * v
-        )
-        force[i, 3:6] += wrench[i, 0:3] - (angular + angular_quadratic * np.sqrt(np.dot(omega, omega))) * omega
-        if wrench[i, 6:12].any():
-            _add_torque(force, state, i, wrench[i, 6:9])
-            _add_force(force, state, i, wrench[i, 12:15], wrench[i, 9:12])
+        v, omega = three(frame, i, 12), three(frame, i, 15)
+        add_three(force, i, 0, mass[i], g)
+        add_three(force, i, 0, -loads.drag[i, 0] - loads.drag[i, 1] * np.sqrt(dot(v, v)), v)
+        add_three(force, i, 3, -loads.drag[i, 2] - loads.drag[i, 3] * np.sqrt(dot(omega, omega)), omega)
+        add_three(force, i, 0, 1.0, turned(frame, i, three(wrench, i, 3)))
+        add_three(force, i, 3, 1.0, turned(frame, i, three(wrench, i, 0)))
+        add_three(force, i, 3, 1.0, three(wrench, i, 6))
+        at = plus(three(frame, i, 9), 1.0, turned(frame, i, three(wrench, i, 12)))
+        _add_force(force, frame, i, at, 1.0, three(wrench, i, 9))
         for k in range(3):
-            f = wrench[i, 15 + 3 * k : 18 + 3 * k]
-            if f.any():
-                end = wrench[i, 12:15].copy()
-                end[k] += 1.0
-                _add_force(force, state, i, end, f)
-                _add_force(force, state, i, wrench[i, 12:15], -f)
-    _lines(loads, state, force)
-    _turns(loads, state, angle, force, angle_rate_out)
-    _slides(loads, state, force)
+            axis = frame[i, k], frame[i, 3 + k], frame[i, 6 + k]
+            add_three(force, i, 3, 1.0, cross(axis, three(wrench, i, 15 + 3 * k)))
+    _joint_forces(loads, frame, angle, force, angle_rate_out)
     for i in range(len(loads.push_body)):
         if acting[i]:
             body = loads.push_body[i]
-            torque, f = loads.push_load[i, 0:3], loads.push_load[i, 3:6]
+            torque, f = three(loads.push_load, i, 0), three(loads.push_load, i, 3)
             if not loads.push_world[i]:
-                torque, f = rotate(state[body, 0:4], torque), rotate(state[body, 0:4], f)
-            _add_torque(force, state, body, torque)
-            _add_force(force, state, body, loads.push_point[i], f)
+                torque, f = turned(frame, body, torque), turned(frame, body, f)
+            add_three(force, body, 3, 1.0, torque)
+            at = plus(three(frame, body, 9), 1.0, turned(frame, body, three(loads.push_point, i, 0)))
+            _add_force(force, frame, body, at, 1.0, f)

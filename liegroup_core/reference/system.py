@@ -7,7 +7,7 @@ from liegroup_core.errors import SimulationError
 from liegroup_core.scene.consistency import resolve_frames
 from liegroup_core.scene.massless import lack_of_inertia
 
-from .equations import ANGLE, DISTANCE, GROUND, JOINTS, LEVEL, Equations, X
+from .equations import ANGLE, DISTANCE, JOINTS, LEVEL, Equations, X
 from .loads import Loads
 from .rigid_body_dae import System
 
@@ -26,7 +26,7 @@ def build_system(scene, pose, angles=None):
     returns (System, angles (t,) rad at that pose, of the joints that need an angle)
     Raises SimulationError for a joint or force without equations here.
     """
-    index = {body.name: i for i, body in enumerate(scene.bodies)} | {"world": GROUND}
+    index = {body.name: i for i, body in enumerate(scene.bodies)} | {"world": len(scene.bodies)}
     supported = {*JOINTS, "spring_damper", *TURNING, *SLIDING, "drag", "applied_wrench"}
     for entry in (*scene.joints, *scene.forces):
         if entry.type not in supported:
@@ -56,14 +56,14 @@ def build_system(scene, pose, angles=None):
     known = {} if angles is None else dict(zip((name for name, _ in scene.unwrapped), angles))
     start = np.array([known.get(joint.name, _angle(relative[joint.name])) for joint, _ in turns], dtype=float)
     equations = _equations(scene, index, frames, relative, (coupled, start))
+    inertia = np.array([body.inertia_matrix for body in scene.bodies])
     system = System(
         mass=np.array([body.mass for body in scene.bodies], dtype=float),
-        inertia=np.array([body.inertia_matrix for body in scene.bodies]),
-        size=float(np.linalg.norm(equations.point, axis=2).max(initial=0.0)) or 1.0,
+        inertia=inertia.reshape(-1, 9),
+        mobility=np.linalg.inv(inertia).reshape(-1, 9),
+        size=float(np.linalg.norm(equations.point.reshape(-1, 2, 3), axis=2).max(initial=0.0)) or 1.0,
         equations=equations,
         loads=_loads(scene, index, frames, turns, slides),
-        rotors=_rotors(scene, index, frames),
-        rotor_inertia=np.array([joint.rotor_inertia for joint in scene.joints if joint.rotor], dtype=float),
     )
     return system, start
 
@@ -123,7 +123,8 @@ def _equations(scene, index, frames, relative, couplings):
         screws += joint.type == "screw"
     coupled, start = couplings
     angle, values = len(start) - sum(joint.type != "prismatic" for joint in coupled), []
-    for joint in coupled:
+    rotors = [joint for joint in scene.joints if joint.rotor]
+    for number, joint in enumerate([*coupled, *rotors]):
         F_a, F_b = frames[joint.name]
         turns = joint.type != "prismatic"
         kind.append(ANGLE if turns else LEVEL)
@@ -133,7 +134,9 @@ def _equations(scene, index, frames, relative, couplings):
         normal.append(F_a[:3, 2])
         length.append(0.0)
         pitch.append(0.0)
-        turn.append(angle if turns else -1)
+        turn.append(angle if turns and number < len(coupled) else -1)
+        if number >= len(coupled):
+            continue
         values.append(start[angle] if turns else relative[joint.name][2, 3])
         angle += turns
     drives = np.arange(sum(joint.driven for joint in scene.joints))
@@ -143,45 +146,26 @@ def _equations(scene, index, frames, relative, couplings):
         row[: len(entry.curve)] = entry.curve
     values = np.array(values).reshape(-1, 2)
     values[len(ratio) - len(drives) :] = 0.0
+    compliance, bodies = np.zeros(len(kind)), np.full((len(kind), 4), len(scene.bodies))
+    bodies[:, :2] = _table(body, (2,), int)
+    compliance[len(kind) - len(rotors) :] = [1.0 / joint.rotor_inertia for joint in rotors]
+    first = len(kind) - len(rotors) - len(coupled) + 2 * np.arange(len(ratio))
+    bodies[first, 2:] = bodies[first + 1, :2]
     return Equations(
         _table(kind, (), int),
-        _table(body, (2,), int),
-        _table(point, (2, 3)),
-        _table(axis, (2, 3)),
+        bodies,
+        _table(point, (6,)),
+        _table(axis, (6,)),
         _table(normal, (3,)),
         _table(length, ()),
         _table(pitch, ()),
         _table(turn, (), int),
-        len(kind) - len(coupled) + 2 * np.arange(len(ratio)),
+        first,
         ratio,
         curve,
         values[:, 0] - ratio * values[:, 1] - (curve * values[:, 1:] ** np.arange(2, 5)).sum(axis=1),
         np.concatenate([np.full(len(scene.couplings), -1), drives]),
-        np.zeros((3, len(drives))),
-    )
-
-
-def _rotors(scene, index, frames):
-    """Equations of the coordinates of the joints with a rotor; their values are not used."""
-    joints = [joint for joint in scene.joints if joint.rotor]
-    zeros, none = np.zeros(len(joints)), np.zeros(0, dtype=int)
-    turns = np.array([joint.type != "prismatic" for joint in joints], dtype=bool)
-    pairs = [frames[joint.name] for joint in joints]
-    return Equations(
-        np.where(turns, ANGLE, LEVEL),
-        _table([_ends(joint, index) for joint in joints], (2,), int),
-        _table([(F_a[:3, 3], F_b[:3, 3]) for F_a, F_b in pairs], (2, 3)),
-        _table([(F_a[:3, 2], F_b[:3, 2]) for F_a, F_b in pairs], (2, 3)),
-        _table([F_a[:3, 2] for F_a, _ in pairs], (3,)),
-        zeros,
-        zeros,
-        np.where(turns, 0, -1),
-        none,
-        np.zeros(0),
-        np.zeros((0, 3)),
-        np.zeros(0),
-        none,
-        np.zeros((3, 0)),
+        compliance,
     )
 
 
@@ -242,15 +226,15 @@ def _loads(scene, index, frames, turns, slides):
         if force.type == "drag":
             drag[index[force.body]] += (force.linear, force.quadratic, force.angular, force.angular_quadratic)
     return Loads(
-        gravity=np.array(scene.gravity, dtype=float),
+        gravity=np.array([scene.gravity], dtype=float),
         line_body=_table([_ends(s, index) for s in lines], (2,), int),
-        line_point=_table([(s.parent_point, s.child_point) for s in lines], (2, 3)),
+        line_point=_table([(s.parent_point, s.child_point) for s in lines], (6,)),
         line_law=_table([_law(s) for s in lines], (4,)),
         turn_body=_table([_ends(joint, index) for joint, _ in turns], (2,), int),
         turn_axis=_table([frames[joint.name][0][:3, 2] for joint, _ in turns], (3,)),
         turn_law=_table([law for _, law in turns], (4,)),
         slide_body=_table([_ends(joint, index) for joint, _ in slides], (2,), int),
-        slide_point=_table([[F[:3, 3] for F in frames[joint.name]] for joint, _ in slides], (2, 3)),
+        slide_point=_table([[F[:3, 3] for F in frames[joint.name]] for joint, _ in slides], (6,)),
         slide_axis=_table([frames[joint.name][0][:3, 2] for joint, _ in slides], (3,)),
         slide_law=_table([law for _, law in slides], (4,)),
         drag=drag,

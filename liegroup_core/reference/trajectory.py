@@ -4,7 +4,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy.integrate import DOP853
+from scipy.linalg import qr
 from scipy.spatial.transform import Rotation
 
 from liegroup_core.errors import SimulationError
@@ -14,25 +14,29 @@ from liegroup_core.scene.centres import Offsets, at_centres_of_mass
 from liegroup_core.scene.consistency import resolve_drives
 from liegroup_core.threads import one_blas_thread
 
-from .equations import STATE
-from .rigid_body_dae import rate, scaled_equations
+from .collocation import Collocation
+from .rigid_body_dae import STATE, chosen_rows, rates, unit_rows
 from .system import build_system, with_wanted
 
-# Just above the smallest tolerance of DOP853 (2.2e-14). The uncertainty of a run is its distance to
-# a run with a tolerance ten times larger.
+# Tolerance of the error inside a step, relative to the characteristic length and in rad. The uncertainty of a run is
+# its distance to a run with a tolerance LOOSER times larger, whose steps are about a third longer.
 TIGHT = 1e-13
-LOOSER = 10.0
-# Reached after about ten minutes. A scene that needs more steps is too stiff for an explicit method
-# of high order.
+LOOSER = 50.0
+# The integration ends where its uncertainty exceeds this, relative to the characteristic length or in rad: a
+# hundredth of the default accuracy of a run.
+UNCERTAIN = 1e-6
 MOST_STEPS = 2_000_000
 # Every LOOKS steps the integration ends if the first requested time after the start would take more than HOPELESS
 # steps: the motion is unrealistically fast.
-LOOKS, HOPELESS = 2000, 10_000_000
+LOOKS, HOPELESS = 500, 1_000_000
+SLOWEST = 0.1  # 1/s, rate of a motion that is as good as at rest
+CHUNK = 64  # times between two comparisons of the two runs
 # Bounds of the singular values of the unit rows of all joints. At the start, values below REDUNDANT
-# belong to redundant rows (the pose is accurate to 1e-9 or better). Later, values of independent
-# rows must stay above SINGULAR, those of redundant rows below it. Ten rods on revolute joints have
-# 1e-2.
+# belong to redundant rows (the pose is accurate to 1e-9 or better). Ten rods on revolute joints have
+# 1e-2. At a singular pose the value of an independent row falls below SINGULAR, or redundant rows have a gap
+# above it.
 REDUNDANT, SINGULAR = 1e-8, 1e-6
+FLAT = 0.1  # part of the ratio of pivots at the last choice of rows, below which they are chosen again
 
 
 class WrenchSpan(NamedTuple):
@@ -132,6 +136,8 @@ class Reference:
     angles : (u,) rad, those of `Scene.unwrapped` at `start`; None: in (-pi, pi]
     most_steps : limit of the steps of each of the two integrations
     The other arguments are those of `integrate`.
+
+    stopped : one line that says why no later time can be reached, or None
     """
 
     @one_blas_thread()
@@ -143,10 +149,9 @@ class Reference:
         system, angles = build_system(at_centres_of_mass(scene), pose, angles)
         state = np.concatenate([_to_state(pose, np.asarray(twist, dtype=float)), angles])
         pieces = _pieces(scene, system, self._offsets, changes, start, end)
-        rank = _rank(system, state)
-        self._size = STATE * len(pose)
-        self._runs = [_Run(rank, state, start, pieces, tolerance, most_steps) for tolerance in (rtol, LOOSER * rtol)]
-        self._largest = None
+        self._shape, self._length = (len(pose), STATE), system.size
+        self._runs = [_Run(system, state, start, pieces, tolerance, most_steps) for tolerance in (rtol, LOOSER * rtol)]
+        self._largest, self.stopped = None, None
 
     @property
     def steps(self):
@@ -154,30 +159,50 @@ class Reference:
         return self._runs[0].steps_taken
 
     def at(self, times):
-        """Trajectory at times (k,), increasing and after earlier calls, with its uncertainty so far."""
+        """Trajectory at times (k,), increasing and after earlier calls, with its uncertainty so far.
+
+        Raises SimulationError if not all times can be reached.
+        """
         found = self.up_to_limit(times)
         if len(found[0].times) < len(times):
-            raise SimulationError(
-                f"the reference integration stopped at t = {self._runs[0].reached:.6g} s after "
-                f"{self.steps} steps; compare a shorter time"
-            )
+            raise SimulationError(self.stopped)
         return found
 
     @one_blas_thread()
-    def up_to_limit(self, times):
-        """As `at`, for the times that are reached within most_steps."""
-        times = np.asarray(times, dtype=float)
-        states = []
+    def up_to_limit(self, times, tell=lambda time: None):
+        """As `at`, for the times that can be reached; calls `tell` with a time that has been reached, now and then."""
+        times, parts = np.asarray(times, dtype=float), []
+        for i in range(0, max(len(times), 1), CHUNK):
+            parts.append(self._compared(times[i : i + CHUNK]))
+            tell(self._runs[0].reached)
+        trajectories, uncertainties = zip(*parts)
+        return (
+            Trajectory(*map(np.concatenate, zip(*trajectories))),
+            Distance(*map(np.concatenate, zip(*uncertainties))),
+        )
+
+    def _compared(self, times):
+        """As `up_to_limit`, for few times."""
+        times, states = times if self.stopped is None else times[:0], []
         for run in self._runs:
             states.append(run.at(times))
             times = times[: len(states[-1])]
+            self.stopped = self.stopped or run.stopped
         tight, loose = (
-            _at_bodies(self._offsets, _to_trajectory(times, part[: len(times), : self._size])) for part in states
+            _at_bodies(self._offsets, _to_trajectory(times, part[: len(times)], self._shape)) for part in states
         )
         largest = Distance(*(np.maximum.accumulate(part, axis=0) for part in distance(tight, loose)))
         if self._largest is not None:
             largest = Distance(*map(np.maximum, largest, self._largest))
-        if len(times):
+        unknown = np.maximum(largest.position / self._length, largest.angle).max(axis=1, initial=0.0) > UNCERTAIN
+        if unknown.any():
+            k = int(np.argmax(unknown))
+            self.stopped = (
+                f"from t = {times[k]:.6g} s on the uncertainty of the reference integration exceeds {UNCERTAIN:g} "
+                "(of the characteristic length, or rad), because the motion amplifies small differences"
+            )
+            tight, largest = Trajectory(*(part[:k] for part in tight)), Distance(*(part[:k] for part in largest))
+        if len(tight.times):
             self._largest = Distance(*(part[-1] for part in largest))
         return tight, largest
 
@@ -257,116 +282,144 @@ def _set_row(row, body, spans, offsets):
                 row[15:] += np.outer(span.point, wrench[3:]).ravel()
 
 
-def _rank(system, state):
-    """Rank of the joint equations at the start: at the largest ratio of successive singular values.
+def _independent(system, rows):
+    """Numbers of independent unit rows at the start: as many as there are singular values above the largest jump.
 
     Singular values of redundant rows are of the size of round-off or of the initial residual, up to
     1e-9 (scene/consistency.py). Those of independent unit rows are of the size of the angles between
     them.
     """
-    n, k = len(system.mass), len(system.equations.kind)
-    if k == 0:
-        return 0
-    rows = scaled_equations(system, state[: STATE * n].reshape(n, STATE), state[STATE * n :], np.zeros(k))
-    singular = np.linalg.svd(rows, compute_uv=False)
-    if singular[-1] > REDUNDANT:
-        return len(singular)
-    above = np.maximum(singular, np.finfo(float).eps)
-    ends = np.flatnonzero(singular[1:] <= REDUNDANT) + 1
-    return int(ends[np.argmax(above[ends - 1] / above[ends])])
+    joints, rank = np.flatnonzero(rows.any(axis=1)), 0
+    if len(joints):
+        singular = np.linalg.svd(rows[joints], compute_uv=False)
+        rank = len(singular)
+        if len(joints) > rank or singular[-1] <= REDUNDANT:
+            above = np.append(np.maximum(singular, np.finfo(float).eps), np.finfo(float).eps)
+            ends = np.flatnonzero(above[1:] <= REDUNDANT) + 1
+            rank = int(ends[np.argmax(above[ends - 1] / above[ends])])
+    return _best_rows(system, rows, rank), rank
+
+
+def _best_rows(system, rows, rank):
+    """Chosen rows: those that are farthest from each other, and all rows of rotors."""
+    joints = np.flatnonzero(rows.any(axis=1))
+    if len(joints) > rank:
+        joints = joints[qr(rows[joints].T, mode="r", pivoting=True)[1][:rank]]
+    return chosen_rows(system, sorted([*joints, *np.flatnonzero(system.equations.compliance)]))
 
 
 class _Run:
     """Integration with one tolerance, continued from one call of `at` to the next."""
 
-    def __init__(self, rank, state, start, pieces, rtol, most_steps):
-        self._rank, self._rtol, self._most_steps = rank, rtol, most_steps
+    def __init__(self, system, state, start, pieces, rtol, most_steps):
+        self._system, self._rtol, self._most_steps = system, rtol, most_steps
         self._pending = list(pieces)
         self._state, self.reached = state, start
-        self._solver = self._dense = self._step = None
-        self._singular = [1.0, 0.0]
+        self._solver = self.stopped = None
         self.steps_taken = 0
         self._start = self._seen = start
         self._is_useful = False  # a later time than the start has been reached
 
     def at(self, times):
-        """States (k, 13 n + t) at increasing times (k,), or at those that most_steps reach."""
+        """States (k, 13 n + t) at increasing times (k,), or at those that can be reached."""
         out = np.empty((len(times), len(self._state)))
         done = 0
         while True:
             ready = done + int(np.searchsorted(times[done:], self.reached, side="right"))
             if ready > done:
-                if self._solver is not None and self._dense is None:
-                    self._dense = self._solver.dense_output()
-                out[done:ready] = self._state if self._dense is None else self._dense(times[done:ready]).T
+                out[done:ready] = self._state if self._solver is None else self._solver.at(times[done:ready])
                 done = ready
                 self._is_useful |= bool(times[done - 1] > self._start)
-            if done == len(times) or self.steps_taken == self._most_steps:
+            if done == len(times) or self.stopped:
                 return out[:done]
-            if not self._is_useful and self.steps_taken and self.steps_taken % LOOKS == 0:
+            if self.steps_taken == self._most_steps:
+                self.stopped = f"the reference integration reached its limit of steps, {self._most_steps}"
+            elif not self._is_useful and self.steps_taken and self.steps_taken % LOOKS == 0:
                 self._look_ahead(times[done])
-            if not self._advance():  # the last time is the end, up to round-off
+            if not self.stopped and not self._advance():  # the last time is the end, up to round-off
                 out[done:] = self._state
                 return out
 
     def _look_ahead(self, time):
-        """Raise SimulationError if a time would take far too many steps; called every LOOKS steps."""
+        """Stop if a time would take far too many steps; called every LOOKS steps."""
         advanced, self._seen = self.reached - self._seen, self.reached
         if (time - self.reached) * LOOKS > HOPELESS * advanced:
-            raise SimulationError(
+            self.stopped = (
                 f"the reference integration would need more than {HOPELESS} steps from t = "
                 f"{self.reached:.6g} s to {time:.6g} s: the motion is too fast for it"
             )
 
     def _advance(self):
         """Take one step; returns False at the end of the last interval."""
-        if self._solver is None or self._solver.status == "finished":
+        if self._solver is None or self.reached >= self._end:
             if not self._pending:
                 return False
             self._begin(*self._pending.pop(0))
         solver = self._solver
         self.steps_taken += 1
-        message = solver.step()
-        if solver.status == "failed":
-            raise SimulationError(f"the reference integration stopped at t = {solver.t:.6g} s: {message}")
-        self._steps.append(solver.step_size)
-        # The last evaluation of a step is at its end. Earlier ones may be far from the motion.
-        smallest, beyond = self._singular
-        if smallest < SINGULAR or beyond > SINGULAR:
-            raise SimulationError(
-                "the reference integration reached a singular configuration at t = "
-                f"{solver.t:.6g} s, where the constraints do not determine the motion"
-            )
-        self._dense, self.reached, self._state = None, solver.t, solver.y
-        if solver.status == "finished":
-            longest = max(self._steps)
-            self._step = longest if self._step is None or len(self._steps) > 1 else max(self._step, longest)
+        moves = solver.advance(self._end)
+        self._state, self.reached = solver.state, solver.time
+        rows, gap = unit_rows(self._system, self._state, self._given(self.reached))
+        gap = np.abs(gap).max(initial=0.0)
+        if not moves or gap > SINGULAR or self._pivot < SINGULAR:
+            self.stopped = self._cause(rows, gap, moves)
+        if self._pivot_of_choice is None:
+            self._pivot_of_choice = self._pivot
+        elif self._pivot < FLAT * self._pivot_of_choice:
+            self._chosen, self._pivot_of_choice = _best_rows(self._system, rows, self._rank), None
         return True
 
-    def _begin(self, begin, end, system, wrench, acting, driving):
-        def function(t, y):
-            slope = np.empty_like(y)
-            for d, motion in enumerate(driving):
-                system.equations.given[:, d] = at(motion, t)
-            self._singular[:] = rate(system, self._rank, y, wrench, acting, slope)
-            if not np.isfinite(slope).all():  # DOP853 would reduce its step without end
-                raise SimulationError(
-                    f"the reference integration stopped at t = {t:.6g} s: the state or a wrench is not finite"
-                )
-            return slope
-
-        # An interval starts with the step size of the previous one; a short interval does not reduce
-        # it.
-        self._solver = DOP853(
-            function,
-            begin,
-            self._state,
-            end,
-            rtol=self._rtol,
-            atol=self._rtol,
-            first_step=None if self._step is None else min(self._step, end - begin),
+    def _cause(self, rows, gap, moves):
+        """Why the integration ends at the present state; None: it goes on."""
+        singular = np.linalg.svd(rows, compute_uv=False) if self._rank else np.ones(1)
+        if gap > SINGULAR or singular[max(self._rank - 1, 0)] < SINGULAR:
+            return (
+                f"the reference integration reached a singular configuration at t = {self.reached:.6g} s, "
+                "where the constraints do not determine the motion"
+            )
+        if moves:
+            return None
+        slope = np.empty((1, len(self._state)))
+        self._function(np.array([self.reached]), self._state[None], slope)
+        if not np.isfinite(slope).all():
+            return f"the reference integration stopped at t = {self.reached:.6g} s: the state or a wrench is not finite"
+        return (
+            f"the reference integration stopped at t = {self.reached:.6g} s: no step is short enough, "
+            "because the forces jump or grow without bound"
         )
-        self._steps = []
+
+    def _begin(self, begin, end, system, wrench, acting, driving):
+        self._driving, self._end = driving, end
+
+        def function(times, states, out):
+            given = np.stack([self._given(time) for time in times])
+            self._pivot = rates(system, self._chosen, given, states, wrench, acting, out)
+
+        if self._solver is None:
+            self._chosen, self._rank = _independent(system, unit_rows(system, self._state, self._given(begin))[0])
+            self._pivot_of_choice = None
+            self._solver = Collocation(function, self._scales, begin, self._state, self._rtol)
+        self._function = self._solver.function = function
+        self._solver.restart()
+
+    def _given(self, time):
+        given = np.zeros((3, len(self._driving)))
+        for d, motion in enumerate(self._driving):
+            given[:, d] = at(motion, time)
+        return given
+
+    def _scales(self, state, slope):
+        """Sizes that errors are relative to: the mechanism, a radian, and their change at the rate of the motion."""
+        n = len(self._system.mass)
+        out, bodies = np.ones(len(state)), state[: STATE * n].reshape(n, STATE)
+        scale, size = out[: STATE * n].reshape(n, STATE), self._system.size
+        change = np.abs(slope[: STATE * n].reshape(n, STATE))
+        rate = max(change[:, 4:7].max() / size, np.abs(bodies[:, 10:13]).max(), SLOWEST)
+        rate = max(rate, np.sqrt(max(change[:, 7:10].max() / size, change[:, 10:13].max())))
+        scale[:, 4:7] = size + np.abs(bodies[:, 4:7])
+        scale[:, 7:10], scale[:, 10:13] = size * rate, rate
+        out[STATE * n :] += np.abs(state[STATE * n :])
+        return out
 
 
 def _to_state(pose, twist):
@@ -388,9 +441,9 @@ def _at_bodies(offsets, motion):
     return motion._replace(position=pose[..., 9:], twist=twist)
 
 
-def _to_trajectory(times, states):
-    states = states.reshape(len(times), states.shape[1] // STATE, STATE)
-    k, n = states.shape[:2]
+def _to_trajectory(times, states, shape):
+    k, n = len(times), shape[0]
+    states = states[:, : n * STATE].reshape(k, *shape)
     turn = Rotation.from_quat(states[..., [1, 2, 3, 0]].reshape(-1, 4))
     velocity = turn.apply(states[..., 7:10].reshape(-1, 3), inverse=True).reshape(k, n, 3)
     return Trajectory(

@@ -40,9 +40,9 @@ from .verdict import find_problems, find_warnings, verdict
 
 # Default simulated time that the reference integration covers, s.
 REFERENCE_SECONDS = 60.0
-# Default maximum number of its steps. Stiff scenes reach it, which takes about two minutes with one body.
-# heavy_top needs 17 000 for 60 s, four_bar 47 000.
-REFERENCE_STEPS = 200_000
+# Default maximum number of its steps, which takes about three minutes with seven bodies.
+# heavy_top needs 3 000 for 60 s, four_bar 9 400.
+REFERENCE_STEPS = 50_000
 # Maximum number of steps and substeps of the re-simulation, and its increase per sample: some minutes.
 REPEAT_STEPS, REPEAT_STEPS_PER_SAMPLE = 5_000_000, 1000
 MOST_PUSHES = 1000  # largest number of intervals with an applied wrench or effort in the figures
@@ -82,6 +82,7 @@ def analyse(
     tell=lambda text: None,
     reference_seconds=REFERENCE_SECONDS,
     reference_steps=REFERENCE_STEPS,
+    covered=lambda seconds, total: None,
 ):
     """Analyse a Recording; returns an Analysis.
 
@@ -90,6 +91,8 @@ def analyse(
     reference_seconds : simulated time in s that a reference integration covers; if the scene has an
                         exact solution, this replaces it and covers the whole run
     reference_steps   : maximum number of steps of a reference integration, which stops there
+    covered           : function that is called with the simulated time that a reference integration has covered,
+                        and with all that it has to cover at most, s
     raises RecordingError, SceneError
     """
     scene = scene_from_text(recording.scene_text, source=f"{recording.path}: scene.yaml")
@@ -97,7 +100,12 @@ def analyse(
     layout = make_layout(scene)
     motion = Motion(recording, layout)
     limits = reference_seconds, reference_steps
-    parts = _Parts(scene, recording, layout, motion, reference, *limits)
+    total = min(
+        reference_seconds, motion.expected * recording.settings["step"] * (recording.settings["steps_per_sample"] or 1)
+    )
+    parts = _Parts(
+        scene, recording, layout, motion, reference, *limits, lambda seconds: covered(min(seconds, total), total)
+    )
     done = 0
     for block in motion.blocks(parts.angles):
         parts.add(block)
@@ -122,7 +130,7 @@ def analyse(
 class _Parts:
     """Computes all figures that depend on the samples, block by block."""
 
-    def __init__(self, scene, recording, layout, motion, reference, seconds, steps):
+    def __init__(self, scene, recording, layout, motion, reference, seconds, steps, covered):
         self._scene, self._recording, self._layout = scene, recording, layout
         self._motion = motion
         expected = motion.expected
@@ -156,7 +164,9 @@ class _Parts:
                 self._exact = exact_solution(layout, *initial_state(recording)[:2])
             if self._exact is None:
                 self._guarded["reference"] = _Guarded(
-                    lambda: ReferenceError(layout, recording, expected, seconds, self._promise, self._estimate, steps)
+                    lambda: ReferenceError(
+                        layout, recording, expected, seconds, self._promise, self._estimate, steps, tell=covered
+                    )
                 )
 
     def angles(self, block):

@@ -7,6 +7,7 @@ state of each stretch. A stretch is a part of the recording between resets or se
 
 import numpy as np
 
+from liegroup_core.errors import SimulationError
 from liegroup_core.forces.commands import WRENCH
 from liegroup_core.reference import MotionChange, Reference, ServoChange, Trajectory, WrenchSpan, distance
 from liegroup_core.reference.trajectory import MOST_STEPS
@@ -93,17 +94,27 @@ class ReferenceError:
     steps   : maximum number of its steps, summed over all stretches
     promise, estimate : see Errors
     keep    : function that gets (log times, Trajectory) of the reference, or None
+    tell    : function that is called with the simulated time covered so far, s
     """
 
     def __init__(
-        self, layout, recording, expected, seconds=np.inf, promise=None, estimate=None, steps=MOST_STEPS, keep=None
+        self,
+        layout,
+        recording,
+        expected,
+        seconds=np.inf,
+        promise=None,
+        estimate=None,
+        steps=MOST_STEPS,
+        keep=None,
+        tell=lambda seconds: None,
     ):
         self._scene, self._starts = layout.scene, Starts(recording, layout)
         self._servos, self._driven = tuple(layout.servos), tuple(layout.motions)
         self._unit_efforts = layout.unit_efforts
         self._left, self._judged = seconds, 0.0
         self._steps = self._steps_left = steps
-        self._stopped, self._keep = None, keep
+        self._stopped, self._keep, self._tell = None, keep, tell
         self._errors = Errors(expected, promise, estimate)
         self._stretch = self._reference = None
 
@@ -127,14 +138,19 @@ class ReferenceError:
             self._reference = Reference(
                 self._scene, pose, twist, changes, self._start, angles=angles, most_steps=self._steps_left
             )
-        exact, uncertainty = self._reference.up_to_limit(times[:k])
+        exact, uncertainty = self._reference.up_to_limit(
+            times[:k], lambda time: self._tell(self._judged + time - self._start)
+        )
         if len(exact.times) < k:
             k = len(exact.times)
             at = stretch.base_ns * 1e-9 + (float(times[k - 1]) if k else self._start)
-            self._stopped = (
-                f"the error is known up to {shown(at, 's')} only: the reference integration reached its limit of "
-                f"{counted(self._steps, 'step')}; use --reference-steps for a larger limit"
-            )
+            reason = self._reference.stopped
+            if self._reference.steps >= self._steps_left:
+                limit = counted(self._steps, "step")
+                reason = (
+                    f"the reference integration reached its limit of {limit}; use --reference-steps for a larger one"
+                )
+            self._stopped = f"the error is known up to {shown(at, 's')} only: {reason}"
             if k == 0:
                 return
         reached = float(times[k - 1])
@@ -184,7 +200,9 @@ class ReferenceError:
         ]
 
     def figures(self):
-        """(figures, curves), see Errors."""
+        """(figures, curves), see Errors. Raises SimulationError if no error is known."""
+        if self._stopped and not self._judged:
+            raise SimulationError(self._stopped)
         return self._errors.figures(kind="integration", seconds=self._judged, stopped=self._stopped)
 
 

@@ -7,6 +7,7 @@ One recording is reported in full, several in one line each.
 import sys
 
 from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from liegroup_core.errors import LieGroupSimError
 from liegroup_sim_ros.analysis.analyse import REFERENCE_SECONDS, REFERENCE_STEPS, analyse
@@ -127,11 +128,21 @@ def run(args):
     if many:
         found, parts = analyse_many(logs, options, args.scheduler, bool(args.html))
     else:
-        with Console(stderr=True).status("reading") as status:
+        console = Console(stderr=True)
+        columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
+        with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
+            task = bar.add_task("reading", total=None)
             recording = read_recording(logs[0])
-            analysis = analyse(recording, tell=status.update, **options)
+            analysis = analyse(
+                recording,
+                tell=lambda text: bar.update(task, description=text),
+                covered=lambda seconds, total: bar.update(
+                    task, description=f"reference: {seconds:.3g} of {total:.3g} s", completed=seconds, total=total
+                ),
+                **options,
+            )
             if args.compare:
-                status.update("comparing")
+                bar.update(task, description="comparing")
                 comparison = differences(recording, read_recording(args.compare))
         found = [analysis.figures]
         if args.png:

@@ -254,7 +254,7 @@ def spun(recording, speed):
 @pytest.mark.parametrize("speed", [1e10, 1e30, 1e100])
 @pytest.mark.volume(1)
 def test_an_analysis_ends_where_no_motion_has_such_numbers(fast, speed):
-    """The reference integration, which would take its 200 000 steps for nothing, says so at once."""
+    """The reference integration, which would take its 50 000 steps for nothing, says so at once."""
     figures = analyse(spun(fast, speed)).figures
     assert "reference integration" in figures["reference"]["failed"]
     assert figures["repeat"]["identical"] == 0

@@ -27,7 +27,7 @@ from .configurations import sample_times
 # characteristic length, and in rad) and at most STEPS steps of the reference. For fast scenes this is
 # about a hundred periods; for chaotic scenes, the time over which 1e-9 can be guaranteed.
 HORIZONS = tuple(digit * Fraction(10) ** power for power in range(-5, 1) for digit in (1, 2, 5)) + (Fraction(10),)
-KNOWN, STEPS = 1e-10, 10_000
+KNOWN, STEPS = 1e-10, 2_000
 
 
 class Truth(NamedTuple):

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Collocation of high order for the reference integration: Radau IIA with STAGES stages, order 2 STAGES - 1.
+
+A step finds the polynomial that satisfies the equations at the nodes. Its coefficients decay, and the last one
+is the estimate of the error inside the step; at the end of the step the error is smaller by many orders. A force that
+changes its law before the first node shows in the derivative at the start, which is no node. The polynomial is also
+the motion between the ends of steps.
+
+Stages are found by iteration, or by Newton's method where the step is long against the fastest decay or vibration:
+Hairer and Wanner, Solving Ordinary Differential Equations II, sections IV.5 and IV.8.
+"""
+
+import numpy as np
+from numpy.polynomial import legendre
+
+STAGES = 12
+EPS = np.finfo(float).eps
+ITERATIONS, NEWTON_ITERATIONS = 40, 15
+SLOW = 0.5  # ratio of two corrections, above which the iteration converges too slowly
+CLOSE = 1e-12  # a correction that no longer decreases must be smaller
+KEEP = 1.25  # Newton's method keeps the step, and so its matrices, unless the step may grow by more
+AGE = 20  # steps with the same Jacobian
+MOST_ATTEMPTS = 100  # of one step
+
+
+def _tableau():
+    """(nodes on [0, 1], matrix a, coefficients of the values at 0 and at the nodes)."""
+    last = np.zeros(STAGES + 1)
+    last[-2:] = -1.0, 1.0
+    x = np.sort(legendre.legroots(last).real)
+    x -= legendre.legval(x, last) / legendre.legval(x, legendre.legder(last))
+    x[-1] = 1.0
+    integrals = np.array([legendre.legint(row, lbnd=-1) for row in np.eye(STAGES)])
+    a = 0.5 * legendre.legval(x, integrals.T).T @ np.linalg.inv(legendre.legvander(x, STAGES - 1))
+    return 0.5 * (x + 1.0), a, np.linalg.inv(legendre.legvander(np.r_[-1.0, x], STAGES))
+
+
+NODES, MATRIX, COEFFICIENTS = _tableau()
+# Derivative of the polynomial at 0, times the part of the step before the first node.
+_START = NODES[0] * np.array([(-1.0) ** (k + 1) * k * (k + 1) for k in range(STAGES + 1)])
+_VALUES, _VECTORS = np.linalg.eig(MATRIX)
+_UPPER = _VALUES.imag >= 0.0
+_INTO = np.linalg.inv(_VECTORS)[_UPPER]
+_OUT = _VECTORS[:, _UPPER] * np.where(_VALUES[_UPPER].imag > 0.0, 2.0, 1.0)
+_VALUES = _VALUES[_UPPER]
+
+
+class Collocation:
+    """Steps of an integration from (time, state), one by one.
+
+    function(times (p,), states (p, N), out (p, N)) : writes the time derivatives
+    scales(state, slope)                            : (N,) sizes that errors are relative to
+    """
+
+    def __init__(self, function, scales, time, state, tolerance):
+        self.function, self._scales, self._tolerance = function, scales, tolerance
+        self.time, self.state, self.step, self.wanted = time, state, 0.0, None
+        self._carry = np.zeros_like(state)  # round-off of the sum of all increments
+        self._polynomial = self._jacobian = self._inverse = None
+        self._inverse_step, self._age, self._is_new = 0.0, 0, True
+
+    def at(self, times):
+        """States (k, N) at times within the last step."""
+        x = 2.0 * (np.asarray(times) - self._begin) / self.step - 1.0
+        return (
+            self._before + legendre.legval(x, self._polynomial).T
+        )  # no product of matrices: bits depend on their size
+
+    def restart(self):
+        """Forget the previous step, because the equations change."""
+        self._inverse, self._is_new = None, True
+
+    def advance(self, end):
+        """Take one step, to `end` at most; returns whether it has succeeded."""
+        if self._is_new:
+            self._slope = np.empty_like(self.state)
+            self.function(np.array([self.time]), self.state[None], self._slope[None])
+        scale = self._scales(self.state, self._slope)
+        if self.wanted is None:
+            change = np.abs(self._slope / scale).max()
+            # Runs with different tolerances take different steps from the start: else they would have the same errors.
+            self.wanted = (
+                (1e4 * self._tolerance) ** (1.0 / (STAGES + 1)) / max(change, 0.1) if np.isfinite(change) else 0.1
+            )
+        left = end - self.time
+        step = self.wanted if self.wanted < left else left
+        if step < left < 2.0 * step:
+            step = 0.5 * left
+        for _ in range(MOST_ATTEMPTS):
+            if not step > 4.0 * EPS * abs(self.time):
+                return False
+            increments, slope, is_slow = self._stages(step, scale)
+            if increments is None:
+                if is_slow and self._inverse is None and self._set_jacobian(scale) * step > 1.0:
+                    self._set_inverse(step)
+                elif is_slow and self._inverse is not None and self._age > 0:
+                    self._set_jacobian(scale)
+                    self._set_inverse(step)
+                else:
+                    step *= 0.4
+                    self._inverse = None
+                continue
+            polynomial = COEFFICIENTS[:, 1:] @ increments
+            start = _START @ polynomial - NODES[0] * step * self._slope
+            error = max(np.abs(polynomial[-1] / scale).max(), np.abs(start / scale).max())
+            factor = 0.9 * (self._tolerance / max(error, 1e-30)) ** (1.0 / (STAGES + 1))
+            if error > self._tolerance:
+                step *= max(min(factor, 0.8), 0.2)
+                continue
+            self._accept(step, increments[-1], polynomial, end)
+            self._slope = slope
+            factor = min(factor, 2.0)
+            if self._inverse is not None:
+                self._age += 1
+                if self._age > AGE:
+                    if self._set_jacobian(scale) * step * factor < 1.0:
+                        self._inverse = None
+                    else:
+                        self._inverse_step = 0.0
+                factor = factor if factor > KEEP else 1.0
+            self.wanted = (
+                max(self.wanted if step < self.wanted else 0.0, step * factor) if step == left else step * factor
+            )
+            return True
+        return False
+
+    def _accept(self, step, increment, polynomial, end):
+        self._before, self._begin, self._polynomial, self.step = self.state, self.time, polynomial, step
+        increment = increment + self._carry
+        self.state = self.state + increment
+        self._carry = increment - (self.state - self._before)
+        self.time, self._is_new = end if step >= end - self.time else self.time + step, False
+
+    def _stages(self, step, scale):
+        """(increments (s, N) at the nodes or None, derivative at the end, whether the iteration was slow)."""
+        if self._inverse is not None and self._inverse_step != step:
+            self._set_inverse(step)
+        if self._is_new or step > 2.0 * self.step:
+            found = np.zeros((STAGES, len(scale)))
+        else:
+            ahead = legendre.legvander(1.0 + 2.0 * NODES * step / self.step, STAGES)
+            found = ahead @ self._polynomial - self._polynomial.sum(axis=0)
+        times, slopes = self.time + NODES * step, np.empty_like(found)
+        before, slow = np.inf, 0
+        for k in range(ITERATIONS if self._inverse is None else NEWTON_ITERATIONS):
+            self.function(times, self.state + (self._carry + found), slopes)
+            change = step * (MATRIX @ slopes) - found
+            if self._inverse is not None:
+                change = (_OUT @ (self._inverse @ (_INTO @ change)[..., None])[..., 0]).real
+            found += change
+            size = np.abs(change / scale).max()
+            if not np.isfinite(size):
+                return None, None, False
+            if size <= EPS or (size >= SLOW * before and size <= CLOSE):
+                return found, slopes[-1].copy(), False
+            slow = slow + 1 if size > SLOW * before else 0
+            if slow == 3 or size > 1e3 * before:
+                return None, None, True
+            before = size
+        return None, None, True
+
+    def _set_jacobian(self, scale):
+        """Set the Jacobian at the present state by differences; returns its spectral radius, 1/s."""
+        n = len(self.state)
+        moved, slopes = np.tile(self.state, (n + 1, 1)), np.empty((n + 1, n))
+        change = np.sqrt(EPS) * scale
+        moved[np.arange(n), np.arange(n)] += change
+        self.function(np.full(n + 1, self.time), moved, slopes)
+        self._jacobian, self._age = ((slopes[:n] - slopes[n]) / change[:, None]).T, 0
+        return np.abs(np.linalg.eigvals(self._jacobian)).max() if np.isfinite(self._jacobian).all() else 0.0
+
+    def _set_inverse(self, step):
+        self._inverse = np.linalg.inv(np.eye(len(self.state)) - step * _VALUES[:, None, None] * self._jacobian)
+        self._inverse_step = step
