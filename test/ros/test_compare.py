@@ -113,6 +113,29 @@ def test_a_stamp_of_zero_is_a_time_of_clocks_that_begin_there(first, kept, tmp_p
     assert measured.times.tolist() == [0.0, 0.01, 0.02][:kept] and len(measured.values) == kept
 
 
+@pytest.mark.parametrize("steady", [True, False])
+def test_clocks_that_differ_by_a_constant_are_moved(steady, tmp_path):
+    """A robot's clock 7.3 s behind, by the times of recording; not if it was set while the bag was recorded."""
+    log = log_of(machine("furuta"), "furuta", 1, seconds=1.0, rate=125.0)
+    topics = topics_of(log)
+    kind, states = topics["/joint_states"]
+    for k, (_, message) in enumerate(states):
+        stamp, late = message.header.stamp, 7_300_000_000 if steady or k < len(states) // 2 else 0
+        stamp.sec, stamp.nanosec = divmod(stamp.sec * 10**9 + stamp.nanosec - late, 10**9)
+    write_bag(tmp_path / "bag", topics)
+    with open_bag(tmp_path / "bag") as bag:
+        text, _ = suggest(bag, machine("furuta"), make_layout(machine("furuta")))
+        (tmp_path / "map.yaml").write_text(text)
+        found = load_log(bag, load_map(tmp_path / "map.yaml"), machine("furuta"), {})
+    (measured,) = found.measured
+    if steady:  # messages are recorded 1 ms after their stamps, within the ns of those
+        assert measured.moved == pytest.approx(7.301, abs=2e-9)
+        assert measured.times == pytest.approx(log.measured[0].times + 0.001, abs=2e-9)
+        assert any("7.301 s behind that of /effort_controller/commands" in note for note in found.notes)
+    else:
+        assert measured.moved == 0.0 and any("0.001 s to 7.301 s after the stamps" in note for note in found.notes)
+
+
 def test_sensors_of_the_scene_are_read_as_they_measure(tmp_path):
     """Quaternions of zeros are unknown orientations; encoders round down by half a step in the mean."""
     joints = "[{name: turn, type: revolute, parent: world, child: box, parent_frame: {axis: [0, 0, 1]}}]"
