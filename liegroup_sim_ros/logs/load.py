@@ -218,7 +218,10 @@ def _moved(found, times, delays, notes):
 
 
 def _times(topic, messages, notes):
-    """(times in ns that increase, rows of the messages with them); what is left out is noted."""
+    """(times in ns that increase, rows of the messages with them); what is left out is noted.
+
+    Messages with one stamp become one, with the values of each: several drivers may publish on a topic.
+    """
     stamped = messages.stamp_ns > 0
     if stamped.any() and messages.stamp_ns[stamped].min() < LATE_STAMPS * NS:
         stamped = messages.stamp_ns >= 0  # a clock that began lately: 0 is a time of it
@@ -232,9 +235,14 @@ def _times(topic, messages, notes):
         back = int((np.diff(stamps[kept]) < 0).sum())
         notes.append(f"{topic}: {back} messages are earlier than the one before: sorted")
     order = kept[np.argsort(stamps[kept], kind="stable")]
-    rows = order[np.concatenate([[True], np.diff(stamps[order]) > 0])]
-    if len(rows) < len(order):
-        notes.append(f"{topic}: {len(order) - len(rows)} messages have the stamp of another one: left out")
+    firsts = np.concatenate([[True], np.diff(stamps[order]) > 0])
+    rows, same = order[firsts], 0
+    for row, into in zip(order[~firsts], rows[np.cumsum(firsts)[~firsts] - 1]):
+        new = np.isfinite(messages.values[row]) & np.isnan(messages.values[into])  # as from two drivers
+        messages.values[into, new] = messages.values[row, new]
+        same += not new.any()
+    if same:
+        notes.append(f"{topic}: {same} messages have the stamp of another one: left out")
     steps = np.diff(stamps[rows])
     usual = float(np.median(steps)) if len(steps) else 0.0
     gaps = steps > GAP * usual
