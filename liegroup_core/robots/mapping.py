@@ -117,6 +117,10 @@ def scene_parts(robot, options):
         link: (used[id(group)], group.places[link]) for link, group in grouping.of_link.items() if link != WORLD
     }
     outside = _outside_limits(grouping.moving, values, switches[0])
+    if given := sorted(outside.keys() & options.numbers.keys()) if options.stops else ():
+        degrees = f"{values[given[0]]:.6g} degrees are {np.radians(values[given[0]]):.6g} rad"
+        text = f"start: {outside[given[0]]} is outside of its limits: give rad or m ({degrees}), or no stops"
+        raise options.error(("start", given[0]), text)
     if outside:
         notes.append(
             f"changes the motion: start outside of the limits, which do not act: {listed(outside.values())}; "
