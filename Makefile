@@ -77,7 +77,7 @@ check:
 	         "install and source ROS 2 Jazzy first"; exit 1;; esac
 
 $(MADE): config/constraints.txt | check
-	@echo "Creating .venv, $(VERSION), ROS 2 Jazzy: $(ROS) (once; about a minute, 0.8 GB)"
+	@echo "Creating .venv, $(VERSION), ROS 2 Jazzy: $(ROS) (once; about a minute, 1.7 GB)"
 	@$(PYTHON) -m venv --clear $(if $(filter sourced,$(ROS)),--system-site-packages) .venv
 	@$(PIP) setuptools
 	@touch $@

@@ -31,8 +31,11 @@ MUCH_PARTED = 1e5  # expected growth with which longer segments are not tried
 LONGEST = 0.01  # s, first longest step; it is halved until the errors are a small part of the noise
 PART = 0.1  # of the noise: largest error of the integration
 MOST_HALVES = 8
-RANGE, PART_OF_LOG, LAGS = 1.0, 0.5, 41  # s, and of a recording: delays up to these are tried; their number
-NEAR = 100.0  # mean square: residuals of ten deviations are no question of single clocks
+RANGE, LAGS = 1.0, 41  # s, delays up to this are tried first; their number
+# s, and of a recording: delays up to these are tried at the same distance, then finer, if none before leaves noise.
+WIDEST, PART_OF_LOG, CANDIDATES, FINER = 30.0, 0.5, 10, 11
+NOISY = 4.0  # mean square that is nearly noise: a wrong model does not lead to a delay far away
+NEAR = 100.0  # mean square: residuals of ten deviations are no question of single clocks, and show no delay
 CLEARLY = 0.25  # of the mean square without a delay
 FEW = 1.0  # s of the log in which they are tried, at least
 ORDER = 4
@@ -73,11 +76,18 @@ class Comparison:
 
     @property
     def delays(self):
-        """{topic: (s, standard deviation)} of the clocks; the deviation is 0 where the delay was given."""
+        """{topic: (s, standard deviation)} of the clocks.
+
+        The deviation is 0 where the delay was given, inf where the log does not show it: also where it is at the border
+        of those that are tried, or the model is far off.
+        """
         found, variances, k = {}, np.diag(self.solution.covariance), 0
-        chi = max(1.0, self.reduced)
-        for each, delay, free in zip(self.fit.runs.log.measured, self.solution.point.delays, self.fit.free):
-            found[each.name] = float(delay), float(np.sqrt(variances[k] * chi)) if free else 0.0
+        chi, log = max(1.0, self.reduced), self.fit.runs.log
+        border = reach(log) - RANGE / (LAGS - 1)
+        for each, delay, free in zip(log.measured, self.solution.point.delays, self.fit.free):
+            is_known = abs(delay) <= border and chi <= NEAR
+            deviation = 0.0 if not free else np.sqrt(variances[k] * chi) if is_known else np.inf
+            found[each.name] = float(delay - each.moved), float(deviation)
             k += bool(free)
         return found
 
@@ -326,12 +336,18 @@ def numerics(fit, point, outputs=None):
     return found
 
 
+def reach(log):
+    """Largest delay in s of a Log that is tried."""
+    return min(WIDEST, PART_OF_LOG * min(last - first for first, last in log.spans))
+
+
 def _rough_delays(fit, bounds, delays):
     """Delays with the smallest residuals on a grid: a common one of all free clocks, then each alone."""
     runs, free = fit.runs, np.flatnonzero(fit.free)
-    if not (len(free) and (runs.log.inputs or runs.log.drives)):  # without inputs, clocks differ by what the fit finds
+    if not len(free):
         return delays
-    few = bounds[: 1 + int(FEW / (bounds[0, 1] - bounds[0, 0]))]
+    first = np.searchsorted(bounds[:-1, 1], max(each.times[0] for each in runs.log.measured), side="right")
+    few = bounds[first : first + 1 + int(FEW / (bounds[0, 1] - bounds[0, 0]))]
     # Of all clocks alike: starts, and nearly what their changes do, belong to measurements.
     common = Point(few, delays, runs.numbers.values, first_states(runs, few, delays))
     bases = fit.bases(common)
@@ -347,14 +363,20 @@ def _rough_delays(fit, bounds, delays):
             return np.inf
         return float(left @ left) / max(np.count_nonzero(left), 1)
 
+    def lowest(of, lags):
+        return sorted((cost(of, lag), lag) for lag in lags)
+
     def best(of):
-        span = min(last - first for first, last in runs.log.spans)
-        grid = min(RANGE, PART_OF_LOG * span) * np.linspace(-1.0, 1.0, LAGS)
-        costs = [cost(of, lag) for lag in grid]
-        k = int(np.argmin(costs))
+        most = reach(runs.log)
+        found, lag = lowest(of, min(RANGE, most) * np.linspace(-1.0, 1.0, LAGS))[0]
+        if found > NOISY and most > RANGE and (runs.log.inputs or runs.log.drives):
+            apart = 2.0 * RANGE / (LAGS - 1)
+            near = [lag for _, lag in lowest(of, np.arange(-most, most, apart))[:CANDIDATES]]
+            other, finer = lowest(of, np.add.outer(near, apart * np.linspace(-0.5, 0.5, FINER)).ravel())[0]
+            found, lag = min((found, lag), (other, finer)) if other < NOISY else (found, lag)
         # Starts absorb a common delay where little acts: without a clear minimum stamps are right.
-        clear = costs[k] < CLEARLY * costs[LAGS // 2]
-        return delays + np.where(np.isin(np.arange(len(delays)), of) & clear, grid[k], 0.0)
+        clear = found < CLEARLY * cost(of, 0.0)
+        return delays + np.where(np.isin(np.arange(len(delays)), of) & clear, lag, 0.0)
 
     if cost(free, 0.0) <= 1.0:  # what is left is noise
         return delays

@@ -116,6 +116,7 @@ class Measured:
     values    : (k, p) SI units, NaN where nothing was measured
     deviation : (p,) standard deviations of the noise, NaN: estimated from third differences of the values
     delay     : s by which the times are late; None: to be estimated
+    moved     : s by which the times are later than the stamps, as clocks differ by about that
     """
 
     name: str
@@ -124,6 +125,7 @@ class Measured:
     values: np.ndarray
     deviation: np.ndarray
     delay: float | None = None
+    moved: float = 0.0
 
     @cached_property
     def noise(self):

@@ -18,6 +18,7 @@ import sys
 import tempfile
 import time
 from contextlib import suppress
+from itertools import count
 from pathlib import Path
 from xml.dom import expatbuilder, minidom
 
@@ -45,6 +46,7 @@ LIBRARIES = ("/usr/lib", "/usr/lib64", "/lib", "/lib64", "/usr/local/lib", "/etc
 # Texts in the tools' messages that indicate a lack of memory.
 NO_MEMORY = ("MemoryError", "bad_alloc", "Could not allocate memory", "unknown exception")
 REFLECTING = ("vars", "type")  # of xacro's namespace `python`
+MOST_CALLS = 20_000  # of macros, 10 s; the largest robots have hundreds
 PACKAGES = {"xacro": "xacro", "mjcf": "mujoco", "meshes": "trimesh"}
 
 
@@ -172,6 +174,14 @@ def _expand(folders, path, *arguments):
     spaces = (xacro.NameSpace, xacro.YamlDictWrapper)
     xacro.safe_eval = lambda text, symbols, more=None: evaluate(text, more or symbols, spaces)
     substitution_args._eval = of_eval
+    expand, calls = xacro.handle_macro_call, count()
+
+    def bounded(*given):
+        if next(calls) > MOST_CALLS:
+            raise SceneError(f"macros are called more than {MOST_CALLS} times: make the file smaller")
+        return expand(*given)
+
+    xacro.handle_macro_call = bounded
     _confine(folders)
     expatbuilder.ExpatBuilderNS = _PlacedBuilder  # minidom builds its elements with this class
     given = _Arguments(text.split(":=", 1) for text in arguments)

@@ -141,39 +141,53 @@ def grouped(robot, options, base, joints, lock, values, notes):
     moving = [j for j in joints if j.name not in lock or j.closes]
     moving = [j for j in moving if j.type != "floating"]
     tied = {end for entry in options.joints for end in (entry.parent, entry.child)}
-    held = []
-    while True:
+    grouping = Grouping(robot, welded, moving)
+    light = _light_joints(robot, grouping, tied)
+    led = _led(robot, {joint.name for joint in grouping.moving} - light.keys())
+    for name, (group, joint) in light.items():
+        if name in led:
+            continue
+        notes.append(f"held in place: {listed(group.links)} at the end of joint {name}, without mass")
+        place = joint.parent_frame @ joint.motion(values[name]) @ SE3.inverse(joint.child_frame)
+        welded.append((joint.parent, joint.child, place))
+    if light:
+        held = [(group.links[0], joint) for name, (group, joint) in light.items() if name not in led]
         grouping = Grouping(robot, welded, moving)
-        grouping.held = held
-        light = _end_without_mass(grouping, tied)
-        if light is None:
-            return grouping
-        group, joint = light
-        if joint is None:
-            raise robot.error(
-                robot.links[group.links[0]].line,
-                f'link "{group.links[0]}" moves freely and has no mass: give it an inertial, or fix it to another link',
-            )
-        held.append((group.links[0], joint))
-        notes.append(f"held in place: {listed(group.links)} at the end of joint {joint.name}, without mass")
-        welded.append(
-            (
-                joint.parent,
-                joint.child,
-                joint.parent_frame @ joint.motion(values[joint.name]) @ SE3.inverse(joint.child_frame),
-            )
-        )
+        ends = {group.links[0] for name, (group, _) in light.items() if name in led}
+        grouping.held, grouping.led = held, {id(grouping.of_link[end]) for end in ends}
+    return grouping
 
 
-def _end_without_mass(grouping, tied):
-    """(group, its only joint or None) for a group without mass at the end of a chain; None if there is none."""
-    joints = {}
+def _led(robot, moving):
+    """Names of the joints that couplings move, with those that move mass."""
+    found, before = set(moving), -1
+    while len(found) != before:
+        before = len(found)
+        for coupling in robot.couplings:
+            if found & {coupling.first, coupling.second}:
+                found |= {coupling.first, coupling.second}
+    return found
+
+
+def _light_joints(robot, grouping, tied):
+    """{joint: (group, joint)} of groups without mass at the end of a chain, from there inwards."""
+    joints, found = {}, {}
     for joint in grouping.moving:
         for name in (joint.parent, joint.child):
             joints.setdefault(id(grouping.of_link[name]), []).append(joint)
-    for group in grouping.groups:
-        if group is grouping.world or tied & set(group.links):
-            continue
-        if grouping.moves_nothing(group) and len(joints.get(id(group), ())) <= 1:
-            return group, next(iter(joints.get(id(group), ())), None)
-    return None
+    more = True
+    while more:
+        more = False
+        for group in grouping.groups:
+            if group is grouping.world or tied & set(group.links) or not grouping.moves_nothing(group):
+                continue
+            rest = [joint for joint in joints.get(id(group), ()) if joint.name not in found]
+            if len(rest) == 1:
+                found[rest[0].name], more = (group, rest[0]), True
+            elif not joints.get(id(group)):
+                raise robot.error(
+                    robot.links[group.links[0]].line,
+                    f'link "{group.links[0]}" moves freely and has no mass: give it an inertial, or fix it to another '
+                    "link",
+                )
+    return found

@@ -49,11 +49,12 @@ class Grouping:
     welded : [(parent, child, (4, 4) pose of the child in the parent)] of links that do not move
              relative to each other
     held   : [(link, joint)] of links without mass at the end of a chain, which are held in place
+    led    : {id of a group} without mass that couplings move, with no mass behind it
     joints : joints of the file that may move; `moving` are those between different groups
     """
 
     def __init__(self, robot, welded, joints):
-        self.robot, self.held = robot, []
+        self.robot, self.held, self.led = robot, [], set()
         names = [WORLD, *(name for name in robot.links if name != WORLD)]
         leader = {name: name for name in names}
 

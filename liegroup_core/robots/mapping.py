@@ -28,6 +28,7 @@ from .tendons import add_tendons
 # Mass of a link without mass between two joints, relative to the lightest body: its effect on
 # accelerations is below round-off.
 NO_MASS = 1e-16
+OF_LED = 0.01  # m, radius of gyration of a link without mass that a coupling moves
 # Moments of inertia per mass in m^2 that count as 0: radii of gyration below 3e-8 m.
 NO_INERTIA = 1e-15
 GRAVITY = (0.0, 0.0, -9.81)  # m/s^2, for files without gravity
@@ -116,6 +117,10 @@ def scene_parts(robot, options):
         link: (used[id(group)], group.places[link]) for link, group in grouping.of_link.items() if link != WORLD
     }
     outside = _outside_limits(grouping.moving, values, switches[0])
+    if given := sorted(outside.keys() & options.numbers.keys()) if options.stops else ():
+        degrees = f"{values[given[0]]:.6g} degrees are {np.radians(values[given[0]]):.6g} rad"
+        text = f"start: {outside[given[0]]} is outside of its limits: give rad or m ({degrees}), or no stops"
+        raise options.error(("start", given[0]), text)
     if outside:
         notes.append(
             f"changes the motion: start outside of the limits, which do not act: {listed(outside.values())}; "
@@ -167,13 +172,13 @@ def _bodies(robot, grouping, parts, notes):
         body = {"name": name}
         if mass == 0.0:
             body["mass"] = NO_MASS * lightest
-            kind = "modelled with its inertia and a mass" if inertia.any() else "a point mass"
-            notes.append(
-                f"without mass: {listed(group.links)} between joints, {kind} of {NO_MASS:g} of the lightest body"
-            )
+            kind = "between joints, " + ("modelled with its inertia and a mass" if inertia.any() else "a point mass")
+            if id(group) in grouping.led:
+                kind, inertia = "moved by couplings, a mass", body["mass"] * OF_LED**2 * np.eye(3)
+            notes.append(f"without mass: {listed(group.links)} {kind} of {NO_MASS:g} of the lightest body")
         else:
             body["mass"] = mass
-        if np.abs(inertia).max() <= NO_INERTIA * mass:
+        if np.abs(inertia).max() <= NO_INERTIA * body["mass"]:
             inertia = np.zeros((3, 3))
         body["inertia"] = [inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
         _check_inertia(robot, group, line, inertia, body, notes)

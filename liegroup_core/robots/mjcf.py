@@ -8,6 +8,7 @@ Joint coordinates are 0 in the pose of the file (qpos0).
 
 import json
 import math
+import os
 import re
 
 import numpy as np
@@ -16,12 +17,13 @@ from liegroup_core.errors import SceneError
 from liegroup_core.fields.frames import rotation_z_to
 from liegroup_core.lie.groups import SO3
 
+from .access import is_permitted, outside
 from .actuators import FREE, Actuator
 from .apart import run_apart
 from .description import MISSING_MESHES, WORLD, Coupling, Link, Robot, RobotJoint, Visual, place, refusal
 from .mjcf_sensors import read_sensors
 from .tendons import Tendon, linear_relation
-from .xml import Reader
+from .xml import Reader, read_xml
 
 TYPES = {"ball": "spherical", "slide": "prismatic", "hinge": "revolute"}
 # A tendon of fixed length between two sites is a rod without mass.
@@ -32,6 +34,7 @@ VISUALS = {"box", "sphere", "cylinder", "capsule"}
 
 def robot_of_mjcf(root, path):
     """Robot of an MJCF file; root: its root element. Raises SceneError."""
+    _check_files(root, path)
     try:
         model = json.loads(run_apart("mjcf", path))
     except SceneError as error:
@@ -56,6 +59,20 @@ def robot_of_mjcf(root, path):
     _others(robot, model, names, lines)
     read_sensors(robot, model, names, _rotation, lines)
     return robot
+
+
+def _check_files(root, path):
+    """Refuse files that the model includes and that may not be read: MuJoCo reads them as empty."""
+    pending, seen = [(root, path)], set()
+    for element, of in pending:
+        for part in (*element.iter("include"), *element.iter("model")):
+            file = os.path.realpath(os.path.join(os.path.dirname(path), part.get("file") or ""))
+            if file in seen or not os.path.isfile(file):
+                continue
+            seen.add(file)
+            if not is_permitted(file, path):
+                raise refusal(of, part.sourceline, f"{part.get('file')} is not read: {outside(path)}")
+            pending.append((read_xml(file), file))
 
 
 def _with_line(error, root, path):

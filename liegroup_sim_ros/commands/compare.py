@@ -14,7 +14,7 @@ from liegroup_core.identification.comparison import LENGTH
 from liegroup_core.identification.log import joined
 from liegroup_core.layout import make_layout
 from liegroup_core.scene.yaml_text import read_yaml
-from liegroup_sim_ros.logs.bag import open_bag
+from liegroup_sim_ros.logs.bag import open_bag, recordings
 from liegroup_sim_ros.logs.load import load_log
 from liegroup_sim_ros.logs.map import Map, load_map
 from liegroup_sim_ros.logs.suggest import suggest
@@ -71,7 +71,7 @@ def run(args):
     check_log(args)
     scene = robot_scene(args.scene, args)
     if args.suggest:
-        with open_bag(args.bag[0]) as bag:
+        with open_bag(*recordings(args.bag)[0]) as bag:
             text, notes = suggest(bag, scene, make_layout(scene))
         print(text, end="")
         for note in notes:
@@ -109,16 +109,19 @@ def log_of(args, scene):
     layout = make_layout(scene)
     turns = {body.name: body.pose[:3, :3] for body in scene.bodies}
     given, logs = None if args.map is None else load_map(args.map), []
-    for path in args.bag:
-        with open_bag(path) as bag:
+    groups = recordings(args.bag, given and {entry.topic for entry in (*given.inputs, *given.measurements)})
+    for paths in groups:
+        path = ", ".join(paths)
+        with open_bag(*paths) as bag:
             if given is None:
-                text, _ = suggest(bag, scene, layout)
+                text, notes = suggest(bag, scene, layout)
                 root = read_yaml(text, "suggested map")
                 if not root.value["measurements"]:
-                    raise LogError(f"{path}: no topic fits the names of {scene.name}: write a map, see --map")
+                    why = "; ".join(notes[:2])
+                    raise LogError(f"{path}: no topic fits the names of {scene.name}: write a map, see --map. {why}")
                 given = Map(**root.value)
             log = load_log(bag, given, scene, turns)
-            several = len(args.bag) > 1
+            several = len(groups) > 1
             logs.append(replace(log, notes=tuple(f"{path}: {note}" for note in log.notes)) if several else log)
     return joined(logs)
 

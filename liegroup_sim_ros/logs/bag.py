@@ -5,18 +5,25 @@ Files are read by rosbags: MCAP, SQLite, directories of `ros2 bag record`, defin
 code from the definitions in a bag to decode messages. Here they are interpreted instead (`Decoder`).
 """
 
+import heapq
 import re
 import sqlite3
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
 
 import numpy as np
+from mcap.writer import MCAP0_MAGIC
 
 from liegroup_core.errors import LieGroupSimError
 from liegroup_sim_ros.messages.codecs import Fields, MessageError
 
 DEEPEST, MOST_ENTRIES = 20, 10**6
 SHOWN = 8
+LOOKED_AT = 50  # messages of a topic whose names are listed
+GAP_NS = 10**9  # between files of one recording, at most
+COMMON = {"/rosout", "/parameter_events", "/clock", "/tf_static", "/robot_description", "/diagnostics"}
 FORMS = {"int8": "b", "uint8": "B", "byte": "B", "octet": "B", "char": "B", "bool": "B", "int16": "h", "uint16": "H"}
 FORMS |= {"int32": "i", "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f", "float64": "d"}
 NAMES = ("name", "names", "joint_names", "interface_names")  # fields that name the entries of the fields beside them
@@ -134,33 +141,39 @@ def _entry(value, key, beside):
 
 
 class Bag:
-    """A bag that is open.
+    """Files of a recording that are open.
 
     topics : {topic: type}
+    span   : (first, last) ns at which messages were recorded
     """
 
-    def __init__(self, reader, definitions):
-        self._reader, self._decode = reader, Decoder(definitions)
-        self.topics = {each.topic: each.msgtype for each in reader.connections}
+    def __init__(self, readers, definitions):
+        self._readers, self._decode = readers, Decoder(definitions)
+        self.topics = {each.topic: each.msgtype for reader in readers for each in reader.connections}
+        self.span = min(each.start_time for each in readers), max(each.end_time for each in readers)
 
-    def first(self, topic, count=1):
-        """The first messages of a topic, decoded. Raises BagError."""
-        found = []
-        for _, data in self._raw([topic]):
-            found.append(self._decoded(topic, data[1]))
-            if len(found) == count:
-                break
-        return found
+    def messages(self, topic):
+        """Messages of a topic, decoded. Raises BagError."""
+        return (self._decoded(connection, data) for connection, _, data in self._raw([topic]))
+
+    def names(self, topic, most=LOOKED_AT):
+        """Names in the first messages of a topic: of entries of lists. Raises BagError."""
+        found = {}
+        for message in islice(self.messages(topic), most):
+            for key, value in message.items():
+                if isinstance(value, list):
+                    own = value if key in NAMES else [e.get(n) for e in value if isinstance(e, dict) for n in OWN_NAMES]
+                    found |= dict.fromkeys(each for each in own if isinstance(each, str))
+        return list(found)
 
     def read(self, wanted):
         """{topic: Messages} of fields {topic: [Field]}. Raises BagError."""
         for topic in wanted:
             if topic not in self.topics:
-                known = ", ".join(list(self.topics)[:SHOWN]) or "none"
-                raise BagError(f"the bag has no topic {topic}; its topics: {known}")
+                raise BagError(f"the bag has no topic {topic}; its topics: {listed(self.topics)}")
         rows = {topic: ([], [], []) for topic in wanted}
-        for topic, (log_ns, data) in self._raw(list(wanted)):
-            message = self._decoded(topic, data)
+        for connection, log_ns, data in self._raw(list(wanted)):
+            topic, message = connection.topic, self._decoded(connection, data)
             logs, stamps, values = rows[topic]
             logs.append(log_ns)
             stamps.append(_stamp(message))
@@ -172,23 +185,40 @@ class Bag:
             numbers = np.array(values, dtype=float).reshape(len(logs), -1)
             for field, column in zip(wanted[topic], numbers.T):
                 if np.isnan(column).all():
-                    raise BagError(f"no message on {topic} ({self.topics[topic]}) has a number {field.text}")
+                    names = self.names(topic)
+                    raise BagError(
+                        f"no message on {topic} ({self.topics[topic]}) has a number {field.text}"
+                        + (f"; its names: {listed(names)}" if names else "")
+                    )
             found[topic] = Messages(np.array(logs, dtype=np.int64), np.array(stamps, dtype=np.int64), numbers)
         return found
 
     def _raw(self, topics):
-        connections = [each for each in self._reader.connections if each.topic in topics]
-        try:
-            for connection, log_ns, data in self._reader.messages(connections=connections):
-                yield connection.topic, (log_ns, bytes(data))
-        except _broken() as error:
-            raise BagError(f"{self._reader.path}: cannot be read further: {_line(error)}") from None
+        """(connection, log_ns, bytes) of the messages of topics, by time."""
+        return heapq.merge(*(_messages(reader, topics) for reader in self._readers), key=lambda each: each[1])
 
-    def _decoded(self, topic, data):
+    def _decoded(self, connection, data):
         try:
-            return self._decode(self.topics[topic], data)
+            return self._decode(connection.msgtype, data)
         except MessageError as error:
-            raise BagError(f"{topic}: {error}") from None
+            raise BagError(f"{connection.topic}: {error}") from None
+
+
+def _messages(reader, topics):
+    connections = [each for each in reader.connections if each.topic in topics]
+    if not connections:  # for rosbags, none means all
+        return
+    try:
+        for connection, log_ns, data in reader.messages(connections=connections):
+            yield connection, log_ns, bytes(data)
+    except _broken() as error:
+        raise BagError(f"{reader.path}: cannot be read further: {_line(error)}{_help(reader.path)}") from None
+
+
+def listed(names):
+    """Some names as text."""
+    names = list(names)
+    return (", ".join(names[:SHOWN]) or "none") + (f" and {len(names) - SHOWN} more" if len(names) > SHOWN else "")
 
 
 def _number(value):
@@ -229,32 +259,79 @@ def _line(error):
     return " ".join(str(error).split())[:200] or type(error).__name__
 
 
+def _help(path):
+    """What to do with a path that is no readable bag."""
+    path = Path(path)
+    if path.is_dir() and not (path / "metadata.yaml").exists():
+        files = sorted(each.name for each in path.iterdir() if each.suffix in (".mcap", ".db3"))
+        return (
+            f": it has no metadata.yaml: give its files ({listed(files)}), or run `ros2 bag reindex {path}`"
+            if files
+            else ": the folder has no metadata.yaml and no *.mcap or *.db3: give a bag"
+        )
+    files = sorted(path.glob("*.mcap")) if path.is_dir() else [path] if path.suffix == ".mcap" else []
+    for each in files:
+        if each.is_file() and not _has_end(each):
+            return f": its end is missing; `liegroup_sim recover {each}` writes what is there to a new file"
+    return ""
+
+
+def _has_end(path):
+    with open(path, "rb") as file:
+        begins = file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
+        file.seek(-min(len(MCAP0_MAGIC), path.stat().st_size), 2)
+        return not begins or file.read() == MCAP0_MAGIC
+
+
+def recordings(paths, topics=None):
+    """[[path]] of the files of each recording, by time: they go on within 1 s, or have other topics at the same time.
+
+    topics : that count; None: all but those of every recording
+    Raises BagError.
+    """
+    found, groups = [], []
+    for path in paths:
+        with open_bag(path) as bag:
+            found.append((*bag.span, set(bag.topics) & set(topics) if topics else set(bag.topics) - COMMON, path))
+    for first, last, own, path in sorted(found, key=lambda each: each[0]):
+        for group in groups:
+            near = min(GAP_NS, (last - first) // 2)
+            begun = [end for _, end, of, _ in group if of & own]
+            if first <= max(each[1] for each in group) + GAP_NS and max(begun, default=first) <= first + near:
+                group.append((first, last, own, path))
+                break
+        else:
+            groups.append([(first, last, own, path)])
+    return [[each[3] for each in group] for group in groups]
+
+
 @contextmanager
-def open_bag(path):
-    """Bag of a path: an MCAP or SQLite file, or a directory of `ros2 bag record`. Raises BagError."""
+def open_bag(*paths):
+    """Bag of the paths of one recording: MCAP or SQLite files, or folders of `ros2 bag record`. Raises BagError."""
     try:
         from rosbags.rosbag2 import Reader
         from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
     except ImportError:
         raise BagError("bags need the package rosbags: pip install liegroup_sim_ros[bags]") from None
-    broken = _broken()
-    try:
-        reader = Reader(path)
-        reader.open()
-    except broken as error:
-        raise BagError(f"{path}: is not a bag that can be read: {_line(error)}") from None
-    try:
-        definitions = {}
-        for each in reader.connections:
-            kind, text = each.msgdef.format.name, each.msgdef.data
+    broken, definitions = _broken(), {}
+    with ExitStack() as stack:
+        readers = []
+        for path in paths:
             try:
-                if kind == "MSG":
-                    definitions.update(get_types_from_msg(text, each.msgtype))
-                elif kind == "IDL":
-                    for part in re.split(r"^=+\nIDL: [^\n]*\n", text, flags=re.M):
-                        definitions.update(get_types_from_idl(part) if part.strip() else {})
+                reader = Reader(path)
+                reader.open()
             except broken as error:
-                raise BagError(f"{path}: the definition of {each.msgtype} cannot be read: {_line(error)}") from None
-        yield Bag(reader, get_typestore(Stores.ROS2_JAZZY).fielddefs | definitions)
-    finally:
-        reader.close()
+                reason = _help(path) or f" that can be read: {_line(error)}"
+                raise BagError(f"{path}: is not a bag{reason}") from None
+            readers.append(stack.enter_context(closing(reader)))
+            for each in reader.connections:
+                kind, text = each.msgdef.format.name, each.msgdef.data
+                try:
+                    if kind == "MSG":
+                        definitions.update(get_types_from_msg(text, each.msgtype))
+                    elif kind == "IDL":
+                        for part in re.split(r"^=+\nIDL: [^\n]*\n", text, flags=re.M):
+                            definitions.update(get_types_from_idl(part) if part.strip() else {})
+                except broken as error:
+                    raise BagError(f"{path}: the definition of {each.msgtype} cannot be read: {_line(error)}") from None
+        yield Bag(readers, get_typestore(Stores.ROS2_JAZZY).fielddefs | definitions)

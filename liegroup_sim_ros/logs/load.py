@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Log of a bag and a map: values in SI units, times that increase, and notes on what was lost."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -15,6 +17,8 @@ QUATERNION = ("x", "y", "z", "w")
 GAP = 5.0  # of the usual time between two messages: a longer one is a gap
 NS = 1e9
 LATE_STAMPS = 86400.0  # s between stamps and the times of recording: clocks without a common origin
+# s between clocks, by the times of recording: what is below may be latency; of it 90 % differ by less than the second.
+APART, STEADY = 0.5, 0.25
 
 
 def _vector(path, names="xyz"):
@@ -91,6 +95,9 @@ def load_log(bag, given, scene, turns):
         of[id(entry)] = slice(begin, begin + len(fields))
     found, notes = bag.read(wanted), []
     times = {topic: _times(topic, messages, notes) for topic, messages in found.items()}
+    delays = {clock.topic: clock.delay for clock in given.clocks}
+    moved = _moved(found, times, delays, notes)
+    times = {topic: (stamps + moved[topic], rows) for topic, (stamps, rows) in times.items()}
     origin = min(int(stamps[0]) for stamps, _ in times.values())
     seconds = {topic: (stamps - origin) * 1e-9 for topic, (stamps, _) in times.items()}
     spans = [each[-1] for each in seconds.values()]
@@ -110,7 +117,6 @@ def load_log(bag, given, scene, turns):
             at = seconds[entry.topic][known]
             inputs.append(Given(name, at, column[known], entry.way, entry.noise, _parts(at, entry.way)))
     acting, drives = ([each for each in inputs if each.name.endswith(MOTION) == is_drive] for is_drive in (False, True))
-    delays = {clock.topic: clock.delay for clock in given.clocks}
     measured = []
     for topic in dict.fromkeys(entry.topic for entry in given.measurements):
         names, columns, noise = [], [], []
@@ -134,11 +140,11 @@ def load_log(bag, given, scene, turns):
                 at, values = at[covered], values[covered]
         if not len(at):
             raise SceneError(f"{topic}: all its messages are outside of those of {drive.name}")
-        measured.append(Measured(topic, at, tuple(names), values, np.array(noise), delays.get(topic)))
+        clock = delays.get(topic), moved[topic] * 1e-9
+        measured.append(Measured(topic, at, tuple(names), values, np.array(noise), *clock))
     if not inputs and all(each.delay is None for each in measured):
         # Without inputs only differences of clocks show.
-        first = measured[0]
-        measured[0] = Measured(first.name, first.times, first.channels, first.values, first.deviation, 0.0)
+        measured[0] = replace(measured[0], delay=0.0)
     return Log(tuple(acting), tuple(measured), tuple(notes), drives=tuple(drives))
 
 
@@ -187,8 +193,35 @@ def _values(entry, values, turns, sensors):
     return np.hstack([position + entry.offset, vectors])
 
 
+def _moved(found, times, delays, notes):
+    """{topic: ns} by which times are moved to the clock of the first topic, an input if there is one.
+
+    Clocks differ by the medians of what the times of recording are later than the stamps, if that is constant.
+
+    delays : {topic: s} that are given: these are not moved
+    """
+    late, moved = {}, {}
+    for topic, (stamps, rows) in times.items():
+        low, middle, high = np.quantile(found[topic].log_ns[rows] - stamps, [0.05, 0.5, 0.95]) / NS
+        late[topic] = middle
+        if high - low > STEADY:
+            late[topic] = np.nan
+            notes.append(f"{topic}: the times of recording are {low:.6g} s to {high:.6g} s after the stamps")
+    first = next(iter(late))
+    for topic, middle in late.items():
+        apart = middle - late[first]
+        moved[topic] = round(apart * NS) if abs(apart) > APART and topic not in delays else 0
+        if moved[topic]:
+            sign = "behind" if apart > 0.0 else "ahead of"
+            notes.append(f"{topic}: its clock is {abs(apart):.6g} s {sign} that of {first}, by the times of recording")
+    return moved
+
+
 def _times(topic, messages, notes):
-    """(times in ns that increase, rows of the messages with them); what is left out is noted."""
+    """(times in ns that increase, rows of the messages with them); what is left out is noted.
+
+    Messages with one stamp become one, with the values of each: several drivers may publish on a topic.
+    """
     stamped = messages.stamp_ns > 0
     if stamped.any() and messages.stamp_ns[stamped].min() < LATE_STAMPS * NS:
         stamped = messages.stamp_ns >= 0  # a clock that began lately: 0 is a time of it
@@ -202,9 +235,14 @@ def _times(topic, messages, notes):
         back = int((np.diff(stamps[kept]) < 0).sum())
         notes.append(f"{topic}: {back} messages are earlier than the one before: sorted")
     order = kept[np.argsort(stamps[kept], kind="stable")]
-    rows = order[np.concatenate([[True], np.diff(stamps[order]) > 0])]
-    if len(rows) < len(order):
-        notes.append(f"{topic}: {len(order) - len(rows)} messages have the stamp of another one: left out")
+    firsts = np.concatenate([[True], np.diff(stamps[order]) > 0])
+    rows, same = order[firsts], 0
+    for row, into in zip(order[~firsts], rows[np.cumsum(firsts)[~firsts] - 1]):
+        new = np.isfinite(messages.values[row]) & np.isnan(messages.values[into])  # as from two drivers
+        messages.values[into, new] = messages.values[row, new]
+        same += not new.any()
+    if same:
+        notes.append(f"{topic}: {same} messages have the stamp of another one: left out")
     steps = np.diff(stamps[rows])
     usual = float(np.median(steps)) if len(steps) else 0.0
     gaps = steps > GAP * usual

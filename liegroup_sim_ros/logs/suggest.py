@@ -3,9 +3,9 @@
 
 import json
 
-from .bag import BagError
+from .bag import BagError, listed
 
-LOOKED_AT = 50  # messages of a topic
+PARTS = ("position", "velocity", "effort")
 
 
 def suggest(bag, scene, layout):
@@ -18,38 +18,45 @@ def suggest(bag, scene, layout):
     ]
     for topic, kind in bag.topics.items():
         try:
-            first = bag.first(topic, LOOKED_AT)
+            first = next(bag.messages(topic), None)
+            parts = _joint_parts(bag.messages(topic)) if kind == "sensor_msgs/msg/JointState" else {}
+            frames = _frames(bag.messages(topic)) if kind == "tf2_msgs/msg/TFMessage" and "static" not in topic else ()
         except BagError as error:
             notes.append(f"{topic}: {error}")
             continue
-        if not first:
+        if first is None:
             continue
         before = len(inputs) + len(measurements)
         if kind == "sensor_msgs/msg/JointState":
-            for joint in joints:
-                if joint not in first[0]["name"]:
-                    continue
+            named = _matched(joints, list(parts))
+            for joint, name in named.items():
+                own, given = parts[name], [each for each, *_ in inputs]
                 if joint in layout.motions:
-                    inputs.append((f"{joint}.motion", topic, f"position[{joint}]"))
-                    if first[0]["effort"]:
-                        measurements.append((f"{joint}.effort", topic, f"effort[{joint}]"))
+                    if f"{joint}.motion" not in given:
+                        inputs.append((f"{joint}.motion", topic, f"position[{name}]"))
+                    if "effort" in own:
+                        measurements.append((f"{joint}.effort", topic, f"effort[{name}]"))
                     continue
                 for part in ("position", "velocity"):
-                    if first[0][part]:
-                        measurements.append((f"{joint}.{part}", topic, f"{part}[{joint}]"))
-                if first[0]["effort"] and joint in efforts and not commanded:
-                    inputs.append((f"{joint}.effort", topic, f"effort[{joint}]"))
+                    if part in own:
+                        measurements.append((f"{joint}.{part}", topic, f"{part}[{name}]"))
+                if "effort" in own and joint in efforts and not commanded and f"{joint}.effort" not in given:
+                    inputs.append((f"{joint}.effort", topic, f"effort[{name}]"))
+            if others := [name for name in parts if name not in named.values()]:
+                missing = listed(each for each in joints if each not in named)
+                notes.append(f"{topic}: not in the scene: {listed(others)}; not in the bag: {missing}")
+                continue
         elif topic in commanded:
-            targets, size = list(layout.servos), len(first[0]["data"])
+            targets, size = list(layout.servos), len(first["data"])
             what, names = ("target", targets) if len(targets) == size else ("effort", efforts[:size])
             inputs += [(f"{joint}.{what}", topic, f"data[{k}]") for k, joint in enumerate(names)]
             notes.append(f"{topic}: has no names: check the order of the joints")
         elif kind == "sensor_msgs/msg/Imu":
-            measurements += [(name, topic, "") for name in _sensors(scene, "imu", topic, first[0])]
+            measurements += [(name, topic, "") for name in _sensors(scene, "imu", topic, first)]
         elif kind == "geometry_msgs/msg/WrenchStamped":
-            sensors = _sensors(scene, "force_torque", topic, first[0])
+            sensors = _sensors(scene, "force_torque", topic, first)
             measurements += [(name, topic, "") for name in sensors]
-            body = first[0]["header"]["frame_id"]
+            body = first["header"]["frame_id"]
             if not sensors and body in layout.body_names:
                 inputs.append((f"{body}.wrench", topic, ""))
         elif kind == "geometry_msgs/msg/PoseStamped":
@@ -57,22 +64,54 @@ def suggest(bag, scene, layout):
         elif kind == "geometry_msgs/msg/TwistStamped":
             measurements += [(f"{body}.twist", topic, "twist") for body in _named(layout.body_names, topic)]
         elif kind == "nav_msgs/msg/Odometry":
-            body = first[0]["child_frame_id"]
+            body = first["child_frame_id"]
             if body in layout.body_names:
                 measurements += [(f"{body}.pose", topic, "pose.pose"), (f"{body}.twist", topic, "twist.twist")]
-        elif kind == "tf2_msgs/msg/TFMessage" and "static" not in topic:
-            frames = {
-                each["child_frame_id"]
-                for message in first
-                for each in message["transforms"]
-                if each["header"]["frame_id"] in ("world", "map", "odom")
-            }
+        elif kind == "tf2_msgs/msg/TFMessage":
             for body in layout.body_names:
                 if body in frames and not any(name == f"{body}.pose" for name, *_ in measurements):
                     measurements.append((f"{body}.pose", topic, f"transforms[{body}].transform"))
         if len(inputs) + len(measurements) == before:
-            notes.append(f"{topic} ({kind}): nothing more of the scene found in it")
+            names = bag.names(topic)
+            own = f"; its names: {listed(names)}" if names else ""
+            notes.append(f"{topic} ({kind}): nothing more of the scene found in it{own}")
     return _text(inputs, measurements), notes
+
+
+def _joint_parts(messages):
+    """{name: its PARTS in some message}; several drivers may publish on one topic."""
+    found = {}
+    for message in messages:
+        counts = [(part, len(message[part])) for part in PARTS]
+        for k, name in enumerate(message["name"]):
+            found.setdefault(name, set()).update(part for part, count in counts if k < count)
+    return found
+
+
+def _frames(messages):
+    """Frames that move in the world."""
+    return {
+        each["child_frame_id"]
+        for message in messages
+        for each in message["transforms"]
+        if each["header"]["frame_id"] in ("world", "map", "odom")
+    }
+
+
+def _matched(joints, names):
+    """{joint: its name in a bag}: the same, or the only one that differs in its prefix, such as r1/wheel."""
+    found = {}
+    for joint in joints:
+        same = joint in names
+        alike = [name for name in names if _end(name) == _end(joint) and name not in joints]
+        alone = [other for other in joints if _end(other) == _end(joint) and other not in names] == [joint]
+        if same or len(alike) == 1 and alone:
+            found[joint] = joint if same else alike[0]
+    return found
+
+
+def _end(name):
+    return name.rpartition("/")[2]
 
 
 def _sensors(scene, kind, topic, message):

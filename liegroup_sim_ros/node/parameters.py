@@ -34,6 +34,7 @@ HOLDS = ("one_step", "timeout", "until_replaced")
 ACCURACY = ("accuracy", "accuracy_horizon")  # not used with a method
 # Parameters whose values are in the recording continue_from.
 CONTINUED = ("scene", "method", *ACCURACY, "stabilisation", "group", "step")
+LEAST = 1e-9  # of numbers that are not 0: the resolution of time stamps in s, and no overflow where they divide
 AUTO = "auto"  # a method or stabilisation that an accuracy chooses
 
 
@@ -47,7 +48,6 @@ class Entry(NamedTuple):
     choices: tuple = ()
     low: float | None = None
     high: float | None = None
-    above: bool = False  # True: the value must be greater than `low`
     is_topic_rate: bool = False  # True: messages are sent at whole steps, see Values.steps
     package: str = ""  # without this package the default is 0
 
@@ -101,9 +101,8 @@ TABLE = (
         "accuracy_horizon",
         MINUTE,
         "simulated time in which the error may grow by the accuracy, s",
-        low=0.0,
+        low=LEAST,
         high=LONGEST,
-        above=True,
     ),
     Entry(
         "method",
@@ -247,9 +246,8 @@ TABLE = (
         0.1,
         "duration of a wrench if wrench_hold is timeout, s of simulated time",
         read_only=False,
-        low=0.0,
+        low=LEAST,
         high=1e6,
-        above=True,
     ),
     Entry(
         "command_timeout",
@@ -319,7 +317,8 @@ def check(name, value):
         raise ParameterError(f"parameter {name}: must be {_listed(entry.choices)}, got {_shown(value)}")
     if expected is float and not math.isfinite(value):
         raise ParameterError(f"parameter {name}: must be finite, got {_shown(value)}")
-    if entry.low is not None and (not entry.low <= value <= entry.high or entry.above and value == entry.low):
+    is_tiny = expected is float and entry.low == 0.0 < value < LEAST
+    if entry.low is not None and (not entry.low <= value <= entry.high or is_tiny):
         raise ParameterError(f"parameter {name}: must be {_range(entry)}, got {_shown(value)}")
     return value
 
@@ -467,8 +466,8 @@ def _shown(value):
 
 
 def _range(entry):
-    least = "greater than" if entry.above else "at least"
-    return f"{least} {entry.low:g} and at most {entry.high:g}"
+    zero = "0, or " if entry.low == 0.0 and type(entry.default) is float else ""
+    return f"{zero}at least {(zero and LEAST) or entry.low:g} and at most {entry.high:g}"
 
 
 def _listed(names):

@@ -32,6 +32,7 @@ from .mcap_records import (
     chunk_data,
     chunk_head,
     parsed,
+    read_magic,
 )
 
 _TRIES = 16  # the search for chunks reads at most this many times the file size
@@ -61,8 +62,7 @@ def pieces(stream, size):
     raises Damaged if the file is not an MCAP file
     """
     stream.seek(0)
-    if stream.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-        raise Damaged("not an MCAP file")
+    read_magic(stream)
     search = _Search(stream, size)
     budget = LARGEST + LARGEST_RATIO * size
     good_end = at = len(MCAP0_MAGIC)  # everything before good_end is intact

@@ -12,12 +12,14 @@ import struct
 import zlib
 from array import array
 from io import BytesIO
+from pathlib import Path
 from typing import NamedTuple
 
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Metadata, Schema
+from mcap.writer import MCAP0_MAGIC
 
 # Bytes of a record, and of a decompressed chunk. Chunks of the recorder have 128 KiB, those of
 # other tools some MiB.
@@ -32,10 +34,18 @@ RECORD = struct.Struct("<BQ")  # opcode, length of the content
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 CHUNK = struct.Struct("<QQQII")  # times, size, checksum, length of the compression name
 _ATTACHMENT = struct.Struct("<QQI")  # log time, create time, length of the name
+TABLES = (".npz", ".csv", ".parquet")  # that `run` and `sweep` write
 
 
 class Damaged(Exception):
     """Bytes that violate the format or its checksums."""
+
+
+def read_magic(file):
+    """Read what an MCAP file begins with. Raises Damaged for another file."""
+    if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+        is_table = Path(str(getattr(file, "name", ""))).suffix in TABLES
+        raise Damaged("not an MCAP file" + (": write one with `run --out FILE.mcap`" if is_table else ""))
 
 
 class Block(NamedTuple):

@@ -33,6 +33,7 @@ from .mcap_records import (
     chunk_data,
     chunk_head,
     parsed,
+    read_magic,
 )
 
 # Messages outside of chunks are collected into pieces of this size.
@@ -138,8 +139,7 @@ class McapStream:
     def __iter__(self):
         file = self._file
         file.seek(0)
-        if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-            raise Damaged("not an MCAP file")
+        read_magic(file)
         at = len(MCAP0_MAGIC)
         while True:
             head = file.read(RECORD.size)

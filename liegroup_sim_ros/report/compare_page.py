@@ -47,8 +47,8 @@ def document(comparison, names):
         "delays": {
             name: {
                 "delay": delay,
-                "deviation": sd,
-                "interval": [delay - result.half_width * sd, delay + result.half_width * sd],
+                "deviation": sd if np.isfinite(sd) else None,
+                "interval": [delay - result.half_width * sd, delay + result.half_width * sd] if sd < np.inf else None,
             }
             for name, (delay, sd) in result.delays.items()
         },
@@ -161,10 +161,15 @@ def _remarks(result):
         f"{shown(numerics)} of the noise"
     ]
     for topic, delay in result["delays"].items():
-        if delay["deviation"]:
+        way = "late" if delay["delay"] > 0.0 else "early"
+        if delay["interval"] is None:
+            found.append(f"{topic}: the log does not show its delay: give it, as clocks of the map")
+        elif delay["deviation"]:
             half = 0.5 * (delay["interval"][1] - delay["interval"][0])
             rest = "" if result["agrees"] else "; what the model lacks changes it"
-            found.append(f"{topic} is late by {1e3 * delay['delay']:.4g} ms ± {shown(1e3 * half, 'ms')} (95 %){rest}")
+            scale, unit = (1.0, "s") if abs(delay["delay"]) >= 1.0 else (1e3, "ms")
+            size = f"{scale * abs(delay['delay']):.7g} {unit} ± {shown(scale * half, unit)}"
+            found.append(f"{topic} is {way} by {size} (95 %){rest}")
     return found + result["notes"]
 
 

@@ -2,6 +2,7 @@
 """Robots' files cannot run code, reach other files or take more than their share of memory."""
 
 import json
+import math
 import subprocess
 import sys
 import zipfile
@@ -151,6 +152,58 @@ def test_unchecked_code_in_a_xacro_file_can_do_no_harm(code, value, tmp_path):
 
 
 @pytest.mark.parametrize(
+    "text, value",
+    [
+        *(
+            (text, None)
+            for text in ("9**9**9**9", "(-10)**10**9", "1 << 10**10", "10**200 * 10**200", "factorial(10**7)")
+        ),
+        *(
+            (text, None)
+            for text in ("'a' * 10**9", "10**9 * [0]", "'x'.ljust(10**9)", "'%999999999d' % 1", "'%*d' % (9, 1)")
+        ),
+        *((text, None) for text in ("'{:>99999}'.format(1)", "'x' * 10**6 + 'y'", "'abc'.replace('', 'x' * 10**6)")),
+        *((text, None) for text in ("('x' * 1000).join(['y'] * 10000)", "range(10**9)", "10**10**9 if 1 else 0")),
+        *(("2**10 - 3.5**2", 1011.75), ("'-' * 3 + 'a'", "---a"), ("[1] * 2 + [3]", [1, 1, 3]), ("2.0**0.5", 2.0**0.5)),
+        *(("'%.3f' % 0.5", "0.500"), ("'{:06.2f}'.format(1)", "001.00"), ("factorial(5) % 7", 1), ("-2**-1", -0.5)),
+        ("'a_b'.replace('_', '-')", "a-b"),
+    ],
+)
+def test_results_of_expressions_have_a_bounded_size(text, value):
+    """Before they are computed. value : of Python; None: refused."""
+    names = {"factorial": math.factorial, "range": range}
+    if value is None:
+        with pytest.raises(Refused, match="longer than 1000000, or a whole number of more than 300 digits"):
+            evaluate(text, names, ())
+    else:
+        assert evaluate(text, names, ()) == value
+
+
+def test_macros_that_call_each_other_twice_are_refused(tmp_path):
+    """30 of them would be a billion elements."""
+    one = '<xacro:macro name="m{0}" params=""><xacro:m{1}/><xacro:m{1}/></xacro:macro>'
+    macros = "".join(one.format(k, k + 1) for k in range(30)) + '<xacro:macro name="m30" params=""><a/></xacro:macro>'
+    head = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+    path = written(tmp_path / "r.xacro", f'{head}{macros}<xacro:m0/><link name="a"/></robot>')
+    with pytest.raises(SceneError, match="macros are called more than 20000 times"):
+        load_scene(path)
+
+
+def test_a_model_includes_nothing_outside_of_its_tree(tmp_path):
+    """MuJoCo calls a file that it may not read empty."""
+    written(tmp_path / "outside.xml", "<mujoco/>")
+    (tmp_path / "ws" / "model").mkdir(parents=True)
+    inner = written(tmp_path / "ws" / "part.xml", '<mujoco><include file="../../outside.xml"/></mujoco>')
+    path = tmp_path / "ws" / "model" / "m.xml"
+    for file, line in (("../../outside.xml", f"{path}:1"), ("../part.xml", f"{inner}:1")):
+        body = '<worldbody><body><joint/><geom size=".1"/></body></worldbody>'
+        path.write_text(f'<mujoco><include file="{file}"/>{body}</mujoco>')
+        with pytest.raises(SceneError, match="is not read: it is outside of") as caught:
+            load_scene(path)
+        assert str(caught.value).startswith(line)
+
+
+@pytest.mark.parametrize(
     "value, expected",
     [
         ("${(lambda: 1)()}", "lambda in an expression is not allowed"),
@@ -159,6 +212,7 @@ def test_unchecked_code_in_a_xacro_file_can_do_no_harm(code, value, tmp_path):
         ("${python.vars(python.type(python))['__init__']}", "'vars' is not defined"),
         ("${load_yaml('OUTSIDE')}", "OUTSIDE is not read: it is outside of"),
         ("${xacro.load_yaml('/etc/passwd')}", "/etc/passwd is not read: it is outside of"),
+        ("${9**9**9**9}", "a whole number of more than 300 digits"),
     ],
 )
 @pytest.mark.turn(3)

@@ -573,19 +573,22 @@ def test_limits_without_a_range_are_noted_with_the_reason(tmp_path):
     assert "changes the motion: joint limits are not enforced: extend (both are 0)" in scene.notes
 
 
-def test_a_start_outside_the_limits_is_noted(tmp_path):
+def test_a_start_outside_the_limits_is_refused_or_noted(tmp_path):
+    """A value that is given, such as one in degrees, is refused unless the stops are left out, as is none of a file."""
     path = written(tmp_path / "arm.urdf", ARM_URDF)
-    for shoulder, extend, expected in (
-        (2, -1, []),
-        (2.5, 0, ["shoulder at 2.5 (from -1 to 2)"]),
-        (-1.25, 1.5, ["shoulder at -1.25 (from -1 to 2), extend at 1.5 (from -1 to 1)"]),
-    ):
-        scene = scene_from_robot(path, Options(start={"shoulder": shoulder, "extend": extend}))
-        head, tail = "changes the motion: start outside of the limits, which do not act: ", "; give start values"
-        notes = [note.removeprefix(head).removesuffix(tail) for note in scene.notes if note.startswith(head)]
-        assert notes == expected
-        assert "limits are not enforced" not in "".join(scene.notes)
-        assert [joint.limits is None for joint in scene.joints] == [shoulder in (2.5, -1.25), extend == 1.5]
+    for shoulder, extend, expected in ((2, -1, None), (90, 0, "90 degrees are 1.5708 rad"), (1, 1.5, "from -1 to 1")):
+        given = {"shoulder": shoulder, "extend": extend}
+        if expected is None:
+            assert all(joint.limits for joint in scene_from_robot(path, Options(start=given)).joints)
+            continue
+        with pytest.raises(SceneError, match=f"is outside of its limits.*{expected}|{expected}.* is outside of its"):
+            scene_from_robot(path, Options(start=given))
+        assert scene_from_robot(path, Options(start=given, stops=[])).joints
+    scene = load_scene(written(tmp_path / "off.urdf", ARM_URDF.replace('lower="-1" upper="2"', 'lower="1" upper="2"')))
+    head = "changes the motion: start outside of the limits, which do not act: "
+    assert [note for note in scene.notes if note.startswith(head)] == [
+        f"{head}shoulder at 0 (from 1 to 2); give start values"
+    ]
 
 
 def test_damping_of_a_light_link_is_noted_with_its_time(tmp_path):

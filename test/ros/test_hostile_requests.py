@@ -216,7 +216,8 @@ def test_other_requests_are_answered_while_steps_are_taken(client, besieged):
 @pytest.mark.parametrize(
     "number, more",
     [
-        # A tick of 1e9 steps; a step of thousands of substeps of 600 links, which take 10 s.
+        # Ticks without an end: of 1e9 steps; a step of 600 links, where a body that tumbles at 1e6 rad/s makes
+        # substeps short, at least 1e6 of them of 1 ms.
         (signal.SIGINT, {"scene": "heavy_top", "method": "rkmk4", "step": 1e-8, "estimate": False}),
         (signal.SIGHUP, {"scene": "links.yaml", "method": "rkmk853", "step": 10.0}),
     ],
@@ -226,7 +227,8 @@ def test_a_signal_ends_a_node_in_the_middle_of_a_long_tick(number, more, client,
     rates |= {"publish_rate": 0.1, "real_time_factor": 0.0}
     record = tmp_path / "run.mcap"
     if more["scene"] == "links.yaml":
-        (tmp_path / "links.yaml").write_text(chain(600).text)
+        body = "- {name: tumbles, mass: 1, inertia: [0.1, 0.2, 0.25], angular_velocity: [1.0e+6, 1.0e+6, 0]}\n"
+        (tmp_path / "links.yaml").write_text(chain(600).text.replace("\nbodies:\n", f"\nbodies:\n{body}"))
         more = more | {"scene": tmp_path / "links.yaml"}
     events = client.events("/long")
     with NodeProcess(more | rates | {"record": record}, ["__node:=long"]) as process:

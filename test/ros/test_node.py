@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulation node in its own process, over DDS: topics, services, wrenches and errors."""
 
+import math
 import re
 import time
 from fractions import Fraction
@@ -17,6 +18,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from scene_runs import node_values
 
+from liegroup_sim_ros.node.errors import ParameterError
 from liegroup_sim_ros.node.parameter_texts import preset_text, table_text
 from liegroup_sim_ros.node.parameters import TABLE, check, fitting_step
 from liegroup_sim_ros.node.rates import Output, Rates
@@ -316,6 +318,15 @@ def test_every_preset_has_valid_parameters(path):
     for name, value in given.items():
         assert check(name, value) == value
     assert 1e-3 <= fitting_step(node_values(**given)) <= 1e-2
+
+
+@pytest.mark.parametrize("entry", [entry for entry in TABLE if isinstance(entry.default, float)], ids=lambda e: e.name)
+def test_numbers_that_divide_have_a_smallest_value(entry):
+    """Periods and durations below the resolution of stamps, 1 ns, and rates whose periods overflow, are refused."""
+    for value in (5e-324, 1e-12) if entry.name != "accuracy" else (5e-324,):
+        with pytest.raises(ParameterError, match=f"parameter {entry.name}: must be .*at least"):
+            check(entry.name, value)
+    assert math.isfinite(1.0 / check(entry.name, max(entry.low, 1e-9)))
 
 
 @pytest.mark.parametrize(

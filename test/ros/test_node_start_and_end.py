@@ -125,10 +125,10 @@ def test_a_signal_during_compilation_ends_the_node(scene, tmp_path):
         ({"frame_prefix": "/left/"}, "parameter frame_prefix: must not start with a slash"),
         ({"frame_prefix": "map/", "world_frame": "map/puck"}, "parameter world_frame: must differ"),
         ({"stepp": 0.001}, "parameter stepp: unknown; did you mean step?"),
-        ({"step": -0.001}, "parameter step: must be at least 0 and at most 10, got -0.001"),
-        ({"step": -1}, "parameter step: must be at least 0 and at most 10, got -1"),
+        ({"step": -0.001}, "parameter step: must be 0, or at least 1e-09 and at most 10, got -0.001"),
+        ({"step": -1}, "parameter step: must be 0, or at least 1e-09 and at most 10, got -1"),
         ({"accuracy": 0.0}, "parameter accuracy: must be at least 1e-13 and at most 1, got 0.0"),
-        ({"accuracy_horizon": 0.0}, "parameter accuracy_horizon: must be greater than 0"),
+        ({"accuracy_horizon": 0.0}, "parameter accuracy_horizon: must be at least 1e-09"),
         (
             {"method": "rkmk4", "accuracy": 1e-6},
             "parameter accuracy: cannot be combined with method; remove one of them",

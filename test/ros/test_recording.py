@@ -208,6 +208,9 @@ def test_a_file_that_is_no_recording_is_refused_in_one_line(tmp_path, content, s
         read_recording(tmp_path / "x.mcap")
     with pytest.raises(RecordingError, match="directory"):
         read_recording(tmp_path)
+    (tmp_path / "x.npz").write_bytes(b"PK")
+    with pytest.raises(RecordingError, match="run --out FILE.mcap"):
+        read_recording(tmp_path / "x.npz")
 
 
 @pytest.mark.parametrize(

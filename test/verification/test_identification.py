@@ -144,11 +144,16 @@ def test_a_channel_without_noise_and_motion_says_nothing():
     assert np.isfinite(found.values).all() and abs(found.values - alone.values)[0] < 0.1 * alone.deviations[0]
 
 
-def test_a_late_clock_of_a_second_is_found():
-    log = log_of(machine("furuta"), "furuta", 6, seconds=2.0, rate=125.0, delay=0.73)
-    found = compare(machine("furuta"), log, workers=1)
+@pytest.mark.parametrize(("late", "seconds"), [(0.73, 2.0), (-3.3, 8.0), (5.3, 8.0)])
+def test_late_clocks_are_found_within_half_of_the_log(late, seconds):
+    """Beyond it no interval is given."""
+    log = log_of(machine("furuta"), "furuta", 6, seconds=seconds, rate=60.0 if late < 0.0 else 125.0, delay=late)
+    found = compare(machine("furuta"), log, length=0.5, workers=1)
     delay, deviation = found.delays["/joint_states"]
-    assert found.agrees and abs(delay - 0.73) < 4.0 * deviation
+    if late > 0.5 * seconds:
+        assert not found.agrees and np.isinf(deviation)
+    else:
+        assert found.agrees and abs(delay - late) < 4.0 * deviation
 
 
 def test_given_noise_and_gaps_and_values_that_are_missing():
