@@ -57,7 +57,7 @@ class Drawing:
 
     server : ViserServer
     layout : Layout of its scene
-    shapes : {body: triangles} of report.shapes; other bodies are drawn as solids with their inertia
+    shapes : {body: [triangles]} of report.shapes; other bodies are drawn as solids with their inertia
     ghost  : True: pale, without joints, for a motion beside another one
     bodies : [handles of the shapes of each body], for callbacks of the mouse
     """
@@ -76,10 +76,9 @@ class Drawing:
                     api.add_frame(name, show_axes=False, axes_length=0.2 * self.size, axes_radius=0.006 * self.size)
                 )
                 colour = GHOST if ghost else COLOURS[i % len(COLOURS)]
-                self.bodies.append([self._shape(f"{name}/shape", body, shapes, colour, ghost)])
-            if shapes.get(WORLD) and not ghost:
-                points, faces = decoded(shapes[WORLD])
-                api.add_mesh_simple(f"{self._root}/world", points, faces, color=GHOST, side="double")
+                self.bodies.append(self._shapes(f"{name}/shape", body, shapes, colour, ghost))
+            if not ghost:
+                self._meshes(f"{self._root}/world", shapes.get(WORLD) or (), GHOST, ghost)
             framed = [] if ghost else [k for k, joint in enumerate(scene.joints) if not hasattr(joint, "child_point")]
             self._joints = [self._joint(k, scene.joints[k]) for k in framed]
             for k, handle in zip(framed, self._joints):  # a thin body is easier to pick at its joint
@@ -104,14 +103,30 @@ class Drawing:
         for handle in (*self._frames, *self._handles.values()):
             handle.remove()
 
-    def _shape(self, name, body, shapes, colour, ghost):
+    def _meshes(self, name, shapes, colour, ghost):
+        """[Handles] of shapes of report.shapes, in their own colours if they have some."""
+        handles = []
+        for k, shape in enumerate(shapes):
+            *own, opacity = (None,) if ghost or shape["color"] is None else shape["color"]
+            own = tuple(round(255.0 * part) for part in own) or colour
+            opacity = 0.3 if ghost else None if opacity == 1.0 else opacity
+            handles.append(
+                self._server.scene.add_mesh_simple(
+                    f"{name}{k}", *decoded(shape), color=own, side="double", opacity=opacity, cast_shadow=not ghost
+                )
+            )
+        return handles
+
+    def _shapes(self, name, body, shapes, colour, ghost):
+        if shapes.get(body.name):
+            return self._meshes(name, shapes[body.name], colour, ghost)
         api, common = self._server.scene, {"opacity": 0.3 if ghost else None, "cast_shadow": not ghost}
         if body.name in shapes:
-            triangles = shapes[body.name]
-            if triangles is None:
-                return api.add_icosphere(name, 0.2 * PART * self.size, colour, position=body.com, **common)
-            points, faces = decoded(triangles)
-            return api.add_mesh_simple(name, points, faces, color=colour, side="double", **common)
+            return [api.add_icosphere(name, 0.2 * PART * self.size, colour, position=body.com, **common)]
+        return [self._solid(name, body, colour, common)]
+
+    def _solid(self, name, body, colour, common):
+        api = self._server.scene
         kind, size, local = solid(body, self._layout.scene)
         size = np.maximum(size, THINNEST * self.size)
         place = {"wxyz": _wxyz(local[:3, :3]), "position": local[:3, 3]}

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files and commands of the page "Bring your robot" run as printed; exit codes of the import."""
 
-import base64
 import re
 import shlex
 import shutil
@@ -18,7 +17,7 @@ from liegroup_core import Simulation, load_scene
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording import read_recording
-from liegroup_sim_ros.report.shapes import MOST_TRIANGLES, robot_shapes
+from liegroup_sim_ros.report.shapes import MOST_TRIANGLES, decoded, robot_shapes
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGE = (DOCS / "how-to" / "robot.md").read_text()
@@ -218,20 +217,18 @@ def test_the_page_draws_meshes_within_its_bound(tmp_path, capsys, monkeypatch):
     Path("ball.urdf").write_text(BALL_URDF)
     shapes, remarks = robot_shapes(load_scene("ball.urdf").robot)
     assert remarks == ["missing mesh files: 1, the first is package://nowhere/rod.stl"]
-    points, faces = (
-        np.frombuffer(base64.b64decode(shapes["ball"][key]), kind).reshape(-1, 3)
-        for key, kind in (("points", "<f4"), ("faces", "<i4"))
-    )
+    [ball] = shapes["ball"]
+    points, faces = decoded(ball)
     assert 15_000 < len(faces) <= MOST_TRIANGLES and faces.max() < len(points)
     # Half axes 0.1, 0.2 and 0.1 m, as x of the mesh is y of the link. An edge of 20 000 triangles is
     # 0.03 of the radius long: its middle is 1e-4 of it inside, and decimation moves points as far.
     inside = np.linalg.norm((points - (0.5, 0.1, 0.0)) / (0.1, 0.2, 0.1), axis=1)
     assert np.abs(inside - 1.0).max() < 2e-3
-    assert shapes["ball"]["at"] == pytest.approx((0.5, 0.1, 0.0), abs=1e-4)
+    assert ball["at"] == pytest.approx((0.5, 0.1, 0.0), abs=1e-4)
     assert main(["run", "ball.urdf", "--duration", "0.5", "--out", "run.mcap"]) == 0
     report = ["analyze", "run.mcap", "--no-reference", "--html", "run.html", "--robot"]
     assert main([*report, "ball.urdf"]) == 0
-    assert shapes["ball"]["points"] in Path("run.html").read_text()
+    assert ball["points"] in Path("run.html").read_text()
     assert "missing mesh files: 1" in capsys.readouterr().err
     Path("arm.urdf").write_text(ROBOT)
     assert main([*report, "arm.urdf"]) == 2
@@ -239,7 +236,7 @@ def test_the_page_draws_meshes_within_its_bound(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "trimesh", None)
     assert main([*report, "ball.urdf"]) == 0
     assert "drawn as boxes, because trimesh is not installed" in capsys.readouterr().err
-    assert shapes["ball"]["points"] not in Path("run.html").read_text()
+    assert ball["points"] not in Path("run.html").read_text()
 
 
 def test_the_page_lists_what_does_not_act(tmp_path, monkeypatch):
