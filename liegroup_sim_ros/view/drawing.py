@@ -14,6 +14,7 @@ from liegroup_core.scene.names import WORLD
 from liegroup_sim_ros.messages.markers import CUBE, SPHERE, THINNEST, links, solid
 from liegroup_sim_ros.report.shapes import decoded
 
+from .boxes import Boxes
 from .server import mover
 
 COLOURS = (
@@ -35,6 +36,10 @@ MOST_TRACE = 400  # points of a trace
 TURNS, SLIDES = ("revolute", "screw", "cylindrical", "universal"), ("prismatic", "cylindrical")
 # A pose is sent if its position, relative to the size of the mechanism, or its quaternion changed by more than this.
 UNSEEN = 1e-6
+# Halos are three circles of radius 1 each: lines hide nothing of the mechanism.
+_TURN = np.linspace(0.0, 2.0 * math.pi, 49)
+_RING = np.stack([np.cos(_TURN), np.sin(_TURN), 0.0 * _TURN], axis=1)
+RINGS = np.concatenate([np.stack([ring[:-1], ring[1:]], axis=1) for ring in (np.roll(_RING, k, axis=1) for k in range(3))])
 LARGEST_HALO = 0.4  # radius relative to the mechanism: a camera inside a halo would not show it
 CHANGE = 0.05  # of the radius of a halo
 
@@ -59,12 +64,14 @@ class Drawing:
     layout : Layout of its scene
     shapes : {body: [triangles]} of report.shapes; other bodies are drawn as solids with their inertia
     ghost  : True: pale, without joints, for a motion beside another one
+    boxes  : Boxes about its bodies
     bodies : [handles of the shapes of each body], for callbacks of the mouse
     """
 
     def __init__(self, server, layout, shapes, ghost=False):
         self._server, self._layout = server, layout
-        self.size, self.middle = extent(layout)
+        self.boxes = Boxes(layout, shapes)
+        self.size, self.middle = self.boxes.size, self.boxes.middle
         self._part = PART * self.size * min(1.0, math.sqrt(MOST_LARGE / max(1, len(layout.scene.joints))))
         scene, api = layout.scene, server.scene
         self._root = "/ghost" if ghost else "/mechanism"
@@ -87,8 +94,8 @@ class Drawing:
                 []
                 if ghost
                 else [
-                    api.add_icosphere(f"{self._root}/{i}/halo", 1.0, HALO, subdivisions=2, opacity=0.25, visible=False,
-                                      cast_shadow=False, receive_shadow=False, position=body.com)
+                    api.add_line_segments(f"{self._root}/{i}/halo", RINGS, HALO, thickness=1.5, thickness_units="screen",
+                                          visible=False, position=body.com)
                     for i, body in enumerate(scene.bodies)
                 ]
             )  # fmt: skip
@@ -205,7 +212,7 @@ class Drawing:
         self._show_lines("trace", lines, TRACE)
 
     def _show_halos(self, radii):
-        """Show spheres of these radii (n,), m; a change below CHANGE is not seen."""
+        """Show halos of these radii (n,), m; a change below CHANGE is not seen."""
         radii = np.where(radii > UNSEEN * self.size, radii, 0.0)  # not of an unknown error, NaN, either
         for i in np.flatnonzero(np.abs(radii - self._radii) > CHANGE * self._radii):
             halo = self._halos[i]
@@ -272,19 +279,6 @@ class Drawing:
             return
         handle.points = lines
         _set(handle, "visible", True)
-
-
-def extent(layout):
-    """(size, middle (3,)) of the mechanism at its start, m: diagonal and centre of the box about its bodies."""
-    scene = layout.scene
-    corners = []
-    for body in scene.bodies:
-        _, size, local = solid(body, scene)
-        at = np.array(body.position) + body.rotation @ local[:3, 3]
-        half = 0.5 * np.linalg.norm(size)
-        corners += [at - half, at + half]
-    low, high = np.min(corners, axis=0), np.max(corners, axis=0)
-    return float(np.linalg.norm(high - low)) or layout.size, 0.5 * (low + high)
 
 
 def _set(handle, name, value):
