@@ -217,7 +217,7 @@ class Page:
         self.cursor = at
 
     def _draw(self, frame, before):
-        if before is not None and abs(frame.time - before.time) > 1.0:
+        if before is not None and not -SAME <= frame.time - before.time <= 1.0:
             self._drawing.forget_trace()
         frame = self.source.dressed(frame)
         with self._doing:

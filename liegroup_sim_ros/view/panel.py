@@ -96,7 +96,8 @@ class Panel:
         def moved(event):
             if event.client is None:  # by `update`
                 return
-            page.cursor, page.playing = slider.value, False
+            page.cursor, page.playing = page.source.history.at(slider.value + SAME).time, False
+            slider.value = page.cursor
             page._drawing.forget_trace()
 
         slider.on_update(moved)
@@ -115,11 +116,11 @@ class Panel:
         if source.is_live and at is None:
             return "move the time line to where the branch shall begin"
         if "back" in source.takes:
-            page.attempt(source.ask, "pause")
-            kept, now = source.ask("back", at)
-            page.haunt(source.history.until(now - SAME), now - kept, now)
+            former = source.history.until(math.inf)
+            kept = source.ask("back", at)
+            page.haunt(former, 0.0, kept)
             page.cursor = None
-            return f"continues from {kept:.6g} s; the former motion is the pale one"
+            return f"continues from {kept:.6g} s, paused; the former motion is the pale one"
         at = source.history.span()[0] if at is None else at
         branch = source.branch(at)
         page.exchange(branch)
@@ -275,7 +276,8 @@ class Panel:
         """Show the figures of a Frame, at a low rate."""
         page, source = self._page, self._page.source
         for at, name, text in source.events():
-            if name in ("reset", "restore", "state"):  # commands have ended
+            if name in ("reset", "state"):  # commands have ended, and what comes later has not happened
+                self._marks = [mark for mark in self._marks if mark[0] < at]
                 text = text.partition("{")[0].strip()  # without the state itself
                 for field in self._efforts:
                     field.value = 0.0
@@ -284,7 +286,7 @@ class Panel:
             self._marks = [*self._marks[1 - MOST_MARKS :], (at, f"{at:.3f} s {name}: {text}", failed)]
         self._state.content = self._headline(frame)
         rows = "".join(
-            f'<div style="{LINE};color:{BAD if failed else "inherit"}" title="{escape(text)}">'
+            f'<div style="overflow-wrap:anywhere;margin-bottom:3px;color:{BAD if failed else "inherit"}">'
             f"{'' if at is None else f'{at:.3f} s '}{escape(text)}</div>"
             for at, text, failed in reversed(self._lines)
         )
