@@ -39,6 +39,10 @@ class Boxes:
         at = poses[..., 9:] + (turns @ self._places[:, :3, 3:])[..., 0]
         return at, turns @ self._places[:, :3, :3]
 
+    def centres(self, poses):
+        """Centres (..., n, 3) m, world axes, of the bodies at poses (..., n, 12), and radii (n,) m about them."""
+        return self._frames(poses)[0], np.linalg.norm(self._halves, axis=1)
+
     def bounds(self, poses):
         """Least and largest coordinates (3,), (3,) m, world axes, of the bodies at poses (..., n, 12)."""
         at, axes = self._frames(poses)

@@ -195,6 +195,8 @@ class Page:
                     next_figures = now + 1.0 / FIGURES
                     if frame is not None:
                         self._follow(frame)
+                    if self._hand:
+                        self._hand.catch()
                     with self._doing:
                         self._panel.update(frame)
                 if self._hand:
