@@ -264,7 +264,9 @@ def _shapes(robot, model, names):
         if geom["missing"]:
             robot.leave_out(MISSING_MESHES, f"{geom['missing']} of {name}")
         elif geom["group"] > SHOWN and geom["body"] in shown:
-            robot.leave_out(f"shapes of geom groups above {SHOWN}, which MuJoCo hides", geom["name"] or f"{kind} of {name}")
+            robot.leave_out(
+                f"shapes of geom groups above {SHOWN}, which MuJoCo hides", geom["name"] or f"{kind} of {name}"
+            )
         elif kind not in VISUALS:
             robot.leave_out(NOT_DRAWN, f"{kind} {geom['name']}".strip() + f" of {name}")
         else:

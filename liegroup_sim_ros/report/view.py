@@ -47,7 +47,12 @@ def make_view(analysis, shapes=None):
     for scene_body, body in zip(scene.bodies, bodies):
         if found := (shapes or {}).get(scene_body.name):
             at, size = box_of(found)
-            body |= {"shapes": list(_coloured(found)), "at": at.tolist(), "size": size.tolist(), "turn": np.eye(3).ravel().tolist()}
+            body |= {
+                "shapes": list(_coloured(found)),
+                "at": at.tolist(),
+                "size": size.tolist(),
+                "turn": np.eye(3).ravel().tolist(),
+            }
         elif scene_body.name in (shapes or {}):
             body |= {"solid": "sphere", "at": body["com"], "size": [thinnest] * 3}
     joints = [

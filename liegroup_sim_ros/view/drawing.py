@@ -39,7 +39,9 @@ UNSEEN = 1e-6
 # Halos are three circles of radius 1 each: lines hide nothing of the mechanism.
 _TURN = np.linspace(0.0, 2.0 * math.pi, 49)
 _RING = np.stack([np.cos(_TURN), np.sin(_TURN), 0.0 * _TURN], axis=1)
-RINGS = np.concatenate([np.stack([ring[:-1], ring[1:]], axis=1) for ring in (np.roll(_RING, k, axis=1) for k in range(3))])
+RINGS = np.concatenate(
+    [np.stack([ring[:-1], ring[1:]], axis=1) for ring in (np.roll(_RING, k, axis=1) for k in range(3))]
+)
 LARGEST_HALO = 0.4  # radius relative to the mechanism: a camera inside a halo would not show it
 CHANGE = 0.05  # of the radius of a halo
 

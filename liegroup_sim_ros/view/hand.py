@@ -27,6 +27,9 @@ DISC = (  # points and triangles, of radius 1, facing z
     np.vstack([np.zeros(3), np.stack([np.cos(_TURN), np.sin(_TURN), 0.0 * _TURN], axis=1)]),
     np.array([[0, 1 + k, 1 + (k + 1) % 24] for k in range(24)]),
 )
+HEAVIEST = (
+    1e-3  # response, as LOCKED, below which the spring is no stiffer: near a dead centre it would be arbitrarily so
+)
 LOCKED = 1e-9  # response, relative to the largest one of a free body: the point cannot move
 
 
@@ -38,8 +41,8 @@ class Grip(NamedTuple):
     tip: np.ndarray  # (3,) m, world axes: the mouse
     axis: np.ndarray | None  # (3,) world axes, of a torque; None: a force
     client: int
-    start: np.ndarray  # (3,) m, world axes: the picked point when it was pressed
-    ahead: np.ndarray  # (3,) unit vector, world axes: from the camera to it
+    start: np.ndarray = None  # (3,) m, world axes: the picked point when it was pressed
+    ahead: np.ndarray = None  # (3,) unit vector, world axes: from the camera to it
 
 
 class Hand:
@@ -110,7 +113,8 @@ class Hand:
                 return  # another page holds something already
         past = self._page.cursor is not None
         if past and event.phase == "start":
-            self._page.say("this is the past: go back to the present to pull at a body", failed=True)
+            why = self._page._panel.blocked or "this is the past: go back to the present to pull at a body"
+            self._page.say(why, failed=True)
         if event.phase == "end" or past or self._page.source.frame() is None:
             self.let_go()
             return
@@ -127,7 +131,9 @@ class Hand:
             grip = self._grip
             # The mouse is in the plane of the picked point that faces the camera.
             tip = eye + along * ((grip.start - eye) @ grip.ahead) / max(along @ grip.ahead, LEAST)
-            axis = np.cross(eye - grip.start, tip - grip.start) / np.linalg.norm(eye - grip.start) if is_torque else None
+            axis = (
+                np.cross(eye - grip.start, tip - grip.start) / np.linalg.norm(eye - grip.start) if is_torque else None
+            )
             self._grip = grip._replace(tip=tip, axis=axis)
 
     def hold(self, frame):
@@ -184,7 +190,7 @@ class Hand:
             motions.append(turn @ (found[3:] + np.cross(found[:3], grip.point) if grip.axis is None else found[:3]))
         response = np.array(motions[1:]) - motions[0]
         largest = float(np.linalg.eigvalsh(0.5 * (response + response.T)).max())
-        return free / largest if largest > LOCKED else None
+        return free / max(largest, HEAVIEST) if largest > LOCKED else None
 
     @property
     def _size(self):

@@ -114,7 +114,7 @@ class Page:
         self._panel.note(text, failed)
         if failed:
             for client in self.clients():
-                client.add_notification("Refused", text[:300], color="red", auto_close_seconds=8.0)
+                client.add_notification("Refused", text, color="red", auto_close_seconds=8.0)
 
     def haunt(self, history, shift, since=-math.inf):
         """Draw another motion as a ghost.

@@ -25,7 +25,6 @@ BAD, PLAIN = "#c03030", "#3060c0"
 COLOURS = (PLAIN, "#808890", BAD, "#d08020")  # of the curves of a plot
 WITH_GAPS = ("beyond it", "distance to the pale motion")
 MOST_MARKS = 300  # events on the time line
-LINE = "white-space:nowrap;overflow:hidden;text-overflow:ellipsis"
 # Of a slider whose joint has no limits.
 ROUND, REACH = math.pi, 1.0  # rad; of the size of the mechanism
 
@@ -34,6 +33,7 @@ class Panel:
     """Panel of a Page; gui : viser's."""
 
     repeats = True  # a recording starts again at its end
+    blocked = ""  # why no control works at present
 
     def __init__(self, page, gui):
         self._page, self._gui, self._parts, self._lines, self._marks = page, gui, [], [], []
@@ -267,6 +267,12 @@ class Panel:
             button = gui.add_button(label)
             button.on_click(lambda event, save=save: page.attempt(save, page, event.client))
 
+    def block(self, reason):
+        """Disable all controls, which show it, and say why; "" enables them again."""
+        self.blocked = reason
+        for handle in list(self._gui._gui_input_handle_from_uuid.values()):
+            handle.disabled = bool(reason)
+
     def note(self, text, failed=False):
         """Show one line among the events."""
         at = self._page.seen()
@@ -327,9 +333,11 @@ class Panel:
         hand = self._page._hand
         if hand is not None and hand.shown:
             lines.append(f"<b>pull {escape(hand.shown)}</b>")
+        if self.blocked:
+            lines.append(f"<b>{escape(self.blocked)}</b>")
         if status.text:
             lines.append(f'<span style="color:{BAD}">{escape(status.text)}</span>')
-        shown = "".join(f'<div style="{LINE}">{line}</div>' for line in lines)
+        shown = "".join(f'<div style="overflow-wrap:anywhere">{line}</div>' for line in lines)
         return f'<div style="padding:4px 12px;font-size:13px">{shown}</div>'
 
     def _plots(self, frame, since):
