@@ -81,8 +81,8 @@ class Markers:
         # The world has the index after the last body.
         poses = np.concatenate([sample.pose_matrices, np.eye(4)[None]])[self._owner] @ self._local
         rows = np.hstack([poses[:, :3, :3].reshape(-1, 9), poses[:, :3, 3]])
-        for place, quaternion in zip(rows[:, 9:].tolist(), quaternions(rows).tolist()):
-            slots += time, (ADD,), (*place, *quaternion)
+        for at, quaternion in zip(rows[:, 9:].tolist(), quaternions(rows).tolist()):
+            slots += time, (ADD,), (*at, *quaternion)
         places = np.hstack([sample.pose[:, 9:], sample.orientation]).tolist()
         wrenches = sample.external_wrenches.tolist()
         for part in (slice(3, 6), slice(0, 3)):

@@ -96,8 +96,8 @@ class Drawing:
                 []
                 if ghost
                 else [
-                    api.add_line_segments(f"{self._root}/{i}/halo", RINGS, HALO, thickness=1.5, thickness_units="screen",
-                                          visible=False, position=body.com)
+                    api.add_line_segments(f"{self._root}/{i}/halo", RINGS, HALO, thickness=1.5,
+                                          thickness_units="screen", visible=False, position=body.com)
                     for i, body in enumerate(scene.bodies)
                 ]
             )  # fmt: skip

@@ -21,6 +21,8 @@ MOST_LINES = 60  # events that are shown
 MOST_JOINTS = 60  # joints with sliders
 MOST_POWER = 15  # of ten, by which a halo magnifies an error
 SPEEDS = ("0.01", "0.1", "0.5", "1", "2", "5", "10")
+# The library's notice that a browser has no GPU would cover the mechanism.
+ON_PHONES = "<style>@media (max-width: 576px) {#webgl-software-rendering {display: none}}</style>"
 BAD, PLAIN = "#c03030", "#3060c0"
 COLOURS = (PLAIN, "#808890", BAD, "#d08020")  # of the curves of a plot
 WITH_GAPS = ("beyond it", "distance to the pale motion")
@@ -338,7 +340,7 @@ class Panel:
         if status.text:
             lines.append(f'<span style="color:{BAD}">{escape(status.text)}</span>')
         shown = "".join(f'<div style="overflow-wrap:anywhere">{line}</div>' for line in lines)
-        return f'<div style="padding:4px 12px;font-size:13px">{shown}</div>'
+        return f'{ON_PHONES}<div style="padding:4px 12px;font-size:13px">{shown}</div>'
 
     def _plots(self, frame, since):
         page = self._page
