@@ -244,8 +244,11 @@ def _triangulate(folders, path):
     """Triangles of the shapes of a robot as JSON."""
     from .meshes import triangles_of
 
+    order = json.loads(Path(path).read_text())
+    if any(asset >= 0 for *_, asset in order["shapes"]):
+        from . import mjcf_model  # noqa: F401  a confined process cannot load MuJoCo
     _confine(folders)
-    return json.dumps(triangles_of(json.loads(Path(path).read_text())))
+    return json.dumps(triangles_of(order))
 
 
 def main(folders, tool, *arguments):

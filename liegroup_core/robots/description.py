@@ -18,6 +18,7 @@ from liegroup_core.lie.groups import SE3, SO3, UNKNOWN_TURN, within_a_turn
 
 WORLD = "world"
 MISSING_MESHES = "missing mesh files"  # in notes
+NOT_DRAWN = "visuals that are not drawn"
 # Elements whose unknown parts may change the motion. For a joint these are children, such as a misspelt <origin>.
 MOTION = {"inertial", "mass", "inertia", "axis", "axis2", "dynamics", "mimic"}
 LONGEST_MESSAGE = 1500  # characters; names in it can be long
@@ -41,16 +42,21 @@ ONE_COORDINATE = ("revolute", "prismatic", "screw")
 class Visual:
     """Shape that a viewer draws.
 
-    kind  : box, cylinder, sphere or mesh
-    size  : m: edges (x, y, z); (radius, length); (radius,); for a mesh its scale (x, y, z)
+    kind  : box, cylinder, capsule, cone, ellipsoid, sphere or mesh
+    size  : m: edges (x, y, z); (radius, length); (radius, length without caps); (radius, length); radii (x, y, z);
+            (radius,); for a mesh its scale (x, y, z)
     pose  : (4, 4) in the frame of the link
     mesh  : address of the mesh file, as in the robot file
+    color : red, green, blue, opacity from 0 to 1; None if the file gives none
+    asset : number of a mesh of MuJoCo's compiled model, whose triangles are drawn; -1: those of the file
     """
 
     kind: str
     size: tuple
     pose: np.ndarray
     mesh: str = ""
+    color: tuple | None = None
+    asset: int = -1
 
 
 @dataclass
@@ -198,6 +204,7 @@ class Robot:
     actuators: [actuators.Actuator];  commands: {name of a pose: {actuator: (control, activation)}}
     locked   : {joint: coordinate} of joints that do not move
     text     : URDF text of the robot, "" for other kinds
+    fixtures : [Visual] of the world, besides those of links
     """
 
     name: str
@@ -223,6 +230,7 @@ class Robot:
     root_poses: dict = field(default_factory=dict)
     locked: dict = field(default_factory=dict)
     text: str = ""
+    fixtures: list = field(default_factory=list)
 
     def size(self, base):
         """(number of links, number of joint coordinates of the tree); base: see robots.options.Options.

@@ -6,64 +6,86 @@ import base64
 import numpy as np
 import trimesh
 
-ROUND = 24  # facets of a cylinder's surface
+ROUND = 32  # facets of a cylinder's surface
 BOX = 12  # triangles of a box
 
 
 def triangles_of(order):
-    """Dict of JSON types: shapes {body: shape}, failed {mesh: why}, triangles (all), boxes (bodies).
+    """Dict of JSON types: shapes {body: [shape]}, failed {mesh: why}, triangles (all), boxes (bodies).
 
-    order : dict with shapes [(body, kind, size, pose in the body's frame, path of the mesh)], kinds and sizes
-            as in robots.description.Visual; and most, the maximum number of triangles of the result
+    order : dict with shapes [(body, kind, size, pose in the body's frame, path of the mesh, color, asset)], kinds,
+            sizes, colors and assets as in robots.description.Visual; of an asset, the path is that of the MJCF file;
+            and most, the maximum number of triangles of the result
     shape : points, base64 of (k, 3) float32 in m, in the body's frame; faces, base64 of (m, 3) int32; at,
-            size: centre and edges of their bounding box in the body's frame, m
+            size: centre and edges of their bounding box in the body's frame, m; color, None for that of the body
     A body whose triangles cannot be simplified far enough has its convex hull, or its bounding box. lacks: name of the
     package for simplification if it is not installed, else "".
     """
-    meshes, failed = {}, {}
-    for body, kind, size, pose, path in order["shapes"]:
+    parts, failed = {}, {}
+    for body, kind, size, pose, path, color, asset in order["shapes"]:
         try:
-            mesh = _mesh(kind, size, path)
+            found = _meshes(kind, size, path, asset)
         # Mesh readers raise errors of any type. The other bodies are still drawn.
         except Exception as error:
             failed[path] = " ".join(f"{type(error).__name__}: {error}".split())[:120]
             continue
-        mesh.apply_transform(np.array(pose))
-        meshes.setdefault(body, []).append(mesh)
-    whole = {body: trimesh.util.concatenate(parts) for body, parts in meshes.items()}
+        for mesh, own in found:
+            mesh.apply_transform(np.array(pose))
+            parts.setdefault((body, *(color or own or ())), []).append(mesh)
+    whole = {key: trimesh.util.concatenate(some) for key, some in parts.items()}
     total, lacks, boxes = sum(len(mesh.faces) for mesh in whole.values()), "", 0
     if total > order["most"]:
         whole, boxes, lacks = _decimated(whole, order["most"] / total)
-    return {
-        "shapes": {body: _packed(mesh) for body, mesh in whole.items()},
-        "failed": failed,
-        "triangles": total,
-        "boxes": boxes,
-        "lacks": lacks,
-    }
+    shapes = {}
+    for (body, *color), mesh in whole.items():
+        shapes.setdefault(body, []).append(_packed(mesh) | {"color": color or None})
+    return {"shapes": shapes, "failed": failed, "triangles": total, "boxes": boxes, "lacks": lacks}
 
 
-def _mesh(kind, size, path):
-    """Trimesh of a shape in its own frame."""
+def _meshes(kind, size, path, asset):
+    """[(Trimesh in the frame of the shape, its own color or None)] of a shape."""
     if kind == "box":
-        return trimesh.creation.box(extents=np.maximum(size, 1e-6))
+        return [(trimesh.creation.box(extents=np.maximum(size, 1e-6)), None)]
     if kind == "cylinder":
-        return trimesh.creation.cylinder(radius=size[0], height=size[1], sections=ROUND)
-    if kind == "sphere":
-        return trimesh.creation.icosphere(subdivisions=2, radius=size[0])
-    mesh = trimesh.load_mesh(path).copy()
-    # Decimation keeps triangles connected only if they share vertices.
-    mesh.merge_vertices(merge_tex=True, merge_norm=True)
+        return [(trimesh.creation.cylinder(radius=size[0], height=size[1], sections=ROUND), None)]
+    if kind == "cone":
+        cone = trimesh.creation.cone(radius=size[0], height=size[1], sections=ROUND)
+        cone.apply_translation((0.0, 0.0, -0.5 * size[1]))
+        return [(cone, None)]
+    if kind == "capsule":
+        mesh = trimesh.creation.capsule(radius=size[0], height=size[1], count=(ROUND, ROUND))
+        mesh.apply_translation(-mesh.bounds.mean(axis=0))
+        return [(mesh, None)]
+    if kind in ("sphere", "ellipsoid"):
+        ball = trimesh.creation.icosphere(subdivisions=3)
+        ball.apply_scale(np.maximum(size, 1e-9))
+        return [(ball, None)]
+    if asset >= 0:
+        from .mjcf_model import triangles_of_mesh
+
+        return [(_checked(trimesh.Trimesh(*triangles_of_mesh(path, asset), process=False)), None)]
+    scene, found = trimesh.load_scene(path), []
+    unit = trimesh.units.unit_conversion(scene.units, "meters") if path.lower().endswith(".dae") else 1.0
+    for mesh in scene.dump():
+        color = np.divide(mesh.visual.main_color, 255.0).tolist() if mesh.visual.defined else None
+        # Decimation keeps triangles connected only if they share vertices.
+        mesh.merge_vertices(merge_tex=True, merge_norm=True)
+        mesh.visual = None
+        mesh.apply_scale(unit * np.array(size))
+        found.append((_checked(mesh), color))
+    return found or _checked(trimesh.Trimesh())
+
+
+def _checked(mesh):
     if not len(mesh.faces) or not np.isfinite(mesh.vertices).all():
         raise ValueError("it has no triangles, or points that are not finite")
-    mesh.apply_scale(size)
     return mesh
 
 
 def _decimated(meshes, part):
-    """({body: mesh} with about this fraction of the triangles, number of hulls and boxes, missing package)."""
+    """({key: mesh} with about this fraction of the triangles, number of hulls and boxes, missing package)."""
     found, coarse, lacks = {}, 0, ""
-    for body, mesh in meshes.items():
+    for key, mesh in meshes.items():
         most = max(int(part * len(mesh.faces)), BOX)
         try:
             small = mesh.simplify_quadric_decimation(face_count=most)
@@ -74,7 +96,7 @@ def _decimated(meshes, part):
             if isinstance(error, ImportError):
                 lacks, coarse = error.name or "fast_simplification", coarse + 1
             small = mesh
-        found[body] = small if len(small.faces) <= most else trimesh.creation.box(bounds=mesh.bounds)
+        found[key] = small if len(small.faces) <= most else trimesh.creation.box(bounds=mesh.bounds)
     return found, coarse, lacks
 
 

@@ -20,7 +20,7 @@ from liegroup_core.lie.groups import SO3
 from .access import is_permitted, outside
 from .actuators import FREE, Actuator
 from .apart import run_apart
-from .description import MISSING_MESHES, WORLD, Coupling, Link, Robot, RobotJoint, Visual, place, refusal
+from .description import MISSING_MESHES, NOT_DRAWN, WORLD, Coupling, Link, Robot, RobotJoint, Visual, place, refusal
 from .mjcf_sensors import read_sensors
 from .tendons import Tendon, linear_relation
 from .xml import Reader, read_xml
@@ -29,7 +29,8 @@ TYPES = {"ball": "spherical", "slide": "prismatic", "hinge": "revolute"}
 # A tendon of fixed length between two sites is a rod without mass.
 CLOSING = {"connect": "spherical", "weld": "fixed", "tendon": "distance"}
 ACTUATORS = ("motor", "position", "velocity", "intvelocity", "general", "damper", "cylinder")
-VISUALS = {"box", "sphere", "cylinder", "capsule"}
+VISUALS = {"box", "sphere", "cylinder", "capsule", "ellipsoid", "mesh"}
+SHOWN = 2  # largest group of geoms that MuJoCo's viewer shows by default; collision shapes are often in others
 
 
 def robot_of_mjcf(root, path):
@@ -271,21 +272,28 @@ def _closing(robot, equality, names, line):
 
 
 def _shapes(robot, model, names):
-    """Add visuals of primitive shapes, and note the collision shapes."""
+    """Add visuals, and note the collision shapes. Of a body without a shape that MuJoCo shows, all are visuals."""
+    shown = {geom["body"] for geom in model["geoms"] if geom["group"] <= SHOWN}
     for geom in model["geoms"]:
-        if geom["body"] == 0:
-            continue
-        name = names[geom["body"] - 1]
-        if geom["collides"]:
+        name, kind, (x, y, z) = (WORLD, *names)[geom["body"]], geom["type"], geom["size"]
+        if geom["collides"] and name != WORLD:
             robot.leave_out("collision", name, changes_motion=True)
         if geom["missing"]:
             robot.leave_out(MISSING_MESHES, f"{geom['missing']} of {name}")
-        elif geom["type"] in VISUALS:
-            x, y, z = geom["size"]
-            size = {"box": (2 * x, 2 * y, 2 * z), "sphere": (x,)}.get(geom["type"], (x, 2 * y))
-            kind = "cylinder" if geom["type"] == "capsule" else geom["type"]
-            pose = place(geom["pos"], _rotation(geom["quat"]))
-            robot.links[name].visuals.append(Visual(kind, size, pose))
+        elif geom["group"] > SHOWN and geom["body"] in shown:
+            robot.leave_out(
+                f"shapes of geom groups above {SHOWN}, which MuJoCo hides", geom["name"] or f"{kind} of {name}"
+            )
+        elif kind not in VISUALS:
+            robot.leave_out(NOT_DRAWN, f"{kind} {geom['name']}".strip() + f" of {name}")
+        else:
+            sizes = {"box": (2 * x, 2 * y, 2 * z), "sphere": (x,), "ellipsoid": (x, y, z), "mesh": (x, y, z)}
+            pose, color = place(geom["pos"], _rotation(geom["quat"])), geom["color"] and tuple(geom["color"])
+            mesh, asset = geom.get("mesh", ""), geom.get("asset", -1)
+            visuals = robot.fixtures if name == WORLD else robot.links[name].visuals
+            visuals.append(Visual(kind, sizes.get(kind, (x, 2 * y)), pose, mesh, color, asset))
+    for name in model["skins"]:
+        robot.leave_out(NOT_DRAWN, name)
 
 
 def _poses(robot, model, names):

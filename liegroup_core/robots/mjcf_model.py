@@ -1,16 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compiled MuJoCo model as lists and numbers. It runs in a separate process, see apart.py."""
 
+import functools
+import os
+
 import mujoco
 import numpy as np
 
 from .mjcf_missing import compiled_without_files
+
+DEFAULT_COLOR = np.array([0.5, 0.5, 0.5, 1.0], dtype=np.float32)  # of a geom that has none
 
 
 def arrays_of(path):
     """Dict of JSON types of the model of an MJCF file. Quaternions are w, x, y, z, as in MuJoCo."""
     model, without_file = _compiled(path)
     _switch_off(model)
+    files = _mesh_files(path) if model.nmesh else {}
     return {
         "name": _text(model.names, 0),
         "gravity": model.opt.gravity.tolist(),
@@ -18,11 +24,12 @@ def arrays_of(path):
         "bodies": [_body(model, i) for i in range(1, model.nbody)],
         "joints": [_joint(model, i) for i in range(model.njnt)],
         "equalities": [_equality(model, i) for i in range(model.neq)],
-        "geoms": [_geom(model, i) | {"missing": without_file.get(i, "")} for i in range(model.ngeom)],
+        "geoms": [_geom(model, i, files) | {"missing": without_file.get(i, "")} for i in range(model.ngeom)],
         "tendons": [_tendon(model, i) for i in range(model.ntendon)],
         "actuators": [_actuator(model, i) for i in range(len(model.actuator_trntype)) if not _is_off(model, i)],
         "sensors": [_sensor(model, i) for i in range(model.nsensor)],
         "flexes": [f"flex_{i}" for i in range(model.nflex)],
+        "skins": [f"skin_{i}" for i in range(model.nskin)],
         "plugins": [f"plugin_{i}" for i in range(model.nplugin)],
         "keys": [
             {
@@ -303,9 +310,82 @@ def _site(model, i):
     }
 
 
-def _geom(model, i):
+def triangles_of_mesh(path, number):
+    """Vertices (k, 3) in m and triangles (m, 3) of a mesh of an MJCF file, in the scaled frame of its file."""
+    model = _model_of(path)
+    vertices, faces = (
+        getattr(model, f"mesh_{key}")[start : start + count]
+        for key, start, count in (
+            ("vert", model.mesh_vertadr[number], model.mesh_vertnum[number]),
+            ("face", model.mesh_faceadr[number], model.mesh_facenum[number]),
+        )
+    )
+    turn, shift = np.zeros(9), _mesh_files(path).get(model.mesh(number).name, ("", 0.0))[1]
+    mujoco.mju_quat2Mat(turn, model.mesh_quat[number])
+    return vertices @ turn.reshape(3, 3).T + model.mesh_pos[number] - shift, faces
+
+
+@functools.cache
+def _model_of(path):
+    return _compiled(path)[0]
+
+
+@functools.cache
+def _mesh_files(path):
+    """{mesh: (address of its file, (3,) m by which its scaled points are shifted)}; of others, no file has the points.
+
+    MuJoCo subtracts refpos from the points of a file, turns them by refquat, and scales them.
+    """
+    meshes = mujoco.MjSpec.from_file(path).meshes
+    return {
+        mesh.name: (os.path.join(mesh.compiler.meshdir, mesh.file), -np.array(mesh.scale) * mesh.refpos)
+        for mesh in meshes
+        if mesh.file and not np.any(mesh.refquat[1:])
+    }
+
+
+def _mesh(model, i, files):
+    """Keys of a mesh of the geom i; its pose is that of the frame of the file.
+
+    Compiling moves the origin of a mesh to its centre of mass, and turns its axes to the principal ones.
+    """
+    number, quat, moved = int(model.geom_dataid[i]), np.zeros(4), np.zeros(3)
+    address, shift = files.get(model.mesh(number).name, ("", np.zeros(3)))
+    mujoco.mju_negQuat(quat, model.mesh_quat[number])
+    mujoco.mju_mulQuat(quat, model.geom_quat[i], quat.copy())
+    mujoco.mju_rotVecQuat(moved, shift - model.mesh_pos[number], quat)
+    return {
+        "type": "mesh",
+        "asset": number,
+        "mesh": address,
+        "size": model.mesh_scale[number].tolist(),
+        "quat": quat.tolist(),
+        "pos": (model.geom_pos[i] + moved).tolist(),
+    }
+
+
+def _color(model, i):
+    """Red, green, blue, opacity of a geom as MuJoCo draws it, a texture by its mean; None if the file gives none."""
+    own, material = model.geom_rgba[i], int(model.geom_matid[i])
+    if np.any(own != DEFAULT_COLOR):
+        return own.tolist()
+    if material < 0:
+        return None
+    found = model.mat_rgba[material].astype(float)
+    texture = int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB])
+    if texture >= 0:
+        start, channels = model.tex_adr[texture], model.tex_nchannel[texture]
+        count = model.tex_height[texture] * model.tex_width[texture] * channels
+        found[:3] *= model.tex_data[start : start + count].reshape(-1, channels).mean(axis=0)[:3] / 255.0
+    return found.tolist()
+
+
+def _geom(model, i, files):
     kind = mujoco.mjtGeom(int(model.geom_type[i])).name.removeprefix("mjGEOM_").lower()
     return {
+        "name": model.geom(i).name,
+        "color": _color(model, i),
+        "group": int(model.geom_group[i]),
         "body": int(model.geom_bodyid[i]),
         "type": kind,
         "size": model.geom_size[i].tolist(),
@@ -314,4 +394,4 @@ def _geom(model, i):
         "collides": bool(
             model.geom_contype[i] or model.geom_conaffinity[i] or i in model.pair_geom1 or i in model.pair_geom2
         ),
-    }
+    } | (_mesh(model, i, files) if kind in ("mesh", "sdf") and model.geom_dataid[i] >= 0 else {})

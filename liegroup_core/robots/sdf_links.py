@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from .description import Link, Visual
+from .description import NOT_DRAWN, Link, Visual
 from .links import combined
 from .omitted import OF_GRAVITY, omit
 from .sdf_frames import read_pose, text_of
@@ -50,7 +50,7 @@ def read_link(reader, robot, model, element):
         visuals = _visuals(reader, visual, model.place_in(element, visual))
         link.visuals += visuals
         if not visuals:
-            robot.leave_out("visuals that are not drawn", visual.get("name") or name)
+            robot.leave_out(NOT_DRAWN, visual.get("name") or name)
     for _ in element.iterfind("collision"):
         robot.leave_out("collision", name, changes_motion=True)
     if any(text_of(element, key) in ("false", "0") for key in OF_GRAVITY):
@@ -120,17 +120,28 @@ def _visuals(reader, visual, pose):
     geometry = visual.find("geometry")
     if geometry is None or not len(geometry):
         return []
-    solid = geometry[0]
+    solid, mesh = geometry[0], ""
     if solid.tag == "box" and solid.find("size") is not None:
         size = reader.numbers(solid, solid.find("size").text, 3, "<size>")
-        return [Visual("box", tuple(size), pose)]
-    if solid.tag in ("cylinder", "capsule"):
-        size = tuple(value_of(reader, solid, key, 1.0) for key in ("radius", "length"))
-        return [Visual("cylinder", size, pose)]
-    if solid.tag == "sphere":
-        return [Visual("sphere", (value_of(reader, solid, "radius", 1.0),), pose)]
-    if solid.tag == "mesh" and text_of(solid, "uri"):
-        scale = solid.find("scale")
-        numbers = (1.0,) * 3 if scale is None else reader.numbers(scale, scale.text, 3, "<scale>")
-        return [Visual("mesh", tuple(numbers), pose, text_of(solid, "uri"))]
-    return []
+    elif solid.tag == "ellipsoid" and solid.find("radii") is not None:
+        size = reader.numbers(solid, solid.find("radii").text, 3, "<radii>")
+    elif solid.tag in ("cylinder", "capsule", "cone"):
+        size = (value_of(reader, solid, key, 1.0) for key in ("radius", "length"))
+    elif solid.tag == "sphere":
+        size = (value_of(reader, solid, "radius", 1.0),)
+    elif solid.tag == "mesh" and text_of(solid, "uri") and solid.find("submesh") is None:
+        scale, mesh = solid.find("scale"), text_of(solid, "uri")
+        size = (1.0,) * 3 if scale is None else reader.numbers(scale, scale.text, 3, "<scale>")
+    else:
+        return []
+    return [Visual(solid.tag, tuple(map(float, size)), pose, mesh, _color(reader, visual))]
+
+
+def _color(reader, visual):
+    """Diffuse colour of a visual, else its ambient one, with its transparency; None if it has none."""
+    material = visual.find("material")
+    for part in () if material is None else filter(None, (material.findtext("diffuse"), material.findtext("ambient"))):
+        found = reader.numbers(material, f"{part} 1" if len(part.split()) == 3 else part, 4, "colour of <material>")
+        *color, opacity = np.clip(found, 0.0, 1.0).tolist()
+        return (*color, opacity * (1.0 - value_of(reader, visual, "transparency", 0.0)))
+    return None

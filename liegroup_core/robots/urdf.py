@@ -17,7 +17,7 @@ from liegroup_core.fields.frames import rotation_z_to
 from liegroup_core.lie.groups import SE3
 
 from .controllers import add_servos
-from .description import WORLD, Coupling, Link, Robot, RobotJoint, Visual, meant, place
+from .description import NOT_DRAWN, WORLD, Coupling, Link, Robot, RobotJoint, Visual, meant, place
 from .omitted import ACTING, PARTS, omit
 from .rotors import OF_ROTOR, add_rotor
 from .sdf_frames import read_pose, text_of
@@ -61,10 +61,10 @@ def robot_of_urdf(root, file, text):
     """Robot of the root element of a URDF file. Raises SceneError."""
     reader = Reader(file)
     robot = Robot(root.get("name") or "robot", reader.file, "URDF", text=text)
-    joints = []
+    joints, colors = [], _colors(reader, robot, root)
     for element in root:
         if element.tag == "link":
-            link = _link(reader, robot, element)
+            link = _link(reader, robot, element, colors)
             if link.name in robot.links:
                 raise reader.error(
                     element,
@@ -180,7 +180,7 @@ def _rotor(reader, robot, element):
         robot.leave_out("transmission", name, changes_motion=bool(of_drake))
 
 
-def _link(reader, robot, element):
+def _link(reader, robot, element, colors):
     link = Link(reader.name(element), element.sourceline)
     if link.name == WORLD and element.find("inertial") is not None:
         robot.leave_out("inertia of the world", WORLD)
@@ -203,10 +203,10 @@ def _link(reader, robot, element):
             link.inertia = R @ link.inertia @ R.T
         link.com = origin[:3, 3]
     for visual in element.iterfind("visual"):
-        visuals = _visuals(reader, visual)
+        visuals = _visuals(reader, visual, colors)
         link.visuals += visuals
         if not visuals:
-            robot.leave_out("visuals that are not drawn", link.name)
+            robot.leave_out(NOT_DRAWN, link.name)
     for _ in element.iterfind("collision"):
         robot.leave_out("collision", link.name, changes_motion=True)
     for child in element:
@@ -225,24 +225,44 @@ def _origin(reader, element):
     return reader.pose_of(np.concatenate([xyz, rpy]))
 
 
-def _visuals(reader, visual):
+def _colors(reader, robot, root):
+    """{name of a <material>: color, of the first one of that name that has one}."""
+    named = {}
+    for material in root.iter("material"):
+        named.setdefault(material.get("name"), _color(reader, material)) or named.pop(material.get("name"))
+        if material.find("texture") is not None:
+            robot.leave_out("textures of visuals", material.get("name") or "unnamed")
+    return named
+
+
+def _color(reader, material):
+    color = None if material is None else material.find("color")
+    if color is None:
+        return None
+    return tuple(np.clip(reader.numbers(color, color.get("rgba"), 4, "rgba of <color>"), 0.0, 1.0).tolist())
+
+
+def _visuals(reader, visual, colors):
     """Visuals of a <visual>: one or none."""
-    geometry = visual.find("geometry")
+    geometry, material = visual.find("geometry"), visual.find("material")
     if geometry is None or not len(geometry):
         return []
-    pose, solid = _origin(reader, visual), geometry[0]
-    if solid.tag == "box":
+    pose, solid, mesh = _origin(reader, visual), geometry[0], ""
+    kind = etree.QName(solid).localname  # Drake has a capsule and an ellipsoid of its own
+    if kind == "box":
         size = reader.numbers(solid, solid.get("size"), 3, "size of <box>")
-        return [Visual("box", tuple(size), pose)]
-    if solid.tag in ("cylinder", "capsule"):
-        size = tuple(reader.attribute(solid, key) for key in ("radius", "length"))
-        return [Visual("cylinder", size, pose)]
-    if solid.tag == "sphere":
-        return [Visual("sphere", (reader.attribute(solid, "radius"),), pose)]
-    if solid.tag == "mesh":
-        scale = reader.vector(solid, "scale", (1.0, 1.0, 1.0))
-        return [Visual("mesh", tuple(scale), pose, reader.name(solid, "filename"))]
-    return []
+    elif kind in ("cylinder", "capsule"):
+        size = (reader.attribute(solid, key) for key in ("radius", "length"))
+    elif kind == "sphere":
+        size = (reader.attribute(solid, "radius"),)
+    elif kind == "ellipsoid":
+        size = (reader.attribute(solid, key) for key in "abc")
+    elif kind == "mesh":
+        size, mesh = reader.vector(solid, "scale", (1.0, 1.0, 1.0)), reader.name(solid, "filename")
+    else:
+        return []
+    color = None if material is None else _color(reader, material) or colors.get(material.get("name"))
+    return [Visual(kind, tuple(map(float, size)), pose, mesh, color)]
 
 
 def _joint(reader, robot, element):

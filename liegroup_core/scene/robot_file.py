@@ -19,7 +19,7 @@ from liegroup_core.fields.values import Described, Flag, Name, Number, Text, Vec
 from liegroup_core.joints.coupling import Coupling
 from liegroup_core.joints.motion import Motion
 from liegroup_core.robots.chains import base_of
-from liegroup_core.robots.description import MISSING_MESHES
+from liegroup_core.robots.description import MISSING_MESHES, WORLD
 from liegroup_core.robots.mapping import scene_parts
 from liegroup_core.robots.options import BASES, Options
 from liegroup_core.robots.read import SUFFIXES, read_robot
@@ -142,7 +142,7 @@ class RobotNames:
     links, joints : {name in the scene: name in the file}
     frames        : {link of the file: (name of its body or world, (4, 4) pose in the body's frame)}
     still         : {joint of the file with one coordinate that is locked: rad or m}
-    visuals       : {link of the file: [robots.description.Visual]}
+    visuals       : {link of the file: [robots.description.Visual]}; fixtures: those of the world
     text          : URDF text, "" for other formats
     file          : path of the robot file
     size          : (links, joint coordinates) of the file
@@ -155,9 +155,16 @@ class RobotNames:
         self.joints = {scene: file for (key, scene), file in parts.names.items() if key == "joints"}
         self.frames, self.still = parts.frames, parts.still
         self.visuals = {name: link.visuals for name, link in robot.links.items()}
+        self.fixtures = robot.fixtures
         self.text, self.file = robot.text, robot.file
         self.size, self.options = size, options
         self.missing = tuple(robot.left_out.get(MISSING_MESHES, ()))
+
+    def drawn(self):
+        """(body or world, (4, 4) pose in its frame, Visual) of all visuals."""
+        for link, (body, place) in self.frames.items():
+            yield from ((body, place @ visual.pose, visual) for visual in self.visuals.get(link, ()))
+        yield from ((WORLD, visual.pose, visual) for visual in self.fixtures)
 
 
 class _Origins:

@@ -18,7 +18,7 @@ from liegroup_core.robots.xml import read_xml
 
 from .cdr import Template
 from .links import link_of_body, links_and_joints
-from .markers import CUBE, CYLINDER, SPHERE, solid
+from .markers import CUBE, CYLINDER, SPHERE, in_primitives, solid
 
 TYPE = "std_msgs/msg/String"
 KINDS = {CUBE: "box", CYLINDER: "cylinder", SPHERE: "sphere"}
@@ -40,7 +40,7 @@ def robot_description(scene):
     parts = [f"<robot name={quoteattr(scene.name)}>", '  <link name="world"/>']
     for name in links:
         parts.append(f"  <link name={quoteattr(name)}>")
-        parts += [_visual(visual, folder) for visual in visuals.get(name, ())]
+        parts += [_visual(part, folder) for visual in visuals.get(name, ()) for part in in_primitives(visual)]
         parts.append("  </link>")
     return "\n".join([*parts, *(_joint(joint) for joint in joints), "</robot>", ""])
 
@@ -102,20 +102,21 @@ def _origin(pose):
 
 
 def _visual(visual, file):
-    """<visual> element; a mesh without a file on this machine keeps its address."""
+    """<visual> element; a mesh without a file on this machine keeps its address. An ellipsoid is a sphere."""
     if visual.kind == "box":
         shape = f'<box size="{_row(np.maximum(visual.size, 1e-6))}"/>'
     elif visual.kind == "cylinder":
         shape = f'<cylinder radius="{visual.size[0]!r}" length="{visual.size[1]!r}"/>'
-    elif visual.kind == "sphere":
-        shape = f'<sphere radius="{visual.size[0]!r}"/>'
+    elif visual.kind in ("sphere", "ellipsoid"):
+        shape = f'<sphere radius="{float(np.prod(visual.size) ** (1.0 / len(visual.size)))!r}"/>'
     else:
         path = find_resource(visual.mesh, file)
         address = visual.mesh if path is None else Path(path).as_uri()
         shape = f'<mesh filename={quoteattr(address)} scale="{_row(visual.size)}"/>'
+    color = COLOR if visual.color is None else _row(visual.color)
     return (
         f"    <visual>{_origin(visual.pose)}<geometry>{shape}</geometry>"
-        f'<material name="body"><color rgba="{COLOR}"/></material></visual>'
+        f'<material name="{color}"><color rgba="{color}"/></material></visual>'
     )
 
 

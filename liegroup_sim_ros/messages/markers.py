@@ -8,11 +8,13 @@ small sphere at the child's joint frame. An applied wrench is drawn as two arrow
 origin, one for the force and one for the torque; `arrow_scale` sets their length.
 """
 
+import dataclasses
 import math
 
 import numpy as np
 
 from liegroup_core.observables.along import quaternions
+from liegroup_core.robots.description import place
 from liegroup_core.robots.resources import find_resource
 from liegroup_core.scene.centres import PLACES
 from liegroup_core.scene.names import WORLD
@@ -43,7 +45,7 @@ class Markers:
     def __init__(self, layout, world_frame, arrow_scale):
         scene = layout.scene
         self.arrow_scale = arrow_scale
-        place = {body: i for i, body in enumerate(layout.body_names)}
+        number = {body: i for i, body in enumerate(layout.body_names)}
         solids = [solid(body, scene) for body in scene.bodies]
         # Point masses have no size.
         largest = max(max(size) for _, size, _ in solids) or layout.size
@@ -54,18 +56,18 @@ class Markers:
         self._owner, self._local = [], []  # body, and pose in it, of each marker except arrows
         shapes = drawn(scene)
         template.put("I", len(shapes) + len(scene.joints) + 2 * len(solids))
-        for i, (body, kind, size, local, mesh) in enumerate(shapes):
+        for i, (body, kind, size, local, mesh, color) in enumerate(shapes):
             if kind != MESH:
                 size = np.maximum(size, THINNEST * largest)
-            _add(template, "bodies", i, kind, world_frame, size, BODY_COLOR, mesh)
-            self._owner.append(place.get(body, len(place)))
+            _add(template, "bodies", i, kind, world_frame, size, color, mesh)
+            self._owner.append(number.get(body, len(number)))
             self._local.append(local)
         offsets = {body.name: np.array(body.com) for body in scene.bodies}
         for i, (joint, (_, frame)) in enumerate(zip(scene.joints, layout.joint_frames)):
             _add(template, "joints", i, SPHERE, world_frame, (JOINT_SIZE * largest,) * 3, JOINT_COLOR)
             local = frame.copy()  # relative to the frame at the centre of mass
             local[:3, 3] += offsets[joint.child]
-            self._owner.append(place[joint.child])
+            self._owner.append(number[joint.child])
             self._local.append(local)
         self._local = np.array(self._local)
         for name, color in (("forces", FORCE_COLOR), ("torques", TORQUE_COLOR)):
@@ -79,8 +81,8 @@ class Markers:
         # The world has the index after the last body.
         poses = np.concatenate([sample.pose_matrices, np.eye(4)[None]])[self._owner] @ self._local
         rows = np.hstack([poses[:, :3, :3].reshape(-1, 9), poses[:, :3, 3]])
-        for place, quaternion in zip(rows[:, 9:].tolist(), quaternions(rows).tolist()):
-            slots += time, (ADD,), (*place, *quaternion)
+        for at, quaternion in zip(rows[:, 9:].tolist(), quaternions(rows).tolist()):
+            slots += time, (ADD,), (*at, *quaternion)
         places = np.hstack([sample.pose[:, 9:], sample.orientation]).tolist()
         wrenches = sample.external_wrenches.tolist()
         for part in (slice(3, 6), slice(0, 3)):
@@ -122,7 +124,7 @@ def _add(template, namespace, number, kind, frame, size, color, mesh=""):
     for text in ("", mesh, ""):  # text, mesh resource, file name of the mesh
         template.string(text)
     template.put("I", 0)  # the mesh
-    template.put("B", bool(mesh))  # with its own materials
+    template.put("B", bool(mesh) and color is BODY_COLOR)  # with its own materials
 
 
 def markers(encoder):
@@ -131,33 +133,47 @@ def markers(encoder):
 
 
 def drawn(scene):
-    """[(name of the body or world, kind, sizes (3,) in m, pose (4, 4) in the body's frame, mesh)].
+    """[(name of the body or world, kind, sizes (3,) in m, pose (4, 4) in the body's frame, mesh, color)].
 
     All visuals of a robot, else one shape per body; mesh: address of a mesh, "" for other shapes.
     """
-    robot, found, shown = scene.robot, [], set()
-    if robot is not None:
-        for link, (body, place) in robot.frames.items():
-            for visual in robot.visuals.get(link, ()):
-                shape = _of_visual(visual, robot.file)
-                if shape is not None:
-                    kind, size, mesh = shape
-                    found.append((body, kind, size, place @ visual.pose, mesh))
-                    shown.add(body)
+    found, shown = [], set()
+    for body, pose, visual in () if scene.robot is None else scene.robot.drawn():
+        for each in in_primitives(visual):
+            shape = _of_visual(each, scene.robot.file)
+            if shape is not None:
+                kind, size, mesh = shape
+                own = np.linalg.solve(visual.pose, each.pose)
+                found.append((body, kind, size, pose @ own, mesh, visual.color or BODY_COLOR))
+                shown.add(body)
     for body in scene.bodies:
         if body.name not in shown:
             kind, size, local = solid(body, scene)
-            found.append((body.name, kind, size, local, ""))
+            found.append((body.name, kind, size, local, "", BODY_COLOR))
     return found
 
 
+def in_primitives(visual):
+    """[Visual] of boxes, cylinders, ellipsoids, spheres and meshes that show a Visual; a cone is a cylinder."""
+    if visual.kind == "cone":
+        return [dataclasses.replace(visual, kind="cylinder")]
+    if visual.kind != "capsule":
+        return [visual]
+    caps = [visual.pose @ place((0.0, 0.0, end * visual.size[1])) for end in (-0.5, 0.5)]
+    return [dataclasses.replace(visual, kind="cylinder")] + [
+        dataclasses.replace(visual, kind="sphere", size=visual.size[:1], pose=pose) for pose in caps
+    ]
+
+
 def _of_visual(visual, file):
-    """(kind, sizes (3,), address of the mesh) of a visual, or None if the mesh does not exist."""
+    """(kind, sizes (3,), address of the mesh) of a visual, or None if the mesh has no file."""
     if visual.kind == "mesh":
-        path = find_resource(visual.mesh, file)
+        path = find_resource(visual.mesh, file) if visual.mesh else None
         return None if path is None else (MESH, visual.size, path.as_uri())
     if visual.kind == "box":
         return CUBE, visual.size, ""
+    if visual.kind == "ellipsoid":
+        return SPHERE, tuple(2.0 * radius for radius in visual.size), ""
     across = 2.0 * visual.size[0]
     return (TYPES[visual.kind], (across, across, visual.size[-1] if visual.kind == "cylinder" else across), "")
 

@@ -300,6 +300,9 @@ class Outputs:
     def _send_clock(self, stamp_ns, _):
         self._clock.send(stamp_ns, ClockCodec.encode(stamp_ns))
 
+    def given(self, commands):
+        """Take notice of all Commands that were given since the last call."""
+
     def inputs(self, stamp_ns, base_ns, commands, present):
         """Publish Commands of wrenches and efforts, given at this stamp.
 

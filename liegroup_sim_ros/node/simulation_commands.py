@@ -22,6 +22,7 @@ COMMANDS = {
     "resume": "_resume",
     "reset": "_reset",
     "step": "_step",
+    "repeat": "_repeat",
     "advance": "_advance_paused",
     "stepped": "_stepped",
     "place": "_place",
@@ -157,6 +158,11 @@ class SimulationCommands:
         if not reached:
             raise CommandError(f"stopped after {done} of {counted(count, 'step')}")
         return text
+
+    def _repeat(self, commands, count):
+        for command in commands:
+            command.repeat(self._simulation)
+        return self._step(count) if count else "no step"
 
     def _advance_paused(self, count, seconds=math.inf):
         """Take steps while paused, for at most `seconds` of wall time; returns (steps taken, no error)."""

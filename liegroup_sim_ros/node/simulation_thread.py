@@ -104,7 +104,8 @@ class SimulationServer(SimulationCommands, threading.Thread):
         Commands: "pause", "resume", "reset", "step" (count), "speed" (factor), "clear" (prefix of
         sources), "watch" (whether `positions` are kept), "place" (poses, twists, joints, reason; see
         Engine.place), "save" and "restore" (name of a snapshot), "set" (a state of "present", reason), "accuracy"
-        (a number), "plan_outputs" (after a change of their rates), "sample", "present", "hold". The result is one
+        (a number), "repeat" (Commands, and a number of steps after them), "plan_outputs" (after a change of their
+        rates), "sample", "present", "hold". The result is one
         line of text, with three exceptions: "sample" returns a Moment, "present" the stamp and the state, and
         "hold" whether the simulation was running. "hold" is a pause that also
         works after a fault. A "step" in several parts is "advance" (count, s of wall time) for each of them,
@@ -383,6 +384,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
     def _send_commands(self):
         """Send the wrenches and efforts that were commanded since the last call; returns the other inputs."""
         given = self._simulation.drain_applied()
+        self._output.given(given)
         commands = [command for command in given if command.kind not in (TARGET, MOTION)]
         if commands:
             self._output.inputs(self.stamp_ns, self._base_ns, commands, lambda: self._simulation.inputs.commands)

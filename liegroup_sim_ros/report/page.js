@@ -141,6 +141,11 @@ function placed(matrix, offset, [x, y, z]) {
     offset[i] + matrix[r] * x + matrix[r + 1] * y + matrix[r + 2] * z);
 }
 
+// Corners of the box about a body, in its frame.
+function corners({turn, at, size}) {
+  return [...Array(8).keys()].map(k => placed(turn, at, size.map((edge, i) => (k >> i & 1 ? .5 : -.5) * edge)));
+}
+
 // Geometry of the 3D view: points and colours of frame k, paths, ranges of the axes.
 class Motion {
   constructor(view) {
@@ -149,17 +154,21 @@ class Motion {
     this.times = numbers(view.times, Float64Array);
     this.places = numbers(view.places, Float32Array);
     this.breaks = new Set(view.breaks);
-    this.points = [];
-    this.faces = [];
+    this.layers = [0, 1].map(() => ({points: [], faces: [], opacity: 1}));   // opaque, transparent
     [...this.bodies, ...view.fixed].forEach((body, k) => {
       const i = k < this.bodies.length ? k : -1;
-      const [points, faces] = body.shape ? triangles(body.shape) : makeSolid(body.solid);
-      const first = this.points.length;
-      for (const point of points)
-        this.points.push([i, body.shape ? point : placed(
-          body.turn, body.at, point.map((x, k) => x * body.size[k]))]);
-      for (const face of faces) this.faces.push([i, ...face.map(k => k + first)]);
+      for (const shape of body.shapes || [null]) {
+        const [points, faces] = shape ? triangles(shape) : makeSolid(body.solid);
+        const opacity = shape?.opacity ?? 1, layer = this.layers[opacity < 1 ? 1 : 0];
+        const first = layer.points.length;
+        for (const point of points)
+          layer.points.push([i, shape ? point : placed(
+            body.turn, body.at, point.map((x, k) => x * body.size[k]))]);
+        for (const face of faces) layer.faces.push([i, ...face.map(k => k + first), shape?.colour]);
+        layer.opacity = Math.min(layer.opacity, opacity);
+      }
     });
+    this.layers = this.layers.filter(layer => layer.faces.length);
   }
 
   pose(k, i) {
@@ -175,26 +184,28 @@ class Motion {
       time >= from && (to === null || time < to)).map(([body]) => body));
   }
 
-  // x, y, z of bodies, links and joints
+  // x, y, z of links, joints and the layers of bodies
   frame(k) {
     const poses = this.bodies.map((_, i) => this.pose(k, i));
-    const parts = [[], [], []];
-    for (const [i, local] of this.points) parts[0].push(i < 0 ? local : placed(...poses[i], local));
+    const parts = [[], []];
     for (const {parent, child, at} of this.view.joints) {
       const place = placed(...poses[child], at);
-      parts[2].push(place);
+      parts[1].push(place);
       for (const i of [parent, child])
-        if (i >= 0) parts[1].push(place, placed(...poses[i], this.bodies[i].com),
+        if (i >= 0) parts[0].push(place, placed(...poses[i], this.bodies[i].com),
                                   [null, null, null]);
     }
     for (const ends of this.view.links)
-      parts[1].push(...ends.map(([i, at]) => i < 0 ? at : placed(...poses[i], at)), [null, null, null]);
+      parts[0].push(...ends.map(([i, at]) => i < 0 ? at : placed(...poses[i], at)), [null, null, null]);
+    for (const {points} of this.layers)
+      parts.push(points.map(([i, local]) => i < 0 ? local : placed(...poses[i], local)));
     return [0, 1, 2].map(axis => parts.map(part => part.map(place => place[axis])));
   }
 
-  colours(k) {
+  colours(k, {faces}) {
     const pushed = this.pushed(k);
-    return this.faces.map(([i]) => i < 0 ? "--grey" : pushed.has(i) ? "--red" : this.bodies[i].colour);
+    return faces.map(([i, , , , own]) =>
+      pushed.has(i) ? "--red" : own ?? (i < 0 ? "--grey" : this.bodies[i].colour));
   }
 
   paths() {
@@ -227,11 +238,11 @@ class Motion {
     });
     const every = Math.max(1, Math.ceil(this.times.length / 500));
     for (let k = 0; k < this.times.length; k += every) {
-      this.bodies.forEach((body, i) =>
-        take(this.point(k, i, body.at), .5 * Math.hypot(...body.size)));
+      this.bodies.forEach((body, i) => corners(body).forEach(corner => take(this.point(k, i, corner), 0)));
       for (const {child, at} of this.view.joints) take(this.point(k, child, at), 0);
     }
-    for (const {shape: {at, size}} of this.view.fixed) take(at, .5 * Math.hypot(...size));
+    for (const {shapes} of this.view.fixed)
+      for (const {at, size} of shapes) take(at, .5 * Math.hypot(...size));
     const longest = Math.max(...high.map((x, i) => x - low[i])) || 1;
     const lengths = high.map((x, i) => 1.04 * Math.max(x - low[i], longest / 4));
     const mean = Math.cbrt(lengths.reduce((a, b) => a * b)), style = {
@@ -282,7 +293,7 @@ function drawView(root, view, planes) {
   const [button, slider, speeds, output] = ["button", "input", "select", "output"].map(
     name => root.querySelector(name));
   const count = motion.times.length, start = motion.times[0], end = motion.times[count - 1];
-  const paths = motion.paths(), moving = [0, 1, 2].map(k => paths.length + k);
+  const paths = motion.paths(), moving = [0, 1, ...motion.layers.map((_, n) => 2 + n)].map(k => paths.length + k);
   const scene = motion.axes(), height = narrow() ? 340 : 400;
   scene.camera = camera(scene.aspectratio, plot.clientWidth, height - view.layout.margin.t);
   const state = {frame: 0, time: start, playing: false, motion, plot, shown: ""};
@@ -290,19 +301,19 @@ function drawView(root, view, planes) {
   function draw() {
     const [x, y, z] = motion.frame(state.frame), k = state.frame;
     state.shown = [...motion.pushed(k)].join();
-    const names = [];
-    for (const [i] of motion.points) names.push(i < 0 ? "fixed" : motion.bodies[i].name);
     const data = [...paths,
-      {type: "mesh3d", x: x[0], y: y[0], z: z[0], i: motion.faces.map(f => f[1]),
-       j: motion.faces.map(f => f[2]), k: motion.faces.map(f => f[3]),
-       facecolor: motion.colours(k), flatshading: true, text: names, hoverinfo: "text",
-       showlegend: false, lighting: {ambient: .6, diffuse: .7, specular: .08, roughness: .9},
-       lightposition: {x: 2000, y: -4000, z: 6000}},
-      {type: "scatter3d", mode: "lines", x: x[1], y: y[1], z: z[1], hoverinfo: "skip",
+      {type: "scatter3d", mode: "lines", x: x[0], y: y[0], z: z[0], hoverinfo: "skip",
        showlegend: false, connectgaps: false, line: {color: "--soft", width: 4}},
-      {type: "scatter3d", mode: "markers", x: x[2], y: y[2], z: z[2], showlegend: false,
+      {type: "scatter3d", mode: "markers", x: x[1], y: y[1], z: z[1], showlegend: false,
        text: view.joints.map(joint => joint.name), hoverinfo: "text",
-       marker: {size: 3.5, color: "--text"}}];
+       marker: {size: 3.5, color: "--text"}},
+      ...motion.layers.map((layer, n) => (
+        {type: "mesh3d", x: x[2 + n], y: y[2 + n], z: z[2 + n], i: layer.faces.map(f => f[1]),
+         j: layer.faces.map(f => f[2]), k: layer.faces.map(f => f[3]), opacity: layer.opacity,
+         facecolor: motion.colours(k, layer), flatshading: true, hoverinfo: "text",
+         text: layer.points.map(([i]) => i < 0 ? "fixed" : motion.bodies[i].name),
+         showlegend: false, lighting: {ambient: .6, diffuse: .7, specular: .08, roughness: .9},
+         lightposition: {x: 2000, y: -4000, z: 6000}}))];
     data.forEach((trace, i) => { if (i >= (narrow() ? 6 : 9)) trace.showlegend = false; });
     return Plotly.react(plot, themed(data), themed({...view.layout, scene,
       height, uirevision: 1, modebar: MODEBAR,
@@ -327,7 +338,8 @@ function drawView(root, view, planes) {
     Plotly.restyle(plot, {x, y, z}, moving);
     if (pushed !== state.shown) {
       state.shown = pushed;
-      Plotly.restyle(plot, {facecolor: [themed(motion.colours(low), "color")]}, [moving[0]]);
+      Plotly.restyle(plot, {facecolor: motion.layers.map(layer => themed(motion.colours(low, layer), "color"))},
+                     moving.slice(2));
     }
   }
 

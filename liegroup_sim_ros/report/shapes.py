@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from liegroup_core.errors import SceneError
+from liegroup_core.robots.access import trees
 from liegroup_core.robots.apart import run_apart
 from liegroup_core.robots.resources import readable_resource
 from liegroup_core.scene.load import load_scene
@@ -27,7 +28,7 @@ HINT = "pip install 'liegroup_sim_ros[meshes]'"
 
 
 def robot_shapes(robot, most=MOST_TRIANGLES):
-    """({body or world: shape}, [remark]) for the visuals of a robot; robot : RobotNames of a scene.
+    """({body or world: [shape]}, [remark]) for the visuals of a robot; robot : RobotNames of a scene.
 
     most    : largest number of triangles
     shape   : see liegroup_core.robots.meshes; None for a body for which the file has no visual, if others have one
@@ -36,29 +37,32 @@ def robot_shapes(robot, most=MOST_TRIANGLES):
     if find_spec("trimesh") is None:
         return {}, [f"visuals are drawn as boxes, because trimesh is not installed: {HINT}"]
     shapes, folders, missing, failed, names = [], set(), [], {}, {}
-    for link, (body, place) in robot.frames.items():
-        for visual in robot.visuals.get(link, ()):
-            path = ""
-            if visual.kind == "mesh":
-                try:
-                    path = _file(visual.mesh, robot.file)
-                except SceneError as error:
-                    failed[visual.mesh] = str(error)
-                    continue
-                if path is None:
-                    missing.append(visual.mesh)
-                    continue
-                folders.add(os.path.dirname(os.path.realpath(path)))
-                names[str(path)] = visual.mesh
-            pose = (place @ visual.pose).tolist()
-            shapes.append((body, visual.kind, list(map(float, visual.size)), pose, str(path)))
+    visible = [each for each in robot.drawn() if each[2].color is None or each[2].color[3] > 0.0]
+    for body, pose, visual in visible:
+        path = ""
+        if visual.asset >= 0:
+            path = str(Path(robot.file).resolve())
+            folders.update(trees(robot.file))
+        elif visual.kind == "mesh":
+            try:
+                path = _file(visual.mesh, robot.file)
+            except SceneError as error:
+                failed[visual.mesh] = str(error)
+                continue
+            if path is None:
+                missing.append(visual.mesh)
+                continue
+            folders.add(os.path.dirname(os.path.realpath(path)))
+        names[str(path)] = visual.mesh
+        size = list(map(float, visual.size))
+        shapes.append((body, visual.kind, size, pose.tolist(), str(path), visual.color, visual.asset))
     try:
         found = _triangles({"shapes": shapes, "most": most}, folders)
     except SceneError as error:
         return {}, [f"visuals are drawn as boxes: {str(error).partition(': ')[2]}"]
     failed |= {names[path]: text for path, text in found["failed"].items()}
     if found["shapes"]:
-        seen = {body for link, (body, _) in robot.frames.items() if robot.visuals.get(link)}
+        seen = {body for body, *_ in visible}
         found["shapes"] |= {body: None for body, _ in robot.frames.values() if body not in seen}
     return found["shapes"], list(_remarks(found, missing, failed, most))
 
@@ -76,6 +80,13 @@ def shapes_from(file, scene, most=MOST_TRIANGLES):
             "the file that was simulated"
         )
     return robot_shapes(robot.robot, most)
+
+
+def box_of(shapes):
+    """(centre (3,), edges (3,)) of the bounding box of shapes in the body's frame, m."""
+    at, half = (np.array([shape[key] for shape in shapes]) for key in ("at", "size"))
+    low, high = (at - 0.5 * half).min(axis=0), (at + 0.5 * half).max(axis=0)
+    return 0.5 * (low + high), high - low
 
 
 def decoded(shape):

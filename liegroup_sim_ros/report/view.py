@@ -11,6 +11,7 @@ from liegroup_core.scene.names import WORLD
 from liegroup_sim_ros.messages.markers import CUBE, CYLINDER, THINNEST, links, solid
 
 from .plots import BASE, MANY_COLOURS, label
+from .shapes import box_of
 
 # Limits on the number of poses of all bodies and of frames. More would make the page large, fewer the motion jerky.
 MOST_PLACES, MOST_FRAMES, LEAST_FRAMES = 15_000, 3000, 200
@@ -20,7 +21,7 @@ MOST_PUSHES = 1000
 def make_view(analysis, shapes=None):
     """Data of the 3D view of an Analysis for page.js, JSON types; m, s, world axes.
 
-    shapes        : {body or world: triangles}, see shapes.robot_shapes; other bodies are drawn as solids with their
+    shapes        : {body or world: [triangles]}, see shapes.robot_shapes; other bodies are drawn as solids with their
                     inertia
     times, places : base64 of (k,) float64, and of (k, n, 7) float32: position and x y z w of the
                     body frames
@@ -44,8 +45,14 @@ def make_view(analysis, shapes=None):
         for i, (body, (kind, size, local)) in enumerate(zip(scene.bodies, solids))
     ]
     for scene_body, body in zip(scene.bodies, bodies):
-        if shape := (shapes or {}).get(scene_body.name):
-            body |= {"shape": shape, "at": shape["at"], "size": shape["size"]}
+        if found := (shapes or {}).get(scene_body.name):
+            at, size = box_of(found)
+            body |= {
+                "shapes": list(_coloured(found)),
+                "at": at.tolist(),
+                "size": size.tolist(),
+                "turn": np.eye(3).ravel().tolist(),
+            }
         elif scene_body.name in (shapes or {}):
             body |= {"solid": "sphere", "at": body["com"], "size": [thinnest] * 3}
     joints = [
@@ -79,7 +86,7 @@ def make_view(analysis, shapes=None):
     seconds = float(times[-1] - times[0])
     return {
         "bodies": bodies,
-        "fixed": [{"shape": shape} for shape in [(shapes or {}).get(WORLD)] if shape],
+        "fixed": [{"shapes": list(_coloured(found))} for found in [(shapes or {}).get(WORLD)] if found],
         "joints": joints,
         "links": [[[i, point.tolist()] for i, point in ends] for ends in links(scene)],
         "times": _packed(times, "<f8"),
@@ -95,6 +102,14 @@ def make_view(analysis, shapes=None):
             "legend": {"orientation": "h", "x": 0, "y": 1, "yanchor": "top", "bgcolor": "rgba(0,0,0,0)"},
         },
     }
+
+
+def _coloured(shapes):
+    """Shapes with their color as that of a style sheet, and an opacity."""
+    for shape in shapes:
+        *color, opacity = shape["color"] or (None,)
+        yield shape | ({"colour": "rgb({},{},{})".format(*(round(255.0 * x) for x in color)), "opacity": opacity}
+                       if color else {})  # fmt: skip
 
 
 def speeds(seconds):

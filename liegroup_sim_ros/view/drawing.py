@@ -14,6 +14,7 @@ from liegroup_core.scene.names import WORLD
 from liegroup_sim_ros.messages.markers import CUBE, SPHERE, THINNEST, links, solid
 from liegroup_sim_ros.report.shapes import decoded
 
+from .boxes import Boxes
 from .server import mover
 
 COLOURS = (
@@ -35,6 +36,12 @@ MOST_TRACE = 400  # points of a trace
 TURNS, SLIDES = ("revolute", "screw", "cylindrical", "universal"), ("prismatic", "cylindrical")
 # A pose is sent if its position, relative to the size of the mechanism, or its quaternion changed by more than this.
 UNSEEN = 1e-6
+# Halos are three circles of radius 1 each: lines hide nothing of the mechanism.
+_TURN = np.linspace(0.0, 2.0 * math.pi, 49)
+_RING = np.stack([np.cos(_TURN), np.sin(_TURN), 0.0 * _TURN], axis=1)
+RINGS = np.concatenate(
+    [np.stack([ring[:-1], ring[1:]], axis=1) for ring in (np.roll(_RING, k, axis=1) for k in range(3))]
+)
 LARGEST_HALO = 0.4  # radius relative to the mechanism: a camera inside a halo would not show it
 CHANGE = 0.05  # of the radius of a halo
 
@@ -57,14 +64,16 @@ class Drawing:
 
     server : ViserServer
     layout : Layout of its scene
-    shapes : {body: triangles} of report.shapes; other bodies are drawn as solids with their inertia
+    shapes : {body: [triangles]} of report.shapes; other bodies are drawn as solids with their inertia
     ghost  : True: pale, without joints, for a motion beside another one
+    boxes  : Boxes about its bodies
     bodies : [handles of the shapes of each body], for callbacks of the mouse
     """
 
     def __init__(self, server, layout, shapes, ghost=False):
         self._server, self._layout = server, layout
-        self.size, self.middle = extent(layout)
+        self.boxes = Boxes(layout, shapes)
+        self.size, self.middle = self.boxes.size, self.boxes.middle
         self._part = PART * self.size * min(1.0, math.sqrt(MOST_LARGE / max(1, len(layout.scene.joints))))
         scene, api = layout.scene, server.scene
         self._root = "/ghost" if ghost else "/mechanism"
@@ -76,10 +85,9 @@ class Drawing:
                     api.add_frame(name, show_axes=False, axes_length=0.2 * self.size, axes_radius=0.006 * self.size)
                 )
                 colour = GHOST if ghost else COLOURS[i % len(COLOURS)]
-                self.bodies.append([self._shape(f"{name}/shape", body, shapes, colour, ghost)])
-            if shapes.get(WORLD) and not ghost:
-                points, faces = decoded(shapes[WORLD])
-                api.add_mesh_simple(f"{self._root}/world", points, faces, color=GHOST, side="double")
+                self.bodies.append(self._shapes(f"{name}/shape", body, shapes, colour, ghost))
+            if not ghost:
+                self._meshes(f"{self._root}/world", shapes.get(WORLD) or (), GHOST, ghost)
             framed = [] if ghost else [k for k, joint in enumerate(scene.joints) if not hasattr(joint, "child_point")]
             self._joints = [self._joint(k, scene.joints[k]) for k in framed]
             for k, handle in zip(framed, self._joints):  # a thin body is easier to pick at its joint
@@ -88,8 +96,8 @@ class Drawing:
                 []
                 if ghost
                 else [
-                    api.add_icosphere(f"{self._root}/{i}/halo", 1.0, HALO, subdivisions=2, opacity=0.25, visible=False,
-                                      cast_shadow=False, receive_shadow=False, position=body.com)
+                    api.add_line_segments(f"{self._root}/{i}/halo", RINGS, HALO, thickness=1.5,
+                                          thickness_units="screen", visible=False, position=body.com)
                     for i, body in enumerate(scene.bodies)
                 ]
             )  # fmt: skip
@@ -104,14 +112,30 @@ class Drawing:
         for handle in (*self._frames, *self._handles.values()):
             handle.remove()
 
-    def _shape(self, name, body, shapes, colour, ghost):
+    def _meshes(self, name, shapes, colour, ghost):
+        """[Handles] of shapes of report.shapes, in their own colours if they have some."""
+        handles = []
+        for k, shape in enumerate(shapes):
+            *own, opacity = (None,) if ghost or shape["color"] is None else shape["color"]
+            own = tuple(round(255.0 * part) for part in own) or colour
+            opacity = 0.3 if ghost else None if opacity == 1.0 else opacity
+            handles.append(
+                self._server.scene.add_mesh_simple(
+                    f"{name}{k}", *decoded(shape), color=own, side="double", opacity=opacity, cast_shadow=not ghost
+                )
+            )
+        return handles
+
+    def _shapes(self, name, body, shapes, colour, ghost):
+        if shapes.get(body.name):
+            return self._meshes(name, shapes[body.name], colour, ghost)
         api, common = self._server.scene, {"opacity": 0.3 if ghost else None, "cast_shadow": not ghost}
         if body.name in shapes:
-            triangles = shapes[body.name]
-            if triangles is None:
-                return api.add_icosphere(name, 0.2 * PART * self.size, colour, position=body.com, **common)
-            points, faces = decoded(triangles)
-            return api.add_mesh_simple(name, points, faces, color=colour, side="double", **common)
+            return [api.add_icosphere(name, 0.2 * PART * self.size, colour, position=body.com, **common)]
+        return [self._solid(name, body, colour, common)]
+
+    def _solid(self, name, body, colour, common):
+        api = self._server.scene
         kind, size, local = solid(body, self._layout.scene)
         size = np.maximum(size, THINNEST * self.size)
         place = {"wxyz": _wxyz(local[:3, :3]), "position": local[:3, 3]}
@@ -190,7 +214,7 @@ class Drawing:
         self._show_lines("trace", lines, TRACE)
 
     def _show_halos(self, radii):
-        """Show spheres of these radii (n,), m; a change below CHANGE is not seen."""
+        """Show halos of these radii (n,), m; a change below CHANGE is not seen."""
         radii = np.where(radii > UNSEEN * self.size, radii, 0.0)  # not of an unknown error, NaN, either
         for i in np.flatnonzero(np.abs(radii - self._radii) > CHANGE * self._radii):
             halo = self._halos[i]
@@ -257,19 +281,6 @@ class Drawing:
             return
         handle.points = lines
         _set(handle, "visible", True)
-
-
-def extent(layout):
-    """(size, middle (3,)) of the mechanism at its start, m: diagonal and centre of the box about its bodies."""
-    scene = layout.scene
-    corners = []
-    for body in scene.bodies:
-        _, size, local = solid(body, scene)
-        at = np.array(body.position) + body.rotation @ local[:3, 3]
-        half = 0.5 * np.linalg.norm(size)
-        corners += [at - half, at + half]
-    low, high = np.min(corners, axis=0), np.max(corners, axis=0)
-    return float(np.linalg.norm(high - low)) or layout.size, 0.5 * (low + high)
 
 
 def _set(handle, name, value):

@@ -55,8 +55,10 @@ def save_video(page, client):
         raise ViewError(f"a video needs the package av: {HINT}")
     import av
 
-    cursor, playing = page.cursor, page.playing
+    cursor, playing, panel = page.cursor, page.playing, page._panel
+    notice = client.add_notification("Video", "it starts", loading=True, with_close_button=False)
     page.playing, out = False, io.BytesIO()
+    panel.block("a video is saved: no control works until it is ready")
     try:
         instants = _instants(page, VIDEO_RATE, MOST_VIDEO)
         picture_of(client)  # the first one takes longer
@@ -68,7 +70,8 @@ def save_video(page, client):
         with av.open(out, "w", format="mp4") as file:
             stream = file.add_stream("libx264", rate=rate)
             stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
-            for instant in instants[np.linspace(0, len(instants) - 1, count).round().astype(int)]:
+            for k, instant in enumerate(instants[np.linspace(0, len(instants) - 1, count).round().astype(int)], 1):
+                notice.body = f"picture {k} of {count}; no control works until it is ready"
                 page.cursor = float(instant)
                 time.sleep(DRAWN)
                 picture = picture_of(client)
@@ -76,6 +79,8 @@ def save_video(page, client):
             file.mux(stream.encode())
     finally:
         page.cursor, page.playing = cursor, playing
+        panel.block("")
+        notice.remove()
     client.send_file_download("view.mp4", out.getvalue(), save_immediately=True)
     return "video saved"
 

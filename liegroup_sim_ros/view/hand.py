@@ -12,12 +12,24 @@ import threading
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from liegroup_core.forces.external import no_wrenches, set_wrench
 
 FREQUENCY, DAMPING = 1.0, 0.7  # Hz; part of critical damping
 HOLD = 0.3  # s of simulated time that a force acts
 TURN = 0.25  # of the size of the mechanism: distance of the mouse for one radian
+RECENT = 150  # frames in which a pressed body is looked for: 1.5 s of a simulation in real time
+SLOW = 0.02  # of the size of the mechanism: a shorter recent path needs no disc
+LEAST = 0.1  # cosine of the largest angle between the mouse and the picked point, as the camera sees them
+_TURN = np.linspace(0.0, 2.0 * math.pi, 25)[:-1]
+DISC = (  # points and triangles, of radius 1, facing z
+    np.vstack([np.zeros(3), np.stack([np.cos(_TURN), np.sin(_TURN), 0.0 * _TURN], axis=1)]),
+    np.array([[0, 1 + k, 1 + (k + 1) % 24] for k in range(24)]),
+)
+HEAVIEST = (
+    1e-3  # response, as LOCKED, below which the spring is no stiffer: near a dead centre it would be arbitrarily so
+)
 LOCKED = 1e-9  # response, relative to the largest one of a free body: the point cannot move
 
 
@@ -29,6 +41,8 @@ class Grip(NamedTuple):
     tip: np.ndarray  # (3,) m, world axes: the mouse
     axis: np.ndarray | None  # (3,) world axes, of a torque; None: a force
     client: int
+    start: np.ndarray = None  # (3,) m, world axes: the picked point when it was pressed
+    ahead: np.ndarray = None  # (3,) unit vector, world axes: from the camera to it
 
 
 class Hand:
@@ -36,46 +50,91 @@ class Hand:
 
     def __init__(self, page, layout):
         self._page, self._layout = page, layout
-        self._grip, self._lock, self.shown = None, threading.Lock(), ""
+        self._grip, self._lock, self.shown, self._discs = None, threading.Lock(), "", {}
         layout.reactions.warm_up()
 
     def take_hold(self, drawing):
         """Let the mouse pick the shapes of a Drawing."""
+        self._boxes = drawing.boxes
         for i, handles in enumerate(drawing.bodies):
             for handle in handles:
-                for modifier in (None, "cmd/ctrl"):
+                self._listen(handle, i)
 
-                    async def dragged(event, i=i, modifier=modifier):
-                        self._move(i, event, modifier is not None)
+    def _listen(self, handle, body):
+        """Take the drags of a node; body: its number, None for one that lies behind all of them."""
+        for modifier in (None, "cmd/ctrl"):
 
-                    handle.on_drag("left", modifier=modifier)(dragged)
+            async def dragged(event, modifier=modifier):
+                self._move(body, event, modifier is not None)
+
+            handle.on_drag("left", modifier=modifier)(dragged)
+
+    def catch(self):
+        """Put a disc that nobody sees behind the recent path of each moving body, for each page; at a low rate.
+
+        A body that moves is somewhere else by the time the browser looks for what was pressed. The disc takes the
+        press, and `_grip_at` looks for the body where it was.
+        """
+        poses, clients = self._recent(), {client.client_id: client for client in self._page.clients()}
+        self._discs = {key: discs for key, discs in self._discs.items() if key in clients}
+        if not len(poses) or self._page.cursor is not None:
+            return
+        centres, radii = self._boxes.centres(poses[:: max(1, len(poses) // 10)])
+        ahead = centres[0] + (centres[0] - centres[min(1, len(centres) - 1)])  # until the page shows this disc
+        low, high = (each(np.concatenate([centres, ahead[None]]), axis=0) for each in (np.min, np.max))
+        middle, path = 0.5 * (low + high), 0.5 * np.linalg.norm(high - low, axis=1)
+        moves = (path > SLOW * self._boxes.size) & (self._page.source.status().state == "running")
+        for key, client in clients.items():
+            discs = self._discs.setdefault(key, {})
+            for i in np.flatnonzero(moves):
+                if i not in discs:
+                    discs[i] = client.scene.add_mesh_simple(
+                        f"/behind/{i}", *DISC, wireframe=True, opacity=0.0, cast_shadow=False, receive_shadow=False
+                    )
+                    self._listen(discs[i], None)
+            eye = np.array(client.camera.position)
+            with client.atomic():
+                for i, disc in discs.items():
+                    disc.visible = bool(moves[i])
+                    if moves[i]:
+                        away = (middle[i] - eye) / np.linalg.norm(middle[i] - eye)
+                        disc.position, disc.scale = middle[i] + radii[i] * away, 1.2 * float(path[i] + radii[i])
+                        disc.wxyz = np.roll(Rotation.align_vectors([-away], [[0.0, 0.0, 1.0]])[0].as_quat(), 1)
+
+    def _recent(self):
+        """Poses (m, n, 12) of the last frames, the newest first."""
+        frames = self._page.source.history.frames[-RECENT:]
+        return np.array([frame.sample.pose for frame in reversed(frames)])
 
     def _move(self, body, event, is_torque):
         """Take over an event of the mouse; runs in the server's event loop."""
         with self._lock:
             if self._grip is not None and self._grip.client != event.client_id:
                 return  # another page holds something already
-        frame = self._page.source.frame()
-        if event.phase == "end" or frame is None or self._page.cursor is not None:
-            with self._lock:
-                held, self._grip = self._grip, None
-            if held is not None:
-                self._release(held)
+        past = self._page.cursor is not None
+        if past and event.phase == "start":
+            why = self._page._panel.blocked or "this is the past: go back to the present to pull at a body"
+            self._page.say(why, failed=True)
+        if event.phase == "end" or past or self._page.source.frame() is None:
+            self.let_go()
             return
-        start, tip = np.array(event.start_position), np.array(event.end_position)
-        if not np.isfinite([*start, *tip]).all():
+        eye, aim = np.array(event.client.camera.position), np.array(event.end_position)
+        if not np.isfinite([*eye, *aim]).all():
             return
+        along = (aim - eye) / np.linalg.norm(aim - eye)
         with self._lock:
             if event.phase == "start" or self._grip is None:
-                pose = frame.sample.pose[body]
-                point = pose[:9].reshape(3, 3).T @ (start - pose[9:])
-            else:
-                point = self._grip.point
-            axis = None
-            if is_torque:
-                towards = np.array(event.client.camera.position) - start
-                axis = np.cross(towards / np.linalg.norm(towards), tip - start)
-            self._grip = Grip(body, point, tip, axis, event.client_id)
+                poses = self._recent()
+                k, body, point = self._boxes.picked(eye, along, poses, body)
+                start = poses[k, body, 9:] + poses[k, body, :9].reshape(3, 3) @ point
+                self._grip = Grip(body, point, start, None, event.client_id, start, along)
+            grip = self._grip
+            # The mouse is in the plane of the picked point that faces the camera.
+            tip = eye + along * ((grip.start - eye) @ grip.ahead) / max(along @ grip.ahead, LEAST)
+            axis = (
+                np.cross(eye - grip.start, tip - grip.start) / np.linalg.norm(eye - grip.start) if is_torque else None
+            )
+            self._grip = grip._replace(tip=tip, axis=axis)
 
     def hold(self, frame):
         """Apply the wrench of the spring; called at the rate of the page."""
@@ -131,7 +190,7 @@ class Hand:
             motions.append(turn @ (found[3:] + np.cross(found[:3], grip.point) if grip.axis is None else found[:3]))
         response = np.array(motions[1:]) - motions[0]
         largest = float(np.linalg.eigvalsh(0.5 * (response + response.T)).max())
-        return free / largest if largest > LOCKED else None
+        return free / max(largest, HEAVIEST) if largest > LOCKED else None
 
     @property
     def _size(self):

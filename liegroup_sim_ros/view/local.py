@@ -4,6 +4,7 @@
 A recording has the topics of a node, and is read, analysed and repeated like one of a node.
 """
 
+import math
 import threading
 from concurrent.futures import TimeoutError as Late
 from types import SimpleNamespace
@@ -25,18 +26,23 @@ SOURCE = "view"  # of wrenches and efforts
 RATE = 100.0  # Hz, of frames that are recorded
 ANSWER = 5.0  # s, longest time for a command
 MOVING = 0.02  # s, in which a driven joint reaches a commanded value
-MARKS, MOST_MARKS = 0.25, 400  # s between two states to which one can go back; then every second one goes
+MARKS, MOST_MARKS = 0.25, 400  # s between two kept states; then every second one goes
+MOST_COMMANDS = 100_000  # kept for branches; then half of them go, with the states before them
 
 
 class _Outputs(Outputs):
     """Outputs that tell the page of events."""
 
-    tell = staticmethod(lambda *_: None)
+    tell = keep_commands = staticmethod(lambda *_: None)
 
     def event(self, stamp_ns, name, text, failed=False, is_logged=False):
         """Record an event of the run."""
         super().event(stamp_ns, name, text, failed, is_logged)
-        self.tell(stamp_ns * 1e-9, name, text)
+        self.tell(stamp_ns, name, text)
+
+    def given(self, commands):
+        """Keep Commands, for branches."""
+        self.keep_commands(commands)
 
 
 class Local(Source):
@@ -57,6 +63,7 @@ class Local(Source):
         super().__init__(simulation.layout, title)
         sample = simulation.sample_at()
         self._simulation, self._newest = simulation, Frame(start_ns * 1e-9, sample, sample.bound)
+        self._zero = start_ns * 1e-9 - simulation.time  # s, that the page shows at step 0
         self.history.add(self._newest)
         rates = {"publish_rate": RATE, "record_rate": 0.0, "state_rate": 0.0, "clock_rate": 0.0}
         with_errors = sample.errors is not None
@@ -64,7 +71,7 @@ class Local(Source):
             rates=rates, world_frame="world", frame_prefix="", arrow_scale=1.0, estimate=with_errors, tf_links="all"
         )
         outputs = _Outputs(Streams(NAME), self.layout, self.layout.body_names, values, dict)
-        outputs.tell = self.tell
+        outputs.tell, outputs.keep_commands = self._tell, self._keep_commands
         outputs.after.append(self._keep)
         self.server = SimulationServer(
             simulation, outputs, factor, paused, start_ns - simulation.time_ns, motion_time=MOVING
@@ -78,30 +85,53 @@ class Local(Source):
             checkpoints = Checkpoints(self._recorder, simulation)
             outputs.at_steps.append(checkpoints.add_if_due)
             outputs.record_to(self._recorder)
-        self._marks, self._marked, self._marking = [], -MARKS, threading.Lock()
+        self._marks, self._marked, self._marking, self._commands = [], -math.inf, threading.Lock(), []
         self._every = MARKS
+        self._mark_now()
         self.server.start()
 
     def _keep(self, stamp_ns, sample):
         """Keep the newest sample, in the simulation thread."""
-        self._newest = Frame(stamp_ns * 1e-9, sample, sample.bound)
+        self._newest = Frame(self._zero + sample.time, sample, sample.bound)
         self.history.add(self._newest)
+
+    def _keep_commands(self, commands):
+        with self._marking:
+            self._commands += commands
+            if len(self._commands) > MOST_COMMANDS:
+                self._commands = self._commands[MOST_COMMANDS // 2 :]
+                self._marks = [mark for mark in self._marks if mark[0] > self._commands[0].start_ns]
+
+    def _tell(self, stamp_ns, name, text):
+        """Tell of an event of the simulation thread; what comes before it repeats no state after it."""
+        at_ns = stamp_ns - self.server._base_ns
+        if name in ("reset", "state"):
+            with self._marking:
+                self._marks = [mark for mark in self._marks if mark[0] < at_ns]
+                self._commands = [each for each in self._commands if each.start_ns < at_ns]
+        if name in ("reset", "state", "accuracy"):
+            self._mark_now()
+        self.tell(self._zero + at_ns * 1e-9, name, text)
 
     def frame(self):
         """Newest Frame."""
         found = self._newest
-        if found is not None and found.time - self._marked >= self._every:
-            self._marked = found.time
-            self.server.call("present").add_done_callback(self._mark)
+        if not 0.0 <= found.time - self._marked < self._every:
+            self._mark_now()
         return found
 
+    def _mark_now(self):
+        self._marked = self._newest.time
+        self.server.call("present").add_done_callback(self._mark)
+
     def _mark(self, future):
+        """Keep (simulated time in ns, state of "present") of a Future, in the simulation thread."""
         if future.cancelled() or future.exception() is not None:
             return
         with self._marking:
             if len(self._marks) >= MOST_MARKS:
                 self._marks, self._every = self._marks[::2], 2.0 * self._every
-            self._marks.append(future.result())
+            self._marks.append((self._simulation.time_ns, *future.result()[1:]))
 
     @property
     def accuracy(self):
@@ -166,20 +196,28 @@ class Local(Source):
         self.server.clear(f"{SOURCE}/{body}")
 
     def _back(self, time_s):
-        """Return to the last state that was kept before a time; returns (time of that state, time it has now)."""
+        """Return to the state of a time that the page shows, rounded down to a step; returns this time.
+
+        The last state kept before it is set, and the motion from there repeated with its commands.
+        """
+        self._answer("pause")
+        step, until_ns = self._simulation.step, round((time_s - self._zero) * 1e9) + 1
         with self._marking:
-            found = [mark for mark in self._marks if mark[0] * 1e-9 <= time_s + 1e-9]
-        if not found:
-            raise ViewError("no state was kept before this time")
-        stamp_ns, *state = found[-1]
-        self._answer("set", state, f"state at {stamp_ns * 1e-9:.6g} s")
-        return stamp_ns * 1e-9, self.server.stamp_ns * 1e-9
+            found = [mark for mark in self._marks if mark[0] <= until_ns]
+            if not found:
+                raise ViewError("no state was kept before this time")
+            since_ns, *state = found[-1]
+            commands = [command for command in self._commands if since_ns <= command.start_ns <= until_ns]
+        self._answer("set", state, f"state at {self._zero + since_ns * 1e-9:.6g} s")
+        steps = math.floor(until_ns * 1e-9 / step + 1e-6) - self._simulation.steps
+        self._answer("repeat", commands, max(0, steps))
+        return self._zero + self._simulation.time
 
     def with_method(self, method, step, time=None):
         """Simulation that continues the last state that was kept before a time, or the present one."""
         self._answer("pause")
-        start_ns = self.server.stamp_ns if time is None else round(self._back(time)[0] * 1e9)
         before = self._simulation
+        start_ns = round((self._zero + before.time if time is None else self._back(time)) * 1e9)
         steps = round(before.time / step)
         if abs(steps * step - before.time) > 1e-9:
             raise ViewError(

@@ -11,6 +11,7 @@ import numpy as np
 from liegroup_core.errors import LieGroupSimError
 from liegroup_sim_ros.report.shapes import robot_shapes, shapes_from
 
+from .boxes import camera_at
 from .drawing import Drawing, Look
 from .hand import Hand
 from .panel import Panel
@@ -21,10 +22,12 @@ log = logging.getLogger("liegroup_core")
 
 FRAMES, FIGURES = 30.0, 5.0  # Hz, at which motion and figures are drawn
 ALOFT = (1.1, -1.3, 0.7)  # direction from the mechanism to the camera at the start
-FAR = 0.75  # distance of the camera, relative to the mechanism: half of the viewing angle is 37 degrees
-# By which the mechanism is left of the middle, relative to its size, on a wide page, and above it on a high one: the
-# panel is at the right, or below.
-ASIDE, ABOVE = 0.15, 0.5
+# Pixels: a page from this width on has the panel at its right, else at the bottom; the panel's width with its margin;
+# and the part of a page's height that a panel at the bottom leaves.
+WIDE, PANEL, LEFT = 576, 340, 0.4
+SEEN = 200  # instants of a recording that the camera frames
+FIELD = math.radians(75.0)  # viewing angle of the camera, vertical
+SAME_VIEW = 1e-3  # of the mechanism: a camera that is elsewhere was moved by the user
 SKY, EARTH, BRIGHT = (255, 255, 255), (140, 140, 140), 2.2  # light from above and below
 MOST_TRIANGLES = 200_000  # of all visuals; they are sent once
 FLOOR = 4.0  # size of the grid, relative to the mechanism
@@ -111,7 +114,7 @@ class Page:
         self._panel.note(text, failed)
         if failed:
             for client in self.clients():
-                client.add_notification("Refused", text[:300], color="red", auto_close_seconds=8.0)
+                client.add_notification("Refused", text, color="red", auto_close_seconds=8.0)
 
     def haunt(self, history, shift, since=-math.inf):
         """Draw another motion as a ghost.
@@ -190,6 +193,10 @@ class Page:
                     shown = frame
                 if now >= next_figures:
                     next_figures = now + 1.0 / FIGURES
+                    if frame is not None:
+                        self._follow(frame)
+                    if self._hand:
+                        self._hand.catch()
                     with self._doing:
                         self._panel.update(frame)
                 if self._hand:
@@ -212,7 +219,7 @@ class Page:
         self.cursor = at
 
     def _draw(self, frame, before):
-        if before is not None and abs(frame.time - before.time) > 1.0:
+        if before is not None and not -SAME <= frame.time - before.time <= 1.0:
             self._drawing.forget_trace()
         frame = self.source.dressed(frame)
         with self._doing:
@@ -243,15 +250,43 @@ class Page:
         server.scene.configure_environment_map(hdri=None)
         server.scene.add_light_hemisphere("/light", sky_color=SKY, ground_color=EARTH, intensity=BRIGHT)
         ahead = np.array(ALOFT) if plane == "xy" else np.roll(ALOFT, 1 if plane == "yz" else 2)
-        ahead /= np.linalg.norm(ahead)
-        right = np.cross(up, ahead)
-
-        def aim(camera, aspect):
-            far = FAR * size * max(1.0, 1.0 / aspect)
-            at = middle + (ASIDE * size * right / np.linalg.norm(right) if aspect > 1.0 else -ABOVE * far * up)
-            camera.position, camera.look_at = tuple(at + far * ahead), tuple(at)
-
+        self._view, self._framed, self._aimed = (ahead / np.linalg.norm(ahead), up), None, {}
+        frames = self.source.history.frames
+        for frame in frames if self.source.is_live else frames[:: -(-len(frames) // SEEN)]:
+            self._framed = self._drawing.boxes.framed(frame.sample.pose, self._framed)
+        if self._framed is None:
+            self._framed = middle - 0.5 * size, middle + 0.5 * size
         camera = server.initial_camera
-        aim(camera, aspect=1.5)
-        server.on_client_connect(lambda client: client.camera.aspect < 1.0 and aim(client.camera, client.camera.aspect))
-        camera.near, camera.far = 1e-3 * size, 1e3 * size
+        camera.fov, camera.near, camera.far = FIELD, 1e-3 * size, 1e3 * size
+        camera.position, camera.look_at = self._camera(1400, 900)
+        server.on_client_connect(self._aim)
+
+    def _camera(self, width, height):
+        """(position, point that it looks at) of a camera that shows the mechanism beside the panel, pixels."""
+        window = ((-1.0, 1.0 - 2.0 * PANEL / width), (-1.0, 1.0)) if width >= WIDE else ((-1, 1), (1 - 2 * LEFT, 1))
+        slope = math.tan(0.5 * FIELD)
+        return camera_at(*self._framed, *self._view, (slope * width / height, slope), window)
+
+    def _aim(self, client):
+        """Let a client show what is framed, unless its user has moved the camera."""
+        camera, aimed = client.camera, self._aimed.get(client.client_id)
+        width, height = camera.image_width, camera.image_height
+        if aimed == "moved" or not width or not height:
+            return
+        found = self._camera(width, height)
+        if aimed is not None:
+            is_same = lambda other: np.abs(np.subtract(camera.position, other)).max() < SAME_VIEW * self._drawing.size  # noqa: E731
+            if not any(is_same(position) for position in aimed[1:]):
+                self._aimed[client.client_id] = "moved"
+                return
+            if aimed[0] == (width, height, *found[0]):
+                return
+        self._aimed[client.client_id] = (width, height, *found[0]), found[0], (aimed or (0, found[0]))[1]
+        with client.atomic():
+            camera.position, camera.look_at = found
+
+    def _follow(self, frame):
+        """Frame the mechanism anew where it leaves the picture."""
+        self._framed = self._drawing.boxes.framed(frame.sample.pose, self._framed)
+        for client in self.clients():
+            self._aim(client)

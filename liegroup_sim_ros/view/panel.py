@@ -21,11 +21,12 @@ MOST_LINES = 60  # events that are shown
 MOST_JOINTS = 60  # joints with sliders
 MOST_POWER = 15  # of ten, by which a halo magnifies an error
 SPEEDS = ("0.01", "0.1", "0.5", "1", "2", "5", "10")
+# The library's notice that a browser has no GPU would cover the mechanism.
+ON_PHONES = "<style>@media (max-width: 576px) {#webgl-software-rendering {display: none}}</style>"
 BAD, PLAIN = "#c03030", "#3060c0"
 COLOURS = (PLAIN, "#808890", BAD, "#d08020")  # of the curves of a plot
 WITH_GAPS = ("beyond it", "distance to the pale motion")
 MOST_MARKS = 300  # events on the time line
-LINE = "white-space:nowrap;overflow:hidden;text-overflow:ellipsis"
 # Of a slider whose joint has no limits.
 ROUND, REACH = math.pi, 1.0  # rad; of the size of the mechanism
 
@@ -34,6 +35,7 @@ class Panel:
     """Panel of a Page; gui : viser's."""
 
     repeats = True  # a recording starts again at its end
+    blocked = ""  # why no control works at present
 
     def __init__(self, page, gui):
         self._page, self._gui, self._parts, self._lines, self._marks = page, gui, [], [], []
@@ -96,7 +98,8 @@ class Panel:
         def moved(event):
             if event.client is None:  # by `update`
                 return
-            page.cursor, page.playing = slider.value, False
+            page.cursor, page.playing = page.source.history.at(slider.value + SAME).time, False
+            slider.value = page.cursor
             page._drawing.forget_trace()
 
         slider.on_update(moved)
@@ -115,11 +118,11 @@ class Panel:
         if source.is_live and at is None:
             return "move the time line to where the branch shall begin"
         if "back" in source.takes:
-            page.attempt(source.ask, "pause")
-            kept, now = source.ask("back", at)
-            page.haunt(source.history.until(now - SAME), now - kept, now)
+            former = source.history.until(math.inf)
+            kept = source.ask("back", at)
+            page.haunt(former, 0.0, kept)
             page.cursor = None
-            return f"continues from {kept:.6g} s; the former motion is the pale one"
+            return f"continues from {kept:.6g} s, paused; the former motion is the pale one"
         at = source.history.span()[0] if at is None else at
         branch = source.branch(at)
         page.exchange(branch)
@@ -266,6 +269,12 @@ class Panel:
             button = gui.add_button(label)
             button.on_click(lambda event, save=save: page.attempt(save, page, event.client))
 
+    def block(self, reason):
+        """Disable all controls, which show it, and say why; "" enables them again."""
+        self.blocked = reason
+        for handle in list(self._gui._gui_input_handle_from_uuid.values()):
+            handle.disabled = bool(reason)
+
     def note(self, text, failed=False):
         """Show one line among the events."""
         at = self._page.seen()
@@ -275,7 +284,8 @@ class Panel:
         """Show the figures of a Frame, at a low rate."""
         page, source = self._page, self._page.source
         for at, name, text in source.events():
-            if name in ("reset", "restore", "state"):  # commands have ended
+            if name in ("reset", "state"):  # commands have ended, and what comes later has not happened
+                self._marks = [mark for mark in self._marks if mark[0] < at]
                 text = text.partition("{")[0].strip()  # without the state itself
                 for field in self._efforts:
                     field.value = 0.0
@@ -284,7 +294,7 @@ class Panel:
             self._marks = [*self._marks[1 - MOST_MARKS :], (at, f"{at:.3f} s {name}: {text}", failed)]
         self._state.content = self._headline(frame)
         rows = "".join(
-            f'<div style="{LINE};color:{BAD if failed else "inherit"}" title="{escape(text)}">'
+            f'<div style="overflow-wrap:anywhere;margin-bottom:3px;color:{BAD if failed else "inherit"}">'
             f"{'' if at is None else f'{at:.3f} s '}{escape(text)}</div>"
             for at, text, failed in reversed(self._lines)
         )
@@ -325,10 +335,12 @@ class Panel:
         hand = self._page._hand
         if hand is not None and hand.shown:
             lines.append(f"<b>pull {escape(hand.shown)}</b>")
+        if self.blocked:
+            lines.append(f"<b>{escape(self.blocked)}</b>")
         if status.text:
             lines.append(f'<span style="color:{BAD}">{escape(status.text)}</span>')
-        shown = "".join(f'<div style="{LINE}">{line}</div>' for line in lines)
-        return f'<div style="padding:4px 12px;font-size:13px">{shown}</div>'
+        shown = "".join(f'<div style="overflow-wrap:anywhere">{line}</div>' for line in lines)
+        return f'{ON_PHONES}<div style="padding:4px 12px;font-size:13px">{shown}</div>'
 
     def _plots(self, frame, since):
         page = self._page

@@ -193,7 +193,7 @@ class Remote(Source):
         accuracy, bound = self._figures.get("accuracy"), None
         if accuracy is not None:
             bound = allowed(self.layout, accuracy, self._figures["accuracy_horizon_s"], seconds)
-        self._newest, self._arrived = Frame(stamp * 1e-9, sample, bound), time.monotonic()
+        self._newest, self._arrived = Frame(seconds, sample, bound), time.monotonic()
         late = self._arrived - stamp * 1e-9
         self._least = min(self._least, late)
         self._late = late - self._least
@@ -234,7 +234,7 @@ class Remote(Source):
 
     def _take_event(self, payload):
         stamp, _, name, text = LogCodec.decode_one(payload)
-        self.tell(stamp * 1e-9, name, text)
+        self.tell((stamp - self._base_ns) * 1e-9, name, text)
         state = "paused" if name == "start" and ", paused" in text else STATES.get(name)
         if state is not None:  # ~/state is silent in pauses
             self._figures, self._changed_ns = {**self._figures, "state": state}, stamp

@@ -26,6 +26,7 @@ LOOPBACK = ("127.0.0.1", "localhost", "::1")
 MOST_CLIENTS = 8
 MOST_BYTES = 16 * 2**20  # of a message of a client: a picture that it has drawn
 MOST_RATE = 500.0  # messages of a client in a second; a mouse that is dragged sends about 60
+LONGEST_PATH = 200  # characters of an address; a name of a file has at most 255 bytes
 COOKIE = "liegroup_view"
 HINT = "pip install 'liegroup_sim_ros[view]'"
 _patching = threading.Lock()
@@ -117,6 +118,8 @@ class _Guard:
 
     def refusal(self, connection, request):
         """Response to a request that is refused or moved, or None."""
+        if len(request.path) > LONGEST_PATH:
+            return connection.respond(HTTPStatus.REQUEST_URI_TOO_LONG, "The path is too long.\n")
         headers = request.headers
         hosts = headers.get_all("Host")
         try:

@@ -20,7 +20,7 @@ SAME = 1e-9  # s, between two times that are equal but for rounding
 class Frame(NamedTuple):
     """State at one instant.
 
-    time   : s, as the stamps of the source; it increases over resets
+    time   : s, that a page shows: of a simulation the simulated time, of a recording its stamps
     sample : liegroup_core Sample with errors and external wrenches, as far as they are known
     bound  : (m, rad) that the requested accuracy allows, or None
     """
@@ -166,9 +166,11 @@ class History:
         self._known = {}  # {key of a curve: {time: value}}
 
     def add(self, frame):
-        """Append a frame that is later than the last one."""
-        if self.times and frame.time <= self.times[-1]:
-            return
+        """Append a frame. It replaces those of its time and later ones: a simulation was set back."""
+        if self.times and frame.time <= self.times[-1] + SAME:
+            k = bisect.bisect_left(self.times, frame.time - SAME)
+            self.times, self.frames, self._known = self.times[:k], self.frames[:k], {}
+            self._skipped = self.every - 1
         self._skipped += 1
         if self._skipped < self.every:
             return

@@ -82,8 +82,8 @@ def test_slider_and_plots_control_the_animation(browser, pages, capsys):
         )
         drawn = browser.run(
             "(() => { const v = views[0], d = v.plot.data, m = d.find(t => t.type === 'mesh3d'),"
-            " j = d[d.length - 1]; return {mesh: [m.x, m.y, m.z], joints: [j.x, j.y, j.z],"
-            " owner: v.motion.points.map(p => p[0]), red: m.facecolor, faces: v.motion.faces.map("
+            " j = d.find(t => t.mode === 'markers'); return {mesh: [m.x, m.y, m.z], joints: [j.x, j.y, j.z],"
+            " owner: v.motion.layers[0].points.map(p => p[0]), red: m.facecolor, faces: v.motion.layers[0].faces.map("
             "f => f[0]), text: document.querySelector('output').textContent}; })()"
         )
         mesh, owner = np.array(drawn["mesh"]).T, np.array(drawn["owner"])

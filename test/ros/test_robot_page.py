@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files and commands of the page "Bring your robot" run as printed; exit codes of the import."""
 
-import base64
 import re
 import shlex
 import shutil
@@ -18,7 +17,7 @@ from liegroup_core import Simulation, load_scene
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording import read_recording
-from liegroup_sim_ros.report.shapes import MOST_TRIANGLES, robot_shapes
+from liegroup_sim_ros.report.shapes import MOST_TRIANGLES, decoded, robot_shapes
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGE = (DOCS / "how-to" / "robot.md").read_text()
@@ -218,20 +217,18 @@ def test_the_page_draws_meshes_within_its_bound(tmp_path, capsys, monkeypatch):
     Path("ball.urdf").write_text(BALL_URDF)
     shapes, remarks = robot_shapes(load_scene("ball.urdf").robot)
     assert remarks == ["missing mesh files: 1, the first is package://nowhere/rod.stl"]
-    points, faces = (
-        np.frombuffer(base64.b64decode(shapes["ball"][key]), kind).reshape(-1, 3)
-        for key, kind in (("points", "<f4"), ("faces", "<i4"))
-    )
+    [ball] = shapes["ball"]
+    points, faces = decoded(ball)
     assert 15_000 < len(faces) <= MOST_TRIANGLES and faces.max() < len(points)
     # Half axes 0.1, 0.2 and 0.1 m, as x of the mesh is y of the link. An edge of 20 000 triangles is
     # 0.03 of the radius long: its middle is 1e-4 of it inside, and decimation moves points as far.
     inside = np.linalg.norm((points - (0.5, 0.1, 0.0)) / (0.1, 0.2, 0.1), axis=1)
     assert np.abs(inside - 1.0).max() < 2e-3
-    assert shapes["ball"]["at"] == pytest.approx((0.5, 0.1, 0.0), abs=1e-4)
+    assert ball["at"] == pytest.approx((0.5, 0.1, 0.0), abs=1e-4)
     assert main(["run", "ball.urdf", "--duration", "0.5", "--out", "run.mcap"]) == 0
     report = ["analyze", "run.mcap", "--no-reference", "--html", "run.html", "--robot"]
     assert main([*report, "ball.urdf"]) == 0
-    assert shapes["ball"]["points"] in Path("run.html").read_text()
+    assert ball["points"] in Path("run.html").read_text()
     assert "missing mesh files: 1" in capsys.readouterr().err
     Path("arm.urdf").write_text(ROBOT)
     assert main([*report, "arm.urdf"]) == 2
@@ -239,7 +236,7 @@ def test_the_page_draws_meshes_within_its_bound(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "trimesh", None)
     assert main([*report, "ball.urdf"]) == 0
     assert "drawn as boxes, because trimesh is not installed" in capsys.readouterr().err
-    assert shapes["ball"]["points"] not in Path("run.html").read_text()
+    assert ball["points"] not in Path("run.html").read_text()
 
 
 def test_the_page_lists_what_does_not_act(tmp_path, monkeypatch):
@@ -260,3 +257,84 @@ def test_a_damaged_mesh_leaves_a_box(tmp_path):
     (tmp_path / "ball.urdf").write_text(BALL_URDF)
     shapes, remarks = robot_shapes(load_scene(tmp_path / "ball.urdf").robot)
     assert not shapes and any("unreadable mesh files: 1, the first is meshes/ball" in r for r in remarks)
+
+
+DRAWN = """<mujoco><compiler angle="radian"/><default><default class="col"><geom group="3"/></default></default><asset>
+<texture name="t" type="2d" builtin="flat" rgb1="1 .5 .25" width="4" height="4"/>
+<material name="textured" texture="t" rgba="1 1 .5 1"/><material name="red" rgba=".9 .1 .1 .5"/>
+<mesh name="m" file="m.stl" scale=".002 .001 .001"/><mesh name="mirrored" file="m.stl" scale=".001 -.002 .003"/>
+<mesh name="moved" file="m.stl" scale="-.001 .002 .003" refpos="10 20 30" refquat=".7 .1 .2 .3"/>
+<mesh name="hull" vertex="0 0 0 1 0 0 0 1 0 0 0 1 1 1 1"/></asset><worldbody><geom type="plane" size="1 1 .1"/>
+<geom type="box" size=".2 .2 .05" pos="1 0 0" rgba="0 1 0 1"/>
+<body name="a"><joint/><geom type="mesh" mesh="m" pos=".5 0 0" euler="0 .4 1.5" material="red"/></body>
+<body name="b" pos="0 0 1" euler=".1 .2 .3"><joint/><geom type="mesh" mesh="mirrored" pos="0 1 0"/></body>
+<body name="c"><joint/><geom type="mesh" mesh="moved" material="textured"/></body>
+<body name="d"><joint/><geom type="mesh" mesh="hull" rgba=".1 .2 .3 1"/><geom class="col" size="9"/></body>
+<body name="e"><joint/><geom type="ellipsoid" size=".1 .2 .3" pos="0 0 1" density="1"/></body>
+<body name="f"><joint/><geom class="col" type="capsule" fromto="0 .1 0 0 .1 .4" size=".1" density="1"/></body>
+</worldbody></mujoco>"""
+
+
+def test_shapes_of_mjcf_are_those_of_the_compiled_model(tmp_path):
+    """Bounds of meshes are those of MuJoCo's points; volumes of others those of its masses at density 1."""
+    trimesh, mujoco = pytest.importorskip("trimesh"), pytest.importorskip("mujoco")
+    wedge = trimesh.convex.convex_hull([[100, 50, 10], [160, 50, 10], [100, 80, 10], [100, 50, 30]])
+    wedge.export(tmp_path / "m.stl")
+    (tmp_path / "drawn.xml").write_text(DRAWN)
+    scene = load_scene(tmp_path / "drawn.xml")
+    shapes, remarks = robot_shapes(scene.robot)
+    assert not remarks and " (plane of world)" in " ".join(scene.notes)
+    assert "left out: 1 shapes of geom groups above 2, which MuJoCo hides (sphere of d)" in scene.notes
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "drawn.xml"))
+    found = {body: trimesh.Trimesh(*decoded(shape)) for body, [shape] in shapes.items()}
+    for geom in (i for i in range(model.ngeom) if model.geom_type[i] == mujoco.mjtGeom.mjGEOM_MESH):
+        mesh, turn = model.geom_dataid[geom], np.zeros(9)
+        mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
+        points = model.mesh_vert[model.mesh_vertadr[mesh] :][: model.mesh_vertnum[mesh]]
+        points = points @ turn.reshape(3, 3).T + model.geom_pos[geom]
+        shape = found[model.body(model.geom_bodyid[geom]).name]
+        # Numbers of 32 bits, up to 2 m.
+        assert shape.bounds == pytest.approx(np.array([points.min(axis=0), points.max(axis=0)]), abs=4e-7)
+        assert shape.volume == pytest.approx(trimesh.convex.convex_hull(points).volume, rel=1e-4)
+    for body in "ef":  # 32 facets around have 0.64 % less area than the circle, a ball of 1280 has 0.9 % less volume
+        assert found[body].volume == pytest.approx(model.body(body).mass[0], rel=0.01)
+    assert found["f"].bounds == pytest.approx(np.array([[-0.1, 0, -0.1], [0.1, 0.2, 0.5]]), abs=1e-6)
+    assert found["world"].volume == pytest.approx(0.016)
+    expected = {"a": (0.9, 0.1, 0.1, 0.5), "b": None, "c": (1, 127 / 255, 0.5 * 63 / 255, 1), "d": (0.1, 0.2, 0.3, 1)}
+    for body, color in expected.items():
+        assert shapes[body][0]["color"] == (color if color is None else pytest.approx(color, abs=1e-6))
+
+
+COLLADA = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset>
+<unit name="inch" meter="0.0254"/></asset><library_geometries><geometry id="g"><mesh><source id="s">
+<float_array id="a" count="12">10 5 1 16 5 1 10 8 1 10 5 3</float_array><technique_common>
+<accessor source="#a" count="4" stride="3"><param name="X" type="float"/><param name="Y" type="float"/>
+<param name="Z" type="float"/></accessor></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#s"/></vertices><triangles count="4">
+<input semantic="VERTEX" source="#v" offset="0"/><p>0 2 1 0 1 3 1 2 3 2 0 3</p></triangles></mesh></geometry>
+</library_geometries><library_visual_scenes><visual_scene id="vs"><node><instance_geometry url="#g"/></node>
+</visual_scene></library_visual_scenes><scene><instance_visual_scene url="#vs"/></scene></COLLADA>"""
+COLOURED = """<robot name="r"><material name="blue"><color rgba="0 0 1 1"/></material><link name="base"/>
+<link name="l"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+<visual><geometry><mesh filename="m.dae" scale="1 -2 1"/></geometry><material name="blue"/></visual>
+<visual><geometry><capsule radius="0.1" length="0.4"/></geometry>
+<material name="own"><color rgba="1 0 0 0.5"/></material></visual></link>
+<joint name="j" type="continuous"><parent link="base"/><child link="l"/></joint></robot>"""
+COLOURED_SDF = """<sdf version="1.9"><model name="m"><link name="l"><visual name="v">
+<transparency>0.5</transparency><geometry><ellipsoid><radii>0.1 0.2 0.3</radii></ellipsoid></geometry>
+<material><ambient>1 1 1</ambient><diffuse>0 0.5 1 1</diffuse></material></visual></link></model></sdf>"""
+
+
+def test_units_of_collada_and_colours_of_urdf_and_sdf(tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    pytest.importorskip("collada")
+    for name, text in (("m.dae", COLLADA), ("r.urdf", COLOURED), ("r.sdf", COLOURED_SDF)):
+        (tmp_path / name).write_text(text)
+    mesh, capsule = robot_shapes(load_scene(tmp_path / "r.urdf").robot)[0]["l"]
+    shape = trimesh.Trimesh(*decoded(mesh))
+    assert shape.bounds == pytest.approx(0.0254 * np.array([[10, -16, 1], [16, -10, 3]]), abs=1e-7)
+    assert shape.volume == pytest.approx(2 * 6.0 * 0.0254**3, rel=1e-5)  # a sixth of the edges, mirrored and stretched
+    assert (mesh["color"], capsule["color"]) == ([0, 0, 1, 1], [1, 0, 0, 0.5])
+    assert capsule["size"] == pytest.approx([0.2, 0.2, 0.6], abs=1e-6)
+    [ellipsoid] = robot_shapes(load_scene(tmp_path / "r.sdf").robot)[0]["l"]
+    assert ellipsoid["color"] == [0, 0.5, 1, 0.5] and ellipsoid["size"] == pytest.approx([0.2, 0.4, 0.6], abs=1e-6)
