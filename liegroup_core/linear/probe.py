@@ -366,6 +366,7 @@ class Probe:
             out,
         )
         if status not in (OK, NOT_REGULAR) or not np.isfinite(out).all():
+            status = NOT_FINITE if status in (OK, NOT_REGULAR) else status
             raise SimulationError(explain(self._engine, status), status & 0xFF)
         if status == NOT_REGULAR or model.has_loads:
             out[:, 2 * f] = NOT_SMOOTH

@@ -46,7 +46,7 @@ from liegroup_core.dynamics.algebra import (
 )
 from liegroup_core.dynamics.coordinates import place_links
 from liegroup_core.dynamics.coupled_rows import slopes_of
-from liegroup_core.dynamics.couplings import add_pair, add_rotors, coupled_rate
+from liegroup_core.dynamics.couplings import add_coupling, add_pair, add_rotors, coupled_rate
 from liegroup_core.dynamics.links import body_wrench, momentum, seen_from
 from liegroup_core.dynamics.loops import close_loops
 from liegroup_core.dynamics.matrix import NEAR, has_small_pivot, is_off
@@ -463,6 +463,7 @@ def _change_couplings(model, work, moves, at, rows, given):
         b, r = coupling["links"][1], coupling["row"]
         first, f = model.bodies[coupling["links"][0]]["freedom"], model.bodies[b]["freedom"]
         rows[SLIP, r] = work.factors[c, 0] * moves[rates + first, 0] + work.factors[c, 1] * moves[rates + f, 0]
+        rows[SHIFT, r] = work.factors[c, 0] * moves[at + first, 0] + work.factors[c, 1] * moves[at + f, 0]
         if coupling["curved"] == 0:
             continue
         _, bend, third = slopes_of(model, work, coupling)
@@ -493,6 +494,9 @@ def _change_switches(model, work, moves, at, rows):
         if r < 0:
             add_pair(model, work, b, switch["component"], -effort, work.force, 1)
             continue
+        for c in range(len(model.couplings)):
+            if model.couplings[c]["row"] == r:
+                add_coupling(model, work, c, -effort, work.force, 1)
         joint = model.joints[_joint_of(model, r)]
         F = _times(model, -effort, _row(model, work.child_jacobian, r))
         add_to(model, F, work.force, joint["child"])

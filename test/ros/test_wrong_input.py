@@ -157,7 +157,7 @@ def wrong_parameters(draw):
             values += [draw(WORD), "x" * 5000]
         if type(entry.default) is float:
             values += [float("nan"), float("inf"), -1.0, entry.high * 10.0, True]
-            values += [0.0] if entry.above else []
+            values += [entry.low / 2.0 or 5e-324]
         elif type(entry.default) is int:
             values += [entry.low - 1, entry.high + 1, 1.5, True]
         elif type(entry.default) is bool:

@@ -17,11 +17,16 @@ import numpy as np
 import pytest
 import random_mechanisms
 import stop_scenes
+import yaml
 from exact_links import Links
 from precise import NearlySingular
 
 from liegroup_core import Simulation
 from liegroup_core.errors import SimulationError
+from liegroup_core.forces.kinds import KINDS
+from liegroup_core.joints.kinds import COORDINATES
+from liegroup_core.joints.stops import BACKLASH
+from liegroup_core.linear import linearise
 from liegroup_core.linear.channels import Inputs
 from liegroup_core.linear.coordinates import Coordinates
 from liegroup_core.linear.differences import derivative
@@ -35,9 +40,11 @@ DIGITS, ROUNDINGS = 1e-10, 16.0
 CLASSES = [name for name in random_mechanisms.CLASSES if name != "large"]
 
 
-def differ(simulation, kinds=("efforts", "targets")):
-    """Compare all columns; returns their number."""
+def differ(simulation, kinds=("efforts", "targets"), modes=None):
+    """Compare all columns, with given modes of the switches; returns their number."""
     probe = Probe(simulation)
+    if modes is not None:
+        probe.modes = modes
     coordinates, inputs = Coordinates(probe), Inputs(probe, kinds)
     moves = [(coordinates.neighbour(k, 1.0), coordinates.size(k)) for k in range(len(coordinates.independent))]
     moves += [(coordinates.neighbour(k, 1.0, True), coordinates.rate_size(k)) for k in range(len(coordinates.moving))]
@@ -138,6 +145,128 @@ def test_tangents_of_curved_couplings_and_of_switches():
     simulation = Simulation(scene_from_text(stop_scenes.PRESS, "test"), "rkmk4", 1e-4, estimate=False, quiet=True)
     simulation.advance(400)
     assert differ(simulation) > 0
+
+
+# A chain with every kind of force, and of coordinate with stops or friction.
+STOPS = "limits: {lower: -0.3, upper: 0.4, stiffness: 300.0, damping: 2.0}, friction: {coulomb: 0.1, viscous: 0.3}"
+EVERY_SWITCH = f"""
+name: s
+gravity: [0.3, 0, -9.81]
+assemble: true
+bodies:
+  - {{name: a, mass: 1.0, inertia: [0.02, 0.03, 0.02], com: [0.1, 0, 0]}}
+  - {{name: b, mass: 1.5, inertia: [0.02, 0.03, 0.02], com: [0.2, 0.1, 0]}}
+  - {{name: c, mass: 0.5, inertia: [0.02, 0.03, 0.02], com: [0.1, 0.1, 0]}}
+  - {{name: d, mass: 0.7, inertia: [0.02, 0.03, 0.02], com: [0.1, 0.1, 0.2], angular_velocity: [0.1, 0.3, 1]}}
+  - {{name: e, mass: 0.6, inertia: [0.02, 0.03, 0.02], com: [0, 0.1, 0.2], position: [0, 0, 1], linear_velocity: [1,
+      0, 0.2]}}
+joints:
+  - {{name: turn, type: revolute, parent: world, child: a, parent_frame: {{}}, child_frame: {{}}, coordinate: 0.1,
+      rate: 0.5, {STOPS}}}
+  - {{name: slide, type: prismatic, parent: a, child: b, parent_frame: {{}}, child_frame: {{axis: [0, 1, 0]}},
+      coordinate: 0.2, rate: -0.4,
+      {STOPS}}}
+  - {{name: thread, type: screw, pitch: 0.1, parent: world, child: c, parent_frame: {{}}, child_frame: {{axis: [1, 0,
+      1]}}, coordinate: 0.2,
+      rate: 0.3, {STOPS}}}
+  - {{name: ball, type: spherical, parent: b, child: d, parent_frame: {{}}, child_frame: {{axis: [0, 1, 1]}},
+      limits: {{cone: 0.5, stiffness: 300.0, damping: 2.0}}}}
+  - {{name: cable, type: cable, parent: d, child: e, parent_frame: {{}}, child_frame: {{position: [0, 0.1, 0]}},
+      length: 0.8,
+      stiffness: 300.0, damping: 2.0}}
+couplings:
+  - {{name: belt, joint: slide, other: turn, ratio: 0.5, offset: 0.149, backlash: {{gap: 0.002, stiffness: 200,
+      damping: 0.02}}}}
+  - {{name: cam, joint: thread, other: turn, ratio: 0.5, curve: [0.3, -0.2],
+      backlash: {{gap: 0.4, stiffness: 200, damping: 0.02}}}}
+forces:
+  - {{name: f0, type: spring_damper, parent: a, child: e, parent_point: [0, 0, 1], child_point: [0.2, 0, 0],
+      stiffness: 50, damping: 3, rest_length: 0.7}}
+  - {{name: f1, type: torsional_spring_damper, joint: turn, stiffness: 4, damping: 0.3, rest_angle: 0.4}}
+  - {{name: f2, type: linear_spring_damper, joint: slide, stiffness: 40, damping: 3, rest_position: 0.3}}
+  - {{name: f3, type: motor, joint: turn, torque: -4, rate_limit: 3}}
+  - {{name: f4, type: linear_motor, joint: slide, force: -4, speed_limit: 3}}
+  - {{name: f5, type: servo, joint: turn, stiffness: 4, damping: 0.3, position: 0.4, velocity: 2, effort_limit: 9}}
+  - {{name: f6, type: linear_servo, joint: slide, stiffness: 40, damping: 3, position: 0.3, velocity: -1}}
+  - {{name: f7, type: drag, body: e, linear: 2, quadratic: 3, angular: 0.5, angular_quadratic: 0.7}}
+  - {{name: f8, type: applied_wrench, body: c, torque: [1, 2, 3], force: [4, 5, -6], point: [1, 0.2, 3], axes: world}}
+"""
+
+
+def combined(switches, rng, count):
+    """`count` random modes (k, 5) of switches: each free, sliding, in contact or at rest because of others."""
+    for _ in range(count):
+        modes = np.zeros((len(switches), 5))
+        modes[:, 1], modes[:, 2] = rng.choice([-1.0, 1.0], (2, len(switches)))
+        modes[:, 2] *= rng.random(len(switches)) < 0.7
+        modes[:, 2] *= [
+            np.isfinite(each.limits.least if side < 0.0 else each.limits.largest)
+            for each, side in zip(switches, modes[:, 2])
+        ]
+        modes[:, 0] = 2.0 * (rng.random(len(switches)) < 0.2)
+        modes[:, 4] = modes[:, 0] * rng.normal(size=len(switches))
+        yield modes
+
+
+def test_every_force_and_every_switch_has_derivatives_in_every_mode():
+    """A new type of force or of coordinate with stops is missing here until EVERY_SWITCH has it."""
+    scene = scene_from_text(EVERY_SWITCH, "test")
+    assert {force.type for force in scene.forces} == set(KINDS)
+    simulation = Simulation(scene, "rkmk4", 1e-5, estimate=False, quiet=True)
+    switches = simulation.layout.switches
+    assert {switch.kind for switch in switches} == {*COORDINATES, BACKLASH}
+    simulation.advance(3)
+    present = simulation.sample().switching[:, 3]
+    for modes in combined(switches, np.random.default_rng(3), 40):
+        modes[:, 3] = present
+        assert differ(simulation, modes=modes) > 0
+
+
+@pytest.mark.parametrize("name", ["four_bar", "slider_crank"])
+def test_rows_of_cut_joints_have_derivatives_in_every_mode(name):
+    """Every joint of a loop has stops and friction: the one that is cut has them as a row."""
+    keys = yaml.safe_load(load_scene(name)._text)
+    for joint in keys["joints"]:
+        if joint["type"] not in ("revolute", "prismatic"):
+            continue
+        joint["limits"] = {"lower": -3.0, "upper": 3.0, "stiffness": 300.0, "damping": 2.0}
+        joint["friction"] = {"coulomb": 0.1, "viscous": 0.3}
+    simulation = Simulation(scene_from_text(yaml.safe_dump(keys)), "rkmk4", 1e-5, estimate=False, quiet=True)
+    simulation.advance(3)
+    present = simulation.sample().switching[:, 3]
+    for modes in combined(simulation.layout.switches, np.random.default_rng(4), 10):
+        modes[:, 3] = present
+        assert differ(simulation, modes=modes) > 0
+
+
+def test_a_pressed_mesh_of_gears_is_a_spring():
+    """Gears on shafts without springs: J = 0.002 and 0.04 kg m^2, contact 200 N m/rad, damping 0.02, ratio 0.5.
+
+    x = q_g - q_m / 2 has the effective inertia m = 1 / (1 / 0.04 + 1 / (4 * 0.002)), so the pole is
+    -d / 2 m +- i sqrt(k / m - (d / 2 m)^2) = -1.5 +- 173.1986 i.
+    """
+    text = """
+name: belt
+gravity: [0, 0, 0]
+assemble: true
+bodies:
+  - {name: motor, mass: 1, inertia: [0.001, 0.001, 0.002]}
+  - {name: gear, mass: 1, inertia: [0.02, 0.02, 0.04], position: [0.1, 0, 0]}
+joints:
+  - {name: m, type: revolute, parent: world, child: motor, parent_frame: {}, child_frame: {}, rate: 6.5}
+  - {name: g, type: revolute, parent: world, child: gear, parent_frame: {position: [0.1, 0, 0]}, child_frame: {},
+      rate: 3.0}
+couplings: [{name: belt, joint: g, other: m, ratio: 0.5, backlash: {gap: 0.002, stiffness: 200, damping: 0.02}}]
+"""
+    simulation = Simulation(scene_from_text(text, "test"), quiet=True)
+    simulation.advance_to(0.012)
+    mass = 1.0 / (1.0 / 0.04 + 0.25 / 0.002)
+    decay = 0.02 / (2.0 * mass)
+    expected = [-decay + 1j * np.sqrt(200.0 / mass - decay**2), 0.0, 0.0]
+    poles = sorted((pole for pole in linearise(simulation).poles if pole.imag >= 0.0), key=lambda pole: -pole.imag)
+    # A double pole at 0 of a matrix with entries of 3e4 is known to the root of 3e4 eps, 1e-5 of its scale 173.
+    assert abs(poles[0] - expected[0]) < 1e-6 * 173.0
+    assert all(abs(pole) < 1e-2 for pole in poles[1:])
 
 
 if __name__ == "__main__":
