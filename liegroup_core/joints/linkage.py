@@ -219,7 +219,7 @@ class Linkage:
     def _is_small(self, gap, poses, tolerance):
         """True if a residual is small relative to the coordinates from which it is computed."""
         farthest = max((np.abs(poses[name][:3, 3]).max() for name in self.bodies), default=0.0)
-        return np.abs(gap).max(initial=0.0) <= tolerance * max(1.0, farthest / self.length)
+        return np.abs(gap).max(initial=0.0) <= tolerance * max(1.0, farthest / self.length) < np.inf
 
     def nearest(self, poses):
         """Poses found by Newton's method on the group: they satisfy all joints, or minimise the residual locally.

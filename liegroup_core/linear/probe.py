@@ -33,7 +33,7 @@ from liegroup_core.methods.munthe_kaas.explicit import make_scheme
 from liegroup_core.methods.table import EXACT, RELATIVE, Tableau
 from liegroup_core.observables.sample import Sample
 from liegroup_core.reports import explain
-from liegroup_core.status import DEPENDENT_ROWS, OK
+from liegroup_core.status import DEPENDENT_ROWS, NOT_FINITE, OK
 
 from .differences import derivative
 from .tangents import NOT_REGULAR, NOT_SMOOTH, tangents

@@ -8,6 +8,7 @@ from engine import rows
 from liegroup_core import Simulation
 from liegroup_core.engine import Engine
 from liegroup_core.errors import SceneError
+from liegroup_core.joints.limits import BeyondLimits
 from liegroup_core.lie.groups import SE3, SO3
 from liegroup_core.scene.load import load_scene, scene_from_text
 
@@ -124,6 +125,13 @@ def test_what_the_joints_do_not_allow_is_refused_with_the_gap_and_changes_nothin
             engine.place({top: wrong}, {})
     with pytest.raises(ValueError, match=r"finite twist \(6,\)"):
         engine.place({}, {top: [np.inf] * 6})
+    for size in (1e101, 1e155, 1e308):  # whose squares, or cubes, are infinite
+        far = np.eye(4)
+        far[0, 3] = size
+        with pytest.raises(BeyondLimits, match="too large"):
+            engine.place({top: far})
+        with pytest.raises(BeyondLimits, match="too large"):
+            engine.place({}, {top: [size] * 6})
     assert engine.snapshot() == before
 
 
