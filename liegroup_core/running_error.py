@@ -81,6 +81,7 @@ class RunningError:
     horizon : s, of an accuracy: checkpoints follow the number of substeps; None: no accuracy
 
     estimate : ErrorEstimate
+    lost     : cause of an infinite estimate, in words
     """
 
     KEPT = (
@@ -153,7 +154,7 @@ class RunningError:
         self._set_at = self.engine.steps
         self._start, self._next = -1, 0  # steps at which the companion started (-1: not yet), and meets next
         self._block = self._substeps = 0  # steps to the next checkpoint, substeps at the last one
-        self._alive, self._failed = True, False
+        self._alive, self._failed, self.lost = True, False, "impacts without end became plastic"
         self.estimate.restart(self.engine.time)
         self.restored()
 
@@ -207,7 +208,7 @@ class RunningError:
             try:
                 self._companion.advance_to_step(meeting)
             except SimulationError as error:
-                self._failed, self.failure = True, str(error)
+                self._failed, self.lost = True, f"the second run, which shows the error, {error}"
         if not self._failed and self._companion.steps < meeting:
             return  # it was halted, too
         if between:
@@ -225,6 +226,7 @@ class RunningError:
         if self._added is not None:
             since = steps - self._set_at
             if self._added.wrong_turn(engine._twist, engine.step, since) > UNPREDICTABLE:
+                self.lost = "the added inertia of a body changes its rotation"
                 self.estimate.set_infinite()
         if steps == self._next:
             self._keep()

@@ -169,7 +169,7 @@ class Simulation(Engine):
             return None
         found, reason = self._control.found, self.inaccurate_because
         what = f", above the accuracy of {found['wanted']:.2g}{reason and f': {reason}'}"
-        return _text(found["time"], found["error"], what)
+        return self._text(found["time"], found["error"], what)
 
     @property
     def accurate_until(self) -> float:
@@ -355,16 +355,17 @@ class Simulation(Engine):
         if not self._lost and self.predictable_until <= time:
             advice = "" if self._control else "; use a smaller step, or an accuracy"
             what = f": from here on the computed motion may differ completely from the true one{advice}"
-            self._lost = _text(time, self.largest_error, what)
+            self._lost = self._text(time, self.largest_error, what)
             self._warn(self._lost)
+
+    def _text(self, time, error, what):
+        if error == math.inf:
+            return f"at t = {time:.6g} s the error is no longer known, because {self._running.lost}{what}"
+        return f"at t = {time:.6g} s the estimated error is {error:.2g} of the mechanism's size or rad{what}"
 
     def _warn(self, text):
         if not self._quiet:
             log.warning(text)
-
-
-def _text(time, error, what):
-    return f"at t = {time:.6g} s the estimated error is {error:.2g} of the mechanism's size or rad{what}"
 
 
 def _checked(accuracy):
