@@ -42,6 +42,7 @@ def test_a_rod_that_does_not_turn_any_more_has_no_finite_estimate(method):
     simulation = rod(1e6, method=method)
     simulation.advance(20)
     assert simulation.largest_error == math.inf
+    assert "is no longer known, because the added inertia of a body changes its rotation" in simulation.doubt
     assert simulation.predictable_until <= 1.0
 
 
