@@ -8,7 +8,7 @@ from time import thread_time
 import numpy as np
 
 from liegroup_core.joints.motion import at
-from liegroup_core.mechanism.bodies import LARGEST_TURN, SINGULAR_SOLVES, STEP_TURN
+from liegroup_core.mechanism.bodies import LARGEST_TURN, NEAR_SOLVES, SINGULAR_SOLVES, STEP_TURN
 from liegroup_core.methods.smaller_step import step_that_works
 from liegroup_core.methods.table import METHODS
 from liegroup_core.observables.reach import beyond_reach
@@ -72,6 +72,13 @@ class Warnings:
                 ""
                 if engine.layout.model.projects
                 else "If the mechanism only passes this configuration, use stabilisation projection. ",
+            )
+        if report[NEAR_SOLVES] and not report[SINGULAR_SOLVES] and self._is_new("near"):
+            steps, more = engine._integrator.lead if engine.runs_ahead else (0, 0.0)
+            log.warning(
+                "Before t = %g s a closed loop passes a singular configuration, or 0.1 rad beside one: two "
+                "motions satisfy its joints there. The run goes straight on; small differences decide for a machine",
+                max(engine.time, steps * engine.step + more),
             )
         if switching is not None and switching.endless and self._is_new("endless"):
             log.warning(
