@@ -7,7 +7,8 @@ from time import thread_time
 
 import numpy as np
 
-from liegroup_core.joints.motion import at
+from liegroup_core.joints.limits import BeyondLimits
+from liegroup_core.joints.motion import at, overshoot
 from liegroup_core.mechanism.bodies import LARGEST_TURN, NEAR_SOLVES, SINGULAR_SOLVES, STEP_TURN
 from liegroup_core.methods.smaller_step import step_that_works
 from liegroup_core.methods.table import METHODS
@@ -87,6 +88,9 @@ class Warnings:
                 switching.endless[0],
                 _names_of_switches(engine, switching.endless[1]),
             )
+        if engine.layout.motions and self._is_new("motions"):
+            for note in notes_on_motions(engine.layout):
+                log.warning("%s", note)
         self._give_of_cost(engine)
         controlled = METHODS[engine.method].controlled  # then tolerances limit substeps, whatever they turn
         if not controlled and report[LARGEST_TURN] > LARGE_ROTATION**2 and self._is_new("turn"):
@@ -116,6 +120,24 @@ class Warnings:
                 _cause_of_cost(engine),
             )
         self._since, self._spent = engine.time, 0.0
+
+
+def notes_on_motions(layout):
+    """Notes of motions of the scene that would be refused as commands, or that overshoot their points."""
+    notes = []
+    for joint, rows in layout.motions.items():
+        limits = layout.limits[joint]
+        try:
+            limits.check_motion(rows, rows[1:, 1], rows[1:, 2])
+        except BeyondLimits as error:
+            notes.append(f"motion beyond the joint limits, which do not act on it: {error}")
+        if found := overshoot(rows):
+            time, first, second, by = found
+            where = f"{by:.3g} {limits.unit} between {first:.6g} and {second:.6g} from t = {time:.6g} s on"
+            notes.append(
+                f"motion overshoots its points: that of joint {joint!r} by {where}; monotone: true prevents it"
+            )
+    return notes
 
 
 def _cause_of_cost(engine):
