@@ -6,16 +6,22 @@ JSON types, computed without taking a step; independent of the machine.
 
 import numpy as np
 
-from liegroup_core.joints.elements import PAIR
-from liegroup_core.joints.limits import BeyondLimits
+from liegroup_core.joints.elements import PAIR, WORLD
+from liegroup_core.mechanism.body_model import initial_state
 from liegroup_core.mechanism.mechanism import tree_of
 from liegroup_core.mechanism.symmetry import body_groups, conserved_momentum
 from liegroup_core.methods.families import fitting_methods
 from liegroup_core.motion_groups.table import JOINTS
+from liegroup_core.reports import notes_on_motions
 from liegroup_core.robots.description import COORDINATES
 from liegroup_core.scene.consistency import resolve_couplings
 
 MOTION_GROUPS = {name: group.NAME for name, group in JOINTS.items()} | {"universal": "SO(2) x SO(2)"}
+# Mass over the cube of the radius of gyration, sqrt(sum of moments / 2 m): 9 times the density for a ball, 8 for a
+# cube, less for other bodies. Osmium has 22600 kg/m^3; a rod of 10 m and 0.1 kg has 0.004.
+DENSE, THIN = 2.1e5, 1e-3
+HEAVY, LARGE, FAR = 10.0, 30.0, 300.0  # kg; m; and distance of a joint in radii of gyration
+SHOWN = 5  # names in a note
 
 
 def describe(layout):
@@ -25,9 +31,11 @@ def describe(layout):
     returns dict of
         scene, description, gravity  of the scene; gravity in m/s^2
         notes               remarks of the scene, such as what an import merged and omitted, and
-                            motions of driven joints beyond the limits in their data
+                            motions of driven joints beyond their limits or points, and units that look wrong
+        masses              total mass, centre of mass and extents, see `masses`
         import              sizes of a robot's file and scene, see `imported`; None for other scenes
-        bodies              [{name, mass}], kg
+        bodies              [{name, mass, com, inertia}]: kg; centre of mass in m, and inertia about it as
+                            [Ixx, Iyy, Izz, Ixy, Ixz, Iyz] in kg m^2, body axes
         joints              [{name, type, parent, child, rows, dropped, rotor}]: names of all rows, wx..vz,
                             and of the redundant ones, which are eliminated; inertia of its rotor at the
                             joint, kg m^2 or kg, 0 without one
@@ -61,9 +69,13 @@ def describe(layout):
         "scene": scene.name,
         "description": scene.description,
         "gravity": list(scene.gravity),
-        "notes": [*scene.notes, *_motions_beyond(layout)],
+        "notes": [*scene.notes, *notes_on_motions(layout), *_notes_on_units(layout)],
         "import": imported(layout),
-        "bodies": [{"name": body.name, "mass": float(mass)} for body, mass in zip(scene.bodies, model.bodies["mass"])],
+        "masses": masses(layout),
+        "bodies": [
+            {"name": body.name, "mass": body.mass, "com": list(body.com), "inertia": _six(body.inertia_matrix)}
+            for body in scene.bodies
+        ],
         "joints": [
             {
                 "name": joint.name,
@@ -115,6 +127,11 @@ def describe(layout):
     }
 
 
+def _six(matrix):
+    """[xx, yy, zz, xy, xz, yz] of a symmetric matrix."""
+    return matrix[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist()
+
+
 def modes_of(switch):
     """Names of the modes that stops and friction allow, as Sample.modes."""
     limits, friction = switch.limits, switch.friction
@@ -126,15 +143,62 @@ def modes_of(switch):
     ]
 
 
-def _motions_beyond(layout):
-    """Notes of motions of the scene that would be refused as commands."""
+def _notes_on_units(layout):
+    """Note of bodies whose mass, inertia and joints look as if in g or mm, by their radii of gyration."""
+    mass, joints = layout.model.bodies["mass"], layout.model.elements
+    radius = np.sqrt(layout.model.bodies["inertia"][:, [0, 4, 8]].sum(axis=1) / (2.0 * mass))
+    arm = np.zeros(len(mass))
+    for end in ("parent", "child"):
+        own = joints[end] != WORLD
+        np.maximum.at(arm, joints[end][own], np.linalg.norm(joints[f"{end}_point"][own], axis=1))
+    dense = (mass > DENSE * radius**3) & (mass > HEAVY)  # lighter ones are often points
+    thin = (mass < THIN * radius**3) & (mass > 1e-6 * mass.sum())  # lighter ones are no bodies
+    wide = (arm > LARGE) & ((radius > LARGE) | (arm > FAR * radius))
+    wide |= (radius > LARGE) & ~thin
     notes = []
-    for joint, rows in layout.motions.items():
-        try:
-            layout.limits[joint].check_motion(rows, rows[1:, 1], rows[1:, 2])
-        except BeyondLimits as error:
-            notes.append(f"motion beyond the joint limits, which do not act on it: {error}")
+    for which, what in (
+        (dense, "denser than any metal: is a mass in g, not kg, or an inertia too small?"),
+        (thin & ~wide, "lighter than air: is an inertia in g mm^2 or kg mm^2, or a length in mm?"),
+        (wide, f"larger than {LARGE:g} m: are lengths in mm, not m, or masses in g?"),
+    ):
+        if which.any():
+            names = [body.name for body, is_so in zip(layout.scene.bodies, which) if is_so]
+            first = int(which.argmax())
+            more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+            notes.append(
+                f"units: {', '.join(names[:SHOWN])}{more}: {mass[first]:.4g} kg with a radius of gyration of "
+                f"{radius[first]:.4g} m and joints up to {arm[first]:.4g} m away: {what}"
+            )
     return notes
+
+
+def masses(layout):
+    """Total mass, centre of mass and extents of a mechanism at the start, of a Layout.
+
+    returns dict of
+        mass            kg
+        centre_of_mass  [x, y, z] in m, world axes
+        extents         [[x, y, z], [x, y, z]]: least and largest coordinates in m, world axes, of the joints
+                        and of homogeneous boxes with the masses and inertias of the bodies
+    """
+    pose, _ = initial_state(layout.centred)
+    bodies, elements = layout.model.bodies, layout.model.elements
+    mass, R, p = bodies["mass"], pose[:, :9].reshape(-1, 3, 3), pose[:, 9:]
+    moments, axes = np.linalg.eigh(bodies["inertia"].reshape(-1, 3, 3))
+    # Edges L of a box: Ix = m (Ly^2 + Lz^2) / 12.
+    half = np.sqrt(np.maximum(0.0, 1.5 * (moments.sum(axis=1, keepdims=True) - 2.0 * moments) / mass[:, None]))
+    reach = np.einsum("nij,nj->ni", np.abs(R @ axes), half)
+    points = [p - reach, p + reach]
+    for end in ("parent", "child"):
+        at, local = elements[end], elements[f"{end}_point"]
+        own = at != WORLD
+        points += [local[~own], p[at[own]] + np.einsum("nij,nj->ni", R[at[own]], local[own])]
+    points = np.concatenate(points)
+    return {
+        "mass": float(mass.sum()),
+        "centre_of_mass": (mass @ p / mass.sum()).tolist(),
+        "extents": [points.min(axis=0).tolist(), points.max(axis=0).tolist()],
+    }
 
 
 def formulation(layout):

@@ -7,8 +7,9 @@ from time import thread_time
 
 import numpy as np
 
-from liegroup_core.joints.motion import at
-from liegroup_core.mechanism.bodies import LARGEST_TURN, SINGULAR_SOLVES, STEP_TURN
+from liegroup_core.joints.limits import BeyondLimits
+from liegroup_core.joints.motion import at, overshoot
+from liegroup_core.mechanism.bodies import LARGEST_TURN, NEAR_SOLVES, SINGULAR_SOLVES, STEP_TURN
 from liegroup_core.methods.smaller_step import step_that_works
 from liegroup_core.methods.table import METHODS
 from liegroup_core.observables.reach import beyond_reach
@@ -73,6 +74,13 @@ class Warnings:
                 if engine.layout.model.projects
                 else "If the mechanism only passes this configuration, use stabilisation projection. ",
             )
+        if report[NEAR_SOLVES] and not report[SINGULAR_SOLVES] and self._is_new("near"):
+            steps, more = engine._integrator.lead if engine.runs_ahead else (0, 0.0)
+            log.warning(
+                "Before t = %g s a closed loop passes a singular configuration, or 0.1 rad beside one: two "
+                "motions satisfy its joints there. The run goes straight on; small differences decide for a machine",
+                max(engine.time, steps * engine.step + more),
+            )
         if switching is not None and switching.endless and self._is_new("endless"):
             log.warning(
                 "At t = %.9g s impacts follow each other without end at %s: they are plastic until the end "
@@ -80,6 +88,9 @@ class Warnings:
                 switching.endless[0],
                 _names_of_switches(engine, switching.endless[1]),
             )
+        if engine.layout.motions and self._is_new("motions"):
+            for note in notes_on_motions(engine.layout):
+                log.warning("%s", note)
         self._give_of_cost(engine)
         controlled = METHODS[engine.method].controlled  # then tolerances limit substeps, whatever they turn
         if not controlled and report[LARGEST_TURN] > LARGE_ROTATION**2 and self._is_new("turn"):
@@ -109,6 +120,24 @@ class Warnings:
                 _cause_of_cost(engine),
             )
         self._since, self._spent = engine.time, 0.0
+
+
+def notes_on_motions(layout):
+    """Notes of motions of the scene that would be refused as commands, or that overshoot their points."""
+    notes = []
+    for joint, rows in layout.motions.items():
+        limits = layout.limits[joint]
+        try:
+            limits.check_motion(rows, rows[1:, 1], rows[1:, 2])
+        except BeyondLimits as error:
+            notes.append(f"motion beyond the joint limits, which do not act on it: {error}")
+        if found := overshoot(rows):
+            time, first, second, by = found
+            where = f"{by:.3g} {limits.unit} between {first:.6g} and {second:.6g} from t = {time:.6g} s on"
+            notes.append(
+                f"motion overshoots its points: that of joint {joint!r} by {where}; monotone: true prevents it"
+            )
+    return notes
 
 
 def _cause_of_cost(engine):

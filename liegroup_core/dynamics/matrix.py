@@ -2,7 +2,7 @@
 """W of the cut joints from their responses, its factor and solve; see loops.py."""
 
 from liegroup_core.compiling import kernel
-from liegroup_core.mechanism.bodies import PIVOT
+from liegroup_core.mechanism.bodies import NEAR_SOLVES, PIVOT
 
 # A pivot of W counts as zero below this fraction of its diagonal entry: see mechanism/body_model.py.
 SMALLEST_PIVOT = 1e-10
@@ -14,6 +14,8 @@ SMALLEST_MOBILITY = 1e-12
 SMALL_PIVOT = 1e-2
 # Smallest pivot relative to the usual one: below NEAR a pose is near a singular one, below AT it counts as singular.
 NEAR, AT = 2.2e-3, 2e-5
+# The same of warnings: within about 0.1 rad, which stages of long steps hardly leap over.
+PASSING = 1e-2
 # Shift of W at a singular pose.
 REGULARISATION = 1e-8
 
@@ -153,6 +155,8 @@ def factor(model, work, shift):
             if in_loop and pivot < smallest * mobility:
                 smallest = pivot / mobility
     work.report[PIVOT] = smallest / model.usual_pivot
+    if work.report[PIVOT] < PASSING:
+        work.report[NEAR_SOLVES] += 1.0
     return -1
 
 

@@ -19,9 +19,11 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from liegroup_core.compiling import kernel
 from liegroup_core.errors import SceneError
-from liegroup_core.fields.values import Described, Number, listed
+from liegroup_core.fields.values import Described, Flag, Number, listed
 
 COLUMNS = 7
+REACH = 1.25  # of the lower slope beside a point: largest velocity with which accelerations of 0 are monotone
+NEGLIGIBLE = 1e-6  # part of the range of a motion
 # Quintic of s in [0, 1] from position, rate and acceleration at both ends: matrix for c3, c4, c5 from the
 # differences to the end values after subtracting the quadratic of the start values.
 _END = np.array([[10.0, -4.0, 0.5], [-15.0, 7.0, -1.0], [6.0, -3.0, 0.5]])
@@ -48,8 +50,16 @@ class Motion(Described):
         "the accelerations before and after the time",
     )
 
+    monotone: Flag = Field(
+        False,
+        description="true: between two times the joint stays between their positions, so that it rests between "
+        "equal ones; replaces velocities, and is less smooth than the spline",
+    )
+
     @model_validator(mode="after")
     def _check(self):
+        if self.monotone and self.velocities is not None:
+            raise SceneError("monotone and velocities both define the velocities: keep one", place=("monotone",))
         if len(self.times) < 2:
             raise SceneError("times needs at least two numbers", place=("times",))
         if self.times[0] != 0.0:
@@ -157,14 +167,58 @@ def _quintic(origin, duration, start, end):
     return np.array([origin, q0, v0, 0.5 * a0, *(_END @ rest / T ** np.arange(3.0, 6.0))])
 
 
-def through(start, times, positions, velocities=None, accelerations=None):
+def _monotone(times, q, v0, a0):
+    """Velocities and accelerations (m + 1,) at points with which quintics between them are monotone.
+
+    Velocities are those of Fritsch and Butland (SIAM J. Sci. Stat. Comput. 5, 1984), at most REACH times the lower
+    slope. The derivative of a quintic has the Bernstein coefficients v0, v0 + T a0 / 4, 5 dq/T - 2 (v0 + v1) +
+    T (a1 - a0) / 4, v1 - T a1 / 4 and v1. Accelerations are those of the cubics, bounded so that none changes its sign.
+    """
+    T, dq = np.diff(times), np.diff(q)
+    size, sign = np.abs(dq) / T, np.where(dq[:-1] * dq[1:] > 0.0, np.sign(dq[1:]), 0.0)
+    before, after = size[:-1], size[1:]
+    w = 2.0 * T[1:] + T[:-1], T[1:] + 2.0 * T[:-1]
+    with np.errstate(divide="ignore"):
+        mean = (w[0] + w[1]) / (w[0] / before + w[1] / after)
+    v = np.array([v0, *(sign * np.minimum(mean, REACH * np.minimum(before, after))), 0.0])
+    a = np.array([a0, *_cubic_accelerations(T, dq, v)])
+    room = np.maximum(0.0, 10.0 * size - 4.0 * np.abs(v[:-1] + v[1:])) / T
+    steep = 4.0 * np.abs(v[1:-1])
+    least, most = -np.minimum(steep / T[1:], room[:-1]), np.minimum(steep / T[:-1], room[1:])
+    a[1:-1] = sign * np.clip(sign * a[1:-1], least, most)
+    return v, a
+
+
+def _cubic_accelerations(T, dq, v):
+    """Means of the accelerations of the cubics before and after points (m,), 0 at the last one."""
+    first = 6.0 * dq / T**2 - (4.0 * v[:-1] + 2.0 * v[1:]) / T
+    last = -6.0 * dq / T**2 + (2.0 * v[:-1] + 4.0 * v[1:]) / T
+    return np.append(0.5 * (last[:-1] + first[1:]), 0.0)
+
+
+def overshoot(rows):
+    """(time, positions at two neighbouring points, distance by which a motion leaves their range), or None.
+
+    It counts where it exceeds the distance of the points, and is the largest of these. rows : (m, COLUMNS)
+    """
+    q = rows[:, 1]
+    low, high = np.minimum(q[:-1], q[1:]), np.maximum(q[:-1], q[1:])
+    s = np.diff(rows[:, :1], axis=0) * np.linspace(0.0, 1.0, 65)
+    path = sum(rows[:-1, 1 + k, None] * s**k for k in range(6))
+    by = np.maximum(low - path.min(axis=1), path.max(axis=1) - high)
+    by[by <= np.maximum(high - low, NEGLIGIBLE * np.ptp(q))] = 0.0
+    k = int(by.argmax()) if by.any() else None
+    return None if k is None else (*rows[k, :2], q[k + 1], by[k])
+
+
+def through(start, times, positions, velocities=None, accelerations=None, monotone=False):
     """Motions (m + 1, COLUMNS) through m points; the last row continues at the last rate.
 
     start : (position, rate, acceleration) at times[0]
     times : (m + 1,) s, increasing;  positions, velocities, accelerations : (m,) at times[1:]
     Default velocities are those of the cubic spline that ends at rest. Default accelerations are the means
     of the cubics on both sides, and 0 at the end. Default positions are integrals of the cubic spline of
-    the velocities.
+    the velocities. monotone : replace both by those of `_monotone`
     """
     times = np.asarray(times, dtype=float)
     if positions is None:
@@ -173,15 +227,13 @@ def through(start, times, positions, velocities=None, accelerations=None):
         positions = [start[0] + spline.integrate(times[0], time) for time in times[1:]]
         accelerations = [*spline(times[1:-1], 1), 0.0]
     q = np.array([start[0], *positions])
-    if velocities is None:
+    if monotone:
+        velocities, accelerations = (part[1:] for part in _monotone(times, q, *start[1:]))
+    elif velocities is None:
         velocities = scipy.interpolate.CubicSpline(times, q, bc_type=((1, start[1]), (1, 0.0)))(times[1:], 1)
     v = np.array([start[1], *velocities])
     if accelerations is None:
-        T, dq = np.diff(times), np.diff(q)
-        # Accelerations of the cubic between two points, at its start and at its end.
-        first = 6.0 * dq / T**2 - (4.0 * v[:-1] + 2.0 * v[1:]) / T
-        last = -6.0 * dq / T**2 + (2.0 * v[:-1] + 4.0 * v[1:]) / T
-        accelerations = np.append(0.5 * (last[:-1] + first[1:]), 0.0)
+        accelerations = _cubic_accelerations(np.diff(times), np.diff(q), v)
     points = list(zip(q, v, [start[2], *accelerations]))
     rows = [
         _quintic(origin, after - origin, *pair)
@@ -201,7 +253,7 @@ def prescribed(motion, q, v):
     v0 = v if motion.velocities is None else motion.velocities[0]
     a0 = 0.0 if motion.accelerations is None else motion.accelerations[0]
     rest = [None if part is None else part[1:] for part in (motion.velocities, motion.accelerations)]
-    return through((motion.positions[0], v0, a0), motion.times, motion.positions[1:], *rest)
+    return through((motion.positions[0], v0, a0), motion.times, motion.positions[1:], *rest, motion.monotone)
 
 
 def row_at(rows, time):

@@ -20,8 +20,9 @@ BODY = np.dtype([
 ], align=True)
 
 # Numbers of Work.report: largest squared rotation of a stage, rad^2, so far and in this step; number of
-# solves at a singular pose; smallest pivot of W; round-off in accelerations of this step.
-LARGEST_TURN, STEP_TURN, SINGULAR_SOLVES, PIVOT, ROUND_OFF = range(5)
+# solves at a singular pose; smallest pivot of W; round-off in accelerations of this step; number of factors of W
+# near a singular pose.
+LARGEST_TURN, STEP_TURN, SINGULAR_SOLVES, PIVOT, ROUND_OFF, NEAR_SOLVES = range(6)
 # Entries of Work.clock. Input of a call: a step starts at COUNT h + OFFSET s, the next at (COUNT + 1) h + OFFSET.
 # NOW is the time of the stage. The call leads from FROM steps and SINCE s to TO steps and UNTIL s, of STEP_SIZE s each.
 COUNT, OFFSET, NOW, FROM, SINCE, TO, UNTIL, STEP_SIZE = range(8)
@@ -54,7 +55,7 @@ class Work(Struct):
     stage_pose: np.ndarray         # (n, 12)
     stage_twist: np.ndarray        # (n, 6)
     slopes: np.ndarray             # ((s + 1) n, 12) k of stages and end: algebra, then velocity part
-    report: np.ndarray             # (5,) LARGEST_TURN, STEP_TURN, SINGULAR_SOLVES, PIVOT, ROUND_OFF
+    report: np.ndarray             # (6,) LARGEST_TURN, STEP_TURN, SINGULAR_SOLVES, PIVOT, ROUND_OFF, NEAR_SOLVES
 
 
 def make_work(model, stages):
@@ -66,7 +67,7 @@ def make_work(model, stages):
         acting=np.zeros(len(model.forces.applied_wrench), dtype=bool),
         wanted=wanted_values(model.forces), motions=model.motions.copy(), clock=np.zeros(8),
         stage_pose=np.zeros((n, 12)), stage_twist=np.zeros((n, 6)),
-        slopes=np.zeros(((stages + 1) * n, 12)), report=np.zeros(5))
+        slopes=np.zeros(((stages + 1) * n, 12)), report=np.zeros(6))
 
 
 @kernel

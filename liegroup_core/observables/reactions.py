@@ -158,6 +158,8 @@ class Reactions:
                 others = ", ".join(others[:MOST]) + more
                 parts = ", ".join(part for part, bad in zip(COMPONENTS, mask[j]) if bad)
                 shared = f"shared with {others} in any proportion" if others else "any value"
+                if j != joints[0]:
+                    shared = f"see {self.names[joints[0]]}"
                 found[self.names[j]] = f"{parts}: redundant constraints, {shared}"
         return found
 

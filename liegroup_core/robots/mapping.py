@@ -287,7 +287,7 @@ def _drive(options, parts):
         if name in options.driven:
             entry["driven"] = True
             if options.driven[name] is not None:
-                entry["motion"] = options.driven[name].model_dump(exclude_none=True)
+                entry["motion"] = options.driven[name].model_dump(exclude_defaults=True)
             for key in ("driven", "motion"):
                 parts.lines["joints", number, key] = ("driven", name)
 

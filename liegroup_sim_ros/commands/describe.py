@@ -59,7 +59,7 @@ def step_cost(scene, method, seconds=MEASURING):
     step_us, stage_us : time of a step and of each of its stages, the minimum of several runs of many steps,
                         because other load on the machine can only add time
     """
-    simulation = Engine(scene, method, STEP)
+    simulation = Engine(scene, method, STEP, quiet=True)
     steps, times = 1, []
     end = time.perf_counter() + seconds
     try:
@@ -120,7 +120,14 @@ def sections(facts):
     return [
         ("Notes", [_note(text) for text in facts["notes"]]),
         ("Import", _import_rows(facts["import"])),
-        ("Bodies", [(body["name"], f"{body['mass']:.6g} kg", "") for body in facts["bodies"]]),
+        ("Masses and sizes at the start, world axes", _mass_rows(facts["masses"])),
+        (
+            "Bodies",
+            [
+                (body["name"], f"{body['mass']:.6g} kg", f"at {_vector(body['com'])} m; {_inertia(body['inertia'])}")
+                for body in facts["bodies"]
+            ],
+        ),
         (
             "Joints",
             [
@@ -166,6 +173,24 @@ def sections(facts):
                 for method, cost in facts["cost"].items()
             ],
         ),
+    ]
+
+
+def _vector(values):
+    return " ".join(f"{value:.4g}" for value in values)
+
+
+def _inertia(six):
+    return f"inertia {_vector(six if any(six[3:]) else six[:3])} kg m^2"
+
+
+def _mass_rows(facts):
+    least, largest = facts["extents"]
+    edges = _vector(high - low for low, high in zip(least, largest))
+    return [
+        ("total mass", f"{facts['mass']:.6g} kg", ""),
+        ("centre of mass", f"{_vector(facts['centre_of_mass'])} m", ""),
+        ("extents", f"{edges} m", f"from {_vector(least)} to {_vector(largest)}: joints, and boxes of equal inertia"),
     ]
 
 

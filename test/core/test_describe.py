@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`describe` against counts by hand."""
+"""`describe` against counts by hand, and masses against those of MuJoCo."""
 
 import mechanisms
+import mujoco
+import numpy as np
 import pytest
 
-from liegroup_core import load_scene
+from liegroup_core import Simulation, load_scene
 from liegroup_core.describe import describe, solve_structure
 from liegroup_core.layout import make_layout
 from liegroup_core.methods.table import METHODS
@@ -33,6 +35,81 @@ def test_a_motion_of_the_scene_beyond_the_limits_of_its_joint_is_a_note():
         assert note.startswith("motion beyond the joint limits") and text in note
     assert notes(turn, "{lower: -1, upper: 1, velocity: 1.9}") == []
     assert notes("", "{lower: 0.5, upper: 1, velocity: 0.1}") == []
+
+
+def test_a_motion_that_leaves_the_range_of_its_points_is_a_note(caplog):
+    """The cubic spline with rates 0 at the ends has the rates 1 and -1 at 1 s and 2 s by symmetry: 4 v1 + v2 = 3.
+
+    Its accelerations there are -2 from both sides, so that its middle is at 1 + 1/4.
+    """
+    text = (
+        "{name: s, gravity: [0, 0, 0], bodies: [{name: b, mass: 1, inertia: [1, 1, 1]}], joints: [{name: j, type: "
+        "prismatic, parent: world, child: b, child_frame: {}, driven: true, motion: {times: [0, 1, 2, 3], MORE}}]}"
+    )
+    ways = {
+        "positions: [0, 1, 1, 0]": "overshoots its points: that of joint 'j' by 0.25 m between 1 and 1 from t = 1 s",
+        "positions: [0, 1, 1, 0], monotone: true": "",
+        "positions: [0, 1, 1, 0], velocities: [0, 0, 0, 0], accelerations: [0, 0, 0, 0]": "",
+        "positions: [0, 1, 2, 1]": "",
+    }
+    for more, words in ways.items():
+        scene = scene_from_text(text.replace("MORE", more))
+        notes = describe(make_layout(scene))["notes"]
+        assert len(notes) == bool(words) and all(words in note for note in notes)
+        caplog.clear()
+        Simulation(scene, method="rkmk4", step=0.1).advance(2)
+        assert [record.getMessage() for record in caplog.records if "overshoots" in record.getMessage()] == notes
+
+
+LINKS = """<mujoco><compiler angle="radian"/><worldbody>
+  <body name="base" pos="0.1 -0.2 0.3" euler="0.2 0.3 -0.5"><freejoint/>
+    <geom type="box" size="0.1 0.2 0.05" pos="0.3 0 0.1" euler="0.4 0.5 0.6" mass="2.5"/>
+    <body name="arm" pos="0 0.4 0.1" euler="0.7 0 0.1"><joint name="j" axis="1 0 0"/>
+      <geom type="sphere" size="0.1" pos="0 0.2 0" mass="0.7"/><geom type="capsule" size="0.03 0.2" mass="0.4"/>
+    </body></body></worldbody></mujoco>"""
+
+
+def test_total_mass_centre_of_mass_and_extents(tmp_path):
+    """MuJoCo's subtree of the world; a box of equal inertia is the box itself, with the corners by hand.
+
+    Numbers in the texts of scenes are exact; centres of several solids are sums of some terms: 1e-12.
+    """
+    path = tmp_path / "links.xml"
+    path.write_text(LINKS)
+    model = mujoco.MjModel.from_xml_string(LINKS)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    facts = describe(make_layout(load_scene(path)))
+    assert facts["masses"]["mass"] == pytest.approx(model.body_subtreemass[0], rel=1e-12)
+    assert facts["masses"]["centre_of_mass"] == pytest.approx(data.subtree_com[0], abs=1e-12)
+    for body, number in zip(facts["bodies"], (1, 2)):
+        moments = np.linalg.eigvalsh(np.array(body["inertia"])[[[0, 3, 4], [3, 1, 5], [4, 5, 2]]])
+        assert moments == pytest.approx(np.sort(model.body_inertia[number]), rel=1e-9)
+        assert body["com"] == pytest.approx(model.body_ipos[number], abs=1e-12)
+    box = LINKS[: LINKS.index('    <body name="arm"')] + "</body></worldbody></mujoco>"
+    path.write_text(box)
+    corners = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3) * model.geom_size[0]
+    corners = data.geom_xpos[0] + corners @ data.geom_xmat[0].reshape(3, 3).T
+    extents = describe(make_layout(load_scene(path)))["masses"]["extents"]
+    assert np.array(extents) == pytest.approx(np.array([corners.min(axis=0), corners.max(axis=0)]), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "length, mass, inertia, word",
+    [(1.0, 1.0, 1.0, ""), (1e3, 1e3, 1e9, "mm"), (1e3, 1.0, 1e6, "mm"), (1e3, 1.0, 1.0, "mm"), (1.0, 1e3, 1.0, "in g")]
+    + [(1.0, 1e3, 1e3, "in g"), (1.0, 1.0, 1e9, "mm^2"), (1.0, 1.0, 1e6, "mm^2"), (1.0, 1e3, 1e9, "mm^2")],
+)
+def test_masses_in_g_and_sizes_in_mm_are_a_note(length, mass, inertia, word):
+    """A rod of aluminium, 0.3 m, 0.02 m in diameter and 0.25 kg, as numbers of a file with other units."""
+    across = inertia * 0.25 * (0.3**2 / 12.0 + 0.01**2 / 4.0)
+    along = inertia * 0.25 * 0.01**2 / 2.0
+    scene = scene_from_text(
+        f"{{name: s, gravity: [0, 0, 0], bodies: [{{name: rod, mass: {0.25 * mass}, inertia: [{along}, {across}, "
+        f"{across}]}}], joints: [{{name: j, type: revolute, parent: world, child: rod, "
+        f"child_frame: {{position: [{0.15 * length}, 0, 0]}}}}]}}"
+    )
+    notes = describe(make_layout(scene))["notes"]
+    assert len(notes) == bool(word) and all(word in note for note in notes)
 
 
 def test_heavy_top():

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Closed loops: redundant rows, singular poses."""
 
+import re
+
 import numpy as np
 import pytest
 
-from liegroup_core import Scene, Simulation, SimulationError
+from liegroup_core import Scene, Simulation, SimulationError, load_scene
 from liegroup_core.engine import Engine
 from liegroup_core.joints.linkage import Linkage
 from liegroup_core.lie.groups import SO3
@@ -157,6 +159,23 @@ def test_a_moving_parallelogram_passes_its_flat_pose(angle):
                 assert np.abs(sample.poses[name][:3, :3] - expected).max() <= 1e-3
             assert sample.energy == pytest.approx(start, rel=1e-3)
         assert (simulation.singular_solves > 0) == (angle == 0.0)
+
+
+@pytest.mark.parametrize("settings", [{"accuracy": 1e-6}, {"method": "constrained_rattle", "step": 1e-3}])
+def test_a_passage_of_a_flat_pose_is_said_once(settings, caplog):
+    """Without gravity the angle is a + 2 pi t. The flat poses are at 0 and pi, others above 0.2 rad away.
+
+    Steps to an accuracy run ahead; the time that is said is that of their end.
+    """
+    Simulation(parallelogram(-1.5, 0.1 * np.pi), **settings).advance(100)  # up to -1.2
+    Simulation(load_scene("slider_crank"), **settings).advance(250)  # its dead centres are no flat poses
+    assert "singular" not in caplog.text
+    simulation = Simulation(parallelogram(0.5, 2.0 * np.pi), **settings)
+    simulation.advance(round(0.6 / simulation.step))
+    simulation.advance(round(0.6 / simulation.step))
+    (text,) = [each for each in caplog.messages if "passes a singular configuration" in each]
+    said = float(re.search(r"t = (\S+) s", text)[1])
+    assert (np.pi - 0.5 - 0.1) / (2.0 * np.pi) < said < 0.6
 
 
 def test_an_energy_jump_at_a_flat_pose_has_a_large_estimate():

@@ -11,7 +11,7 @@ import pytest
 import random_mechanisms
 from convergence import order_by_count
 from given import reference_inputs
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import PchipInterpolator, make_interp_spline
 
 from liegroup_core import SceneError, Simulation, load_scene
 from liegroup_core.engine import Engine
@@ -289,6 +289,30 @@ def test_snapshot_in_a_motion():
     assert simulation.state()[0].tobytes() == end
 
 
+def test_a_monotone_motion_stays_between_its_points():
+    """Velocities of PCHIP up to 1.25 of the lower slope; positions at 200 times of each interval, by quintics.
+
+    Sums of six terms up to a few hundred: 1e-12 is their round-off, relative to the largest position.
+    """
+    random = np.random.default_rng(5)
+    for _ in range(60):
+        count = random.integers(3, 9)
+        times = np.append(0.0, np.cumsum(random.uniform(0.1, 2.0, count)))
+        steps = random.choice([0.0, 0.0, 1.0, -1.0, 1e-3, 40.0], count + 1) * random.uniform(0.5, 1.0, count + 1)
+        q = np.cumsum(steps)
+        rows = through((q[0], 0.0, 0.0), times, q[1:], monotone=True)
+        slopes = np.abs(np.diff(q) / np.diff(times))
+        found = PchipInterpolator(times, q).derivative()(times)[1:-1]
+        limited = np.minimum(np.abs(found), 1.25 * np.minimum(slopes[1:], slopes[:-1])) * np.sign(found)
+        assert rows[1:-1, 2] == pytest.approx(limited, rel=1e-12)
+        for k, row in enumerate(rows[:-1]):
+            path = np.array([at(row, time)[0] for time in np.linspace(times[k], times[k + 1], 200)])
+            rounding = 1e-12 * (1.0 + np.abs(q).max())
+            assert (np.diff(path) * np.sign(q[k + 1] - q[k]) > -rounding).all()
+            assert abs(path - q[k]).max() <= abs(q[k + 1] - q[k]) + rounding
+            assert at(row, times[k + 1]) == pytest.approx(at(rows[k + 1], times[k + 1]), rel=1e-9, abs=1e-9)
+
+
 def text_with(text, **keys):
     """PIVOT with other keys of its slide."""
     return text.replace(
@@ -310,6 +334,10 @@ def text_with(text, **keys):
         (
             {"driven": "true", "motion": "{times: [0, 1], positions: [0, 1], accelerations: [0, 0]}"},
             "require velocities",
+        ),
+        (
+            {"driven": "true", "motion": "{times: [0, 1], positions: [0, 1], velocities: [0, 0], monotone: true}"},
+            "monotone and velocities",
         ),
         ({"driven": "true", "motion": "{times: [0, 1], positions: [0, 1], velocities: [1, 0]}"}, "1 m/s"),
     ],
