@@ -28,6 +28,8 @@ _GET, _CALL, _OPERATE = ".attribute", ".call", ".operate"  # cannot be names in 
 LARGEST, DIGITS = 10**6, 300  # length of a text, list or count; of a whole number, beyond those of a float
 _OPERATIONS = {ast.Pow: operator.pow, ast.Mult: operator.mul, ast.LShift: operator.lshift, ast.Add: operator.add}
 _OPERATIONS |= {ast.Mod: operator.mod}
+_FACTORIALS = ("factorial", "perm", "comb")
+_WIDE = tuple("pow range ljust rjust center zfill expandtabs round".split())
 
 
 class Refused(Exception):
@@ -60,27 +62,25 @@ def _bounded(is_small):
         raise Refused(f"a text or list longer than {LARGEST}, or a whole number of more than {DIGITS} digits")
 
 
-def _bits(value):
-    return value.bit_length() if isinstance(value, int) else 0
-
-
 def _operate(kind, a, b):
     """Result of an operation whose size is bounded before it is computed."""
     operation, most = getattr(operator, kind), 3 * DIGITS
     if isinstance(a, int) and isinstance(b, int):
-        size = {"pow": _bits(a) * abs(b), "lshift": _bits(a) + b, "mul": _bits(a) + _bits(b)}.get(kind, 0)
+        bits = a.bit_length()
+        size = {"pow": bits * abs(b), "lshift": bits + b, "mul": bits + b.bit_length()}.get(kind, 0)
         _bounded(size <= most)
     elif kind == "mul":
-        _bounded(all(not hasattr(x, "__len__") or len(x) * _size(n) <= LARGEST for x, n in ((a, b), (b, a))))
+        _bounded(
+            all(
+                not hasattr(x, "__len__") or len(x) * (n if isinstance(n, int) else 1) <= LARGEST
+                for x, n in ((a, b), (b, a))
+            )
+        )
     elif kind == "mod" and isinstance(a, str):
         _check_widths(a.replace("*", str(LARGEST)))
     elif hasattr(a, "__len__") and hasattr(b, "__len__"):
         _bounded(len(a) + len(b) <= LARGEST)
     return operation(a, b)
-
-
-def _size(number):
-    return number if isinstance(number, int) else 1
 
 
 def _check_widths(text):
@@ -90,20 +90,8 @@ def _check_widths(text):
 def _call(function, *given, **named):
     """Result of a call; factorials and texts of a width grow with their arguments, replaced texts with both."""
     name, own = getattr(function, "__name__", ""), getattr(function, "__self__", None)
-    if name in (
-        "factorial",
-        "perm",
-        "comb",
-        "pow",
-        "range",
-        "ljust",
-        "rjust",
-        "center",
-        "zfill",
-        "expandtabs",
-        "round",
-    ):
-        most = 100 if name in ("factorial", "perm", "comb") else LARGEST
+    if name in _FACTORIALS + _WIDE:
+        most = 100 if name in _FACTORIALS else LARGEST
         _bounded(all(abs(x) <= most for x in given if isinstance(x, int)))
     if name in ("replace", "join") and isinstance(own, str):
         more = given[1:2] if name == "replace" else given[:1]

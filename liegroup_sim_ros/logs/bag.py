@@ -239,20 +239,15 @@ def _broken():
     import struct
     import zlib
 
+    from backports.zstd import ZstdError
     from rosbags.rosbag2 import ReaderError
     from rosbags.typesys import TypesysError
 
     return (
         *(ReaderError, TypesysError, sqlite3.Error, struct.error, zlib.error, OSError, EOFError, MemoryError),
         *(ValueError, KeyError, IndexError, AssertionError, TypeError, AttributeError, RecursionError, OverflowError),
-        _zstd_error(),
+        ZstdError,
     )
-
-
-def _zstd_error():
-    from backports import zstd
-
-    return zstd.ZstdError
 
 
 def _line(error):
@@ -269,9 +264,8 @@ def _help(path):
             if files
             else ": the folder has no metadata.yaml and no *.mcap or *.db3: give a bag"
         )
-    files = sorted(path.glob("*.mcap")) if path.is_dir() else [path] if path.suffix == ".mcap" else []
-    for each in files:
-        if each.is_file() and not _has_end(each):
+    for each in sorted(path.glob("*.mcap")) if path.is_dir() else [path]:
+        if each.suffix == ".mcap" and each.is_file() and not _has_end(each):
             return f": its end is missing; `liegroup_sim recover {each}` writes what is there to a new file"
     return ""
 

@@ -5,6 +5,7 @@ import json
 
 from .bag import BagError, listed
 
+STAMPED = {"geometry_msgs/msg/PoseStamped": "pose", "geometry_msgs/msg/TwistStamped": "twist"}
 PARTS = ("position", "velocity", "effort")
 
 
@@ -59,10 +60,9 @@ def suggest(bag, scene, layout):
             body = first["header"]["frame_id"]
             if not sensors and body in layout.body_names:
                 inputs.append((f"{body}.wrench", topic, ""))
-        elif kind == "geometry_msgs/msg/PoseStamped":
-            measurements += [(f"{body}.pose", topic, "pose") for body in _named(layout.body_names, topic)]
-        elif kind == "geometry_msgs/msg/TwistStamped":
-            measurements += [(f"{body}.twist", topic, "twist") for body in _named(layout.body_names, topic)]
+        elif kind in STAMPED:
+            what = STAMPED[kind]
+            measurements += [(f"{body}.{what}", topic, what) for body in _named(layout.body_names, topic)]
         elif kind == "nav_msgs/msg/Odometry":
             body = first["child_frame_id"]
             if body in layout.body_names:
