@@ -34,8 +34,8 @@ def describe(layout):
                             motions of driven joints beyond their limits or points, and units that look wrong
         masses              total mass, centre of mass and extents, see `masses`
         import              sizes of a robot's file and scene, see `imported`; None for other scenes
-        bodies              [{name, mass, com, inertia}]: kg; centre of mass in m, and inertia about it as
-                            [Ixx, Iyy, Izz, Ixy, Ixz, Iyz] in kg m^2, body axes
+        bodies              [{name, mass, com, inertia}]: kg; centre of mass in m, and inertia about it in kg m^2,
+                            body axes, as in the scene
         joints              [{name, type, parent, child, rows, dropped, rotor}]: names of all rows, wx..vz,
                             and of the redundant ones, which are eliminated; inertia of its rotor at the
                             joint, kg m^2 or kg, 0 without one
@@ -73,7 +73,7 @@ def describe(layout):
         "import": imported(layout),
         "masses": masses(layout),
         "bodies": [
-            {"name": body.name, "mass": body.mass, "com": list(body.com), "inertia": _six(body.inertia_matrix)}
+            {"name": body.name, "mass": body.mass, "com": list(body.com), "inertia": list(body.inertia)}
             for body in scene.bodies
         ],
         "joints": [
@@ -127,11 +127,6 @@ def describe(layout):
     }
 
 
-def _six(matrix):
-    """[xx, yy, zz, xy, xz, yz] of a symmetric matrix."""
-    return matrix[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist()
-
-
 def modes_of(switch):
     """Names of the modes that stops and friction allow, as Sample.modes."""
     limits, friction = switch.limits, switch.friction
@@ -153,8 +148,7 @@ def _notes_on_units(layout):
         np.maximum.at(arm, joints[end][own], np.linalg.norm(joints[f"{end}_point"][own], axis=1))
     dense = (mass > DENSE * radius**3) & (mass > HEAVY)  # lighter ones are often points
     thin = (mass < THIN * radius**3) & (mass > 1e-6 * mass.sum())  # lighter ones are no bodies
-    wide = (arm > LARGE) & ((radius > LARGE) | (arm > FAR * radius))
-    wide |= (radius > LARGE) & ~thin
+    wide = (arm > LARGE) & (arm > FAR * radius) | (radius > LARGE) & ((arm > LARGE) | ~thin)
     notes = []
     for which, what in (
         (dense, "denser than any metal: is a mass in g, not kg, or an inertia too small?"),

@@ -124,7 +124,11 @@ def sections(facts):
         (
             "Bodies",
             [
-                (body["name"], f"{body['mass']:.6g} kg", f"at {_vector(body['com'])} m; {_inertia(body['inertia'])}")
+                (
+                    body["name"],
+                    f"{body['mass']:.6g} kg",
+                    f"at {_vector(body['com'])} m; inertia {_vector(body['inertia'])} kg m^2",
+                )
                 for body in facts["bodies"]
             ],
         ),
@@ -178,10 +182,6 @@ def sections(facts):
 
 def _vector(values):
     return " ".join(f"{value:.4g}" for value in values)
-
-
-def _inertia(six):
-    return f"inertia {_vector(six if any(six[3:]) else six[:3])} kg m^2"
 
 
 def _mass_rows(facts):

@@ -83,7 +83,7 @@ def test_total_mass_centre_of_mass_and_extents(tmp_path):
     assert facts["masses"]["mass"] == pytest.approx(model.body_subtreemass[0], rel=1e-12)
     assert facts["masses"]["centre_of_mass"] == pytest.approx(data.subtree_com[0], abs=1e-12)
     for body, number in zip(facts["bodies"], (1, 2)):
-        moments = np.linalg.eigvalsh(np.array(body["inertia"])[[[0, 3, 4], [3, 1, 5], [4, 5, 2]]])
+        moments = np.linalg.eigvalsh(np.append(body["inertia"], [0.0] * 3)[[[0, 3, 4], [3, 1, 5], [4, 5, 2]]])
         assert moments == pytest.approx(np.sort(model.body_inertia[number]), rel=1e-9)
         assert body["com"] == pytest.approx(model.body_ipos[number], abs=1e-12)
     box = LINKS[: LINKS.index('    <body name="arm"')] + "</body></worldbody></mujoco>"
