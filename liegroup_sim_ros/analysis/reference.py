@@ -32,7 +32,7 @@ class Errors:
         self._every = -(-expected // MOST_POINTS)
         self._max = dict.fromkeys((name for name, _ in QUANTITIES), 0.0)
         self._final, self._known = {}, dict(self._max)
-        self._curves, self.seconds = {}, 0.0
+        self._curves = {}
 
     def add(self, stretch, times, log_times, error, uncertainty, estimates=None):
         """Add error and uncertainty, two Distances at k times of a Stretch.
