@@ -46,10 +46,8 @@ setup(
         "control": ["control"],
         # Bags of real machines: `liegroup_sim compare`, `identify`.
         "bags": ["rosbags"],
-        # exact: exact solutions in `liegroup_sim analyze`. many: many recordings or runs on a
-        # cluster, and the files of `liegroup_sim sweep`. remote: recordings at http(s) addresses;
-        # other kinds need their own package, such as s3fs for s3://.
-        "exact": ["mpmath"],
+        # many: many recordings or runs on a cluster, and the files of `liegroup_sim sweep`. remote:
+        # recordings at http(s) addresses; other kinds need their own package, such as s3fs for s3://.
         "many": ["dask", "distributed", "pyarrow"],
         "pandas": ["pandas"],
         # xacro files, and MJCF files through MuJoCo's compiler; plain URDF and SDF need neither.

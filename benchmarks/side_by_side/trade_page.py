@@ -177,8 +177,7 @@ FOOT = """
 ## Checked against other software
 
 `test/verification/test_trade_truth.py` checks the reference solutions behind these tables against
-closed forms (free body, Lagrangian top), 45-digit end states of the heavy top, the crank angle of
-the four-bar by quadrature of its energy, and motions with the accelerations of Pinocchio.
-`benchmarks/trade_truth_peers.py` measures every configuration on the Pareto fronts of four scenes
-against motions of Pinocchio and MuJoCo.
+45-digit end states of free body and tops, the crank angle of the four-bar by quadrature of its
+energy, and motions with the accelerations of Pinocchio. `benchmarks/trade_truth_peers.py` measures
+every configuration on the Pareto fronts of four scenes against motions of Pinocchio and MuJoCo.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reference solutions: exact motions, and an independent integration with tight tolerances.
+"""Reference solutions: an independent integration with tight tolerances.
 
 elliptic.py has the exact rotations of a free body and of a symmetric heavy top; it needs mpmath.
 """

@@ -98,43 +98,30 @@ def _ends(link, index):
 
 def _equations(scene, index, frames, relative, couplings):
     """Equations; couplings : (their joints in pairs, angles of all joints that need one)."""
-    kind, body, point, axis, normal, length, pitch, turn = ([] for _ in range(8))
+    rows = []  # (kind, body, point, axis, normal, length, pitch, turn)
     described = _relative(scene, frames, {body.name: body.pose for body in scene.bodies})
     screws = 0
     for joint in scene.joints:
         (F_a, F_b), C_rel = frames[joint.name], relative[joint.name]
         for equation in JOINTS[joint.type][2 if getattr(joint, "frictionless", False) else 0 :]:
             e, f = (*equation[1:], X, X)[:2]
-            kind.append(equation[0])
-            body.append(_ends(joint, index))
-            point.append((F_a[:3, 3], F_b[:3, 3]))
-            axis.append((F_a[:3, e], F_b[:3, f]))
-            normal.append(F_a[:3, 2])
-            threaded = joint.type == "screw" and equation == JOINTS["screw"][-1]
-            pitch.append(joint.pitch if threaded else 0.0)
-            turn.append(screws if threaded else -1)
-            length.append(
-                _thread(joint, C_rel)
-                if threaded
-                else getattr(joint, "radius", 0.0)
-                if equation[0] != DISTANCE
-                else _length(joint, described[joint.name])
-            )
+            axes, length, screw = (F_a[:3, e], F_b[:3, f]), getattr(joint, "radius", 0.0), (0.0, -1)
+            if equation[0] == DISTANCE:
+                length = _length(joint, described[joint.name])
+            elif joint.type == "screw" and equation == JOINTS["screw"][-1]:
+                length, screw = _thread(joint, C_rel), (joint.pitch, screws)
+            ends, points = _ends(joint, index), (F_a[:3, 3], F_b[:3, 3])
+            rows.append((equation[0], ends, points, axes, F_a[:3, 2], length, *screw))
         screws += joint.type == "screw"
     coupled, start = couplings
     angle, values = len(start) - sum(joint.type != "prismatic" for joint in coupled), []
     rotors = [joint for joint in scene.joints if joint.rotor]
     for number, joint in enumerate([*coupled, *rotors]):
         F_a, F_b = frames[joint.name]
-        turns = joint.type != "prismatic"
-        kind.append(ANGLE if turns else LEVEL)
-        body.append(_ends(joint, index))
-        point.append((F_a[:3, 3], F_b[:3, 3]))
-        axis.append((F_a[:3, 2], F_b[:3, 2]))
-        normal.append(F_a[:3, 2])
-        length.append(0.0)
-        pitch.append(0.0)
-        turn.append(angle if turns and number < len(coupled) else -1)
+        turns, axes = joint.type != "prismatic", (F_a[:3, 2], F_b[:3, 2])
+        ends, points = _ends(joint, index), (F_a[:3, 3], F_b[:3, 3])
+        turn = angle if turns and number < len(coupled) else -1
+        rows.append((ANGLE if turns else LEVEL, ends, points, axes, F_a[:3, 2], 0.0, 0.0, turn))
         if number >= len(coupled):
             continue
         values.append(start[angle] if turns else relative[joint.name][2, 3])
@@ -146,6 +133,7 @@ def _equations(scene, index, frames, relative, couplings):
         row[: len(entry.curve)] = entry.curve
     values = np.array(values).reshape(-1, 2)
     values[len(ratio) - len(drives) :] = 0.0
+    kind, body, point, axis, normal, length, pitch, turn = zip(*rows) if rows else [()] * 8
     compliance, bodies = np.zeros(len(kind)), np.full((len(kind), 4), len(scene.bodies))
     bodies[:, :2] = _table(body, (2,), int)
     compliance[len(kind) - len(rotors) :] = [1.0 / joint.rotor_inertia for joint in rotors]

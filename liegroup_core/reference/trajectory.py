@@ -113,9 +113,9 @@ def integrate(scene, pose, twist, times, changes=(), start=0.0, rtol=TIGHT):
     times   : (k,) s, increasing, not before `start`
     changes : WrenchSpan, ServoChange and MotionChange; servos and motions in the order of their times. Before
               the first of these wanted values and motions are those of the scene
-    rtol    : relative and absolute tolerance of DOP853
+    rtol    : tolerance of the error inside a step, relative to the characteristic length and in rad
     returns (Trajectory at `times`, its uncertainty as a Distance: the largest distance so far to
-    a run with a tolerance ten times larger)
+    a run with a tolerance LOOSER times larger)
 
     Angles of torsional springs are in (-pi, pi] at `start` and unwrapped from there.
     Raises SimulationError if the integration cannot continue, for instance at a singular pose.

@@ -42,11 +42,11 @@ ONE_COORDINATE = ("revolute", "prismatic", "screw")
 class Visual:
     """Shape that a viewer draws.
 
-    kind  : box, cylinder, capsule, cone, ellipsoid, sphere or mesh
-    size  : m: edges (x, y, z); (radius, length); (radius, length without caps); (radius, length); radii (x, y, z);
+    kind  : box, cylinder, capsule, ellipsoid, sphere or mesh
+    size  : m: edges (x, y, z); (radius, length); (radius, length without caps); radii (x, y, z);
             (radius,); for a mesh its scale (x, y, z)
     pose  : (4, 4) in the frame of the link
-    mesh  : address of the mesh file, as in the robot file
+    mesh  : address of the mesh file, as in the robot file; "" for an asset
     color : red, green, blue, opacity from 0 to 1; None if the file gives none
     asset : number of a mesh of MuJoCo's compiled model, whose triangles are drawn; -1: those of the file
     """

@@ -48,10 +48,6 @@ def _meshes(kind, size, path, asset):
         return [(trimesh.creation.box(extents=np.maximum(size, 1e-6)), None)]
     if kind == "cylinder":
         return [(trimesh.creation.cylinder(radius=size[0], height=size[1], sections=ROUND), None)]
-    if kind == "cone":
-        cone = trimesh.creation.cone(radius=size[0], height=size[1], sections=ROUND)
-        cone.apply_translation((0.0, 0.0, -0.5 * size[1]))
-        return [(cone, None)]
     if kind == "capsule":
         mesh = trimesh.creation.capsule(radius=size[0], height=size[1], count=(ROUND, ROUND))
         mesh.apply_translation(-mesh.bounds.mean(axis=0))

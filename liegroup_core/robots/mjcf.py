@@ -287,11 +287,10 @@ def _shapes(robot, model, names):
         elif kind not in VISUALS:
             robot.leave_out(NOT_DRAWN, f"{kind} {geom['name']}".strip() + f" of {name}")
         else:
-            sizes = {"box": (2 * x, 2 * y, 2 * z), "sphere": (x,), "ellipsoid": (x, y, z), "mesh": (x, y, z)}
+            sizes = {"box": (2 * x, 2 * y, 2 * z), "sphere": (x,), "ellipsoid": (x, y, z)}
             pose, color = place(geom["pos"], _rotation(geom["quat"])), geom["color"] and tuple(geom["color"])
-            mesh, asset = geom.get("mesh", ""), geom.get("asset", -1)
             visuals = robot.fixtures if name == WORLD else robot.links[name].visuals
-            visuals.append(Visual(kind, sizes.get(kind, (x, 2 * y)), pose, mesh, color, asset))
+            visuals.append(Visual(kind, sizes.get(kind, (x, 2 * y)), pose, "", color, geom["asset"]))
     for name in model["skins"]:
         robot.leave_out(NOT_DRAWN, name)
 

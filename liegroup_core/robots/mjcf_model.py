@@ -2,7 +2,6 @@
 """Compiled MuJoCo model as lists and numbers. It runs in a separate process, see apart.py."""
 
 import functools
-import os
 
 import mujoco
 import numpy as np
@@ -16,7 +15,6 @@ def arrays_of(path):
     """Dict of JSON types of the model of an MJCF file. Quaternions are w, x, y, z, as in MuJoCo."""
     model, without_file = _compiled(path)
     _switch_off(model)
-    files = _mesh_files(path) if model.nmesh else {}
     return {
         "name": _text(model.names, 0),
         "gravity": model.opt.gravity.tolist(),
@@ -24,7 +22,7 @@ def arrays_of(path):
         "bodies": [_body(model, i) for i in range(1, model.nbody)],
         "joints": [_joint(model, i) for i in range(model.njnt)],
         "equalities": [_equality(model, i) for i in range(model.neq)],
-        "geoms": [_geom(model, i, files) | {"missing": without_file.get(i, "")} for i in range(model.ngeom)],
+        "geoms": [_geom(model, i) | {"missing": without_file.get(i, "")} for i in range(model.ngeom)],
         "tendons": [_tendon(model, i) for i in range(model.ntendon)],
         "actuators": [_actuator(model, i) for i in range(len(model.actuator_trntype)) if not _is_off(model, i)],
         "sensors": [_sensor(model, i) for i in range(model.nsensor)],
@@ -311,57 +309,20 @@ def _site(model, i):
 
 
 def triangles_of_mesh(path, number):
-    """Vertices (k, 3) in m and triangles (m, 3) of a mesh of an MJCF file, in the scaled frame of its file."""
+    """Vertices (k, 3) in m and triangles (m, 3) of a mesh of an MJCF file, in the frame of its geom."""
     model = _model_of(path)
-    vertices, faces = (
-        getattr(model, f"mesh_{key}")[start : start + count]
+    return [
+        getattr(model, f"mesh_{key}")[start[number] :][: count[number]]
         for key, start, count in (
-            ("vert", model.mesh_vertadr[number], model.mesh_vertnum[number]),
-            ("face", model.mesh_faceadr[number], model.mesh_facenum[number]),
+            ("vert", model.mesh_vertadr, model.mesh_vertnum),
+            ("face", model.mesh_faceadr, model.mesh_facenum),
         )
-    )
-    turn, shift = np.zeros(9), _mesh_files(path).get(model.mesh(number).name, ("", 0.0))[1]
-    mujoco.mju_quat2Mat(turn, model.mesh_quat[number])
-    return vertices @ turn.reshape(3, 3).T + model.mesh_pos[number] - shift, faces
+    ]
 
 
 @functools.cache
 def _model_of(path):
     return _compiled(path)[0]
-
-
-@functools.cache
-def _mesh_files(path):
-    """{mesh: (address of its file, (3,) m by which its scaled points are shifted)}; of others, no file has the points.
-
-    MuJoCo subtracts refpos from the points of a file, turns them by refquat, and scales them.
-    """
-    meshes = mujoco.MjSpec.from_file(path).meshes
-    return {
-        mesh.name: (os.path.join(mesh.compiler.meshdir, mesh.file), -np.array(mesh.scale) * mesh.refpos)
-        for mesh in meshes
-        if mesh.file and not np.any(mesh.refquat[1:])
-    }
-
-
-def _mesh(model, i, files):
-    """Keys of a mesh of the geom i; its pose is that of the frame of the file.
-
-    Compiling moves the origin of a mesh to its centre of mass, and turns its axes to the principal ones.
-    """
-    number, quat, moved = int(model.geom_dataid[i]), np.zeros(4), np.zeros(3)
-    address, shift = files.get(model.mesh(number).name, ("", np.zeros(3)))
-    mujoco.mju_negQuat(quat, model.mesh_quat[number])
-    mujoco.mju_mulQuat(quat, model.geom_quat[i], quat.copy())
-    mujoco.mju_rotVecQuat(moved, shift - model.mesh_pos[number], quat)
-    return {
-        "type": "mesh",
-        "asset": number,
-        "mesh": address,
-        "size": model.mesh_scale[number].tolist(),
-        "quat": quat.tolist(),
-        "pos": (model.geom_pos[i] + moved).tolist(),
-    }
 
 
 def _color(model, i):
@@ -380,18 +341,20 @@ def _color(model, i):
     return found.tolist()
 
 
-def _geom(model, i, files):
+def _geom(model, i):
     kind = mujoco.mjtGeom(int(model.geom_type[i])).name.removeprefix("mjGEOM_").lower()
+    has_mesh = kind in ("mesh", "sdf") and model.geom_dataid[i] >= 0
     return {
         "name": model.geom(i).name,
         "color": _color(model, i),
         "group": int(model.geom_group[i]),
         "body": int(model.geom_bodyid[i]),
-        "type": kind,
+        "type": "mesh" if has_mesh else kind,
+        "asset": int(model.geom_dataid[i]) if has_mesh else -1,
         "size": model.geom_size[i].tolist(),
         "pos": model.geom_pos[i].tolist(),
         "quat": model.geom_quat[i].tolist(),
         "collides": bool(
             model.geom_contype[i] or model.geom_conaffinity[i] or i in model.pair_geom1 or i in model.pair_geom2
         ),
-    } | (_mesh(model, i, files) if kind in ("mesh", "sdf") and model.geom_dataid[i] >= 0 else {})
+    }

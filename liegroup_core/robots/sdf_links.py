@@ -125,7 +125,7 @@ def _visuals(reader, visual, pose):
         size = reader.numbers(solid, solid.find("size").text, 3, "<size>")
     elif solid.tag == "ellipsoid" and solid.find("radii") is not None:
         size = reader.numbers(solid, solid.find("radii").text, 3, "<radii>")
-    elif solid.tag in ("cylinder", "capsule", "cone"):
+    elif solid.tag in ("cylinder", "capsule"):
         size = (value_of(reader, solid, key, 1.0) for key in ("radius", "length"))
     elif solid.tag == "sphere":
         size = (value_of(reader, solid, "radius", 1.0),)

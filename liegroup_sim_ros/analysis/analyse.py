@@ -16,11 +16,10 @@ from liegroup_core import SimulationError
 from liegroup_core.forces.commands import EFFORT
 from liegroup_core.forces.kinds import count_of_angles
 from liegroup_core.layout import make_layout
-from liegroup_core.reference.exact import exact_solution
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.playback.repeat import Repeat
-from liegroup_sim_ros.playback.rerun import ReplayError, Work, initial_state, make_simulation
+from liegroup_sim_ros.playback.rerun import ReplayError, Work, make_simulation
 from liegroup_sim_ros.playback.resimulate import platform_changes
 from liegroup_sim_ros.recording.check import check_settings
 from liegroup_sim_ros.recording.motion import Motion
@@ -34,7 +33,7 @@ from .joint_events import joint_events
 from .joint_motion import joint_motion
 from .local_error import local_error
 from .promise import Promise
-from .reference import ReferenceError, exact_error
+from .reference import ReferenceError
 from .timing import number, timing_figures
 from .verdict import find_problems, find_warnings, verdict
 
@@ -88,8 +87,7 @@ def analyse(
 
     reference         : whether to compare with a reference solution
     tell              : function that is called with the progress, one line of text
-    reference_seconds : simulated time in s that a reference integration covers; if the scene has an
-                        exact solution, this replaces it and covers the whole run
+    reference_seconds : simulated time in s that a reference integration covers
     reference_steps   : maximum number of steps of a reference integration, which stops there
     covered           : function that is called with the simulated time that a reference integration has covered,
                         and with all that it has to cover at most, s
@@ -154,20 +152,13 @@ class _Parts:
             )
         }
         self._promise, self._estimated = (Promise(recording.settings.get("promise")) for _ in range(2))
-        self._exact, self._estimate = None, Estimate(self._estimated)
+        self._estimate = Estimate(self._estimated)
         if reference:
-            if not (
-                recording.initial_state.get("steps")
-                or len(recording.inputs)
-                or any(event.name == "state" for event in recording.events)
-            ):
-                self._exact = exact_solution(layout, *initial_state(recording)[:2])
-            if self._exact is None:
-                self._guarded["reference"] = _Guarded(
-                    lambda: ReferenceError(
-                        layout, recording, expected, seconds, self._promise, self._estimate, steps, tell=covered
-                    )
+            self._guarded["reference"] = _Guarded(
+                lambda: ReferenceError(
+                    layout, recording, expected, seconds, self._promise, self._estimate, steps, tell=covered
                 )
+            )
 
     def angles(self, block):
         """Angles of the torsional springs; called before `add` with the same Block."""
@@ -194,11 +185,7 @@ class _Parts:
         figures["repeat"] = self._guarded["repeat"].figures()
         if "failed" not in figures["repeat"]:
             figures["repeat"]["platform"] = platform_changes(self._recording.settings)
-        if self._exact is not None:
-            figures["reference"], curves["reference"] = exact_error(
-                self._exact, self._motion, self._promise, self._estimate
-            )
-        elif "reference" in self._guarded:
+        if "reference" in self._guarded:
             found = self._guarded["reference"].figures()
             figures["reference"], curves["reference"] = found if isinstance(found, tuple) else (found, None)
         by_reference = "failed" not in figures.get("reference", {"failed": None})

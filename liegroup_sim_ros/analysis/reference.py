@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Global error of a recorded run: distance to the exact solution or a reference integration.
+"""Global error of a recorded run: distance to a reference integration.
 
-Both are independent of the engine (liegroup_core.reference) and start at the recorded initial
+It is independent of the engine (liegroup_core.reference) and starts at the recorded initial
 state of each stretch. A stretch is a part of the recording between resets or set states.
 """
 
@@ -18,7 +18,6 @@ from .drift import MOST_POINTS, extremes
 
 # (name in Distance, unit)
 QUANTITIES = (("position", "m"), ("attitude", "1"), ("angle", "rad"), ("angular", "rad/s"), ("linear", "m/s"))
-EXACT_SAMPLES = 200  # number of samples; each takes about 10 ms
 
 
 class Errors:
@@ -33,7 +32,7 @@ class Errors:
         self._every = -(-expected // MOST_POINTS)
         self._max = dict.fromkeys((name for name, _ in QUANTITIES), 0.0)
         self._final, self._known = {}, dict(self._max)
-        self._curves, self.seconds = {}, 0.0
+        self._curves = {}
 
     def add(self, stretch, times, log_times, error, uncertainty, estimates=None):
         """Add error and uncertainty, two Distances at k times of a Stretch.
@@ -204,23 +203,3 @@ class ReferenceError:
         if self._stopped and not self._judged:
             raise SimulationError(self._stopped)
         return self._errors.figures(kind="integration", seconds=self._judged, stopped=self._stopped)
-
-
-def exact_error(exact, motion, promise=None, estimate=None):
-    """(figures, curves) of the error against an exact solution (liegroup_core.reference.exact)."""
-    errors = Errors(EXACT_SAMPLES, promise, estimate)
-    for stretch in motion.stretches:
-        k = len(stretch.steps)
-        rows = np.unique(np.linspace(0, k - 1, min(k, EXACT_SAMPLES)).astype(int))
-        found = exact.at(stretch.times[rows])
-        error = distance(Trajectory(None, stretch.rotation[rows], stretch.position[rows], stretch.twist[rows]), found)
-        errors.add(
-            stretch,
-            stretch.times[rows],
-            stretch.log_times[rows],
-            error,
-            exact.uncertainty(found),
-            None if stretch.errors is None else stretch.errors[rows],
-        )
-    seconds = sum(stretch.seconds for stretch in motion.stretches)
-    return errors.figures(kind=exact.name, seconds=seconds, stopped=None)

@@ -34,7 +34,7 @@ class AnalysisError(LieGroupSimError):
 def add_arguments(parser):
     """Arguments of the subcommand."""
     parser.description = (
-        "Analyse recordings: error against the exact solution or a reference integration, "
+        "Analyse recordings: error against a reference integration, "
         "recorded estimates of the error, drift of energy and momentum, constraint residuals, "
         "bitwise re-simulation, real-time figures, lost messages."
     )

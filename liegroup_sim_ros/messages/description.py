@@ -34,6 +34,7 @@ def robot_description(scene):
         return _with_addresses(robot.text, robot.file)
     links, joints = links_and_joints(scene)
     visuals, folder = ({}, "") if robot is None else (dict(robot.visuals), robot.file)
+    visuals = {link: [visual for visual in found if visual.asset < 0] for link, found in visuals.items()}
     drawn = {body for link, (body, _) in links.items() if visuals.get(link)}
     main = link_of_body(scene)
     visuals |= {main[body.name]: [_solid(body, scene)] for body in scene.bodies if body.name not in drawn}

@@ -154,9 +154,7 @@ def drawn(scene):
 
 
 def in_primitives(visual):
-    """[Visual] of boxes, cylinders, ellipsoids, spheres and meshes that show a Visual; a cone is a cylinder."""
-    if visual.kind == "cone":
-        return [dataclasses.replace(visual, kind="cylinder")]
+    """[Visual] of boxes, cylinders, ellipsoids, spheres and meshes that show a Visual."""
     if visual.kind != "capsule":
         return [visual]
     caps = [visual.pose @ place((0.0, 0.0, end * visual.size[1])) for end in (-0.5, 0.5)]

@@ -123,12 +123,9 @@ def _errors(analysis):
     """(remark, traces) of the errors against the reference, or else of the recorded estimates."""
     figures, parts = analysis.figures, analysis.curves.get("reference")
     if parts:
-        kind = figures["reference"]["kind"]
-        source = "the reference integration" if kind == "integration" else "the exact solution"
+        remark = "distance from the reference integration, largest of all bodies; dotted: reference uncertainty"
         estimate = "; dashed: estimate recorded with the run" if figures["estimate"] else ""
-        return f"distance from {source}, largest of all bodies; dotted: reference uncertainty{estimate}", _error_traces(
-            parts, ERRORS
-        )
+        return remark + estimate, _error_traces(parts, ERRORS)
     if not figures["estimate"]:
         return "", []
     parts = [(s.log_times, *s.errors.max(axis=1).T[:2]) for s in analysis.motion.stretches]

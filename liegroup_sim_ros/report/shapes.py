@@ -53,7 +53,7 @@ def robot_shapes(robot, most=MOST_TRIANGLES):
                 missing.append(visual.mesh)
                 continue
             folders.add(os.path.dirname(os.path.realpath(path)))
-        names[str(path)] = visual.mesh
+        names[str(path)] = visual.mesh or path
         size = list(map(float, visual.size))
         shapes.append((body, visual.kind, size, pose.tolist(), str(path), visual.color, visual.asset))
     try:

@@ -74,15 +74,7 @@ def sections(figures):
     """Tables of an analysis: [(title, [(name, value, remark)])]."""
     tables = [("Run", _run_rows(figures))]
     if "reference" in figures and "failed" not in figures["reference"]:
-        kind = figures["reference"]["kind"]
-        tables.append(
-            (
-                "Error against the reference integration"
-                if kind == "integration"
-                else f"Error against the exact solution: {kind}",
-                _error_rows(figures),
-            )
-        )
+        tables.append(("Error against the reference integration", _error_rows(figures)))
     if figures.get("estimate"):
         tables.append(("Estimate of the error, recorded with the run", _estimate_rows(figures)))
     local = figures.get("local", {})

@@ -41,9 +41,8 @@ def document_part(trade):
         "horizon": trade.horizon,
         "length": truth.length,
         "reference": {
-            "kind": truth.kind,
+            "kind": "integration",
             "known": truth.known,
-            "agrees": truth.agrees,
             "position": truth.uncertainty[0],
             "attitude": truth.uncertainty[1],
             "angular": truth.uncertainty[2],
@@ -77,13 +76,7 @@ def error_text(value, known):
 
 def reference_text(part):
     """Text that describes the reference solution."""
-    reference = part["reference"]
-    text = (
-        "the reference integration" if reference["kind"] == "integration" else f"the closed form ({reference['kind']})"
-    )
-    if reference["agrees"] is not None:
-        text += f"; the reference integration agrees within {shown(reference['agrees'])}"
-    return f"{text}; reference uncertainty {shown(reference['known'])}"
+    return f"the reference integration; reference uncertainty {shown(part['reference']['known'])}"
 
 
 def cheapest_rows(part):

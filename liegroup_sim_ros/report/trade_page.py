@@ -231,9 +231,7 @@ def write_picture(part, path):
     axes.tick_params(labelsize=7)
     axes.grid(True, lw=0.3)
     title = axes.set_title(
-        f"{part['scene']}, {part['horizon']:g} s; errors against "
-        + ("the reference integration" if part["reference"]["kind"] == "integration" else "the closed form"),
-        fontsize=8.5,
+        f"{part['scene']}, {part['horizon']:g} s; errors against the reference integration", fontsize=8.5
     )
     title.set_parse_math(False)
     axes.legend(fontsize=6, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))

@@ -77,10 +77,8 @@ class Boxes:
         half = self._halves + THICK * self.size
         with np.errstate(divide="ignore", invalid="ignore"):
             ends = np.stack([(-half - start) / along, (half - start) / along])
-        enter, leave = np.fmin(*ends).max(axis=-1), np.fmax(*ends).min(axis=-1)
-        if body is not None:
-            others = np.arange(at.shape[1]) != body
-            enter[:, others], at[:, others] = np.inf, np.inf
+        others = np.zeros(at.shape[1], dtype=bool) if body is None else np.arange(at.shape[1]) != body
+        enter, leave = np.where(others, np.inf, np.fmin(*ends).max(axis=-1)), np.fmax(*ends).min(axis=-1)
         meets = (enter <= leave) & (leave > 0.0)
         if meets.any():
             k = int(np.flatnonzero(meets.any(axis=1))[0])
@@ -89,7 +87,8 @@ class Boxes:
         else:
             depths = (at - origin) @ direction
             apart = np.linalg.norm(at - origin - depths[..., None] * direction, axis=-1) - np.linalg.norm(half, axis=-1)
-            k, i = np.unravel_index(np.nanargmin(np.where(np.isfinite(apart), apart, np.nan)), apart.shape)
+            apart[others | ~np.isfinite(apart)] = np.inf
+            k, i = np.unravel_index(apart.argmin(), apart.shape)
             depth = depths[k, i]
         local = np.clip(start[k, i] + depth * along[k, i], -self._halves[i], self._halves[i])
         return int(k), int(i), self._places[i, :3, 3] + self._places[i, :3, :3] @ local

@@ -167,7 +167,7 @@ class Hand:
         if grip.axis is None:
             stretch, rate = grip.tip - at, turn @ (twist[3:] + np.cross(twist[:3], grip.point))
         else:
-            stretch, rate = grip.axis / (TURN * self._size), turn @ twist[:3]
+            stretch, rate = grip.axis / (TURN * self._layout.size), turn @ twist[:3]
         inertia, omega = self._inertia(sample, grip), 2.0 * math.pi * FREQUENCY
         if inertia is None:
             return None
@@ -191,10 +191,6 @@ class Hand:
         response = np.array(motions[1:]) - motions[0]
         largest = float(np.linalg.eigvalsh(0.5 * (response + response.T)).max())
         return free / max(largest, HEAVIEST) if largest > LOCKED else None
-
-    @property
-    def _size(self):
-        return self._layout.size
 
     def line(self, frame):
         """(picked point, mouse) in world axes, to be drawn, or None."""

@@ -165,12 +165,7 @@ def random_trade(seed):
         "scene": "random <b>",
         "horizon": 1.0,
         "length": 1.0,
-        "reference": {
-            "kind": chance.choice(("integration", "free bodies")),
-            "known": known,
-            "agrees": chance.choice((None, 0.0, 1e-9)),
-            **known_errors,
-        },
+        "reference": {"known": known, **known_errors},
         "margin": 3.0,
         "cells": cells,
         "front": [] if first is None else [first],

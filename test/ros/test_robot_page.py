@@ -15,6 +15,7 @@ from sensor_msgs.msg import JointState
 
 from liegroup_core import Simulation, load_scene
 from liegroup_sim_ros.commands.main import main
+from liegroup_sim_ros.messages.description import robot_description
 from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording import read_recording
 from liegroup_sim_ros.report.shapes import MOST_TRIANGLES, decoded, robot_shapes
@@ -285,6 +286,7 @@ def test_shapes_of_mjcf_are_those_of_the_compiled_model(tmp_path):
     shapes, remarks = robot_shapes(scene.robot)
     assert not remarks and " (plane of world)" in " ".join(scene.notes)
     assert "left out: 1 shapes of geom groups above 2, which MuJoCo hides (sphere of d)" in scene.notes
+    assert "<mesh" not in robot_description(scene)  # they have no file in the frame of their geom: boxes
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "drawn.xml"))
     found = {body: trimesh.Trimesh(*decoded(shape)) for body, [shape] in shapes.items()}
     for geom in (i for i in range(model.ngeom) if model.geom_type[i] == mujoco.mjtGeom.mjGEOM_MESH):

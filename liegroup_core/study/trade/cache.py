@@ -33,7 +33,7 @@ log = logging.getLogger("liegroup_core")
 
 # Version of the files and of the measurement.
 FORMAT = 2
-PACKAGES = ("numpy", "scipy", "numba", "mpmath")
+PACKAGES = ("numpy", "scipy", "numba")
 
 
 def key_of(text):

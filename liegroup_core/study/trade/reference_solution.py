@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reference solution of a scene at the samples of a horizon, with its uncertainty.
 
-It is a closed form if the scene has one, else the integration of liegroup_core.reference. The uncertainty
-of the integration is its distance to an integration with a ten times larger tolerance. A closed form is
-also compared with the integration, and the difference is recorded.
+It is the integration of liegroup_core.reference. Its uncertainty is its distance to an integration with a
+larger tolerance.
 """
 
 import io
@@ -18,8 +17,7 @@ from liegroup_core.errors import SimulationError
 from liegroup_core.mechanism.body_model import initial_state
 from liegroup_core.mechanism.symmetry import momentum_values
 from liegroup_core.observables.along import Along
-from liegroup_core.reference import Distance, Reference, Trajectory, distance
-from liegroup_core.reference.exact import exact_solution
+from liegroup_core.reference import Distance, Reference, Trajectory
 
 from .configurations import sample_times
 
@@ -34,13 +32,11 @@ class Truth(NamedTuple):
     """Reference solution at k times, and scales of its errors."""
 
     horizon: Fraction  # s
-    kind: str  # "integration", or the name of the closed form
     length: float  # m, characteristic length of the scene
     motion: Trajectory  # of n bodies
     uncertainty: tuple  # largest ones: position m, angle rad, angular velocity rad/s, velocity m/s
     energy: np.ndarray  # (k,) J
     kinetic: float  # largest kinetic energy, J
-    agrees: float | None  # distance of the integration from the closed form, see `scaled`
     seconds: float  # of the reference integration
 
     @property
@@ -68,26 +64,16 @@ def find_truth(layout, horizon=None, tell=lambda text: None):
         tell(f"the reference solution over {float(horizon):g} s")
         times = np.array([float(at) for at in sample_times(horizon)])
         motion, apart = Reference(layout.scene, pose, twist, end=times[-1]).at(times)
-    kind, agrees = "integration", None
-    exact = exact_solution(layout, pose, twist)
-    if exact is not None:
-        tell(f"the closed form: {exact.name}")
-        found = exact.at(motion.times)
-        off = distance(motion, found)
-        kind, agrees = exact.name, scaled(off.position, off.angle, length)
-        motion, apart = found, exact.uncertainty(found)
     k, n = motion.position.shape[:2]
     poses = np.concatenate([motion.rotation.reshape(k, n, 9), motion.position], axis=2)
     energy, parts, *_ = Along(layout).of(poses, motion.twist)
     return Truth(
         horizon,
-        kind,
         length,
         motion,
         tuple(float(part.max()) for part in (apart.position, apart.angle, apart.angular, apart.linear)),
         energy,
         float(parts[:, 0].max()),
-        agrees,
         time.perf_counter() - began,
     )
 
@@ -123,11 +109,9 @@ def as_bytes(truth):
     stream = io.BytesIO()
     facts = {
         "horizon": str(truth.horizon),
-        "kind": truth.kind,
         "length": truth.length,
         "uncertainty": truth.uncertainty,
         "kinetic": truth.kinetic,
-        "agrees": truth.agrees,
         "seconds": truth.seconds,
     }
     np.savez(stream, facts=np.array(json.dumps(facts)), energy=truth.energy, **truth.motion._asdict())
