@@ -87,10 +87,10 @@ add_effort = choice("add_effort", _add_effort_in_space, _add_effort_in_plane)
 
 
 @kernel
-def coupled_rate(model, work, rates, c):
-    """J times rates (f, 1) of the degrees of freedom, for coupling c."""
+def coupled_rate(model, work, rates, at, c):
+    """J times rates of the degrees of freedom, for coupling c; rates[at + f, 0] is that of freedom f."""
     begin, end = model.couplings[c]["terms"]
     total = 0.0
     for k in range(begin, end):
-        total += work.factors[k] * rates[model.bodies[model.coupling_terms[k]["link"]]["freedom"], 0]
+        total += work.factors[k] * rates[at + model.bodies[model.coupling_terms[k]["link"]]["freedom"], 0]
     return total

@@ -461,8 +461,8 @@ def _change_couplings(model, work, moves, at, rows, given):
     for c in range(len(model.couplings)):
         coupling = model.couplings[c]
         r = coupling["row"]
-        rows[SLIP, r] = coupled_rate(model, work, moves[rates:], c)
-        rows[SHIFT, r] = coupled_rate(model, work, moves[at:], c)
+        rows[SLIP, r] = coupled_rate(model, work, moves, rates, c)
+        rows[SHIFT, r] = coupled_rate(model, work, moves, at, c)
         if coupling["curved"] == 0:
             continue
         term = model.coupling_terms[coupling["terms"][0] + 1]
@@ -537,7 +537,7 @@ def _respond(model, work, rows, is_correction):
                 work.right[r] = value
         for c in range(len(model.couplings)):
             row = model.couplings[c]["row"]
-            work.right[row] = rows[RIGHT, row] + coupled_rate(model, work, work.acceleration, c)
+            work.right[row] = rows[RIGHT, row] + coupled_rate(model, work, work.acceleration, 0, c)
         close_loops(model, work)
         spread_response(model, work)
     if is_correction:
