@@ -49,6 +49,8 @@ def with_coupled(couplings, values):
             elif unknown == [other] and any((entry.ratio, *entry.curve)):
                 further = values[joint] - entry.rise(values | {other: 0.0})
                 values[other] = other_at(entry._replace(offset=0.0), further, 0.0)
+            elif len(unknown) == 1 and (c := dict(entry.further).get(unknown[0])):
+                values[unknown[0]] = (values[joint] - entry.rise(values | {unknown[0]: 0.0})) / c
     return values
 
 

@@ -109,6 +109,9 @@ def _at_once(scene, pose, twist, poses, twists, joints, angles, driven):
         now = coordinates_at(scene, frames, before[0], wanted, near)
         local = [e.counted_from(others) for e in couplings]
         changes = with_coupled(local, {j: wanted[j] - now[j] for j in wanted})
+        # Of several joints that may follow, the further ones stay.
+        stay = {j: 0.0 for e in local if e.joint in changes for j, _ in e.further}
+        changes = with_coupled(local, stay | changes)
         local = [e.counted_from(others | dict.fromkeys(others, 0.0) | changes)._replace(curve=()) for e in local]
         near |= {j: near[j] + change for j, change in changes.items() if j in near}
         start, given = carried(scene, frames, before, set_parts, changes, with_coupled(local, rates))
