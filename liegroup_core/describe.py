@@ -53,7 +53,7 @@ def describe(layout):
         solve               size of the system of the cut joints, see `solve_structure`
         methods             names of the integration methods that can integrate the scene
         groups              [[body]]: bodies that joints or forces connect, not counting the world
-        couplings           [{name, joint, other, ratio, curve, offset}]; offset in rad or m
+        couplings           [{name, joint, other, ratio, curve, terms, offset}]; offset in rad or m
         kept_momentum       [{bodies, components}] of the conserved momentum, as text; None: not
                             determined, because a joint is not a lower pair, or because of couplings,
                             driven joints, stops or friction
@@ -101,7 +101,7 @@ def describe(layout):
         ],
         "couplings": [
             {"name": entry.name, "joint": entry.joint, "other": entry.other}
-            | {"ratio": found.ratio, "curve": list(found.curve), "offset": found.offset}
+            | {"ratio": found.ratio, "curve": list(found.curve), "terms": entry.terms, "offset": found.offset}
             for entry, found in zip(scene.couplings, coupled)
         ],
         "forces": [{"name": force.name, "type": force.type, "on": _acts_on(force)} for force in scene.forces],

@@ -2,8 +2,8 @@
 """Rows of couplings and driven joints: residuals and velocities.
 
 The model has each of them as a cut joint with an element and rows of zeros; this module adds the nonzero
-terms, couplings.py forces and accelerations. The row of a driven joint is that of a coupling without a
-second joint, and rheonomic: its coordinate, rate and acceleration are those of the prescribed motion at
+terms, couplings.py forces and accelerations. The row of a driven joint is that of a coupling of this
+joint alone, and rheonomic: its coordinate, rate and acceleration are those of the prescribed motion at
 the time of the stage, work.clock[NOW].
 """
 
@@ -20,18 +20,19 @@ from .rows import set_rows
 
 
 @kernel
-def _second(model, work, coupling):
-    """Coordinate of the second link of a coupling at the stage, unwrapped."""
-    second = link_coordinate(model, coupling["links"][1], work.stage_pose)
-    if coupling["angle"] >= 0:
-        second = unwrapped(second, coupling["sign"] * work.angle[coupling["angle"]])
-    return second
+def _coordinate(model, work, term):
+    """Coordinate of the link of a term at the stage, unwrapped."""
+    q = link_coordinate(model, term["link"], work.stage_pose)
+    if term["angle"] >= 0:
+        q = unwrapped(q, term["sign"] * work.angle[term["angle"]])
+    return q
 
 
 @kernel
 def slopes_of(model, work, coupling):
     """First, second and third derivative of the curve of a coupling at the stage."""
-    q, a = coupling["sign"] * _second(model, work, coupling), coupling["curve"]
+    term, a = model.coupling_terms[coupling["terms"][0] + 1], coupling["curve"]
+    q = term["sign"] * _coordinate(model, work, term)
     _, slope, bend = law(coupling, q)
     return slope, bend, 6.0 * a[2] + q * (24.0 * a[3])
 
@@ -40,9 +41,11 @@ def slopes_of(model, work, coupling):
 def _set_slope(model, work, c):
     """Set the factor of the second rate of a curved coupling at the stage. Returns the bias of its row."""
     coupling = model.couplings[c]
+    k = coupling["terms"][0] + 1
+    term = model.coupling_terms[k]
     slope, bend, _ = slopes_of(model, work, coupling)
-    work.factors[c, 1] = -slope * coupling["sign"]
-    speed = work.stage_twist[len(model.parts) + coupling["links"][1], 0]
+    work.factors[k] = -slope * term["sign"]
+    speed = work.stage_twist[len(model.parts) + term["link"], 0]
     return bend * speed * speed if coupling["order"] == 2 else 0.0
 
 
@@ -64,8 +67,8 @@ def set_all_rows(model, work):
         slip, bias = 0.0, 0.0
         if coupling["curved"] == 1:
             bias = _set_slope(model, work, c)
-        for k in range(2):
-            slip += work.factors[c, k] * work.stage_twist[n + coupling["links"][k], 0]
+        for k in range(coupling["terms"][0], coupling["terms"][1]):
+            slip += work.factors[k] * work.stage_twist[n + model.coupling_terms[k]["link"], 0]
         if coupling["motion"] >= 0:
             bias = rate(work.motions, coupling["motion"], work.clock[NOW])
             slip -= bias
@@ -84,23 +87,28 @@ def set_coupled_gaps(model, work, moves, moved):
     """
     for c in range(len(model.couplings)):
         coupling = model.couplings[c]
-        links = coupling["links"]
-        first = link_coordinate(model, links[0], work.stage_pose)
-        second = _second(model, work, coupling)
-        if moved == 1:
-            first += moves[model.bodies[links[0]]["freedom"], 0]
-            second += moves[model.bodies[links[1]]["freedom"], 0]
-        first = coupling["factors"][0] * first
-        value, _, _ = law(coupling, coupling["sign"] * second)
+        begin, end = coupling["terms"]
+        gap, size = 0.0, 1.0
+        for k in range(begin, end):
+            term = model.coupling_terms[k]
+            q = _coordinate(model, work, term)
+            if moved == 1:
+                q += moves[model.bodies[term["link"]]["freedom"], 0]
+            value = term["factor"] * q
+            terms = abs(value)
+            if coupling["curved"] == 1 and k == begin + 1:
+                # The terms of a curve may be larger than their sum; those of its slope are at most four times as large.
+                value, a = -law(coupling, term["sign"] * q)[0], coupling["curve"]
+                q = abs(q)
+                terms = q * (abs(a[0]) + q * (abs(a[1]) + q * (abs(a[2]) + q * abs(a[3]))))
+            gap += value
+            size += terms
         if coupling["motion"] >= 0:
             value = position(work.motions, coupling["motion"], work.clock[NOW])
-        gap = first - value - coupling["offset"]
-        # The terms of a curve may be larger than their sum; those of its slope are at most four times as large.
-        terms = abs(value)
-        if coupling["curved"] == 1:
-            a, q = coupling["curve"], abs(second)
-            terms = q * (abs(a[0]) + q * (abs(a[1]) + q * (abs(a[2]) + q * abs(a[3]))))
-        size = 1.0 + abs(first) + terms + abs(coupling["offset"])
+            gap -= value
+            size += abs(value)
+        gap -= coupling["offset"]
+        size += abs(coupling["offset"])
         if coupling["turned"] == 1:
             gap = unwrapped(gap, 0.0)
         work.gap[coupling["residual"]] = 0.0 if abs(gap) <= ROUND_OFF * size else gap

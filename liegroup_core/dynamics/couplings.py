@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Couplings of two links of the spanning tree: coordinates, and the forces that a multiplier causes.
+"""Couplings of links of the spanning tree: coordinates, and the forces that a multiplier causes.
 
 The row of a coupling has the coefficients sign_0 for the rate of the first link, -p'(q) sign_1 for that of
-the second; work.factors has those of the stage. They are constant unless the coupling is curved. The coordinate
-of a joint is its sign times that of its link. J^T lambda is a torque or force on each link, and its reaction on
-the parent link. Every Runge-Kutta method satisfies rows that are linear in coordinates of SO(2) and R without
-drift. Rows of curved couplings drift, and those of driven joints, whose motion depends on time.
+the second, -c_k sign_k for further ones; work.factors has those of the stage. They are constant unless the
+coupling is curved. The coordinate of a joint is its sign times that of its link. J^T lambda is a torque or force
+on each link, and its reaction on the parent link. Every Runge-Kutta method satisfies rows that are linear in
+coordinates of SO(2) and R without drift. Rows of curved couplings drift, and those of driven joints, whose motion
+depends on time.
 
 Residuals and velocities are in coupled_rows.py.
 """
@@ -64,10 +65,9 @@ def law(coupling, q):
 @kernel
 def add_coupling(model, work, c, value, out, stride):
     """Add J^T of coupling c times a multiplier to wrenches; see `add_pair`."""
-    coupling = model.couplings[c]
-    for k in range(2):
-        b, share = coupling["links"][k], work.factors[c, k] * value
-        add_pair(model, work, b, 0, share, out, stride)
+    begin, end = model.couplings[c]["terms"]
+    for k in range(begin, end):
+        add_pair(model, work, model.coupling_terms[k]["link"], 0, work.factors[k] * value, out, stride)
 
 
 @kernel
@@ -87,10 +87,10 @@ add_effort = choice("add_effort", _add_effort_in_space, _add_effort_in_plane)
 
 
 @kernel
-def coupled_rate(model, work, rates, c):
-    """J times rates (f, 1) of the degrees of freedom, for coupling c."""
-    coupling = model.couplings[c]
+def coupled_rate(model, work, rates, at, c):
+    """J times rates of the degrees of freedom, for coupling c; rates[at + f, 0] is that of freedom f."""
+    begin, end = model.couplings[c]["terms"]
     total = 0.0
-    for k in range(2):
-        total += work.factors[c, k] * rates[model.bodies[coupling["links"][k]]["freedom"], 0]
+    for k in range(begin, end):
+        total += work.factors[k] * rates[at + model.bodies[model.coupling_terms[k]["link"]]["freedom"], 0]
     return total

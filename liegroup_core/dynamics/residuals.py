@@ -81,7 +81,7 @@ def set_present_residual(model, work):
     _set_right(model, work)
     for c in range(len(model.couplings)):
         row = model.couplings[c]["row"]
-        work.right[row] = coupled_rate(model, work, work.acceleration, c) - work.bias[row]
+        work.right[row] = coupled_rate(model, work, work.acceleration, 0, c) - work.bias[row]
     return 0
 
 
@@ -128,6 +128,6 @@ def set_residual(model, work):
     _set_right(model, work)
     for c in range(len(model.couplings)):
         row = model.couplings[c]["row"]
-        rate = coupled_rate(model, work, work.acceleration, c) + coupled_rate(model, work, work.total, c)
+        rate = coupled_rate(model, work, work.acceleration, 0, c) + coupled_rate(model, work, work.total, 0, c)
         work.right[row] = rate - work.bias[row]
     return 0

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Couplings: relations of two joint coordinates, for gears, belts, racks, cams and mimic joints.
+"""Couplings: relations of joint coordinates, for gears, belts, racks, cams, differentials and mimic joints.
 
-    q_joint = ratio q_other + a_2 q_other^2 + a_3 q_other^3 + a_4 q_other^4 + offset
+    q_joint = ratio q_other + a_2 q_other^2 + a_3 q_other^3 + a_4 q_other^4 + sum_k c_k q_k + offset
 
 q is the angle of a revolute or screw joint about z, or the displacement of a prismatic joint along z.
-A coupling transmits a torque or force lambda to `joint` and -(d q_joint / d q_other) lambda to `other`, so
+A coupling transmits a torque or force lambda to `joint` and -(d q_joint / d q_k) lambda to the others, so
 it does no work. Its row acts on the rates of the spanning tree, see dynamics/couplings.py. The groups of rigid
 bodies have no such row.
 
-Poses determine angles modulo 2 pi. The angle of `other` is unwrapped like that of a torsional spring
+Poses determine angles modulo 2 pi. Those of all but `joint` are unwrapped like that of a torsional spring
 (forces/turn.py). The turns of `joint` follow from the relation.
 """
 
@@ -16,7 +16,6 @@ import math
 
 from pydantic import Field
 
-from liegroup_core.fields.curve import rise
 from liegroup_core.fields.values import Curve, Described, Name, Number, Text
 from liegroup_core.lie.groups import SE3, UNKNOWN_TURN, within_a_turn
 
@@ -28,7 +27,7 @@ COUPLED = ("revolute", "prismatic", "screw")
 
 
 class Coupling(Described):
-    """Relation of the coordinates of two joints."""
+    """Relation of the coordinates of two or more joints."""
 
     name: Name = Field(description="name, unique among joints, couplings and forces")
     joint: Text = Field(description="name of a revolute, prismatic or screw joint")
@@ -42,8 +41,18 @@ class Coupling(Described):
         description="coefficients [a2, a3, a4], or fewer, of the further terms a2 q_other^2 + a3 q_other^3 + "
         "a4 q_other^4, for a cam; default: none",
     )
+    terms: dict[Text, Number] = Field(
+        {},
+        description="further joints {joint: c}, of which q_joint has the terms c q; for example the ring of a "
+        "planetary gear, beside sun and carrier; default: none",
+    )
     offset: Number | None = Field(None, description="offset in rad or m; default: computed from the initial poses")
     backlash: Backlash | None = Field(None, description="backlash: the relation holds within a gap; default: none")
+
+    @property
+    def others(self):
+        """Names of all joints but `joint`."""
+        return (self.other, *self.terms)
 
     @property
     def switches(self):
@@ -72,9 +81,9 @@ def difference(first, second, turned):
     return within_a_turn(first - second) if turned else first - second
 
 
-def gap(coupling, first, second, turned):
-    """Violation of a resolved coupling by coordinates of `joint` and `other`; `turned`: see `difference`."""
-    return difference(first - rise(coupling, second), coupling.offset, turned)
+def gap(coupling, first, at, turned):
+    """Violation of a resolved coupling by coordinates of `joint`, of the others {joint: q}; turned: of `difference`."""
+    return difference(first - coupling.rise(at), coupling.offset, turned)
 
 
 def rate_row(joint, F_b):

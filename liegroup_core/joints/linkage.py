@@ -11,7 +11,6 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from liegroup_core.fields.curve import slope
 from liegroup_core.lie.groups import SE3
 
 from .coupling import coordinate, difference, gap, rate_row, turns
@@ -118,12 +117,15 @@ class Linkage:
 
     def _coupling_rows(self, poses):
         """Rows (couplings, 6 bodies)."""
-        coupled = sorted({j for entry in self.couplings for j in entry[:2]})
+        coupled = sorted({j for entry in self.couplings for j in entry.joints})
         rates = [np.zeros((0, 6))] * len(self.joints)
         for j in coupled:
             rates[j] = rate_row(self.joints[j], self.frames[j][1])[None]
         rates = dict(zip(coupled, self.relative_rows(poses, rates)))
-        rows = [rates[entry.joint] - self.slope(entry, poses) * rates[entry.other] for entry in self.couplings]
+        rows = [
+            sum(factor * rates[j] for j, factor in zip(entry.joints, self.factors(entry, poses)))
+            for entry in self.couplings
+        ]
         return np.array(rows).reshape(len(self.couplings), 6 * len(self.bodies))
 
     def relative_rows(self, poses, rows):
@@ -173,24 +175,24 @@ class Linkage:
         couplings = [self.coupling_gap(entry, poses) for entry in self.couplings]
         return np.concatenate([np.zeros(0), *joints, couplings]) / self._units
 
-    def _other(self, entry, poses):
-        """Coordinate of `other` of a coupling; an angle is unwrapped from its value at the start."""
-        other = self.joints[entry.other]
-        q = coordinate(other, self.relative(entry.other, poses))
-        if turns(other):
-            before = coordinate(other, self.relative(entry.other, self.start))
+    def _coordinate(self, j, poses):
+        """Coordinate of joint j; an angle is unwrapped from its value at the start."""
+        q = coordinate(self.joints[j], self.relative(j, poses))
+        if turns(self.joints[j]):
+            before = coordinate(self.joints[j], self.relative(j, self.start))
             q = before + difference(q, before, True)
         return q
 
-    def slope(self, entry, poses):
-        """Rate of `joint` of a coupling relative to that of `other`."""
-        return slope(entry, self._other(entry, poses)) if entry.curve else entry.ratio
+    def factors(self, entry, poses):
+        """Factors of the rates of the joints of a coupling in its row."""
+        return entry.factors(self._coordinate(entry.other, poses) if entry.curve else 0.0)
 
     def coupling_gap(self, entry, poses):
         """Residual of a coupling, rad or m."""
         joint = self.joints[entry.joint]
         first = coordinate(joint, self.relative(entry.joint, poses))
-        return gap(entry, first, self._other(entry, poses), turns(joint))
+        at = {j: self._coordinate(j, poses) for j in (entry.other, *entry.joints[1:])}
+        return gap(entry, first, at, turns(joint))
 
     def joint_residual(self, j, poses):
         """Position residual (k,) of joint j; where it is zero, its derivative is joint_rows."""

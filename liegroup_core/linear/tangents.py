@@ -460,19 +460,21 @@ def _change_couplings(model, work, moves, at, rows, given):
     rates = at + len(work.freedoms)
     for c in range(len(model.couplings)):
         coupling = model.couplings[c]
-        b, r = coupling["links"][1], coupling["row"]
-        first, f = model.bodies[coupling["links"][0]]["freedom"], model.bodies[b]["freedom"]
-        rows[SLIP, r] = work.factors[c, 0] * moves[rates + first, 0] + work.factors[c, 1] * moves[rates + f, 0]
-        rows[SHIFT, r] = work.factors[c, 0] * moves[at + first, 0] + work.factors[c, 1] * moves[at + f, 0]
+        r = coupling["row"]
+        rows[SLIP, r] = coupled_rate(model, work, moves, rates, c)
+        rows[SHIFT, r] = coupled_rate(model, work, moves, at, c)
         if coupling["curved"] == 0:
             continue
+        term = model.coupling_terms[coupling["terms"][0] + 1]
+        b = term["link"]
+        f = model.bodies[b]["freedom"]
         _, bend, third = slopes_of(model, work, coupling)
         speed = work.stage_twist[len(model.parts) + b, 0]
         factor = -bend * moves[at + f, 0]
         rows[SLIP, r] += factor * speed
         rows[RIGHT, r] += factor * given[f, 0]
         if coupling["order"] == 2:
-            turned = coupling["sign"] * moves[at + f, 0]
+            turned = term["sign"] * moves[at + f, 0]
             rows[RIGHT, r] -= third * turned * speed * speed + 2.0 * bend * speed * moves[rates + f, 0]
         add_pair(model, work, b, 0, rows[MULTIPLIER, r] * factor, work.force, 1)
 
@@ -535,7 +537,7 @@ def _respond(model, work, rows, is_correction):
                 work.right[r] = value
         for c in range(len(model.couplings)):
             row = model.couplings[c]["row"]
-            work.right[row] = rows[RIGHT, row] + coupled_rate(model, work, work.acceleration, c)
+            work.right[row] = rows[RIGHT, row] + coupled_rate(model, work, work.acceleration, 0, c)
         close_loops(model, work)
         spread_response(model, work)
     if is_correction:

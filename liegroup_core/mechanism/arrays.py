@@ -83,19 +83,27 @@ JOINT = np.dtype(
 
 
 COUPLED = np.dtype(
-    [  # coupling of the coordinates of two links, each a hinge, slide or screw: couplings.py
+    [  # coupling of the coordinates of links, each a hinge, slide or screw: couplings.py
         ("row", "i8"),
         ("residual", "i8"),  # index of the row, and of its residual
-        ("links", "i8", (2,)),
-        ("factors", "f8", (2,)),  # of their rates in the row, at q = 0 of the second joint
+        ("terms", "i8", (2,)),  # range of `coupling_terms`: joint, other, further ones; one of a driven joint
         ("curve", "f8", (4,)),  # ratio, a_2, a_3, a_4 of p(q), see law of couplings.py
         ("curved", "i8"),  # 1: any of a_2, a_3, a_4
         ("offset", "f8"),
-        ("angle", "i8"),  # unwrapped angle of the second joint, -1: none
-        ("sign", "f8"),  # of the second link's coordinate when that of its joint increases
         ("turned", "i8"),  # 1: the residual is taken modulo 2 pi
         ("motion", "i8"),  # motion that the first coordinate of a driven joint follows; -1: a coupling
         ("order", "i8"),  # of the derivative that is solved for: 2 accelerations, 1 rates
+    ],
+    align=True,
+)
+
+
+TERM = np.dtype(
+    [  # of a coupling: coordinate of a link
+        ("link", "i8"),
+        ("factor", "f8"),  # of its rate in the row; for the second joint of a curve at q = 0
+        ("angle", "i8"),  # its unwrapped angle, -1: none
+        ("sign", "f8"),  # of the link's coordinate when that of its joint increases
     ],
     align=True,
 )
@@ -149,6 +157,7 @@ class RelativeModel(Struct):
     shared: np.ndarray  # (k, 3) joints i, j < i that share degrees of freedom, end in shared_freedoms
     shared_freedoms: np.ndarray  # (l, 3) a degree of freedom, its place in the responses of both joints
     couplings: np.ndarray  # of COUPLED
+    coupling_terms: np.ndarray  # of TERM
     coupling: np.ndarray  # (c,) index of the coupling that a cut joint stands for, or -1
     switches: np.ndarray  # (k,) of SWITCH
     switched: np.ndarray  # (m,) 1: the row is that of a switch
@@ -224,7 +233,7 @@ class RelativeWork(Struct):
     start_angle: np.ndarray
     report: np.ndarray
     child_jacobian: np.ndarray  # (m, 6)
-    factors: np.ndarray  # (k, 2) of the rates of both links in the row of each coupling, at the stage
+    factors: np.ndarray  # of the rate of each of `coupling_terms`, at the stage
     known: np.ndarray = shaped(1)  # 1 if the link rows of pose and twist belong to the present state
     pose: np.ndarray = shaped("state", 12)  # the state
     twist: np.ndarray = shaped("state", 6)
@@ -323,7 +332,7 @@ def make_relative_work(model, work, stages):
     )
     shared = ("angle", "acting", "wanted", "motions", "clock", "start_angle", "report")
     given = {name: getattr(work, name) for name in shared}
-    rows = {"child_jacobian": model.child_jacobian.copy(), "factors": model.couplings["factors"].copy()}
+    rows = {"child_jacobian": model.child_jacobian.copy(), "factors": model.coupling_terms["factor"].copy()}
     rows |= {name: np.zeros_like(work.angle) for name in ("lead_angle", "kept_angle")}
     rows |= {f"lead_{name}": np.zeros_like(getattr(work, name)) for name in ("wanted", "acting", "motions")}
     return RelativeWork.zeros(sizes, space=work, **rows, **given)

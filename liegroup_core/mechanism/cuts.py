@@ -11,7 +11,7 @@ from liegroup_core.lie.groups import SE3
 from liegroup_core.motion_groups.table import FREEDOMS, ORDERS
 from liegroup_core.scene.consistency import ResolvedCoupling, resolve_couplings
 
-from .arrays import COUPLED, JOINT
+from .arrays import COUPLED, JOINT, TERM
 from .links import FIRST_AXIS, SECOND_AXIS, link_poses
 from .redundancy import dependent_groups, generic_poses, independent_rows
 from .spanning_tree import WORLD_NAME
@@ -21,7 +21,7 @@ COUPLING_PART = Element(PAIR, ("coupling",), np.zeros((1, 6)))
 
 
 def coupled_links(scene, links):
-    """[(ResolvedCoupling, indices of the links of both joints)] of couplings, then of driven joints.
+    """[(ResolvedCoupling, indices of the links of its joints)] of couplings, then of driven joints.
 
     Raises SceneError for a joint that is not in the spanning tree, or has a rotor and is not.
     """
@@ -43,7 +43,7 @@ def coupled_links(scene, links):
                 ("joints", j, "driven"),
             )
     for i, coupling in enumerate(resolve_couplings(scene)):
-        for end, j in (("joint", coupling.joint), ("other", coupling.other)):
+        for end, j in zip(("joint", "other", *["terms"] * len(coupling.further)), coupling.joints):
             if j not in of_joint:
                 raise SceneError(
                     f'couplings[{i}] "{scene.couplings[i].name}": joint "{scene.joints[j].name}" '
@@ -51,8 +51,8 @@ def coupled_links(scene, links):
                     "of this loop",
                     ("couplings", i, end),
                 )
-        found.append((coupling, (of_joint[coupling.joint], of_joint[coupling.other])))
-    return found + [(ResolvedCoupling(j, j, 0.0, 0.0), (of_joint[j],) * 2) for j in driven]
+        found.append((coupling, tuple(of_joint[j] for j in coupling.joints)))
+    return found + [(ResolvedCoupling(j, j, 0.0, 0.0), (of_joint[j],)) for j in driven]
 
 
 def cut_rows(scene, frames, parts, tree, links, places, stops, coupled):
@@ -125,7 +125,7 @@ def _tree_jacobians(scene, frames, parts, loops, joints, links, places, coupled)
     """
     kept = [entry for entry, _ in coupled if not entry.is_given] if any(entry.curve for entry, _ in coupled) else []
     if not (joints or kept):
-        return [_coupling_rows(links, coupled, 1.0, [entry.ratio for entry, _ in coupled])]
+        return [_coupling_rows(links, coupled, 1.0, [entry.factors() for entry, _ in coupled])]
     first = _first_freedoms(links)
     ends = {
         j: [_path(links, places[name][0]) for name in (scene.joints[j].child, scene.joints[j].parent)] for j in joints
@@ -134,11 +134,11 @@ def _tree_jacobians(scene, frames, parts, loops, joints, links, places, coupled)
     needed = sorted(set().union(*(set(a) ^ set(b) for a, b in ends.values())))
     # The loops move with welded bodies, and with the joints that hold them beside a floating part.
     used = ({links[i].joint for i in needed} - {None}).union(loops)
-    used |= {j for entry in kept for j in entry[:2]}
+    used |= {j for entry in kept for j in entry.joints}
     used |= _welded(scene, used)
     # In the order of mechanism/redundancy.py, so that the same linkage is analysed only once.
     used = sorted(used, key=lambda j: (scene.joints[j].parent != WORLD_NAME, j))
-    own = {entry: entry._replace(joint=used.index(entry[0]), other=used.index(entry[1])) for entry in kept}
+    own = {entry: entry.numbered({j: i for i, j in enumerate(used)}) for entry in kept}
     linkage = Linkage(scene, frames, parts, used, couplings=list(own.values()))
     length = linkage.length
     # Rotations and translations in comparable units.
@@ -161,8 +161,8 @@ def _tree_jacobians(scene, frames, parts, loops, joints, links, places, coupled)
         matrix = np.concatenate([np.zeros((0, first[-1])), *blocks]) / units
         # Rows that the tree satisfies already, such as those out of the plane of planar loops.
         matrix[np.linalg.norm(matrix, axis=1) < RANK_TOLERANCE] = 0.0
-        slopes = [linkage.slope(own[entry], poses) if entry in own else entry.ratio for entry, _ in coupled]
-        matrices.append(np.concatenate([matrix, _coupling_rows(links, coupled, length, slopes)]))
+        factors = [linkage.factors(own[entry], poses) if entry in own else entry.factors() for entry, _ in coupled]
+        matrices.append(np.concatenate([matrix, _coupling_rows(links, coupled, length, factors)]))
     return matrices
 
 
@@ -171,15 +171,15 @@ def _first_freedoms(links):
     return np.concatenate([[0], np.cumsum([FREEDOMS[link.group] for link in links])])
 
 
-def _coupling_rows(links, coupled, length, slopes):
+def _coupling_rows(links, coupled, length, factors):
     """Unit rows of the couplings for the degrees of freedom of the tree, (omega length, v).
 
-    slopes : rate of the first joint of each relative to that of the second
+    factors : of the rates of the joints of each
     """
     first = _first_freedoms(links)
     rows = np.zeros((len(coupled), first[-1]))
-    for row, (_, ends), slope in zip(rows, coupled, slopes):
-        for i, factor in zip(ends, (1.0, -slope)):
+    for row, (_, ends), own in zip(rows, coupled, factors):
+        for i, factor in zip(ends, own):
             unit = length if links[i].turns else 1.0
             row[first[i]] += links[i].sign * factor / unit
         row /= np.linalg.norm(row)
@@ -208,7 +208,8 @@ def cut_elements(scene, frames, cut, places, coupled):
     first = 0
     for record, (j, element, part) in zip(records, cut):
         if j is None:
-            child, parent = coupled[element - (cut[-1][1] + 1 - len(coupled))][1]
+            child, *others = coupled[element - (cut[-1][1] + 1 - len(coupled))][1]
+            parent = others[0] if others else child
             for name, value in zip(ELEMENT.names, part.record(parent, child, first)):
                 record[name] = value
             first += 1
@@ -244,10 +245,9 @@ def loop_arrays(links, records, cut, rows, elements, coupled, counted, loops):
     loops   : for an empty tree the joints of the scene in closed loops, else None
     """
     solved = [k for k in range(len(cut)) if len(rows[k])]
-    paths = [
-        sorted({i for end in ("parent", "child") for i in _path(links, int(elements[k][end]))}, reverse=True)
-        for k in solved
-    ]
+    ends = [tuple(int(element[end]) for end in ("parent", "child")) for element in elements[: len(cut) - len(coupled)]]
+    ends += [of_joints for _, of_joints in coupled]
+    paths = [sorted({i for end in ends[k] for i in _path(links, end)}, reverse=True) for k in solved]
     order = _narrow([set(path) for path in paths])
     solved, paths = [solved[k] for k in order], [paths[k] for k in order]
     joints = np.zeros(len(solved), dtype=JOINT)
@@ -301,7 +301,7 @@ def loop_arrays(links, records, cut, rows, elements, coupled, counted, loops):
     return {
         "joints": joints,
         "coupling": _numbered(coupling),
-        "couplings": _couplings(links, records, joints, coupling, residuals, coupled, counted),
+        **_couplings(links, joints, coupling, residuals, coupled, counted),
         "owners": np.array([cut[k][1] for k in solved], dtype=np.int64),
         "row_turns": np.array(turns, dtype=np.int64),
         "row_residual": np.array(residuals, dtype=np.int64),
@@ -324,35 +324,33 @@ def _numbered(coupling):
     return numbers
 
 
-def _couplings(links, records, joints, coupling, residuals, coupled, counted):
-    """(k,) of COUPLED, in the order of the joints; coupling: which of `coupled` a joint is, or -1."""
+def _couplings(links, joints, coupling, residuals, coupled, counted):
+    """COUPLED in the order of the joints, and their terms; coupling: which of `coupled` a joint is, or -1."""
     motions = np.cumsum([entry.is_given for entry, _ in coupled]) - 1
-    is_angle = [(links[a].turns, links[b].turns and not entry.is_given) for entry, (a, b) in coupled]
-    angles = counted + np.cumsum([0, *(second for _, second in is_angle)])
-    rows = []
+    angles = counted + np.cumsum([0, *(sum(links[i].turns for i in ends[1:]) for _, ends in coupled)])
+    rows, terms = [], []
     for joint, c in zip(joints, coupling):
         if c < 0:
             continue
-        entry, ends = coupled[c]
-        signs = [links[i].sign for i in ends]
-        turned, counts = is_angle[c]
+        (entry, ends), begin, angle = coupled[c], len(terms), angles[c]
+        for k, (i, factor) in enumerate(zip(ends, entry.factors())):
+            counts = k > 0 and links[i].turns
+            terms.append((i, factor * links[i].sign, angle if counts else -1, links[i].sign))
+            angle += counts
         rows.append(
             (
                 joint["first"],
                 residuals[joint["first"]],
-                ends,
-                (signs[0], -entry.ratio * signs[1]),
+                (begin, len(terms)),
                 (entry.ratio, *entry.curve, 0.0, 0.0, 0.0)[:4],
                 any(entry.curve),
                 entry.offset,
-                angles[c] if counts else -1,
-                signs[1],
-                turned,
+                links[ends[0]].turns,
                 motions[c] if entry.is_given else -1,
                 2,
             )
         )
-    return np.array(rows, dtype=COUPLED)
+    return {"couplings": np.array(rows, dtype=COUPLED), "coupling_terms": np.array(terms, dtype=TERM)}
 
 
 def _narrow(paths):

@@ -110,11 +110,11 @@ def _constrained_loops(scene):
 def dependent_groups(scene, couplings):
     """[(joints of loops, numbers of couplings)] whose rows can depend on each other.
 
-    couplings : of consistency.ResolvedCoupling, or others with `joint` and `other`
+    couplings : of consistency.ResolvedCoupling
     """
     found = [(set(loops), loops, []) for loops in _constrained_loops(scene)]
     for c, coupling in enumerate(couplings):
-        own = {coupling.joint, coupling.other}
+        own = set(coupling.joints)
         touching = [part for part in found if part[0] & own]
         found = [part for part in found if not part[0] & own]
         found.append(

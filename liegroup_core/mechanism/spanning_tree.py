@@ -90,7 +90,7 @@ def _grow(scene, of_group, depth, links, used, root):
     """Add all groups that joints connect to a root, by Prim's method."""
     frontier = list(of_group.get(root, ()))
     first = {joint.name: COUPLED_FIRST - 1 for joint in scene.joints if joint.switches}
-    first |= {name: COUPLED_FIRST for entry in scene.couplings for name in (entry.joint, entry.other)}
+    first |= {name: COUPLED_FIRST for entry in scene.couplings for name in (entry.joint, *entry.others)}
     first |= {joint.name: COUPLED_FIRST for joint in scene.joints if joint.driven or joint.rotor}
     while frontier:
         best, key = None, None

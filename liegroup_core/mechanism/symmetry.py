@@ -253,7 +253,7 @@ def body_groups(scene):
     # Forces at a joint connect the same bodies as the joint; forces on one body connect none.
     pairs = [(getattr(link, "child", WORLD), getattr(link, "parent", WORLD)) for link in (*scene.joints, *scene.forces)]
     child_of = {joint.name: joint.child for joint in scene.joints}
-    pairs += [(child_of[entry.joint], child_of[entry.other]) for entry in scene.couplings]
+    pairs += [(child_of[entry.joint], child_of[other]) for entry in scene.couplings for other in entry.others]
     for child, parent in pairs:
         if WORLD not in (parent, child):
             old, new = label[child], label[parent]

@@ -13,7 +13,6 @@ import math
 import numpy as np
 
 from liegroup_core.compiling import SameTypes, kernel
-from liegroup_core.fields.curve import rise
 from liegroup_core.joints.kinds import TYPES
 from liegroup_core.lie.groups import within_a_turn
 from liegroup_core.lie.vec3 import ZERO3, add3, cross3, dot3, load3, load9, matmul3, matvec3, sub3, tmatmul3
@@ -87,17 +86,18 @@ class JointCoordinates:
         rows = [[*C[:3, :3].ravel(), *C[:3, 3]] for _, pair in found for C in pair]
         self._frames = np.array(rows, dtype=float).reshape(-1, 24)
         counted = [joint for joint, _ in scene.unwrapped]
-        # Angles that follow from a coupling: (joint, other, ResolvedCoupling).
-        self._coupled = [
-            (entry.joint, entry.other, numbers)
-            for entry, numbers in zip(scene.couplings, resolve_couplings(scene))
-            if self.units.get(entry.joint) == "rad" and entry.other in self.units
+        # Couplings by the places of their joints in `names`.
+        place_of = {j: self.names.index(joint.name) for j, joint in enumerate(scene.joints) if joint.name in self.units}
+        couplings = [
+            (entry, found.numbered(place_of))
+            for entry, found in zip(scene.couplings, resolve_couplings(scene))
+            if place_of.keys() >= set(found.joints)
         ]
-        # Couplings that drift: {name: (joint, other, ResolvedCoupling)}.
+        # Angles that follow from a coupling: (joint, ResolvedCoupling).
+        self._coupled = [(entry.joint, found) for entry, found in couplings if self.units[entry.joint] == "rad"]
+        # Couplings that drift: {name: (joint, ResolvedCoupling)}.
         self._curved = {
-            entry.name: (entry.joint, entry.other, numbers)
-            for entry, numbers in zip(scene.couplings, resolve_couplings(scene))
-            if entry.curve and entry.backlash is None
+            entry.name: (entry.joint, found) for entry, found in couplings if entry.curve and entry.backlash is None
         }
         self._counted = {
             name: counted.index(name) for name in self.names if name in counted and self.units[name] == "rad"
@@ -111,10 +111,8 @@ class JointCoordinates:
     def gaps(self, pose, twist, angles):
         """Violations of the couplings in `gap_units`, rad or m; arguments: as of `at`."""
         found = self.at(pose, twist, angles) if self._curved else {}
-        return [
-            found[joint][0] - rise(entry, found[other][0]) - entry.offset
-            for joint, other, entry in self._curved.values()
-        ]
+        at = [q for q, _ in found.values()]
+        return [at[entry.joint] - entry.rise(at) - entry.offset for _, entry in self._curved.values()]
 
     @property
     def counted(self):
@@ -142,8 +140,8 @@ class JointCoordinates:
 
         for name, number in self._counted.items():
             unwrap(name, angles[:, number])
-        for name, other, entry in self._coupled:
-            unwrap(name, rise(entry, found[:, self.names.index(other), 0]) + entry.offset)
+        for name, entry in self._coupled:
+            unwrap(name, entry.rise(found[..., 0].T) + entry.offset)
         return found
 
     def at(self, pose, twist, angles):
@@ -160,7 +158,7 @@ class JointCoordinates:
         for name, number in self._counted.items():
             angle, rate = found[name]
             found[name] = within_a_turn(angle, float(angles[number])), rate
-        for name, other, entry in self._coupled:
+        for name, entry in self._coupled:
             angle, rate = found[name]
-            found[name] = within_a_turn(angle, rise(entry, found[other][0]) + entry.offset), rate
+            found[name] = within_a_turn(angle, entry.rise([q for q, _ in found.values()]) + entry.offset), rate
         return found

@@ -41,8 +41,8 @@ def beyond_reach(scene, pose, positions, angles):
             continue
 
         def closes(kept):
-            joints = sorted({*loops, *(j for entry in kept for j in (entry.joint, entry.other))})
-            own = [entry._replace(joint=joints.index(entry.joint), other=joints.index(entry.other)) for entry in kept]
+            joints = sorted({*loops, *(j for entry in kept for j in entry.joints)})
+            own = [entry.numbered({j: i for i, j in enumerate(joints)}) for entry in kept]
             linkage = Linkage(scene, frames, parts, joints, couplings=own)
             linkage.start = places
             return linkage.closed(places) is not None

@@ -88,10 +88,10 @@ class Reactions:
         self._groups = []
         for loops, numbers in dependent_groups(scene, couplings):
             entries = [couplings[n] for n in numbers]
-            joints = {*loops, *(j for entry in entries for j in (entry.joint, entry.other))}
+            joints = {*loops, *(j for entry in entries for j in entry.joints)}
             # Same order as in mechanism/redundancy.py, so that the cached analysis is used.
             group = sorted(joints, key=lambda j: (scene.joints[j].parent != WORLD_NAME, j))
-            own = [entry._replace(joint=group.index(entry.joint), other=group.index(entry.other)) for entry in entries]
+            own = [entry.numbered({j: i for i, j in enumerate(group)}) for entry in entries]
             moving, held = (
                 Linkage(scene, frames, parts, group, couplings=kept)
                 for kept in ([entry for entry in own if not entry.is_given], own)
@@ -313,7 +313,7 @@ def _rows(linkage, poses):
         shares[j, :, at : at + len(rows)] = (rows / sizes[at : at + len(rows), None]).T
         at += len(rows)
     for r, entry in enumerate(linkage.couplings, at):
-        for j, factor in ((entry.joint, 1.0), (entry.other, -linkage.slope(entry, poses))):
+        for j, factor in zip(entry.joints, linkage.factors(entry, poses)):
             axis = TYPES[linkage.joints[j].type].rate
             shares[j, axis, r] += factor / units[axis] / sizes[r]
     return _Rows(shares, left[:, rank:])

@@ -34,6 +34,9 @@ def build_system(scene, pose, angles=None):
     for joint in scene.joints:
         if joint.switches:
             raise SimulationError(f"the reference integration has no stops and no friction ({joint.name})")
+    for coupling in scene.couplings:
+        if coupling.terms:
+            raise SimulationError(f"the reference integration has no couplings of three joints ({coupling.name})")
     lack = lack_of_inertia(scene)
     if lack:
         raise SimulationError(f"the reference integration needs inertia about all axes, but {lack}: give it inertia")

@@ -118,8 +118,9 @@ def added_couplings(options, robot):
     """[Coupling] of the additions; `line` is the path inside the additions. Raises SceneError."""
     types = {joint.name: joint.type for joint in robot.joints}
     for i, entry in enumerate(options.couplings):
-        for end in ("joint", "other"):
-            name, place = getattr(entry, end), ("couplings", i, end)
+        ends = (("joint", entry.joint), ("other", entry.other), *(("terms", name) for name in entry.terms))
+        for end, name in ends:
+            place = ("couplings", i, end)
             if name not in types:
                 raise options.unknown(place, f"couplings[{i}]: {end}", name, types)
             if types[name] not in ONE_COORDINATE:
@@ -129,7 +130,9 @@ def added_couplings(options, robot):
                     f"coordinate ({', '.join(ONE_COORDINATE)}) can be coupled",
                 )
     return [
-        Coupling(entry.name, entry.joint, entry.other, entry.ratio, entry.offset, ("couplings", i), entry.curve)
+        Coupling(
+            entry.name, entry.joint, entry.other, entry.ratio, entry.offset, ("couplings", i), entry.curve, entry.terms
+        )
         for i, entry in enumerate(options.couplings)
     ]
 

@@ -150,9 +150,10 @@ class RobotJoint:
 
 @dataclass
 class Coupling:
-    """Relation of two joint coordinates, first = offset + ratio second + a_2 second^2 + ...; see fields/curve.py.
+    """Relation of joint coordinates, first = offset + ratio second + a_2 second^2 + ...; see fields/curve.py.
 
     offset : None: computed from the start values;  curve : (a_2, ...)
+    further : {joint: c} of further terms c q, of a relation of more than two joints
     """
 
     name: str
@@ -162,6 +163,11 @@ class Coupling:
     offset: float | None
     line: int = 0
     curve: tuple = ()
+    further: dict = field(default_factory=dict)
+
+    def rest(self, values):
+        """Sum of the further terms at {joint: coordinate}."""
+        return sum(c * values[name] for name, c in self.further.items())
 
 
 @dataclass
@@ -213,6 +219,7 @@ class Robot:
     links: dict = field(default_factory=dict)
     joints: list = field(default_factory=list)
     couplings: list = field(default_factory=list)
+    relations: list = field(default_factory=list)
     sensors: list = field(default_factory=list)
     tendons: list = field(default_factory=list)
     actuators: list = field(default_factory=list)

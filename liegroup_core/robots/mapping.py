@@ -65,7 +65,8 @@ class SceneParts:
 
 def scene_parts(robot, options):
     """SceneParts of a Robot with the additions of a user. Raises SceneError."""
-    robot.couplings += added_couplings(options, robot)
+    for coupling in added_couplings(options, robot):
+        (robot.relations if coupling.further else robot.couplings).append(coupling)
     values = options.coordinates(robot)
     notes = []
     joints = kept_joints(robot, options, notes)
@@ -86,7 +87,7 @@ def scene_parts(robot, options):
         scene_name(options.name or robot.name),
         options.description or f"{robot.kind} file {robot.file.rpartition('/')[2]}",
         tuple(options.gravity or robot.gravity or GRAVITY),
-        bool(closing),
+        bool(closing or robot.relations),
     )
     used = _bodies(robot, grouping, parts, notes)
     # Assembly keeps the user's start values if there are loops.
@@ -313,8 +314,11 @@ def _couplings(robot, grouping, parts, values, taken):
     moving = {joint.name for joint in grouping.moving}
     joints = {joint.name: joint for joint in robot.joints}
     in_scene = {file: name for (kind, name), file in parts.names.items() if kind == "joints"}
-    for coupling in robot.couplings:
-        if not {coupling.first, coupling.second} <= moving:
+    for coupling in (*robot.couplings, *robot.relations):
+        if not {coupling.first, coupling.second, *coupling.further} <= moving:
+            if coupling.further:
+                what = "couplings of three and more joints of which some do not move"
+                robot.leave_out(what, coupling.name, changes_motion=True)
             continue
         name = coupling.name
         if not isinstance(coupling.line, tuple):  # names given by the user do not change
@@ -323,7 +327,8 @@ def _couplings(robot, grouping, parts, values, taken):
         number, second = len(parts.couplings), values[coupling.second]
         offset = coupling.offset
         if offset is None:
-            offset = values[coupling.first] - rise(coupling, second)
+            offset = values[coupling.first] - rise(coupling, second) - coupling.rest(values)
+        offset += coupling.rest({name: joints[name].turned(values[name]) for name in coupling.further})
         law = counted_from(replace(coupling, offset=offset), joints[coupling.second].turned(second))
         parts.couplings.append(
             {
@@ -334,6 +339,7 @@ def _couplings(robot, grouping, parts, values, taken):
                 "offset": law["offset"],
             }
             | ({"curve": law["curve"]} if law["curve"] else {})
+            | ({"terms": {in_scene[key]: c for key, c in coupling.further.items()}} if coupling.further else {})
         )
         parts.lines["couplings", number] = coupling.line
         parts.comments["couplings", number] = (

@@ -22,7 +22,7 @@ from .actuators import FREE, Actuator
 from .apart import run_apart
 from .description import MISSING_MESHES, NOT_DRAWN, WORLD, Coupling, Link, Robot, RobotJoint, Visual, place, refusal
 from .mjcf_sensors import read_sensors
-from .tendons import Tendon, linear_relation
+from .tendons import Tendon, add_relation
 from .xml import Reader, read_xml
 
 TYPES = {"ball": "spherical", "slide": "prismatic", "hinge": "revolute"}
@@ -224,22 +224,16 @@ def _equalities(robot, model, names, lines):
             robot.couplings.append(Coupling(name, *ends, data[1], data[0], line, tuple(np.trim_zeros(data[2:5], "b"))))
         elif kind == "joint" and equality["second"] < 0:
             robot.locked[label[equality["first"]]] = data[0]
-        elif (relation := _relation(equality)) is not None:
-            first, second, ratio, offset = relation
-            if second is None:
-                robot.locked[label[first]] = offset
-            else:
-                robot.couplings.append(Coupling(name, label[first], label[second], ratio, offset, line))
-        else:
+        elif not add_relation(robot, name, _terms(equality, label), data[0], line):
             robot.leave_out(f"equality constraints of {kind}s", name, changes_motion=True)
 
 
-def _relation(equality):
-    """Linear relation of coordinates, see tendons.linear_relation, that an equality of fixed tendons prescribes."""
+def _terms(equality, label):
+    """{joint: c} of the linear relation of coordinates that an equality of fixed tendons prescribes."""
     terms = {}
     for joint, share in equality.get("terms", ()):
-        terms[joint] = terms.get(joint, 0.0) + share
-    return linear_relation(terms, equality["data"][0])
+        terms[label[joint]] = terms.get(label[joint], 0.0) + share
+    return terms
 
 
 def _closing(robot, equality, names, line):

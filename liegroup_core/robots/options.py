@@ -96,7 +96,7 @@ class Options:
         several = {name: state[0] for name, state in self._several(robot, types).items()}
         given = robot.locked | self._given("start", types) | several | self._given("lock", types)
         of_pose = robot.start | robot.poses.get(self.pose, {})
-        found = _followed(robot.couplings, values | given, given, of_pose.keys() - given.keys())
+        found = _followed([*robot.couplings, *robot.relations], values | given, given, of_pose.keys() - given.keys())
         coupled = {name for each in robot.couplings for name in (each.first, each.second)} & of_pose.keys()
         for name in sorted(coupled - given.keys()):
             if abs(found[name] - of_pose[name]) > BEYOND * (1.0 + abs(found[name])):
@@ -115,7 +115,10 @@ class Options:
         given = self._given("start_velocity", types) | several
         of_pose = (robot.start_velocity.keys() | robot.velocities.get(self.pose, {}).keys()) - given.keys()
         # Rates follow as coordinates do, by the slopes.
-        slopes = [replace(each, ratio=slope(each, at[each.second]), offset=0.0, curve=()) for each in robot.couplings]
+        slopes = [
+            replace(each, ratio=slope(each, at[each.second]), offset=0.0, curve=())
+            for each in (*robot.couplings, *robot.relations)
+        ]
         return _followed(slopes, values | given, given, of_pose)
 
     def _given(self, key, types):
@@ -309,7 +312,7 @@ def _followed(couplings, values, given, of_pose):
     values : {joint: coordinate or velocity}; given : names of joints that keep their value
     of_pose : names of joints that keep it unless a coupling with another value contradicts it
     """
-    left = [entry for entry in couplings if {entry.first, entry.second} <= values.keys()]
+    left = [entry for entry in couplings if {entry.first, entry.second, *entry.further} <= values.keys()]
     left = [entry for entry in left if entry.offset is not None]
     known, fixed = {*given, *of_pose}, set(given)
     while left:
@@ -320,9 +323,9 @@ def _followed(couplings, values, given, of_pose):
         entry = next((e for e in ready if e.second not in firsts), ready[0])
         left.remove(entry)
         if entry.first not in known or (entry.second in known and entry.first not in fixed):
-            values[entry.first] = rise(entry, values[entry.second]) + entry.offset
+            values[entry.first] = rise(entry, values[entry.second]) + entry.rest(values) + entry.offset
         elif entry.second not in fixed and any((entry.ratio, *entry.curve)):
-            values[entry.second] = other_at(entry, values[entry.first], values[entry.second])
+            values[entry.second] = other_at(entry, values[entry.first] - entry.rest(values), values[entry.second])
         known |= {entry.first, entry.second}
         fixed |= {entry.first, entry.second}
     return values

@@ -22,6 +22,7 @@ from .rotors import add_rotor
 from .sdf_frames import Model, text_of
 from .sdf_links import read_link
 from .sdf_sensors import joint_sensor
+from .tendons import add_relation
 from .xml import Reader, read_xml, value_of
 
 TYPES = {
@@ -393,25 +394,41 @@ def _gearbox(loader, model, element, model_pose):
         parts[key] = model.link_of(given, element)
     ratio = value_of(reader, element, "gearbox_ratio", 1.0)
     X = model_pose @ model.pose(element.get("name"), element)
-    found = []
-    for key, of_gear in (("parent", "axis"), ("child", "axis2")):
-        ends = {parts["gearbox_reference_body"], parts[key]}
-        joint = next((j for j in robot.joints if {j.parent, j.child} == ends and j.type == "revolute"), None)
-        if joint is None:
+    terms = {}
+    for key, of_gear, factor in (("child", "axis2", 1.0), ("parent", "axis", ratio)):
+        path = _hinges(robot, parts["gearbox_reference_body"], parts[key])
+        if not path:
             raise reader.error(
                 element,
-                f'gearbox "{name}": no revolute joint connects "{parts[key]}" to the reference body '
+                f'gearbox "{name}": no revolute joints connect "{parts[key]}" to the reference body '
                 f'"{parts["gearbox_reference_body"]}"',
             )
-        sign = 1.0 if joint.child == parts[key] else -1.0
+        axes = [(_held(robot, joint.child) @ joint.child_frame)[:3, 2] for joint, _ in path]
+        own = axes[-1]
         if element.find(of_gear) is not None:
-            # The axis of the gear must be parallel or antiparallel to the axis of the joint.
             own = X[:3, :3] @ _axis(loader, model, element, of_gear)
-            held = np.eye(4) if joint.child == WORLD else robot.links[joint.child].pose
-            hinge = (held @ joint.child_frame)[:3, 2]
+        for (joint, sign), hinge in zip(path, axes):
+            # The axis of the gear must be parallel or antiparallel to the axes of the joints.
             if abs(abs(own @ hinge) - 1.0) > 1e-6:
                 raise reader.error(element, f'gearbox "{name}": <{of_gear}> is not parallel to that of "{joint.name}"')
-            sign *= np.sign(own @ hinge)
-        found.append((joint, sign))
-    (first, sign), (second, other) = found[1], found[0]
-    robot.couplings.append(Coupling(name, first.name, second.name, -ratio * sign * other, 0.0, element.sourceline))
+            terms[joint.name] = terms.get(joint.name, 0.0) + factor * sign * float(np.sign(own @ hinge))
+    if not add_relation(robot, name, terms, 0.0, element.sourceline):
+        raise reader.error(element, f'gearbox "{name}": parent and child are the same link')
+
+
+def _held(robot, link):
+    """Pose (4, 4) of a link or the world at the start."""
+    return np.eye(4) if link == WORLD else robot.links[link].pose
+
+
+def _hinges(robot, start, end):
+    """[(joint, sign)] of the fewest revolute joints that lead from a link to another; sign: 1 from parent to child."""
+    paths = {start: []}
+    pending = [start]
+    for link in pending:
+        for joint in robot.joints:
+            for sign, near, far in ((1.0, joint.parent, joint.child), (-1.0, joint.child, joint.parent)):
+                if near == link and far not in paths and joint.type in ("revolute", "fixed"):
+                    paths[far] = paths[link] + ([(joint, sign)] if joint.type == "revolute" else [])
+                    pending.append(far)
+    return paths.get(end, [])

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .description import Coupling
 from .names import unique_names
 from .options import ALL
 
@@ -82,14 +83,16 @@ def _entries(robot, options, tendon, length):
         yield "joints", {"type": "strut", "length": shortest}
 
 
-def linear_relation(terms, constant):
-    """(first, second, ratio, offset): x_first = ratio x_second + offset, of the relation sum c x = constant.
-
-    terms : {joint: c}; second is None if it has one joint. None for other numbers of joints
-    """
+def add_relation(robot, name, terms, constant, line):
+    """Add sum c x = constant of joints {name: c}: a locked joint, or a coupling. Returns False without joints."""
     terms = {joint: c for joint, c in terms.items() if c}
-    if len(terms) not in (1, 2):
-        return None
+    if not terms:
+        return False
     (first, c), *others = terms.items()
-    second, other = others[0] if others else (None, 0.0)
-    return first, second, -other / c, constant / c
+    shares = [(joint, -other / c) for joint, other in others]
+    if not shares:
+        robot.locked[first] = constant / c
+    else:
+        entries = robot.couplings if len(shares) == 1 else robot.relations
+        entries.append(Coupling(name, first, *shares[0], constant / c, line, further=dict(shares[1:])))
+    return True

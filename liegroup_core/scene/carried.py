@@ -8,7 +8,7 @@ rearrange.py finds the nearest consistent state.
 
 import numpy as np
 
-from liegroup_core.fields.curve import other_at, rise
+from liegroup_core.fields.curve import other_at
 from liegroup_core.joints.coupling import coordinate, turns
 from liegroup_core.joints.kinds import TYPES
 from liegroup_core.joints.linkage import inverse
@@ -42,10 +42,15 @@ def with_coupled(couplings, values):
     while len(values) != before:
         before = len(values)
         for entry in couplings:
-            if entry.other in values and entry.joint not in values:
-                values[entry.joint] = rise(entry, values[entry.other])
-            elif entry.joint in values and entry.other not in values and any((entry.ratio, *entry.curve)):
-                values[entry.other] = other_at(entry._replace(offset=0.0), values[entry.joint], 0.0)
+            joint, other = entry.joint, entry.other
+            unknown = [j for j in entry.joints if j not in values]
+            if unknown == [joint]:
+                values[joint] = entry.rise(values)
+            elif unknown == [other] and any((entry.ratio, *entry.curve)):
+                further = values[joint] - entry.rise(values | {other: 0.0})
+                values[other] = other_at(entry._replace(offset=0.0), further, 0.0)
+            elif len(unknown) == 1 and (c := dict(entry.further).get(unknown[0])):
+                values[unknown[0]] = (values[joint] - entry.rise(values | {unknown[0]: 0.0})) / c
     return values
 
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from liegroup_core.errors import SceneError
-from liegroup_core.fields.curve import rise, slope
+from liegroup_core.fields.curve import counted_from, rise, slope
 from liegroup_core.joints import distance
 from liegroup_core.joints.coupling import coordinate, difference, gap, rate_row, turns
 from liegroup_core.joints.kinds import forbidden_rows, position_residual
@@ -76,9 +76,10 @@ def resolve_elements(scene):
 
 
 class ResolvedCoupling(NamedTuple):
-    """Coupling with its numbers: indices of both joints, ratio, offset, curve; see joints/coupling.py.
+    """Coupling with its numbers: indices of its joints, ratio, offset, curve; see joints/coupling.py.
 
     If both are the same joint and the ratio is 0, the coordinate of this joint alone is given.
+    further : ((index of a joint, c), ...)
     """
 
     joint: int
@@ -86,11 +87,36 @@ class ResolvedCoupling(NamedTuple):
     ratio: float
     offset: float
     curve: tuple = ()
+    further: tuple = ()
 
     @property
     def is_given(self):
         """True if the coordinate of one joint alone is given."""
         return self.joint == self.other
+
+    @property
+    def joints(self):
+        """Indices of its joints: joint, other and further ones; of one joint if it is given."""
+        return (self.joint,) if self.is_given else (self.joint, self.other, *(j for j, _ in self.further))
+
+    def rise(self, at):
+        """Coordinate of `joint` without the offset; at: those of the others, {joint: q}."""
+        return rise(self, at[self.other]) + sum(c * at[j] for j, c in self.further)
+
+    def factors(self, q=0.0):
+        """Factor of the rate of each of its joints in the row of the coupling; q: coordinate of `other`."""
+        return (1.0,) if self.is_given else (1.0, -slope(self, q), *(-c for _, c in self.further))
+
+    def counted_from(self, start):
+        """The same relation with the coordinates of the others counted from {joint: q}."""
+        shift = sum(c * start[j] for j, c in self.further)
+        law = counted_from(self, start[self.other])
+        return self._replace(**law | {"offset": law["offset"] + shift})
+
+    def numbered(self, at):
+        """The same relation with index at[j] for joint j."""
+        further = tuple((at[j], c) for j, c in self.further)
+        return self._replace(joint=at[self.joint], other=at[self.other], further=further)
 
 
 def resolve_couplings(scene):
@@ -102,12 +128,14 @@ def resolve_couplings(scene):
         return []
     index = {joint.name: j for j, joint in enumerate(scene.joints)}
     found = []
-    for coupling, values in zip(scene.couplings, _coupled_coordinates(scene)):
-        offset = coupling.offset
-        if offset is None:
-            offset = values[0] - rise(coupling, values[1])
+    at = _coupled_coordinates(scene)
+    for coupling in scene.couplings:
+        further = tuple((index[name], c) for name, c in coupling.terms.items())
         joints = index[coupling.joint], index[coupling.other]
-        found.append(ResolvedCoupling(*joints, coupling.ratio, offset, coupling.curve))
+        entry = ResolvedCoupling(*joints, coupling.ratio, coupling.offset, coupling.curve, further)
+        if coupling.offset is None:
+            entry = entry._replace(offset=at[entry.joint] - entry.rise(at))
+        found.append(entry)
     return found
 
 
@@ -149,16 +177,13 @@ def _rate(start, joint, F_a, F_b):
 
 
 def _coupled_coordinates(scene):
-    """[(coordinate of joint, of other)] of all couplings at the initial poses."""
-    start, frames = _start(scene), resolve_frames(scene)
-    of_joint = {joint.name: (joint, F) for joint, F in zip(scene.joints, frames)}
-    return [
-        tuple(
-            coordinate(joint, _relative(start, joint, *F))
-            for joint, F in (of_joint[coupling.joint], of_joint[coupling.other])
-        )
-        for coupling in scene.couplings
-    ]
+    """{index: coordinate} of the joints of all couplings at the initial poses."""
+    start, names = _start(scene), {name for coupling in scene.couplings for name in (coupling.joint, *coupling.others)}
+    return {
+        j: coordinate(joint, _relative(start, joint, *frames))
+        for j, (joint, frames) in enumerate(zip(scene.joints, resolve_frames(scene)))
+        if joint.name in names
+    }
 
 
 def _relative(start, joint, F_a, F_b):
@@ -194,24 +219,24 @@ def check_consistency(scene):
 
 def _check_couplings(scene, start):
     """Raise SceneError for the first coupling that the initial poses or twists violate."""
-    frames = resolve_frames(scene) if scene.couplings else []
-    for i, (found, values) in enumerate(zip(resolve_couplings(scene), _coupled_coordinates(scene))):
+    frames, at = (resolve_frames(scene), _coupled_coordinates(scene)) if scene.couplings else ([], {})
+    for i, found in enumerate(resolve_couplings(scene)):
         if scene.couplings[i].backlash:
             continue
-        ends = [scene.joints[j] for j in (found.joint, found.other)]
-        rates = []
-        for joint, pair in zip(ends, (frames[found.joint], frames[found.other])):
-            rates.append(_rate(start, joint, *pair))
-        first, second = values
-        off = gap(found, first, second, turns(ends[0]))
-        slip = rates[0] - slope(found, second) * rates[1]
+        ends = [scene.joints[j] for j in found.joints]
+        rates = [_rate(start, scene.joints[j], *frames[j]) for j in found.joints]
+        first, second = at[found.joint], at[found.other]
+        off = gap(found, first, at, turns(ends[0]))
+        slip = np.dot(found.factors(second), rates)
         size = 1.0 + abs(first) + abs(rise(found, second)) + abs(found.offset)
+        size += sum(abs(c * at[j]) for j, c in found.further)
         if abs(off) > TOLERANCE * size or abs(slip) > TOLERANCE * (size + np.abs(rates).max()):
             unit = "rad" if turns(ends[0]) else "m"
             raise SceneError(
                 f'couplings[{i}] "{scene.couplings[i].name}": is violated at the start by {off:.3g} '
-                f"{unit} and {slip:.3g} {unit}/s: {ends[0].name} is at {first:.9g}, {ends[1].name} at "
-                f"{second:.9g}; correct ratio, curve, offset or the start values, or omit offset",
+                f"{unit} and {slip:.3g} {unit}/s: {ends[0].name} is at {first:.9g}, "
+                + ", ".join(f"{scene.joints[j].name} at {at[j]:.9g}" for j in found.joints[1:])
+                + "; correct ratio, curve, terms, offset or the start values, or omit offset",
                 place=("couplings", i),
             )
 
@@ -248,13 +273,12 @@ def switch_coordinates(scene, start, frames, angles=MappingProxyType({})):
             found.append((switch, coordinate_of(switch, C_rel)))
             continue
         entry = couplings[switch.coupling]
-        ends = [scene.joints[j] for j in (entry.joint, entry.other)]
-        first, second = (
-            coordinate(joint, _relative(start, joint, *frames[j])) for joint, j in zip(ends, (entry.joint, entry.other))
-        )
-        near = angles.get(ends[1].name, second)
-        second = near + difference(second, near, turns(ends[1]))
-        found.append((switch, gap(entry, first, second, turns(ends[0]))))
+        joints = {j: scene.joints[j] for j in entry.joints}
+        at = {j: coordinate(joint, _relative(start, joint, *frames[j])) for j, joint in joints.items()}
+        first, turned = at[entry.joint], turns(joints[entry.joint])
+        near = {j: angles.get(joint.name, at[j]) for j, joint in joints.items()}
+        at = {j: near[j] + difference(at[j], near[j], turns(joint)) for j, joint in joints.items()}
+        found.append((switch, gap(entry, first, at, turned)))
     return found
 
 

@@ -162,8 +162,9 @@ def _unfit_load(joint):
 def refuse_coupling(coupling, kinds, i):
     """Refuse a coupling if a joint does not exist or has not exactly one coordinate."""
     where = f'couplings[{i}] "{coupling.name}": '
-    for end in ("joint", "other"):
-        name, place = getattr(coupling, end), ("couplings", i, end)
+    ends = [("joint", coupling.joint), ("other", coupling.other), *(("terms", name) for name in coupling.terms)]
+    for k, (end, name) in enumerate(ends):
+        place = ("couplings", i, end)
         if name not in kinds:
             hint = suggestion(name, list(kinds)) if kinds else "the scene has no joints"
             raise SceneError(f"{where}{end} {name!r:.40} is not a joint; {hint}", place=place)
@@ -173,7 +174,5 @@ def refuse_coupling(coupling, kinds, i):
                 f"{', '.join(COUPLED[:-1])} or {COUPLED[-1]}",
                 place=place,
             )
-    if coupling.joint == coupling.other:
-        raise SceneError(
-            f'{where}joint and other are both "{coupling.joint}": they must differ', place=("couplings", i, "other")
-        )
+        if same := [before for before, known in ends[:k] if known == name]:
+            raise SceneError(f'{where}{same[0]} and {end} are both "{name}": they must differ', place=place)

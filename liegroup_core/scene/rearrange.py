@@ -13,7 +13,6 @@ precision and printed numbers have lost digits.
 import numpy as np
 
 from liegroup_core.errors import SceneError
-from liegroup_core.fields.curve import counted_from, rise
 from liegroup_core.joints.coupling import rate_row, turns
 from liegroup_core.joints.linkage import Linkage
 from liegroup_core.lie.groups import within_a_turn
@@ -103,14 +102,17 @@ def _at_once(scene, pose, twist, poses, twists, joints, angles, driven):
     number = {joint.name: j for j, joint in enumerate(scene.joints)}
     near = {number[name]: angle for name, angle in angles.items()}
     # The turns of a coupled joint follow from the turns of the other joint.
-    others = coordinates_at(scene, frames, before[0], {entry.other for entry in couplings}, near)
-    near = {e.joint: rise(e, others[e.other]) + e.offset for e in couplings} | near
+    others = coordinates_at(scene, frames, before[0], {j for e in couplings for j in e.joints[1:]}, near)
+    near = {e.joint: e.rise(others) + e.offset for e in couplings} | near
     wanted, rates = ({number[name]: pair[k] for name, pair in joints.items() if pair[k] is not None} for k in (0, 1))
     if joints:
         now = coordinates_at(scene, frames, before[0], wanted, near)
-        local = [e._replace(**counted_from(e, others[e.other])) for e in couplings]
+        local = [e.counted_from(others) for e in couplings]
         changes = with_coupled(local, {j: wanted[j] - now[j] for j in wanted})
-        local = [e._replace(**counted_from(e, changes.get(e.other, 0.0)) | {"curve": ()}) for e in local]
+        # Of several joints that may follow, the further ones stay.
+        stay = {j: 0.0 for e in local if e.joint in changes for j, _ in e.further}
+        changes = with_coupled(local, stay | changes)
+        local = [e.counted_from(others | dict.fromkeys(others, 0.0) | changes)._replace(curve=()) for e in local]
         near |= {j: near[j] + change for j, change in changes.items() if j in near}
         start, given = carried(scene, frames, before, set_parts, changes, with_coupled(local, rates))
     ends = {end for j in (*wanted, *rates) for end in (scene.joints[j].parent, scene.joints[j].child)}
@@ -142,19 +144,14 @@ def _at_once(scene, pose, twist, poses, twists, joints, angles, driven):
 
 
 def counted_couplings(scene, frames, poses, couplings, near):
-    """Couplings with offsets that refer to angles of the other joint in (-pi, pi] at these poses.
+    """Couplings with offsets that refer to angles of the other joints in (-pi, pi] at these poses.
 
     near : {j: rad} approximate unwrapped angles, within half a turn
     """
-    counted = [entry for entry in couplings if turns(scene.joints[entry.other])]
-    others = {entry.other for entry in counted}
+    others = {j for entry in couplings for j in entry.joints[1:]}
     principal, unwrapped = (coordinates_at(scene, frames, poses, others, angles) for angles in ({}, near))
-    return [
-        entry._replace(**counted_from(entry, unwrapped[entry.other] - principal[entry.other]))
-        if entry in counted
-        else entry
-        for entry in couplings
-    ]
+    turned = {j: unwrapped[j] - principal[j] for j in others}
+    return [entry.counted_from(turned) if any(turned[j] for j in entry.joints[1:]) else entry for entry in couplings]
 
 
 def _closed(linked, free, start, given, kept):

@@ -106,9 +106,11 @@ def print_facts(facts, console):
 
 
 def _polynomial(entry):
-    """Text of the terms of a coupling in the coordinate of its other joint."""
+    """Text of the terms of a coupling in the coordinates of its other joints."""
     q = entry["other"]
-    return " + ".join([f"{entry['ratio']:.6g} {q}", *(f"{a:.6g} {q}^{k}" for k, a in enumerate(entry["curve"], 2))])
+    terms = [(entry["ratio"], q), *((a, f"{q}^{k}") for k, a in enumerate(entry["curve"], 2))]
+    terms += [(c, name) for name, c in entry["terms"].items()]
+    return " + ".join(f"{a:.6g} {name}" for a, name in terms)
 
 
 def _unit(joint):

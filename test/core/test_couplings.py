@@ -519,3 +519,48 @@ def test_plain_python_gives_the_same_numbers():
     for plain, fast in zip(*lines, strict=True):
         plain, fast = (np.frombuffer(bytes.fromhex(line)) for line in (plain, fast))
         assert np.abs(plain - fast).max() <= 1e-13
+
+
+# Three wheels on one axis, or on three: a train with the coefficients of PLANETARY or DIFFERENTIAL.
+TRAIN = """
+name: train
+gravity: [0, 0, 0]
+assemble: true
+bodies:
+  - {{name: s, mass: 1, inertia: [0.2, 0.2, 0.3]}}
+  - {{name: c, mass: 1, inertia: [0.4, 0.4, 0.7]}}
+  - {{name: r, mass: 2, inertia: [0.4, 0.4, 0.5]}}
+joints:
+  - {{name: sun, type: revolute, parent: world, child: s, parent_frame: {{}}, child_frame: {{}}, rate: 3}}
+  - {{name: carrier, type: revolute, parent: world, child: c, parent_frame: &f {{axis: {axis}}}, child_frame: *f,
+     rate: 1}}
+  - {{name: ring, type: revolute, parent: world, child: r, parent_frame: {{}}, child_frame: {{}}}}
+couplings:
+  - {{name: train, joint: sun, other: carrier, ratio: {ratio}, terms: {{ring: {further}}}}}
+forces:
+  - {{name: m, type: motor, joint: sun, torque: 0.25}}
+  - {{name: load, type: motor, joint: carrier, torque: -0.4}}
+"""
+
+
+@pytest.mark.parametrize("method", ["rkmk4", "generalized_alpha", "constrained_rattle"])
+@pytest.mark.parametrize("axis, ratio, further", [("[0, 0, 1]", 3.0, -2.0), ("[0, 1, 0]", 2.0, -1.0)])
+def test_planetary_gears_and_differentials_move_as_willis_says(method, axis, ratio, further):
+    """Constant accelerations: M a = tau + k lambda with k a = 0, k = (1, -ratio, -c), the equation of Willis.
+
+    About 50 turns: angles have errors of steps times EPS times the angle, 3000 * 300 EPS = 2e-10.
+    """
+    scene = scene_from_text(TRAIN.format(axis=axis, ratio=ratio, further=further))
+    simulation = Simulation(scene, method, 0.01)
+    start = simulation.sample().joint_coordinates
+    simulation.advance(3000)
+    k, inertia = np.array([1.0, -ratio, -further]), np.array([0.3, 0.4 if axis[4] == "1" else 0.7, 0.5])
+    torque = np.array([0.25, -0.4, 0.0])
+    force = -(k @ (torque / inertia)) / (k @ (k / inertia))
+    rates = np.array([rate for _, rate in start.values()])
+    assert abs(k @ rates) < 1e-14
+    found = np.array([simulation.sample().joint_coordinates[name] for name in ("sun", "carrier", "ring")])
+    acceleration = (torque + k * force) / inertia
+    assert found[:, 1] == pytest.approx(rates + 30.0 * acceleration, abs=2e-10)
+    assert found[:, 0] == pytest.approx(30.0 * rates + 450.0 * acceleration, abs=2e-10)
+    assert simulation.sample().constraint_residual < 1e-12

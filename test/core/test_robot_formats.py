@@ -101,6 +101,13 @@ def test_screws_gears_and_static_models(tmp_path):
     assert (wheel.parent, wheel.child) == ("world", "out")
     found = Simulation(locked, "rkmk4", 1e-3).sample().joint_coordinates
     assert found["wheel"][0] == pytest.approx(0.3, abs=1e-14)
+    # Joints in series to the reference body: the angle relative to it is their sum.
+    series = text.replace("<parent>case</parent><child>in</child>", "<parent>world</parent><child>in</child>")
+    series = series.replace('"hold" type="fixed"', '"hold" type="revolute"')
+    (relation,) = load_scene(sdf(tmp_path, series)).couplings
+    # -wheel = -4 (shaft - hold)
+    assert (relation.joint, relation.other, relation.ratio, relation.terms) == ("wheel", "hold", -4.0, {"shaft": 4.0})
+    sdf(tmp_path, text)
     # A locked shaft holds the wheel that its gear drives.
     held = scene_from_robot(path, Options(lock={"shaft": 0.1}))
     assert [joint.name for joint in held.joints] == ["thread"]
@@ -923,8 +930,34 @@ def test_straight_tendons_move_as_in_mujoco(tmp_path):
     assert lengths[:, 2].min() < 1.037 and 1.05 < lengths[:, 2].max()
 
 
+def test_an_equality_of_three_joints_moves_as_rigid_rows_say(tmp_path):
+    """Gauss' principle: with M and the bias of MuJoCo, a = M^-1 (k lambda - bias) with k a = 0; first accelerations."""
+    mujoco = pytest.importorskip("mujoco")
+    path = written(
+        tmp_path / "three.xml",
+        TENDONS.format(
+            '<fixed name="x"><joint joint="ja" coef="1"/><joint joint="jb" coef="1.5"/><joint joint="jc" coef="-2"/>'
+            "</fixed>",
+            '<tendon name="three" tendon1="x"/>',
+        ),
+    )
+    scene = load_scene(path)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data, mass = mujoco.MjData(model), np.zeros((3, 3))
+    mujoco.mj_forward(model, data)
+    mujoco.mj_fullM(model, data, mass)
+    k, bias = np.array([1.0, 1.5, -2.0]), data.qfrc_bias
+    free = -np.linalg.solve(mass, bias)
+    wanted = free - np.linalg.solve(mass, k) * (k @ free) / (k @ np.linalg.solve(mass, k))
+    simulation = Simulation(scene, "rkmk4", 1e-5)
+    simulation.advance(1)
+    # From rest: the rate after a step h is a h (1 + O(h^2)).
+    rates = [rate for _, rate in simulation.sample().joint_coordinates.values()]
+    assert np.array(rates) / 1e-5 == pytest.approx(wanted, abs=1e-8)
+
+
 def test_limits_and_equalities_of_tendons(tmp_path):
-    """Limits are a cable and a strut. Lengths count from the pose of the file; 3 joints are no coupling."""
+    """Limits are a cable and a strut. Lengths count from the pose of the file."""
     path = written(
         tmp_path / "coupled.xml",
         TENDONS.format(
@@ -940,9 +973,9 @@ def test_limits_and_equalities_of_tendons(tmp_path):
     scene = load_scene(path)
     # ja - 2 jc = 0.3 ,   2 jb = 0.1 + 0.5 * 3 jc
     found = [(each.joint, each.other, each.ratio, each.offset) for each in scene.couplings]
-    assert found == [("ja", "jc", 2.0, 0.3), ("jb", "jc", 0.75, 0.05)]
+    assert found == [("ja", "jc", 2.0, 0.3), ("jb", "jc", 0.75, 0.05), ("ja", "jb", -1.0, 0.0)]
+    assert scene.couplings[2].terms == {"jc": 2.0}
     assert [(joint.type, joint.length) for joint in scene.joints[3:]] == [("cable", 3.0), ("strut", 0.3)]
-    assert "changes the motion: equality constraints of tendons, left out: three" in scene.notes
     without = scene_from_robot(path, Options(stops=[]))
     assert len(without.joints) == 3 and "changes the motion: limits of tendons, left out: l" in without.notes
 
