@@ -94,10 +94,10 @@ def test_the_page_designs_a_controller_and_the_recording_agrees(tmp_path, monkey
     exec(compile(FILES["check.py"], "check.py", "exec"), names := {})
     said = capsys.readouterr().out
     assert re.search(r"deviation .* at the end: .*\nslowest poles: .* designed: .*\n", said), said
-    # Efforts are held for 2 ms, so 1 ms late in the mean: a delay of 10 ms changes the slowest poles by 2 %. One more
-    # state may pass before a command is taken: 3 ms.
+    # Efforts are held for 2 ms, so 1 ms late in the mean: a delay of 10 ms changes the slowest poles by 2 %. A command
+    # may reach the test before the node: up to four more states pass before it is taken, 9 ms.
     np.testing.assert_allclose(
-        *(np.sort_complex(each)[-2:] for each in (names["measured"], design["poles"])), rtol=0.01
+        *(np.sort_complex(each)[-2:] for each in (names["measured"], design["poles"])), rtol=0.02
     )
     states = read_recording("run.mcap").joint_states
     x = np.hstack([states.position, states.velocity]) - design["x"]
