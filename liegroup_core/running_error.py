@@ -63,6 +63,7 @@ LAG = 4  # steps after which the companion follows with an accuracy, which sprea
 PART = 0.05  # of the horizon, between two looks at the estimate: errors may rise and fall between checkpoints
 # rad, or relative to the characteristic length: above it, a rebound that became plastic makes the estimate
 # infinite. Bouncing that comes to rest by itself is far below it when its impacts are that dense.
+LOST = "the second run, which shows the error, cannot go on"  # where the estimate is infinite
 LOST_REBOUND = 1e-7
 PARTS = 2  # of the step up to an event, whose size does not depend on that of other steps
 # Fraction of the distance that counts if the order is not seen.
@@ -154,7 +155,7 @@ class RunningError:
         self._set_at = self.engine.steps
         self._start, self._next = -1, 0  # steps at which the companion started (-1: not yet), and meets next
         self._block = self._substeps = 0  # steps to the next checkpoint, substeps at the last one
-        self._alive, self._failed, self.lost = True, False, "impacts without end became plastic"
+        self._alive, self._failed, self.lost = True, False, LOST
         self.estimate.restart(self.engine.time)
         self.restored()
 
@@ -193,7 +194,8 @@ class RunningError:
         follows = between and self._companion.changes_before(steps)
         if between and not follows and steps - self._companion.steps < self._lag:
             return
-        self._failed = self._failed or engine.events.lost_rebound > LOST_REBOUND
+        if engine.events.lost_rebound > LOST_REBOUND and not self._failed:
+            self._failed, self.lost = True, "impacts without end became plastic"
         if not self._alive or steps % self.ours:
             return
         if not self.begun:
@@ -208,7 +210,7 @@ class RunningError:
             try:
                 self._companion.advance_to_step(meeting)
             except SimulationError as error:
-                self._failed, self.lost = True, f"the second run, which shows the error, {error}"
+                self._failed, self.lost = True, f"{LOST}: {error}"
         if not self._failed and self._companion.steps < meeting:
             return  # it was halted, too
         if between:
