@@ -5,7 +5,7 @@ import contextlib
 import copy
 import time
 from collections.abc import Callable, Iterator
-from itertools import groupby
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -14,12 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 from liegroup_core.compiling import warm_up
 from liegroup_core.errors import SimulationError
 from liegroup_core.fields.arguments import finite, floats, got, is_count, is_finite
-from liegroup_core.forces.instants import AFTER, BEFORE, LATEST, NEVER, StepGrid
+from liegroup_core.forces.instants import AFTER, LATEST, NEVER, StepGrid
 from liegroup_core.forces.timetable import Timetable, just_after
 from liegroup_core.inputs import Inputs
 from liegroup_core.joint_events import JointEvents
 from liegroup_core.layout import Layout, make_layout
-from liegroup_core.mechanism.bodies import COUNT, LARGEST_TURN, NOW, OFFSET, SINGULAR_SOLVES, STEP_SIZE, TO, UNTIL
+from liegroup_core.mechanism.bodies import COUNT, LARGEST_TURN, NOW, OFFSET, SINGULAR_SOLVES, STEP_SIZE
 from liegroup_core.mechanism.body_model import initial_state
 from liegroup_core.methods.families import check_group, check_options, choose_group, make_integrator
 from liegroup_core.methods.table import METHODS, is_positive
@@ -30,7 +30,7 @@ from liegroup_core.placing import place
 from liegroup_core.reports import Warnings, explain
 from liegroup_core.scene.description import Scene
 from liegroup_core.state import State, decoded, kept, set_kept
-from liegroup_core.status import EVENT, OK
+from liegroup_core.status import OK
 
 Floats = NDArray[np.float64]
 
@@ -43,7 +43,6 @@ NO_ROTATION = 1e-6
 METHOD, STEP = "rkmk4", 1e-3  # defaults; s
 # Number of steps per call of a kernel at first, and range of the wall time in s of later calls.
 FIRST_BLOCK, QUICK, SLOW = 16, 0.01, 0.03
-TOGETHER = 64  # states within a step that are computed together, at most
 
 
 def _next_block(steps, seconds):
@@ -97,10 +96,14 @@ class Engine:
     inputs : Inputs, the commands that act
     events : JointEvents, of stops and dry friction
 
+    The integration has reached a base: the end of a step, or a change of the inputs within one. An Engine stands there
+    or at any later time of that step, `now`. The state there is a function of what was integrated, and computed when it
+    is first asked for; the run does not depend on that.
+
     Orders: test/verification/test_orders.py; constraint residuals: test_heavy_top.py.
     """
 
-    MOTION: tuple[str, ...] = ("_pose", "_twist", "steps", "_angles", "_memory", "_modes")
+    MOTION: tuple[str, ...] = ("_pose", "_twist", "steps", "_offsets", "_angles", "_memory", "_modes")
     KEPT: tuple[str, ...] = (*MOTION, "inputs")
 
     apply_wrench = method_of("inputs", Inputs.apply_wrench)
@@ -152,13 +155,11 @@ class Engine:
         self._switching = getattr(self._integrator, "switching", None)
         self._stop_at = getattr(self._integrator, "stop_at", None)
         self._work.clock[STEP_SIZE], self._limited = self.step, False
-        self._before, self._inside, self._mark = None, {}, None  # see `undo`, `prepare`, `_go_to`
         rows, motions = self.layout.model.forces.applied_wrench, self.layout.motions.values()
         self._grid = StepGrid(self.step)
         self._timetable = Timetable(rows, self._grid, motions)
         self._warnings = Warnings(quiet)
-        self._reached = BEFORE
-        self.inputs = Inputs(self.layout, self._grid, self._work.wanted, self._earliest, self.undo)
+        self.inputs = Inputs(self.layout, self._grid, self._work.wanted, self._present, self._warnings.late)
         self.events = JointEvents(self.layout, self._switching)
         self._start = initial_state(self.layout.centred)
         self._block, self._halted = FIRST_BLOCK, False
@@ -170,7 +171,7 @@ class Engine:
     def _touch(self):
         """Call every kernel once, so that no kernel is compiled during a run."""
         self.reset()
-        self._advance(0)
+        self._integrate(self.now, self.step, 0, self.now)
         if self._switching is not None:
             self._switching.touch(self._pose, self._twist, self.inputs.external)
             self.reset()
@@ -228,24 +229,40 @@ class Engine:
             coordinates = finite(f"expected {s} finite coordinates of joints with stops or friction", coordinates, (s,))
         if not (is_count(steps) and steps < NEVER):
             raise ValueError(f"steps must be a whole number from 0 to {NEVER - 1}, {got(steps)}")
-        self._start_at(pose, twist, int(steps), self.layout.angles(pose, angles))
+        self._start_at(pose, twist, self._grid.boundary(int(steps)), self.layout.angles(pose, angles))
         if self._switching is not None and coordinates is not None:
             self._switching.expect(coordinates)
 
-    def _start_at(self, pose, twist, steps, angles):
-        """Start again from a valid state; the engine takes over its arrays."""
+    @property
+    def base_ns(self):
+        """Time in ns at which the integration is within a step; None: at the end of one."""
+        return self._grid.mark(self._base) if self._base.offset else None
+
+    def begin_at(self, time_ns):
+        """Move a state that was set to a time in ns."""
+        self._base = self.now = self._grid.marked(time_ns)
+
+    def _start_at(self, pose, twist, instant, angles):
+        """Start again from a valid state at an Instant; the engine takes over its arrays."""
         self._work.angle[:] = angles
         self._work.report[LARGEST_TURN] = 0.0
-        self._pose, self._twist, self.steps, self._reached = pose, twist, steps, BEFORE
-        self._forget()
+        self._pose, self._twist = pose, twist
+        self._base = self.now = instant
+        self._here = None
         self.inputs.clear()
         self._integrator.restart()
 
-    def start_from(self, other, steps):
-        """Start again from the state of another engine of the same scene at a step count, with its inputs."""
-        self._start_at(*other.state(), steps, other._work.angle)
+    def start_from(self, other, instant=None):
+        """Start again where another engine of the same scene stands, with its inputs.
+
+        instant : of this engine, for the other one's base; None: at the same time
+        """
+        same = self._grid.like(other._grid, other._base) if instant is None else instant
+        self._start_at(other._pose.copy(), other._twist.copy(), same, other._work.angle)
         self._modes = other._modes
         self.inputs.commands = other.inputs.commands
+        if instant is None:
+            self.now = self._grid.like(other._grid, other.now)
 
     def take(self, commands, modes=None):
         """Continue from a state that was set with Commands, and modes of stops and friction as `encoded` gave them.
@@ -270,7 +287,6 @@ class Engine:
         self._remember(memory)
 
     def _remember(self, memory):
-        self._forget()
         for mine, array in zip(self._integrator.memory, memory):
             mine[...] = array
 
@@ -283,45 +299,65 @@ class Engine:
         for mine, array in zip(self._modes, modes):
             mine[...] = array
 
-    def _present(self):
-        """Instant of the present step."""
-        return self._grid.boundary(self.steps)
+    @property
+    def steps(self) -> int:
+        """Number of whole steps since the start or the last reset."""
+        return self._base.step
 
-    def _earliest(self):
-        """Earliest Instant at which a command may start."""
-        return max(self._present(), self._reached)
+    @steps.setter
+    def steps(self, steps):
+        self._base = self.now = self._grid.boundary(steps)
+        self._here = None
+
+    @property
+    def _offsets(self):
+        """Where the base and `now` are within their step: numerators and denominators."""
+        return (*Fraction(self._base.offset).as_integer_ratio(), *Fraction(self.now.offset).as_integer_ratio())
+
+    @_offsets.setter
+    def _offsets(self, offsets):
+        base, now = (Fraction(*offsets[k : k + 2]) if offsets[k + 1] else -1 for k in (0, 2))
+        if not self._grid.has(base) or not self._grid.has(now):
+            raise ValueError("the snapshot must have times within its step")
+        self._stand(self._grid.at(self.steps, base), self._grid.at(self.steps, now))
 
     def state(self) -> tuple[Floats, Floats]:
         """Copies of the integrator's pose (n, 12) and twist (n, 6), for `set_state`.
 
         They refer to frames with the axes of the body frames and their origins at the centres of
         mass. They differ from those of `sample()` if a body has a `com` or an offset shape.
+        Raises SimulationError if the state cannot be computed.
         """
-        return self._pose.copy(), self._twist.copy()
+        pose, twist, *_ = self.here()
+        return pose.copy(), twist.copy()
 
     def at_bodies(self) -> tuple[Floats, Floats]:
         """Pose (n, 12) and twist (n, 6) of the body frames, read-only: possibly not copies."""
-        return self.layout.offsets.to_bodies(self._pose, self._twist)
+        return self.layout.offsets.to_bodies(*self.here()[:2])
 
     def snapshot(self) -> State:
         """Copy of the whole state, with the commands that act or start later, for `restore`."""
-        self.undo()
+        self.settle()
         return State({}, kept(self))
 
     def restore(self, state: State) -> None:
         """Return to a snapshot. The continuation is bit-identical."""
-        self._reached = BEFORE
         set_kept(self, state.parts)
+
+    def settle(self):
+        """Integrate as far as the present state needs, whether it was asked for or not: so equal states are equal."""
+        with contextlib.suppress(SimulationError):  # raised when the state is asked for
+            self.here()
 
     @property
     def time(self) -> float:
         """Simulated time since the start or the last reset, s."""
-        return self.steps * self.step
+        return self.now.time
 
     @property
     def time_ns(self) -> int:
-        """Simulated time in integer nanoseconds, rounded from step count times step."""
-        return self.step_ns(self.steps)
+        """Simulated time in integer nanoseconds."""
+        return self._grid.time_ns(self.now)
 
     def step_ns(self, steps):
         """Time in integer nanoseconds of a step count."""
@@ -375,7 +411,7 @@ class Engine:
         return f"{name}({self.scene.name!r}, bodies: {bodies}, {method}, t = {self.time:.9g} s, step {self.steps})"
 
     def advance(self, steps: int = 1, enough: Callable[[], bool] | None = None) -> None:
-        """Take `steps` steps, an integer >= 0.
+        """Advance to the end of the `steps`-th step from the present one on, an integer >= 0.
 
         enough : called about every 20 ms of wall time, or after each step that takes longer; if it returns
                  True, no more steps are taken
@@ -383,49 +419,30 @@ class Engine:
         Python handles signals equally often, so that Ctrl-C ends a call. Raises ValueError for other numbers.
         Raises SimulationError if the integration cannot continue: NaN or overflow, a rotation of nearly
         2 pi in a step, constraints that cannot be satisfied, an implicit step without solution, an
-        unreachable tolerance. State and `steps` are then those of the last valid step.
+        unreachable tolerance. The state is then the last valid one.
         """
         if not is_count(steps):
             raise ValueError(f"steps must be a whole number, 0 or more, {got(steps)}")
-        if self._halted:
-            self._go_on()
-        self._advance(int(steps), enough)
-
-    def advance_to_step(self, steps):
-        """As `advance`, up to a step count that is not before the present one."""
-        self._advance(steps - self.steps)
+        self.reach(self._grid.boundary(self.steps + int(steps)), enough)
 
     def advance_to(self, time: float) -> None:
-        """Advance to a time in s: `sample` gives the state then, and commands without a start begin then.
+        """Advance to a time in s: the state, samples and commands without a start are those of this time.
 
-        `steps`, `time` and `state` are those of the last step that is not after it. Raises ValueError for a time
-        before the present step, and SimulationError, as `advance`.
+        Raises ValueError for a time before the present one, and SimulationError, as `advance`.
         """
         self.reach(self._instant(time))
 
-    def reach(self, instant):
-        """As `advance_to`, of an Instant."""
-        if instant.step != self.steps:
-            self.advance(instant.step - self.steps)
-        self._reached = instant
+    def advance_to_step(self, steps):
+        """As `advance`, up to a step count that is not before the present one; a halt remains."""
+        self._go(self._grid.boundary(steps))
 
-    @property
-    def reached(self):
-        """Time in s of the last `advance_to`, or of the present step if that is later."""
-        return self._earliest().time
-
-    @property
-    def _reached_ns(self):
-        """`reached` in whole ns, as a snapshot has it."""
-        return self._grid.time_ns(self._earliest())
-
-    @_reached_ns.setter
-    def _reached_ns(self, time_ns):
-        self._reached = self._grid.marked(time_ns)
-
-    def step_before(self, time: float) -> int:
-        """Last step that is not after a time in s, which must not be before the present one. Raises ValueError."""
-        return self._instant(time).step
+    def reach(self, instant, enough=None):
+        """As `advance_to`, of an Instant; enough : as in `advance`."""
+        if self._halted:
+            self._go_on()
+        if instant == self._base:
+            self.inputs.update(instant)
+        self._go(instant, enough)
 
     def _instant(self, time):
         """Instant of a time in s that is not before the present one. Raises ValueError."""
@@ -434,109 +451,141 @@ class Engine:
         return self._valid(self._grid.instant(float(time)))
 
     def _valid(self, instant):
-        """An Instant that is not before the present step. Raises ValueError."""
-        if instant.step < self.steps:
-            raise ValueError(f"the time {instant.time:.9g} s is before the present step, at {self.time:.9g} s")
+        """An Instant that is not before the present one. Raises ValueError."""
+        if instant < self.now:
+            raise ValueError(f"the time {instant.time:.9g} s is before the present one, {self.time:.9g} s")
         return instant
 
-    def _advance(self, steps, enough=None):
-        end = self.steps + steps
-        if steps:
-            if self._before is not None and self._integrator.kept_from > (self.steps + 1, 0.0):
-                self.undo()  # states of later steps were read: that at the next one is no longer known
-            self._forget()
+    def _go(self, until, enough=None):
+        """Advance to an Instant: in whole steps and, between changes of the inputs within them, in parts of steps."""
         self._warnings.begin()
-        while True:
-            start = self._present()
-            change = min(end, self._timetable.next_change(self.steps))
-            inside = self._timetable.inside(self.steps)
-            if self.inputs.schedule:
-                self.inputs.update(start)
-                change = min(change, self.inputs.schedule.next_change(self.steps))
-                inside = self._instants_inside()
-            steps, began = change - self.steps, 0.0
-            if steps > self._block:
-                steps, began = self._block, time.perf_counter()
-            done, status = self._take_steps(start, steps, inside)
-            self.steps += done
-            if self.steps >= end and status == OK:
+        while self._base < until:
+            stop, steps, changed = self._next_stop(until)
+            if stop is None:
+                self._stand(self._base, until)
                 break
+            began = time.perf_counter() if steps == self._block else 0.0
+            done, status = self._take(stop, steps)
+            if done:
+                base = stop if done >= steps else self._grid.boundary(self.steps + done)
+                self._stand(base, base)
+            if status == OK:
+                self.inputs.apply(stop, changed)
+                if self._base >= until:
+                    break
             if self._halted:
                 return
             self._checked(status)
             self._warnings.give(self)
             if began:
                 self._block = _next_block(done, time.perf_counter() - began)
-            if enough is not None and enough():
+            if enough is not None and not self._base.offset and enough():
                 break
         self._warnings.give(self)
 
-    def instant_after(self, steps, part):
-        """Instant some steps and a part of one after the present one."""
-        return self._grid.end(self.steps + steps, part) if part else self._grid.boundary(self.steps + steps)
+    def _stand(self, base, now):
+        """Move the base and the present time."""
+        if (base, now) != (self._base, self.now):
+            self._base, self.now, self._here = base, now, None
 
-    def instant_of(self, time_ns):
-        """Instant of a time in whole ns."""
-        return self._grid.marked(time_ns)
+    def _next_stop(self, until):
+        """(Instant up to which the inputs that act now stay as they are, whole steps to it, their changes there).
 
-    def instant_ns(self, instant):
-        """Time in whole ns of an Instant."""
-        return self._grid.time_ns(instant)
-
-    def state_at(self, instant):
-        """State at an Instant from the present step on, as `state`; the present state does not change.
-
-        Raises SimulationError, as `advance`.
+        (None, 0, ()) : `until` is before the next one. 0 steps : a part of a step
         """
-        with self.inputs.acting_from(self._present()):
-            inside = self._state_inside(instant)
-        if inside is not None:
-            return inside[:2]
-        with self._aside():
-            self._go_to(instant)
-            return self.state()
+        base, grid, schedule = self._base, self._grid, self.inputs.schedule
+        change, inside = self._timetable.next_change(base.step), self._timetable.inside(base.step)
+        if schedule:
+            self.inputs.update(base)
+            change = min(change, schedule.next_change(base.step))
+            inside = {*inside, *schedule.inside(base.step)}
+        for instant in sorted(each for each in inside if base < each < until):
+            changed = schedule.update(instant)
+            # A part ends only where a total changes.
+            if changed or instant in self._timetable.inside(base.step):
+                return instant, 0, changed
+        steps = min(until.step, base.step + 1 if inside or base.offset else change) - base.step
+        if steps == 0:
+            return None, 0, ()
+        steps = min(steps, self._block)
+        return grid.boundary(base.step + steps), 0 if base.offset else steps, ()
 
-    def _go_to(self, instant):
-        """Advance to an Instant, with a part of a step at its end; without what a subclass does in addition.
+    def _take(self, stop, steps):
+        """Integrate to the next stop, in whole steps, 0: in a part of one; returns (done, 1: the part, status)."""
+        if steps:
+            return self._integrate(self._base, self.step, steps, stop)
+        good = self._pose.copy(), self._twist.copy(), self._work.angle.copy()
+        parts = self.events.parts
+        _, status = self._integrate(self._base, self._grid.between(self._base, stop) / parts, parts, stop)
+        if status != OK:
+            self._pose[:], self._twist[:], self._work.angle[:] = good
+            self._integrator.restart()
+        return int(status == OK), status
 
-        A run ahead continues from the last such state in the step: its states do not depend on others.
+    def here(self):
+        """(pose, twist, angles, modes or None: the present ones) at the present time, not to be changed.
+
+        Raises SimulationError if the state cannot be computed.
         """
-        start, state = self._mark or (AFTER, None)
-        if start.step == instant.step and start <= instant:
-            set_kept(self, state)
-        else:
-            Engine._advance(self, instant.step - self.steps)
-            start = self._present()
-        if instant.offset:
-            inside = [each for each in self._instants_inside() if each < instant]
-            self.inputs.update(max([self._present(), *(each for each in inside if each <= start)]))
-            inside = [each for each in inside if each > start]
-            if instant > start:
-                self._checked(self._take_in_parts(start, inside, self._grid.between(start, instant), instant))
-            if self.runs_ahead and self._switching is None:
-                self._mark = instant, kept(self, Engine.MOTION)
+        if self.now == self._base:
+            return self._pose, self._twist, self._work.angle, None
+        if self._here is None:
+            self._here = self._interpolated() or self._stepped()
+        return self._here
+
+    def _interpolated(self):
+        """`here` from the integration that runs ahead, up to the present time; None: not from it, as near an event."""
+        if not self.runs_ahead:
+            return None
+        base, now, integrator, external = self._base, self.now, self._integrator, self.inputs.external
+        pose, twist, angles = self._pose.copy(), self._twist.copy(), self._work.angle.copy()
+        h, modes = self._grid.between(base, now), [array.copy() for array in self._modes]
+        self._prepare(base, h, now)
+        memory = None
+        if integrator.lead < self._grid.parts(now) or integrator.has_others(external):
+            memory, spent = [array.copy() for array in integrator.memory], integrator.spent
+        _, status = integrator.look_ahead(h, pose, twist, external)
+        found = pose, twist, self._work.angle.copy(), self._switching and self._switching.present_modes()
+        self._work.angle[:], self._modes = angles, modes
+        if status == OK:
+            return found
+        if memory is not None:  # the run will meet what was met here
+            integrator.clear()
+            self._remember(memory)
+            integrator.spent = spent
+        return None
+
+    def _stepped(self):
+        """`here` by a step of this size from the base, which is not taken."""
+        with self._aside(Engine.MOTION):
+            parts = self.events.parts if self._base.offset else 1
+            h = self._grid.between(self._base, self.now) / parts
+            self._checked(self._integrate(self._base, h, parts, self.now)[1])
+            modes = None if self._switching is None else self._modes_now()
+            return self._pose.copy(), self._twist.copy(), self._work.angle.copy(), modes
 
     @contextlib.contextmanager
-    def _aside(self):
-        """Return to the present state afterwards, with all that was logged and counted."""
-        self.undo(AFTER)
+    def _aside(self, parts=None):
+        """Return to the present state afterwards, with all that was logged and counted; parts : of KEPT, None: all."""
         inputs, switching = self.inputs, self._switching
-        before, held = kept(self, Engine.MOTION), inputs.held()
-        log, follower, inputs.log, inputs.follower = inputs.log, inputs.follower, None, None
+        before, held, here = kept(self, parts), inputs.held(), self._here
+        log, inputs.log = inputs.log, None
         spent = getattr(self._integrator, "spent", None)
         events = None if switching is None else switching.log()
         try:
             yield
         finally:
-            mark = self._mark
             set_kept(self, before)
-            self._mark = mark
+            self._here = here
             inputs.give_back(held)
-            inputs.log, inputs.follower = log, follower
+            inputs.log = log
             if spent is not None:
                 self._integrator.spent = spent
             if events is not None:
                 switching.take_log(events)
+
+    def _present(self):
+        return self.now
 
     def change_after(self, instant):
         """First Instant after another at which an input changes, or AFTER."""
@@ -545,113 +594,22 @@ class Engine:
         return min(self._timetable.next_after(instant), self.inputs.schedule.next_after(instant))
 
     def changes_before(self, steps):
-        """Whether an input changes after the present step and before a step count."""
+        """Whether an input changes after the present time and before a step count."""
         if not (self._timetable or self.inputs.schedule):
             return False
-        return self.change_after(self._present()) < self._grid.boundary(steps)
+        return self.change_after(self.now) < self._grid.boundary(steps)
 
-    def _states_inside(self, ends):
-        """{Instant: (pose, twist, angles, modes or None)} from the integration that runs ahead.
+    def instant_inside(self, step, part):
+        """Instant of an exact fraction of a step."""
+        return self._grid.inside(step, part)
 
-        Those after a change of the inputs, and from a possible event on, are missing. What it integrates is undone if
-        inputs or tolerances change, so that a run does not depend on it.
-        """
-        start, found = self._present(), {}
-        change = self.change_after(start) if self.runs_ahead else BEFORE
-        work, integrator, grid = self._work, self._integrator, self._grid
-        angle, modes = work.angle.copy(), [array.copy() for array in self._modes]
-        for end in ends:
-            if change < end:
-                break
-            at, h = grid.parts(end), grid.between(start, end)
-            if self._before is not None and integrator.kept_from > at:
-                self.undo(AFTER)  # a later state was asked for before
-            pose, twist = self._pose.copy(), self._twist.copy()
-            try:
-                if found:
-                    work.clock[TO : UNTIL + 1] = at
-                else:
-                    self._prepare(start, h, end)
-                if self._before is None and (integrator.lead < at or integrator.has_others(self.inputs.external)):
-                    self._before = [array.copy() for array in self._memory], integrator.spent
-                _, status = integrator.look_ahead(h, pose, twist, self.inputs.external)
-                if status == EVENT:
-                    break
-                self._checked(status)
-                found[end] = pose, twist, work.angle.copy(), self._switching and self._switching.present_modes()
-            finally:
-                work.angle[:] = angle
-                if modes:
-                    self._modes = modes
-        return found
-
-    def _state_inside(self, end):
-        """State at an Instant, see `_states_inside`; None: unknown."""
-        return self._inside.pop(end, None) or self._states_inside([end]).get(end)
-
-    def prepare(self, instants):
-        """Compute the states at Instants within the present step together; `sample` and `state_at` find them, once."""
-        # An error is raised when that state is asked for.
-        with contextlib.suppress(SimulationError), self.inputs.acting_from(self._present()):
-            self._inside = self._states_inside([each for each in instants if each.step > self.steps or each.offset])
-
-    def undo(self, since=BEFORE):
-        """Undo what was integrated for states after the present one.
-
-        since : Instant from which on they will be others
-        """
-        self._inside = {}
-        if self._mark is not None and since < self._mark[0]:
-            self._mark = None
-        if self._before is not None:
-            memory, self._integrator.spent = self._before
-            self._integrator.clear()
-            self._remember(memory)
-
-    def _forget(self):
-        """The state was set, or has advanced."""
-        self._before, self._inside, self._mark = None, {}, None
+    def instant_of(self, time_ns):
+        """Instant of a time in whole ns."""
+        return self._grid.marked(time_ns)
 
     def _checked(self, status):
         if status != OK:
             raise SimulationError(explain(self, status), status & 0xFF)
-
-    def _take_steps(self, start, steps, inside):
-        """Take steps in which no wrench changes, or one step in parts if one changes.
-
-        start  : Instant of the present step
-        inside : Instants in the first step at which a wrench may start or end
-        returns (steps done, status)
-        """
-        if not inside or steps == 0:
-            return self._integrate(start, self.step, steps, self._grid.boundary(self.steps + steps))
-        good = self._pose.copy(), self._twist.copy(), self._work.angle.copy()
-        status = self._take_in_parts(start, inside, self.step, self._grid.end(self.steps))
-        if status != OK:
-            self._pose[:], self._twist[:], self._work.angle[:] = good
-            self._integrator.restart()
-            return 0, status
-        return 1, OK
-
-    def _take_in_parts(self, start, inside, h, end):
-        """Take a step of size h, between two Instants, in parts between those inside; returns a status."""
-        begin = start
-        for instant in sorted(inside):
-            changed = self.inputs.schedule.update(instant)
-            # A part ends only where a total changes.
-            if changed or instant in self._timetable.inside(self.steps):
-                status = self._take_part(begin, self._grid.between(begin, instant), instant)
-                if status != OK:
-                    return status
-                self.inputs.apply(instant, changed)
-                begin = instant
-        if begin is start:
-            return self._integrate(start, h, 1, end)[1]
-        return self._take_part(begin, self._grid.between(begin, end), end)
-
-    def _take_part(self, start, h, end):
-        """Take a part of a step of size h from an Instant to another; returns a status."""
-        return self._integrate(start, h / self.events.parts, self.events.parts, end)[1]
 
     def _integrate(self, start, h, steps, end):
         """Take steps of size h from an Instant to another, between which no wrench changes.
@@ -674,11 +632,6 @@ class Engine:
                 self._stop_at(*self._grid.parts(known), self._grid.between(start, known))
                 self._limited = known is not AFTER
 
-    def _instants_inside(self):
-        """Instants inside the next step at which an input may start or end."""
-        instants, schedule = self._timetable.inside(self.steps), self.inputs.schedule
-        return {*instants, *schedule.inside(self.steps)} if schedule else instants
-
     def _set_inputs(self, start, h):
         """Set the time-dependent inputs of a step of size h from an Instant on."""
         work, time = self._work, start.time
@@ -695,33 +648,20 @@ class Engine:
         self._set_inputs(instant, 2.0 * (just_after(instant.time) - instant.time))
 
     def sample(self, time: float | None = None) -> Sample:
-        """Create a Sample of the present state, or of one within the present step.
+        """Create a Sample of the present state, or of a later one.
 
-        time : s, from the present step to its end, rounded to whole ns; None: that of the last `advance_to`, or of the
-               present step. The state there is that of a step of this size, of the method's order; of a simulation
-               to an accuracy it is an interpolant in the algebra, of order 7 for rkmk853 and 3 for radau5. The run
-               does not depend on it
-        Raises ValueError for another time, and SimulationError if the state cannot be computed.
+        time : s, rounded to whole ns; None: the present one. A later one is that of a copy that advances there
+
+        The state within a step is that of a step of this size, of the method's order; of a simulation to an accuracy it
+        is an interpolant in the algebra, of order 7 for rkmk853 and 3 for radau5. The run does not depend on it.
+        Raises ValueError for an earlier time, and SimulationError if the state cannot be computed.
         """
-        return self.sample_at(self._earliest() if time is None else self._instant(time))
-
-    def sample_at(self, instant=None):
-        """As `sample`, of an Instant; None: the present step."""
-        if instant is None or instant == self._present():
-            return self._sample_of(self.time, self.time_ns, *self.state(), self._work.angle.copy())
-        if instant > self._grid.boundary(self.steps + 1):
-            end = (self.steps + 1) * self.step
-            raise ValueError(
-                f"the time {instant.time:.9g} s is after the present step, up to {end:.9g} s: advance first"
-            )
-        at = instant.time, self._grid.time_ns(instant)
-        with self.inputs.acting_from(self._present()):
-            inside = self._state_inside(instant)
-            if inside is not None:
-                return self._sample_of(*at, *inside)
+        instant = self.now if time is None else self._instant(time)
+        if instant == self.now:
+            return self._sample()
         with self._aside():
-            self._go_to(instant)
-            return self._sample_of(*at, *self.state(), self._work.angle.copy())
+            self._go(instant)
+            return self.sample()
 
     def samples(self, times: ArrayLike) -> Iterator[Sample]:
         """Advance through times in s that do not decrease, and yield a Sample at each of them.
@@ -737,22 +677,17 @@ class Engine:
         return self._samples(times.tolist())
 
     def _samples(self, times):
-        for group in self.by_steps(times):
-            self.reach(self._valid(group[0]))
-            self.prepare(group)
-            for instant in group:
-                self.reach(self._valid(instant))
-                yield self.sample_at(instant)
+        for at in times:
+            self.advance_to(at)
+            yield self.sample()
 
-    def by_steps(self, times):
-        """Lists of the Instants of times in s: each of one step, and TOGETHER of them at most."""
-        instants = enumerate(map(self._grid.instant, times))
-        for _, group in groupby(instants, lambda each: (each[1].step, each[0] // TOGETHER)):
-            yield [instant for _, instant in group]
+    def instants(self, times):
+        """Instants of times in s."""
+        return map(self._grid.instant, times)
 
-    def _sample_of(self, time, time_ns, pose, twist, angle, modes=None):
-        """Sample of a state at a time in s and ns; modes : of stops and friction, None: the present ones."""
-        sample = Sample(self.layout, time, time_ns, self.steps, pose, twist, angle)
+    def _sample(self):
+        pose, twist, angles, modes = self.here()
+        sample = Sample(self.layout, self.time, self.time_ns, self.steps, pose.copy(), twist.copy(), angles.copy())
         if self.inputs.schedule:
             sample.external = self.inputs.external.copy()
             sample.joint_efforts = self.inputs.schedule.efforts
@@ -761,7 +696,7 @@ class Engine:
         if self._switching is not None:
             sample.switching = self._modes_now() if modes is None else modes
         if len(self._work.motions):
-            sample.motions = self.layout.motions_at(time, self.inputs.commanded)
+            sample.motions = self.layout.motions_at(self.time, self.inputs.commanded)
         return sample
 
     @property
@@ -771,8 +706,8 @@ class Engine:
 
     def _modes_now(self):
         """(k, 5) modes of the joints with stops or friction, see Sample.switching."""
-        self.set_inputs_from(self._present())
-        return self._switching.modes(self.time, (self._pose, self._twist, self.inputs.external))
+        self.set_inputs_from(self._base)
+        return self._switching.modes(self._base.time, (self._pose, self._twist, self.inputs.external))
 
     def reaction_array(self, out: Floats | None = None) -> Floats:
         """Reactions of all joints of the state that `sample` gives, bit-identical to those of the Sample.
@@ -784,14 +719,14 @@ class Engine:
         reactions = self.layout.reactions
         if not reactions.names:
             return self._given(np.empty((0, 6)), out)
-        if self._reached > self._present():
+        if self.now != self._base:
             return self._given(self.sample().reaction_array, out)
         found = reactions.empty()
         if reactions.has_inputs:
             reactions.take(*self._inputs_now())
         external = self.inputs.external if self.inputs.schedule else reactions.idle
         if reactions.present(self._pose, self._twist, external, found) != REGULAR:
-            return self._given(self.sample_at().reaction_array, out)  # a singular pose, or an error
+            return self._given(self.sample().reaction_array, out)  # a singular pose, or an error
         return self._given(found[: len(reactions.names)], out)
 
     @staticmethod
@@ -809,7 +744,7 @@ class Engine:
                 modes = self._modes_now()
         acting = work.acting
         if len(acting):
-            acting = self._timetable.acting(self._present())
+            acting = self._timetable.acting(self._base)
         motions = self.layout.motions_at(self.time, self.inputs.commanded)
         return work.angle, acting, work.wanted, motions, modes, self.time
 

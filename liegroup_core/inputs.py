@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Inputs of an Engine that act from one time to another: wrenches, efforts, servos, motions."""
 
-from contextlib import contextmanager, nullcontext
 from fractions import Fraction
 
 import numpy as np
@@ -15,8 +14,6 @@ from liegroup_core.forces.kinds import servos, wanted_values
 from liegroup_core.forces.schedule import BODY, DRIVE, IN_WORLD, LEVERS, SERVO, Schedule
 from liegroup_core.joints.motion import at, row_at, through
 
-NO_CHANGE = nullcontext()
-
 
 class Inputs:
     """Commands to an Engine, and the totals that act.
@@ -24,8 +21,8 @@ class Inputs:
     layout  : Layout of the scene
     grid    : StepGrid of the steps
     wanted  : (k, 2) array of the integrator, set to the wanted values of servos that act
-    present : function that returns the Instant of the present step
-    change  : function that is called with its start before a command is taken
+    present : function that returns the Instant from which on a command may act
+    tell    : function that takes a text about a command that came late
 
     external  : (n, COLUMNS) external wrenches that act, see forces/external.py
     commanded : (d, 7) commanded motions of driven joints, or FROM_SCENE
@@ -37,8 +34,8 @@ class Inputs:
 
     KEPT = ("commands",)
 
-    def __init__(self, layout, grid, wanted, present, change=lambda begin: None):
-        self._layout, self._grid, self._present, self._change = layout, grid, present, change
+    def __init__(self, layout, grid, wanted, present, tell=None):
+        self._layout, self._grid, self._present, self._tell = layout, grid, present, tell
         self._bodies = {name: i for i, name in enumerate(layout.body_names)}
         self._drives, self._servos = tuple(layout.motions), tuple(layout.servos)
         self.schedule = Schedule(len(self._bodies), wanted_values(layout.model.forces), len(self._drives))
@@ -59,21 +56,6 @@ class Inputs:
         """Return to what `held` gave."""
         schedule, self.known_end, self.external[:], self.wanted[:], self.commanded[:] = held
         self.schedule.give_back(schedule)
-
-    def acting_from(self, instant):
-        """Context in which what acts from an Instant on acts, without a word; then what acted before."""
-        changes = self.schedule and not instant < self.schedule.next
-        return self._acting_from(instant) if changes else NO_CHANGE
-
-    @contextmanager
-    def _acting_from(self, instant):
-        held, log, self.log = self.held(), self.log, None
-        self.update(instant)
-        try:
-            yield
-        finally:
-            self.give_back(held)
-            self.log = log
 
     def freeze(self):
         """Keep what acts, and discard all commands, until `commands` are set: nothing changes."""
@@ -135,7 +117,6 @@ class Inputs:
 
     def _insert(self, command, begin, end):
         """Take a Command from an Instant on, up to another one."""
-        self._change(begin)
         command = command._replace(
             start_ns=self._grid.mark(begin), end_ns=None if end == AFTER else self._grid.mark(end)
         )
@@ -183,8 +164,9 @@ class Inputs:
 
         body     : name of the body
         wrench   : (6,) torque N m, force N. Zero ends it
-        start    : simulated time, s; None or a past time: the time reached. A Fraction is exact: floats
-                   resolve whole ns up to 4e6 s
+        start    : simulated time, s; None: the present one. A Fraction is exact: floats resolve whole ns up to 4e6 s.
+                   From a past time on, it acts from the present one to the end that this start and the duration
+                   state, and the first such command is logged
         duration : s; None: until it is replaced. Start and end are rounded to whole ns, as stamps of ROS
                    and of recordings are; `drain_applied` returns them
         source   : each source has one wrench per body; wrenches of different sources add
@@ -268,9 +250,10 @@ class Inputs:
 
     def _command(self, kind, name, values, start, duration, source="", axes="body", point=None):
         """Take a command with checked values, from a time in s on and for a duration in s; see `_interval`."""
-        begin, end = self._interval(start, duration)
+        begin, end = self._interval(name, start, duration)
         values = tuple(map(float, values))
-        self._insert(Command(kind, name, values, 0, None, source, axes, point), begin, AFTER if end is None else end)
+        if begin < end:
+            self._insert(Command(kind, name, values, 0, None, source, axes, point), begin, end)
 
     def _servo(self, joint):
         """Number of the servo of a joint. Raises ValueError for a joint without one."""
@@ -309,7 +292,7 @@ class Inputs:
     def _planned(self, joint, times, positions, velocities, accelerations, start):
         """[(Instant, motion (7,))] of a commanded motion. Raises ValueError."""
         number = self._drive(joint)
-        begin, _ = self._interval(start, None)
+        begin, _ = self._interval(joint, start, None)
         after = np.atleast_1d(floats("times must be finite numbers", times))
         finite(f"times must be {len(after)} finite numbers", after, (len(after),))
         points = [
@@ -349,21 +332,23 @@ class Inputs:
         check_name(joint, self._drives, "joint {} is not driven")
         return self._drives.index(joint)
 
-    def _interval(self, start, duration):
-        """Instants at which a command starts and ends (None: never). Raises ValueError."""
+    def _interval(self, target, start, duration):
+        """Instants at which a command to a body or joint starts and ends; equal: it is over. Raises ValueError."""
         for name, value in (("start", start), ("duration", duration)):
             if value is not None and not is_finite(value):
                 raise ValueError(f"{name} must be finite, or None, {got(value)}")
-        begin, end = self._present(), None
-        if start is not None:
-            begin = max(begin, self._grid.instant(_exact_or_float(start)))
+        now = self._present()
+        begin, end = now if start is None else self._grid.instant(_exact_or_float(start)), AFTER
         if duration is not None:
             if not duration > 0.0:
                 raise ValueError(f"a duration must be positive, got {duration!r}")
             end = self._grid.after(begin, _exact_or_float(duration))
             if end <= begin:
                 raise ValueError(f"a duration must be at least 1 ns, got {duration!r} s")
-        return begin, end
+        if begin < now:
+            what = "it is over" if end <= now else "it acts from then" + (" to its end" if end < AFTER else "")
+            self._tell(f"command to {target} for t = {begin.time:.9g} s at {now.time:.9g} s: {what}")
+        return max(begin, now), max(end, now)
 
     @property
     def commanded_motions(self) -> tuple[str, ...]:

@@ -66,7 +66,7 @@ def place(engine, poses=None, twists=None, joints=None) -> None:
         ):
             raise ValueError(f"{joint} must be (position, velocity), both finite or None, {got(values)}")
         _usable(joint, [value or 0.0 for value in values], (2,))
-    if engine.reached > engine.time:
+    if engine.now.offset:
         engine.advance(1)
     counted = [joint for joint, _ in engine.scene.unwrapped]
     angles = dict(zip(counted, engine._work.angle.tolist()))
@@ -78,12 +78,12 @@ def place(engine, poses=None, twists=None, joints=None) -> None:
     _refuse_beyond_stops(engine, *state, joints, angles)
     _refuse_beyond_limits(engine, *state, joints)
     commanded, before = engine.inputs.commanded.copy(), engine.inputs.commands
-    present, applied, events = engine.sample_at(), engine.inputs.log, engine.events.pending
+    present, applied, events = engine.sample(), engine.inputs.log, engine.events.pending
     engine.set_state(*state, engine.steps, np.array([angles[joint] for joint in counted]))
     _keep_turns(engine, present, joints)
     engine.inputs.commands = _motions_after(engine, commanded, before, joints)
     engine.inputs.log, engine.events.pending = applied, events  # the run goes on
-    engine.inputs.update(engine._present())
+    engine.inputs.update(engine.now)
 
 
 def _usable(what, given, shape):
@@ -101,7 +101,7 @@ def _keep_turns(engine, before, joints):
     """
     if engine._switching is None:
         return
-    now, were = engine.sample_at().joint_coordinates, before.joint_coordinates
+    now, were = engine.sample().joint_coordinates, before.joint_coordinates
     near = before.switching[:, 3].copy()
     for k, switch in enumerate(engine.layout.switches):
         given, _ = joints.get(switch.name, (None, None))

@@ -52,6 +52,11 @@ class Warnings:
         if not self._quiet:
             self._began = thread_time()
 
+    def late(self, text):
+        """Log the first command that came late."""
+        if not self._quiet and self._is_new("late"):
+            log.warning("%s", text)
+
     def _is_new(self, name):
         """Whether to warn of `name` now."""
         if name in self._given:
@@ -187,7 +192,7 @@ def reason(engine, status):
     # No smaller step is suggested if a wrench of the scene changes within the step, or with error control,
     # because then a substep has failed.
     searched = (NO_RATTLE_STEP, NOT_CONVERGED) if not METHODS[engine.method].controlled else ()
-    if status & 0xFF in searched and not engine._instants_inside():
+    if status & 0xFF in searched and not engine.changes_before(engine.steps + 1):
         engine._work.clock[:3] = 0.0, engine.time, engine.time
         works = step_that_works(engine._integrator, engine.step, *engine.state(), engine.inputs.external)
         hint = f": {works:g} s works from here" if works else ""

@@ -10,7 +10,7 @@ is more often far above the error than below it: with order 8, whose errors fall
 are round-off, and with error control, whose substeps sometimes differ by more than q.
 
 The two meet every 4 or 6 steps. If an estimate is read in between, the companion advances to the present time,
-by whole steps and a part of one, and returns (`Engine.state_at`). Checkpoints follow after MEETINGS meetings, more
+by whole steps and a part of one. Checkpoints follow after MEETINGS meetings, more
 often at the start. They depend only on the step count, so that a repeated run has bit-identical estimates.
 
 With an accuracy the round-off of the companion is larger by the same factor as its tolerances, q^8 = 2^BITS. If
@@ -42,6 +42,7 @@ test/verification/test_running_error.py.
 
 import contextlib
 import math
+from fractions import Fraction
 
 import numpy as np
 
@@ -215,7 +216,6 @@ class RunningError:
             return  # it was halted, too
         if between:
             return
-        self._companion.undo()
         if self._failed:
             self._alive = False
             self._lead()
@@ -256,14 +256,24 @@ class RunningError:
         self.update()
 
     def meet(self):
-        """Advance the companion to the last meeting, so that a state depends on its time alone."""
+        """Bring the companion to the present time, so that a state depends on its time alone."""
         if self._by_work and not self.begun:
             self.update()
-        self._companion.undo()
-        meeting = self.engine.steps // self.ours * self._theirs
-        if self._alive and self.begun and not self._failed and self._companion.steps < meeting:
+        if self._alive and self.begun and not self._failed:
             with contextlib.suppress(SimulationError):
-                self._companion.advance_to_step(meeting)
+                self._follow()
+                self._companion.settle()
+
+    def _follow(self):
+        """Advance the companion to the present time. Raises SimulationError."""
+        now, other = self.engine.now, self._companion
+        if not self._by_work:  # its steps are others
+            whole, part = divmod(now.step * self._theirs, self.ours)
+            if now.offset:
+                now = other.instant_of(self.engine.time_ns)
+            else:
+                now = other.instant_inside(whole, Fraction(part, self.ours))
+        other._go(now)
 
     def _adapt(self):
         """Set the number of steps to the next checkpoint from the substeps since the last one."""
@@ -278,47 +288,37 @@ class RunningError:
     def _begin(self, steps):
         """Start the companion at the state of the engine."""
         engine = self.engine
-        self._companion.start_from(engine, steps // self.ours * self._theirs)
+        begin = engine.now if self._by_work else self._companion.instant_inside(steps // self.ours * self._theirs, 0)
+        self._companion.start_from(engine, begin)
         # Substeps count from the start, where those for states after it, which may have been read, do not count.
         self._start, self._block, self._substeps = steps, self.ours, 0
         self._lead()
-        self._origin[:] = engine._pose
+        self._origin[:] = engine.here()[0]
         self._watch_motion()
         self._next = self._next_checkpoint(steps)
 
     def _compare(self):
-        other = self._companion
-        estimate = self.estimate
-        estimate.largest = self._measure((other._pose, other._twist), estimate.distance)
+        self.estimate.largest = self._measure(self._companion.here(), self.estimate.distance)
 
     def _measure(self, other, out):
         """Distances of the engine from another state; returns the largest m and rad."""
         own = self.engine
-        return self._distances(own.layout.offsets.com, own._pose, own._twist, *other, out)
+        return self._distances(own.layout.offsets.com, *own.here()[:2], *other[:2], out)
 
     def _now(self):
-        """Distances at the present step, and their largest m and rad.
-
-        Between two meetings the companion computes its state at that step.
-        """
-        since = self.engine.steps - self._companion.steps * self.ours // self._theirs
-        met = since <= 0 and not (self._by_work and self.engine.steps != self._next - self._block)
-        if not (self._alive and self.begun) or met:
+        """Distances at the present time, to which the companion advances, and their largest m and rad."""
+        now = self.engine.now
+        if not (self._alive and self.begun):
             return self.estimate.distance, self.estimate.largest
-        if self._seen_at != self.engine.steps:
-            if since == 0:
-                self._seen_largest = self._measure((self._companion._pose, self._companion._twist), self._seen)
-            else:
-                steps, part = divmod(since * self._theirs, self.ours)
-                instant = self._companion.instant_after(steps, part / self.ours)
-                self._seen_largest = self._distances_at(self._seen, instant, self.engine._pose, self.engine._twist)
-            self._seen_at = self.engine.steps
+        if self._seen_at != now:
+            self._seen_largest = self._look_there(self._seen)
+            self._seen_at = now
         return self._seen, self._seen_largest
 
-    def _distances_at(self, out, instant, pose, twist):
-        """Distances of a state from the companion at an Instant of that; returns their largest m and rad."""
+    def _look_there(self, out):
         try:
-            return self._distances(self.engine.layout.offsets.com, pose, twist, *self._companion.state_at(instant), out)
+            self._follow()
+            return self._measure(self._companion.here(), out)
         except SimulationError:
             out[:] = math.inf
             return math.inf, math.inf
@@ -326,45 +326,24 @@ class RunningError:
     def error_ahead(self):
         """Estimated error after one step more with the present tolerances; inf if it cannot be computed.
 
-        NaN after SUBSTEPS substeps or fewer: a checkpoint after them is early enough.
+        NaN after SUBSTEPS substeps or fewer: a checkpoint after them is early enough; and after events, which are the
+        same for both.
         """
-        engines = self.engine, self._companion
-        for engine in engines:
-            engine.undo()
-        mine, theirs = (engine.instant_after(1, 0.0) for engine in engines)
-        before = self.engine.substeps[0]
-        try:
-            state = self.engine.state_at(mine)
-        except SimulationError:
-            return math.inf
-        if self.engine.substeps[0] - before <= SUBSTEPS:
-            return math.nan
-        return self.estimate.largest_error(self._distances_at(np.empty_like(self._seen), theirs, *state))
-
-    def prepare(self, instants):
-        """As Engine.prepare, of the companion."""
-        if self._by_work and self._alive and self.begun:
-            self._companion.prepare(instants)
-
-    def errors_at(self, instant, pose, twist):
-        """As `errors`, of a state at an Instant within the present step."""
-        if self._by_work:
-            if not self.begun:
-                self.update()
-        elif self._alive and self.engine.steps < self.first_step:
-            return self._nothing()  # up to the first meeting both take the same part of a step
-        else:  # its steps are others
-            instant = self._companion.instant_of(self.engine.instant_ns(instant))
-        if not self._alive:
-            return self.errors()
-        distances = np.empty_like(self._seen)
-        self._distances_at(distances, instant, pose, twist)
-        return self.estimate.errors(distances)
+        engine = self.engine
+        with engine._aside(Engine.MOTION), self._companion._aside(Engine.MOTION):
+            before, events = engine.substeps[0], engine.event_count
+            try:
+                Engine._go(engine, engine.instant_inside(engine.steps + 1, 0))
+            except SimulationError:
+                return math.inf
+            if engine.substeps[0] - before <= SUBSTEPS or engine.event_count > events:
+                return math.nan
+            return self.estimate.largest_error(self._look_there(np.empty_like(self._seen)))
 
     def _watch_motion(self):
         """Update the largest distance of each body from its start, and its largest velocities."""
         self._measure((self._origin, self._at_rest), self._seen)
-        self._seen_at = -1
+        self._seen_at = None
         self.estimate.note_motion(self._seen)
 
     def _keep(self):
@@ -409,7 +388,7 @@ class RunningError:
 
     def restored(self):
         """Continue after `set_kept`, at the same state of the engine."""
-        self._seen_at = -1
+        self._seen_at = None
         self._lead()
 
     def _lead(self):
@@ -425,5 +404,7 @@ class RunningError:
 
     @property
     def _unknown(self):
-        """Whether the two have not met since the state was set."""
-        return self._alive and self._set_at < self.engine.steps < self.first_step
+        """Whether the two have not met since the state was set; up to then both may take the same part of a step."""
+        now = self.engine.now
+        since = now > self.engine.instant_inside(self._set_at, 0)
+        return self._alive and since and not self._by_work and now.step < self.first_step

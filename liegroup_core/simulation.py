@@ -6,6 +6,7 @@ import importlib
 import logging
 import math
 from collections.abc import Sequence
+from fractions import Fraction
 from typing import Any
 
 from numpy.typing import ArrayLike
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike
 from liegroup_core.accuracy import DEFAULT, LONGEST, METHOD, MINUTE, SMALLEST, AccuracyControl
 from liegroup_core.engine import Engine
 from liegroup_core.fields.arguments import got
-from liegroup_core.forces.instants import BEFORE, NEVER
+from liegroup_core.forces.instants import NEVER
 from liegroup_core.layout import make_layout
 from liegroup_core.methods.families import check_group, choose_group
 from liegroup_core.methods.table import is_positive
@@ -104,7 +105,7 @@ class Simulation(Engine):
         """Name the parts of the state; the choice of the method refers to the state of both engines."""
         parts = ("_running", "_choice", "_control")
         given = tuple(part for part in parts if getattr(self, part) is not None)
-        self.KEPT = (*Engine.KEPT, "_reached_ns", *(("_warned", "_lost") if given else ()), *given)
+        self.KEPT = (*Engine.KEPT, *(("_warned", "_lost") if given else ()), *given)
 
     def _tighten(self, part):
         for integrator in self._running.integrators:
@@ -147,11 +148,11 @@ class Simulation(Engine):
 
         If the estimated error also exceeds this one, `accurate_until` does not change.
         """
-        self.undo()
         if self._control is None:
             raise ValueError("`set_accuracy` needs a simulation made with an accuracy; this one has a method")
         accuracy = _checked(accuracy)
-        self._running.meet()  # its tolerances change at this time, however far it has come
+        self.settle()  # tolerances change at this time, however far the two have come
+        self._running.meet()
         self._control.change(accuracy, self.time, self.largest_error)
         self._warned = self.accurate_until <= self.time
 
@@ -205,23 +206,15 @@ class Simulation(Engine):
         """
         return math.nan if self._running is None else self._running.estimate.predictable_until
 
-    def sample_at(self, instant=None):
-        """As Engine.sample_at, with the estimated errors if they are carried."""
-        sample = super().sample_at(instant)
-        if self._running is not None and (instant is None or instant == self._present()):
+    def _sample(self):
+        """As Engine._sample, with the estimated errors if they are carried."""
+        sample = super()._sample()
+        if self._running is not None:
             sample.errors = self._running.errors()
-        elif self._running is not None:
-            sample.errors = self._running.errors_at(instant, *sample._state)
         if self._control is not None:
             wanted = self._control.wanted(sample.time)
             sample.bound = wanted * self._running.size, wanted
         return sample
-
-    def prepare(self, instants):
-        """As Engine.prepare, with the estimated errors."""
-        super().prepare(instants)
-        if self._running is not None:
-            self._running.prepare(instants)
 
     @functools.cached_property
     def _identity(self):
@@ -233,7 +226,7 @@ class Simulation(Engine):
 
         A State is a value: it can be held, copied, compared and pickled.
         """
-        self.undo()
+        self.settle()
         if self._running is not None:
             self._running.meet()
         return State(self._identity, kept(self))
@@ -252,28 +245,43 @@ class Simulation(Engine):
                 raise ValueError(f"the snapshot is of a simulation with another {what}{values}")
         if state.parts.keys() != kept(self).keys():
             raise ValueError("the snapshot must have the parts of this simulation")
-        self.restore_parts(encoded(state.parts))
+        self._restore(encoded(state.parts))
 
     def restore_parts(self, data):
         """Continue from the parts of a State as JSON types. Raises ValueError; the state is then unchanged.
 
-        The time reached may be missing, and with a method the estimate of the error.
+        The time within the step may be missing, and with a method the estimate of the error.
         """
+        self._restore(self._with_offsets(data))
+
+    def _restore(self, data):
         before = kept(self)
-        needed = kept(self, Engine.KEPT) if self._control is None else before.keys() - {"reached_ns"}
+        needed = before if self._control is not None else kept(self, Engine.KEPT)
         like = {name: part for name, part in before.items() if name in needed or name in data}
         parts = decoded({name: data[name] for name in like if name in data}, like, "the snapshot")
         if not 0 <= parts["steps"] < NEVER:
             raise ValueError(f"the snapshot must have a number of steps from 0 to {NEVER - 1}, {got(parts['steps'])}")
-        self._reached = BEFORE
         try:
             set_kept(self, parts)
         except ValueError:  # a command to an unknown body or joint
             set_kept(self, before)
             raise
 
-    def _start_at(self, pose, twist, steps, angles):
-        super()._start_at(pose, twist, steps, angles)
+    def _with_offsets(self, data):
+        """Parts of a State as JSON types; from earlier versions they have the time in ns, after whole steps."""
+
+        def complete(parts, now_ns):
+            if not isinstance(parts, dict) or "offsets" in parts:
+                return parts
+            now = 0 if now_ns is None else self._grid.marked(now_ns).offset
+            return parts | {"offsets": [0, 1, *Fraction(now).as_integer_ratio()]}
+
+        if isinstance(data.get("running"), dict) and "companion" in data["running"]:
+            data = data | {"running": data["running"] | {"companion": complete(data["running"]["companion"], None)}}
+        return complete(data, data.get("reached_ns"))
+
+    def _start_at(self, pose, twist, instant, angles):
+        super()._start_at(pose, twist, instant, angles)
         self._warned, self._lost = False, ""
         if self._running is not None:
             self._running.restart()
@@ -310,19 +318,18 @@ class Simulation(Engine):
         if self._running is not None:
             self._running.companion._go_on()
 
-    def _advance(self, steps, enough=None):
+    def _go(self, until, enough=None):
         running = self._running
         if running is None:
-            super()._advance(steps, enough)
+            super()._go(until, enough)
             return
-        end = self.steps + steps
         if not running.begun:
             running.update()
-        if self._choice is not None and steps and self._choice.start():
+        if self._choice is not None and until > self.now and self._choice.start():
             self._control.find_first(self.step, running.error_ahead)
-        while True:
-            stop = running.next_stop(self.steps, end)
-            super()._advance(stop - self.steps, enough)
+        while self.steps < until.step:
+            stop = running.next_stop(self.steps, until.step)
+            super()._go(self._grid.boundary(stop), enough)
             if self.steps < stop:
                 return
             count = running.estimate.checkpoints
@@ -335,8 +342,9 @@ class Simulation(Engine):
                     self._control.update(self.time, running.largest, predictable)
                     self._choice.update()
                 self._look()
-            if self.steps >= end or self._halted or (enough is not None and enough()):
+            if self.steps < until.step and (self._halted or (enough is not None and enough())):
                 return
+        super()._go(until, enough)
 
     def _exceeded_between(self):
         """Whether the estimate exceeds the accuracy for the first time, and between two checkpoints."""

@@ -88,8 +88,6 @@ class MethodChoice:
         if self._begun or not self._running.begun:
             return False
         self._begun = True
-        for engine in (self._engine, self._companion):
-            engine.undo()  # what was integrated for states after the start does not count
         if self._cost(EXPLICIT, DEAR // 10, FIRST) > DEAR:
             self._choose(FIRST)
         self._count()

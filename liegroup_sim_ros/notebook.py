@@ -153,9 +153,9 @@ def _report(recording, reference, height):
 
 def _copied(simulation, every):
     """Simulation with the settings and the state of another one; every: steps between its samples."""
-    with_errors = simulation.sample_at().errors is not None
+    with_errors = simulation.sample().errors is not None
     copy = make_simulation(simulation.scene, attachments.settings(simulation, every), estimate=with_errors)
-    copy.start_from(simulation, simulation.steps)
+    copy.start_from(simulation)
     return copy
 
 
@@ -167,11 +167,11 @@ def _record(simulation, seconds, path):
     copy = _copied(simulation, every)
     started, stopped = time.monotonic(), None
     with LogFile(path, copy, every, count + 1) as file:
-        file.sample(copy.sample_at())
+        file.sample(copy.sample())
         try:
             for _ in range(count):
                 copy.advance(every)
-                file.sample(copy.sample_at())
+                file.sample(copy.sample())
         except LieGroupSimError as error:
             stopped = str(error)
         file.finish(copy, stopped, stopped is not None, time.monotonic() - started)

@@ -72,10 +72,25 @@ class StepGrid:
         """Instant at which a step starts."""
         return _instant((step, 0, step * self._h))
 
-    def end(self, step, part=1):
-        """Instant at the end of a step, or of a fraction `part` of it, counted in this step."""
-        size = self._size if part == 1 else Fraction(part) * self._size
-        return Instant(step, size, (step + part) * self._h)
+    def has(self, offset):
+        """Whether an offset is within a step."""
+        return 0 <= offset < self._size
+
+    def at(self, step, offset):
+        """Instant of an exact offset within a step, in the unit of offsets."""
+        if offset == 0:
+            return self.boundary(step)
+        time = Fraction(step * self._size + offset, self._parts * NS)
+        return Instant(step, offset, time.numerator / time.denominator)
+
+    def inside(self, step, part):
+        """Instant of an exact fraction of a step."""
+        return self.at(step, part * self._size)
+
+    def like(self, grid, instant):
+        """Instant of another StepGrid in this one, within half a ns if their steps differ."""
+        same = (grid._size, grid._parts) == (self._size, self._parts)
+        return instant if same else self.marked(grid.mark(instant))
 
     def between(self, begin, end):
         """Time in s between two Instants, rounded once; inf to AFTER."""
@@ -88,8 +103,6 @@ class StepGrid:
         """(whole steps, s after them, rounded once) of an Instant; (inf, 0.0) of none."""
         if instant.step >= NEVER:
             return math.inf, 0.0
-        if instant.offset == self._size:
-            return instant.step + 1, 0.0
         return instant.step, float(instant.offset / (self._parts * NS)) if instant.offset else 0.0
 
     def time_ns(self, instant):

@@ -241,7 +241,8 @@ class Machine:
 
     def _go(self, state):
         engine = self.engine
-        engine._start_at(state.pose.copy(), state.twist.copy(), round((state.time + SHIFT) * NS), state.angles)
+        instant = engine.instant_inside(round((state.time + SHIFT) * NS), 0)
+        engine._start_at(state.pose.copy(), state.twist.copy(), instant, state.angles)
         if len(state.near):
             engine._switching.expect(state.near)
 

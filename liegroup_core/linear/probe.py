@@ -178,7 +178,7 @@ class Probe:
         self.layout = simulation.layout.in_space if in_space else simulation.layout
         engine = _Still(simulation.scene, METHOD, simulation.step, RELATIVE, "none", quiet=True, layout=self.layout)
         self._engine = engine
-        engine.start_from(simulation, simulation.steps)
+        engine.start_from(simulation)
         self._model, self._work = engine._integrator.links
         self._scheme = make_scheme(_ONE, EXACT)
         self.freedoms = len(self._work.freedoms)

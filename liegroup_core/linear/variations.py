@@ -80,7 +80,7 @@ class Variations:
 
     def _copy(self, simulation):
         copy = Simulation(simulation.scene, quiet=True, **self._settings)
-        copy.start_from(simulation, simulation.steps)
+        copy.start_from(simulation)
         return copy
 
     def _events(self, end_ns):
@@ -187,9 +187,8 @@ class Variations:
         """{time in ns: Sample} of the run, which goes to the last one."""
         found = {}
         for time in times:
-            instant = self._run.instant_of(time)
-            self._run.reach(instant)
-            found[time] = self._run.sample_at(instant)
+            self._run.reach(self._run.instant_of(time))
+            found[time] = self._run.sample()
         return found
 
     def _by_numbers(self, coordinates):
@@ -268,9 +267,8 @@ class Variations:
             other.inputs.commands = commands
             met = []
             for time, seen in zip(times, outputs):
-                instant = other.instant_of(time)
-                other.reach(instant)
-                met.append(seen.of(other.sample_at(instant)))
+                other.reach(other.instant_of(time))
+                met.append(seen.of(other.sample()))
             events = self._events_at(other, self.time_ns, times)
             if events[-1] != expected[-1]:
                 raise SimulationError("neighbouring runs have other events")

@@ -221,11 +221,14 @@ def _run(args):
     if asked is None:
         end, steps = None, whole_steps(args.duration, step)
         count = -(-steps // every)
-        due = ((min(k * every, steps), [None]) for k in range(1, count + 1))
+        due = (simulation.instant_inside(min(k * every, steps), 0) for k in range(1, count + 1))
     else:
         count, times, end = asked
-        due = ((group[0].step, group) for group in simulation.by_steps(times))
-        steps, every = simulation.step_before(end), None if args.rate is None else steps_per_sample(args.rate, step)
+        due = simulation.instants(times)
+        steps, every = (
+            next(simulation.instants([end])).step,
+            None if args.rate is None else steps_per_sample(args.rate, step),
+        )
     samples = 1 + count
     started = time.monotonic()
     stopped, code, slipped = None, 0, set()
@@ -238,8 +241,8 @@ def _run(args):
             file = kind(args.out, simulation, every, samples, args.reactions)
             files.append(stack.enter_context(file))
 
-        def write(instant=None):
-            sample = simulation.sample_at(instant)
+        def write():
+            sample = simulation.sample()
             for file in files:
                 file.sample(sample)
             for joint in sample.slipping:
@@ -346,7 +349,7 @@ def times_in(path):
 
 
 def _simulate(simulation, steps, due, write, console, signals):
-    """Advance to all samples, (step, [Instants within the next one, or None]), and call `write` at each."""
+    """Advance to the Instants of all samples, and call `write` at each."""
     with Progress(
         TextColumn("simulating"),
         BarColumn(),
@@ -356,20 +359,16 @@ def _simulate(simulation, steps, due, write, console, signals):
     ) as progress:
         task = progress.add_task("", total=steps, status_text="")
         drawn = 0.0
-        for step, instants in due:
+        for instant in due:
             while True:
-                left = step - simulation.steps
-                simulation.advance(left, lambda: signals.received or time.monotonic() > drawn + REDRAW)
+                simulation.reach(instant, lambda: signals.received or time.monotonic() > drawn + REDRAW)
                 signals.check()
                 if time.monotonic() > drawn + REDRAW:
                     drawn = time.monotonic()
                     progress.update(task, completed=simulation.steps, status_text=f"{simulation.time:.3f} s")
-                if simulation.steps == step:
+                if simulation.now == instant:
                     break
-            if len(instants) > 1:
-                simulation.prepare(instants)
-            for instant in instants:
-                write(instant)
+            write()
         progress.update(task, completed=steps, status_text=f"{simulation.time:.3f} s")
 
 

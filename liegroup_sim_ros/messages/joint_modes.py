@@ -111,7 +111,7 @@ class JointReports:
         simulation.drain_instants()
         self._clear()
         self._second, self._time = int(simulation.time), simulation.time
-        self._last = simulation.sample_at().switching
+        self._last = simulation.sample().switching
         return [Report(simulation.time_ns, self._encode(self._last), None)]
 
     def drain(self):

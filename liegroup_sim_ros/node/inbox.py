@@ -98,7 +98,7 @@ class Inbox:
             with self._lock:
                 (trajectory, self._follower.refuse), self._trajectory = self._trajectory, None
             start = (trajectory.stamp_ns - base_ns) * 1e-9
-            self._follower.follow(trajectory, max(start, self._simulation.reached))
+            self._follower.follow(trajectory, max(start, self._simulation.time))
         if not self._follower.is_idle:
             self._follower.command(until)
 
@@ -113,7 +113,7 @@ class Inbox:
                 refuse(str(error))
                 continue
             if isinstance(push, (Target, Motion)):
-                self._follower.release(push.joint, start or self._simulation.reached)
+                self._follower.release(push.joint, start or self._simulation.time)
 
     def discard(self):
         """Discard all inputs, because a state was set."""

@@ -167,7 +167,7 @@ class SceneRun:
             self._attach_pacing()
             self._more = {"part": recorder.part + 1, "previous": recorder.path.name, "sequences": recorder.sequences}
             recorder.divide(stamp_ns, self._attachments(stamp_ns, self.server.state))
-            self.outputs.record_acting(stamp_ns, simulation.sample_at())
+            self.outputs.record_acting(stamp_ns, simulation.sample())
 
     def _add_checkpoint(self, stamp_ns):
         self._checkpoints.add_if_due(stamp_ns)
@@ -197,7 +197,7 @@ class SceneRun:
         """Close the simulation, the recording and the topics; returns whether the recording is complete."""
         self.server.stop()
         if self.recorder is not None:
-            self.outputs.complete(self.server.step_stamp_ns, self.simulation.sample_at())
+            self.outputs.complete(self.server.step_stamp_ns, self.simulation.sample())
             self._attach_pacing()
             self.recorder.close()
             if self.recorder.failure is None:

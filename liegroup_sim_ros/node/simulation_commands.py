@@ -145,7 +145,7 @@ class SimulationCommands:
         self._send_reports("begin")
         self._send_present()
         self._send_outputs(self.stamp_ns, everything=True)
-        self._reference_energy = self._simulation.sample_at().energy
+        self._reference_energy = self._simulation.sample().energy
         if self.state == "faulted":
             self.state = self._state_before_fault
         if self.state == "running":
@@ -215,7 +215,7 @@ class SimulationCommands:
         self._watching = watching
         self.positions = None
         if watching:
-            self._keep_positions(self._simulation.sample_at())
+            self._keep_positions(self._simulation.sample())
         return "positions are kept" if watching else "positions are not kept"
 
     def _clear(self, prefix):

@@ -206,7 +206,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
         if self._output.impulses:
             self._simulation.drain_impacts()  # the simulation collects impacts from here on
         self._send_outputs(self.stamp_ns, everything=True)
-        self._reference_energy = self._simulation.sample_at().energy
+        self._reference_energy = self._simulation.sample().energy
         self._next_diagnostics = time.monotonic() + DIAGNOSTICS_PERIOD
         if self.state == "running":
             self.pacer.start(self._seconds())
@@ -281,13 +281,11 @@ class SimulationServer(SimulationCommands, threading.Thread):
         began, before = time.thread_time(), self.stamp_ns
         sample = None
         try:
-            if instant.step > simulation.steps:
-                simulation.advance(instant.step - simulation.steps, lambda: self._stopping or enough())
-                if simulation.steps < instant.step:
-                    return not self._stopping
-            simulation.reach(instant)
+            simulation.reach(instant, lambda: self._stopping or enough())
+            if simulation.now < instant:
+                return not self._stopping
             if instant.offset and (self._watching or self._rates.need_state(tick - self._base_ns)):
-                sample = simulation.sample_at(instant)
+                sample = simulation.sample()
         except SimulationError as error:
             if not self._stopping:
                 self._fault(str(error))
@@ -332,12 +330,12 @@ class SimulationServer(SimulationCommands, threading.Thread):
         self._tell_of_the_error()
         for output in self._rates.due(stamp_ns - self._base_ns, stamp_ns, everything):
             if output.of_state:
-                sample = sample or self._simulation.sample_at()
+                sample = sample or self._simulation.sample()
                 if output.answers:
                     self._unseen = None
             output.send(stamp_ns, sample)
         if self._watching:
-            sample = sample or self._simulation.sample_at()
+            sample = sample or self._simulation.sample()
             self._keep_positions(sample)
         if sample is not None:
             for joint in self._saturation.reached(sample):
@@ -419,8 +417,7 @@ class SimulationServer(SimulationCommands, threading.Thread):
 
     def _sample_now(self):
         """Sample of the last stamp."""
-        simulation = self._simulation
-        return simulation.sample_at(simulation.instant_of(self.stamp_ns - self._base_ns))
+        return self._simulation.sample()
 
     def _fault(self, text):
         stamp_ns = self._stamp(self._simulation.steps)

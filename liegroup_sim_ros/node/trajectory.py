@@ -185,7 +185,7 @@ class Follower:
         """Command the wanted values up to a time in s."""
         if self._waiting is not None and self._waiting[1] < until:
             trajectory, start = self._waiting
-            coordinates = self._simulation.sample_at().joint_coordinates
+            coordinates = self._simulation.sample().joint_coordinates
             # States of driven joints are not used.
             states = [coordinates.get(joint, (0.0, 0.0)) for joint in trajectory.joints]
             if not self._can_begin(trajectory, start, states):

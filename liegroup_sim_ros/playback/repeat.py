@@ -80,9 +80,8 @@ class Repeat:
                 self._rerun.advance_to(step, between)
                 if between:
                     self._rerun.apply_changes(time)
-                    pose[done], twist[done] = simulation.state_at(simulation.instant_of(round(time * NS)))
-                else:
-                    pose[done], twist[done] = simulation.state()
+                    simulation.reach(simulation.instant_of(round(time * NS)))
+                pose[done], twist[done] = simulation.state()
                 done += 1
         except SimulationError as error:
             self._stopped = self._stopped or str(error)

@@ -40,9 +40,12 @@ def at_start(simulation, node, world_frame, sample_steps, topics, stamp_ns=0, **
 
 
 def state(simulation, stamp_ns):
-    """State of a simulation at its last step as JSON types; `restore` is the inverse."""
+    """State of a simulation as JSON types; `restore` is the inverse.
+
+    It has the pose and twist that the integration has reached, at `at_ns` after step 0 if that is within a step.
+    """
     parts = dict(simulation.snapshot().parts)
-    del parts["reached_ns"]
+    within = {} if simulation.base_ns is None else {"at_ns": simulation.base_ns}
     # JSON writes the shortest text that is read as the same float64: the state is exact.
     return {
         "bodies": list(simulation.layout.body_names),
@@ -53,7 +56,7 @@ def state(simulation, stamp_ns):
         "stamp_ns": stamp_ns,
         "base_ns": stamp_ns - simulation.time_ns,
         "state": encoded(parts),
-    }
+    } | within
 
 
 def restore(simulation, entries, exactly=True):
@@ -68,6 +71,8 @@ def restore(simulation, entries, exactly=True):
     pose, twist = (np.array(entries[key], dtype=float) for key in ("pose", "twist"))
     angles, parts = entries.get("angles"), entries.get("state")
     simulation.set_state(pose, twist, int(entries.get("steps", 0)), angles)
+    if isinstance(within := entries.get("at_ns"), (int, float)):
+        simulation.begin_at(within)
     if not isinstance(parts, dict):
         return False
     if exactly:

@@ -76,7 +76,7 @@ class ArrayFile:
                 self._arrays["efforts"] = np.empty((samples, len(forces)))
                 if driven:
                     self._arrays["drive_efforts"] = np.empty((samples, len(driven)))
-            for sensor, numbers in simulation.sample_at().sensors.items():
+            for sensor, numbers in simulation.sample().sensors.items():
                 self._arrays[f"sensors/{sensor}"] = np.empty((samples, len(numbers)))
         except MemoryError:
             raise OutputError(

@@ -194,4 +194,4 @@ def joint_names(simulation):
 
 def has_estimate(simulation):
     """Whether a simulation estimates its error."""
-    return simulation.sample_at().errors is not None
+    return simulation.sample().errors is not None

@@ -61,7 +61,7 @@ class Local(Source):
 
     def __init__(self, simulation, title, record="", start_ns=0, paused=False, factor=1.0):
         super().__init__(simulation.layout, title)
-        sample = simulation.sample_at()
+        sample = simulation.sample()
         self._simulation, self._newest = simulation, Frame(start_ns * 1e-9, sample, sample.bound)
         self._zero = start_ns * 1e-9 - simulation.time  # s, that the page shows at step 0
         self.history.add(self._newest)
@@ -218,13 +218,8 @@ class Local(Source):
         self._answer("pause")
         before = self._simulation
         start_ns = round((self._zero + before.time if time is None else self._back(time)) * 1e9)
-        steps = round(before.time / step)
-        if abs(steps * step - before.time) > 1e-9:
-            raise ViewError(
-                f"a step of {step:g} s does not divide the present time {before.time:.9g} s: choose another"
-            )
         simulation = Simulation(before.scene, method, step, quiet=True)
-        simulation.start_from(before, steps)
+        simulation.start_from(before)
         if self._recorder is not None:
             self.tell(start_ns * 1e-9, "stop", "the recording ends: it has one method")
         return Local(simulation, before.scene.name, start_ns=start_ns, paused=True)

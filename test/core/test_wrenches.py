@@ -8,6 +8,7 @@ from liegroup_core import Simulation, load_scene
 from liegroup_core.forces.commands import WRENCH, Command
 from liegroup_core.forces.instants import AFTER, NEVER, StepGrid
 from liegroup_core.forces.schedule import Schedule
+from liegroup_core.scene.load import scene_from_text
 
 PUSH = (1.0, 0.0, 0.0, 0.0, 2.0, 0.0)
 boundary = StepGrid(1e-3).boundary
@@ -199,3 +200,18 @@ def test_an_invalid_point_is_refused_and_changes_nothing(wrench, point, axes, te
     with pytest.raises(ValueError, match=text):
         simulation.apply_wrench("body", wrench, axes=axes, point=point)
     assert simulation.input_count == 0
+
+
+def test_a_command_for_the_past_acts_from_now_to_its_stated_end(caplog):
+    """Given at 0.5 s, within a step of 0.2 s: 3 N from 0.2 s for 0.5 s act for 0.2 s; for 0.25 s they are over."""
+    scene = scene_from_text("name: one\ngravity: [0, 0, 0]\nbodies: [{name: b, mass: 2, inertia: [1, 1, 1]}]\n")
+    simulation = Simulation(scene, "rkmk4", 0.2)
+    simulation.advance_to(0.5)
+    for duration in (0.5, 0.25):
+        simulation.apply_wrench("b", [0, 0, 0, 3, 0, 0], 0.2, duration, source=str(duration))
+    simulation.advance_to(1.1)
+    # Each of five parts of steps rounds a velocity of at most 0.3 m/s a few times.
+    assert simulation.sample().twist[0, 3] == pytest.approx(3.0 * 0.2 / 2.0, abs=1e-15)
+    assert [(c.start_ns, c.end_ns) for c in simulation.drain_applied()] == [(500_000_000, 700_000_000)]
+    late = [record.getMessage() for record in caplog.records if "for t = 0.2 s" in record.getMessage()]
+    assert late == ["command to b for t = 0.2 s at 0.5 s: it acts from then to its end"]

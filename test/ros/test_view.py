@@ -327,12 +327,10 @@ def test_a_simulation_continues_with_another_method():
     simulation.advance(7)
     source = Local(simulation, "top", paused=True)
     try:
-        with pytest.raises(LieGroupSimError, match="does not divide the present time"):
-            source.with_method("rkmk4", 0.7 * simulation.time)
         with pytest.raises(ValueError, match="method"):
             source.with_method("euler", 1e-3)
         twin = Simulation(simulation.scene, "rkmk2", simulation.step, quiet=True)
-        twin.start_from(simulation, simulation.steps)
+        twin.start_from(simulation)
         other = source.with_method("rkmk2", simulation.step)
         try:
             assert np.array_equal(other.frame().sample.pose, simulation.sample().pose)

@@ -228,7 +228,7 @@ def test_another_accuracy_comes_at_one_time_for_the_companion_too():
             if not known:
                 instant = simulation.instant_of(2_000_000 * k)
                 simulation.reach(instant)
-                simulation.sample_at(instant if instant.offset else None)
+                simulation.sample()
             simulation.apply_effort("shoulder", 8.0 * math.sin(0.06 * k), start=2 * k / 1000)
             if k == 300:
                 simulation.set_accuracy(1e-3)
