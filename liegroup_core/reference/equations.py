@@ -12,7 +12,7 @@ Kinematics and Dynamics of Mechanical Systems, 1989, chapter 9 (dot-1, dot-2, di
     BALL      e . u = 0                             is lowest, or below its centre; g: the height there if e = z
     EDGE      f . u = 0                             u: velocity of the child's point
 
-A coupling is the difference q_1 - p(q_2) of two such coordinates, minus its value at the start;
+A coupling is the difference q_1 - p(q_2) - c_3 q_3 - ... of such coordinates, minus its value at the start;
 p(q) = ratio q + a_2 q^2 + a_3 q^3 + a_4 q^4.
 A driven joint is one coordinate minus its motion, whose q(t), rate and acceleration are given.
 theta is the angle of a screw. Its rate is integrated with the motion, so that it is unwrapped. Each
@@ -57,17 +57,18 @@ class Equations(NamedTuple):
     """Equations of all joints of a scene: k rows, t joints with an integrated angle."""
 
     kind: np.ndarray  # (k,) ACROSS, LEVEL, DISTANCE or ANGLE
-    body: np.ndarray  # (k, 4) parent, child, those of the second joint of a coupling; n: the world, or none
+    body: np.ndarray  # (k, s) parent, child, those of the other joints of a coupling; n: the world, or none
     point: np.ndarray  # (k, 6) m, in the frames of parent and child
     axis: np.ndarray  # (k, 6) e in the parent's axes, f in the child's
     normal: np.ndarray  # (k, 3) z of the parent's joint frame in its axes
     length: np.ndarray  # (k,) m, of a DISTANCE; the offset of a LEVEL; the radius of a WHEEL or BALL
     pitch: np.ndarray  # (k,) m/rad
     turn: np.ndarray  # (k,) index of the angle theta, or -1
-    coupled: np.ndarray  # (c,) first of the two rows of each coupling, at the end
+    coupled: np.ndarray  # (c,) first of the rows of each coupling, one for each joint, at the end
     ratio: np.ndarray  # (c,)
     curve: np.ndarray  # (c, 3) a_2, a_3, a_4
-    offset: np.ndarray  # (c,) q_1 - p(q_2)
+    shares: np.ndarray  # (c, s / 2 - 2) c_3, ...; 0: no such joint
+    offset: np.ndarray  # (c,) q_1 - p(q_2) - c_3 q_3 - ...
     driven: np.ndarray  # (c,) number of a driven joint, whose ratio is 0; -1: a coupling
     compliance: np.ndarray  # (k,) 1/inertia of the rotor on the coordinate of the row, 1/(kg m^2) or 1/kg; else 0
 
@@ -164,13 +165,13 @@ def joint_equations(equations, frame, angle, given, rows_out, gap_out):
     frame    : (n + 1, FRAME) of vectors.place
     angle    : (t,) rad
     given    : (3, d) coordinate, rate, acceleration of the driven joints
-    rows_out : (k, 24) A: for parent and child, and those of the second joint of a coupling, the factors of
+    rows_out : (k, 6 s) A: for parent and child, and those of the other joints of a coupling, the factors of
                (rddot, omegadot) in world axes, so that gddot = A a + gap_out[2]
     gap_out  : (3, k) g, gdot, and gddot at a = 0. g is in m; for ACROSS it is the cosine, which is an
                angle in rad if small
     """
     for r in range(len(equations.kind)):
-        for c in range(24):
+        for c in range(rows_out.shape[1]):
             rows_out[r, c] = 0.0
         for c in range(3):
             gap_out[c, r] = 0.0
@@ -192,6 +193,12 @@ def joint_equations(equations, frame, angle, given, rows_out, gap_out):
         gap_out[2, first] -= slope * a + bend * v * v
         for k in range(12):
             rows_out[first, 12 + k] = -slope * rows_out[first + 1, k]
+        for j in range(equations.shares.shape[1]):
+            share, r = equations.shares[c, j], first + 2 + j
+            for k in range(3 if share != 0.0 else 0):
+                gap_out[k, first] -= share * gap_out[k, r]
+            for k in range(12 if share != 0.0 else 0):
+                rows_out[first, 24 + 12 * j + k] = -share * rows_out[r, k]
         if d >= 0:
             for k in range(3):
                 gap_out[k, first] -= given[k, d]

@@ -112,14 +112,14 @@ def _solve(first, factor, x):
 
 @subroutine
 def _set_matrix(system, chosen, rows, frame, moved, matrix):
-    """Write moved (k, 24) = A M^-1, and the lower part of the matrix A M^-1 A^T + C."""
+    """Write moved (k, 6 s) = A M^-1, and the lower part of the matrix A M^-1 A^T + C."""
     equations, world = system.equations, len(system.mass)
     for i in range(len(chosen.row)):
         r = chosen.row[i]
         for k in range(chosen.first[i], i):
             matrix[i, k] = 0.0
         matrix[i, i] = equations.compliance[r]
-        for slot in range(4):
+        for slot in range(equations.body.shape[1]):
             body = equations.body[r, slot]
             if body == world:
                 continue
@@ -150,7 +150,8 @@ def rates(system, chosen, given, states, wrench, acting, out):
     n, m, k = len(system.mass), len(chosen.row), len(system.equations.kind)
     equations, turns = system.equations, STATE * n
     frame, force, a = np.zeros((n + 1, FRAME)), np.zeros((n + 1, 6)), np.zeros((n + 1, 6))
-    rows, gap, moved = np.zeros((k, 24)), np.zeros((3, k)), np.zeros((k, 24))
+    width = 6 * equations.body.shape[1]
+    rows, gap, moved = np.zeros((k, width)), np.zeros((3, k)), np.zeros((k, width))
     matrix, x = np.zeros((m, m)), np.zeros(m)
     total = np.zeros(m)
     least = 1.0
@@ -178,7 +179,7 @@ def rates(system, chosen, given, states, wrench, acting, out):
                     x[i] = -gap[2, r] - equations.compliance[r] * total[i]
                     if equations.compliance[r] == 0.0:
                         x[i] -= 2.0 * DRIFT_DAMPING * gap[1, r] + DRIFT_DAMPING**2 * gap[0, r]
-                    for slot in range(4):
+                    for slot in range(equations.body.shape[1]):
                         body = equations.body[r, slot]
                         for c in range(6 if body < n else 0):
                             x[i] -= rows[r, 6 * slot + c] * a[body, c]
@@ -186,7 +187,7 @@ def rates(system, chosen, given, states, wrench, acting, out):
                 for i in range(m):
                     r = chosen.row[i]
                     total[i] += x[i]
-                    for slot in range(4):
+                    for slot in range(equations.body.shape[1]):
                         body = equations.body[r, slot]
                         for c in range(6 if body < n else 0):
                             a[body, c] += moved[r, 6 * slot + c] * x[i]
@@ -210,17 +211,18 @@ def rates(system, chosen, given, states, wrench, acting, out):
 def unit_rows(system, state, given):
     """Unit rows (k, 6 n) for (rddot, size omegadot) of all equations at a state, and their g (k,) relative to the size.
 
-    Rows that are no equations, those of rotors and of the second joint of a coupling, are zero.
+    Rows that are no equations, those of rotors and of the other joints of a coupling, are zero.
     """
-    n, k = len(system.mass), len(system.equations.kind)
-    frame, rows, gap = np.zeros((n + 1, FRAME)), np.zeros((k, 24)), np.zeros((3, k))
+    n, (k, slots), coupled = len(system.mass), system.equations.body.shape, system.equations.coupled
+    frame, rows, gap = np.zeros((n + 1, FRAME)), np.zeros((k, 6 * slots)), np.zeros((3, k))
     place(state[: STATE * n].reshape(n, STATE), frame)
     joint_equations(system.equations, frame, state[STATE * n :], given, rows, gap)
     dense = np.zeros((k, n + 1, 6))
-    for slot in range(4):
+    for slot in range(slots):
         dense[np.arange(k), system.equations.body[:, slot]] += rows[:, 6 * slot : 6 * slot + 6]
     dense[..., 3:] /= system.size
-    dense[system.equations.coupled + 1] = dense[system.equations.compliance > 0.0] = 0.0
+    others = np.setdiff1d(np.arange(coupled.min(initial=k), k), coupled)
+    dense[others] = dense[system.equations.compliance > 0.0] = 0.0
     dense = dense[:, :n].reshape(k, 6 * n)
     length = np.linalg.norm(dense, axis=1)
     scale = np.divide(1.0, length, out=np.zeros(k), where=length > 0.0)

@@ -31,12 +31,9 @@ def build_system(scene, pose, angles=None):
     for entry in (*scene.joints, *scene.forces):
         if entry.type not in supported:
             raise SimulationError(f"the reference integration does not support {entry.type} ({entry.name})")
-    for joint in scene.joints:
-        if joint.switches:
-            raise SimulationError(f"the reference integration has no stops and no friction ({joint.name})")
-    for coupling in scene.couplings:
-        if coupling.terms:
-            raise SimulationError(f"the reference integration has no couplings of three joints ({coupling.name})")
+    for entry in (*scene.joints, *scene.couplings):
+        if entry.switches:
+            raise SimulationError(f"the reference integration has no stops and no friction ({entry.name})")
     lack = lack_of_inertia(scene)
     if lack:
         raise SimulationError(f"the reference integration needs inertia about all axes, but {lack}: give it inertia")
@@ -53,7 +50,7 @@ def build_system(scene, pose, angles=None):
     turns = [(joint, FREE) for joint in scene.joints if joint.type == "screw"]
     turns += [(joints[force.joint], _law(force)) for force in scene.forces if force.type in TURNING]
     slides = [(joints[force.joint], _law(force)) for force in scene.forces if force.type in SLIDING]
-    coupled = [joints[name] for entry in scene.couplings for name in (entry.joint, entry.other)]
+    coupled = [joints[name] for entry in scene.couplings for name in (entry.joint, *entry.others)]
     coupled += [joint for joint in scene.joints if joint.driven for _ in range(2)]
     turns += [(joint, FREE) for joint in coupled if joint.type != "prismatic"]
     known = {} if angles is None else dict(zip((name for name, _ in scene.unwrapped), angles))
@@ -100,7 +97,7 @@ def _ends(link, index):
 
 
 def _equations(scene, index, frames, relative, couplings):
-    """Equations; couplings : (their joints in pairs, angles of all joints that need one)."""
+    """Equations; couplings : (their joints, angles of all joints that need one)."""
     rows = []  # (kind, body, point, axis, normal, length, pitch, turn)
     described = _relative(scene, frames, {body.name: body.pose for body in scene.bodies})
     screws = 0
@@ -134,14 +131,22 @@ def _equations(scene, index, frames, relative, couplings):
     curve = np.zeros((len(ratio), 3))
     for row, entry in zip(curve, scene.couplings):
         row[: len(entry.curve)] = entry.curve
-    values = np.array(values).reshape(-1, 2)
-    values[len(ratio) - len(drives) :] = 0.0
+    counts = [1 + len(entry.others) for entry in scene.couplings] + [2 for _ in drives]
+    at, values = np.cumsum([0, *counts])[:-1], np.append(values, [0.0, 0.0])
+    values[len(coupled) - 2 * len(drives) :] = 0.0
+    offset = values[at] - ratio * values[at + 1] - (curve * values[at + 1, None] ** np.arange(2, 5)).sum(axis=1)
+    shares = np.zeros((len(ratio), max(counts, default=2) - 2))
+    for c, entry in enumerate(scene.couplings):
+        shares[c, : len(entry.terms)] = list(entry.terms.values())
+        offset[c] -= shares[c, : len(entry.terms)] @ values[at[c] + 2 : at[c] + counts[c]]
     kind, body, point, axis, normal, length, pitch, turn = zip(*rows) if rows else [()] * 8
-    compliance, bodies = np.zeros(len(kind)), np.full((len(kind), 4), len(scene.bodies))
+    slots = 4 + 2 * shares.shape[1]
+    compliance, bodies = np.zeros(len(kind)), np.full((len(kind), slots), len(scene.bodies))
     bodies[:, :2] = _table(body, (2,), int)
     compliance[len(kind) - len(rotors) :] = [1.0 / joint.rotor_inertia for joint in rotors]
-    first = len(kind) - len(rotors) - len(coupled) + 2 * np.arange(len(ratio))
-    bodies[first, 2:] = bodies[first + 1, :2]
+    first = len(kind) - len(rotors) - len(coupled) + at
+    for row, count in zip(first, counts):
+        bodies[row, 2 : 2 * count] = bodies[row + 1 : row + count, :2].ravel()
     return Equations(
         _table(kind, (), int),
         bodies,
@@ -154,7 +159,8 @@ def _equations(scene, index, frames, relative, couplings):
         first,
         ratio,
         curve,
-        values[:, 0] - ratio * values[:, 1] - (curve * values[:, 1:] ** np.arange(2, 5)).sum(axis=1),
+        shares,
+        offset,
         np.concatenate([np.full(len(scene.couplings), -1), drives]),
         compliance,
     )

@@ -353,10 +353,13 @@ def test_a_geared_five_bar_keeps_energy_and_closes(method):
         two_pendulums(0.4, bolt=True),
         scene_from_text(FIVE_BAR),
         scene_from_text(FIVE_BAR.replace("ratio: 0.5", "ratio: 0.3, curve: [0.05, 0.01]")),
+        scene_from_text(
+            FIVE_BAR.replace("ratio: 0.5, offset: 0.2", "ratio: 0.4, curve: [0.1], terms: {c: 0.3, d: -0.1}")
+        ),
         scene_from_text(WHEELS),
         cam("revolute", QUARTIC),
     ],
-    ids=["pendulums", "bolt", "five_bar", "five_bar_with_cam", "wheels", "cam"],
+    ids=["pendulums", "bolt", "five_bar", "five_bar_with_cam", "five_bar_of_four", "wheels", "cam"],
 )
 def test_coupled_motions_are_those_of_the_classical_formulation(scene):
     """All coordinates of all bodies, with integrated angles; its tolerance is 1e-13."""
