@@ -130,10 +130,10 @@ def describe(layout):
 def modes_of(switch):
     """Names of the modes that stops and friction allow, as Sample.modes."""
     limits, friction = switch.limits, switch.friction
+    has_stops = limits and limits.least < limits.largest  # else a spring
     return [
         "free",
-        *(["lower"] if limits and limits.lower is not None else []),
-        *(["upper"] if limits and limits.upper is not None else []),
+        *(end for end in ("lower", "upper") if has_stops and getattr(limits, end) is not None),
         *(["stick"] if friction and (friction.at_rest > 0.0 or friction.by_load[1] > 0.0) else []),
     ]
 

@@ -161,9 +161,15 @@ def _pressure(switch, q, rate, side):
 
 
 @kernel
+def side_of(model, work, k):
+    """Side of the compliant stop that acts at switch k; 1 where both are at one place: a spring, which also pulls."""
+    return 1.0 if model.switches[k]["lower"] == model.switches[k]["upper"] else work.modes[k, SIDE]
+
+
+@kernel
 def _effort(model, work, k, rate):
     """Friction and force of a compliant stop of switch k, which is not held, N m or N."""
-    switch, side = model.switches[k], work.modes[k, SIDE]
+    switch, side = model.switches[k], side_of(model, work, k)
     if work.modes[k, RESTS] != 0.0:
         return work.modes[k, EFFORT]
     sliding = switch["coulomb"] + switch["sliding_by_load"] * work.loads[k, LOAD]
@@ -191,7 +197,7 @@ def set_row_efforts(model, work):
     """Set the multipliers of rows that are not held, by friction and compliant stops; returns whether any is not 0."""
     compliant, found = False, False
     for k in range(len(model.switches)):
-        if model.switches[k]["row"] >= 0 and work.modes[k, SIDE] != 0.0:
+        if model.switches[k]["row"] >= 0 and side_of(model, work, k) != 0.0:
             compliant = compliant or model.switches[k]["stiffness"] > 0.0
     if compliant:
         _find_rows(model, work)
@@ -244,7 +250,7 @@ def set_guards(model, work):
         q = coordinate(model, work, k, work.stage_pose)
         if switch["stiffness"] == 0.0:
             guards[k, LOWER], guards[k, UPPER] = q - switch["lower"], switch["upper"] - q
-        else:
+        elif switch["lower"] < switch["upper"]:
             for end in range(2):
                 at = -1.0 if end == 0 else 1.0
                 depth, _ = _depth(switch, q, rate, at)

@@ -205,7 +205,7 @@ def crossed(model, work, h, weights):
                     further = guards[k, c] < min(before, 0.0) - depth
                     if soft or further or sign * v1 < -RESTING * switch["unit"]:
                         places[k, c] = 1.0
-                elif before < math.inf:
+                elif guards[k, c] < math.inf:
                     after = guards[k, c]
                     if soft:
                         after = sign * (coordinate(model, work, k, work.stage_pose) - stop)

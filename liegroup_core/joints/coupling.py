@@ -9,7 +9,7 @@ it does no work. Its row acts on the rates of the spanning tree, see dynamics/co
 bodies have no such row.
 
 Poses determine angles modulo 2 pi. Those of all but `joint` are unwrapped like that of a torsional spring
-(forces/turn.py). The turns of `joint` follow from the relation.
+(forces/turn.py). The turns of `joint` follow from the relation; with backlash its angle is unwrapped, too.
 """
 
 import math
@@ -20,7 +20,7 @@ from liegroup_core.fields.values import Curve, Described, Name, Number, Text
 from liegroup_core.lie.groups import SE3, UNKNOWN_TURN, within_a_turn
 
 from .kinds import TYPES
-from .stops import BACKLASH, Backlash, Switch
+from .stops import BACKLASH, Backlash, Friction, Switch
 
 # Types of joints that can be coupled: those with exactly one coordinate.
 COUPLED = ("revolute", "prismatic", "screw")
@@ -47,7 +47,9 @@ class Coupling(Described):
         "planetary gear, beside sun and carrier; default: none",
     )
     offset: Number | None = Field(None, description="offset in rad or m; default: computed from the initial poses")
-    backlash: Backlash | None = Field(None, description="backlash: the relation holds within a gap; default: none")
+    backlash: Backlash | None = Field(
+        None, description="backlash: the relation holds within a gap, or by a spring; default: it is rigid"
+    )
 
     @property
     def others(self):
@@ -55,12 +57,18 @@ class Coupling(Described):
         return (self.other, *self.terms)
 
     @property
+    def counted(self):
+        """Names of the joints whose angles are unwrapped."""
+        return (self.joint, *self.others) if self.backlash else self.others
+
+    @property
     def switches(self):
         """[Switch]: violation of the relation, if the coupling has backlash."""
         if self.backlash is None:
             return []
-        half = 0.5 * self.backlash.gap
-        return [Switch(self.name, BACKLASH, self.backlash.between(-half, half), None)]
+        gap, viscous = self.backlash.gap, self.backlash.viscous
+        limits = None if gap is None else self.backlash.between(0.0 - 0.5 * gap, 0.5 * gap)
+        return [Switch(self.name, BACKLASH, limits, Friction(viscous=viscous) if viscous else None)]
 
 
 def turns(joint):
@@ -81,9 +89,9 @@ def difference(first, second, turned):
     return within_a_turn(first - second) if turned else first - second
 
 
-def gap(coupling, first, at, turned):
-    """Violation of a resolved coupling by coordinates of `joint`, of the others {joint: q}; turned: of `difference`."""
-    return difference(first - coupling.rise(at), coupling.offset, turned)
+def gap(coupling, at, turned):
+    """Violation of a resolved coupling by coordinates {joint: q}; turned: of `difference`."""
+    return difference(at[coupling.joint] - coupling.rise(at), coupling.offset, turned)
 
 
 def rate_row(joint, F_b):

@@ -189,10 +189,8 @@ class Linkage:
 
     def coupling_gap(self, entry, poses):
         """Residual of a coupling, rad or m."""
-        joint = self.joints[entry.joint]
-        first = coordinate(joint, self.relative(entry.joint, poses))
-        at = {j: self._coordinate(j, poses) for j in (entry.other, *entry.joints[1:])}
-        return gap(entry, first, at, turns(joint))
+        at = {j: self._coordinate(j, poses) for j in entry.joints}
+        return gap(entry, at, turns(self.joints[entry.joint]))
 
     def joint_residual(self, j, poses):
         """Position residual (k,) of joint j; where it is zero, its derivative is joint_rows."""

@@ -57,7 +57,7 @@ class Limits(Stop):
     def _check_order(self):
         if self.lower is None and self.upper is None:
             raise SceneError("give lower, upper or both")
-        if not self.least < self.largest:
+        if not (self.least < self.largest or self.least == self.largest and self.stiffness):
             raise SceneError(f"lower must be below upper, got {self.lower:g} and {self.upper:g}", place=("lower",))
         return self
 
@@ -157,9 +157,21 @@ class Cone(Stop):
 
 
 class Backlash(Stop):
-    """Backlash of a coupling: free play between two stops."""
+    """Backlash of a coupling: free play between two stops, or a spring; and viscous damping."""
 
-    gap: Positive = Field(description="free play of the coordinate of `joint` in rad or m, half of it on either side")
+    gap: NotNegative | None = Field(
+        None,
+        description="free play of the coordinate of `joint` in rad or m, half of it on either side; 0 with a "
+        "stiffness: a spring, which also pulls; default: without end, for viscous",
+    )
+    viscous: NotNegative = Field(0.0, description="damping in and beyond the gap, in N m s/rad or N s/m")
+
+    @model_validator(mode="after")
+    def _check_gap(self):
+        if not (self.gap or (self.stiffness if self.gap == 0.0 else self.viscous and not self.stiffness)):
+            text = "gap must be above 0, or 0 with a stiffness, or omitted with viscous alone"
+            raise SceneError(f"{text}, got {self.gap}", place=("gap",))
+        return self
 
 
 class _OfBoth(Described):

@@ -51,6 +51,7 @@ from liegroup_core.dynamics.links import body_wrench, momentum, seen_from
 from liegroup_core.dynamics.loops import close_loops
 from liegroup_core.dynamics.matrix import NEAR, has_small_pivot, is_off
 from liegroup_core.dynamics.residuals import add_multipliers, add_own_forces, gather_forces
+from liegroup_core.dynamics.switches import side_of
 from liegroup_core.dynamics.trees import move_links, spread_response
 from liegroup_core.forces.external import set_changes
 from liegroup_core.forces.kinds import add_changes
@@ -74,7 +75,7 @@ from liegroup_core.lie.vec3 import (
     tmatvec3,
     vector3,
 )
-from liegroup_core.mechanism.arrays import RESTS, SIDE
+from liegroup_core.mechanism.arrays import RESTS
 from liegroup_core.mechanism.bodies import PIVOT
 from liegroup_core.methods.munthe_kaas import steps
 from liegroup_core.status import DEPENDENT_ROWS, OK
@@ -491,7 +492,7 @@ def _change_switches(model, work, moves, at, rows):
             (moves[at + f, 0], moves[at + len(work.freedoms) + f, 0]) if r < 0 else (rows[SHIFT, r], rows[SLIP, r])
         )
         effort = -switch["viscous"] * rate
-        if work.modes[k, SIDE] != 0.0:
+        if side_of(model, work, k) != 0.0:
             effort -= switch["stiffness"] * shift + switch["damping"] * rate
         if r < 0:
             add_pair(model, work, b, switch["component"], -effort, work.force, 1)

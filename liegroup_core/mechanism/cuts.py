@@ -70,8 +70,7 @@ def cut_rows(scene, frames, parts, tree, links, places, stops, coupled):
             element += 1
     joints = len(cut)
     cut += [(j, -1, part) for j, part in stops]
-    loose = {c for c, coupling in enumerate(scene.couplings) if coupling.backlash}
-    rigid = [c for c in range(len(coupled)) if c not in loose]
+    rigid = [c for c, (entry, _) in enumerate(coupled) if not entry.loose]
     first = len(cut)
     cut += [(None, element + i, COUPLING_PART) for i in range(len(coupled))]
     if not cut:
@@ -327,16 +326,16 @@ def _numbered(coupling):
 def _couplings(links, joints, coupling, residuals, coupled, counted):
     """COUPLED in the order of the joints, and their terms; coupling: which of `coupled` a joint is, or -1."""
     motions = np.cumsum([entry.is_given for entry, _ in coupled]) - 1
-    angles = counted + np.cumsum([0, *(sum(links[i].turns for i in ends[1:]) for _, ends in coupled)])
+    counts = [[links[i].turns and (k > 0 or entry.loose) for k, i in enumerate(ends)] for entry, ends in coupled]
+    angles = counted + np.cumsum([0, *map(sum, counts)])
     rows, terms = [], []
     for joint, c in zip(joints, coupling):
         if c < 0:
             continue
         (entry, ends), begin, angle = coupled[c], len(terms), angles[c]
         for k, (i, factor) in enumerate(zip(ends, entry.factors())):
-            counts = k > 0 and links[i].turns
-            terms.append((i, factor * links[i].sign, angle if counts else -1, links[i].sign))
-            angle += counts
+            terms.append((i, factor * links[i].sign, angle if counts[c][k] else -1, links[i].sign))
+            angle += counts[c][k]
         rows.append(
             (
                 joint["first"],
@@ -345,7 +344,7 @@ def _couplings(links, joints, coupling, residuals, coupled, counted):
                 (entry.ratio, *entry.curve, 0.0, 0.0, 0.0)[:4],
                 any(entry.curve),
                 entry.offset,
-                links[ends[0]].turns,
+                links[ends[0]].turns and not entry.loose,
                 motions[c] if entry.is_given else -1,
                 2,
             )

@@ -94,10 +94,10 @@ class JointCoordinates:
             if place_of.keys() >= set(found.joints)
         ]
         # Angles that follow from a coupling: (joint, ResolvedCoupling).
-        self._coupled = [(entry.joint, found) for entry, found in couplings if self.units[entry.joint] == "rad"]
+        self._coupled = [(e.joint, found) for e, found in couplings if self.units[e.joint] == "rad" and not found.loose]
         # Couplings that drift: {name: (joint, ResolvedCoupling)}.
         self._curved = {
-            entry.name: (entry.joint, found) for entry, found in couplings if entry.curve and entry.backlash is None
+            entry.name: (entry.joint, found) for entry, found in couplings if entry.curve and not found.loose
         }
         self._counted = {
             name: counted.index(name) for name in self.names if name in counted and self.units[name] == "rad"

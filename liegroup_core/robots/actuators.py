@@ -173,13 +173,15 @@ def _of_leaders(robot, actuator, entries, values):
     shares, length = dict(actuator.shares), actuator.length
     for name in shares.keys() - entries.keys():
         length += shares.pop(name) * values[name]
-    for coupling in robot.couplings * len(robot.couplings) if len(shares) > 1 else ():
-        first, second, ratio = coupling.first, coupling.second, coupling.ratio
-        if not coupling.curve and first in shares and len(shares) > 1 and {first, second} <= entries.keys():
+    known = [*robot.couplings, *(each for each in robot.relations if each.terms.keys() <= shares.keys())]
+    for coupling in known * len(known) if len(shares) > 1 else ():
+        first, terms = coupling.first, coupling.terms
+        if not coupling.curve and first in shares and len(shares) > 1 and terms.keys() <= entries.keys():
             share = shares.pop(first)
-            length += share * (values[first] - ratio * values[second])
-            shares[second] = shares.get(second, 0.0) + share * ratio
-    return shares, length
+            length += share * sum(c * values[name] for name, c in terms.items())
+            shares |= {name: shares.get(name, 0.0) - share * c for name, c in terms.items() if name != first}
+    least = 1e-12 * max(map(abs, actuator.shares.values()))  # round-off: couplings may cancel the shares
+    return {name: share for name, share in shares.items() if abs(share) > least}, length
 
 
 def _together(robot, joint, laws):

@@ -129,11 +129,11 @@ def added_couplings(options, robot):
                     f'couplings[{i}]: joint "{name}" is {types[name]}: only joints with one '
                     f"coordinate ({', '.join(ONE_COORDINATE)}) can be coupled",
                 )
+    keys = ("name", "joint", "other", "ratio", "offset")
+    given = [(e, e.backlash.model_dump(exclude_none=True) if e.backlash else {}) for e in options.couplings]
     return [
-        Coupling(
-            entry.name, entry.joint, entry.other, entry.ratio, entry.offset, ("couplings", i), entry.curve, entry.terms
-        )
-        for i, entry in enumerate(options.couplings)
+        Coupling(*(getattr(e, key) for key in keys), ("couplings", i), e.curve, e.terms, backlash)
+        for i, (e, backlash) in enumerate(given)
     ]
 
 

@@ -7,7 +7,6 @@ joint are locked too. Links without mass at the end of a chain are held in place
 
 import numpy as np
 
-from liegroup_core.fields.curve import other_at, rise
 from liegroup_core.lie.groups import SE3
 
 from .description import ONE_COORDINATE, WORLD, listed
@@ -55,32 +54,27 @@ def locked_joints(robot, options, values, notes):
     """Names of joints that do not move: fixed and locked joints, and joints coupled to them."""
     types = {joint.name: joint.type for joint in robot.joints}
     still = set(options.lock) | set(robot.locked) | {name for name, kind in types.items() if kind == "fixed"}
-    changed = True
+    couplings, changed = [*robot.couplings, *robot.relations], True
     while changed:
         changed = False
-        for coupling in robot.couplings:
-            first, second = coupling.first in still, coupling.second in still
-            held = coupling.offset is not None  # otherwise the start values define the offset
-            if second and not first:
-                if held:
-                    values[coupling.first] = rise(coupling, values[coupling.second]) + coupling.offset
-                still.add(coupling.first)
+        for coupling in couplings:
+            moving = [name for name in coupling.terms if name not in still]
+            if len(moving) == 1:
+                if coupling.offset is not None:  # otherwise the start values define the offset
+                    values[moving[0]] = coupling.solved(moving[0], values)
+                still.add(moving[0])
                 changed = True
-            elif first and not second and any((coupling.ratio, *coupling.curve)):
-                if held:
-                    values[coupling.second] = other_at(coupling, values[coupling.first], values[coupling.second])
-                still.add(coupling.second)
-                changed = True
-    for coupling in robot.couplings:
-        ends = (coupling.first, coupling.second)
+    for coupling in couplings:
+        ends = coupling.terms
         if coupling.offset is None or not all(name in still and types.get(name) in ONE_COORDINATE for name in ends):
             continue
-        wanted = rise(coupling, values[coupling.second]) + coupling.offset
+        wanted = coupling.solved(coupling.first, values)
         if abs(values[coupling.first] - wanted) > 1e-9 * (1.0 + abs(wanted)):
+            at = " and ".join(f"{name} at {values[name]:.6g}" for name in ends)
             raise options.error(
                 ("lock", coupling.first),
-                f"lock: {ends[0]} at {values[ends[0]]:.6g} and {ends[1]} at {values[ends[1]]:.6g} "
-                f"contradict their coupling, which requires {wanted:.6g} for {ends[0]}: lock one of them",
+                f"lock: {at} contradict their coupling, which requires {wanted:.6g} for {coupling.first}: "
+                f"lock {'one' if len(ends) == 2 else 'fewer'} of them",
             )
     for name in still:
         if types[name] != "fixed":
@@ -163,9 +157,9 @@ def _led(robot, moving):
     found, before = set(moving), -1
     while len(found) != before:
         before = len(found)
-        for coupling in robot.couplings:
-            if found & {coupling.first, coupling.second}:
-                found |= {coupling.first, coupling.second}
+        for coupling in (*robot.couplings, *robot.relations):
+            if found & coupling.terms.keys():
+                found |= coupling.terms.keys()
     return found
 
 

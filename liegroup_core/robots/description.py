@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from liegroup_core.errors import SceneError
+from liegroup_core.fields.curve import other_at, rise
 from liegroup_core.fields.values import suggestion
 from liegroup_core.lie.groups import SE3, SO3, UNKNOWN_TURN, within_a_turn
 
@@ -154,6 +155,7 @@ class Coupling:
 
     offset : None: computed from the start values;  curve : (a_2, ...)
     further : {joint: c} of further terms c q, of a relation of more than two joints
+    backlash : as in a scene; {} for a rigid relation
     """
 
     name: str
@@ -164,10 +166,25 @@ class Coupling:
     line: int = 0
     curve: tuple = ()
     further: dict = field(default_factory=dict)
+    backlash: dict = field(default_factory=dict)
+
+    @property
+    def terms(self):
+        """{joint: its coefficient c} of sum c q = offset; the curve is that of `second`."""
+        shares = {self.second: self.ratio} | self.further
+        bent = any(self.curve)
+        return {self.first: 1.0} | {name: -c for name, c in shares.items() if c or (bent and name == self.second)}
 
     def rest(self, values):
         """Sum of the further terms at {joint: coordinate}."""
         return sum(c * values[name] for name, c in self.further.items())
+
+    def solved(self, name, values):
+        """Coordinate of one of its joints at {joint: coordinate} of the others; of `second` the nearest one."""
+        if name == self.second:
+            return other_at(self, values[self.first] - self.rest(values), values[name])
+        wanted = rise(self, values[self.second]) + self.rest(values) + self.offset
+        return wanted if name == self.first else values[name] + (values[self.first] - wanted) / self.further[name]
 
 
 @dataclass
@@ -206,6 +223,7 @@ class Robot:
     poses    : {name of a pose: {joint: coordinate}}; velocities: {its name: {joint: velocity}}; of joints with
                several coordinates the (4, 4) pose of the child's frame in the parent's, and its (6,) twist
     root_poses : {name of a pose: {root link: ((4, 4) pose, (6,) twist in its axes)}}, used if it floats
+    loose    : [Coupling] with backlash
     tendons  : [tendons.Tendon]
     actuators: [actuators.Actuator];  commands: {name of a pose: {actuator: (control, activation)}}
     locked   : {joint: coordinate} of joints that do not move
@@ -220,6 +238,7 @@ class Robot:
     joints: list = field(default_factory=list)
     couplings: list = field(default_factory=list)
     relations: list = field(default_factory=list)
+    loose: list = field(default_factory=list)
     sensors: list = field(default_factory=list)
     tendons: list = field(default_factory=list)
     actuators: list = field(default_factory=list)

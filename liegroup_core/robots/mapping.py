@@ -23,7 +23,7 @@ from .resources import find_resource
 from .rotors import cut_rotors
 from .sensors import add_sensors, check_kept, kept_fixed_joints
 from .stiffness import stiffness_notes
-from .tendons import add_tendons
+from .tendons import add_tendons, among, fixed_tendons
 
 # Mass of a link without mass between two joints, relative to the lightest body: its effect on
 # accelerations is below round-off.
@@ -66,7 +66,8 @@ class SceneParts:
 def scene_parts(robot, options):
     """SceneParts of a Robot with the additions of a user. Raises SceneError."""
     for coupling in added_couplings(options, robot):
-        (robot.relations if coupling.further else robot.couplings).append(coupling)
+        rigid = robot.relations if coupling.further else robot.couplings
+        (robot.loose if coupling.backlash else rigid).append(coupling)
     values = options.coordinates(robot)
     notes = []
     joints = kept_joints(robot, options, notes)
@@ -106,6 +107,7 @@ def scene_parts(robot, options):
     coupled = [entry for entry in robot.couplings if {entry.first, entry.second} <= names]
     switches = options.with_switches(grouping.moving, values, coupled)
     _switch(switches, parts, values)
+    robot.loose += fixed_tendons(robot, options, names, values)
     _couplings(robot, grouping, parts, values, taken)
     _lift(robot, grouping, parts, used, taken)
     add_drives(robot, options, parts, values, taken)
@@ -314,11 +316,10 @@ def _couplings(robot, grouping, parts, values, taken):
     moving = {joint.name for joint in grouping.moving}
     joints = {joint.name: joint for joint in robot.joints}
     in_scene = {file: name for (kind, name), file in parts.names.items() if kind == "joints"}
-    for coupling in (*robot.couplings, *robot.relations):
+    for coupling in (*robot.couplings, *robot.relations, *robot.loose):
         if not {coupling.first, coupling.second, *coupling.further} <= moving:
-            if coupling.further:
-                what = "couplings of three and more joints of which some do not move"
-                robot.leave_out(what, coupling.name, changes_motion=True)
+            coupling = among(robot, coupling, moving, values)
+        if coupling is None:
             continue
         name = coupling.name
         if not isinstance(coupling.line, tuple):  # names given by the user do not change
@@ -328,8 +329,9 @@ def _couplings(robot, grouping, parts, values, taken):
         offset = coupling.offset
         if offset is None:
             offset = values[coupling.first] - rise(coupling, second) - coupling.rest(values)
-        offset += coupling.rest({name: joints[name].turned(values[name]) for name in coupling.further})
-        law = counted_from(replace(coupling, offset=offset), joints[coupling.second].turned(second))
+        turned = {name: joint.turned(values[name]) for name, joint in joints.items() if name in moving}
+        offset += coupling.rest(turned) - (turned[coupling.first] if coupling.backlash else 0.0)
+        law = counted_from(replace(coupling, offset=offset), turned[coupling.second])
         parts.couplings.append(
             {
                 "name": name,
@@ -340,6 +342,7 @@ def _couplings(robot, grouping, parts, values, taken):
             }
             | ({"curve": law["curve"]} if law["curve"] else {})
             | ({"terms": {in_scene[key]: c for key, c in coupling.further.items()}} if coupling.further else {})
+            | ({"backlash": coupling.backlash} if coupling.backlash else {})
         )
         parts.lines["couplings", number] = coupling.line
         parts.comments["couplings", number] = (
@@ -445,10 +448,6 @@ def _left_out(robot, grouping, switches, outside):
     ]
     if swapped:
         notes.append(f"error in the file: the lower limit is above the upper one: {listed(swapped)}")
-    for coupling in robot.couplings:
-        for name, other in ((coupling.first, coupling.second), (coupling.second, coupling.first)):
-            if name in moving and other not in moving:
-                notes.append(f"changes the motion: no coupling of {name} and {other}, because {other} is cut")
     notes += [f"{what}: {listed(names)}" for what, names in robot.remarks.items()]
     for what, names in robot.changes.items():
         notes.append(f"changes the motion: {what}, left out: {listed(names)}")

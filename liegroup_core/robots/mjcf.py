@@ -228,10 +228,10 @@ def _equalities(robot, model, names, lines):
             robot.leave_out(f"equality constraints of {kind}s", name, changes_motion=True)
 
 
-def _terms(equality, label):
-    """{joint: c} of the linear relation of coordinates that an equality of fixed tendons prescribes."""
+def _terms(entry, label):
+    """{joint: c} of the length of a fixed tendon, or of the relation that an equality of fixed tendons prescribes."""
     terms = {}
-    for joint, share in equality.get("terms", ()):
+    for joint, share in entry.get("terms", ()):
         terms[label[joint]] = terms.get(label[joint], 0.0) + share
     return terms
 
@@ -335,7 +335,7 @@ def _actuators(robot, model, lines):
 
 
 def _others(robot, model, names, lines):
-    """Add straight tendons, and note the parts that a scene cannot model."""
+    """Add straight and fixed tendons, and note the parts that a scene cannot model."""
     if model["fluid"]:
         robot.leave_out("forces of a fluid", "option density or viscosity", changes_motion=True)
     # A tendon that is imported as a joint has constant length, so its springs and limits do no work.
@@ -347,15 +347,16 @@ def _others(robot, model, names, lines):
         if not acts and not tendon["other"]:
             robot.leave_out("tendons", tendon["name"])
             continue
-        if tendon["sites"] and acts:
-            ends = [(WORLD if s["body"] == 0 else names[s["body"] - 1], np.array(s["pos"])) for s in tendon["sites"]]
-            line = lines.get(("spatial", tendon["name"]), 0)
+        sites, terms = tendon["sites"] or (), _terms(tendon, [joint["label"] for joint in model["joints"]])
+        if (sites or terms) and acts:
+            ends = [(WORLD if s["body"] == 0 else names[s["body"] - 1], np.array(s["pos"])) for s in sites]
+            line = lines.get(("spatial" if sites else "fixed", tendon["name"]), 0)
             laws = (tendon[key] for key in ("rest", "stiffness", "damping", "range"))
-            robot.tendons.append(Tendon(tendon["name"], line, ends, *laws))
+            robot.tendons.append(Tendon(tendon["name"], line, ends, *laws, terms))
             what = "friction, inertia and nonlinear laws of tendons"
         else:
             what = "tendons with forces or limits that are not straight between two points"
-        if tendon["other"] or not tendon["sites"]:
+        if tendon["other"] or not (sites or terms):
             robot.leave_out(what, tendon["name"], changes_motion=True)
     for what in ("flexes", "plugins"):
         for name in model[what]:

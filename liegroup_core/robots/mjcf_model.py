@@ -182,15 +182,17 @@ def _shares(model, i):
 
 
 def _tendon(model, i):
-    """Tendon; sites: its two ends if it is straight; other: it has forces beside spring, damping and limits."""
-    driver = int(model.tendon_actuatorid[i])
+    """Tendon: straight with `sites`, or fixed with `terms` and lengths from the pose of the file; other: more laws."""
+    driver, terms = int(model.tendon_actuatorid[i]), _coefficients(model, i) or ()
+    zero = float(model.tendon_length0[i]) if terms else 0.0
     return {
         "name": model.tendon(i).name or f"tendon_{i}",
         "sites": _ends(model, i),
+        "terms": terms,
         "stiffness": float(model.tendon_stiffness[i]),
         "damping": float(model.tendon_damping[i]),
-        "rest": model.tendon_lengthspring[i].tolist(),
-        "range": model.tendon_range[i].tolist() if model.tendon_limited[i] else None,
+        "rest": (model.tendon_lengthspring[i] - zero).tolist(),
+        "range": (model.tendon_range[i] - zero).tolist() if model.tendon_limited[i] else None,
         "other": bool(
             model.tendon_frictionloss[i]
             or model.tendon_armature[i]

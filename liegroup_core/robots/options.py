@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from liegroup_core.errors import SceneError
-from liegroup_core.fields.curve import other_at, rise, slope
+from liegroup_core.fields.curve import slope
 from liegroup_core.fields.values import suggestion
 
 from .description import ONE_COORDINATE
@@ -323,9 +323,9 @@ def _followed(couplings, values, given, of_pose):
         entry = next((e for e in ready if e.second not in firsts), ready[0])
         left.remove(entry)
         if entry.first not in known or (entry.second in known and entry.first not in fixed):
-            values[entry.first] = rise(entry, values[entry.second]) + entry.rest(values) + entry.offset
+            values[entry.first] = entry.solved(entry.first, values)
         elif entry.second not in fixed and any((entry.ratio, *entry.curve)):
-            values[entry.second] = other_at(entry, values[entry.first] - entry.rest(values), values[entry.second])
+            values[entry.second] = entry.solved(entry.second, values)
         known |= {entry.first, entry.second}
         fixed |= {entry.first, entry.second}
     return values

@@ -79,7 +79,7 @@ class ResolvedCoupling(NamedTuple):
     """Coupling with its numbers: indices of its joints, ratio, offset, curve; see joints/coupling.py.
 
     If both are the same joint and the ratio is 0, the coordinate of this joint alone is given.
-    further : ((index of a joint, c), ...)
+    further : ((index of a joint, c), ...);  loose : it has backlash, and the angle of `joint` is unwrapped, too
     """
 
     joint: int
@@ -88,6 +88,7 @@ class ResolvedCoupling(NamedTuple):
     offset: float
     curve: tuple = ()
     further: tuple = ()
+    loose: bool = False
 
     @property
     def is_given(self):
@@ -132,7 +133,8 @@ def resolve_couplings(scene):
     for coupling in scene.couplings:
         further = tuple((index[name], c) for name, c in coupling.terms.items())
         joints = index[coupling.joint], index[coupling.other]
-        entry = ResolvedCoupling(*joints, coupling.ratio, coupling.offset, coupling.curve, further)
+        loose = coupling.backlash is not None
+        entry = ResolvedCoupling(*joints, coupling.ratio, coupling.offset, coupling.curve, further, loose)
         if coupling.offset is None:
             entry = entry._replace(offset=at[entry.joint] - entry.rise(at))
         found.append(entry)
@@ -141,8 +143,7 @@ def resolve_couplings(scene):
 
 def rigid_couplings(scene):
     """The couplings without backlash, as `resolve_couplings`. These are constraints."""
-    pairs = zip(scene.couplings, resolve_couplings(scene))
-    return [entry for coupling, entry in pairs if coupling.backlash is None]
+    return [entry for entry in resolve_couplings(scene) if not entry.loose]
 
 
 def driven_joints(scene):
@@ -221,12 +222,12 @@ def _check_couplings(scene, start):
     """Raise SceneError for the first coupling that the initial poses or twists violate."""
     frames, at = (resolve_frames(scene), _coupled_coordinates(scene)) if scene.couplings else ([], {})
     for i, found in enumerate(resolve_couplings(scene)):
-        if scene.couplings[i].backlash:
+        if found.loose:
             continue
         ends = [scene.joints[j] for j in found.joints]
         rates = [_rate(start, scene.joints[j], *frames[j]) for j in found.joints]
         first, second = at[found.joint], at[found.other]
-        off = gap(found, first, at, turns(ends[0]))
+        off = gap(found, at, turns(ends[0]))
         slip = np.dot(found.factors(second), rates)
         size = 1.0 + abs(first) + abs(rise(found, second)) + abs(found.offset)
         size += sum(abs(c * at[j]) for j, c in found.further)
@@ -263,7 +264,7 @@ def switch_coordinates(scene, start, frames, angles=MappingProxyType({})):
     """[(Switch, its coordinate)] at poses, rad or m; angles about z are unwrapped to the turn of the stops.
 
     start  : {name: (pose (4, 4), twist (6,))} of the bodies and the world;  frames : of `resolve_frames`
-    angles : {joint: rad} near which the angle of the other joint of a coupling is; else it is in (-pi, pi]
+    angles : {joint: rad} near which the angles of the joints of a coupling are; else it is in (-pi, pi]
     """
     couplings, found = resolve_couplings(scene), []
     for switch in switches_of(scene):
@@ -275,10 +276,9 @@ def switch_coordinates(scene, start, frames, angles=MappingProxyType({})):
         entry = couplings[switch.coupling]
         joints = {j: scene.joints[j] for j in entry.joints}
         at = {j: coordinate(joint, _relative(start, joint, *frames[j])) for j, joint in joints.items()}
-        first, turned = at[entry.joint], turns(joints[entry.joint])
         near = {j: angles.get(joint.name, at[j]) for j, joint in joints.items()}
         at = {j: near[j] + difference(at[j], near[j], turns(joint)) for j, joint in joints.items()}
-        found.append((switch, gap(entry, first, at, turned)))
+        found.append((switch, gap(entry, at, False)))
     return found
 
 
@@ -287,10 +287,11 @@ def _check_stops(scene, start):
     if not switches_of(scene):
         return
     for switch, q in switch_coordinates(scene, start, resolve_frames(scene)):
-        if switch.limits is None or (switch.kind == DISTANCE and switch.limits.stiffness is not None):
-            continue  # a compliant cable or strut may bear load at the start
-        q = switch.limits.at_start(q) if switch.is_angle else q
-        off = switch.limits.excess(q)
+        limits = switch.limits
+        if limits is None or limits.stiffness and (switch.kind in STOPPED_BY or limits.least == limits.largest):
+            continue  # a spring, or a compliant cable, strut or coupling, may bear load at the start
+        q = limits.at_start(q) if switch.is_angle else q
+        off = limits.excess(q)
         if off > TOLERANCE * (1.0 + abs(q)):
             unit = unit_of(switch, scene)
             key, i = ("joints", switch.joint) if switch.coupling is None else ("couplings", switch.coupling)

@@ -196,7 +196,7 @@ class Scene(Described):
         """[(joint, force or coupling)]: names for each unwrapped angle; see forces/turn.py."""
         types = {joint.name: joint.type for joint in self.joints}
         springs = [(force.joint, force.name) for force in self.forces if force.counts_turns]
-        coupled = [(name, entry.name) for entry in self.couplings for name in entry.others if TYPES[types[name]].turns]
+        coupled = [(name, e.name) for e in self.couplings for name in e.counted if TYPES[types[name]].turns]
         servos = [(force.joint, force.name) for force in self.forces if force.type == "servo"]
         return springs + coupled + servos
 

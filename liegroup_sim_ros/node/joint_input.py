@@ -58,7 +58,8 @@ class JointInput(CountedInput):
         self.servos = {label: servo.stiffness > 0.0 for label, servo in zip(labels, found)}
         self.driven = {name for name, joint in self.joints.items() if joint in layout.motions}
         shown = dict(zip(names, joint_labels(names, scene.robot)))
-        self._leaders = {shown[c.joint]: shown.get(c.other, c.other) for c in scene.couplings if c.joint in shown}
+        rigid = [c for c in scene.couplings if c.joint in shown and not c.backlash]
+        self._leaders = {shown[c.joint]: shown.get(c.other, c.other) for c in rigid}
 
     @property
     def follows(self):

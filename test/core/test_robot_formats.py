@@ -895,22 +895,40 @@ TENDONS = """<mujoco><worldbody><site name="w" pos="0.2 0 1.2"/>
 <tendon>{}</tendon><equality>{}</equality></mujoco>"""
 
 
-def test_straight_tendons_move_as_in_mujoco(tmp_path):
-    """A spring, one that only pulls beyond 0.95 m, and one that acts beyond 1.037 and 1.05 m; 1 s with rkmk4.
+PULLED = (
+    '<spatial name="ja" stiffness="30" damping="2" springlength="0.9"><site site="sa"/><site site="w"/></spatial>'
+    '<spatial stiffness="50" damping="1" springlength="0 0.95"><site site="sb"/><site site="sc"/></spatial>'
+    '<spatial stiffness="40" springlength="1.037 1.05"><site site="sa"/><site site="sc"/></spatial>'
+)
+# Their springs start stretched, by 1.17 of the length of jc alone, and in a dead band.
+FIXED = (
+    '<fixed damping="2"><joint joint="jc" coef="-0.3"/><joint joint="ja" coef="1"/></fixed>'
+    '<fixed stiffness="30" damping="2" springlength="0.4"><joint joint="ja" coef="-2"/><joint joint="jb" coef="1.5"/>'
+    '<joint joint="jc" coef="0.7"/></fixed>'
+    '<fixed stiffness="60" springlength="0.2 0.3"><joint joint="ja" coef="1"/><joint joint="jb" coef="2"/>'
+    '<joint joint="jc" coef="0.7"/></fixed>'
+    '<fixed stiffness="0.2" springlength="-12"><joint joint="jc" coef="-3"/></fixed>'
+)
+
+
+@pytest.mark.parametrize(
+    "tendons, joint, types, crossed",
+    [
+        (PULLED, 'name="jb"', ["cable", "cable", "strut"], {1: (0.95, 0.95), 2: (1.037, 1.05)}),
+        (FIXED, 'name="jb" type="slide" range="-9 9"', [], {2: (0.2, 0.3)}),
+    ],
+    ids=["straight", "fixed"],
+)
+def test_tendons_move_as_in_mujoco(tendons, joint, types, crossed, tmp_path):
+    """Springs, springs that act beyond a range of lengths only, dampers; 1 s with rkmk4.
 
     MuJoCo's RK4 with 2e-5 s crosses the kinks of the laws inside a step: errors of about stiffness speed step^3 /
     inertia, 1e-11.
     """
     mujoco = pytest.importorskip("mujoco")
-    text = TENDONS.format(
-        '<spatial name="ja" stiffness="30" damping="2" springlength="0.9"><site site="sa"/><site site="w"/></spatial>'
-        '<spatial stiffness="50" damping="1" springlength="0 0.95"><site site="sb"/><site site="sc"/></spatial>'
-        '<spatial stiffness="40" springlength="1.037 1.05"><site site="sa"/><site site="sc"/></spatial>',
-        "",
-    )
-    path = written(tmp_path / "pulled.xml", text)
+    path = written(tmp_path / "pulled.xml", TENDONS.format(tendons, "").replace('name="jb"', joint))
     scene = load_scene(path)
-    assert [joint.type for joint in scene.joints] == ["revolute"] * 3 + ["cable", "cable", "strut"]
+    assert [joint.type for joint in scene.joints[3:]] == types
     assert not [note for note in scene.differences if "collision" not in note]
     model = mujoco.MjModel.from_xml_path(str(path))
     model.opt.integrator, model.opt.timestep = mujoco.mjtIntegrator.mjINT_RK4, 2e-5
@@ -925,35 +943,65 @@ def test_straight_tendons_move_as_in_mujoco(tmp_path):
         for name, pose in simulation.sample().poses.items():
             assert pose[:3, 3] == pytest.approx(data.body(name).xpos, abs=1e-9)
             assert pose[:3, :3].ravel() == pytest.approx(data.body(name).xmat, abs=1e-9)
-    lengths = np.array(lengths)
-    assert lengths[:, 1].min() < 0.95 < lengths[:, 1].max()
-    assert lengths[:, 2].min() < 1.037 and 1.05 < lengths[:, 2].max()
+    for k, (low, high) in crossed.items():
+        assert min(each[k] for each in lengths) < low and high < max(each[k] for each in lengths)
 
 
-def test_an_equality_of_three_joints_moves_as_rigid_rows_say(tmp_path):
-    """Gauss' principle: with M and the bias of MuJoCo, a = M^-1 (k lambda - bias) with k a = 0; first accelerations."""
+@pytest.mark.parametrize("lock", [{}, {"jb": 0.2}])
+def test_an_equality_of_three_joints_moves_as_rigid_rows_say(lock, tmp_path):
+    """Gauss' principle: with M and the bias of MuJoCo, a = M^-1 (k lambda - bias) with k a = 0; first accelerations.
+
+    A locked joint has no row and column. A motor whose length is constant does no work.
+    """
     mujoco = pytest.importorskip("mujoco")
-    path = written(
-        tmp_path / "three.xml",
-        TENDONS.format(
-            '<fixed name="x"><joint joint="ja" coef="1"/><joint joint="jb" coef="1.5"/><joint joint="jc" coef="-2"/>'
-            "</fixed>",
-            '<tendon name="three" tendon1="x"/>',
-        ),
+    text = TENDONS.format(
+        '<fixed name="x"><joint joint="ja" coef="1"/><joint joint="jb" coef="1.5"/>'
+        '<joint joint="jc" coef="-2"/></fixed>',
+        '<tendon name="three" tendon1="x" polycoef="0.1 0 0 0 0"/>',
     )
-    scene = load_scene(path)
+    path = written(
+        tmp_path / "three.xml", text.replace("</mujoco>", '<actuator><motor tendon="x"/></actuator></mujoco>')
+    )
+    scene = scene_from_robot(path, Options(lock=lock))
+    assert bool(lock) or not scene.forces
+    simulation = Simulation(scene, "rkmk4", 1e-5)
+    at = lock | {name: q for name, (q, _) in simulation.sample().joint_coordinates.items()}
+    assert at["ja"] + 1.5 * at["jb"] - 2.0 * at["jc"] == pytest.approx(0.1, abs=1e-15)
     model = mujoco.MjModel.from_xml_path(str(path))
     data, mass = mujoco.MjData(model), np.zeros((3, 3))
+    data.qpos[:] = model.qpos0 + [at[name] for name in ("ja", "jb", "jc")]
     mujoco.mj_forward(model, data)
     mujoco.mj_fullM(model, data, mass)
-    k, bias = np.array([1.0, 1.5, -2.0]), data.qfrc_bias
+    free = [0, 2] if lock else [0, 1, 2]
+    mass, k, bias = mass[np.ix_(free, free)], np.array([1.0, 1.5, -2.0])[free], data.qfrc_bias[free]
     free = -np.linalg.solve(mass, bias)
     wanted = free - np.linalg.solve(mass, k) * (k @ free) / (k @ np.linalg.solve(mass, k))
-    simulation = Simulation(scene, "rkmk4", 1e-5)
     simulation.advance(1)
     # From rest: the rate after a step h is a h (1 + O(h^2)).
     rates = [rate for _, rate in simulation.sample().joint_coordinates.values()]
     assert np.array(rates) / 1e-5 == pytest.approx(wanted, abs=1e-8)
+
+
+def test_a_fixed_tendon_hits_its_limit(tmp_path):
+    """Slides of 1, 2, 3 kg at constant speeds v; L = c x; plastic: v+ = v - M^-1 c (c v) / (c M^-1 c)."""
+    bodies = "".join(
+        f'<body><joint name="j{k}" type="slide" axis="1 0 0"/><geom size="0.1" mass="{k}"/></body>' for k in (1, 2, 3)
+    )
+    text = f"""<mujoco><option gravity="0 0 0"/><worldbody>{bodies}</worldbody><tendon><fixed range="-1 0.5">
+      <joint joint="j1" coef="-1"/><joint joint="j2" coef="2"/><joint joint="j3" coef="0.5"/></fixed></tendon>
+      </mujoco>"""
+    path, c, v = written(tmp_path / "limited.xml", text), np.array([-1.0, 2.0, 0.5]), np.array([-0.3, 0.4, 0.6])
+    start = {f"j{k}": speed for k, speed in zip((1, 2, 3), v)}
+    engine = Simulation(scene_from_robot(path, Options(start_velocity=start)), "rkmk4", 1e-2)
+    engine.advance(100)
+    hit, inverse = 0.5 / (c @ v), 1.0 / np.array([1.0, 2.0, 3.0])
+    after = v - inverse * c * (c @ v) / (c @ (inverse * c))
+    found = np.array(list(engine.sample().joint_coordinates.values()))
+    # Sums of 100 steps of numbers below 1: 100 EPS.
+    assert found[:, 1] == pytest.approx(after, abs=1e-13)
+    assert found[:, 0] == pytest.approx(v * hit + after * (1.0 - hit), abs=1e-13)
+    beyond = scene_from_robot(path, Options(start={"j1": 1.5}))
+    assert "changes the motion: limits of tendons that start outside of them, left out: tendon_0" in beyond.notes
 
 
 def test_limits_and_equalities_of_tendons(tmp_path):

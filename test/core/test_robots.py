@@ -640,8 +640,11 @@ def test_couplings_beside_a_robot(tmp_path):
     beside = written(
         tmp_path / "geared.yaml",
         f"robot: {path.name}\nstart: {{shoulder: 0.3, extend: 0.1}}\n"
-        "couplings:\n  - {name: rack, joint: extend, other: shoulder, ratio: 0.5}\n",
+        "couplings:\n  - {name: rack, joint: extend, other: shoulder, ratio: 0.5, backlash: {gap: 0.01}}\n",
     )
+    scene = load_scene(beside)
+    assert scene.couplings[0].backlash.gap == 0.01
+    beside.write_text(beside.read_text().replace(", backlash: {gap: 0.01}", ""))
     scene = load_scene(beside)
     assert scene.couplings[0].offset == pytest.approx(0.1 - 0.5 * 0.3, abs=1e-15)
     assert coordinates(scene) == pytest.approx({"shoulder": 0.3, "extend": 0.1}, abs=1e-14)

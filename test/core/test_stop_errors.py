@@ -87,9 +87,9 @@ WRONG = [
     ("planar", {"limits": {"upper": 1}}, "only .*, screw, cylindrical and spherical joints do$"),
     ("planar", {"friction": {"coulomb": 1}}, "only .*, prismatic, screw and cylindrical joints do$"),
     ("planar", {"friction": {"coulomb": 1}}, "friction: a planar joint has none"),
-    ("revolute", {"coupling": {"backlash": {}}}, "gap is missing: give the free play"),
+    ("revolute", {"coupling": {"backlash": {}}}, "gap must be above 0, .* or omitted with viscous alone, got None$"),
     ("revolute", {"coupling": {"backlash": 0.1}}, "backlash must be a mapping with the keys"),
-    ("revolute", {"coupling": {"backlash": {"gap": 0}}}, "gap must be greater than 0, got 0"),
+    ("revolute", {"coupling": {"backlash": {"gap": 0}}}, "gap must be above 0, or 0 with a stiffness, .* got 0.0$"),
     (
         "revolute",
         {"coupling": {"backlash": {"gap": 0.1}, "offset": 1.0}},

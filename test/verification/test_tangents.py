@@ -179,6 +179,8 @@ couplings:
       damping: 0.02}}}}
   - {{name: cam, joint: thread, other: turn, ratio: 0.5, curve: [0.3, -0.2],
       backlash: {{gap: 0.4, stiffness: 200, damping: 0.02}}}}
+  - {{name: spring, joint: turn, other: slide, ratio: 0.3, terms: {{thread: -0.7}}, offset: 0.3,
+      backlash: {{gap: 0, stiffness: 150, viscous: 0.4}}}}
 forces:
   - {{name: f0, type: spring_damper, parent: a, child: e, parent_point: [0, 0, 1], child_point: [0.2, 0, 0],
       stiffness: 50, damping: 3, rest_length: 0.7}}
@@ -239,7 +241,8 @@ def test_rows_of_cut_joints_have_derivatives_in_every_mode(name):
         assert differ(simulation, modes=modes) > 0
 
 
-def test_a_pressed_mesh_of_gears_is_a_spring():
+@pytest.mark.parametrize("law", ["gap: 0.002, damping: 0.02", "gap: 0, damping: 0.02", "gap: 0, viscous: 0.02"])
+def test_a_pressed_mesh_of_gears_is_a_spring(law):
     """Gears on shafts without springs: J = 0.002 and 0.04 kg m^2, contact 200 N m/rad, damping 0.02, ratio 0.5.
 
     x = q_g - q_m / 2 has the effective inertia m = 1 / (1 / 0.04 + 1 / (4 * 0.002)), so the pole is
@@ -256,9 +259,9 @@ joints:
   - {name: m, type: revolute, parent: world, child: motor, parent_frame: {}, child_frame: {}, rate: 6.5}
   - {name: g, type: revolute, parent: world, child: gear, parent_frame: {position: [0.1, 0, 0]}, child_frame: {},
       rate: 3.0}
-couplings: [{name: belt, joint: g, other: m, ratio: 0.5, backlash: {gap: 0.002, stiffness: 200, damping: 0.02}}]
+couplings: [{name: belt, joint: g, other: m, ratio: 0.5, backlash: {LAW, stiffness: 200}}]
 """
-    simulation = Simulation(scene_from_text(text, "test"), quiet=True)
+    simulation = Simulation(scene_from_text(text.replace("LAW", law), "test"), quiet=True)
     simulation.advance_to(0.012)
     mass = 1.0 / (1.0 / 0.04 + 0.25 / 0.002)
     decay = 0.02 / (2.0 * mass)
