@@ -191,10 +191,13 @@ class Stops:
         return found
 
     def beyond(self):
-        """Text of a stop that the state is beyond, where it would act; or None."""
+        """Text of a stop that acts at the state but not in its mode, or only in its mode; or None."""
         layout = self._probe.layout
-        for q, switch in zip(self._places, layout.switches):
-            if switch.limits is not None and switch.limits.excess(q) > BEYOND_STOP:
+        for q, switch, side in zip(self._places, layout.switches, self._probe.modes[:, 2]):
+            if switch.limits is None or switch.limits.least == switch.limits.largest:
+                continue
+            is_pressed = switch.limits.stiffness is not None and side != 0.0
+            if switch.limits.excess(q) * (-1.0 if is_pressed else 1.0) > BEYOND_STOP:
                 return f"{switch.name} would be at {q:.6g} {unit_of(switch, layout.scene)}"
         return None
 

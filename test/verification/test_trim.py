@@ -361,6 +361,24 @@ joints:
     assert least == pytest.approx(-1.5 * 9.81 * 0.6, rel=1e-12) and most == np.inf
 
 
+@pytest.mark.parametrize("gap", [0.0, 0.02])
+def test_a_spring_between_slides_is_pressed_in_equilibrium(gap):
+    """2 kg on a coupling of 300 N/m, which starts pressed, over 1 kg on a spring of 100 N/m: 3 g / 100, 2 g / 300."""
+    text = f"""
+name: pressed
+gravity: [0, 0, -9.81]
+bodies: [{{name: a, mass: 1, inertia: [1, 1, 1]}}, {{name: b, mass: 2, inertia: [1, 1, 1], position: [0, 0, -0.05]}}]
+joints:
+  - {{name: ja, type: prismatic, parent: world, child: a, parent_frame: {{}}, child_frame: {{}}}}
+  - {{name: jb, type: prismatic, parent: world, child: b, parent_frame: {{}}, child_frame: {{}}}}
+couplings: [{{name: c, joint: jb, other: ja, ratio: 1, offset: 0, backlash: {{gap: {gap}, stiffness: 300}}}}]
+forces: [{{name: f, type: linear_spring_damper, joint: ja, stiffness: 100}}]
+"""
+    q = trim(paused(scene_from_text(text))).joints
+    assert q["ja"] == pytest.approx(-0.03 * 9.81, rel=1e-9)
+    assert q["jb"] - q["ja"] == pytest.approx(-2.0 * 9.81 / 300.0 - 0.5 * gap, rel=1e-9)
+
+
 def test_stops_and_friction_hold_together():
     """Of two rods on their hinges one rests on its stop, the other one by friction that no motor replaces."""
     rods = [
