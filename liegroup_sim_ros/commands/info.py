@@ -14,7 +14,8 @@ from rich.text import Text
 from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.recording import RecordingError
 from liegroup_sim_ros.recording.check import is_promise
-from liegroup_sim_ros.recording.damaged_survey import clean, survey
+from liegroup_sim_ros.recording.damaged_survey import survey
+from liegroup_sim_ros.recording.walk import clean
 
 
 def add_arguments(parser):
@@ -86,19 +87,13 @@ def as_json(found):
         "start_step": state.get("steps"),
         "bodies": state.get("bodies"),
         "topics": [
-            {
-                "topic": channel.topic,
-                "type": channel.type,
-                "messages": channel.count,
-                "rate_hz": channel.rate,
-                "lost": channel.lost,
-            }
-            for channel in _in_order(found)
+            {"topic": channel.topic, "type": channel.type, "messages": tally.count, "rate_hz": tally.rate, "lost": lost}
+            for channel, tally, lost in found.figures
         ],
         "attachments": [{"name": name, "media_type": kind, "bytes": size} for name, kind, size in found.attachments],
         "metadata": sorted(found.metadata),
-        "library": found.library,
-        "profile": found.profile,
+        "library": found.header.library,
+        "profile": found.header.profile,
     }
 
 
@@ -135,15 +130,15 @@ def print_survey(found, console):
             f"{content['part']}, from step {content['start_step']}"
             + (f", after {content['previous']}" if content["previous"] else ""),
         )
-        row("created", f"{content['wall_start']}, {found.library}")
+        row("created", f"{content['wall_start']}, {found.header.library}")
     else:
-        row("created by", found.library or "unknown")
+        row("created by", found.header.library or "unknown")
     row(
         "attachments",
         ", ".join(f"{name} ({counted(size, 'byte')})" for name, _, size in found.attachments[:20]) or "none",
     )
     console.print(table)
-    if found.figures:
+    if found.channels:
         console.print()
         console.print(topics_table(found))
 
@@ -164,28 +159,24 @@ def topics_table(found):
         ("dropped", "right"),
     ):
         table.add_column(name, justify=side, overflow="fold", no_wrap=side == "right")
-    for channel in _in_order(found)[:MOST_ROWS]:
+    for channel, tally, lost in found.figures[:MOST_ROWS]:
         table.add_row(
             Text(clean(channel.topic)),
             Text(clean(channel.type).replace("/msg/", "/")),
-            str(channel.count),
-            _rate(channel),
-            str(channel.lost),
+            str(tally.count),
+            _rate(tally.rate),
+            str(lost),
         )
-    if len(found.figures) > MOST_ROWS:
-        table.add_row(f"and {len(found.figures) - MOST_ROWS} more", "", "", "", "")
+    if len(found.channels) > MOST_ROWS:
+        table.add_row(f"and {len(found.channels) - MOST_ROWS} more", "", "", "", "")
     return table
 
 
 MOST_ROWS = 200
 
 
-def _rate(channel):
-    return "" if channel.rate is None else f"{channel.rate:.3f}".rstrip("0").rstrip(".")
-
-
-def _in_order(found):
-    return sorted(found.figures.values(), key=lambda channel: channel.topic)
+def _rate(rate):
+    return "" if rate is None else f"{rate:.3f}".rstrip("0").rstrip(".")
 
 
 def _recovered_from(found):

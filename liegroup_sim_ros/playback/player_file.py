@@ -8,9 +8,8 @@ import numpy as np
 import yaml
 
 from liegroup_core.errors import LieGroupSimError
-from liegroup_sim_ros.recording.mcap_records import AttachmentPiece
 from liegroup_sim_ros.recording.read_file import ErrorsWithPath
-from liegroup_sim_ros.recording.read_mcap import McapStream
+from liegroup_sim_ros.recording.walk import Messages, Walk
 
 _TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
 LONGEST_QOS = 65536  # characters of YAML
@@ -56,7 +55,7 @@ class PlayFile:
     def _index(self):
         """(offset, first, last stamp) of all readable chunks."""
         chunks = []
-        for messages, _ in self._source.messages(self._recording.channels):
+        for messages, _ in self._source.messages():
             offset = self._source.stream.offset
             chunks.append((offset, int(messages.log_time.min()), int(messages.log_time.max())))
         return chunks
@@ -71,10 +70,10 @@ class PlayFile:
         chunks = {offset for offset, _, last in self._chunks if last >= since_ns}
         reached = since_ns
         with ErrorsWithPath(self.path), open(self._source.path, "rb") as file:
-            stream = McapStream(file, self._source.size, lambda at, *_: at in chunks)
+            stream = Walk(file, self._source.size, lambda at, *_: at in chunks)
             stream.channels.update(self._recording.channels)
             for item in stream:
-                if isinstance(item, AttachmentPiece):
+                if not isinstance(item, Messages):
                     continue
                 stamps = item.log_time
                 order = np.argsort(stamps, kind="stable")

@@ -6,11 +6,13 @@ import os
 from pathlib import Path
 
 import yaml
+from mcap.records import Metadata
 
 from . import bag_metadata
-from .damaged_survey import Survey, clean, open_file, walk
+from .damaged_survey import open_file
 from .errors import RecordingError
-from .mcap_records import Damaged
+from .mcap_records import AttachmentPiece, Damaged
+from .walk import MESSAGE, Walk, clean
 from .write import LIBRARY
 from .write_mcap import Chunk, McapFile
 
@@ -44,7 +46,7 @@ def write_recovered(found, out):
 
 
 def _copy(found, file, name):
-    new = McapFile(file, LIBRARY, clean(found.profile))
+    new = McapFile(file, LIBRARY, clean(found.header.profile))
     schemas, channels = {}, {}  # ids in the old file -> in the new one
     chunk = Chunk()
 
@@ -57,33 +59,32 @@ def _copy(found, file, name):
         """New id of a channel; its definitions are written when first needed."""
         if number not in channels:
             old = found.channels[number]
-            schema = found.schemas.get(old.schema_id)
+            schema = old.schema
             if schema is not None and schema.id not in schemas:
                 schemas[schema.id] = new.add_schema(schema.name, schema.encoding, schema.data)
             channels[number] = new.add_channel(
-                old.topic, old.message_encoding, schemas.get(old.schema_id, 0), old.metadata
+                old.topic, old.encoding, schemas[schema.id] if schema else 0, old.metadata
             )
         return channels[number]
 
-    def copy_block(block):
-        data = block.data
-        for number, sequence, log_time, publish_time, start, end in block.messages():
-            if number in found.channels:
-                if chunk.ends_before(log_time):
-                    end_chunk()
-                chunk.add(channels.get(number) or channel(number), log_time, data[start:end], sequence, publish_time)
-
-    def copy_attachment(piece):
-        end_chunk()
-        new.add_attachment(piece.create_time, piece.log_time, piece.name, piece.media_type, piece.data)
-
-    def copy_metadata(piece):
-        if piece.name not in (NOTE, "rosbag2"):
-            new.add_metadata(piece.name, piece.metadata)
-
     stream, size = open_file(found.path)
     with stream:
-        walk(stream, Survey(found.path, size), copy_block, copy_attachment, copy_metadata)
+        for item in Walk(stream, size):
+            if isinstance(item, AttachmentPiece):
+                end_chunk()
+                new.add_attachment(item.create_time, item.log_time, item.name, item.media_type, item.data)
+            elif isinstance(item, Metadata):
+                if item.name not in (NOTE, "rosbag2"):
+                    new.add_metadata(item.name, item.metadata)
+            else:
+                data = item.data.tobytes()
+                for start, size in zip(item.start.tolist(), item.size.tolist()):
+                    number, sequence, log_time, publish_time = MESSAGE.unpack_from(data, start - MESSAGE.size)
+                    if number in found.channels:
+                        if chunk.ends_before(log_time):
+                            end_chunk()
+                        number = channels.get(number) or channel(number)
+                        chunk.add(number, log_time, data[start : start + size], sequence, publish_time)
     for number in found.channels:  # including topics without messages
         channel(number)
     end_chunk()
@@ -96,23 +97,19 @@ def _copy(found, file, name):
             "unfinished": str(found.unfinished),
         },
     )
-    topics = [(_topic_info(found, old), new.counts[channels[number]]) for number, old in found.channels.items()]
+    topics = [(_topic_info(old), new.counts[channels[number]]) for number, old in found.channels.items()]
     new.add_metadata("rosbag2", bag_metadata.record_of_file(name, new.stamps, topics))
     new.finish()
     file.flush()
     return sum(new.counts.values())
 
 
-def _topic_info(found, channel):
+def _topic_info(channel):
     """rosbag2's description of a topic, from the metadata of its channel."""
     try:
         qos = yaml.safe_load(channel.metadata.get("offered_qos_profiles", ""))
     except (yaml.YAMLError, RecursionError, ValueError):
         qos = None
-    schema = found.schemas.get(channel.schema_id)
     return bag_metadata.topic_info(
-        channel.topic,
-        schema.name if schema else "",
-        qos if isinstance(qos, list) else [],
-        channel.metadata.get("topic_type_hash", ""),
+        channel.topic, channel.type, qos if isinstance(qos, list) else [], channel.metadata.get("topic_type_hash", "")
     )

@@ -2,15 +2,13 @@
 """Single records of an MCAP file that may be damaged or hostile, for all readers of this folder.
 
 Records with a wrong checksum are refused. Claimed sizes are not trusted, so memory is bounded by
-LARGEST. damaged_scan.py uses these functions to find intact records, read_mcap.py to read the
-messages of a recording as arrays.
+LARGEST. walk.py passes over whole files.
 
 Source: mcap.dev specification, version 0.
 """
 
 import struct
 import zlib
-from array import array
 from io import BytesIO
 from pathlib import Path
 from typing import NamedTuple
@@ -31,7 +29,6 @@ LARGEST_RATIO = 100
 GROWS = f"it claims to contain more than {LARGEST_RATIO} times its size; the rest is omitted"
 
 RECORD = struct.Struct("<BQ")  # opcode, length of the content
-_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 CHUNK = struct.Struct("<QQQII")  # times, size, checksum, length of the compression name
 _ATTACHMENT = struct.Struct("<QQI")  # log time, create time, length of the name
 TABLES = (".npz", ".csv", ".parquet")  # that `run` and `sweep` write
@@ -41,27 +38,15 @@ class Damaged(Exception):
     """Bytes that violate the format or its checksums."""
 
 
+class Misfit(Damaged):
+    """Sizes in a record that contradict its length."""
+
+
 def read_magic(file):
     """Read what an MCAP file begins with. Raises Damaged for another file."""
     if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
         is_table = Path(str(getattr(file, "name", ""))).suffix in TABLES
         raise Damaged("not an MCAP file" + (": write one with `run --out FILE.mcap`" if is_table else ""))
-
-
-class Block(NamedTuple):
-    """Records of schemas, channels and messages."""
-
-    definitions: list  # Schema and Channel
-    starts: array  # offsets in `data` at which messages begin
-    ends: array  # and end
-    data: bytes
-    is_whole: bool  # False: the beginning of a truncated chunk
-
-    def messages(self):
-        """Generator of (channel, sequence, log time, publish time, start and end of the bytes)."""
-        data, unpack, size = self.data, _MESSAGE.unpack_from, _MESSAGE.size
-        for start, end in zip(self.starts, self.ends):
-            yield (*unpack(data, start), start + size, end)
 
 
 class ChunkHead(NamedTuple):
@@ -119,11 +104,11 @@ def parsed(kind, body):
 def chunk_head(body):
     """ChunkHead of a chunk; its first 56 bytes suffice. Raises Damaged."""
     if len(body) < CHUNK.size:
-        raise Damaged("a damaged chunk")
+        raise Misfit("a damaged chunk")
     first_ns, last_ns, size, checksum, name_length = CHUNK.unpack_from(body)
     data_start = CHUNK.size + name_length + 8
     if name_length > 16 or len(body) < data_start:
-        raise Damaged("a damaged chunk")
+        raise Misfit("a damaged chunk")
     compression = body[CHUNK.size : CHUNK.size + name_length]
     (length,) = struct.unpack_from("<Q", body, data_start - 8)
     return ChunkHead(first_ns, last_ns, size, checksum, compression, data_start, length)
@@ -142,7 +127,7 @@ def chunk_data(head, packed):
 
 def check_claim(head):
     """Raise Damaged if a chunk claims to contain more than messages can."""
-    if head.size > LARGEST or head.size > MOST_EXPANSION * max(head.length, 64):
+    if max(head.size, head.length) > LARGEST or head.size > MOST_EXPANSION * max(head.length, 64):
         raise Damaged(f"a chunk of {head.length} bytes that claims to contain {head.size}")
 
 
@@ -169,16 +154,12 @@ def _decompressed(compression, data, size):
 
 
 def beginning(body):
-    """Block of the readable beginning of a truncated chunk, or None."""
-    try:
-        head = chunk_head(body)
-    except Damaged:
-        return None
-    data, start = b"", head.data_start
+    """Records at the readable beginning of a truncated chunk, bytes. Raises Damaged."""
+    head = chunk_head(body)
+    start, parts, left = head.data_start, [], min(head.size, LARGEST)
     if head.compression == b"":
-        data = body[start:]
-    elif head.compression == b"zstd":
-        parts, left = [], min(head.size, LARGEST)
+        return body[start:]
+    if head.compression == b"zstd":
         decompress = zstandard.ZstdDecompressor(max_window_size=LARGEST).decompressobj().decompress
         try:
             while left > 0 and start < len(body):
@@ -188,51 +169,23 @@ def beginning(body):
                 start += 64
         except (zstandard.ZstdError, MemoryError):
             pass
-        data = b"".join(parts)[: head.size]
-    try:
-        block = block_of(data, is_whole=False)
-    except Damaged:
-        return None
-    return block if block.definitions or block.starts else None
-
-
-def block_of(data, is_whole=True):
-    """Block of uncompressed records; bytes after the last whole one are omitted. Raises Damaged."""
-    definitions, starts, ends, at, size = [], array("I"), array("I"), 0, len(data)
-    while at + RECORD.size <= size:
-        opcode, length = RECORD.unpack_from(data, at)
-        start, end = at + RECORD.size, at + RECORD.size + length
-        if end > size:
-            break
-        if opcode == Opcode.MESSAGE:
-            if length < _MESSAGE.size:
-                raise Damaged("a damaged message")
-            starts.append(start)
-            ends.append(end)
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            definitions.append(parsed(KINDS[opcode], data[start:end]))
-        elif opcode < 0x80:
-            raise Damaged("a chunk with a record of a wrong kind")
-        at = end
-    if is_whole and at != size:
-        raise Damaged("a chunk with a truncated record")
-    return Block(definitions, starts, ends, data, is_whole)
+    return b"".join(parts)[: head.size]
 
 
 def attachment_of(body):
     """AttachmentPiece of a record. Raises Damaged."""
     if len(body) < _ATTACHMENT.size + 4:
-        raise Damaged("a damaged attachment")
+        raise Misfit("a damaged attachment")
     log_time, create_time, at = _ATTACHMENT.unpack_from(body)
     stream = _Fields(BytesIO(body[16:]))
     try:
         name, media_type = stream.read_prefixed_string(), stream.read_prefixed_string()
         length = stream.read8()
     except Exception as error:  # as in `parsed`
-        raise Damaged("a damaged attachment") from error
+        raise Misfit("a damaged attachment") from error
     at = 16 + stream.count
     if at + length + 4 != len(body):
-        raise Damaged("a damaged attachment")
+        raise Misfit("a damaged attachment")
     (checksum,) = struct.unpack_from("<I", body, at + length)
     if checksum and zlib.crc32(body[:-4]) != checksum:
         raise Damaged(f"a damaged attachment, {name}")

@@ -93,7 +93,7 @@ class Recording:
     lost: dict  # {topic: messages missing by sequence number}; empty if none
     problem: str | None  # None or one line for the user
     last_ns: int  # last stamp
-    channels: dict = field(repr=False)  # {id: read_mcap.Channel}
+    channels: dict = field(repr=False)  # {id: walk.Channel}
     _source: Source = field(repr=False)
 
     @property
@@ -151,7 +151,7 @@ class Recording:
         found, decoder = [], JointStateDecoder()
         targets = self.settings["topics"].get("servo_targets")
         with ErrorsWithPath(self.path):
-            for messages, channels in self._source.messages(self.channels):
+            for messages, channels in self._source.messages():
                 for channel, index in channels:
                     if channel.type == JOINT_STATE and channel.topic != targets:
                         found += [decoder.decode(messages.payload(k)).complete() for k in index]
@@ -179,7 +179,7 @@ class Recording:
         """{joint: [(stamp, frame_id, six numbers)]} of the wrenches on topics ~/JOINT + ending."""
         found: dict[str, list] = {}
         with ErrorsWithPath(self.path):
-            for messages, channels in self._source.messages(self.channels):
+            for messages, channels in self._source.messages():
                 for channel, index in channels:
                     if channel.type == WrenchStampedCodec.TYPE and channel.topic.endswith(ending):
                         joint = channel.topic.removesuffix(ending).rpartition("/")[2]
@@ -270,7 +270,7 @@ class Recording:
         """(topic, stamps, values (k, bodies, numbers)) of the poses, twists and errors in each chunk."""
         last = {}
         with ErrorsWithPath(self.path):
-            for messages, channels in self._source.messages(self.channels):
+            for messages, channels in self._source.messages():
                 for channel, index in channels:
                     if channel.topic not in wanted:
                         continue

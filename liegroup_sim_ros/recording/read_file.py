@@ -16,8 +16,8 @@ from .checkpoints import stamp_of
 from .errors import AddressError, RecordingError
 from .input_track import KINDS, InputTrack
 from .mcap_records import RECORD, AttachmentPiece, Damaged, attachment_of
-from .read_mcap import McapStream
 from .tracks import Event
+from .walk import Messages, Tally, Walk
 
 MOST_EVENTS = 10**6  # limit of events and of diagnostics; a run has about one a second
 
@@ -55,8 +55,8 @@ class Attachments:
         if name not in self._found:
             stream = self._stream
             raise RecordingError(
-                f"damaged: {stream.remarks[0]}"
-                if stream.remarks
+                f"damaged: {next(iter(stream.problems))}"
+                if stream.problems
                 else "truncated before the first attachment"
                 if not (self._found or stream.finished)
                 else f'no attachment "{name}": not a recording of this simulator'
@@ -83,10 +83,10 @@ class Source:
             self.size = file.seek(0, 2)  # the file may grow while it is read
 
     def attachments(self):
-        """({name: bytes}, McapStream) without the checkpoints; chunks are not decompressed."""
+        """({name: bytes}, Walk) without the checkpoints; chunks are not decompressed."""
         found, self._checkpoints = {}, {}
         with open(self.path, "rb") as file:
-            stream = McapStream(file, self.size, wanted=lambda *_: False)
+            stream = Walk(file, self.size, wanted=lambda *_: False)
             for item in stream:
                 if isinstance(item, AttachmentPiece):
                     stamp = stamp_of(item.name)
@@ -104,33 +104,19 @@ class Source:
     def checkpoint(self, stamp):
         """Entries of the checkpoint with a stamp, a dict. Raises RecordingError."""
         with open(self.path, "rb") as file:
-            file.seek(self._checkpoints[stamp] - RECORD.size)
+            file.seek(self._checkpoints[stamp])
             _, length = RECORD.unpack(file.read(RECORD.size))
             piece = attachment_of(file.read(length))
         return Attachments({piece.name: piece.data}, None).json(piece.name)
 
-    def messages(self, channels=None):
-        """(Messages, [(Channel, indices of its messages)]) of each chunk; `stream` is the reader.
-
-        channels : channels already known, if any
-        """
+    def messages(self):
+        """(Messages, [(Channel, indices of its messages)]) of each chunk; `stream` is the reader."""
         with open(self.path, "rb") as file:
-            self.stream = stream = McapStream(file, self.size)
-            stream.channels.update(channels or {})
+            self.stream = stream = Walk(file, self.size)
             for item in stream:
-                if isinstance(item, AttachmentPiece) or not len(item.channel):
-                    continue
-                order = np.argsort(item.channel, kind="stable")
-                numbers, first = np.unique(item.channel[order], return_index=True)
-                parts = np.split(order, first[1:])
-                yield (
-                    item,
-                    [
-                        (stream.channels[number], part)
-                        for number, part in zip(numbers.tolist(), parts)
-                        if number in stream.channels
-                    ],
-                )
+                if isinstance(item, Messages) and item.is_whole:
+                    parts = item.by_channel()
+                    yield item, [(stream.channels[k], index) for k, index in parts if k in stream.channels]
 
 
 class Scan:
@@ -138,10 +124,10 @@ class Scan:
 
     def __init__(self, source, settings, bodies):
         topics, before = settings["topics"], settings.get("sequences")
-        before = before if isinstance(before, dict) else {}  # of the previous part
+        self._before = before if isinstance(before, dict) else {}  # of the previous part
         self.events, self.diagnostics = [], []
         self.last_ns = 0
-        self._tallies = {}  # channel id -> _Tally
+        self._tallies = {}  # channel id -> Tally
         self.inputs = InputTrack()
         prefix, world = settings.get("frame_prefix", ""), settings.get("world_frame", "world")
         self._frames = old_inputs.frames(bodies, prefix, world)
@@ -157,9 +143,7 @@ class Scan:
         for messages, channels in source.messages():
             self.last_ns = max(self.last_ns, int(messages.log_time.max()))
             for channel, index in channels:
-                if channel.id not in self._tallies:
-                    self._tallies[channel.id] = _Tally(channel.topic, before.get(channel.topic))
-                self._tallies[channel.id].add(messages.sequence[index])
+                self._tallies.setdefault(channel.id, Tally()).add(messages.sequence[index], messages.log_time[index])
                 if channel.topic == events:
                     self.events += [
                         Event(stamp, name, text)
@@ -182,11 +166,9 @@ class Scan:
             if max(len(self.events), len(self.diagnostics)) > MOST_EVENTS:
                 raise RecordingError(f"contains more than {MOST_EVENTS} events or diagnostics")
         self.channels = source.stream.channels
-        for channel in self.channels.values():
-            self._tallies.setdefault(channel.id, _Tally(channel.topic))
+        self._written = None  # {channel id: number of messages} by a summary
         if source.stream.statistics and source.stream.finished:
-            for number, tally in self._tallies.items():
-                tally.written = source.stream.statistics.get(number, 0)
+            self._written = source.stream.statistics.channel_message_counts
 
     def _add_inputs(self, messages, index):
         for k in index:
@@ -212,19 +194,30 @@ class Scan:
             raise RecordingError("the stamps of its inputs are out of range") from None
 
     def counts(self):
+        """{topic: number of messages}."""
         result = {}
-        for tally in self._tallies.values():
-            result[tally.topic] = result.get(tally.topic, 0) + tally.count
+        for channel in self.channels.values():
+            result[channel.topic] = result.get(channel.topic, 0) + self._tally(channel).count
         return result
 
     def lost(self):
-        return {tally.topic: tally.lost for tally in self._tallies.values()}
+        """{topic: missing messages}: sequence numbers begin with 1, continue those of the previous part, or are 0."""
+        result = {}
+        for channel in self.channels.values():
+            tally, before = self._tally(channel), self._before.get(channel.topic)
+            absent = 0 if self._written is None else self._written.get(channel.id, 0) - tally.count
+            result[channel.topic] = max(tally.lost(before if isinstance(before, int) else 0), absent)
+        return result
+
+    def _tally(self, channel):
+        return self._tallies.get(channel.id) or Tally()
 
     def problem(self, source, attachments):
         """Problems of the file as one line of text, or None."""
         stream, problems = source.stream, []
-        if stream.damaged:
-            problems.append(f"{stream.damaged} damaged part(s) skipped: {', '.join(stream.remarks)}")
+        if stream.problems:
+            texts = list(stream.problems)[:5]
+            problems.append(f"{sum(stream.problems.values())} damaged part(s) skipped: {', '.join(texts)}")
         if not stream.finished:
             problems.append(
                 "not finished: it is still being recorded, the process was killed or the "
@@ -232,31 +225,11 @@ class Scan:
             )
         elif stream.statistics is None:
             problems.append("it has no summary")
-        elif any(tally.count != tally.written for tally in self._tallies.values()):
+        elif any(self._tally(each).count != self._written.get(each.id, 0) for each in self.channels.values()):
             problems.append("the number of messages differs from its summary")
-        elif len(attachments) + len(source.checkpoints) < stream.attachments_indexed:
+        elif len(attachments) + len(source.checkpoints) < stream.statistics.attachment_count:
             problems.append("an attachment is missing")
         return "; ".join(problems) or None
-
-
-class _Tally:
-    """Counts the messages of a channel, and the missing ones by sequence number."""
-
-    def __init__(self, topic, before=None):
-        self.topic, self.count, self.written = topic, 0, 0
-        before = before if isinstance(before, int) and 0 <= before < 2**32 else 0
-        self._largest = self._different = before
-
-    def add(self, sequence):
-        self.count += len(sequence)
-        reached = np.maximum.accumulate(np.concatenate([[self._largest], sequence]))
-        self._different += int((sequence > reached[:-1]).sum())
-        self._largest = int(reached[-1])
-
-    @property
-    def lost(self):
-        """Missing messages; sequence numbers begin with 1, continue those of the previous part, or are all 0."""
-        return max(self._largest - self._different, self.written - self.count, 0)
 
 
 def decode(codec, messages, index):

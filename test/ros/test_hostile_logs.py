@@ -25,7 +25,7 @@ from liegroup_sim_ros.messages import topics
 from liegroup_sim_ros.playback.rerun import ReplayError
 from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording.read import RecordingError, read_recording
-from liegroup_sim_ros.recording.read_mcap import McapStream
+from liegroup_sim_ros.recording.walk import Walk
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK, ATTACHMENT = 6, 9
@@ -139,10 +139,11 @@ def test_a_file_of_many_bombs_is_read_up_to_the_total_limit(tmp_path, capsys):
     file = tmp_path / "grows.mcap"
     file.write_bytes(growing_chunks())
     with open(file, "rb") as stream:
-        reader = McapStream(stream, file.stat().st_size)
+        reader = Walk(stream, file.stat().st_size)
         unpacked = sum(len(messages.data) for messages in reader)
     assert 64 * 2**20 < unpacked < 64 * 2**20 + 100 * file.stat().st_size < 30 * 15 * 2**20
-    assert reader.damaged > 10 and "more than 100 times its size" in reader.remarks[0]
+    problem, times = next(iter(reader.problems.items()))
+    assert times > 10 and "more than 100 times its size" in problem
     assert main(["analyze", str(file)]) == 2
     assert "more than 100 times its size" in capsys.readouterr().err
 

@@ -182,18 +182,21 @@ def test_a_truncated_file_gives_its_beginning_or_one_error_line(run, tmp_path):
     assert read > 10  # the file has several chunks
 
 
-def test_a_damaged_chunk_is_skipped_counted_and_reported(run, tmp_path):
+@pytest.mark.parametrize("number", [0, 1])
+def test_a_damaged_chunk_is_skipped_counted_and_reported(run, tmp_path, number):
+    """The first chunk has the definitions, which are in the summary, too."""
     path, written = run
     with open(path, "rb") as stream:
         chunks = make_reader(stream).get_summary().chunk_indexes
     assert len(chunks) > 2
     data = bytearray(path.read_bytes())
-    at = chunks[1].chunk_start_offset + chunks[1].chunk_length // 2
+    at = chunks[number].chunk_start_offset + chunks[number].chunk_length // 2
     data[at : at + 40] = bytes(b ^ 0x55 for b in data[at : at + 40])
     (tmp_path / "damaged.mcap").write_bytes(data)
     recording = read_recording(tmp_path / "damaged.mcap")
     assert not recording.complete and "1 damaged part(s) skipped" in recording.problem
     assert recording.lost.keys() >= set(TOPICS["pose"].values())
+    assert {len(track.time) for track in recording.pose.values()} == {recording.topics[TOPICS["pose"]["top"]]}
     for topic, lost in recording.lost.items():
         assert recording.topics[topic] + lost == len(written[topic])
 
