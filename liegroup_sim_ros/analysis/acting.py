@@ -85,8 +85,7 @@ class Acting:
         modes = stretch.joint_modes
         found = [
             *(stretch.seconds_of(part) for part in (start, end)),
-            stretch.target_times,
-            stretch.motion_times,
+            *(changes.times for changes in stretch.changes.values()),
             [] if modes is None else (modes.stamp_ns - stretch.base_ns) * 1e-9,
             *(rows[name] for name in ("start", "end")),
             *(motions[:, 0] for motions in self._layout.motions.values()),

@@ -8,7 +8,7 @@ state of each stretch. A stretch is a part of the recording between resets or se
 import numpy as np
 
 from liegroup_core.errors import SimulationError
-from liegroup_core.forces.commands import WRENCH
+from liegroup_core.forces.commands import TARGET, WRENCH
 from liegroup_core.reference import MotionChange, Reference, ServoChange, Trajectory, WrenchSpan, distance
 from liegroup_core.reference.trajectory import MOST_STEPS
 from liegroup_sim_ros.numbers import counted, shown
@@ -109,7 +109,6 @@ class ReferenceError:
         tell=lambda seconds: None,
     ):
         self._scene, self._starts = layout.scene, Starts(recording, layout)
-        self._servos, self._driven = tuple(layout.servos), tuple(layout.motions)
         self._unit_efforts = layout.unit_efforts
         self._left, self._judged = seconds, 0.0
         self._steps = self._steps_left = steps
@@ -131,8 +130,7 @@ class ReferenceError:
         if k == 0 or self._stopped:
             return
         if self._reference is None:
-            changes = self._wrenches(stretch)
-            changes += self._targets(stretch) + self._motions(stretch)
+            changes = self._wrenches(stretch) + self._changes(stretch)
             pose, twist, angles = self._starts.of(stretch)
             self._reference = Reference(
                 self._scene, pose, twist, changes, self._start, angles=angles, most_steps=self._steps_left
@@ -177,26 +175,19 @@ class ReferenceError:
                 found.append(WrenchSpan(first, last, stretch.bodies[body], wrench))
         return found
 
-    def _targets(self, stretch):
-        """[ServoChange] of a stretch up to the end of the reference."""
-        when = stretch.target_steps * stretch.step
-        upto = int(np.searchsorted(when, self._end, "right"))
-        return [
-            ServoChange(time, joint, *target)
-            for time, targets in zip(when[:upto].tolist(), stretch.targets[:upto].tolist())
-            for joint, target in zip(self._servos, targets)
-        ]
-
-    def _motions(self, stretch):
-        """[MotionChange] of a stretch up to the end of the reference."""
-        when = stretch.motion_steps * stretch.step
-        upto = int(np.searchsorted(when, self._end, "right"))
-        return [
-            MotionChange(time, joint, tuple(motion))
-            for time, motions in zip(when[:upto].tolist(), stretch.motions[:upto].tolist())
-            for joint, motion in zip(self._driven, motions)
-            if np.isfinite(motion[0])
-        ]
+    def _changes(self, stretch):
+        """[ServoChange or MotionChange] of a stretch up to the end of the reference."""
+        found = []
+        for kind, (joints, times, values) in stretch.changes.items():
+            when = stretch.in_steps(times) * stretch.step
+            upto = int(np.searchsorted(when, self._end, "right"))
+            for time, rows in zip(when[:upto].tolist(), values[:upto].tolist()):
+                for joint, row in zip(joints, rows):
+                    if kind == TARGET:
+                        found.append(ServoChange(time, joint, *row))
+                    elif np.isfinite(row[0]):
+                        found.append(MotionChange(time, joint, tuple(row)))
+        return found
 
     def figures(self):
         """(figures, curves), see Errors. Raises SimulationError if no error is known."""

@@ -19,6 +19,9 @@ MOST_STEPS = 10**9
 AT_ONCE, ALIKE_AT_ONCE = 8, 1000
 
 
+MISMATCH = {TARGET: "servo targets do not match the servos", MOTION: "motions do not match the driven joints"}
+
+
 class ReplayError(LieGroupSimError):
     """The run cannot be repeated like this; one line of text, exit code 2."""
 
@@ -87,6 +90,7 @@ class Rerun:
 
     def __init__(self, recording, simulation, work=None):
         self.simulation = simulation
+        self._joints = {TARGET: simulation.layout.servos, MOTION: simulation.layout.motions}
         self._work = work or Work()
         self._starts = Starts(recording, simulation.layout)
         self._recorded = recording.initial_state
@@ -101,10 +105,9 @@ class Rerun:
         checkpoint : entries of the checkpoint. Raises ReplayError
         """
         simulation = self.simulation
-        if stretch.targets.size and stretch.targets.shape[1] != len(simulation.layout.servos):
-            raise ReplayError("its servo targets do not match the servos of its scene")
-        if stretch.motions.size and stretch.motions.shape[1] != len(simulation.layout.motions):
-            raise ReplayError("its motions do not match the driven joints of its scene")
+        for kind, (_, _, values) in stretch.changes.items():
+            if values.size and values.shape[1] != len(self._joints[kind]):
+                raise ReplayError(f"its {MISMATCH[kind]} of its scene")
         recorded = checkpoint or (self._recorded if stretch.is_first else stretch.state)
         try:
             start = (recorded["steps"] if checkpoint else stretch.start) * self.ratio
@@ -120,9 +123,7 @@ class Rerun:
         since = start * simulation.step if checkpoint and "state" in checkpoint else -np.inf
         self._stretch = stretch
         self._next = stretch.inherited + self._number(self._given, since)
-        self._next_target, self._next_motion = (
-            self._number(times, since) for times in (stretch.target_times, stretch.motion_times)
-        )
+        self._next_of = {kind: self._number(times, since) for kind, (_, times, _) in stretch.changes.items()}
         # A change of the accuracy at the stamp of a checkpoint comes after it.
         self._accuracies = [
             (step, accuracy)
@@ -154,20 +155,13 @@ class Rerun:
         for k in range(self._next, upto):
             inputs[k].repeat(self.simulation)
         self._next = max(self._next, upto)
-        upto = int(np.searchsorted(stretch.target_times, until, "right"))
-        for k in range(self._next_target, upto):
-            for joint, values in zip(self.simulation.layout.servos, stretch.targets[k].tolist()):
-                self._repeat(TARGET, joint, values, stretch.target_times[k])
-        self._next_target = max(self._next_target, upto)
-        upto = int(np.searchsorted(stretch.motion_times, until, "right"))
-        for k in range(self._next_motion, upto):
-            for joint, values in zip(self.simulation.layout.motions, stretch.motions[k].tolist()):
-                if np.isfinite(values[0]):
-                    self._repeat(MOTION, joint, values, stretch.motion_times[k])
-        self._next_motion = max(self._next_motion, upto)
-
-    def _repeat(self, kind, joint, values, time):
-        Command(kind, joint, tuple(values), round(float(time) * NS)).repeat(self.simulation)
+        for kind, (_, times, values) in stretch.changes.items():
+            upto = int(np.searchsorted(times, until, "right"))
+            for k in range(self._next_of[kind], upto):
+                for joint, row in zip(self._joints[kind], values[k].tolist()):
+                    if np.isfinite(row[0]):
+                        Command(kind, joint, tuple(row), round(float(times[k]) * NS)).repeat(self.simulation)
+            self._next_of[kind] = max(self._next_of[kind], upto)
 
     @property
     def _given(self):

@@ -6,12 +6,12 @@ import os
 from pathlib import Path
 
 import yaml
-from mcap.records import Metadata
+from mcap.records import Attachment, Metadata
 
 from . import bag_metadata
 from .damaged_survey import open_file
 from .errors import RecordingError
-from .mcap_records import AttachmentPiece, Damaged
+from .mcap_records import Damaged
 from .walk import MESSAGE, Walk, clean
 from .write import LIBRARY
 from .write_mcap import Chunk, McapFile
@@ -70,7 +70,7 @@ def _copy(found, file, name):
     stream, size = open_file(found.path)
     with stream:
         for item in Walk(stream, size):
-            if isinstance(item, AttachmentPiece):
+            if isinstance(item, Attachment):
                 end_chunk()
                 new.add_attachment(item.create_time, item.log_time, item.name, item.media_type, item.data)
             elif isinstance(item, Metadata):

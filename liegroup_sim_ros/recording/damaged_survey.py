@@ -10,10 +10,10 @@ import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from mcap.records import Header, Metadata
+from mcap.records import Attachment, Header, Metadata
 
 from .errors import RecordingError
-from .mcap_records import AttachmentPiece, Damaged
+from .mcap_records import Damaged
 from .walk import Tally, Walk, clean
 
 NO_END = (
@@ -114,7 +114,7 @@ def survey(path):
 def _survey(path, walk, size):
     result, stray = Survey(path, size, walk.header, walk.channels, walk.problems), False
     for item in walk:
-        if isinstance(item, AttachmentPiece):
+        if isinstance(item, Attachment):
             result.attachments.append((item.name, item.media_type, len(item.data)))
             if item.name in _PARSED and item.name not in result.contents:
                 result.contents |= _parsed(item)

@@ -7,7 +7,14 @@ from liegroup_sim_ros.messages.commands import MOTION_COLUMNS
 from liegroup_sim_ros.messages.joint_modes import COLUMNS as MODE_COLUMNS
 
 WRENCH = ["tx", "ty", "tz", "fx", "fy", "fz"]  # N m, N
-ERRORS = ("position", "attitude", "velocity", "angular_velocity")  # m, rad, m/s, rad/s
+# {what: (attribute of a Recording, columns of each of its names)}
+WIDE = {
+    "joints": ("joint_states", ("position", "velocity", "effort")),
+    "servo_targets": ("servo_targets", ("position", "velocity")),
+    "motions": ("motions", MOTION_COLUMNS),
+    "joint_modes": ("joint_modes", MODE_COLUMNS),
+    "errors": ("errors", ("position", "attitude", "velocity", "angular_velocity")),  # m, rad, m/s, rad/s
+}
 
 
 def data_frame(recording, what):
@@ -35,56 +42,20 @@ def data_frame(recording, what):
         columns = ["kind", "name", "source", "axes", *WRENCH, "px", "py", "pz", "start", "end"]
         frame = pandas.DataFrame(rows, recording.inputs.stamp_ns * 1e-9, columns)
         frame[["start", "end"]] = frame[["start", "end"]].astype(float) * 1e-9
-    elif what in ("joints", "servo_targets"):
-        states = recording.joint_states if what == "joints" else recording.servo_targets
-        parts = ("position", "velocity", "effort")[: 3 if what == "joints" else 2]
-        frame = (
-            pandas.DataFrame()
-            if states is None
-            else pandas.concat(
-                {
-                    name: pandas.DataFrame({part: getattr(states, part)[:, k] for part in parts}, states.time)
-                    for k, name in enumerate(states.names)
-                },
-                axis=1,
-            )
-        )
-    elif what == "motions":
-        track = recording.motions
-        frame = (
-            pandas.DataFrame()
-            if track is None
-            else pandas.DataFrame(
-                track.motion.reshape(len(track.motion), -1),
-                track.stamp_ns * 1e-9,
-                pandas.MultiIndex.from_product([track.names, MOTION_COLUMNS]),
-            )
-        )
-    elif what == "joint_modes":
-        track = recording.joint_modes
-        frame = (
-            pandas.DataFrame()
-            if track is None
-            else pandas.DataFrame(
-                track.values.reshape(len(track.values), -1),
-                track.time,
-                pandas.MultiIndex.from_product([track.names, MODE_COLUMNS]),
-            )
-        )
+    elif what in WIDE:
+        attribute, columns = WIDE[what]
+        track, frame = getattr(recording, attribute), pandas.DataFrame()
+        if track is not None:
+            names, *values = (recording.bodies, track.errors) if what == "errors" else track[1:]
+            numbers = np.stack(values[: len(columns)], axis=2) if values[0].ndim == 2 else values[0]
+            columns = pandas.MultiIndex.from_product([names, columns])
+            frame = pandas.DataFrame(numbers.reshape(-1, len(columns)), track.stamp_ns * 1e-9, columns)
     elif what in ("reactions", "impulses"):
         # (stamp_ns, time, wrench or impulse) of each joint.
         parts = {
             joint: pandas.DataFrame(track[-1], track.time, WRENCH) for joint, track in getattr(recording, what).items()
         }
         frame = pandas.concat(parts, axis=1) if parts else pandas.DataFrame()
-    elif what == "errors":
-        track = recording.errors
-        columns = pandas.MultiIndex.from_product([recording.bodies, ERRORS])
-        frame = (
-            pandas.DataFrame()
-            if track is None
-            else pandas.DataFrame(track.errors.reshape(len(track.errors), len(columns)), track.time, columns)
-        )
     elif what == "events":
         frame = pandas.DataFrame(
             [event[1:] for event in recording.events],

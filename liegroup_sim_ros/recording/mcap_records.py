@@ -16,7 +16,7 @@ from typing import NamedTuple
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, Header, Metadata, Schema
+from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
 # Bytes of a record, and of a decompressed chunk. Chunks of the recorder have 128 KiB, those of
@@ -30,7 +30,6 @@ GROWS = f"it claims to contain more than {LARGEST_RATIO} times its size; the res
 
 RECORD = struct.Struct("<BQ")  # opcode, length of the content
 CHUNK = struct.Struct("<QQQII")  # times, size, checksum, length of the compression name
-_ATTACHMENT = struct.Struct("<QQI")  # log time, create time, length of the name
 TABLES = (".npz", ".csv", ".parquet")  # that `run` and `sweep` write
 
 
@@ -61,14 +60,6 @@ class ChunkHead(NamedTuple):
     length: int  # bytes, in the file
 
 
-class AttachmentPiece(NamedTuple):
-    log_time: int
-    create_time: int
-    name: str
-    media_type: str
-    data: bytes
-
-
 # Records that are read, and the class of the library that parses them.
 KINDS = {
     Opcode.HEADER: Header,
@@ -76,7 +67,7 @@ KINDS = {
     Opcode.CHANNEL: Channel,
     Opcode.MESSAGE: None,
     Opcode.CHUNK: None,
-    Opcode.ATTACHMENT: None,
+    Opcode.ATTACHMENT: Attachment,
     Opcode.METADATA: Metadata,
 }
 
@@ -173,20 +164,15 @@ def beginning(body):
 
 
 def attachment_of(body):
-    """AttachmentPiece of a record. Raises Damaged."""
-    if len(body) < _ATTACHMENT.size + 4:
-        raise Misfit("a damaged attachment")
-    log_time, create_time, at = _ATTACHMENT.unpack_from(body)
-    stream = _Fields(BytesIO(body[16:]))
+    """Attachment of a record. Raises Damaged."""
+    stream = _Fields(BytesIO(body))
     try:
-        name, media_type = stream.read_prefixed_string(), stream.read_prefixed_string()
-        length = stream.read8()
+        found = Attachment.read(stream)
     except Exception as error:  # as in `parsed`
         raise Misfit("a damaged attachment") from error
-    at = 16 + stream.count
-    if at + length + 4 != len(body):
+    if stream.count != len(body):
         raise Misfit("a damaged attachment")
-    (checksum,) = struct.unpack_from("<I", body, at + length)
+    (checksum,) = struct.unpack_from("<I", body, len(body) - 4)
     if checksum and zlib.crc32(body[:-4]) != checksum:
-        raise Damaged(f"a damaged attachment, {name}")
-    return AttachmentPiece(log_time, create_time, name, media_type, body[at : at + length])
+        raise Damaged(f"a damaged attachment, {found.name}")
+    return found

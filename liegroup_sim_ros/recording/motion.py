@@ -12,7 +12,6 @@ import numpy as np
 import scipy
 
 from liegroup_core.forces.commands import EFFORT, MOTION, TARGET, Command
-from liegroup_core.joints.motion import COLUMNS
 from liegroup_sim_ros.messages import events
 
 from .attachments import commands_in
@@ -24,6 +23,14 @@ from .tracks import ModeTrack
 KEPT, LEAST_KEPT = 40_000, 2000
 LATEST = 2**62  # ns; larger stamps are invalid
 ON_GRID = 1e-3  # periods by which stamps may be early: they are rounded to ns
+
+
+class Changes(NamedTuple):
+    """Values of joints from some times on: wanted ones of servos (position, velocity), or motions of driven joints."""
+
+    joints: tuple  # in the order of the values; () without a layout
+    times: np.ndarray  # (p,) s since step 0
+    values: np.ndarray  # (p, joints, numbers)
 
 
 @dataclass(eq=False)
@@ -46,12 +53,7 @@ class Stretch:
     inherited: int  # number of these in its first state
     efforts_on: dict  # {joint: names of the bodies on which an effort acts}
     joint_modes: ModeTrack | None  # of the whole recording
-    servos: tuple  # joints, in the order of `targets`
-    driven: tuple  # joints, in the order of `motions`
-    target_times: np.ndarray  # (p,) s since step 0, at which wanted values of servos change
-    targets: np.ndarray  # (p, servos, 2) wanted positions and velocities, in the order of the layout
-    motion_times: np.ndarray  # (q,) s since step 0, at which motions of driven joints change
-    motions: np.ndarray  # (q, d, 7) commanded motions, in the order of the layout
+    changes: dict  # {TARGET: Changes of all servos, MOTION: Changes of all driven joints}
     accuracies: list  # [(step, accuracy)] from which on another accuracy holds
     inaccurate_from: float  # s since step 0, up to which the requested accuracy was kept; inf: always
     samples: int = 0  # number of all samples
@@ -79,23 +81,14 @@ class Stretch:
 
     def seconds_of(self, times_ns):
         """[s] of times in ns since step 0, computed as those of samples if they are at a step; FOREVER is infinity."""
-        seconds = self._in_steps(times_ns * 1e-9) * self.step
+        seconds = self.in_steps(times_ns * 1e-9) * self.step
         return np.where(times_ns == FOREVER, np.inf, seconds).tolist()
 
-    def _in_steps(self, times):
+    def in_steps(self, times):
+        """Times in s since step 0 in steps; whole numbers within the rounding of stamps to ns."""
         steps = times / self.step
         whole = np.rint(steps)
         return np.where(np.abs(steps - whole) * self.step <= 0.6e-9, whole, steps)
-
-    @property
-    def target_steps(self):
-        """(p,) target_times in steps; whole numbers within the rounding of stamps to ns."""
-        return self._in_steps(self.target_times)
-
-    @property
-    def motion_steps(self):
-        """(q,) motion_times in steps; whole numbers within the rounding of stamps to ns."""
-        return self._in_steps(self.motion_times)
 
     @property
     def seconds(self):
@@ -119,11 +112,11 @@ class Stretch:
     def _intervals(self, mine):
         """(p, 2) first and end step of the intervals in which any of the spans with these numbers acts."""
         start, end, _ = self._spans
-        start, end = self._in_steps(start[mine] * 1e-9), self._in_steps(end[mine] * 1e-9)
+        start, end = self.in_steps(start[mine] * 1e-9), self.in_steps(end[mine] * 1e-9)
         end[self._spans[1][mine] == FOREVER] = np.inf
         begun, over = self.start, np.inf
         if self.end_ns < np.inf:
-            over = self._in_steps((self.end_ns - self.base_ns) * 1e-9)
+            over = self.in_steps((self.end_ns - self.base_ns) * 1e-9)
         start, end = np.maximum(start, begun), np.minimum(end, over)
         start, end = start[start < end], end[start < end]
         if not len(start):
@@ -138,14 +131,11 @@ class Stretch:
         start, end, numbers = self._spans
         time = step * self.step
         found = [self.inputs[k] for k in numbers[(start * 1e-9 <= time) & (time < end * 1e-9)].tolist()]
-        for kind, names, steps, values in (
-            (TARGET, self.servos, self.target_steps, self.targets),
-            (MOTION, self.driven, self.motion_steps, self.motions),
-        ):
-            known = np.flatnonzero(steps <= step)
+        for kind, (joints, times, values) in self.changes.items():
+            known = np.flatnonzero(self.in_steps(times) <= step)
             if len(known):
-                rows = zip(names, values[known[-1]].tolist())
-                found += [Command(kind, name, tuple(row), 0) for name, row in rows if np.isfinite(row[0])]
+                rows = zip(joints, values[known[-1]].tolist())
+                found += [Command(kind, joint, tuple(row), 0) for joint, row in rows if np.isfinite(row[0])]
         return found
 
     def modes_at(self, step):
@@ -244,11 +234,16 @@ class Motion:
 
     def __init__(self, recording, layout=None):
         self._recording = recording
-        self._efforts_on, self._joints = {}, ((), ())
+        self._efforts_on, joints = {}, ((), ())
         if layout is not None:
-            self._joints = tuple(layout.servos), tuple(layout.motions)
+            joints = tuple(layout.servos), tuple(layout.motions)
             units = layout.unit_efforts.items()
             self._efforts_on = {joint: [layout.body_names[i] for i, _ in on] for joint, on in units}
+        targets, motions = recording.servo_targets, recording.motions
+        self._values = [  # (kind, joints, track, its values)
+            (TARGET, joints[0], targets, targets and np.stack([targets.position, targets.velocity], axis=2)),
+            (MOTION, joints[1], motions, motions and motions.motion),
+        ]
         self.stretches = []
         self.samples = self.missing = self.gaps = self.not_finite = 0
         self.first_not_finite = None
@@ -307,9 +302,7 @@ class Motion:
             len(before),
             self._efforts_on,
             self._recording.joint_modes,
-            *self._joints,
-            *self._targets(begin, base, end),
-            *self._motions(begin, base, end),
+            self._changes(begin, base, end),
             *self._accuracies(begin, base, end, step),
         )
 
@@ -321,22 +314,15 @@ class Motion:
             raise RecordingError(f"{self._recording.path}: {error}") from None
         return [c for part in commands for c in part if c.kind in KINDS]
 
-    def _targets(self, begin, base, end):
-        """Times in s at which wanted values of servos change, and these values."""
-        track = self._recording.servo_targets
-        if track is None:
-            return np.empty(0), np.empty((0, 0, 2))
-        inside = (track.stamp_ns >= begin) & (track.stamp_ns < end)
-        values = np.stack([track.position[inside], track.velocity[inside]], axis=2)
-        return (track.stamp_ns[inside] - base) * 1e-9, values
-
-    def _motions(self, begin, base, end):
-        """Times in s at which motions of driven joints change, and these motions."""
-        track = self._recording.motions
-        if track is None:
-            return np.empty(0), np.empty((0, 0, COLUMNS))
-        inside = (track.stamp_ns >= begin) & (track.stamp_ns < end)
-        return (track.stamp_ns[inside] - base) * 1e-9, track.motion[inside]
+    def _changes(self, begin, base, end):
+        """{kind: Changes} between two stamps."""
+        found = {}
+        for kind, joints, track, values in self._values:
+            found[kind] = Changes(joints, np.empty(0), np.empty((0, 0, 0)))
+            if track is not None:
+                inside = (track.stamp_ns >= begin) & (track.stamp_ns < end)
+                found[kind] = Changes(joints, (track.stamp_ns[inside] - base) * 1e-9, values[inside])
+        return found
 
     def _accuracies(self, begin, base, end, step):
         """Changes of the accuracy, and the first time in s at which it was not kept, or changed without a request."""

@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+from mcap.records import Attachment
 
 from liegroup_sim_ros.messages import diagnostics, inputs, joint_modes
 from liegroup_sim_ros.messages.codecs import LogCodec, MessageError, WrenchStampedCodec, decode_rows
@@ -15,7 +16,7 @@ from .addresses import fetch, is_remote
 from .checkpoints import stamp_of
 from .errors import AddressError, RecordingError
 from .input_track import KINDS, InputTrack
-from .mcap_records import RECORD, AttachmentPiece, Damaged, attachment_of
+from .mcap_records import RECORD, Damaged, attachment_of
 from .tracks import Event
 from .walk import Messages, Tally, Walk
 
@@ -88,7 +89,7 @@ class Source:
         with open(self.path, "rb") as file:
             stream = Walk(file, self.size, wanted=lambda *_: False)
             for item in stream:
-                if isinstance(item, AttachmentPiece):
+                if isinstance(item, Attachment):
                     stamp = stamp_of(item.name)
                     if stamp is None:
                         found.setdefault(item.name, item.data)

@@ -8,57 +8,50 @@ import numpy as np
 from liegroup_sim_ros.messages import joint_modes
 
 
-class _Timed:
-    @property
-    def time(self):
-        """(n,) s of simulated time."""
-        return self.stamp_ns * 1e-9
+def _time(track):
+    """(n,) s of simulated time."""
+    return track.stamp_ns * 1e-9
 
 
-class _PoseTrack(NamedTuple):
+class PoseTrack(NamedTuple):
+    """Poses of one body."""
+
     stamp_ns: np.ndarray  # (n,) int64, ns
     position: np.ndarray  # (n, 3) m, world
     quaternion: np.ndarray  # (n, 4) x, y, z, w, body -> world
+    time = property(_time)
 
 
-class PoseTrack(_PoseTrack, _Timed):
-    """Poses of one body."""
-
-
-class _TwistTrack(NamedTuple):
-    stamp_ns: np.ndarray  # (n,) int64, ns
-    twist: np.ndarray  # (n, 6) (omega, v), rad/s and m/s, body axes
-
-
-class TwistTrack(_TwistTrack, _Timed):
+class TwistTrack(NamedTuple):
     """Twists of one body."""
 
+    stamp_ns: np.ndarray  # (n,) int64, ns
+    twist: np.ndarray  # (n, 6) (omega, v), rad/s and m/s, body axes
+    time = property(_time)
 
-class _ErrorTrack(NamedTuple):
-    stamp_ns: np.ndarray  # (m,) int64, ns
-    errors: np.ndarray  # (m, n, 4) of n bodies: m, rad, m/s, rad/s; NaN: not known yet, inf: unknown
 
-
-class ErrorTrack(_ErrorTrack, _Timed):
+class ErrorTrack(NamedTuple):
     """Estimated errors of all bodies, as in Sample.errors."""
 
+    stamp_ns: np.ndarray  # (m,) int64, ns
+    errors: np.ndarray  # (m, n, 4) of n bodies: m, rad, m/s, rad/s; NaN: not known yet, inf: unknown
+    time = property(_time)
 
-class _ReactionTrack(NamedTuple):
-    stamp_ns: np.ndarray  # (n,) int64, ns
-    wrench: np.ndarray  # (n, 6) (torque, force), N m and N; NaN: undetermined
 
-
-class ReactionTrack(_ReactionTrack, _Timed):
+class ReactionTrack(NamedTuple):
     """Reactions of one joint, as in Sample.reactions."""
 
+    stamp_ns: np.ndarray  # (n,) int64, ns
+    wrench: np.ndarray  # (n, 6) (torque, force), N m and N; NaN: undetermined
+    time = property(_time)
 
-class _ImpulseTrack(NamedTuple):
+
+class ImpulseTrack(NamedTuple):
+    """Impulses of one joint at impacts, as in Engine.drain_impacts."""
+
     stamp_ns: np.ndarray  # (m,) int64, ns, of the impacts
     impulse: np.ndarray  # (m, 6) (torque, force), N m s and N s; NaN: undetermined
-
-
-class ImpulseTrack(_ImpulseTrack, _Timed):
-    """Impulses of one joint at impacts, as in Engine.drain_impacts."""
+    time = property(_time)
 
 
 class MotionTrack(NamedTuple):
@@ -69,14 +62,13 @@ class MotionTrack(NamedTuple):
     motion: np.ndarray  # (k, d, 7); an infinite origin means the motion of the scene
 
 
-class _ModeTrack(NamedTuple):
+class ModeTrack(NamedTuple):
+    """Modes of the joints with stops or friction from each stamp on; see messages/joint_modes.py."""
+
     stamp_ns: np.ndarray  # (m,) int64, ns
     names: tuple  # of k joints
     values: np.ndarray  # (m, k, 6) mode, slip, coordinate; impulse and energy of impacts; effort
-
-
-class ModeTrack(_ModeTrack, _Timed):
-    """Modes of the joints with stops or friction from each stamp on; see messages/joint_modes.py."""
+    time = property(_time)
 
     def switching(self, stamp_ns):
         """(k, 5) of a sample with this stamp, for Sample.switching; None before the first message."""
@@ -84,16 +76,15 @@ class ModeTrack(_ModeTrack, _Timed):
         return joint_modes.switching(self.values[last]) if last >= 0 else None
 
 
-class _JointTrack(NamedTuple):
+class JointTrack(NamedTuple):
+    """Coordinates of the joints that have one."""
+
     stamp_ns: np.ndarray  # (n,) int64, ns
     names: tuple  # of k joints
     position: np.ndarray  # (n, k) rad or m
     velocity: np.ndarray  # (n, k) rad/s or m/s
     effort: np.ndarray  # (n, k) N m or N; NaN: none
-
-
-class JointTrack(_JointTrack, _Timed):
-    """Coordinates of the joints that have one."""
+    time = property(_time)
 
 
 class Samples(NamedTuple):

@@ -136,7 +136,7 @@ class Tally:
 
 
 class Walk:
-    """One pass over a file: `for item in walk` yields AttachmentPiece, Metadata and Messages.
+    """One pass over a file: `for item in walk` yields Attachment, Metadata and Messages.
 
     file        : seekable binary file
     size        : bytes to read

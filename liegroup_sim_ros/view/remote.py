@@ -147,15 +147,12 @@ class Remote(Source):
         self._subscribe(topics.STATE, self._take_state)
 
     def _take_pose(self, payload, i):
-        stamps, _, position, quaternion = PoseStampedCodec.decode([payload])
-        self._set_pose(i, np.concatenate([position[0], quaternion[0]]))
-        self._stamps[i][0] = int(stamps[0])
+        self._stamps[i][0], _, values = PoseStampedCodec.decode_one(payload)
+        self._set_pose(i, values)
         self._complete()
 
     def _take_twist(self, payload, i):
-        stamps, _, values = TwistStampedCodec.decode([payload])
-        self._twist[i] = values[0]
-        self._stamps[i][1] = int(stamps[0])
+        self._stamps[i][1], _, self._twist[i] = TwistStampedCodec.decode_one(payload)
         self._complete()
 
     def _set_pose(self, i, values):
