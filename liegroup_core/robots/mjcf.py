@@ -136,7 +136,7 @@ def _body(robot, model, body, name, names, lines):
         above @ place(body["pos"], _rotation(body["quat"])),
         weight=1.0 - body["gravcomp"],
     )
-    if body["mocap"]:
+    if body["mocap"] >= 0:
         robot.leave_out("mocap bodies, which stay in place", name)
 
 

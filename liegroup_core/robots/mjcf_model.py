@@ -30,14 +30,8 @@ def arrays_of(path):
         "skins": [f"skin_{i}" for i in range(model.nskin)],
         "plugins": [f"plugin_{i}" for i in range(model.nplugin)],
         "keys": [
-            {
-                "name": model.key(i).name or f"key_{i}",
-                "qpos": model.key_qpos[i].tolist(),
-                "qvel": model.key_qvel[i].tolist(),
-                "ctrl": model.key_ctrl[i].tolist(),
-                "act": model.key_act[i].tolist(),
-                "mocap": _moves_mocap(model, i),
-            }
+            _of(model, "key", i, "qpos", "qvel", "ctrl", "act")
+            | {"name": model.key(i).name or f"key_{i}", "mocap": _moves_mocap(model, i)}
             for i in range(model.nkey)
         ],
         "qpos0": model.qpos0.tolist(),
@@ -59,19 +53,15 @@ def _text(names, start):
     return bytes(names[start:]).split(b"\0", 1)[0].decode(errors="replace")
 
 
+def _of(model, kind, i, *names, **other):
+    """{name: value} of element i in the arrays KIND_NAME of a model; other : {key: name} of those with another key."""
+    names = dict(zip(names, names)) | other
+    return {key: getattr(model, f"{kind}_{name}")[i].tolist() for key, name in names.items()}
+
+
 def _body(model, i):
-    return {
-        "name": model.body(i).name,
-        "parent": int(model.body_parentid[i]),
-        "pos": model.body_pos[i].tolist(),
-        "quat": model.body_quat[i].tolist(),
-        "ipos": model.body_ipos[i].tolist(),
-        "iquat": model.body_iquat[i].tolist(),
-        "mass": float(model.body_mass[i]),
-        "inertia": model.body_inertia[i].tolist(),
-        "gravcomp": float(model.body_gravcomp[i]),
-        "mocap": bool(model.body_mocapid[i] >= 0),
-    }
+    same = ("pos", "quat", "ipos", "iquat", "mass", "inertia", "gravcomp")
+    return _of(model, "body", i, *same, parent="parentid", mocap="mocapid") | {"name": model.body(i).name}
 
 
 def _switch_off(model):
@@ -185,12 +175,10 @@ def _tendon(model, i):
     """Tendon: straight with `sites`, or fixed with `terms` and lengths from the pose of the file; other: more laws."""
     driver, terms = int(model.tendon_actuatorid[i]), _coefficients(model, i) or ()
     zero = float(model.tendon_length0[i]) if terms else 0.0
-    return {
+    return _of(model, "tendon", i, "stiffness", "damping") | {
         "name": model.tendon(i).name or f"tendon_{i}",
         "sites": _ends(model, i),
         "terms": terms,
-        "stiffness": float(model.tendon_stiffness[i]),
-        "damping": float(model.tendon_damping[i]),
         "rest": (model.tendon_lengthspring[i] - zero).tolist(),
         "range": (model.tendon_range[i] - zero).tolist() if model.tendon_limited[i] else None,
         "other": bool(
@@ -232,17 +220,12 @@ def _joint(model, i):
         nonlinear |= np.any(model.actuator_dampingpoly[driver])
         damping += _gear(model, driver) ** 2 * float(model.actuator_damping[driver])
         armature += _gear(model, driver) ** 2 * float(model.actuator_armature[driver])
-    return {
+    own = _of(model, "jnt", i, "pos", "axis", "stiffness", body="bodyid", qpos="qposadr", dof="dofadr")
+    return own | {
         "name": model.joint(i).name,
         "type": ("free", "ball", "slide", "hinge")[kind],
-        "body": int(model.jnt_bodyid[i]),
-        "pos": model.jnt_pos[i].tolist(),
-        "axis": model.jnt_axis[i].tolist(),
-        "qpos": int(at),
-        "dof": int(dof),
         "zero": float(model.qpos0[at]),
         "spring": float(model.qpos_spring[at]),
-        "stiffness": float(model.jnt_stiffness[i]),
         "damping": damping,
         "nonlinear": bool(nonlinear or model.jnt_springyield[i]),
         "armature": armature,
@@ -255,14 +238,8 @@ def _joint(model, i):
 def _equality(model, i):
     kind = mujoco.mjtEq(int(model.eq_type[i])).name.removeprefix("mjEQ_").lower()
     first, second = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
-    found = {
-        "name": model.equality(i).name or f"{kind}_{i}",
-        "type": kind,
-        "first": first,
-        "second": second,
-        "data": model.eq_data[i].tolist(),
-        "active": bool(model.eq_active0[i]),
-    }
+    found = _of(model, "eq", i, "data", active="active0", first="obj1id", second="obj2id")
+    found |= {"name": model.equality(i).name or f"{kind}_{i}", "type": kind}
     if kind in ("connect", "weld") and model.eq_objtype[i] == mujoco.mjtObj.mjOBJ_SITE:
         found["sites"] = [_site(model, site) for site in (first, second)]
     if kind == "tendon" and second < 0 and _ends(model, first):
@@ -301,13 +278,7 @@ def _sensor(model, i):
 
 
 def _site(model, i):
-    return {
-        "name": model.site(i).name,
-        "number": int(i),
-        "body": int(model.site_bodyid[i]),
-        "pos": model.site_pos[i].tolist(),
-        "quat": model.site_quat[i].tolist(),
-    }
+    return {"name": model.site(i).name, "number": int(i)} | _of(model, "site", i, "pos", "quat", body="bodyid")
 
 
 def triangles_of_mesh(path, number):
@@ -346,16 +317,11 @@ def _color(model, i):
 def _geom(model, i):
     kind = mujoco.mjtGeom(int(model.geom_type[i])).name.removeprefix("mjGEOM_").lower()
     has_mesh = kind in ("mesh", "sdf") and model.geom_dataid[i] >= 0
-    return {
+    return _of(model, "geom", i, "group", "size", "pos", "quat", body="bodyid") | {
         "name": model.geom(i).name,
         "color": _color(model, i),
-        "group": int(model.geom_group[i]),
-        "body": int(model.geom_bodyid[i]),
         "type": "mesh" if has_mesh else kind,
         "asset": int(model.geom_dataid[i]) if has_mesh else -1,
-        "size": model.geom_size[i].tolist(),
-        "pos": model.geom_pos[i].tolist(),
-        "quat": model.geom_quat[i].tolist(),
         "collides": bool(
             model.geom_contype[i] or model.geom_conaffinity[i] or i in model.pair_geom1 or i in model.pair_geom2
         ),

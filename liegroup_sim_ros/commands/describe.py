@@ -9,7 +9,6 @@ import sys
 import time
 
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from liegroup_core import SimulationError
@@ -18,6 +17,7 @@ from liegroup_core.engine import Engine
 from liegroup_core.layout import make_layout
 from liegroup_core.methods import table as registered
 from liegroup_sim_ros.numbers import counted
+from liegroup_sim_ros.report.terminal import section
 
 from .robot_options import add_robot_options, robot_scene
 
@@ -86,23 +86,9 @@ def print_facts(facts, console):
     for title, rows in sections(facts):
         if not rows:
             continue
-        table = Table(
-            box=None,
-            show_header=False,
-            padding=(0, 2, 0, 0),
-            title=Text(title),
-            title_justify="left",
-            title_style="bold",
-        )
-        table.add_column(width=24, style="dim", overflow="fold")
-        table.add_column(overflow="fold")
-        table.add_column(style="dim", overflow="fold")
-        for row in rows[:MOST_ROWS]:
-            table.add_row(*map(Text, row))
-        if len(rows) > MOST_ROWS:
-            table.add_row(Text(f"and {len(rows) - MOST_ROWS} more"), "", Text("--json prints all"))
+        more = [(f"and {len(rows) - MOST_ROWS} more", "", "--json prints all")] if len(rows) > MOST_ROWS else []
         console.print()
-        console.print(table)
+        console.print(section(title, [*rows[:MOST_ROWS], *more]))
 
 
 def _polynomial(entry):

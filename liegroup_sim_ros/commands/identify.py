@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from liegroup_core import SimulationError
@@ -21,6 +20,7 @@ from liegroup_sim_ros.numbers import shown
 from liegroup_sim_ros.recording.errors import OutputError
 from liegroup_sim_ros.recording.write_tables import close_new, new_file
 from liegroup_sim_ros.report.compare_page import NUMBER_HEAD, number_remarks, number_rows
+from liegroup_sim_ros.report.terminal import plain_table
 
 from .compare import LogError, add_log, check_log, log_of, show
 from .robot_options import robot_scene
@@ -117,13 +117,11 @@ def _plan(args):
         return stopped(error)
     finally:
         close_new(file, args.plan, remove=not is_written)
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for name in ("number", "value", "deviation", *(f"{joint} alone" for joint in found.alone)):
-        table.add_column(name)
+    rows, heads = [], ("number", "value", "deviation", *(f"{joint} alone" for joint in found.alone))
     for k, (path, value) in enumerate(zip(found.paths, found.values)):
         each = [found.deviations, *found.alone.values()]
-        table.add_row(Text(path), f"{value:.6g}", *(shown(one[k]) if np.isfinite(one[k]) else "-" for one in each))
-    Console(file=sys.stdout).print(table)
+        rows.append((path, f"{value:.6g}", *(shown(one[k]) if np.isfinite(one[k]) else "-" for one in each)))
+    Console(file=sys.stdout).print(plain_table(None, heads, rows, len(heads)))
     return 0
 
 
@@ -202,12 +200,7 @@ def _figures(found):
 
 
 def _print(figures, console):
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for name in NUMBER_HEAD:
-        table.add_column(name, overflow="fold")
-    for row in number_rows(figures["numbers"]):
-        table.add_row(*map(Text, row))
-    console.print(table)
+    console.print(plain_table(None, NUMBER_HEAD, number_rows(figures["numbers"]), len(NUMBER_HEAD)))
     for text in number_remarks(figures):
         console.print(Text(text, style="yellow"))
 

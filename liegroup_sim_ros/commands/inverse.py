@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import scipy
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from liegroup_core import Simulation, SimulationError
@@ -24,6 +23,7 @@ from liegroup_sim_ros.numbers import counted, shown
 from liegroup_sim_ros.recording.motion import Motion
 from liegroup_sim_ros.recording.read import read_recording
 from liegroup_sim_ros.recording.write_tables import new_file
+from liegroup_sim_ros.report.terminal import plain_table
 
 from .robot_options import add_robot_options, robot_scene
 from .states import StateError, refuse_repeated, stopped
@@ -273,11 +273,8 @@ def _write(path, found, names, units):
 def _print(scene, rows, residual, sampling, times, unit):
     console = Console(file=sys.stdout)
     console.print(Text(f"{scene}: {len(times)} instants from {times[0]:.9g} to {times[-1]:.9g} s", style="bold"))
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for name in ("joint", "peak effort", "rms", "peak power", "energy", ""):
-        table.add_column(name)
-    for row in rows:
-        table.add_row(
+    cells = [
+        (
             row["joint"],
             shown(row["peak_effort"], row["unit"]),
             shown(row["rms_effort"], row["unit"]),
@@ -285,6 +282,8 @@ def _print(scene, rows, residual, sampling, times, unit):
             shown(row["energy_J"], "J"),
             "others can take its part" if row["undetermined"] else "",
         )
-    console.print(table)
+        for row in rows
+    ]
+    console.print(plain_table(None, ("joint", "peak effort", "rms", "peak power", "energy", ""), cells, 6))
     console.print(Text(f"uncertainty of accelerations between the samples: {shown(sampling, unit)}", style="dim"))
     console.print(Text(f"largest acceleration that the efforts cannot produce: {shown(residual, unit)}", style="dim"))

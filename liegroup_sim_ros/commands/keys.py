@@ -4,11 +4,11 @@
 import sys
 
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.scene.keys import key_tables
+from liegroup_sim_ros.report.terminal import plain_table
 
 
 class UnknownWord(LieGroupSimError):
@@ -38,12 +38,8 @@ def run(args):
         if args.words and not {*args.words} & {*_words(table)}:
             continue
         console.print(Text(table.title, style="bold"), Text(f"({table.summary.rstrip('.')})"))
-        shown = Table(box=None, pad_edge=False)
-        for name in ("key", "default", "meaning"):
-            shown.add_column(name, overflow="fold")
-        for key in table.keys:
-            shown.add_row(*map(Text, (key.name, key.default, key.meaning)))
-        console.print(shown)
+        rows = [(key.name, key.default, key.meaning) for key in table.keys]
+        console.print(plain_table(None, ("key", "default", "meaning"), rows, 3))
         console.print()
     return 0
 

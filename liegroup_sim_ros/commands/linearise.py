@@ -1,21 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """`liegroup_sim linearise`: A, B, C, D of a scene or along a recording, its poles and zeros. No ROS."""
 
-import json
 import math
 import sys
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from liegroup_core.linear import change_along, linearise, pole_errors
 from liegroup_core.linear.channels import INPUTS, OUTPUTS
 from liegroup_sim_ros.numbers import counted, shown
+from liegroup_sim_ros.report.terminal import plain_table
 
-from .states import StateError, add_states, states
+from .states import StateError, add_states, print_json, states
 
 ENDINGS = (".json", ".npz", ".mat")
 MOST_ROWS = 40  # printed poles
@@ -78,9 +77,7 @@ def run(args):
             save(system, args.out)
         if not args.json:
             print_system(system, time, console, errors, change)
-    if args.json:
-        print(json.dumps(found if len(found) > 1 else found[0], allow_nan=False))
-    return 0
+    return print_json(args, found)
 
 
 def save(system, path):
@@ -105,10 +102,7 @@ def print_system(system, time, console, errors=None, change=0.0):
     console.print(
         Text(f"largest slope of the state: {shown(largest)}; largest relative error of an entry: {shown(system.error)}")
     )
-    table = Table(box=None, padding=(0, 2, 0, 0))
     known = errors is not None and not any(x != x for x in errors)
-    for name in ("pole, 1/s and rad/s", *(["error of the pole"] if known else []), "frequency", "damping", ""):
-        table.add_column(name, style="dim" if not name else "")
     if change > STEADY:
         console.print(
             Text(f"A changes along the motion, by {shown(change)} 1/s: its poles are those of this instant", "yellow")
@@ -121,20 +115,24 @@ def print_system(system, time, console, errors=None, change=0.0):
     zeros = np.flatnonzero(np.abs(system.poles) <= resting)
     if len(zeros):
         poles.insert(0, (zeros[0], 0j, lambda each: np.abs(each) <= resting, len(zeros)))
+    rows = []
     for k, pole, is_of, count in poles[:MOST_ROWS]:
         marks = []
         for text, of in lacking.items():
             if is_of(of).any():
                 marks.append(text if count == 1 else f"some {text}")
         size = abs(pole)
-        table.add_row(
-            pole_text(pole) + (f" ({count} times)" if count > 1 else ""),
-            *([shown(errors[k])] if known else []),
-            f"{size / (2.0 * math.pi):.6g} Hz" if pole.imag else "",
-            damping_text(0.0 - pole.real / size) if size else "",
-            ", ".join(marks),
+        rows.append(
+            (
+                pole_text(pole) + (f" ({count} times)" if count > 1 else ""),
+                *([shown(errors[k])] if known else []),
+                f"{size / (2.0 * math.pi):.6g} Hz" if pole.imag else "",
+                damping_text(0.0 - pole.real / size) if size else "",
+                Text(", ".join(marks), style="dim"),
+            )
         )
-    console.print(table)
+    heads = ("pole, 1/s and rad/s", *(["error of the pole"] if known else []), "frequency", "damping", "")
+    console.print(plain_table(None, heads, rows, len(heads)))
     if len(poles) > MOST_ROWS:
         console.print(Text(f"and {len(poles) - MOST_ROWS} more: --json prints all", style="dim"))
     zeros = system.zeros

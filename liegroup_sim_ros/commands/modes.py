@@ -1,22 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """`liegroup_sim modes`: frequencies, damping and shapes of the modes of a scene. No ROS."""
 
-import json
 import sys
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from liegroup_core import Simulation, SimulationError
 from liegroup_core.engine import METHOD
 from liegroup_core.linear import linearise, modes_of, transition, trim
 from liegroup_sim_ros.numbers import shown
+from liegroup_sim_ros.report.terminal import plain_table
 from liegroup_sim_ros.signals import Signals
 
 from .linearise import damping_text, pole_text
-from .states import StateError, add_states, states, stopped
+from .states import StateError, add_states, print_json, states, stopped
 
 GROWS = 1e-6  # of a magnitude: that of a double multiplier 1 has the root of round-off
 LARGEST = 4  # freedoms of a shape that are printed
@@ -67,9 +66,7 @@ def run(args):
             source = Modes(simulation, shown, [_title(mode) for mode in shown], inside)
             with Signals() as signals:
                 show(source, signals, args.browser)
-    if args.json:
-        print(json.dumps(found if len(found) > 1 else found[0], allow_nan=False))
-    return 0
+    return print_json(args, found)
 
 
 def _multipliers(args, console):
@@ -91,17 +88,10 @@ def _multipliers(args, console):
             kind = "differences grow" if largest > 1.0 + GROWS else "differences do not grow"
             text = f"{simulation.scene.name} from {time:.9g} s, over {args.period:.9g} s: {kind}"
             console.print(Text(text, style="bold"))
-            table = Table(box=None, padding=(0, 2, 0, 0))
-            for name in ("multiplier", "magnitude"):
-                table.add_column(name)
-            for value in map(complex, values):
-                if value.imag >= 0.0:
-                    table.add_row(pole_text(value), f"{abs(value):.9g}")
-            console.print(table)
+            rows = [(pole_text(value), f"{abs(value):.9g}") for value in map(complex, values) if value.imag >= 0.0]
+            console.print(plain_table(None, ("multiplier", "magnitude"), rows, 2))
             console.print(Text(f"relative error of the state transition: {shown(result.error)}", style="dim"))
-    if args.json:
-        print(json.dumps(found if len(found) > 1 else found[0], allow_nan=False))
-    return 0
+    return print_json(args, found)
 
 
 def _at(simulation, found):
@@ -135,15 +125,13 @@ def _print(system, modes, time, console):
                 style="yellow",
             )
         )
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for name in ("frequency", "damping", "pole, 1/s and rad/s", "shape"):
-        table.add_column(name, overflow="fold")
+    rows = []
     for mode in modes:
         order = np.argsort(-np.abs(mode.shape), kind="stable")[:LARGEST]
         shape = ", ".join(f"{system.freedoms[k]} {_part(mode.shape[k])}" for k in order if abs(mode.shape[k]) > 1e-3)
         frequency = f"{mode.frequency:.6g} Hz" if mode.frequency else "-"
-        table.add_row(frequency, damping_text(mode.damping), pole_text(mode.pole), shape)
-    console.print(table)
+        rows.append((frequency, damping_text(mode.damping), pole_text(mode.pole), shape))
+    console.print(plain_table(None, ("frequency", "damping", "pole, 1/s and rad/s", "shape"), rows, 4))
 
 
 def _part(value):

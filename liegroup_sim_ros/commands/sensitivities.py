@@ -7,13 +7,13 @@ import sys
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from liegroup_core import SimulationError
 from liegroup_core.linear import sensitivities
 from liegroup_core.linear.channels import OUTPUTS
 from liegroup_sim_ros.numbers import shown
+from liegroup_sim_ros.report.terminal import plain_table
 
 from .robot_options import add_robot_options, robot_scene
 from .states import StateError, stopped
@@ -57,13 +57,11 @@ def run(args):
         return 0
     console = Console(file=sys.stdout)
     for k, time in enumerate(found.times):
-        table = Table(box=None, padding=(0, 2, 0, 0), title=Text(f"at {time:.9g} s"), title_justify="left")
-        for name in ("output", "value", *found.parameters):
-            table.add_column(Text(name), overflow="fold")
+        rows, heads = [], ("output", "value", *found.parameters)
         for p, name in enumerate(found.outputs):
             cells = (f"{x:.6g} ± {shown(e)}" for x, e in zip(found.derivatives[k, p], found.errors[k, p]))
-            table.add_row(name, f"{found.values[k, p]:.6g}", *cells)
-        console.print(table)
+            rows.append((name, f"{found.values[k, p]:.6g}", *cells))
+        console.print(plain_table(f"at {time:.9g} s", heads, rows, len(heads)))
     if found.rough:
         names = ", ".join(found.rough)
         console.print(Text(f"no derivative, because runs to both sides behave differently: {names}", style="yellow"))

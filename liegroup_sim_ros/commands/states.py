@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Argument of subcommands that analyse states: a scene or a recording, and times."""
 
+import json
 import math
 import sys
 from pathlib import Path
@@ -43,6 +44,13 @@ def add_states(parser):
         help="simulated times in s, of a recording time stamps in s, in their order (default: the start)",
     )
     add_robot_options(parser)
+
+
+def print_json(args, found):
+    """Print the entries of all times, of one time without a list, if JSON is wanted; returns the exit code."""
+    if args.json:
+        print(json.dumps(found if len(found) > 1 else found[0], allow_nan=False))
+    return 0
 
 
 def stopped(error):

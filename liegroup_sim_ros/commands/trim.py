@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`liegroup_sim trim`: equilibria and steady motions near a state, and the inputs that hold a pose. No ROS."""
 
-import json
 import math
 import sys
 
@@ -13,7 +12,7 @@ from liegroup_core.linear import TrimError, modes_of, trim
 from liegroup_sim_ros.numbers import shown
 
 from .linearise import STEADY, add_out, check_out, print_system, save
-from .states import StateError, add_states, refuse_repeated, states, stopped
+from .states import StateError, add_states, print_json, refuse_repeated, states, stopped
 
 RESTING = 1e-9  # rad/s or m/s
 
@@ -53,9 +52,7 @@ def run(args):
             save(result.system, args.out)
         if not args.json:
             _print(result, time, console)
-    if args.json:
-        print(json.dumps(found if len(found) > 1 else found[0], allow_nan=False))
-    return 0
+    return print_json(args, found)
 
 
 def _rates(given):

@@ -13,28 +13,22 @@ from liegroup_sim_ros.numbers import counted
 
 from .bag import BagError, Field
 
-QUATERNION = ("x", "y", "z", "w")
+_SIX = (("angular", "xyz"), ("linear", "xyz"))
+# {part of a body: (its outputs or inputs, path in a message, vectors there with their components)}
+WHOLE = {
+    "pose": (("x", "y", "z", "rx", "ry", "rz"), "", (("position", "xyz"), ("orientation", "xyzw"))),
+    "twist": (TWIST, "", _SIX),
+    "acceleration": (ACCELERATION, "", _SIX),
+    "wrench": (WRENCH, "wrench", (("torque", "xyz"), ("force", "xyz"))),
+}
+_IMU = ("orientation", "xyzw"), ("angular_velocity", "xyz"), ("linear_acceleration", "xyz")
+OF_SENSORS = {"force_torque": WHOLE["wrench"], "imu": ((), "", _IMU)}
+TRANSFORM = ("translation", "xyz"), ("rotation", "xyzw")  # instead of a pose
 GAP = 5.0  # of the usual time between two messages: a longer one is a gap
 NS = 1e9
 LATE_STAMPS = 86400.0  # s between stamps and the times of recording: clocks without a common origin
 # s between clocks, by the times of recording: what is below may be latency; of it 90 % differ by less than the second.
 APART, STEADY = 0.5, 0.25
-
-
-def _vector(path, names="xyz"):
-    return [f"{path}.{name}" if path else name for name in names]
-
-
-def _joined(path, name):
-    return f"{path}.{name}" if path else name
-
-
-def _of_pose(path):
-    return [*_vector(_joined(path, "position")), *_vector(_joined(path, "orientation"), QUATERNION)]
-
-
-def _of_transform(path):
-    return [*_vector(_joined(path, "translation")), *_vector(_joined(path, "rotation"), QUATERNION)]
 
 
 def fields_of(entry, scene, kind):
@@ -43,34 +37,28 @@ def fields_of(entry, scene, kind):
     kind : of the message
     """
     name, _, part = (getattr(entry, "output", None) or entry.input).partition(".")
-    sensors = {sensor.name: sensor.type for sensor in scene.sensors}
-    path = entry.field
-    if part == "pose":
-        last = path.rpartition(".")[2].partition("[")[0]
-        return [Field(text) for text in (_of_transform if last == "transform" else _of_pose)(path)]
-    if part in ("twist", "acceleration"):
-        return [Field(text) for text in (*_vector(_joined(path, "angular")), *_vector(_joined(path, "linear")))]
-    if part == "wrench" or not part and sensors.get(name) == "force_torque":
-        path = path or "wrench"
-        return [Field(text) for text in (*_vector(_joined(path, "torque")), *_vector(_joined(path, "force")))]
-    if not part and sensors.get(name) == "imu":
-        vectors = [_vector(_joined(path, each)) for each in ("angular_velocity", "linear_acceleration")]
-        texts = [*_vector(_joined(path, "orientation"), QUATERNION), *vectors[0], *vectors[1]]
-        return [Field(text) for text in texts]
-    if not path:
+    types = {sensor.name: sensor.type for sensor in scene.sensors}
+    whole = WHOLE.get(part) if part else OF_SENSORS.get(types.get(name))
+    if whole is not None:
+        _, usual, vectors = whole
+        path = entry.field or usual
+        if part == "pose" and path.rpartition(".")[2].partition("[")[0] == "transform":
+            vectors = TRANSFORM
+        head = f"{path}." if path else ""
+        return [Field(f"{head}{vector}.{axis}") for vector, axes in vectors for axis in axes]
+    if not entry.field:
         raise SceneError(
             f"{name}{part and '.'}{part}: is not a number: add the field of {kind} that has the value, such as data[0]"
         )
-    return [Field(path)]
+    return [Field(entry.field)]
 
 
 def channels_of(name, scene):
     """Names of the outputs or inputs that an entry of a map stands for."""
     first, _, part = name.partition(".")
     sensors = {sensor.name: sensor for sensor in scene.sensors}
-    whole = {"pose": ("x", "y", "z", "rx", "ry", "rz"), "twist": TWIST, "acceleration": ACCELERATION, "wrench": WRENCH}
-    if part in whole:
-        return [f"{first}.{each}" for each in whole[part]]
+    if part in WHOLE:
+        return [f"{first}.{each}" for each in WHOLE[part][0]]
     if not part and first in sensors:
         kind = sensors[first].type
         if kind == "pose":

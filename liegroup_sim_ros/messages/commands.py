@@ -118,10 +118,20 @@ def motions(layout):
 
 def decode_motions(payload):
     """(names of the driven joints, numbers of all motions (d, 7)). Raises MessageError."""
-    names, columns, values = matrices.decode(payload)
-    if columns != MOTION_COLUMNS:
-        raise MessageError(f"{ARRAY}: its columns are not {' '.join(MOTION_COLUMNS)}")
-    return names, values
+    return matrices.decode(payload, MOTION_COLUMNS)[::2]
+
+
+def joint_state_encoder(labels):
+    """Function (stamp_ns, positions, velocities, efforts) -> serialized JointState."""
+    template, count = Template(), len(labels)
+    template.header("")
+    template.put("I", count)
+    for label in labels:
+        template.string(label)
+    for _ in ("position", "velocity", "effort"):
+        template.put("I", count)
+        template.slot(f"{count}d")
+    return lambda stamp_ns, *values: template.pack(stamp(stamp_ns), *values)
 
 
 def servo_targets(layout):
@@ -130,20 +140,5 @@ def servo_targets(layout):
     Servos are in the order of `layout.servos`; efforts are NaN.
     """
     labels = joint_labels(layout.servos, layout.scene.robot)
-    count = len(labels)
-    template = Template()
-    template.header("")
-    template.put("I", count)
-    for label in labels:
-        template.string(label)
-    for _ in ("position", "velocity"):
-        template.put("I", count)
-        template.slot(f"{count}d")
-    template.put("I", count)
-    template.put(f"{count}d", *[math.nan] * count)
-
-    def encode(stamp_ns, targets):
-        position, velocity = zip(*targets)
-        return template.pack(stamp(stamp_ns), position, velocity)
-
-    return encode
+    encode, none = joint_state_encoder(labels), [math.nan] * len(labels)
+    return lambda stamp_ns, targets: encode(stamp_ns, *zip(*targets), none)

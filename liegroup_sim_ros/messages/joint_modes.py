@@ -18,7 +18,6 @@ from liegroup_core.scene.switches import unit_of
 from liegroup_sim_ros.numbers import counted
 
 from . import matrices
-from .codecs import MessageError
 from .commands import joint_labels
 
 TYPE = matrices.TYPE
@@ -55,10 +54,7 @@ def encoder(layout):
 
 def decode(payload):
     """(names of the joints, numbers row by row). Raises MessageError."""
-    names, columns, values = matrices.decode(payload)
-    if columns != COLUMNS:
-        raise MessageError(f"{TYPE}: its columns are not {' '.join(COLUMNS)}")
-    return names, values
+    return matrices.decode(payload, COLUMNS)[::2]
 
 
 def switching(values):

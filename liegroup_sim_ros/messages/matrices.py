@@ -38,8 +38,8 @@ def _quoted(name):
     return name.replace("%", "%25").replace(" ", "%20")
 
 
-def decode(payload):
-    """(names of the rows, names of the columns, numbers row by row). Raises MessageError."""
+def decode(payload, known=None):
+    """(names of the rows, names of the columns, numbers row by row). Raises MessageError, also for other columns."""
     fields = Fields(TYPE, payload)
     count = fields.number("I")
     if count != 2:
@@ -53,6 +53,8 @@ def decode(payload):
     values = fields.numbers("d", fields.number("I"))
     if list(map(len, labels)) != shape or len(values) != shape[0] * shape[1]:
         raise MessageError(f"{TYPE}: {counted(len(values), 'number')} in the shape {shape}")
+    if known is not None and labels[1] != known:
+        raise MessageError(f"{TYPE}: its columns are not {' '.join(known)}")
     return *labels, values
 
 

@@ -19,7 +19,7 @@ from liegroup_core.scene.names import WORLD
 from . import arrays, topics
 from .cdr import Template, stamp
 from .codecs import PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec, pack_stamp
-from .commands import joint_labels
+from .commands import JOINT_STATE, joint_labels, joint_state_encoder
 from .description import unheld_links
 from .estimates import variances
 from .links import link_of_body, links_and_joints
@@ -120,14 +120,7 @@ def joint_states(layout, world_frame, frame_prefix=""):
     labels = [*joint_labels(names, robot), *still]
     if not labels:
         return []
-    template = Template()
-    template.header("")
-    template.put("I", len(labels))
-    for name in labels:
-        template.string(name)
-    for _ in ("position", "velocity", "effort"):
-        template.put("I", len(labels))
-        template.slot(f"{len(labels)}d")
+    pack = joint_state_encoder(labels)
     held, rest = list(still.values()), [0.0] * len(still)
     idle = [math.nan] * len(labels)
 
@@ -136,14 +129,14 @@ def joint_states(layout, world_frame, frame_prefix=""):
         effort = idle
         if efforts:
             effort = [efforts.get(name, math.nan) for name in names] + idle[len(names) :]
-        return template.pack(
-            stamp(stamp_ns),
+        return pack(
+            stamp_ns,
             [coordinates[name][0] for name in names] + held,
             [coordinates[name][1] for name in names] + rest,
             effort,
         )
 
-    return [("~/joint_states", "sensor_msgs/msg/JointState", encode)]
+    return [("~/joint_states", JOINT_STATE, encode)]
 
 
 def reactions(layout, world_frame, frame_prefix=""):

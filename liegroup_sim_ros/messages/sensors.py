@@ -8,6 +8,7 @@ import numpy as np
 
 from .cdr import Template, stamp
 from .codecs import WrenchStampedCodec
+from .commands import JOINT_STATE, joint_state_encoder
 from .estimates import variances
 
 
@@ -59,17 +60,8 @@ def _force_torque(sensor, _world_frame, frame_prefix):
 
 
 def _encoder(sensor, _world_frame, _frame_prefix):
-    template = Template()
-    template.header("")
-    template.put("I", 1)
-    template.string(sensor.joint)
-    for _ in ("position", "velocity", "effort"):  # NaN: not measured
-        template.put("I", 1)
-        template.slot("1d")
-    nothing = [float("nan")]
-    return lambda stamp_ns, sample: template.pack(
-        stamp(stamp_ns), sample.sensors[sensor.name].tolist(), nothing, nothing
-    )
+    encode, nothing = joint_state_encoder([sensor.joint]), [float("nan")]  # not measured
+    return lambda stamp_ns, sample: encode(stamp_ns, sample.sensors[sensor.name].tolist(), nothing, nothing)
 
 
 def _pose(sensor, world_frame, frame_prefix):
@@ -104,7 +96,7 @@ def _distance(sensor, _world_frame, _frame_prefix):
 KINDS = {
     "imu": ("imu", "sensor_msgs/msg/Imu", _imu),
     "force_torque": ("wrench", WrenchStampedCodec.TYPE, _force_torque),
-    "encoder": ("joint_state", "sensor_msgs/msg/JointState", _encoder),
+    "encoder": ("joint_state", JOINT_STATE, _encoder),
     "pose": ("odometry", "nav_msgs/msg/Odometry", _pose),
     "distance": ("distance", "std_msgs/msg/Float64", _distance),
 }

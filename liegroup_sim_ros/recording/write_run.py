@@ -27,7 +27,7 @@ from . import attachments
 from .checkpoints import Checkpoints
 from .errors import FileLostError, OutputError, RecorderError
 from .write import Recorder
-from .write_tables import close_new, has_estimate, joint_names, new_file
+from .write_tables import close_new, has_estimate, joint_names, new_file, quantities
 
 NODE = "/sim_node"  # topics have the same names as in a run of the node
 WORLD_FRAME = "world"
@@ -53,31 +53,19 @@ class ArrayFile:
         self._impacts = [] if reactions and has_impacts(simulation.scene) else None
         if self._impacts is not None:
             simulation.drain_impacts()  # the simulation collects impacts from here on
+        layout = simulation.layout
         if reactions:
-            forces = simulation.layout.joint_forces.names
-            self._names = {"joints": np.array(joint_names(simulation)), "forces": np.array(forces)}
-            driven = tuple(simulation.layout.motions)
-            if driven:
-                self._names["driven"] = np.array(driven)
-        n = len(simulation.layout.body_names)
+            names = (
+                ("joints", joint_names(simulation)),
+                ("forces", layout.joint_forces.names),
+                ("driven", [*layout.motions]),
+            )
+            self._names = {key: np.array(some) for key, some in names if some or key != "driven"}
+        self._quantities = [each for each in quantities(simulation, reactions) if each.key]
+        sample, n = simulation.sample(), len(layout.body_names)
+        first = {each.key: np.asarray(each.of(sample)) for each in self._quantities}
         try:
-            self._arrays = {
-                "time": np.empty(samples),
-                "steps": np.empty(samples, dtype=np.int64),
-                "poses": np.empty((samples, n, 4, 4)),
-                "twists": np.empty((samples, n, 6)),
-                "energy": np.empty(samples),
-                "residual": np.empty(samples),
-            }
-            if has_estimate(simulation):
-                self._arrays["errors"] = np.empty((samples, n, 4))
-            if reactions:
-                self._arrays["reactions"] = np.empty((samples, len(joint_names(simulation)), 6))
-                self._arrays["efforts"] = np.empty((samples, len(forces)))
-                if driven:
-                    self._arrays["drive_efforts"] = np.empty((samples, len(driven)))
-            for sensor, numbers in simulation.sample().sensors.items():
-                self._arrays[f"sensors/{sensor}"] = np.empty((samples, len(numbers)))
+            self._arrays = {key: np.empty((samples, *value.shape), value.dtype) for key, value in first.items()}
         except MemoryError:
             raise OutputError(
                 f"{path}: {samples} samples of {counted(n, 'body')} do not fit into memory; "
@@ -93,24 +81,8 @@ class ArrayFile:
 
     def sample(self, sample):
         """Append a sample."""
-        for name, value in (
-            ("time", sample.time),
-            ("steps", sample.steps),
-            ("poses", sample.pose_matrices),
-            ("twists", sample.twist),
-            ("energy", sample.energy),
-            ("residual", sample.constraint_residual),
-            ("errors", sample.errors),
-        ):
-            if name in self._arrays:
-                self._arrays[name][self.count] = value
-        if "reactions" in self._arrays:
-            self._arrays["reactions"][self.count] = sample.reaction_array
-            self._arrays["efforts"][self.count] = list(sample.force_efforts.values())
-        if "drive_efforts" in self._arrays:
-            self._arrays["drive_efforts"][self.count] = list(sample.drive_efforts.values())
-        for sensor, numbers in sample.sensors.items():
-            self._arrays[f"sensors/{sensor}"][self.count] = numbers
+        for each in self._quantities:
+            self._arrays[each.key][self.count] = each.of(sample)
         if self._impacts is not None:
             self._impacts += self._simulation.drain_impacts()
         self.count, self.last_step = self.count + 1, sample.steps

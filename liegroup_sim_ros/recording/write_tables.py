@@ -6,14 +6,27 @@ classes have the interface of those in write_run.py. Existing files are never ov
 """
 
 import csv
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from liegroup_core.joint_events import has_impacts
 
 from .errors import OutputError
+
+BODY = (
+    *(f"{axis} [m]" for axis in "xyz"),
+    *(f"q{axis}" for axis in "xyzw"),
+    *(f"w{axis} [rad/s]" for axis in "xyz"),
+    *(f"v{axis} [m/s]" for axis in "xyz"),
+)
+PARTS = (("position", ""), ("velocity", "/s"))
+ERRORS = ("position_error [m]", "attitude_error [rad]", "velocity_error [m/s]", "angular_velocity_error [rad/s]")
+REACTION = (*(f"t{axis} [N m]" for axis in "xyz"), *(f"f{axis} [N]" for axis in "xyz"))
+IMPULSE = (*(f"impulse_t{axis} [N m s]" for axis in "xyz"), *(f"impulse_f{axis} [N s]" for axis in "xyz"))
 
 
 def new_file(path, mode, **options):
@@ -37,6 +50,50 @@ def close_new(stream, path, remove):
         if remove:
             with suppress(OSError):
                 Path(path).unlink()
+
+
+class Quantity(NamedTuple):
+    """What a file has of each sample."""
+
+    key: str  # in *.npz; "": it is not there
+    labels: list  # columns of *.csv, one for each number; none: it is not there
+    of: Callable  # function sample -> number or array
+
+
+def quantities(simulation, reactions):
+    """[Quantity] of the files of a run."""
+    layout, joints = simulation.layout, joint_names(simulation)
+    units, bodies, forces = layout.coordinates.units, layout.body_names, layout.joint_forces
+
+    def labels(names, columns):
+        return [f"{name}.{column}" for name in names for column in columns]
+
+    names = layout.coordinates.names
+    coordinates = [f"{joint}.{part} [{units[joint]}{per}]" for joint in names for part, per in PARTS]
+    found = [
+        Quantity("time", ["time [s]"], lambda sample: sample.time),
+        Quantity("steps", [], lambda sample: sample.steps),
+        Quantity("poses", [], lambda sample: sample.pose_matrices),
+        Quantity("twists", [], lambda sample: sample.twist),
+        Quantity(
+            "", labels(bodies, BODY), lambda sample: np.hstack([sample.pose[:, 9:], sample.orientation, sample.twist])
+        ),
+        Quantity("", coordinates, lambda sample: [sample.joint_coordinates[name] for name in names]),
+        Quantity("energy", ["energy [J]"], lambda sample: sample.energy),
+        Quantity("residual", ["constraint_residual [m or rad]"], lambda sample: sample.constraint_residual),
+    ]
+    if has_estimate(simulation):
+        found.append(Quantity("errors", labels(bodies, ERRORS), lambda sample: sample.errors))
+    if reactions:
+        efforts = [f"{name}.effort [{'N m' if forces.turns[name] else 'N'}]" for name in forces.names]
+        drives = [f"{joint}.drive_effort [{'N' if units.get(joint) == 'm' else 'N m'}]" for joint in layout.motions]
+        found.append(Quantity("reactions", labels(joints, REACTION), lambda sample: sample.reaction_array))
+        found.append(Quantity("efforts", efforts, lambda sample: list(sample.force_efforts.values())))
+        if drives:
+            found.append(Quantity("drive_efforts", drives, lambda sample: list(sample.drive_efforts.values())))
+    for name in simulation.sample().sensors:
+        found.append(Quantity(f"sensors/{name}", [], lambda sample, name=name: sample.sensors[name]))
+    return found
 
 
 class _Table:
@@ -78,71 +135,20 @@ class TableFile(_Table):
     Engine.drain_impacts.
     """
 
-    BODY = (
-        *(f"{axis} [m]" for axis in "xyz"),
-        *(f"q{axis}" for axis in "xyzw"),
-        *(f"w{axis} [rad/s]" for axis in "xyz"),
-        *(f"v{axis} [m/s]" for axis in "xyz"),
-    )
-    ERRORS = ("position_error [m]", "attitude_error [rad]", "velocity_error [m/s]", "angular_velocity_error [rad/s]")
-
-    REACTION = (*(f"t{axis} [N m]" for axis in "xyz"), *(f"f{axis} [N]" for axis in "xyz"))
-
-    IMPULSE = (*(f"impulse_t{axis} [N m s]" for axis in "xyz"), *(f"impulse_f{axis} [N s]" for axis in "xyz"))
-
     def __init__(self, path, simulation, _every, _samples, reactions=False):
         super().__init__(path)
-        self._reactions, self._simulation = reactions, simulation
-        self._has_impacts = reactions and has_impacts(simulation.scene)
+        self._columns = [each for each in quantities(simulation, reactions) if each.labels]
+        self._has_impacts, self._simulation = reactions and has_impacts(simulation.scene), simulation
+        labels = [label for each in self._columns for label in each.labels]
         if self._has_impacts:
             simulation.drain_impacts()  # the simulation collects impacts from here on
-        layout = simulation.layout
-        self._joints = layout.coordinates.names
-        units = layout.coordinates.units
-        errors = self.ERRORS if has_estimate(simulation) else ()
-        self._write(
-            "time [s]",
-            *(f"{body}.{name}" for body in layout.body_names for name in self.BODY),
-            *(
-                f"{joint}.{what} [{units[joint]}{per}]"
-                for joint in self._joints
-                for what, per in (("position", ""), ("velocity", "/s"))
-            ),
-            "energy [J]",
-            "constraint_residual [m or rad]",
-            *(f"{body}.{name}" for body in layout.body_names for name in errors),
-            *(f"{joint}.{name}" for joint in (joint_names(simulation) if reactions else ()) for name in self.REACTION),
-            *(
-                f"{force}.effort [{'N m' if layout.joint_forces.turns[force] else 'N'}]"
-                for force in (layout.joint_forces.names if reactions else ())
-            ),
-            *(
-                f"{joint}.drive_effort [{'N' if units.get(joint) == 'm' else 'N m'}]"
-                for joint in (layout.motions if reactions else ())
-            ),
-            *(
-                f"{joint}.{name}"
-                for joint in (joint_names(simulation) if self._has_impacts else ())
-                for name in self.IMPULSE
-            ),
-        )
+            labels += [f"{joint}.{name}" for joint in joint_names(simulation) for name in IMPULSE]
+        self._write(*labels)
 
     def sample(self, sample):
         """Write a row."""
-        bodies = np.hstack([sample.pose[:, 9:], sample.orientation, sample.twist])
-        coordinates = sample.joint_coordinates
-        self._write(
-            sample.time,
-            *bodies.ravel().tolist(),
-            *(float(number) for name in self._joints for number in coordinates[name]),
-            float(sample.energy),
-            float(sample.constraint_residual),
-            *(() if sample.errors is None else sample.errors.ravel().tolist()),
-            *(sample.reaction_array.ravel().tolist() if self._reactions else ()),
-            *(sample.force_efforts.values() if self._reactions else ()),
-            *(sample.drive_efforts.values() if self._reactions else ()),
-            *(self._impulses() if self._has_impacts else ()),
-        )
+        values = [number for each in self._columns for number in np.ravel(each.of(sample)).tolist()]
+        self._write(*values, *(self._impulses() if self._has_impacts else ()))
         self.count, self.last_step = self.count + 1, sample.steps
 
     def _impulses(self):

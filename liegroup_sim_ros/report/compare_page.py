@@ -4,13 +4,13 @@
 from html import escape
 
 import numpy as np
-from rich.table import Table
 from rich.text import Text
 
 from liegroup_sim_ros.numbers import counted, shown
 
 from .page import frame, plot_card, table, unbroken
 from .plots import COLOURS, joined, line, plane
+from .terminal import plain_table
 
 CHANNEL_HEAD = ("output", "measurements", "noise", "rms", "rms / noise", "largest", "white")
 EFFECT_HEAD = ("effect", "size", "explains")
@@ -144,12 +144,7 @@ def print_comparison(result, console):
         (CHANNEL_HEAD, channel_rows(result)),
         (("effect, each alone", *EFFECT_HEAD[1:]), effect_rows(result["alone"][:MOST_EFFECTS])),
     ):
-        shown_table = Table(box=None, padding=(0, 2, 0, 0))
-        for name in head:
-            shown_table.add_column(name)
-        for row in rows:
-            shown_table.add_row(*(Text(cell) for cell in row))
-        console.print(shown_table)
+        console.print(plain_table(None, head, rows, len(head)))
     for text in _remarks(result):
         console.print(Text(text, style="dim"))
 

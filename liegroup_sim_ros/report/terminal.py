@@ -26,22 +26,8 @@ def print_table(figures, console):
     for warning in figures["warnings"]:
         console.print(Text(f"! {warning}", style="yellow"))
     for title, rows in sections(figures):
-        table = Table(
-            box=None,
-            show_header=False,
-            padding=(0, 2, 0, 0),
-            title=Text(title),
-            title_justify="left",
-            title_style="bold",
-        )
-        table.add_column(width=24, style="dim")
-        table.add_column(width=18)
-        table.add_column(style="dim", overflow="fold")
-        for what, value, remark in rows:
-            style = "bold red" if value in NO_NUMBER else ""
-            table.add_row(Text(what), Text(value, style=style), Text(remark))
         console.print()
-        console.print(table)
+        console.print(section(title, rows, 18))
     if "stored" in figures.get("balance", {}):
         console.print()
         console.print(plain_table(BALANCE_TITLE, BALANCE_HEAD, balance_rows(figures["balance"])))
@@ -49,15 +35,9 @@ def print_table(figures, console):
 
 def print_overview(analyses, console):
     """Print a line for each recording, then their problems."""
-    table = Table(box=None, padding=(0, 2, 0, 0))
     names = short_names(analyses)
-    for title in ("file", *OVERVIEW):
-        table.add_column(Text(title), overflow="fold", no_wrap=title != "file")
-    for name, figures in zip(names, analyses):
-        table.add_row(
-            Text(name), *(Text(cell, style="bold red" if cell in NO_NUMBER else "") for cell in overview(figures))
-        )
-    console.print(table)
+    rows = [(name, *map(_marked, overview(figures))) for name, figures in zip(names, analyses)]
+    console.print(plain_table(None, ("file", *OVERVIEW), rows, 1))
     for name, figures in zip(names, analyses):
         for problem in figures.get("problems") or [figures[key] for key in ("failed",) if key in figures]:
             text = problem if problem.startswith((figures["log"], name)) else f"{name}: {problem}"
@@ -76,17 +56,42 @@ def print_comparison(figures, console):
             style="bold",
         )
     )
-    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
-    for what, value, remark in comparison_rows(figures)[1:]:
-        table.add_row(Text(what), Text(value), Text(remark, style="dim"))
-    console.print(table)
+    rows = [(what, value, Text(remark, style="dim")) for what, value, remark in comparison_rows(figures)[1:]]
+    console.print(plain_table(None, None, rows))
 
 
-def plain_table(title, heads, rows):
-    """Table without lines; markup in its texts is not interpreted."""
-    table = Table(box=None, padding=(0, 2, 0, 0), title=Text(title), title_justify="left", title_style="bold")
-    for head in heads:
-        table.add_column(Text(head), no_wrap=True)
+def plain_table(title, heads, rows, folded=0):
+    """Table without lines; markup in its texts is not interpreted.
+
+    title, heads : or None
+    rows         : of texts, or Texts with a style
+    folded       : number of columns whose texts may take several lines
+    """
+    table = _table(title, heads is not None)
+    for k, head in enumerate(heads or ()):
+        table.add_column(Text(head), overflow="fold" if k < folded else "ellipsis", no_wrap=k >= folded)
     for row in rows:
-        table.add_row(*map(Text, row))
+        table.add_row(*(cell if isinstance(cell, Text) else Text(cell) for cell in row))
     return table
+
+
+def section(title, rows, width=None):
+    """Table of (quantity, value, remark) with a title; width of the values in characters."""
+    table = _table(title, False)
+    table.add_column(width=24, style="dim", overflow="fold")
+    table.add_column(width=width, overflow="fold")
+    table.add_column(style="dim", overflow="fold")
+    for what, value, remark in rows:
+        table.add_row(Text(what), _marked(value), Text(remark))
+    return table
+
+
+def _table(title, has_heads):
+    title = None if title is None else Text(title)
+    return Table(
+        box=None, show_header=has_heads, padding=(0, 2, 0, 0), title=title, title_justify="left", title_style="bold"
+    )
+
+
+def _marked(cell):
+    return Text(cell, style="bold red" if cell in NO_NUMBER else "")
