@@ -15,8 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .names import unique_names
-
 FREE = -math.inf, math.inf
 
 
@@ -215,11 +213,8 @@ def _clamped(value, limits):
 
 
 def _append(parts, law, force, taken):
-    (name,) = unique_names([law.name], taken)
-    taken.add(name)
-    parts.lines["forces", len(parts.forces)] = law.line
-    parts.comments["forces", len(parts.forces)] = f"line {law.line}" if law.line else "of an actuator"
-    parts.forces.append({"name": name} | force)
+    comment = f"line {law.line}" if law.line else "of an actuator"
+    parts.add("forces", {"name": law.name} | force, law.line, comment, taken)
 
 
 def _narrow(entry, servo, turned):

@@ -62,6 +62,20 @@ class SceneParts:
     frames: dict = field(default_factory=dict)
     still: dict = field(default_factory=dict)
 
+    def add(self, kind, entry, line, comment=None, taken=None):
+        """Append an entry of a kind, such as "forces".
+
+        taken : names in use: that of the entry becomes another one
+        """
+        if taken is not None:
+            (entry["name"],) = unique_names([entry["name"]], taken)
+            taken.add(entry["name"])
+        place = kind, len(getattr(self, kind))
+        self.lines[place] = line
+        if comment:
+            self.comments[place] = comment
+        getattr(self, kind).append(entry)
+
 
 def scene_parts(robot, options):
     """SceneParts of a Robot with the additions of a user. Raises SceneError."""
@@ -113,8 +127,7 @@ def scene_parts(robot, options):
     add_drives(robot, options, parts, values, taken)
     add_tendons(robot, options, grouping, parts, used, taken)
     for i, entry in enumerate(added_forces(options, grouping, parts)):
-        parts.lines["forces", len(parts.forces)] = ("forces", i)
-        parts.forces.append(entry)
+        parts.add("forces", entry, ("forces", i))
     add_sensors(robot, options, grouping, parts, used)
     parts.frames = {
         link: (used[id(group)], group.places[link]) for link, group in grouping.of_link.items() if link != WORLD
@@ -170,7 +183,6 @@ def _bodies(robot, grouping, parts, notes):
     for group, name, (mass, com, inertia) in zip(movable, names, masses):
         body_of[id(group)] = name
         _check_complete(robot, group)
-        number = len(parts.bodies)
         line = robot.links[group.links[0]].line
         body = {"name": name}
         if mass == 0.0:
@@ -191,13 +203,12 @@ def _bodies(robot, grouping, parts, notes):
         for key, value in zip(("angular_velocity", "linear_velocity"), np.split(group.twist, 2)):
             if value.any():
                 body[key] = value
-        parts.bodies.append(body)
-        parts.lines["bodies", number] = line
         parts.names["bodies", name] = group.links[0]
         merged = group.links[1:]
         if merged:
             notes.append(f"merged into {name}: {listed(merged)}")
-        parts.comments["bodies", number] = _from_line(robot, line) + (f", with {listed(merged)}" if merged else "")
+        comment = _from_line(robot, line) + (f", with {listed(merged)}" if merged else "")
+        parts.add("bodies", body, line, comment)
     return body_of
 
 
@@ -272,13 +283,10 @@ def _joints(robot, grouping, parts, body_of, added, values):
             entry["rotor"] = dict(joint.rotor)
         if joint.data:
             entry["data"] = dict(joint.data)
-        parts.joints.append(entry)
         own = number - len(grouping.moving)
-        parts.lines["joints", number] = joint.line if own < 0 else places[own]
+        comment = _from_line(robot, joint.line) if own < 0 else f"added between {joint.parent} and {joint.child}"
+        parts.add("joints", entry, joint.line if own < 0 else places[own], comment)
         parts.names["joints", name] = joint.name
-        parts.comments["joints", number] = (
-            _from_line(robot, joint.line) if own < 0 else f"added between {joint.parent} and {joint.child}"
-        )
         _law(robot, parts, joint, name, taken, values.get(joint.name, 0.0))
     return taken
 
@@ -321,20 +329,16 @@ def _couplings(robot, grouping, parts, values, taken):
             coupling = among(robot, coupling, moving, values)
         if coupling is None:
             continue
-        name = coupling.name
-        if not isinstance(coupling.line, tuple):  # names given by the user do not change
-            (name,) = unique_names([name], taken)
-            taken.add(name)
-        number, second = len(parts.couplings), values[coupling.second]
+        is_added, second = isinstance(coupling.line, tuple), values[coupling.second]
         offset = coupling.offset
         if offset is None:
             offset = values[coupling.first] - rise(coupling, second) - coupling.rest(values)
         turned = {name: joint.turned(values[name]) for name, joint in joints.items() if name in moving}
         offset += coupling.rest(turned) - (turned[coupling.first] if coupling.backlash else 0.0)
         law = counted_from(replace(coupling, offset=offset), turned[coupling.second])
-        parts.couplings.append(
+        entry = (
             {
-                "name": name,
+                "name": coupling.name,
                 "joint": in_scene[coupling.first],
                 "other": in_scene[coupling.second],
                 "ratio": law["ratio"],
@@ -344,10 +348,9 @@ def _couplings(robot, grouping, parts, values, taken):
             | ({"terms": {in_scene[key]: c for key, c in coupling.further.items()}} if coupling.further else {})
             | ({"backlash": coupling.backlash} if coupling.backlash else {})
         )
-        parts.lines["couplings", number] = coupling.line
-        parts.comments["couplings", number] = (
-            "added" if isinstance(coupling.line, tuple) else _from_line(robot, coupling.line)
-        )
+        comment = "added" if is_added else _from_line(robot, coupling.line)
+        # Names given by the user do not change.
+        parts.add("couplings", entry, coupling.line, comment, None if is_added else taken)
 
 
 def exchanged(kind, F_a, F_b):
@@ -369,11 +372,9 @@ def _law(robot, parts, joint, name, taken, start):
     if joint.type not in kinds:
         robot.leave_out(f"springs and damping of {joint.type} joints", joint.name, changes_motion=True)
         return
-    (own,) = unique_names([f"{name}_{'spring' if joint.stiffness else 'damping'}"], taken)
-    taken.add(own)
     kind = kinds[joint.type]
     entry = {
-        "name": own,
+        "name": f"{name}_{'spring' if joint.stiffness else 'damping'}",
         "type": f"{kind}_spring_damper",
         "joint": name,
         "stiffness": joint.stiffness,
@@ -381,9 +382,7 @@ def _law(robot, parts, joint, name, taken, start):
     }
     if joint.stiffness:
         entry["rest_angle" if kind == "torsional" else "rest_position"] = joint.rest - joint.turned(start)
-    parts.lines["forces", len(parts.forces)] = joint.line
-    parts.comments["forces", len(parts.forces)] = _from_line(robot, joint.line)
-    parts.forces.append(entry)
+    parts.add("forces", entry, joint.line, _from_line(robot, joint.line), taken)
 
 
 def _lift(robot, grouping, parts, body_of, taken):
@@ -393,13 +392,15 @@ def _lift(robot, grouping, parts, body_of, taken):
             continue
         link, place = robot.links[name], group.places[name]
         robot.remark("without gravity" if link.weight == 0.0 else "with a part of its weight", name)
-        (own,) = unique_names([f"{name}_without_gravity"], taken)
-        taken.add(own)
         force = (link.weight - 1.0) * link.mass * np.array(parts.gravity)
-        entry = {"name": own, "type": "applied_wrench", "body": body_of[id(group)], "axes": "world"}
-        parts.lines["forces", len(parts.forces)] = link.line
-        parts.comments["forces", len(parts.forces)] = _from_line(robot, link.line)
-        parts.forces.append(entry | {"force": force, "point": place[:3, :3] @ link.com + place[:3, 3]})
+        entry = {
+            "name": f"{name}_without_gravity",
+            "type": "applied_wrench",
+            "body": body_of[id(group)],
+            "axes": "world",
+        }
+        entry |= {"force": force, "point": place[:3, :3] @ link.com + place[:3, 3]}
+        parts.add("forces", entry, link.line, _from_line(robot, link.line), taken)
 
 
 def _outside_limits(joints, values, stops):

@@ -65,12 +65,9 @@ def add_sensors(robot, options, grouping, parts, body_of):
                 raise options.error(("sensors", i), f'sensors[{i}] "{sensor.name}": {why}')
             robot.leave_out(f"{sensor.type} sensors: {why}", sensor.name)
             continue
-        number = len(parts.sensors)
-        parts.lines["sensors", number] = sensor.line if i is None else ("sensors", i)
-        parts.comments["sensors", number] = (
-            "added" if i is not None else f"line {sensor.line}" if sensor.line else f"of the {robot.kind} file"
-        )
-        parts.sensors.append({"name": name, "type": sensor.type} | entry | sensor.values)
+        comment = "added" if i is not None else f"line {sensor.line}" if sensor.line else f"of the {robot.kind} file"
+        entry = {"name": name, "type": sensor.type} | entry | sensor.values
+        parts.add("sensors", entry, sensor.line if i is None else ("sensors", i), comment)
 
 
 def _entry(robot, grouping, joints, body_of, sensor):

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .description import Coupling
-from .names import unique_names
 from .options import ALL
 
 
@@ -53,12 +52,8 @@ def add_tendons(robot, options, grouping, parts, body_of, taken):
             else:
                 frames = {"parent_frame": {"position": points[0]}, "child_frame": {"position": points[1]}}
                 entry = names | frames | entry
-            (name,) = unique_names([tendon.name], taken)
-            taken.add(name)
-            entries = getattr(parts, key)
-            parts.lines[key, len(entries)] = tendon.line
-            parts.comments[key, len(entries)] = f"tendon of line {tendon.line}" if tendon.line else "tendon"
-            entries.append({"name": name} | entry)
+            comment = f"tendon of line {tendon.line}" if tendon.line else "tendon"
+            parts.add(key, {"name": tendon.name} | entry, tendon.line, comment, taken)
 
 
 def _entries(robot, options, tendon, length):

@@ -26,6 +26,7 @@ _LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 _BYTE_ORDER = {b"\x00\x00": ">", b"\x00\x01": "<"}
 _STAMP = struct.Struct("<iI").pack
 _SIX, _SEVEN = struct.Struct("<6d").pack, struct.Struct("<7d").pack
+_STAMP_BYTES = slice(4, 12)
 _FRAME_ID = 16  # offset of the frame id's characters in the payload
 _ANGULAR_FIRST = [3, 4, 5, 0, 1, 2]  # linear first <-> angular first; its own inverse
 
@@ -112,13 +113,16 @@ class _StampedCodec:
 
     @classmethod
     def decode_one(cls, payload):
-        """(stamp in ns, frame id, values) of one message; ten times faster than `decode_rows`."""
+        """(stamp in ns, frame id, values) of one message. Raises MessageError."""
+        order = _BYTE_ORDER.get(payload[:2])
+        if order is None:
+            raise MessageError(f"{cls.TYPE}: a message is not plain CDR: it starts with 0x{payload[:2].hex()}")
         try:
-            order = _BYTE_ORDER[payload[:2]]
             sec, nanosec, frame_size = struct.unpack_from(f"{order}iII", payload, 4)
             values = struct.unpack_from(f"{order}{cls.COUNT}d", payload, _offset_of_values(frame_size))
-        except (KeyError, struct.error):
-            raise MessageError(f"{cls.TYPE}: not plain CDR, truncated or of another type") from None
+        except struct.error:
+            text = f"a message is truncated or of another type: {len(payload)} bytes"
+            raise MessageError(f"{cls.TYPE}: {text}") from None
         frame_id = payload[_FRAME_ID : _FRAME_ID + frame_size - 1].decode(errors="replace")
         return sec * 1_000_000_000 + nanosec, frame_id, values if cls.COUNT == 7 else values[3:] + values[:3]
 
@@ -206,46 +210,17 @@ def decode_rows(codec, rows):
 
     codec : PoseStampedCodec, TwistStampedCodec or WrenchStampedCodec
     rows  : (n, size) uint8
-    returns stamps (n,) ns, distinct frame ids (list), their index for each message (n,), and values:
-    (n, 7) position and quaternion, or (n, 6) angular first. Raises MessageError
+    returns stamps (n,) ns, distinct frame ids (list) and values: (n, 7) position and quaternion, or (n, 6) angular
+    first. Raises MessageError
     """
-    # Messages with the same byte order and length of the frame id share one layout.
-    heads = rows[:, [0, 1, *range(12, _FRAME_ID)]] if rows.shape[1] >= _FRAME_ID else rows[:, :0]
-    if (heads == heads[:1]).all():
-        stamps, names, which, values = _decode_same(codec.TYPE, rows, codec.COUNT)
-        return stamps, names, which, values if codec.COUNT == 7 else values[:, _ANGULAR_FIRST]
-    parts = [decode_rows(codec, row[None]) for row in rows]
-    stamps, frames, _, values = zip(*parts)
-    names, which = np.unique([name for (name,) in frames], return_inverse=True)
-    return np.concatenate(stamps), names.tolist(), which, np.concatenate(values)
-
-
-def _decode_same(type_name, rows, nvalues):
-    """Stamps (n,), distinct frame ids, their index for each message (n,), values, of payloads of one layout."""
-    size = rows.shape[1]
-    encapsulation = rows[0, :2].tobytes()
-    order = _BYTE_ORDER.get(encapsulation)
-    if order is None:
-        raise MessageError(f"{type_name}: a message is not plain CDR: it starts with 0x{encapsulation.hex()}")
-    frame_size = int.from_bytes(rows[0, 12:_FRAME_ID].tobytes(), "little" if order == "<" else "big")
-    start = _offset_of_values(frame_size)
-    if frame_size < 1 or size < start + 8 * nvalues:
-        raise MessageError(f"{type_name}: a message is truncated or of another type: {size} bytes")
-    rows = np.ascontiguousarray(rows).view(
-        np.dtype(
-            {
-                "names": ["sec", "nanosec", "frame_id", "values"],
-                "formats": [f"{order}i4", f"{order}u4", (np.uint8, frame_size), (f"{order}f8", nvalues)],
-                "offsets": [4, 8, _FRAME_ID, start],
-                "itemsize": size,
-            }
-        )
-    )[:, 0]
-    frames = rows["frame_id"]
-    if (frames == frames[:1]).all():
-        distinct, which = frames[:1], np.zeros(len(rows), dtype=np.int64)
-    else:
-        distinct, which = np.unique(frames, axis=0, return_inverse=True)
-    names = [name.tobytes().partition(b"\0")[0].decode(errors="replace") for name in distinct]
-    stamp_ns = rows["sec"].astype(np.int64) * 1_000_000_000 + rows["nanosec"]
-    return stamp_ns, names, which.reshape(-1), rows["values"].astype(float)
+    _, frame_id, first = codec.decode_one(rows[0].tobytes())
+    order = _BYTE_ORDER[rows[0, :2].tobytes()]
+    at = rows.shape[1] - 8 * codec.COUNT  # in messages of ROS the values come last
+    heads = np.delete(rows[:, :at], _STAMP_BYTES, axis=1)
+    values = np.ascontiguousarray(rows[:, at:]).view(f"{order}f8").astype(float)
+    values = values if codec.COUNT == 7 else values[:, _ANGULAR_FIRST]
+    if (heads == heads[:1]).all() and values[0].tobytes() == np.array(first).tobytes():
+        stamps = np.ascontiguousarray(rows[:, _STAMP_BYTES]).view([("sec", f"{order}i4"), ("nanosec", f"{order}u4")])
+        return stamps["sec"][:, 0].astype(np.int64) * 1_000_000_000 + stamps["nanosec"][:, 0], [frame_id], values
+    stamps, frames, values = zip(*(codec.decode_one(row.tobytes()) for row in rows))
+    return np.array(stamps), sorted(set(frames)), np.array(values)

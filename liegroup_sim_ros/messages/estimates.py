@@ -36,6 +36,13 @@ def variances(sample, body):
     return [square if square < UNKNOWN else UNKNOWN for square in squares]
 
 
+def diagonal(*values):
+    """Covariance matrix of independent values, row by row."""
+    found = [0.0] * len(values) ** 2
+    found[:: len(values) + 1] = values
+    return found
+
+
 def decode_rows(rows, names, _world_frame=None):
     """(m, 4 n) numbers of messages of one size, given as rows (m, size) uint8. Raises MessageError."""
     return matrices.decode_rows(rows, names, UNITS)

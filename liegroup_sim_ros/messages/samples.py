@@ -21,9 +21,9 @@ from .cdr import Template, stamp
 from .codecs import PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec, pack_stamp
 from .commands import JOINT_STATE, joint_labels, joint_state_encoder
 from .description import unheld_links
-from .estimates import variances
+from .estimates import diagonal, variances
 from .links import link_of_body, links_and_joints
-from .sensors import sensors
+from .sensors import ODOMETRY, odometry_encoder, sensors
 
 REACTION = "_reaction"  # ending of the frame ids of reactions
 _POSE, _BODY = 7 * 8, 13 * 8  # bytes of a pose, and of a body, in Sample.rows
@@ -64,15 +64,10 @@ def odometry(layout, world_frame, frame_prefix=""):
     """
 
     def of_body(body):
-        template = Template()
-        template.header(world_frame)
-        template.string(frame_prefix + body)
-        for numbers in ("7d", "6d"):
-            template.slot(numbers)
-            template.slot("36d")
-        return lambda stamp_ns, sample: template.pack(stamp(stamp_ns), *_with_covariances(sample, body))
+        encode = odometry_encoder(world_frame, frame_prefix + body)
+        return lambda stamp_ns, sample: encode(stamp_ns, *_with_covariances(sample, body))
 
-    return [(f"~/{body}/odometry", "nav_msgs/msg/Odometry", of_body(body)) for body in layout.body_names]
+    return [(f"~/{body}/odometry", ODOMETRY, of_body(body)) for body in layout.body_names]
 
 
 def poses_with_covariance(layout, world_frame, frame_prefix=""):
@@ -275,15 +270,8 @@ OPTIONAL = {
 def _with_covariances(sample, body):
     """Pose, its covariance (36,), twist, its covariance (36,)."""
     position, attitude, linear, angular = variances(sample, body)
-    return (_pose(sample, body), _covariance(position, attitude), _twist(sample, body), _covariance(linear, angular))
-
-
-def _covariance(linear, angular):
-    """(36,) row by row, diagonal: the variances along and about x, y and z."""
-    values = [0.0] * 36
-    values[0:21:7] = (linear,) * 3
-    values[21:36:7] = (angular,) * 3
-    return values
+    pose = _pose(sample, body), diagonal(*[position] * 3, *[attitude] * 3)
+    return *pose, _twist(sample, body), diagonal(*[linear] * 3, *[angular] * 3)
 
 
 def _pose(sample, body):

@@ -4,12 +4,12 @@
 Variances are those of a sensor's noise plus those of its body, see estimates.py.
 """
 
-import numpy as np
-
 from .cdr import Template, stamp
 from .codecs import WrenchStampedCodec
 from .commands import JOINT_STATE, joint_state_encoder
-from .estimates import variances
+from .estimates import diagonal, variances
+
+ODOMETRY = "nav_msgs/msg/Odometry"
 
 
 def sensors(layout, world_frame, frame_prefix=""):
@@ -25,9 +25,15 @@ def sensors(layout, world_frame, frame_prefix=""):
     ]
 
 
-def _diagonal(*values):
-    """Covariance matrix, row by row."""
-    return np.diag(values).ravel().tolist()
+def odometry_encoder(world_frame, child_frame):
+    """Function (stamp_ns, pose, its covariance, twist, its covariance) -> serialized nav_msgs/Odometry."""
+    template = Template()
+    template.header(world_frame)
+    template.string(child_frame)
+    for numbers in ("7d", "6d"):
+        template.slot(numbers)
+        template.slot("36d")
+    return lambda stamp_ns, *values: template.pack(stamp(stamp_ns), *values)
 
 
 def _imu(sensor, _world_frame, frame_prefix):
@@ -44,11 +50,11 @@ def _imu(sensor, _world_frame, frame_prefix):
         return template.pack(
             stamp(stamp_ns),
             values[:4],
-            _diagonal(*[attitude] * 3),
+            diagonal(*[attitude] * 3),
             values[4:7],
-            _diagonal(*[turning] * 3),
+            diagonal(*[turning] * 3),
             values[7:],
-            _diagonal(*[sensor.acceleration_noise**2] * 3),
+            diagonal(*[sensor.acceleration_noise**2] * 3),
         )
 
     return encode
@@ -65,23 +71,18 @@ def _encoder(sensor, _world_frame, _frame_prefix):
 
 
 def _pose(sensor, world_frame, frame_prefix):
-    template = Template()
-    template.header(world_frame)
-    template.string(frame_prefix + sensor.name)
-    for size in (7, 6):
-        template.slot(f"{size}d")
-        template.slot("36d")
+    pack = odometry_encoder(world_frame, frame_prefix + sensor.name)
 
     def encode(stamp_ns, sample):
         values = sample.sensors[sensor.name].tolist()
         place, attitude, speed, spin = variances(sample, sensor.body)
         place += sensor.position_noise**2
-        return template.pack(
-            stamp(stamp_ns),
+        return pack(
+            stamp_ns,
             values[:7],
-            _diagonal(*[place] * 3, *[attitude] * 3),
+            diagonal(*[place] * 3, *[attitude] * 3),
             values[7:],
-            _diagonal(*[speed] * 3, *[spin] * 3),
+            diagonal(*[speed] * 3, *[spin] * 3),
         )
 
     return encode
@@ -97,6 +98,6 @@ KINDS = {
     "imu": ("imu", "sensor_msgs/msg/Imu", _imu),
     "force_torque": ("wrench", WrenchStampedCodec.TYPE, _force_torque),
     "encoder": ("joint_state", JOINT_STATE, _encoder),
-    "pose": ("odometry", "nav_msgs/msg/Odometry", _pose),
+    "pose": ("odometry", ODOMETRY, _pose),
     "distance": ("distance", "std_msgs/msg/Float64", _distance),
 }

@@ -4,6 +4,7 @@
 import time
 
 from liegroup_core.fields.values import LARGEST_NUMBER
+from liegroup_sim_ros.messages.codecs import MessageError
 
 # A stamp further ahead indicates a publisher that does not use simulated time.
 FARTHEST = 3600 * 10**9  # ns
@@ -63,6 +64,14 @@ class CountedInput:
         if is_told:
             texts.append(said)
         raise Refusal(self._what, reason, said, is_told)
+
+    def decoded(self, decode, *arguments):
+        """Result of a function that decodes a message. Raises Refusal for a damaged one."""
+        try:
+            return decode(*arguments)
+        except MessageError as error:
+            text = str(error)
+            self.refuse("damaged", lambda: text)
 
     def refuse_far_stamp(self, start_ns, now_ns, target):
         """Refuse a stamp too far ahead. Raises Refusal."""

@@ -14,7 +14,6 @@ import math
 from typing import NamedTuple
 
 from liegroup_core.fields.values import LARGEST_NUMBER
-from liegroup_sim_ros.messages.codecs import MessageError
 from liegroup_sim_ros.messages.commands import JointStateDecoder, decode_array
 from liegroup_sim_ros.numbers import counted
 
@@ -137,11 +136,7 @@ class JointCommandInput(JointInput):
         names     : joints in the order of the numbers
         interface : "position", "velocity" or "effort"
         """
-        try:
-            numbers = decode_array(payload, self.most_names)
-        except MessageError as error:
-            text = str(error)
-            self.refuse("damaged", lambda: text)
+        numbers = self.decoded(decode_array, payload, self.most_names)
         if len(numbers) != len(names):
             self.refuse(
                 "wrong_length",
@@ -159,11 +154,7 @@ class JointCommandInput(JointInput):
         stamped : False: time stamps are ignored
         jumps   : Jumps, or None for no limit
         """
-        try:
-            stamp_ns, names, *fields = self._decoder.decode(payload)
-        except MessageError as error:
-            text = str(error)
-            self.refuse("damaged", lambda: text)
+        stamp_ns, names, *fields = self.decoded(self._decoder.decode, payload)
         stamp_ns = stamp_ns if stamped else 0
         return self._commands(names, fields, stamp_ns, now_ns, held, lasting, jumps)
 

@@ -4,13 +4,12 @@
 from concurrent.futures import wait
 
 from geometry_msgs.msg import TwistStamped
-from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from .counted_input import Refusal
+from .input_topics import InputTopics
 from .joint_command_input import JointCommandInput
 from .joint_input import Jumps
 from .parameters import ParameterError
@@ -22,7 +21,7 @@ DRIVING = 0.5  # s, duration of a velocity from ~/cmd_vel if command_timeout is 
 BUSY = 1.0  # s, longest wait for the present positions: one block of steps takes milliseconds
 
 
-class JointCommandTopics:
+class JointCommandTopics(InputTopics):
     """Topics for commands: ~/joint_commands, ~/commands, ~/joint_trajectory and ~/cmd_vel.
 
     Each exists only if the scene has joints that it can command.
@@ -36,22 +35,22 @@ class JointCommandTopics:
     """
 
     def __init__(self, node, layout, values, server, qos):
-        self._node, self._values, self._server, self._qos = node, values, server, qos
+        super().__init__(node, qos)
+        self._values, self._server = values, server
         self.input = JointCommandInput(layout, values.motion_time, server)
         self.trajectories = TrajectoryInput(layout, server)
         self._names = tuple(name.strip() for name in values.command_joints.split(",") if name.strip())
         self._check_names()
-        self._subscriptions = []
         if self.input.joints:
-            self._subscribe("~/joint_commands", JointState, self._read)
+            self._subscribe("~/joint_commands", JointState, self._read, COMMANDS)
         if self._names:
-            self._subscribe("~/commands", Float64MultiArray, self._read_array)
+            self._subscribe("~/commands", Float64MultiArray, self._read_array, COMMANDS)
         if self.input.follows:
             # A trajectory replaces the previous one, so a long queue of large messages is useless.
-            self._subscribe("~/joint_trajectory", JointTrajectory, self._read_trajectory, depth=10)
+            self._subscribe("~/joint_trajectory", JointTrajectory, self._read_trajectory, 10)
         self._wheels = layout.wheels
         if self._wheels is not None:
-            self._subscribe("~/cmd_vel", TwistStamped, self._read_velocity, depth=10)
+            self._subscribe("~/cmd_vel", TwistStamped, self._read_velocity, 10)
 
     def _check_names(self):
         for name in self._names:
@@ -71,34 +70,12 @@ class JointCommandTopics:
         if len(set(self._names)) < len(self._names):
             raise ParameterError("parameter command_joints: a joint occurs twice")
 
-    def _subscribe(self, topic, message_class, read, depth=COMMANDS):
-        def receive(payload):
-            self._log_refusal(read, payload)
-
-        self._subscriptions.append(
-            self._node.create_subscription(
-                message_class,
-                topic,
-                receive,
-                QoSProfile(depth=depth),
-                raw=True,
-                qos_overriding_options=self._qos.options(self._node, topic, "subscription"),
-            )
-        )
-
-    def _log_refusal(self, read, argument):
-        try:
-            read(argument)
-        except Refusal as refusal:
-            if refusal.is_told:
-                self._node.get_logger().warning(str(refusal))
-
     def _refuse_command(self, text):
         """Count and log a late refusal; called by the simulation thread, like the next method."""
-        self._log_refusal(self.input.refuse_late, text)
+        self._attempt(self.input.refuse_late, text)
 
     def _refuse_trajectory(self, text):
-        self._log_refusal(self.trajectories.refuse_late, text)
+        self._attempt(self.trajectories.refuse_late, text)
 
     @property
     def _lasting(self):
@@ -149,8 +126,3 @@ class JointCommandTopics:
             **(self.input.figures() if self.input.joints else {}),
             **(self.trajectories.figures() if self.input.follows else {}),
         }
-
-    def close(self):
-        """Destroy the subscriptions."""
-        for subscription in self._subscriptions:
-            self._node.destroy_subscription(subscription)

@@ -7,7 +7,6 @@ starts at its stamp if that is in the future, with a zero stamp now. Imports no 
 
 import math
 
-from liegroup_sim_ros.messages.codecs import MessageError
 from liegroup_sim_ros.messages.commands import decode_trajectory
 from liegroup_sim_ros.numbers import counted
 
@@ -48,11 +47,7 @@ class TrajectoryInput(JointInput):
         stamped : False: the time stamp is ignored
         jumps   : Jumps, or None for no limit
         """
-        try:
-            stamp_ns, names, points = decode_trajectory(payload, self.most_names)
-        except MessageError as error:
-            text = str(error)
-            self.refuse("damaged", lambda: text)
+        stamp_ns, names, points = self.decoded(decode_trajectory, payload, self.most_names)
         self.check_names(names)
         for name in names:
             if not (self.servos.get(name, False) or name in self.driven):

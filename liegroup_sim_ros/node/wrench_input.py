@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from liegroup_core.fields.values import suggestion
-from liegroup_sim_ros.messages.codecs import MessageError, WrenchStampedCodec
+from liegroup_sim_ros.messages.codecs import WrenchStampedCodec
 
 from .counted_input import LONGEST_NAME, CountedInput, bounded
 
@@ -75,11 +75,7 @@ class WrenchInput(CountedInput):
         now_ns : current stamp
         held   : number of wrenches that act now or start later
         """
-        try:
-            start_ns, frame_id, wrench = WrenchStampedCodec.decode_one(payload)
-        except MessageError as error:
-            text = str(error)
-            self.refuse("damaged", lambda: text)
+        start_ns, frame_id, wrench = self.decoded(WrenchStampedCodec.decode_one, payload)
         axes = "body"
         target, name = self.body_and_name(frame_id)
         if body is not None and target != body and f"{frame_id}/".startswith(f"{self._world_frame}/"):

@@ -160,23 +160,15 @@ class Recording:
     @cached_property
     def reactions(self) -> dict[str, ReactionTrack]:
         """{joint: ReactionTrack} of ~/JOINT/wrench; also of forces and force-torque sensors, by their names."""
-        rows = self._of_joints(REACTION)
-        return {
-            joint: ReactionTrack(np.array([stamp for stamp, _, _ in of_joint]), np.array([row for *_, row in of_joint]))
-            for joint, of_joint in rows.items()
-        }
+        return self._of_joints(REACTION, ReactionTrack)
 
     @cached_property
     def impulses(self) -> dict[str, ImpulseTrack]:
         """{joint: ImpulseTrack} of ~/JOINT/impulse; {} if they were not recorded, or there was no impact."""
-        rows = self._of_joints(IMPULSE)
-        return {
-            joint: ImpulseTrack(np.array([stamp for stamp, _, _ in of_joint]), np.array([row for *_, row in of_joint]))
-            for joint, of_joint in rows.items()
-        }
+        return self._of_joints(IMPULSE, ImpulseTrack)
 
-    def _of_joints(self, ending):
-        """{joint: [(stamp, frame_id, six numbers)]} of the wrenches on topics ~/JOINT + ending."""
+    def _of_joints(self, ending, kind):
+        """{joint: track of a kind} of the wrenches on topics ~/JOINT + ending."""
         found: dict[str, list] = {}
         with ErrorsWithPath(self.path):
             for messages, channels in self._source.messages():
@@ -187,7 +179,8 @@ class Recording:
                             joint = joint.removesuffix(OF_BODY)
                         rows = found.setdefault(joint, [])
                         rows += (WrenchStampedCodec.decode_one(messages.payload(k)) for k in index)
-        return found
+        columns = {joint: zip(*rows) for joint, rows in found.items()}
+        return {joint: kind(np.array(stamps), np.array(values)) for joint, (stamps, _, values) in columns.items()}
 
     def samples(self) -> Iterator[Samples]:
         """Iterator over the samples of all bodies in the order of time: Samples in pieces.
@@ -293,7 +286,7 @@ class Recording:
             raise RecordingError(f"{channel.topic} has messages of the type {channel.type!r:.60}")
         codec = PoseStampedCodec if kind == "pose" else TwistStampedCodec
         frame = world if kind == "pose" else self.settings.get("frame_prefix", "") + names[0]
-        for stamps, frames, _, values in decode(codec, messages, index):
+        for stamps, frames, values in decode(codec, messages, index):
             if frames != [frame]:
                 raise RecordingError(f"{channel.topic} is in frame {frames[0]!r:.60}, not in {frame!r:.60}")
             yield stamps, values
@@ -356,8 +349,8 @@ def read_recording(path: str | Path) -> Recording:
             bodies=bodies,
             inputs=scan.inputs,
             servo_targets=_joint_track(scan.servo_targets),
-            motions=_motion_track(scan.motions),
-            joint_modes=_mode_track(scan.joint_modes),
+            motions=_matrices(MotionTrack, scan.motions, COLUMNS, "motions"),
+            joint_modes=_matrices(ModeTrack, scan.joint_modes, len(joint_modes.COLUMNS), "joint modes"),
             events=scan.events,
             diagnostics=scan.diagnostics,
             topics=scan.counts(),
@@ -392,24 +385,12 @@ def _joint_track(messages):
     )
 
 
-def _motion_track(messages):
-    """MotionTrack of [(stamp in ns, names, numbers)]; None without messages."""
-    found = _matrices(messages, COLUMNS, "motions")
-    return found and MotionTrack(*found)
-
-
-def _mode_track(messages):
-    """ModeTrack of [(stamp in ns, names, numbers)]; None without messages."""
-    found = _matrices(messages, len(joint_modes.COLUMNS), "joint modes")
-    return found and ModeTrack(*found)
-
-
-def _matrices(messages, columns, what):
-    """(stamps, names, (m, rows, columns)) of messages in the order of stamps; None without any."""
+def _matrices(kind, messages, columns, what):
+    """Track of a kind of [(stamp in ns, names, numbers)], in the order of stamps; None without any."""
     if not messages:
         return None
     stamps, names, numbers = zip(*sorted(messages, key=lambda message: message[0]))
     if len(set(names)) > 1:
         raise RecordingError(f"its {what} have different joints in different messages")
     shape = len(stamps), len(names[0]), columns
-    return np.array(stamps), names[0], np.array(numbers).reshape(shape)
+    return kind(np.array(stamps), names[0], np.array(numbers).reshape(shape))

@@ -132,38 +132,28 @@ class Scan:
         self.inputs = InputTrack()
         prefix, world = settings.get("frame_prefix", ""), settings.get("world_frame", "world")
         self._frames = old_inputs.frames(bodies, prefix, world)
-        events, figures = topics["events"], topics["diagnostics"]
-        given, applied = topics.get("inputs"), topics.get("applied_wrench")
-        targets = topics.get("servo_targets")
         self.servo_targets = []  # (stamp_ns, names, positions, velocities)
-        self.motions = []  # (stamp_ns, names, numbers)
-        motions = topics.get("motions")
-        self.joint_modes = []  # (stamp_ns, names, numbers)
-        modes = topics.get("joint_modes")
-        decoder = JointStateDecoder()
+        self.motions, self.joint_modes = [], []  # (stamp_ns, names, numbers)
+        joint_states = JointStateDecoder()
+        # Functions (log time, payload) of the topics that are read here.
+        take = {
+            topics["events"]: lambda _, data: self.events.append(_event(data)),
+            topics["diagnostics"]: lambda _, data: self.diagnostics.append(diagnostics.decode(data)),
+            topics.get("inputs"): self._add_inputs,
+            topics.get("applied_wrench"): self._add_total,
+            topics.get("servo_targets"): lambda _, data: self.servo_targets.append(
+                joint_states.decode(data).complete()[:4]
+            ),
+            topics.get("joint_modes"): lambda ns, data: self.joint_modes.append((ns, *joint_modes.decode(data))),
+            topics.get("motions"): lambda ns, data: self.motions.append((ns, *decode_motions(data))),
+        }
         for messages, channels in source.messages():
             self.last_ns = max(self.last_ns, int(messages.log_time.max()))
             for channel, index in channels:
                 self._tallies.setdefault(channel.id, Tally()).add(messages.sequence[index], messages.log_time[index])
-                if channel.topic == events:
-                    self.events += [
-                        Event(stamp, name, text)
-                        for stamp, _, name, text in (LogCodec.decode_one(messages.payload(k)) for k in index)
-                    ]
-                elif channel.topic == figures:
-                    self.diagnostics += [diagnostics.decode(messages.payload(k)) for k in index]
-                elif channel.topic == given:
-                    self._add_inputs(messages, index)
-                elif channel.topic == applied:
-                    self._add_totals(messages, index)
-                elif channel.topic == targets:
-                    self.servo_targets += [decoder.decode(messages.payload(k)).complete()[:4] for k in index]
-                elif channel.topic == modes:
-                    self.joint_modes += [
-                        (int(messages.log_time[k]), *joint_modes.decode(messages.payload(k))) for k in index
-                    ]
-                elif channel.topic == motions:
-                    self.motions += [(int(messages.log_time[k]), *decode_motions(messages.payload(k))) for k in index]
+                if channel.topic in take:
+                    for k in index:
+                        take[channel.topic](int(messages.log_time[k]), messages.payload(k))
             if max(len(self.events), len(self.diagnostics)) > MOST_EVENTS:
                 raise RecordingError(f"contains more than {MOST_EVENTS} events or diagnostics")
         self.channels = source.stream.channels
@@ -171,22 +161,20 @@ class Scan:
         if source.stream.statistics and source.stream.finished:
             self._written = source.stream.statistics.channel_message_counts
 
-    def _add_inputs(self, messages, index):
-        for k in index:
-            base_ns, commands = inputs.decode(messages.payload(k))
-            for command in commands:
-                if command.kind not in KINDS:
-                    raise RecordingError(f"its inputs contain a command of the kind {command.kind!r:.40}")
-                self._add(int(messages.log_time[k]), base_ns, command)
+    def _add_inputs(self, log_ns, payload):
+        base_ns, commands = inputs.decode(payload)
+        for command in commands:
+            if command.kind not in KINDS:
+                raise RecordingError(f"its inputs contain a command of the kind {command.kind!r:.40}")
+            self._add(log_ns, base_ns, command)
 
-    def _add_totals(self, messages, index):
-        """Add total wrenches of a recording up to version 0.2."""
-        for k in index:
-            stamp, frame, wrench = WrenchStampedCodec.decode_one(messages.payload(k))
-            if frame not in self._frames:
-                raise RecordingError(f"a wrench acts on {frame!r:.60}, which is not a body of the scene")
-            for command in old_inputs.commands(*self._frames[frame], wrench):
-                self._add(stamp, stamp, command)
+    def _add_total(self, _, payload):
+        """Add a total wrench of a recording up to version 0.2."""
+        stamp, frame, wrench = WrenchStampedCodec.decode_one(payload)
+        if frame not in self._frames:
+            raise RecordingError(f"a wrench acts on {frame!r:.60}, which is not a body of the scene")
+        for command in old_inputs.commands(*self._frames[frame], wrench):
+            self._add(stamp, stamp, command)
 
     def _add(self, stamp_ns, base_ns, command):
         try:
@@ -231,6 +219,11 @@ class Scan:
         elif len(attachments) + len(source.checkpoints) < stream.statistics.attachment_count:
             problems.append("an attachment is missing")
         return "; ".join(problems) or None
+
+
+def _event(payload):
+    stamp_ns, _, name, text = LogCodec.decode_one(payload)
+    return Event(stamp_ns, name, text)
 
 
 def decode(codec, messages, index):

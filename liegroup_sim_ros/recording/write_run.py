@@ -134,32 +134,25 @@ class LogFile:
             layout.reactions.warm_up()  # for the efforts of driven joints, and force-torque sensors
         bodies = layout.body_names
         own = topics.own_by_default(bodies)
-        with_samples, self._encode = sample_messages.motion(bodies, own, WORLD_FRAME)
+        motion, self._encode = sample_messages.motion(bodies, own, WORLD_FRAME)
+        optional = {
+            "errors": (topics.ERRORS, has_estimate(simulation)),
+            "joint_modes": (topics.JOINT_MODES, layout.switches),
+            "servo_targets": (topics.SERVO_TARGETS, layout.servos),
+            "motions": (topics.MOTIONS, layout.motions),
+        }
+        optional = {kind: topic for kind, (topic, exists) in optional.items() if exists}
         names = {
             **topics.of_motion(bodies, own, lambda topic: topic.resolved(NODE)),
             "inputs": topics.INPUTS.resolved(NODE),
             "events": topics.EVENTS.resolved(NODE),
             "clock": None,
             "diagnostics": topics.DIAGNOSTICS.resolved(NODE),
+            **{kind: topic.resolved(NODE) for kind, topic in optional.items()},
         }
-        motion = [*with_samples]
-        if has_estimate(simulation):
-            names["errors"] = topics.ERRORS.resolved(NODE)
-            with_samples.append(topics.ERRORS)
-        has_modes = simulation.layout.switches
-        self._reports = JointReports(simulation) if has_modes else None
-        if has_modes:
-            names["joint_modes"] = topics.JOINT_MODES.resolved(NODE)
-            with_samples.append(topics.JOINT_MODES)
-        of_inputs = [topics.INPUTS]
-        if layout.servos:
-            names["servo_targets"] = topics.SERVO_TARGETS.resolved(NODE)
-            of_inputs.append(topics.SERVO_TARGETS)
-        if layout.motions:
-            names["motions"] = topics.MOTIONS.resolved(NODE)
-            of_inputs.append(topics.MOTIONS)
+        self._reports = JointReports(simulation) if layout.switches else None
         try:
-            types = [topic.type for topic in (*with_samples, *of_inputs, topics.EVENTS)]
+            types = [topic.type for topic in (*motion, *optional.values(), topics.INPUTS, topics.EVENTS)]
             for message_type in [*types, *(message_type for _, message_type, _ in on_request)]:
                 schemas.definition(message_type)
                 schemas.type_hash(message_type)
@@ -175,10 +168,10 @@ class LogFile:
         self._checkpoints = Checkpoints(self._recorder, simulation)
         self._encode_errors = estimates.encoder(bodies)
         self._channels = [self._channel(topic) for topic in motion]
-        self._errors = self._channel(topics.ERRORS) if "errors" in names else None
-        self._inputs = {topic: self._channel(topic) for topic in of_inputs}
+        optional["inputs"] = topics.INPUTS
+        of = ("errors", "inputs", "servo_targets", "motions", "joint_modes")  # in the order of their channels
+        self._of = {kind: self._channel(optional[kind]) for kind in of if kind in optional}
         self._encode_targets, self._encode_motions = commands.servo_targets(layout), commands.motions(layout)
-        self._modes = self._channel(topics.JOINT_MODES) if has_modes else None
         self._on_request = [
             (self._channel(topics.Topic(name, message_type)), encode) for name, message_type, encode in on_request
         ]
@@ -227,7 +220,7 @@ class LogFile:
 
     def _write(self, report):
         if report.modes is not None:
-            self._recorder.write(self._modes, report.time_ns, report.modes)
+            self._recorder.write(self._of["joint_modes"], report.time_ns, report.modes)
         if report.line is not None:
             self._event(report.time_ns, "joint", report.line)
 
@@ -240,7 +233,7 @@ class LogFile:
         given = self._simulation.drain_applied()
         wrenches = [command for command in given if command.kind not in (TARGET, MOTION)]
         if wrenches:
-            self._recorder.write(self._inputs[topics.INPUTS], self._stamp, inputs.encode(0, wrenches))
+            self._recorder.write(self._of["inputs"], self._stamp, inputs.encode(0, wrenches))
         changes = [command for command in given if command.kind in (TARGET, MOTION)]
         for time_ns, at_once in groupby(changes, attrgetter("start_ns")):
             self._values |= {command.name: command.values for command in at_once}
@@ -251,10 +244,10 @@ class LogFile:
         layout, values = self._simulation.layout, self._values
         if layout.servos:
             targets = self._encode_targets(stamp, [values[joint] for joint in layout.servos])
-            self._recorder.write(self._inputs[topics.SERVO_TARGETS], stamp, targets)
+            self._recorder.write(self._of["servo_targets"], stamp, targets)
         if values.keys() & layout.motions.keys():
             rows = [number for joint in layout.motions for number in values.get(joint, FROM_SCENE)]
-            self._recorder.write(self._inputs[topics.MOTIONS], stamp, self._encode_motions(rows))
+            self._recorder.write(self._of["motions"], stamp, self._encode_motions(rows))
 
     def sample(self, sample):
         """Record poses, twists, estimated errors of all bodies, inputs, and events at joints."""
@@ -269,8 +262,8 @@ class LogFile:
                 self._event(stamp, name, text)
         for channel, message in zip(self._channels, self._encode(stamp, sample)):
             self._recorder.write(channel, stamp, message)
-        if self._errors is not None:
-            self._recorder.write(self._errors, stamp, self._encode_errors(sample))
+        if "errors" in self._of:
+            self._recorder.write(self._of["errors"], stamp, self._encode_errors(sample))
         for channel, encode in self._on_request:
             self._recorder.write(channel, stamp, encode(stamp, sample))
         self._checkpoints.add_if_due(stamp)

@@ -18,7 +18,7 @@ from liegroup_core.inputs import Inputs
 from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.messages import arrays, estimates, inputs, joint_modes, topics
-from liegroup_sim_ros.messages.codecs import LogCodec, PoseStampedCodec, TwistStampedCodec
+from liegroup_sim_ros.messages.codecs import Fields, LogCodec, PoseStampedCodec, TwistStampedCodec
 from liegroup_sim_ros.messages.commands import JointStateDecoder, decode_motions, joint_labels
 from liegroup_sim_ros.messages.diagnostics import decode as decode_figures
 
@@ -106,8 +106,6 @@ class Remote(Source):
         self._node.create_subscription(kind, topic.resolved(self._name), take, profile, raw=True)
 
     def _take_scene(self, payload):
-        from liegroup_sim_ros.messages.codecs import Fields
-
         self._scene_text = Fields(topics.SCENE.type, payload).text()
         self._found.set()
 
@@ -160,8 +158,6 @@ class Remote(Source):
         self._pose[i, 9:] = values[:3]
 
     def _take_poses(self, payload):
-        from liegroup_sim_ros.messages.codecs import Fields
-
         fields = Fields(arrays.TYPE, payload)
         stamp = fields.stamp_ns()
         frame = fields.text()
