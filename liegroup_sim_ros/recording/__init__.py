@@ -25,7 +25,7 @@ Why the library `mcap` is not used throughout. It encodes and parses all rare re
 schemas, channels, attachments, metadata, statistics, indexes, footer. Three tasks are done here:
 
 * Writing and reading messages. The library creates an object per message: 3.5 us of CPU time to
-  write one, Recorder 1.5 us (benchmarks/recording.py); some 5 us to read one, walk.py 0.15 us
+  write one, Recorder 1.5 us (benchmarks/recording.py); some 5 us to read one, walk.py 0.1 us
   (benchmarks/recording_analysis.py).
 * Files without an end. After SIGKILL or a full disk the summary is missing, and the library's
   indexed reader refuses the file. Its sequential reader stops at the first damaged record.

@@ -6,7 +6,7 @@ correct checksum. Sizes claimed by the file are not trusted: memory is bounded b
 LARGEST_RATIO times the size of the file.
 
 The library `mcap` creates an object per message, about 5 us. Here the messages of a chunk are arrays, about
-0.15 us each (benchmarks/recording_analysis.py).
+0.1 us each (benchmarks/recording_analysis.py).
 
 Source: mcap.dev specification, version 0.
 """
@@ -22,6 +22,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel as ChannelRecord
 from mcap.records import Footer, Header, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
+from numpy.lib.stride_tricks import sliding_window_view
 
 from .mcap_records import (
     CHUNK,
@@ -46,7 +47,7 @@ MOST_EXTRAS = 10_000  # attachments and metadata records
 MOST_PROBLEMS = 20  # different problems that are listed
 PIECE = 2**20  # bytes: messages outside of chunks are collected into pieces of this size
 MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-_HEAD = np.dtype([("_", "u1"), ("size", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("times", "<i8", 2)])
+_HEAD = np.dtype([("opcode", "u1"), ("size", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("times", "<i8", 2)])
 _CHUNK_HEAD = 56  # bytes, at most
 _TRIES = 16  # the search for chunks reads at most this many times the file size
 _FOOTER = RECORD.size + 20
@@ -85,7 +86,7 @@ class Messages(NamedTuple):
     def rows(self, index):
         """(len(index), size) uint8: payloads of messages of one size."""
         size = int(self.size[index[0]])
-        return self.data[self.start[index][:, None] + np.arange(size)]
+        return sliding_window_view(self.data, size)[self.start[index]]
 
     def by_channel(self):
         """[(channel id, indices of its messages)]."""
@@ -154,7 +155,7 @@ class Walk:
         self._schemas, self.channels, self._defined, self._extras = {}, {}, 0, 0
         self.header, self.problems, self.finished, self.statistics = Header("", ""), {}, False, None
         self.offset = 0
-        self._loose = bytearray()
+        self._loose, self._before = bytearray(), np.empty(0, dtype=np.int64)  # offsets in the chunk before
         self._budget = LARGEST + LARGEST_RATIO * size
 
     def __iter__(self):
@@ -257,7 +258,9 @@ class Walk:
 
     def _messages(self, data, is_whole=True):
         """Yield Messages if there are any, and take the definitions among them. Raises Damaged."""
-        starts, at, size = [], 0, len(data)
+        size, raw = len(data), np.frombuffer(data, dtype=np.uint8)
+        before, at = self._alike(raw)
+        starts = []
         message, head, unpack, append = int(Opcode.MESSAGE), RECORD.size, RECORD.unpack_from, starts.append
         while at + head <= size:
             opcode, length = unpack(data, at)
@@ -273,14 +276,25 @@ class Walk:
             at = end
         if is_whole and at != size:
             raise Damaged("a chunk with a truncated record")
-        if starts:
-            raw, begin = np.frombuffer(data, dtype=np.uint8), np.array(starts)
-            heads = np.lib.stride_tricks.sliding_window_view(raw, _HEAD.itemsize)[begin].view(_HEAD)[:, 0]
+        begin = np.concatenate([before, np.array(starts, dtype=np.int64)])
+        if len(begin):
+            self._before = begin if len(starts) > 1 else self._before
+            heads = _heads(raw, begin)
             channel, sequence, sizes = (heads[name].astype(np.int64) for name in ("channel", "sequence", "size"))
             if sizes.min() < MESSAGE.size:
                 raise Damaged("a damaged message")
             times = heads["times"][:, 0].astype(np.int64)
             yield Messages(raw, channel, sequence, times, begin + _HEAD.itemsize, sizes - MESSAGE.size, is_whole)
+
+    def _alike(self, raw):
+        """(offsets (k,) of messages that are where those of the chunk before were, offset of the next record)."""
+        begin = self._before[: np.searchsorted(self._before, len(raw) - _HEAD.itemsize, "right")]
+        if not len(begin) or begin[0]:
+            return begin[:0], 0
+        heads = _heads(raw, begin)
+        fits = (heads["opcode"][:-1] == Opcode.MESSAGE) & (heads["size"][:-1] == np.diff(begin) - RECORD.size)
+        count = len(fits) if fits.all() else int(fits.argmin())
+        return begin[:count], int(begin[count])
 
     def _define(self, record):
         """Take a Schema, or a Channel of the library."""
@@ -344,6 +358,11 @@ class Walk:
             elif opcode == Opcode.STATISTICS:
                 self.statistics = parsed(Statistics, body)
             place += length
+
+
+def _heads(raw, starts):
+    """Heads (m,) of the messages at these offsets in the bytes of a chunk."""
+    return sliding_window_view(raw, _HEAD.itemsize)[starts].view(_HEAD)[:, 0]
 
 
 def _record_at(file, at, size):
