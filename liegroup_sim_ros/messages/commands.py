@@ -121,8 +121,8 @@ def decode_motions(payload):
     return matrices.decode(payload, MOTION_COLUMNS)[::2]
 
 
-def joint_state_encoder(labels):
-    """Function (stamp_ns, positions, velocities, efforts) -> serialized JointState."""
+def joint_state_template(labels):
+    """Template of a JointState; its slots are the stamp, positions, velocities and efforts."""
     template, count = Template(), len(labels)
     template.header("")
     template.put("I", count)
@@ -131,7 +131,7 @@ def joint_state_encoder(labels):
     for _ in ("position", "velocity", "effort"):
         template.put("I", count)
         template.slot(f"{count}d")
-    return lambda stamp_ns, *values: template.pack(stamp(stamp_ns), *values)
+    return template
 
 
 def servo_targets(layout):
@@ -140,5 +140,5 @@ def servo_targets(layout):
     Servos are in the order of `layout.servos`; efforts are NaN.
     """
     labels = joint_labels(layout.servos, layout.scene.robot)
-    encode, none = joint_state_encoder(labels), [math.nan] * len(labels)
-    return lambda stamp_ns, targets: encode(stamp_ns, *zip(*targets), none)
+    pack, none = joint_state_template(labels).pack, [math.nan] * len(labels)
+    return lambda stamp_ns, targets: pack(stamp(stamp_ns), *zip(*targets), none)

@@ -36,11 +36,12 @@ def variances(sample, body):
     return [square if square < UNKNOWN else UNKNOWN for square in squares]
 
 
-def diagonal(*values):
-    """Covariance matrix of independent values, row by row."""
-    found = [0.0] * len(values) ** 2
-    found[:: len(values) + 1] = values
-    return found
+def covariance(linear, angular):
+    """(36,) row by row, diagonal: the variances along and about x, y and z."""
+    values = [0.0] * 36
+    values[0:21:7] = (linear,) * 3
+    values[21:36:7] = (angular,) * 3
+    return values
 
 
 def decode_rows(rows, names, _world_frame=None):

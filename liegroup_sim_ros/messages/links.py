@@ -11,12 +11,27 @@ from typing import NamedTuple
 import numpy as np
 
 from liegroup_core.joints.linkage import inverse
+from liegroup_core.observables.along import quaternions
 from liegroup_core.scene.consistency import resolve_frames
 
 WORLD = "world"
 URDF_TYPES = {"revolute": "continuous", "prismatic": "prismatic", "fixed": "fixed"}
 # Distance of an axis from an origin that counts as zero, relative to the largest coordinate: round-off.
 BESIDE = 1e-14
+
+
+def places_of(poses):
+    """[[x, y, z, qx, qy, qz, qw]] of poses (k, 4, 4)."""
+    rows = np.hstack([poses[:, :3, :3].reshape(-1, 9), poses[:, :3, 3]])
+    return np.hstack([rows[:, 9:], quaternions(rows)]).tolist()
+
+
+def placer(layout, owners, local):
+    """Function sample -> places_of frames (k, 4, 4) in bodies or the world, whose names are the owners."""
+    # The world has the index after the last body.
+    number = {body: i for i, body in enumerate(layout.body_names)}
+    owners, local = [number.get(name, len(number)) for name in owners], np.array(local)
+    return lambda sample: places_of(np.concatenate([sample.pose_matrices, np.eye(4)[None]])[owners] @ local)
 
 
 class UrdfJoint(NamedTuple):

@@ -13,13 +13,13 @@ import math
 
 import numpy as np
 
-from liegroup_core.observables.along import quaternions
 from liegroup_core.robots.description import place
 from liegroup_core.robots.resources import find_resource
 from liegroup_core.scene.centres import PLACES
 from liegroup_core.scene.names import WORLD
 
 from .cdr import Template, stamp
+from .links import placer
 
 CUBE, SPHERE, CYLINDER, ARROW, MESH = 1, 2, 3, 0, 10
 RIM = 0.08  # width of a wheel that is drawn, relative to its diameter
@@ -45,7 +45,6 @@ class Markers:
     def __init__(self, layout, world_frame, arrow_scale):
         scene = layout.scene
         self.arrow_scale = arrow_scale
-        number = {body: i for i, body in enumerate(layout.body_names)}
         solids = [solid(body, scene) for body in scene.bodies]
         # Point masses have no size.
         largest = max(max(size) for _, size, _ in solids) or layout.size
@@ -53,23 +52,22 @@ class Markers:
         self._end = Template()
         self._end.put("I", 1)
         _add(self._end, "", 0, CUBE, world_frame, (0.0,) * 3, (0.0,) * 4)
-        self._owner, self._local = [], []  # body, and pose in it, of each marker except arrows
+        owners, local = [], []  # body, and pose in it, of each marker except arrows
         shapes = drawn(scene)
         template.put("I", len(shapes) + len(scene.joints) + 2 * len(solids))
-        for i, (body, kind, size, local, mesh, color) in enumerate(shapes):
+        for i, (body, kind, size, pose, mesh, color) in enumerate(shapes):
             if kind != MESH:
                 size = np.maximum(size, THINNEST * largest)
             _add(template, "bodies", i, kind, world_frame, size, color, mesh)
-            self._owner.append(number.get(body, len(number)))
-            self._local.append(local)
+            owners.append(body)
+            local.append(pose)
         offsets = {body.name: np.array(body.com) for body in scene.bodies}
         for i, (joint, (_, frame)) in enumerate(zip(scene.joints, layout.joint_frames)):
             _add(template, "joints", i, SPHERE, world_frame, (JOINT_SIZE * largest,) * 3, JOINT_COLOR)
-            local = frame.copy()  # relative to the frame at the centre of mass
-            local[:3, 3] += offsets[joint.child]
-            self._owner.append(number[joint.child])
-            self._local.append(local)
-        self._local = np.array(self._local)
+            local.append(frame.copy())  # relative to the frame at the centre of mass
+            local[-1][:3, 3] += offsets[joint.child]
+            owners.append(joint.child)
+        self._places = placer(layout, owners, local)
         for name, color in (("forces", FORCE_COLOR), ("torques", TORQUE_COLOR)):
             for i in range(len(solids)):
                 _add(template, name, i, ARROW, world_frame, (SHAFT * largest, HEAD * largest, 0.0), color)
@@ -77,12 +75,7 @@ class Markers:
     def encode(self, stamp_ns, sample):
         """The serialized message."""
         time = stamp(stamp_ns)
-        slots = []
-        # The world has the index after the last body.
-        poses = np.concatenate([sample.pose_matrices, np.eye(4)[None]])[self._owner] @ self._local
-        rows = np.hstack([poses[:, :3, :3].reshape(-1, 9), poses[:, :3, 3]])
-        for at, quaternion in zip(rows[:, 9:].tolist(), quaternions(rows).tolist()):
-            slots += time, (ADD,), (*at, *quaternion)
+        slots = [slot for pose in self._places(sample) for slot in (time, (ADD,), pose)]
         places = np.hstack([sample.pose[:, 9:], sample.orientation]).tolist()
         wrenches = sample.external_wrenches.tolist()
         for part in (slice(3, 6), slice(0, 3)):

@@ -12,18 +12,17 @@ import math
 import numpy as np
 
 from liegroup_core.fields.frames import Frame
-from liegroup_core.observables.along import quaternions
 from liegroup_core.scene.consistency import resolve_frames
 from liegroup_core.scene.names import WORLD
 
 from . import arrays, topics
 from .cdr import Template, stamp
 from .codecs import PoseStampedCodec, TwistStampedCodec, WrenchStampedCodec, pack_stamp
-from .commands import JOINT_STATE, joint_labels, joint_state_encoder
+from .commands import JOINT_STATE, joint_labels, joint_state_template
 from .description import unheld_links
-from .estimates import diagonal, variances
-from .links import link_of_body, links_and_joints
-from .sensors import ODOMETRY, odometry_encoder, sensors
+from .estimates import covariance, variances
+from .links import link_of_body, links_and_joints, placer, places_of
+from .sensors import ODOMETRY, odometry_template, sensors
 
 REACTION = "_reaction"  # ending of the frame ids of reactions
 _POSE, _BODY = 7 * 8, 13 * 8  # bytes of a pose, and of a body, in Sample.rows
@@ -64,8 +63,8 @@ def odometry(layout, world_frame, frame_prefix=""):
     """
 
     def of_body(body):
-        encode = odometry_encoder(world_frame, frame_prefix + body)
-        return lambda stamp_ns, sample: encode(stamp_ns, *_with_covariances(sample, body))
+        template = odometry_template(world_frame, frame_prefix + body)
+        return lambda stamp_ns, sample: template.pack(stamp(stamp_ns), *_with_covariances(sample, body))
 
     return [(f"~/{body}/odometry", ODOMETRY, of_body(body)) for body in layout.body_names]
 
@@ -115,7 +114,7 @@ def joint_states(layout, world_frame, frame_prefix=""):
     labels = [*joint_labels(names, robot), *still]
     if not labels:
         return []
-    pack = joint_state_encoder(labels)
+    template = joint_state_template(labels)
     held, rest = list(still.values()), [0.0] * len(still)
     idle = [math.nan] * len(labels)
 
@@ -124,8 +123,8 @@ def joint_states(layout, world_frame, frame_prefix=""):
         effort = idle
         if efforts:
             effort = [efforts.get(name, math.nan) for name in names] + idle[len(names) :]
-        return pack(
-            stamp_ns,
+        return template.pack(
+            stamp(stamp_ns),
             [coordinates[name][0] for name in names] + held,
             [coordinates[name][1] for name in names] + rest,
             effort,
@@ -202,15 +201,26 @@ def fixed_frames(layout, frame_prefix=""):
             frames[sensor.name] = child, sensor.frame.pose if sensor.frame else frame
         elif hasattr(sensor, "frame"):
             frames[sensor.name] = sensor.body, (sensor.frame or Frame()).pose
-    links, template, slots = link_of_body(scene), Template(), []
-    template.put("I", len(frames))
-    for name, (body, frame) in frames.items():
-        template.header(frame_prefix + links[body])
-        template.string(frame_prefix + name)
+    links = link_of_body(scene)
+    parents = [frame_prefix + links[body] for body, _ in frames.values()]
+    places = places_of(np.array([frame for _, frame in frames.values()]).reshape(-1, 4, 4))
+    return _tf_encoder(parents, [frame_prefix + name for name in frames])(0, places)
+
+
+def _tf_encoder(parents, children):
+    """Function (stamp_ns, places (k, 7) of the children) -> serialized TFMessage."""
+    template = Template()
+    template.put("I", len(children))
+    for parent, child in zip(parents, children):
+        template.header(parent)
+        template.string(child)
         template.slot("7d")
-        row = np.concatenate([frame[:3, :3].ravel(), frame[:3, 3]])[None]
-        slots += [stamp(0), [*row[0, 9:].tolist(), *quaternions(row)[0].tolist()]]
-    return template.pack(*slots)
+
+    def encode(stamp_ns, places):
+        time = stamp(stamp_ns)
+        return template.pack(*(slot for place in places for slot in (time, place)))
+
+    return encode
 
 
 def transforms(layout, world_frame, frame_prefix="", which="all"):
@@ -229,25 +239,9 @@ def transforms(layout, world_frame, frame_prefix="", which="all"):
     }
     if not links:
         return []
-    template = Template()
-    template.put("I", len(links))
-    for name in links:
-        template.header(world_frame)
-        template.string(frame_prefix + name)
-        template.slot("7d")
-    # The world has the index after the last body.
-    number = {body: i for i, body in enumerate(layout.body_names)}
-    owner = [number.get(body, len(number)) for body, _ in links.values()]
-    local = np.array([pose for _, pose in links.values()])
-
-    def encode(stamp_ns, sample):
-        time = stamp(stamp_ns)
-        poses = np.concatenate([sample.pose_matrices, np.eye(4)[None]])[owner] @ local
-        rows = np.hstack([poses[:, :3, :3].reshape(-1, 9), poses[:, :3, 3]])
-        places = np.hstack([rows[:, 9:], quaternions(rows)]).tolist()
-        return template.pack(*(slot for place in places for slot in (time, place)))
-
-    return [("/tf", "tf2_msgs/msg/TFMessage", encode)]
+    encode = _tf_encoder([world_frame] * len(links), [frame_prefix + name for name in links])
+    places = placer(layout, [body for body, _ in links.values()], [pose for _, pose in links.values()])
+    return [("/tf", "tf2_msgs/msg/TFMessage", lambda stamp_ns, sample: encode(stamp_ns, places(sample)))]
 
 
 # Values of the parameter tf_links.
@@ -270,8 +264,7 @@ OPTIONAL = {
 def _with_covariances(sample, body):
     """Pose, its covariance (36,), twist, its covariance (36,)."""
     position, attitude, linear, angular = variances(sample, body)
-    pose = _pose(sample, body), diagonal(*[position] * 3, *[attitude] * 3)
-    return *pose, _twist(sample, body), diagonal(*[linear] * 3, *[angular] * 3)
+    return (_pose(sample, body), covariance(position, attitude), _twist(sample, body), covariance(linear, angular))
 
 
 def _pose(sample, body):

@@ -6,8 +6,8 @@ Variances are those of a sensor's noise plus those of its body, see estimates.py
 
 from .cdr import Template, stamp
 from .codecs import WrenchStampedCodec
-from .commands import JOINT_STATE, joint_state_encoder
-from .estimates import diagonal, variances
+from .commands import JOINT_STATE, joint_state_template
+from .estimates import covariance, variances
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 
@@ -25,15 +25,20 @@ def sensors(layout, world_frame, frame_prefix=""):
     ]
 
 
-def odometry_encoder(world_frame, child_frame):
-    """Function (stamp_ns, pose, its covariance, twist, its covariance) -> serialized nav_msgs/Odometry."""
+def odometry_template(world_frame, child_frame):
+    """Template of a nav_msgs/Odometry; its slots are the stamp, pose, its covariance, twist, its covariance."""
     template = Template()
     template.header(world_frame)
     template.string(child_frame)
     for numbers in ("7d", "6d"):
         template.slot(numbers)
         template.slot("36d")
-    return lambda stamp_ns, *values: template.pack(stamp(stamp_ns), *values)
+    return template
+
+
+def _of_axes(variance):
+    """Covariance matrix (9,), the same about every axis."""
+    return [variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, variance]
 
 
 def _imu(sensor, _world_frame, frame_prefix):
@@ -50,11 +55,11 @@ def _imu(sensor, _world_frame, frame_prefix):
         return template.pack(
             stamp(stamp_ns),
             values[:4],
-            diagonal(*[attitude] * 3),
+            _of_axes(attitude),
             values[4:7],
-            diagonal(*[turning] * 3),
+            _of_axes(turning),
             values[7:],
-            diagonal(*[sensor.acceleration_noise**2] * 3),
+            _of_axes(sensor.acceleration_noise**2),
         )
 
     return encode
@@ -66,23 +71,19 @@ def _force_torque(sensor, _world_frame, frame_prefix):
 
 
 def _encoder(sensor, _world_frame, _frame_prefix):
-    encode, nothing = joint_state_encoder([sensor.joint]), [float("nan")]  # not measured
-    return lambda stamp_ns, sample: encode(stamp_ns, sample.sensors[sensor.name].tolist(), nothing, nothing)
+    pack, nothing = joint_state_template([sensor.joint]).pack, [float("nan")]  # not measured
+    return lambda stamp_ns, sample: pack(stamp(stamp_ns), sample.sensors[sensor.name].tolist(), nothing, nothing)
 
 
 def _pose(sensor, world_frame, frame_prefix):
-    pack = odometry_encoder(world_frame, frame_prefix + sensor.name)
+    template = odometry_template(world_frame, frame_prefix + sensor.name)
 
     def encode(stamp_ns, sample):
         values = sample.sensors[sensor.name].tolist()
         place, attitude, speed, spin = variances(sample, sensor.body)
         place += sensor.position_noise**2
-        return pack(
-            stamp_ns,
-            values[:7],
-            diagonal(*[place] * 3, *[attitude] * 3),
-            values[7:],
-            diagonal(*[speed] * 3, *[spin] * 3),
+        return template.pack(
+            stamp(stamp_ns), values[:7], covariance(place, attitude), values[7:], covariance(speed, spin)
         )
 
     return encode

@@ -147,20 +147,7 @@ def _decompressed(compression, data, size):
 def beginning(body):
     """Records at the readable beginning of a truncated chunk, bytes. Raises Damaged."""
     head = chunk_head(body)
-    start, parts, left = head.data_start, [], min(head.size, LARGEST)
-    if head.compression == b"":
-        return body[start:]
-    if head.compression == b"zstd":
-        decompress = zstandard.ZstdDecompressor(max_window_size=LARGEST).decompressobj().decompress
-        try:
-            while left > 0 and start < len(body):
-                # In small steps: one byte may expand to 32 KiB.
-                parts.append(decompress(body[start : start + 64]))
-                left -= len(parts[-1])
-                start += 64
-        except (zstandard.ZstdError, MemoryError):
-            pass
-    return b"".join(parts)[: head.size]
+    return _decompressed(head.compression, body[head.data_start :], min(head.size, LARGEST))[: head.size]
 
 
 def attachment_of(body):
