@@ -30,7 +30,6 @@ from .input_track import InputTrack
 from .read_file import Attachments, ErrorsWithPath, Scan, Source, decode, of_one_size
 from .tracks import (
     ErrorTrack,
-    Event,
     ImpulseTrack,
     JointTrack,
     ModeTrack,
@@ -40,22 +39,6 @@ from .tracks import (
     Samples,
     TwistTrack,
 )
-
-__all__ = [
-    "ErrorTrack",
-    "Event",
-    "ImpulseTrack",
-    "InputTrack",
-    "JointTrack",
-    "ModeTrack",
-    "PoseTrack",
-    "ReactionTrack",
-    "Recording",
-    "RecordingError",
-    "Samples",
-    "TwistTrack",
-    "read_recording",
-]
 
 FORMAT = 1  # of settings.json and the other attachments
 REACTION = "/wrench"  # ending of the topics of reactions; inputs are not recorded
