@@ -5,14 +5,12 @@ import re
 from typing import NamedTuple
 
 import numpy as np
-import yaml
 
 from liegroup_core.errors import LieGroupSimError
 from liegroup_sim_ros.recording.read_file import ErrorsWithPath
 from liegroup_sim_ros.recording.walk import Messages, Walk
 
 _TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
-LONGEST_QOS = 65536  # characters of YAML
 
 
 class PlayError(LieGroupSimError):
@@ -91,15 +89,10 @@ class PlayFile:
 
 def _qos(channel):
     """(reliable, latched, depth) of the QoS that the publisher offered."""
-    text = channel.metadata.get("offered_qos_profiles", "")
-    try:
-        offered = yaml.safe_load(text) if len(text) <= LONGEST_QOS else None
-        first = offered[0] if isinstance(offered, list) and offered else {}
-        depth = first.get("depth") if isinstance(first, dict) else None
-        return (
-            str(first.get("reliability")) not in ("best_effort", "2"),
-            str(first.get("durability")) in ("transient_local", "1"),
-            depth if isinstance(depth, int) and 0 < depth <= 10_000 else 10,
-        )
-    except (yaml.YAMLError, AttributeError, RecursionError, ValueError):
-        return True, False, 10
+    first = channel.qos[0] if channel.qos and isinstance(channel.qos[0], dict) else {}
+    depth = first.get("depth")
+    return (
+        str(first.get("reliability")) not in ("best_effort", "2"),
+        str(first.get("durability")) in ("transient_local", "1"),
+        depth if isinstance(depth, int) and 0 < depth <= 10_000 else 10,
+    )

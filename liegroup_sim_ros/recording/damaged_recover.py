@@ -5,7 +5,6 @@ import json
 import os
 from pathlib import Path
 
-import yaml
 from mcap.records import Attachment, Metadata
 
 from . import bag_metadata
@@ -106,10 +105,6 @@ def _copy(found, file, name):
 
 def _topic_info(channel):
     """rosbag2's description of a topic, from the metadata of its channel."""
-    try:
-        qos = yaml.safe_load(channel.metadata.get("offered_qos_profiles", ""))
-    except (yaml.YAMLError, RecursionError, ValueError):
-        qos = None
     return bag_metadata.topic_info(
-        channel.topic, channel.type, qos if isinstance(qos, list) else [], channel.metadata.get("topic_type_hash", "")
+        channel.topic, channel.type, channel.qos, channel.metadata.get("topic_type_hash", "")
     )

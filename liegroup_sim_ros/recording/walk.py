@@ -18,6 +18,7 @@ from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
+import yaml
 from mcap.opcode import Opcode
 from mcap.records import Channel as ChannelRecord
 from mcap.records import Footer, Header, Schema, Statistics
@@ -45,6 +46,7 @@ from .mcap_records import (
 MOST_DEFINITIONS = 8 * 2**20  # bytes of all names and schemas
 MOST_EXTRAS = 10_000  # attachments and metadata records
 MOST_PROBLEMS = 20  # different problems that are listed
+LONGEST_QOS = 65536  # characters of YAML
 PIECE = 2**20  # bytes: messages outside of chunks are collected into pieces of this size
 MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _HEAD = np.dtype([("opcode", "u1"), ("size", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("times", "<i8", 2)])
@@ -66,6 +68,16 @@ class Channel(NamedTuple):
     def type(self):
         """Type of its messages; empty without a schema."""
         return self.schema.name if self.schema else ""
+
+    @property
+    def qos(self):
+        """[QoS profile] that the publishers offered, as in schemas.qos_profile; [] if the file has no valid one."""
+        text = self.metadata.get("offered_qos_profiles", "")
+        try:
+            offered = yaml.safe_load(text) if len(text) <= LONGEST_QOS else None
+        except (yaml.YAMLError, RecursionError, ValueError):
+            offered = None
+        return offered if isinstance(offered, list) else []
 
 
 class Messages(NamedTuple):
