@@ -114,8 +114,14 @@ class Source:
         """(Messages, [(Channel, indices of its messages)]) of each chunk; `stream` is the reader."""
         with open(self.path, "rb") as file:
             self.stream = stream = Walk(file, self.size)
+            last_ns = 0
             for item in stream:
                 if isinstance(item, Messages) and item.is_whole:
+                    # Damage may repeat or exchange chunks, which otherwise do not overlap.
+                    if stream.problems and item.log_time.min() < last_ns:
+                        stream.problem("messages that are earlier than those before")
+                        continue
+                    last_ns = max(last_ns, int(item.log_time.max()))
                     parts = item.by_channel()
                     yield item, [(stream.channels[k], index) for k, index in parts if k in stream.channels]
 

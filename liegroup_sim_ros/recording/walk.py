@@ -232,6 +232,8 @@ class Walk:
             return
         body = self._file.read(length)
         if opcode == Opcode.MESSAGE:
+            if length < MESSAGE.size:
+                raise Damaged("a damaged message")
             self._loose += RECORD.pack(opcode, length) + body
             if len(self._loose) > PIECE:
                 yield from self._loose_messages()

@@ -265,6 +265,11 @@ HOSTILE = {
     "many chunks that grow": MCAP0_MAGIC
     + record(Attachment(0, 0, "a", "b", b""))
     + bomb(LARGEST - 100, 4, noise=80_000, payload=1000),
+    "short message": MCAP0_MAGIC
+    + record(Channel(id=1, topic="/a", message_encoding="cdr", metadata={}, schema_id=0))
+    + struct.pack("<BQHIQQ", 5, 22, 1, 1, 1, 1)
+    + struct.pack("<BQI", 5, 4, 0)
+    + struct.pack("<BQHIQQ", 5, 22, 1, 2, 2, 2),
     "length beyond its record": MCAP0_MAGIC
     + struct.pack("<BQHIIIH", 3, 16, 1, 0, 0, 2**32 - 1, 0)
     + record(Channel(id=1, topic="/a", message_encoding="cdr", metadata={}, schema_id=1)),
@@ -350,6 +355,7 @@ def test_hostile_files_use_bounded_memory_and_time_and_give_one_line(tmp_path):
     results = json.loads(output)
     assert "more than 100 times its size" in results["many chunks that grow: recover"][1]
     assert "claims to contain" in results["bomb that claims 2^60: info"][2]
+    assert json.loads(results["short message: info --json"][1])[0]["messages"] == 2
     assert "beyond the end of its record" in results["length beyond its record: info"][2]
     for name, (code, out, err, seconds, megabytes) in results.items():
         assert code in (0, 2), name
