@@ -28,7 +28,6 @@ BEYOND = 1e-9  # rad, or relative to the characteristic length: a state that is 
 # are within this fraction of it.
 DENSE, SHORT = 50, 0.005
 MOST_KEPT = 100_000  # events kept until they are taken
-ATTEMPTED, MOST, PART = 2, 7, 10  # entries of control, see error_control.py
 
 STOP, LEAVE, STICK, SLIDE = "stop", "leave", "stick", "slip"
 
@@ -49,7 +48,7 @@ class JointInstant(NamedTuple):
 class Switching(EventTimes):
     """Steps of a Munthe-Kaas method with the events of the switches of its model.
 
-    take, control : see EventTimes
+    take, step, control : see EventTimes
     lead    : Lead of the method
 
     instants : [JointInstant] since they were last taken; None: not recorded
@@ -58,8 +57,8 @@ class Switching(EventTimes):
     tally   : (k,) number of instants at which a guard of each switch was zero, since the state was set
     """
 
-    def __init__(self, model, work, take, control, lead):
-        super().__init__(model, work, take, control)
+    def __init__(self, model, work, take, step, control, lead):
+        super().__init__(model, work, take, step, control)
         self._lead = lead
         self.instants, self.count = None, 0
         self.endless = self._inputs = None
@@ -69,6 +68,10 @@ class Switching(EventTimes):
     def touch(self, pose, twist, external):
         """Call every kernel once; the state does not change."""
         self._look(self._model, self._work, pose, twist, external)
+        self._step(1.0, 0, pose, twist, external)
+        if self._lead.runs:
+            with self._lead.left():
+                self._take(1.0, 0, pose, twist, external)
         lowest(*np.ones(9).tolist())
         self._respond_at_stage()
         self._change_rates(self._model, self._work, self._no_changes, pose, twist)
@@ -243,7 +246,7 @@ class Switching(EventTimes):
 
     def _take_events(self, h, start, state):
         work = self._work
-        elapsed, times, begun = 0.0, [], self._control[ATTEMPTED]
+        elapsed, times, begun = 0.0, [], self._control.attempted[0]
         for _ in range(MOST_EVENTS):
             begin_of_substep, size = elapsed + work.watch[BEGIN], work.watch[SPAN]
             work.clock[COUNT], work.clock[OFFSET] = 0.0, start + begin_of_substep
@@ -275,14 +278,14 @@ class Switching(EventTimes):
 
         begun : attempts when its first event was found
         """
-        control, most = self._control, self._control[MOST]
-        spent = control[ATTEMPTED] - begun
-        control[MOST] = max(0.0, most - spent)
+        control, most = self._control, self._control.most[0]
+        spent = control.attempted[0] - begun
+        control.most[0] = max(0.0, most - spent)
         _, status = self._take(h, 1, *state)
-        control[MOST] = most
+        control.most[0] = most
         if status == TOO_MANY_SUBSTEPS:
-            new = control[ATTEMPTED] - begun - spent
-            control[PART] = (spent + new) / (spent + new / control[PART])
+            new = control.attempted[0] - begun - spent
+            control.part[0] = (spent + new) / (spent + new / control.part[0])
         return status
 
     def _switch(self, time, state, crossed):

@@ -26,22 +26,22 @@ HALVINGS, MOST_LOOKS = 40, 400
 NEAR, PRECISE = 0.2, 1e-3
 BEFORE, AFTER = 0.8, 1.25  # relative to the expected time of a zero: the interval that is tried first
 NEWTON = 6  # steps; if they do not converge, the start is too far away
-LOOSE = 1e100  # tolerance of error control that every step meets
 
 
 class EventTimes(ModeChanges):
     """Times of events, by steps of a Munthe-Kaas method.
 
     take    : function (h, steps, pose, twist, external) -> (steps done, status)
-    control : of error control, see munthe_kaas.advance
+    step    : the same, without error control
+    control : Control
 
     parts   : number of steps up to an event. The event's time sets their size; another number of parts
               shows their error, see RunningError
     """
 
-    def __init__(self, model, work, take, control):
+    def __init__(self, model, work, take, step, control):
         super().__init__(model, work)
-        self._take, self._control, self.parts = take, control, 1
+        self._take, self._step, self._control, self.parts = take, step, control, 1
         self.same_time = SAME_TIME
         table = model.switches
         # A guard whose initial value is below this starts at its zero.
@@ -199,21 +199,17 @@ class EventTimes(ModeChanges):
 
     def _single(self, tau, state):
         """Take one step of size tau, or its parts, without events and without error control."""
-        work, control = self._work, self._control
-        kept, size = control.copy(), tau / self.parts
-        control[0], control[4:11] = size, LOOSE
-        control[11] = 0.0  # a rounded state would make guards rough
+        work = self._work
         work.watch[WATCHED] = 0.0
-        _, status = self._take(size, self.parts, *state)
+        _, status = self._step(tau / self.parts, self.parts, *state)
         work.watch[WATCHED] = 1.0
-        control[:] = kept
         return status
 
     def _keep(self, pose, twist, from_start=False):
         """Copies of the state; from_start: of that at the start of the step under error control."""
         work = self._work
         own = [work.pose, work.twist, work.angle]
-        if from_start and self._control[2]:
+        if from_start and self._control.attempted[0]:
             own = [work.start_pose, work.start_twist, work.start_angle]
         return [part.copy() for part in (*own, work.held, work.modes, pose, twist)]
 

@@ -9,7 +9,6 @@ from convergence import fitted_order
 from liegroup_core import Simulation, load_scene
 from liegroup_core.methods.munthe_kaas.ahead import further_stages, polynomials
 from liegroup_core.methods.munthe_kaas.collocation import stage_polynomials
-from liegroup_core.methods.munthe_kaas.error_control import ATOL, LONGEST, RTOL, SIZE
 from liegroup_core.methods.table import METHODS
 from liegroup_core.scene.load import scene_from_text
 
@@ -36,7 +35,7 @@ def error_inside(scene, h, times, truth):
     """Largest error at times inside substeps of size h."""
     simulation = Simulation(scene, accuracy=1.0, horizon=10.0, step=1.0, quiet=True)
     control = simulation._integrator._control
-    control[[RTOL, ATOL]], control[LONGEST], control[SIZE] = 1e6, h, h
+    control.part_of("rtol", "atol")[:], control.longest[0], control.size[0] = 1e6, h, h
     simulation._choice._begun = True  # without a search for the first tolerance
     return max(map(apart, simulation.samples(times), truth))
 

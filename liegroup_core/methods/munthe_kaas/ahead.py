@@ -30,30 +30,7 @@ from liegroup_core.compiling import kernel
 from liegroup_core.mechanism.arrays import COORDINATE
 from liegroup_core.mechanism.bodies import FROM, SINCE, STEP_SIZE, TO, UNTIL, copy_state
 
-from .error_control import (
-    AHEAD,
-    BASE,
-    BEGINS,
-    COARSE,
-    DIVIDED,
-    DUE,
-    FRESH,
-    KEPT_BASE,
-    KEPT_LEAD,
-    LAST,
-    LEAD,
-    LEADS,
-    LEFT,
-    LIMIT,
-    LIMIT_BASE,
-    NEXT,
-    NEXT_AFTER,
-    NEXT_BASE,
-    READY,
-    SEEN,
-    SHARED,
-    SIZE,
-)
+from .error_control import DIVIDED
 
 SAME_TIME = 1e-14  # relative to a step, round-off: a substep that ends so close to the end of a step ends there
 
@@ -70,35 +47,35 @@ class Lead:
     @property
     def runs(self):
         """Whether the integration runs ahead."""
-        return self._control[AHEAD] != 0.0
+        return self._control.ahead[0] != 0.0
 
     @property
     def known(self):
         """Whether there is a lead, else it starts at the caller's state."""
-        return self._control[LEADS] != 0.0
+        return self._control.leads[0] != 0.0
 
-    def time(self, entry):
-        """(whole steps, s after them) of an entry of the control and the next; zeros without a lead."""
-        return tuple(self._control[entry : entry + 2].tolist()) if self.known else (0.0, 0.0)
+    def time(self, first, last):
+        """(whole steps, s after them) in two fields of the control; zeros without a lead."""
+        return tuple(self._control.part_of(first, last).tolist()) if self.known else (0.0, 0.0)
 
     def go_back(self):
         """Continue from the caller's state."""
-        self._work.known[0] = self._control[LEADS] = 0.0
+        self._work.known[0] = self._control.leads[0] = 0.0
 
     @contextlib.contextmanager
     def left(self):
         """Step by step, from the lead on, which has become the caller's state; then there is no lead."""
-        self._control[AHEAD] = 0.0
+        self._control.ahead[0] = 0.0
         try:
             yield
         finally:
-            self._control[AHEAD], self._control[LEADS] = 1.0, 0.0
+            self._control.ahead[0], self._control.leads[0] = 1.0, 0.0
 
     def call(self, begin, end):
         """Set the whole steps at which a call begins and ends."""
         clock, control = self._work.clock, self._control
         if begin != clock[FROM]:
-            control[NEXT_AFTER] = (control[NEXT_BASE] - begin) * clock[STEP_SIZE] + control[NEXT]
+            control.next_after[0] = (control.next_base[0] - begin) * clock[STEP_SIZE] + control.next[0]
         clock[FROM], clock[TO], clock[UNTIL] = begin, end, 0.0
 
 
@@ -154,7 +131,7 @@ def meet_inputs(work, external, control):
     differs = _rows_differ(work.motions, work.lead_motions) or differs
     differs = _differs(work.acting, work.lead_acting) or differs
     if differs:
-        work.known[0] = control[LEADS] = 0.0
+        work.known[0] = control.leads[0] = 0.0
 
 
 @kernel
@@ -166,40 +143,41 @@ def between(base, since, other_base, other, step):
 @kernel
 def start_lead(work, control):
     """Start at the caller's time."""
-    control[BASE], control[LEAD], control[FRESH] = work.clock[FROM], work.clock[SINCE], 0.0
-    control[LIMIT_BASE], control[LIMIT], control[LEFT] = control[NEXT_BASE], control[NEXT], control[NEXT_AFTER]
-    control[BEGINS] = control[LEADS] = control[SHARED] = 1.0
-    control[SEEN] = control[DUE] = 0.0
+    control.base[0], control.lead[0], control.fresh[0] = work.clock[FROM], work.clock[SINCE], 0.0
+    control.limit_base[0], control.limit[0] = control.next_base[0], control.next[0]
+    control.left[0] = control.next_after[0]
+    control.begins[0] = control.leads[0] = control.shared[0] = 1.0
+    control.seen[0] = control.due[0] = 0.0
 
 
 @kernel
 def meet_limit(work, control):
     """Take over the next known change of the inputs."""
-    base, limit = control[NEXT_BASE], control[NEXT]
-    if base != control[LIMIT_BASE] or limit != control[LIMIT]:
-        control[LIMIT_BASE], control[LIMIT] = base, limit
-        control[LEFT] = between(control[BASE], control[LEAD], base, limit, work.clock[STEP_SIZE])
+    base, limit = control.next_base[0], control.next[0]
+    if base != control.limit_base[0] or limit != control.limit[0]:
+        control.limit_base[0], control.limit[0] = base, limit
+        control.left[0] = between(control.base[0], control.lead[0], base, limit, work.clock[STEP_SIZE])
 
 
 @kernel
 def time_left(work, control):
     """Time in s from the lead to the end of the call."""
     clock = work.clock
-    return between(control[BASE], control[LEAD], clock[TO], clock[UNTIL], clock[STEP_SIZE])
+    return between(control.base[0], control.lead[0], clock[TO], clock[UNTIL], clock[STEP_SIZE])
 
 
 @kernel
 def time_before(work, control):
     """Time in s from the start of the call to the lead."""
     clock = work.clock
-    return between(clock[FROM], clock[SINCE], control[BASE], control[LEAD], clock[STEP_SIZE])
+    return between(clock[FROM], clock[SINCE], control.base[0], control.lead[0], clock[STEP_SIZE])
 
 
 @kernel
 def fraction(work, control):
     """The end of the call as a fraction of the kept substep."""
-    clock = work.clock
-    return between(control[KEPT_BASE], control[KEPT_LEAD], clock[TO], clock[UNTIL], clock[STEP_SIZE]) / control[LAST]
+    clock, begin = work.clock, control.kept_base[0]
+    return between(begin, control.kept_lead[0], clock[TO], clock[UNTIL], clock[STEP_SIZE]) / control.last[0]
 
 
 @kernel
@@ -212,8 +190,8 @@ def time_of(base, since, step):
 def ends_step(work, control, size, at_limit):
     """Whether a substep from the lead on passes the end of a step."""
     if at_limit:
-        return control[LIMIT_BASE] > control[BASE]
-    return control[LEAD] + size >= work.clock[STEP_SIZE] * (1.0 - SAME_TIME)
+        return control.limit_base[0] > control.base[0]
+    return control.lead[0] + size >= work.clock[STEP_SIZE] * (1.0 - SAME_TIME)
 
 
 @kernel
@@ -222,42 +200,42 @@ def shorten(work, control, size, place):
 
     place : fraction of the substep at which the event is expected, below 1
     """
-    step, lead = work.clock[STEP_SIZE], control[LEAD]
-    control[SEEN] = size
+    step, lead = work.clock[STEP_SIZE], control.lead[0]
+    control.seen[0] = size
     if lead + size <= step * (1.0 + SAME_TIME):
-        control[DUE] = 1.0
+        control.due[0] = 1.0
         return False
-    control[SIZE] = max(1.0, math.floor((lead + place * size) / step)) * step - lead
+    control.size[0] = max(1.0, math.floor((lead + place * size) / step)) * step - lead
     if divides(control):
-        control[SIZE] *= DIVIDED
+        control.size[0] *= DIVIDED
     return True
 
 
 @kernel
 def divides(control):
     """Whether a companion is to divide a substep that ends where that of the simulation does."""
-    return control[COARSE] != 0.0 and control[SHARED] != 0.0
+    return control.coarse[0] != 0.0 and control.shared[0] != 0.0
 
 
 @kernel
 def go_on(work, control, size, at_limit):
     """Move the time of the lead by a substep."""
-    control[LEFT] -= size
-    control[SHARED] = 1.0 if at_limit else 0.0
-    before = control[BASE]
+    control.left[0] -= size
+    control.shared[0] = 1.0 if at_limit else 0.0
+    before = control.base[0]
     if at_limit:
-        control[BASE], control[LEAD] = control[LIMIT_BASE], control[LIMIT]
+        control.base[0], control.lead[0] = control.limit_base[0], control.limit[0]
     else:
-        lead, step = control[LEAD] + size, work.clock[STEP_SIZE]
-        near = SAME_TIME * max(lead, step) if control[SEEN] > 0.0 else 0.0
+        lead, step = control.lead[0] + size, work.clock[STEP_SIZE]
+        near = SAME_TIME * max(lead, step) if control.seen[0] > 0.0 else 0.0
         whole = math.floor((lead + near) / step)
-        control[BASE] += whole
-        control[LEAD] = lead - whole * step if lead - whole * step > near else 0.0
-    if control[BASE] != before:
-        control[BEGINS] = 1.0
-    control[SEEN] = max(0.0, control[SEEN] - size)
-    if 0.0 < control[SEEN] < control[SIZE]:
-        control[SIZE] = control[SEEN]
+        control.base[0] += whole
+        control.lead[0] = lead - whole * step if lead - whole * step > near else 0.0
+    if control.base[0] != before:
+        control.begins[0] = 1.0
+    control.seen[0] = max(0.0, control.seen[0] - size)
+    if 0.0 < control.seen[0] < control.size[0]:
+        control.size[0] = control.seen[0]
 
 
 @kernel
@@ -290,8 +268,8 @@ def keep(work, pose, twist, size, control):
     """Keep the substep that begins at the lead, without its stages: its start."""
     copy_state(pose, twist, work.kept_pose, work.kept_twist)
     keep_turns(work, work.kept_angle, work.kept_coordinates)
-    control[KEPT_BASE], control[KEPT_LEAD] = control[BASE], control[LEAD]
-    control[LAST], control[READY] = size, 0.0
+    control.kept_base[0], control.kept_lead[0] = control.base[0], control.lead[0]
+    control.last[0], control.ready[0] = size, 0.0
 
 
 @kernel
@@ -310,7 +288,7 @@ def recall(work):
 def keep_lead(work, control):
     """Keep the derivative at the lead."""
     _copy_slopes(work.slopes, work.lead_slopes, len(work.lead_slopes))
-    control[FRESH] = 1.0
+    control.fresh[0] = 1.0
 
 
 @kernel

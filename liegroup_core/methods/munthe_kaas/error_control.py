@@ -29,26 +29,6 @@ from liegroup_core.status import OK, SUBSTEP_TOO_SMALL
 
 from . import steps
 
-# Entries of `control`: next substep in s; numbers of accepted and of attempted substeps so far; next substep at the
-# start of the step; rtol of velocities; atol in rad, m, rad/s, m/s; longest substep in s; most attempts in a step;
-# length in m, factor of atol for positions; round-off of a pose; after too many attempts, their fraction of those of
-# the whole step if its rest takes equal substeps; factor of `_coarsen` or 0; e_3 atol / h^4 of the last substep or 0; 1
-# if the last substep was rejected; 1 if the lead is at a time at which that of every other run is, too; number of
-# substeps near a singular pose or in which a force seemed to jump, and of parts of steps that a companion with given
-# tolerances took. Entries from RTOL on are for schemes with error control. The last one is the ratio of the substeps of
-# such a companion to those of the simulation, else 0.
-SIZE, ACCEPTED, ATTEMPTED, KEPT_SIZE, RTOL, ATOL, LONGEST, MOST, LENGTH, ROUNDED, PART = range(11)
-COARSE, GROWTH, REJECTED, SHARED, JUMPS = range(11, 16)
-# Of a method that runs ahead, see ahead.py: 1 if it does; whole steps, and s after them, of the lead, of the start of
-# the kept substep, and of the next known change of the inputs; s from the lead to that; size of the kept substep in s;
-# 1 if the lead is known, else it starts at the caller's state; s from the lead within which an event was seen, or 0;
-# 1 if it is in the next substep within the step of the lead; 1 if the further stages of the kept substep are known; 1
-# if the derivative at the lead is; of the call, the next known change of inputs; 1 if no substep has begun since the
-# lead passed the end of a step.
-AHEAD, BASE, LEAD, KEPT_BASE, KEPT_LEAD, LIMIT_BASE, LIMIT, LEFT, LAST, LEADS, SEEN, DUE = range(16, 28)
-READY, FRESH, NEXT_BASE, NEXT, NEXT_AFTER, BEGINS, LONGER = range(28, 35)
-ENTRIES = 35
-SUBSTEPS, TOLERANCES = slice(SIZE, RTOL), slice(RTOL, LONGEST)
 # Bounds of the ratio of two successive substeps, and safety factor of the next one.
 LARGEST_GROWTH, LARGEST_CUT, SAFETY = 5.0, 0.2, 0.85
 # A companion with an accuracy divides a substep that would begin and end where that of the simulation does, and its
@@ -82,8 +62,8 @@ def _change(error, most, estimates):
 @kernel
 def _error(model, work, scheme, h, twist, control):
     """Norm of the error estimate of a step from `twist`, accepted up to 1, and e_3 if there are two."""
-    largest, largest_3, rtol, length = 0.0, 0.0, control[RTOL], control[LENGTH]
-    atol = control[ATOL] + h * work.report[ROUND_OFF] + control[ROUNDED] / h
+    largest, largest_3, rtol, length = 0.0, 0.0, control.rtol[0], control.length[0]
+    atol = control.atol[0] + h * work.report[ROUND_OFF] + control.rounded[0] / h
     for i in range(len(model.bodies)):
         error = steps.error_square(model, work, scheme, 0, h, twist, i, rtol, atol, length)
         if len(scheme.error) == 2:
@@ -105,44 +85,43 @@ def unlike(work, control, time, count):
     of the inputs end, substeps follow tolerances less well, and the simulation may have another end of a step. So there
     the companion has more than twice as many: the two differ by the error of the simulation.
     """
-    likely = max(1, math.ceil(control[LONGER] * time / control[SIZE] - 1e-6))
+    likely = max(1, math.ceil(control.longer[0] * time / control.size[0] - 1e-6))
     if time < work.clock[STEP_SIZE]:
-        control[JUMPS] += 1.0
+        control.jumps[0] += 1.0
         return 2 * likely + 1
     return likely + 1 if likely <= count else count
 
 
 @kernel
-def judge(model, work, scheme, h, size, status, twist, control):
+def judge(model, work, scheme, size, status, twist, control):
     """Accept or reject a substep of the given size, and set the size of the next one.
 
-    h       : s, the whole step
     status  : of the substep; a substep that failed is rejected
-    control : see munthe_kaas.advance
+    control : Control
     returns (status, accepted): status is not OK if no smaller substep is allowed
     """
     error, growth = math.inf, 0.0
     if status == OK:
         error, error_3 = _error(model, work, scheme, size, twist, control)
         if work.report[ROUND_OFF] == 0.0:  # near a singular pose round-off jumps
-            growth = error_3 * control[ATOL] / (size * size * size * size)
-        if growth > JUMP * control[GROWTH] > 0.0:
+            growth = error_3 * control.atol[0] / (size * size * size * size)
+        if growth > JUMP * control.growth[0] > 0.0:
             error = max(error, error_3)
-    most = LARGEST_GROWTH if control[COARSE] == 0.0 else LARGEST_GROWTH / DIVIDED
+    most = LARGEST_GROWTH if control.coarse[0] == 0.0 else LARGEST_GROWTH / DIVIDED
     change = _change(error, most, len(scheme.error))
-    if control[REJECTED] != 0.0:
+    if control.rejected[0] != 0.0:
         change = min(1.0, change)  # else stability, or a force with kinks, would have every second substep rejected
-    control[REJECTED] = 0.0 if error <= 1.0 else 1.0
-    if work.report[ROUND_OFF] > 0.0 or control[GROWTH] > 0.0 and control[SHARED] == 0.0 and JUMP < error < math.inf:
-        control[JUMPS] += 1.0  # a known one begins at a shared time
+    control.rejected[0] = 0.0 if error <= 1.0 else 1.0
+    if work.report[ROUND_OFF] > 0.0 or control.growth[0] > 0.0 and control.shared[0] == 0.0 and JUMP < error < math.inf:
+        control.jumps[0] += 1.0  # a known one begins at a shared time
     # A substep that ends early, at a change of inputs, says little about the longer one before it.
-    kept = control[SIZE] if change == most else 0.0
-    control[SIZE] = min(control[LONGEST], max(kept, size * change))
-    control[ATTEMPTED] += 1.0
+    kept = control.size[0] if change == most else 0.0
+    control.size[0] = min(control.longest[0], max(kept, size * change))
+    control.attempted[0] += 1.0
     if error <= 1.0:
-        control[ACCEPTED] += 1.0
-        control[GROWTH] = growth
+        control.accepted[0] += 1.0
+        control.growth[0] = growth
         return OK, True
-    if control[SIZE] < SMALLEST_SUBSTEP * h:
+    if control.size[0] < SMALLEST_SUBSTEP * work.clock[STEP_SIZE]:
         return (status if status != OK else SUBSTEP_TOO_SMALL), False
     return OK, False

@@ -6,12 +6,12 @@ One call for a whole run: between two calls for steps Python takes ten times as 
 
 from liegroup_core.compiling import borrowed, kernel, stepper
 from liegroup_core.dynamics.switches import write_modes
-from liegroup_core.mechanism.bodies import ROUND_OFF, STEP_TURN, copy_state
+from liegroup_core.mechanism.bodies import copy_state
 from liegroup_core.status import EVENT, OK
 
-from . import explicit
+from .advance import accept, attempt
 from .ahead import keep_turns, set_turns
-from .steps import begin, check_end, close, count_turns, enter, has_event, leave, watches
+from .steps import close, enter, has_event, leave, watches
 
 
 @kernel
@@ -67,7 +67,7 @@ def passage(
     returns (parts done, status), see `advance`
     """
     pose_now, twist_now, inputs = borrowed(pose_in), borrowed(twist_in), borrowed(external_in)
-    n, servos, stages = len(pose_now), len(work.wanted), scheme.error.shape[1] - 1
+    n, servos = len(pose_now), len(work.wanted)
     driven, watching = len(work.motions), watches(model, work)
     for k in range(len(counts)):
         if places[k] >= 0:
@@ -81,13 +81,7 @@ def passage(
             copy_state(pose, twist, work.start_pose, work.start_twist)
         size = (times[k + 1] - times[k]) / counts[k]
         for step in range(counts[k]):
-            work.report[STEP_TURN] = work.report[ROUND_OFF] = 0.0
-            begin(model, work, pose, twist)
-            status = explicit.substep(
-                scheme, model, work, size, times[k] + step * size, 0.0, 0, stages + 1, pose, external
-            )
-            if status == OK:
-                status = check_end(model, work, size)
+            status = attempt(model, work, scheme, size, times[k] + step * size, 0.0, 0, pose, twist, external)
             if status == OK and watching and has_event(model, work, scheme, 0.0, size):
                 status = EVENT
             if status == OK and model.projects:
@@ -97,8 +91,7 @@ def passage(
                 set_turns(work, work.start_angle, work.start_coordinates)
             if status != OK:
                 return k, status
-            count_turns(model, work)
-            copy_state(work.stage_pose, work.stage_twist, pose, twist)
+            accept(model, work, pose, twist)
         leave(model, work, pose, twist, pose_now, twist_now)
     last = len(counts)
     if places[last] >= 0:
