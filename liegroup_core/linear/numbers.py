@@ -6,8 +6,8 @@ import numpy as np
 from liegroup_core.errors import SceneError, SimulationError
 from liegroup_core.scene.assembly import assembled
 from liegroup_core.scene.load import scene_as_written
+from liegroup_core.scene.parameters import changed, parameters, path_of
 from liegroup_core.simulation import Simulation
-from liegroup_core.study.sweep.parameters import changed, parameters, path_of
 
 from .channels import Outputs
 from .differences import ROUND_OFF

@@ -13,7 +13,7 @@ from liegroup_core import SimulationError
 from liegroup_core.identification import Move, identify, plan
 from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import scene_as_written
-from liegroup_core.study.sweep.parameters import path_of, range_of
+from liegroup_core.scene.parameters import path_of, range_of
 from liegroup_sim_ros.logs.load import channels_of
 from liegroup_sim_ros.logs.map import load_map
 from liegroup_sim_ros.numbers import shown

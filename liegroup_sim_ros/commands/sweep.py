@@ -15,8 +15,8 @@ from liegroup_core.engine import STEP
 from liegroup_core.linear.channels import OUTPUTS
 from liegroup_core.scene.consistency import AT_POSES, AT_VELOCITIES
 from liegroup_core.scene.load import scene_as_written
+from liegroup_core.scene.parameters import ParameterError, parameters
 from liegroup_core.study.sweep.file import SweepFile
-from liegroup_core.study.sweep.parameters import ParameterError, parameters
 from liegroup_core.study.sweep.sweep import OK, Sweep, describe
 from liegroup_core.study.trade.cache import PACKAGES
 from liegroup_sim_ros.numbers import counted

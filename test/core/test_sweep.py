@@ -19,9 +19,9 @@ from liegroup_core.layout import make_layout
 from liegroup_core.mechanism import redundancy
 from liegroup_core.mechanism.redundancy import generic_poses
 from liegroup_core.scene.load import scene_as_written, scene_from_text
+from liegroup_core.scene.parameters import ParameterError, changed, parameters, path_of, range_of
 from liegroup_core.study.sweep import sweep as sweeps
 from liegroup_core.study.sweep.file import SweepFile, SweepFileError
-from liegroup_core.study.sweep.parameters import ParameterError, changed, parameters, path_of, range_of
 from liegroup_core.study.sweep.sweep import Sweep, describe, described
 
 SCENES = sorted((Path(__file__).resolve().parents[2] / "config" / "scenes").glob("*.yaml"))

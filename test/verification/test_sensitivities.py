@@ -12,7 +12,7 @@ from liegroup_core.linear import Misfit, sensitivities
 from liegroup_core.linear.channels import Outputs
 from liegroup_core.linear.probe import Probe
 from liegroup_core.scene.load import load_scene, scene_as_written, scene_from_text
-from liegroup_core.study.sweep.parameters import changed, parameters
+from liegroup_core.scene.parameters import changed, parameters
 
 TIMES = [0.4, 1.0, 1.7]
 

@@ -10,7 +10,6 @@ Run k depends only on the sweep and on k, not on other runs, workers or scheduli
 start or stops early gives a row with the reason as its status.
 """
 
-import importlib
 import math
 import time
 from dataclasses import dataclass
@@ -22,15 +21,15 @@ from scipy.stats.qmc import LatinHypercube
 from liegroup_core.compiling import source_digest
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.joint_events import has_impacts
+from liegroup_core.linear.sensitivities import outputs_of, sensitivities
 from liegroup_core.observables.joint_forces import names_of_forces
 from liegroup_core.scene.assembly import assembled
 from liegroup_core.scene.load import scene_as_written
+from liegroup_core.scene.parameters import ParameterError, changed, parameters, range_of
 from liegroup_core.simulation import Simulation
 from liegroup_core.study.tasks import TasksError
 from liegroup_core.study.tasks import run as run_tasks
 from liegroup_core.study.trade.measure import listening
-
-from .parameters import ParameterError, changed, parameters, range_of
 
 FORMAT = 1  # version of the description and of the columns
 POSE, TWIST = ("x", "y", "z", "qx", "qy", "qz", "qw"), ("wx", "wy", "wz", "vx", "vy", "vz")
@@ -129,7 +128,7 @@ class Sweep:
         if reactions:
             simulation.layout.reactions.warm_up()
         if gradient:
-            gradient = _linear().outputs_of(simulation, gradient)
+            gradient = outputs_of(simulation, gradient)
         return cls(
             scene.text,
             scene.name,
@@ -367,16 +366,11 @@ def _run(sweep, values):
     return found | {"cpu_s": time.thread_time() - start}
 
 
-def _linear():
-    """liegroup_core.linear, which takes the parameters of this package."""
-    return importlib.import_module("liegroup_core.linear")
-
-
 def _gradient(sweep, scene):
     """{column: derivative} at the end of a run."""
     settings = dict(sweep.settings)
     end = sweep.steps * settings["step"]
-    found = _linear().sensitivities(scene, sweep.paths, [end], sweep.gradient, **settings)
+    found = sensitivities(scene, sweep.paths, [end], sweep.gradient, **settings)
     return dict(zip(sweep.derivatives, found.derivatives[0].ravel()))
 
 

@@ -22,7 +22,8 @@ from liegroup_core.fields.frames import ROTATIONS, Placed
 from liegroup_core.fields.values import Described, Number
 from liegroup_core.joints.kinds import TYPES
 from liegroup_core.lie.groups import SO3
-from liegroup_core.scene.description import Body
+
+from .description import Body
 
 SHOWN = 12  # names in a message
 # Keys of a body that follow from its shape.
