@@ -94,6 +94,11 @@ setup(
         "console_scripts": [
             "liegroup_sim = liegroup_sim_ros.commands.main:main",
             "sim_node = liegroup_sim_ros.node.entry:main",
-        ]
+        ],
+        # Methods of Simulation that packages above it carry out: liegroup_core/attachments.py.
+        "liegroup_core.simulation": [
+            "sensitivities = liegroup_core.linear:sensitivities",
+            "view = liegroup_sim_ros.notebook:live",
+        ],
     },
 )

@@ -2,7 +2,6 @@
 """Simulation of a scene to an accuracy, or with a given method and step; it estimates its error."""
 
 import functools
-import importlib
 import logging
 import math
 from collections.abc import Sequence
@@ -12,6 +11,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from liegroup_core.accuracy import DEFAULT, LONGEST, METHOD, MINUTE, SMALLEST, AccuracyControl
+from liegroup_core.attachments import attached
 from liegroup_core.engine import Engine
 from liegroup_core.fields.arguments import got
 from liegroup_core.forces.instants import NEVER
@@ -296,16 +296,14 @@ class Simulation(Engine):
         With a method the runs have this method and step, else an accuracy of 1e-12. Raises SceneError, SimulationError.
         """
         settings = {} if self.promise else self.arguments
-        return importlib.import_module("liegroup_core.linear").sensitivities(
-            self.scene, names, times, outputs, **settings
-        )
+        return attached("sensitivities")(self.scene, names, times, outputs, **settings)
 
     def view(self, **options: Any) -> Any:
         """Live page of a copy that continues from the present state; a notebook cell that ends with it displays it.
 
         options : those of `liegroup_sim_ros.live`, whose extra `view` is needed
         """
-        return importlib.import_module("liegroup_sim_ros").live(self, **options)
+        return attached("view")(self, **options)
 
     def halt(self) -> None:
         """As Engine.halt."""

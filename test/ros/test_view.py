@@ -18,7 +18,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from waiting import PATIENCE, wait_for
 
-from liegroup_core import Simulation, load_scene
+from liegroup_core import Simulation, attachments, load_scene
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.forces.external import no_wrenches, set_wrench
 from liegroup_core.scene.load import scene_from_text
@@ -321,11 +321,12 @@ def test_a_video_has_the_length_of_the_motion(seconds, longest, least, most, tmp
         assert float(frames / file.streams.video[0].average_rate) == pytest.approx(1.0, rel=0.05)
 
 
-def test_a_simulation_continues_with_another_method():
+def test_the_page_of_a_simulation_continues_with_another_method(monkeypatch):
     """Bit by bit as a simulation with this method that starts from the same state."""
     simulation = Simulation(load_scene("heavy_top"))
     simulation.advance(7)
-    source = Local(simulation, "top", paused=True)
+    page = simulation.view(paused=True, port=8200)
+    source = page.source
     try:
         with pytest.raises(ValueError, match="method"):
             source.with_method("euler", 1e-3)
@@ -341,7 +342,10 @@ def test_a_simulation_continues_with_another_method():
         finally:
             other.close()
     finally:
-        source.close()
+        page.close()
+    monkeypatch.setattr(attachments, "entry_points", lambda **_: ())
+    with pytest.raises(LieGroupSimError, match="Simulation.view: no installed package has it"):
+        simulation.view()
 
 
 def test_curves_compute_no_value_twice():
