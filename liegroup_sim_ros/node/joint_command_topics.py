@@ -9,11 +9,12 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
+from liegroup_sim_ros.serving.joint_command_input import JointCommandInput
+from liegroup_sim_ros.serving.joint_input import Jumps
+from liegroup_sim_ros.serving.trajectory_input import TrajectoryInput
+
 from .input_topics import InputTopics
-from .joint_command_input import JointCommandInput
-from .joint_input import Jumps
 from .parameters import ParameterError
-from .trajectory_input import TrajectoryInput
 
 # Depth of the queues of commands: 0.1 s at 1 kHz. It bounds the memory: messages may have any length.
 COMMANDS = 100

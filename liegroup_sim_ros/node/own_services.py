@@ -14,10 +14,10 @@ from liegroup_core.joints.coupling import COUPLED
 from liegroup_core.lie.groups import SO3
 from liegroup_sim_ros.messages.commands import joint_labels
 from liegroup_sim_ros.messages.links import merged_links
+from liegroup_sim_ros.serving.counted_input import MOST, bounded
+from liegroup_sim_ros.serving.wrench_input import Push
 
-from .counted_input import MOST, bounded
 from .standard_codes import FAILED, Refused
-from .wrench_input import Push
 
 BOUND = f"; the largest magnitude is {LARGEST_NUMBER:g}"
 LONGEST = 1e9  # s, duration of a wrench

@@ -22,9 +22,8 @@ from liegroup_core.methods.table import CONFIGURATION_GROUPS, METHODS
 from liegroup_core.simulation import default_steps
 from liegroup_sim_ros.messages.samples import OPTIONAL, TF_LINKS
 from liegroup_sim_ros.messages.topics import MOST_OWN, own_by_default
-
-from .errors import ParameterError
-from .joint_command_input import INTERFACES
+from liegroup_sim_ros.serving.errors import ParameterError
+from liegroup_sim_ros.serving.joint_command_input import INTERFACES
 
 QOS_PREFIX = "qos_overrides."
 RELIABILITIES = ("reliable", "best_effort")

@@ -16,14 +16,14 @@ from liegroup_sim_ros.recording import RecordingError, attachments
 from liegroup_sim_ros.recording.checkpoints import Checkpoints
 from liegroup_sim_ros.recording.read import read_recording
 from liegroup_sim_ros.recording.write import Recorder
+from liegroup_sim_ros.serving.outputs import Outputs
+from liegroup_sim_ros.serving.simulation_thread import SimulationServer
 
 from . import standard_services
 from .answers import begin
 from .joint_command_topics import JointCommandTopics
-from .outputs import Outputs
 from .parameters import AUTO, ParameterError, bodies_of, fitting_step
 from .qos import QosOverrides
-from .simulation_thread import SimulationServer
 from .streams import NodeStreams
 from .wrench_topics import WrenchTopics
 

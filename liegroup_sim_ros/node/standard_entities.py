@@ -6,9 +6,9 @@ import numpy as np
 from liegroup_core import SimulationError
 from liegroup_core.fields.values import suggestion
 from liegroup_core.lie.groups import SO3
+from liegroup_sim_ros.serving.counted_input import bounded
+from liegroup_sim_ros.serving.simulation_commands import CommandError
 
-from .counted_input import bounded
-from .simulation_commands import CommandError
 from .standard_codes import FAILED, INVALID_POSE, NOT_FOUND, NOT_SUPPORTED, Refused
 
 # Largest difference of a quaternion's norm from 1: single precision, or digits written by hand.

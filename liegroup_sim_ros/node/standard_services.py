@@ -8,11 +8,11 @@ package lack some types; services of these types are not offered. "Stopped" mean
 import importlib.util
 
 from liegroup_sim_ros.numbers import counted
+from liegroup_sim_ros.serving.simulation_commands import CommandError
 from liegroup_sim_ros.version import __version__
 
 from . import standard_codes as codes
 from .answers import Turn, filled
-from .simulation_commands import CommandError
 from .standard_codes import Refused
 from .standard_entities import Entities
 from .standard_worlds import Worlds

@@ -7,7 +7,7 @@ import importlib
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from .outputs import Stream, Streams
+from liegroup_sim_ros.serving.outputs import Stream, Streams
 
 
 class NodeStreams(Streams):

@@ -7,9 +7,9 @@ from geometry_msgs.msg import WrenchStamped
 from std_msgs.msg import String
 
 from liegroup_sim_ros.messages.links import link_of_body, merged_links
+from liegroup_sim_ros.serving.wrench_input import WrenchInput, source_prefix
 
 from .input_topics import InputTopics
-from .wrench_input import WrenchInput, source_prefix
 
 # Depth of the queues; DDS drops the oldest message of a full queue. At 10 kHz this covers a delay of
 # 1 s. A busy machine often delays a process by more than 0.1 s.

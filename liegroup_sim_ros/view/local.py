@@ -10,13 +10,13 @@ from concurrent.futures import TimeoutError as Late
 from types import SimpleNamespace
 
 from liegroup_core import Simulation
-from liegroup_sim_ros.node.joint_command_input import JointEffort, Motion, Target
-from liegroup_sim_ros.node.outputs import Outputs, Streams
-from liegroup_sim_ros.node.simulation_thread import SimulationServer
-from liegroup_sim_ros.node.wrench_input import Push
 from liegroup_sim_ros.recording import attachments
 from liegroup_sim_ros.recording.checkpoints import Checkpoints
 from liegroup_sim_ros.recording.write import Recorder
+from liegroup_sim_ros.serving.joint_command_input import JointEffort, Motion, Target
+from liegroup_sim_ros.serving.outputs import Outputs, Streams
+from liegroup_sim_ros.serving.simulation_thread import SimulationServer
+from liegroup_sim_ros.serving.wrench_input import Push
 
 from .server import ViewError
 from .source import Frame, Source, Status, settings_text

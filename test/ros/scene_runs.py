@@ -8,7 +8,7 @@ from waiting import PATIENCE, wait_for
 from liegroup_core import Simulation, load_scene
 from liegroup_sim_ros.node.parameters import RATES, TABLE, fitting_step
 from liegroup_sim_ros.node.scene_run import SceneRun
-from liegroup_sim_ros.node.wrench_input import Push
+from liegroup_sim_ros.serving.wrench_input import Push
 
 
 def node_values(**parameters):

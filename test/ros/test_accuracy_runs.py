@@ -23,14 +23,14 @@ from liegroup_sim_ros.analysis.analyse import analyse
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.messages import events as events_of_runs
 from liegroup_sim_ros.messages.commands import Point
-from liegroup_sim_ros.node import real_time
-from liegroup_sim_ros.node.joint_command_input import JointEffort, Target
 from liegroup_sim_ros.node.scene_run import PART_STEPS
-from liegroup_sim_ros.node.trajectory import Trajectory
 from liegroup_sim_ros.playback.resimulate import resimulate
 from liegroup_sim_ros.recording.attachments import commands_in
 from liegroup_sim_ros.recording.read import read_recording
 from liegroup_sim_ros.report.plots import make_plots
+from liegroup_sim_ros.serving import real_time
+from liegroup_sim_ros.serving.joint_command_input import JointEffort, Target
+from liegroup_sim_ros.serving.trajectory import Trajectory
 
 SOURCE = Path(__file__).resolve().parents[2]
 LATE = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -8,9 +8,9 @@ import pytest
 from liegroup_core import Simulation
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.messages.commands import Point
-from liegroup_sim_ros.node.inbox import Inbox
-from liegroup_sim_ros.node.joint_command_input import JointEffort, Motion
-from liegroup_sim_ros.node.trajectory import Trajectory
+from liegroup_sim_ros.serving.inbox import Inbox
+from liegroup_sim_ros.serving.joint_command_input import JointEffort, Motion
+from liegroup_sim_ros.serving.trajectory import Trajectory
 
 SCENE = """
 name: rig

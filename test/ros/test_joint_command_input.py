@@ -15,9 +15,9 @@ from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.messages.codecs import MessageError
 from liegroup_sim_ros.messages.commands import JointStateDecoder
-from liegroup_sim_ros.node.counted_input import FARTHEST, MOST, Refusal
-from liegroup_sim_ros.node.joint_command_input import JointCommandInput, Target
-from liegroup_sim_ros.node.joint_input import Jumps
+from liegroup_sim_ros.serving.counted_input import FARTHEST, MOST, Refusal
+from liegroup_sim_ros.serving.joint_command_input import JointCommandInput, Target
+from liegroup_sim_ros.serving.joint_input import Jumps
 
 NOW, NAN = 5 * 10**9, math.nan
 SCENE = """

@@ -18,10 +18,10 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from scene_runs import node_values
 
-from liegroup_sim_ros.node.errors import ParameterError
 from liegroup_sim_ros.node.parameter_texts import preset_text, table_text
 from liegroup_sim_ros.node.parameters import TABLE, check, fitting_step
-from liegroup_sim_ros.node.rates import Output, Rates
+from liegroup_sim_ros.serving.errors import ParameterError
+from liegroup_sim_ros.serving.rates import Output, Rates
 
 STEP_NS = 1_000_000
 PERIOD_NS = 10 * STEP_NS

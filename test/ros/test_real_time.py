@@ -7,7 +7,7 @@ import pytest
 
 from liegroup_core.accuracy import METHOD
 from liegroup_sim_ros.messages import events
-from liegroup_sim_ros.node import real_time
+from liegroup_sim_ros.serving import real_time
 
 GIVEN, STEP, PERIOD = 1e-8, 0.01, 20  # rad, s, steps that take SHARE_PERIOD
 MANY = 200  # periods: 40 s

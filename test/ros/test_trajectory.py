@@ -16,11 +16,11 @@ from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.messages.codecs import MessageError
 from liegroup_sim_ros.messages.commands import Point, decode_array, decode_trajectory
-from liegroup_sim_ros.node.counted_input import FARTHEST, MOST, Refusal
-from liegroup_sim_ros.node.joint_command_input import JointCommandInput
-from liegroup_sim_ros.node.joint_input import Jumps
-from liegroup_sim_ros.node.trajectory import Follower, Trajectory, between
-from liegroup_sim_ros.node.trajectory_input import TrajectoryInput
+from liegroup_sim_ros.serving.counted_input import FARTHEST, MOST, Refusal
+from liegroup_sim_ros.serving.joint_command_input import JointCommandInput
+from liegroup_sim_ros.serving.joint_input import Jumps
+from liegroup_sim_ros.serving.trajectory import Follower, Trajectory, between
+from liegroup_sim_ros.serving.trajectory_input import TrajectoryInput
 
 NOW = 5 * 10**9
 SCENE = """

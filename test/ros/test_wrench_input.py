@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
 
 from liegroup_sim_ros.messages.codecs import WrenchStampedCodec
-from liegroup_sim_ros.node.counted_input import FARTHEST, MOST, Refusal
-from liegroup_sim_ros.node.wrench_input import WrenchInput, source_prefix
+from liegroup_sim_ros.serving.counted_input import FARTHEST, MOST, Refusal
+from liegroup_sim_ros.serving.wrench_input import WrenchInput, source_prefix
 
 NOW = 5 * 10**9
 WRENCH = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Base class of inputs with joint names: joints of a scene, checks of names and limits. Imports no ROS."""
+"""Base class of inputs with joint names: joints of a scene, checks of names and limits."""
 
 import functools
 from typing import NamedTuple

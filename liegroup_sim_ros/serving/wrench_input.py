@@ -9,7 +9,7 @@ slash, as in `top/left`, distinguishes publishers of one topic. Wrenches of diff
 names add up; a wrench replaces the previous one of the same topic and name.
 
 A wrench starts at its stamp if that is in the future, else with the next step. A message is
-accepted or refused as a whole; refusals are counted by reason. Imports no ROS.
+accepted or refused as a whole; refusals are counted by reason.
 """
 
 from typing import NamedTuple

@@ -2,7 +2,7 @@
 """Trajectories of joints: decoding and validation of whole JointTrajectory messages before they start.
 
 Names are those of ~/joint_states; every joint must be driven, or have a servo with a stiffness. A trajectory
-starts at its stamp if that is in the future, with a zero stamp now. Imports no ROS.
+starts at its stamp if that is in the future, with a zero stamp now.
 """
 
 import math

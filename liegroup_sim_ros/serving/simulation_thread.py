@@ -5,7 +5,7 @@ No other thread accesses the simulation. Commands and wrenches arrive from other
 effect between two outputs. Samples, clock, applied wrenches, events and diagnostics go to an output
 object (Outputs in outputs.py), each at its own rate. Stamps are simulated time in integer nanoseconds and
 increase monotonically: a reset restarts the step count, but the stamps continue one step after the last one.
-Between two steps, outputs have interpolated states. Imports no ROS.
+Between two steps, outputs have interpolated states.
 """
 
 import logging

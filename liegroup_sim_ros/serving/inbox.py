@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Queue of inputs from other threads to the simulation: wrenches, joint commands, and trajectories.
 
-The simulation thread takes them before its next block of steps. Imports no ROS.
+The simulation thread takes them before its next block of steps.
 """
 
 import logging

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trajectories of joints: interpolation, and the commands to their servos. Imports no ROS.
+"""Trajectories of joints: interpolation, and the commands to their servos.
 
 Between two points the interpolation is that of ros2_control's joint_trajectory_controller:
 

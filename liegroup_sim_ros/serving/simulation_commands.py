@@ -2,7 +2,7 @@
 """Commands of other threads to the simulation thread: pause, step, reset, states, snapshots.
 
 They are executed between two outputs, in the simulation thread; those that keep or change the state first go on
-to the end of the step. Imports no ROS.
+to the end of the step.
 """
 
 import math

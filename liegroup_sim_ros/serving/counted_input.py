@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Counts of accepted and refused messages, and checks that all inputs of the node share. Imports no ROS."""
+"""Counts of accepted and refused messages, and checks that all inputs of the node share."""
 
 import time
 

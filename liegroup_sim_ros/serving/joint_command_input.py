@@ -7,7 +7,6 @@ the joint itself. Position and velocity are wanted values of its servo, or the s
 
 A command starts at its stamp if that is in the future, else with the next step; a stamp older than the
 command's duration is refused. A message is accepted or refused as a whole; refusals are counted by reason.
-Imports no ROS.
 """
 
 import math

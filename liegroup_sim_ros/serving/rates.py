@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Times at which the outputs of a simulation are due: each at its own rate, in whole ns. Imports no ROS."""
+"""Times at which the outputs of a simulation are due: each at its own rate, in whole ns."""
 
 from collections.abc import Callable
 from typing import NamedTuple
