@@ -97,7 +97,7 @@ class Inputs:
         self._take_totals()
 
     def _marked(self, entry):
-        """Command of an Entry, as it was given, and the time at which it was cleared."""
+        """Command of a ScheduledCommand, as it was given, and the time at which it was cleared."""
         cleared = None if entry.end == self._end(entry.command) else self._grid.mark(entry.end)
         return entry.command._replace(cleared_ns=cleared)
 
@@ -131,7 +131,7 @@ class Inputs:
             self.log.append(command)
 
     def _effects(self, command):
-        """(key, parts) of a command, see schedule.Entry. Raises ValueError for an unknown body or joint."""
+        """(key, parts) of a command, see schedule.ScheduledCommand. Raises ValueError for an unknown body or joint."""
         kind, name, values, source = command.kind, command.name, command.values, command.source
         if kind == WRENCH:
             check_name(name, self._bodies, "unknown body {}")

@@ -13,46 +13,29 @@ Numba. Each compiler is a module with the functions
 
 import logging
 import os
-import threading
 from contextlib import suppress
-from importlib import import_module
 
-from .undisturbed import undisturbed
+from . import compiler, python
+from .compiler import chosen, use
 
 log = logging.getLogger("liegroup_core")
 
 TESTED = "0.63 to 0.68"  # releases of Numba whose internals are as expected
 PLAIN = "LIEGROUP_PLAIN_NUMBA"  # environment variable; 1: plain Numba
 
-_lock = threading.RLock()
-_chosen = None
-
-
-def chosen():
-    """Module of the compiler of this process: inlining, plain or python."""
-    return _chosen or undisturbed(_choose)
-
-
-def _choose():
-    with _lock:
-        if _chosen is None:
-            _select()
-    return _chosen
-
 
 def _select():
-    global _chosen
     try:
         import numba
         import numba.extending
     except ImportError:
         numba = None
     if numba is None or numba.config.DISABLE_JIT:
-        _chosen = _module("python")
+        use(python)
         return
     try:
         if os.environ.get(PLAIN, "0") in ("", "0"):
-            _chosen = _inlining()
+            use(_inlining())
             return
     except Exception as error:  # changed internals can raise any exception
         log.warning(
@@ -64,9 +47,11 @@ def _select():
             TESTED,
         )
     try:
-        _chosen = _module("plain")
+        from . import plain
+
+        use(plain)
     except Exception as error:
-        _chosen = _module("python")
+        use(python)
         log.warning(
             "Numba %s cannot compile the kernels: %s. The simulation runs as plain Python, about "
             "a hundred times slower. Tested releases of Numba: %s.",
@@ -78,23 +63,20 @@ def _select():
 
 def _inlining():
     """Module inlining, if all parts of Numba that it replaces are as expected."""
-    global _chosen
-    inlining = _module("inlining")
-    _module("assumed").check_signatures()
+    from . import assumed, inlining
+
+    assumed.check_signatures()
     folder = inlining.cache()
     done = None if folder is None else folder / "checked"
     if done is None or not done.exists():
-        _chosen = inlining  # it compiles the kernels of the check
-        _module("check").check()
+        use(inlining)  # it compiles the kernels of the check
+        from . import check
+
+        check.check()
         if done is not None:
             with suppress(OSError):
                 done.touch()
     return inlining
-
-
-def _module(name):
-    """Module of this package, loaded by name: it imports `kernels`, which imports this module."""
-    return import_module(f"{__package__}.{name}")
 
 
 def _line(error):
@@ -106,3 +88,6 @@ def _line(error):
 def compiled():
     """True if kernels run as machine code, False if they run as plain Python."""
     return chosen().name != "python"
+
+
+compiler.select = _select

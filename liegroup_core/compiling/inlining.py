@@ -37,7 +37,7 @@ from numba.extending import intrinsic, register_model, typeof_impl
 from . import borrowed_arrays, ingredients, struct_types
 from .cache import CODE, cache_folder, lock, source_digest, write
 from .kernels import Choice, Kernel, compiles
-from .passes import Flushing, Inner, Outer
+from .passes import Flushing, InnerCompiler, OuterCompiler
 from .struct_types import digest, text
 from .undisturbed import compiling_apart
 
@@ -50,9 +50,9 @@ OPTIONS = {"nogil": True, "error_model": "numpy"}
 
 def _inner(function, always):
     """Dispatcher of a function for compiled callers; always: inline it into them."""
-    return njit(**OPTIONS, forceinline=always, pipeline_class=Inner, no_cpython_wrapper=True, no_cfunc_wrapper=True)(
-        function
-    )
+    return njit(
+        **OPTIONS, forceinline=always, pipeline_class=InnerCompiler, no_cpython_wrapper=True, no_cfunc_wrapper=True
+    )(function)
 
 
 class _Cache(NullCache):
@@ -238,7 +238,7 @@ def cache():
 
 def for_python(kernel):
     """Dispatcher of a kernel for Python."""
-    pipeline = Flushing if kernel.role == "stepper" else Outer
+    pipeline = Flushing if kernel.role == "stepper" else OuterCompiler
     dispatcher = njit(**OPTIONS, pipeline_class=pipeline)(kernel.function)
     if cache() is None:
         return compiling_apart(dispatcher)

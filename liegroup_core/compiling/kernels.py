@@ -8,7 +8,7 @@ import os
 import threading
 import time
 
-from . import backend
+from . import compiler
 from .undisturbed import undisturbed
 
 log = logging.getLogger("liegroup_core")
@@ -45,10 +45,10 @@ class Kernel:
         return undisturbed(self._made, name)
 
     def _made(self, name):
-        compiler = backend.chosen()
+        make = getattr(compiler.chosen(), self._PARTS[name])
         with self._lock:
             if name not in vars(self):
-                setattr(self, name, getattr(compiler, self._PARTS[name])(self))
+                setattr(self, name, make(self))
         return vars(self)[name]
 
     def __call__(self, *arguments):
@@ -59,7 +59,7 @@ class Kernel:
 
     def entry(self, *arguments):
         """Callable for arguments of exactly the same types, which it does not check."""
-        return backend.chosen().entry(self, arguments)
+        return compiler.chosen().entry(self, arguments)
 
 
 class SameTypes:
@@ -160,7 +160,7 @@ def warm_up(call):
 
     call : function without arguments that runs one small simulation
     """
-    if backend.chosen().name == "python":
+    if compiler.chosen().name == "python":
         _warn_of_plain_python()
     global _compiled
     start, _compiled = time.perf_counter(), 0

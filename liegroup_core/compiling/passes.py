@@ -191,7 +191,7 @@ class _NoPhis(PreLowerStripPhis):
         return True
 
 
-class Inner(Compiler):
+class InnerCompiler(Compiler):
     lowering = _InnerLowering
 
     def define_pipelines(self):
@@ -211,9 +211,9 @@ class Inner(Compiler):
         return managers
 
 
-class Outer(Inner):
+class OuterCompiler(InnerCompiler):
     lowering = _OuterLowering
 
 
-class Flushing(Inner):
+class Flushing(InnerCompiler):
     lowering = _FlushingLowering

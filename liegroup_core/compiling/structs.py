@@ -5,7 +5,7 @@ import dataclasses
 
 import numpy as np
 
-from . import backend
+from . import compiler
 
 
 class _Once:
@@ -73,7 +73,7 @@ class Struct:
 
     @_Once
     def _words(self):
-        return backend.chosen().words(self)
+        return compiler.chosen().words(self)
 
     @_Once
     def numba_type(self):

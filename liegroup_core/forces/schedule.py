@@ -29,7 +29,7 @@ from .instants import AFTER, BEFORE, NEVER, Instant
 BODY, IN_WORLD, LEVERS, SERVO, DRIVE = "body", "world", "levers", "servo", "drive"
 
 
-class Entry(NamedTuple):
+class ScheduledCommand(NamedTuple):
     """A command in a schedule."""
 
     start: Instant
@@ -71,7 +71,7 @@ class Schedule:
     def clear_all(self):
         """Discard all commands."""
         self.total = {axes: idle.copy() for axes, idle in self._idle.items()}
-        self.waiting, self._acting = [], {}  # [Entry] in the order of their starts; {key: Entry}
+        self.waiting, self._acting = [], {}  # [ScheduledCommand] in the order of their starts; {key: ScheduledCommand}
         self._arrived = 0
         self._known_next = None
 
@@ -93,7 +93,7 @@ class Schedule:
 
     @property
     def acting(self):
-        """[Entry] of the commands that act, in an order that does not depend on that of their arrival."""
+        """[ScheduledCommand] of the commands that act, in an order that does not depend on that of their arrival."""
         return [entry for _, entry in sorted(self._acting.items())]
 
     @property
@@ -112,18 +112,18 @@ class Schedule:
         return totals
 
     def insert(self, command, key, parts, start, end):
-        """Add a command between two Instants; key, parts : see Entry."""
+        """Add a command between two Instants; key, parts : see ScheduledCommand."""
         self._arrived += 1
         if command.kind == MOTION:
             self.waiting = [entry for entry in self.waiting if entry.key != key or entry.start < start]
-        entry = Entry(start, end, self._arrived, key, parts, command)
+        entry = ScheduledCommand(start, end, self._arrived, key, parts, command)
         bisect.insort(self.waiting, entry, key=_by_start)
         self._known_next = None
 
     def resume(self, command, key, parts, end):
         """Add a command that acts already, until an Instant: `update` reports no change."""
         self._arrived += 1
-        self._acting[key] = entry = Entry(BEFORE, end, self._arrived, key, parts, command)
+        self._acting[key] = entry = ScheduledCommand(BEFORE, end, self._arrived, key, parts, command)
         for changed in entry.changes:
             self._add_up(*changed)
         self._known_next = None

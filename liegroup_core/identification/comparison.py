@@ -12,7 +12,7 @@ from liegroup_core.linear.coordinates import Coordinates
 
 from .contradictions import Effect, Effects, Missing, channel_fits
 from .fit import Fit, Solution
-from .runs import Point, Runs
+from .runs import Runs, Unknowns
 from .starts import first_states, has_others, starts_of, state_at
 
 LEVEL = 0.95  # of intervals
@@ -106,7 +106,7 @@ class Comparison:
 
     @cached_property
     def starts(self):
-        """[Start] of the segments."""
+        """[SegmentStart] of the segments."""
         return starts_of(self.fit, self.solution, max(1.0, self.reduced))
 
     @cached_property
@@ -204,7 +204,7 @@ def _nested(fit, bounds, found=None):
 
 
 def _solved(fit, point):
-    """Solution from a Point, none of whose segments would be nearer if it went on from the end of the one before."""
+    """Solution from Unknowns, none of whose segments would be nearer if it went on from the end of the one before."""
     solution = fit.solve(point, ROUGHLY)
     for _ in range(MOST_RESTARTS):
         point = _gone_on(fit, solution)
@@ -215,7 +215,7 @@ def _solved(fit, point):
 
 
 def _gone_on(fit, solution):
-    """Point in which segments start where the ones before end, if they are nearer to the measurements then."""
+    """Unknowns in which segments start where the ones before end, if they are nearer to the measurements then."""
     runs, point = fit.runs, solution.point
     machine, segments, states = runs.machine(point.values), runs.segments(point), list(point.states)
     for s in range(1, len(segments)):
@@ -258,7 +258,7 @@ def _refined(fit, solution):
 
 
 def continued(fit, bounds, solution):
-    """Point of other segments; those that start with one of a Solution start as that does."""
+    """Unknowns of other segments; those that start with one of a Solution start as that does."""
     given, runs = solution.point, fit.runs
     known = {segment.start: state for segment, state in zip(runs.segments(given), given.states)}
     point = replace(given, bounds=bounds)
@@ -310,15 +310,15 @@ def begin(scene, log, names=(), length=LENGTH, workers=None, limits=None, priors
 
 
 def first_point(fit, bounds):
-    """Point to begin with; steps are short enough for the noise."""
+    """Unknowns to begin with; steps are short enough for the noise."""
     runs = fit.runs
     delays = _rough_delays(fit, bounds, np.array([each.delay or 0.0 for each in runs.log.measured]))
     values = np.clip(runs.numbers.values, *fit.limits.T)
-    return in_short_steps(fit, Point(bounds, delays, values, first_states(runs, bounds, delays, values)))
+    return in_short_steps(fit, Unknowns(bounds, delays, values, first_states(runs, bounds, delays, values)))
 
 
 def in_short_steps(fit, point, outputs=None):
-    """Point with steps whose errors are a small part of the noise; outputs: of the point, None: not known."""
+    """Unknowns with steps whose errors are a small part of the noise; outputs: of the point, None: not known."""
     while point.halves < MOST_HALVES and max(part.max(initial=0.0) for part in numerics(fit, point, outputs)) > PART:
         point, outputs = replace(point, halves=point.halves + 1), None
     return point
@@ -349,7 +349,7 @@ def _rough_delays(fit, bounds, delays):
     first = np.searchsorted(bounds[:-1, 1], max(each.times[0] for each in runs.log.measured), side="right")
     few = bounds[first : first + 1 + int(FEW / (bounds[0, 1] - bounds[0, 0]))]
     # Of all clocks alike: starts, and nearly what their changes do, belong to measurements.
-    common = Point(few, delays, runs.numbers.values, first_states(runs, few, delays))
+    common = Unknowns(few, delays, runs.numbers.values, first_states(runs, few, delays))
     bases = fit.bases(common)
 
     def cost(of, lag):

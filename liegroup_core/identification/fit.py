@@ -37,7 +37,7 @@ FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-7
 class Solution:
     """Result of a fit.
 
-    point      : Point
+    point      : Unknowns
     residuals  : [[(r, p)]] of each segment and Measured, measured minus outputs, NaN where nothing was measured
     outputs    : [[(r, p)]]
     left       : (N,) weighted residuals without what changes of the starts explain
@@ -105,7 +105,7 @@ class Fit:
 
     @one_blas_thread()
     def solve(self, point, same=SAME, known=None):
-        """Solution from a Point on. Raises SimulationError if the run of the point fails.
+        """Solution from Unknowns on. Raises SimulationError if the run of the point fails.
 
         same  : relative decrease of the sum of squares in the last step, unless it is small against the noise
         known : Solution nearby, with the same segments and perhaps other weights; None: none
@@ -146,7 +146,7 @@ class Fit:
         return found
 
     def _tried(self, point, parts, damping):
-        """(Point, outputs, cost, inf: none, expected share of its decrease, whether it is small) after a step."""
+        """(Unknowns, outputs, cost, inf: none, expected share of its decrease, whether it is small) after a step."""
         changes, step, share, is_small = self._step(point, parts, damping)
         try:
             other = self._moved(point, changes, step)
@@ -172,7 +172,7 @@ class Fit:
         return [np.hstack(columns) for _, *columns in parts]
 
     def at(self, point):
-        """Solution at a Point, without a step."""
+        """Solution at Unknowns, without a step."""
         return self._solution(point, self.runs.base(point), None, True)
 
     def bases(self, point):
@@ -182,12 +182,12 @@ class Fit:
         return [_range(J_x) for _, J_x, _ in parts]
 
     def left(self, point, bases):
-        """(N,) weighted residuals of a Point without their parts in bases. Raises SimulationError."""
+        """(N,) weighted residuals of Unknowns without their parts in bases. Raises SimulationError."""
         residuals = self.residuals(point, self.runs.base(point))
         return np.concatenate([without(U, self.weighted(one)) for U, one in zip(bases, residuals)])
 
     def _solution(self, point, outputs, columns, converged):
-        """Solution at a Point, with columns [(J_x, J_g)] of one nearby, or None."""
+        """Solution at Unknowns, with columns [(J_x, J_g)] of one nearby, or None."""
         residuals = self.residuals(point, outputs)
         rest = [self.weighted(one) for one in residuals]
         if columns is None or [len(r) for r in rest] != [len(J_x) for J_x, _ in columns]:
@@ -299,7 +299,7 @@ class Fit:
         return found
 
     def _step(self, point, parts, damping):
-        """Step from a Point.
+        """Step from Unknowns.
 
         Changes [(c,)] of the starts by their scales, (g,) of delays and numbers, by which share the sum of squares
         would decrease if outputs were linear, and whether all changes are small.
@@ -355,7 +355,7 @@ class Fit:
         return changes, step, share, small
 
     def _moved(self, point, changes, step):
-        """Point after a step."""
+        """Unknowns after a step."""
         runs = self.runs
         scaled = [change * scales for (scales, *_), change in zip(runs.starts(point), changes)]
         q, free = len(runs.numbers), np.flatnonzero(self.free)

@@ -28,7 +28,7 @@ REPEATED = 0.05  # share of equal neighbours from which on values are rounded
 class Given:
     """Values of one input.
 
-    name   : as `linear.channels.Inputs` takes it, such as JOINT.effort, or JOINT.motion
+    name   : as `linear.channels.InputChannels` takes it, such as JOINT.effort, or JOINT.motion
     times  : (k,) s since the start of the log, that increase
     values : (k,) SI units
     hold   : previous: a value acts until the next one; linear: the mean of the straight line between two times acts;
@@ -112,7 +112,7 @@ class Measured:
 
     name      : of the topic
     times     : (k,) s since the start of the log, that increase
-    channels  : names of p outputs, as `linear.channels.Outputs` takes them
+    channels  : names of p outputs, as `linear.channels.OutputChannels` takes them
     values    : (k, p) SI units, NaN where nothing was measured
     deviation : (p,) standard deviations of the noise, NaN: estimated from third differences of the values
     delay     : s by which the times are late; None: to be estimated

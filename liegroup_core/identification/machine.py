@@ -18,7 +18,7 @@ from liegroup_core.errors import SceneError, SimulationError
 from liegroup_core.forces.instants import AFTER
 from liegroup_core.joints.motion import COLUMNS, at, row_at, uniform
 from liegroup_core.layout import make_layout
-from liegroup_core.linear.channels import Inputs, Outputs
+from liegroup_core.linear.channels import InputChannels, OutputChannels
 from liegroup_core.linear.coordinates import Coordinates, scales_of
 from liegroup_core.linear.probe import Probe
 from liegroup_core.methods.families import choose_group
@@ -35,7 +35,7 @@ SHIFT = 1000.0  # s by which the engine is later than the log: delays move start
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class MachineState:
     """State at the start of a run: of frames at the centres of mass, with unwrapped angles.
 
     pose, twist : (n, 12), (n, 6)
@@ -145,13 +145,13 @@ class Machine:
         self.engine = Engine(layout.scene, METHOD, STEP, *settings, quiet=True, layout=layout, **options)
         self.probe = Probe(self.engine, in_space=in_space)
         self.layout, self.log = self.engine.layout, log
-        inputs = Inputs(self.probe, [each.name for each in log.inputs])
+        inputs = InputChannels(self.probe, [each.name for each in log.inputs])
         self._wrenches, self._targets = inputs.changes(0)
         self._wanted = self.probe.wanted.copy()
         for k, name in enumerate(inputs.names):  # a target replaces that of the scene
             if name.rpartition(".")[2] in ("target", "target_velocity"):
                 self._wanted[self._targets[k] != 0.0] = 0.0
-        self.outputs = [Outputs(self.probe, each.channels, turns) for each in log.measured]
+        self.outputs = [OutputChannels(self.probe, each.channels, turns) for each in log.measured]
         self.turns, self._rubbing = self.outputs[0].turns, _friction(scene, log)
         self._changes = 0.0, np.zeros(0)
         limited = [switch for switch in self.layout.switches if switch.limits is not None]
@@ -198,7 +198,7 @@ class Machine:
         sample = self.engine.sample()
         near = np.zeros(0) if sample.switching is None else sample.switching[:, 3].copy()
         time = round((self.engine.time - SHIFT) * NS) / NS
-        return State(*self.engine.state(), sample.angles.copy(), near, time)
+        return MachineState(*self.engine.state(), sample.angles.copy(), near, time)
 
     def timed(self, state, time):
         """State at another time in s: driven joints are where they are then, the others as they are, if they can."""
@@ -225,7 +225,7 @@ class Machine:
 
     def effort(self, joint):
         """(n, COLUMNS) change of the external wrenches by a unit effort of a joint."""
-        return Inputs(self.probe, [f"{joint}.effort"]).changes(0)[0][0]
+        return InputChannels(self.probe, [f"{joint}.effort"]).changes(0)[0][0]
 
     def at(self, state):
         """Sample of a state, from which the Probe continues."""
@@ -501,7 +501,7 @@ def _changes(engine, end):
 class Apart:
     """Differences of outputs of one Measured: of angles modulo 2 pi, of attitudes as rotation vectors.
 
-    outputs : Outputs
+    outputs : OutputChannels
     """
 
     def __init__(self, outputs):

@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 from liegroup_core.errors import SceneError, SimulationError
-from liegroup_core.linear.channels import Outputs
+from liegroup_core.linear.channels import OutputChannels
 from liegroup_core.linear.numbers import Numbers
 from liegroup_core.linear.probe import Probe
 from liegroup_core.simulation import Simulation
@@ -21,7 +21,7 @@ from liegroup_core.simulation import Simulation
 from .comparison import LONGEST, in_short_steps
 from .fit import Fit
 from .log import LINEAR, Given, Log, Measured
-from .runs import Point, Runs
+from .runs import Runs, Unknowns
 from .starts import first_states
 
 POINTS = 8  # of a motion, after its start
@@ -183,7 +183,7 @@ class _Motions:
         )
         count = int(self._seconds * self._rate) + 1
         probe = Probe(simulation)
-        outputs, rows, motion = Outputs(probe, list(self._measured)), [], []
+        outputs, rows, motion = OutputChannels(probe, list(self._measured)), [], []
         for _ in range(count):
             sample = simulation.sample()
             rows.append(outputs.of(sample))
@@ -203,5 +203,5 @@ class _Motions:
         fit = Fit(runs, [noise], [False], workers=self._workers)
         ends = np.linspace(0.0, times[-1] + 1e-6, max(1, round(times[-1] / PART)) + 1)
         bounds, delays = np.column_stack([ends[:-1], ends[1:]]), np.zeros(1)
-        point = Point(bounds, delays, runs.numbers.values, first_states(runs, bounds, delays))
+        point = Unknowns(bounds, delays, runs.numbers.values, first_states(runs, bounds, delays))
         return np.sqrt(np.diag(fit.at(in_short_steps(fit, point)).covariance)) * runs.numbers.scales

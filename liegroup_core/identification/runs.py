@@ -21,13 +21,13 @@ _own = threading.local()  # machines of each thread
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
+class Unknowns:
     """Unknowns of a fit.
 
     bounds : (s, 2) s, of the segments
     delays : (t,) s, of each Measured
     values : (q,) numbers of the scene
-    states : [State] at the start of each segment, of the scene with these numbers
+    states : [MachineState] at the start of each segment, of the scene with these numbers
     halves : how often the longest steps are halved
     """
 
@@ -39,7 +39,7 @@ class Point:
 
 
 class Runs:
-    """Runs of a scene over a log, as a function of a Point and a change.
+    """Runs of a scene over a log, as a function of Unknowns and a change.
 
     scene : Scene
     log   : Log
@@ -72,7 +72,7 @@ class Runs:
         return known[key]
 
     def segments(self, point):
-        """[Segment] of a Point."""
+        """[Segment] of Unknowns."""
         key = point.bounds.tobytes(), point.delays.tobytes()
         if self._segments[0] != key:
             self._segments = key, segments_of(self.machine(point.values), point.bounds, point.delays)
@@ -93,7 +93,7 @@ class Runs:
             raise SimulationError(f"the run from {segment.start:.9g} s on: {error}", error.status) from None
 
     def starts(self, point):
-        """[(scales (c,), State, ways, [State] with one of c ways CHANGE of its scale away)] of the segments."""
+        """[(scales (c,), MachineState, ways, [MachineState] CHANGE of its scale away on each way)] of segments."""
         if self._starts[0] is not point:
             machine, found = self.machine(point.values), []
             for segment, state in zip(self.segments(point), point.states):

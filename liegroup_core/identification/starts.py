@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from liegroup_core.errors import LieGroupSimError, SceneError
-from liegroup_core.linear.channels import POSE, TWIST, Outputs
+from liegroup_core.linear.channels import POSE, TWIST, OutputChannels
 from liegroup_core.linear.coordinates import Coordinates, scales_of
 
 from .fit import HIDDEN
@@ -22,7 +22,7 @@ SMALL, NO_WAY = 1e-6, 1e-6  # last step, by the scales; relative singular value 
 
 
 def first_states(runs, bounds, delays=None, values=None):
-    """[State] at the start of each segment between bounds (s, 2) in s.
+    """[MachineState] at the start of each segment between bounds (s, 2) in s.
 
     Independent joints that were measured are put to where polynomials through the nearest measurements are, then all
     of the mechanism in least squares if bodies or sensors were measured. What was not measured is where the run of the
@@ -124,7 +124,7 @@ class _Seen:
 
     def __init__(self, machine, number, measured, columns, is_rate):
         self.number, self.is_rate, self._measured, self._columns = number, is_rate, measured, columns
-        self._outputs = Outputs(machine.probe, [measured.channels[k] for k in columns], machine.turns)
+        self._outputs = OutputChannels(machine.probe, [measured.channels[k] for k in columns], machine.turns)
         self._apart = Apart(self._outputs)
 
     def aim(self, time):
@@ -242,13 +242,13 @@ def _with_rates(machine, places, rates, state):
 
 
 def _at(machine, of, state):
-    """[(p,)] outputs of [_Seen] at a State."""
+    """[(p,)] outputs of [_Seen] at a MachineState."""
     sample = machine.seen(state)
     return [each.at(sample) for each in of]
 
 
 def _changes(machine, of, state, ways):
-    """[(d, p)] derivatives of outputs of [_Seen] along ways (d, f, 2) from a State, where the Probe is."""
+    """[(d, p)] derivatives of outputs of [_Seen] along ways (d, f, 2) from a MachineState, where the Probe is."""
     if not of:
         return []
     there = [_at(machine, of, machine.beside(state, ways, CHANGE * row)) for row in np.eye(len(ways))]
@@ -264,7 +264,7 @@ def _solved(rows, right):
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
+class SegmentStart:
     """Start of a segment.
 
     time   : s, of the clock of the inputs
@@ -279,14 +279,14 @@ class Start:
 
 
 def starts_of(fit, solution, chi):
-    """[Start] of the segments of a Solution, whose covariance is multiplied by chi.
+    """[SegmentStart] of the segments of a Solution, whose covariance is multiplied by chi.
 
     With J of a start and G of delays and numbers, both of weighted outputs, x = J^+ (r - G g). A start moves along the
     run with the mean of the delays.
     """
     runs, point = fit.runs, solution.point
     machine = runs.machine(point.values)
-    outputs = Outputs(machine.probe, _reported(machine), machine.turns)
+    outputs = OutputChannels(machine.probe, _reported(machine), machine.turns)
     apart, found, free = Apart(outputs), [], int(fit.free.sum())
     shared = np.nan_to_num(solution.covariance, posinf=0.0)
     unknown = ~np.isfinite(np.diag(solution.covariance))
@@ -303,7 +303,7 @@ def starts_of(fit, solution, chi):
         off = np.abs(D - D @ V[seen].T @ V[seen]).max(axis=1, initial=0.0) > HIDDEN
         off |= (np.abs(of_shared[:, unknown]) > HIDDEN).any(axis=1)
         deviations = np.where(off, np.inf, np.sqrt(chi * variances))
-        found.append(Start(segment.start, tuple(outputs.names), values, deviations))
+        found.append(SegmentStart(segment.start, tuple(outputs.names), values, deviations))
     return found
 
 

@@ -26,7 +26,7 @@ INPUTS = ("efforts", "targets", "wrenches")
 OUTPUTS = ("joints", "bodies", "twists", "accelerations", "efforts", "reactions", "sensors")
 
 
-class Inputs:
+class InputChannels:
     """Inputs of a Probe.
 
     wanted : names, or those of INPUTS that stand for many; None: targets of all servos and efforts of all joints
@@ -113,7 +113,7 @@ def _add(external, body, wrench):
     external[body, :6] += one[0, :6]
 
 
-class Outputs:
+class OutputChannels:
     """Outputs of a Probe, as functions of a Sample.
 
     wanted : names, or those of OUTPUTS that stand for many; None: joints

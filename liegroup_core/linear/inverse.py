@@ -18,7 +18,7 @@ import scipy
 
 from liegroup_core.errors import SceneError, SimulationError
 
-from .channels import Inputs
+from .channels import InputChannels
 from .coordinates import Coordinates
 from .friction import Stops
 from .probe import Probe
@@ -78,7 +78,7 @@ def inverse_dynamics(simulation, times, positions, rates, accelerations, joints,
     if not joints:
         raise SceneError("inverse dynamics needs at least one independent joint")
     names = [f"{joint}.effort" for joint in joints] if inputs is None else inputs
-    channels = Inputs(probe, names, kinds=("efforts",))
+    channels = InputChannels(probe, names, kinds=("efforts",))
     released, stops = probe.modes, Stops(probe)
     coordinates = Coordinates(probe, joints)
     layout = probe.layout

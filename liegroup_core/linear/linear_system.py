@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from .channels import Inputs, Outputs
+from .channels import InputChannels, OutputChannels
 from .coordinates import Coordinates
 from .differences import derivative
 from .probe import Probe
@@ -223,7 +223,7 @@ def _by_body(turning, moving):
 def system_of(probe, inputs=None, outputs=None, independent=None, preferred=()):
     """As `linearise`, of a Probe; preferred: as of Coordinates."""
     coordinates = Coordinates(probe, independent, preferred)
-    inputs, outputs = Inputs(probe, inputs), Outputs(probe, outputs)
+    inputs, outputs = InputChannels(probe, inputs), OutputChannels(probe, outputs)
     rows = np.concatenate([coordinates.independent, probe.freedoms + coordinates.moving])
     signs = np.concatenate([coordinates.signs, coordinates.rate_signs])
     m, states = len(coordinates.independent), len(rows)

@@ -9,7 +9,7 @@ from liegroup_core.scene.load import scene_as_written
 from liegroup_core.scene.parameters import changed, parameters, path_of
 from liegroup_core.simulation import Simulation
 
-from .channels import Outputs
+from .channels import OutputChannels
 from .differences import ROUND_OFF
 from .probe import Probe
 
@@ -102,16 +102,16 @@ class Sides:
         return self._sides[k, s]
 
     def at_start(self, outputs):
-        """(q, p) derivatives of Outputs of the start states, and their errors."""
+        """(q, p) derivatives of OutputChannels of the start states, and their errors."""
         return _derivatives(self._values(lambda other, _: outputs.of(other.sample())))
 
     def of_outputs(self, probe, outputs):
-        """(q, p) derivatives of Outputs with the same state of the joints as a Probe, and their errors."""
+        """(q, p) derivatives of OutputChannels with the same state of the joints as a Probe, and their errors."""
         base = outputs.of(probe.neighbour())
 
         def values(_, near):
             near.follow(probe)
-            own = Outputs(near, outputs.names, outputs.turns)
+            own = OutputChannels(near, outputs.names, outputs.turns)
             return outputs.apart(own.of(near.neighbour()), base)
 
         return _derivatives(self._values(values))

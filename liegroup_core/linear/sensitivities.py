@@ -15,7 +15,7 @@ from liegroup_core.forces.instants import LATEST
 from liegroup_core.simulation import Simulation
 from liegroup_core.threads import one_blas_thread
 
-from .channels import Outputs
+from .channels import OutputChannels
 from .differences import SMALLER, WEIGHTS, kinked
 from .numbers import Numbers, OtherStructure
 from .probe import Probe
@@ -82,7 +82,7 @@ def sensitivities(scene, names, times, outputs=None, **settings):
 
 def outputs_of(simulation, names):
     """Names of single outputs for names that may stand for many. Raises SceneError."""
-    return tuple(Outputs(Probe(simulation), names).names)
+    return tuple(OutputChannels(Probe(simulation), names).names)
 
 
 class _Run:
@@ -99,7 +99,7 @@ class _Run:
         self.outputs = tuple(self.seen.names)
 
     def _run(self, scene):
-        """(outputs (k, p), number of events, errors of the states (k,), Outputs) of the run of a scene."""
+        """(outputs (k, p), number of events, errors of the states (k,), OutputChannels) of the run of a scene."""
         simulation = Simulation(scene, quiet=True, **self.settings)
         outputs = self._outputs(Probe(simulation))
         values, noise = [], []
@@ -110,7 +110,7 @@ class _Run:
         return values, simulation.event_count, np.nan_to_num(noise), outputs
 
     def _outputs(self, probe):
-        return Outputs(probe, self._wanted, None if self.seen is None else self.seen.turns)
+        return OutputChannels(probe, self._wanted, None if self.seen is None else self.seen.turns)
 
     def variations(self, numbers):
         """Derivatives (k, p, q) by numbers, their errors, and which of them are rough (q,)."""

@@ -14,7 +14,7 @@ import scipy
 from liegroup_core.dynamics.switches import MOVES
 from liegroup_core.errors import SceneError, SimulationError
 
-from .channels import Inputs
+from .channels import InputChannels
 from .coordinates import ANGLE, Coordinates
 from .differences import derivative
 from .friction import Resting, Stops, stick
@@ -90,7 +90,7 @@ def trim(simulation, rates=None, held=(), inputs=None, time=None):
 
 def _found(probe, rates, held, names):
     preferred = (*rates, *held)
-    inputs = Inputs(probe, names)
+    inputs = InputChannels(probe, names)
     # Dry friction holds the coordinates that keep their positions; whether it can is checked at the end.
     numbers = list(map(Coordinates(probe).number, held))
     if numbers and probe.layout.switches:

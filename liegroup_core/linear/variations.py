@@ -24,7 +24,7 @@ from liegroup_core.errors import SimulationError
 from liegroup_core.forces.instants import AFTER
 from liegroup_core.simulation import Simulation
 
-from .channels import Outputs
+from .channels import OutputChannels
 from .coordinates import ANGLE, Coordinates, scales_of
 from .differences import derivative
 from .numbers import Sides
@@ -72,7 +72,7 @@ class Variations:
         self._first, self._count = len(self.columns), 0 if numbers is None else len(numbers)
         self.doubt = self.columns.copy()
         if self._count:
-            outputs = Outputs(self.probe, BODIES)
+            outputs = OutputChannels(self.probe, BODIES)
             shown, error = self._sides.at_start(outputs)
             own, doubt = self._from_bodies(self.probe, outputs, shown, error)
             self.columns, self.doubt = np.concatenate([self.columns, own]), np.concatenate([self.doubt, doubt])
@@ -252,7 +252,7 @@ class Variations:
         probes = [Probe(self._near, in_space=True) for _ in times]
         for one, time in zip(probes, times):
             one.take(samples[time])
-        outputs = [Outputs(one, BODIES) for one in probes]
+        outputs = [OutputChannels(one, BODIES) for one in probes]
 
         base = np.array([seen.of(samples[time]) for time, seen in zip(times, outputs)])
 
@@ -316,7 +316,7 @@ class Variations:
         return [[rest for when, *rest in found if start_ns + 0.5 < when <= time] for time in times]
 
     def of_outputs(self, outputs):
-        """(c + q, p) changes of Outputs of the probe, and their errors."""
+        """(c + q, p) changes of OutputChannels of the probe, and their errors."""
         found, doubt = (outputs.along(columns) for columns in (self.columns, self.doubt))
         if found is None:
             frame = self._frame(self.probe, outputs)
@@ -332,7 +332,7 @@ class Variations:
         return (columns / self._scales[:, None]).swapaxes(1, 2).reshape(len(columns), 2 * len(self._scales))
 
     def _frame(self, probe, outputs):
-        """(2 f, p) derivatives of p Outputs by the f freedoms, and by their f rates."""
+        """(2 f, p) derivatives of p OutputChannels by the f freedoms, and by their f rates."""
         f, base = probe.freedoms, outputs.of(probe.neighbour())
         ways = np.eye(2 * f).reshape(2 * f, 2, f).swapaxes(1, 2) * self._scales[:, None]
         parts = [

@@ -29,7 +29,7 @@ def check_inertia(scene, links, places, world):
     """Raise SceneError for a degree of freedom of the tree without inertia, at the start.
 
     scene  : Scene with body frames at the centres of mass
-    links  : list of links.Link; places : {body or world: (link or WORLD, pose (4, 4) in it)}
+    links  : list of links.TreeLink; places : {body or world: (link or WORLD, pose (4, 4) in it)}
     world  : {link: pose (4, 4) in the world}
     """
     found = _free_turns(scene, links, places, world)

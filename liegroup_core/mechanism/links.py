@@ -17,7 +17,7 @@ from .spanning_tree import WORLD_NAME
 FIRST_AXIS, SECOND_AXIS = np.eye(4)[:, [1, 2, 0, 3]], np.eye(4)[:, [2, 0, 1, 3]]
 
 
-class Link:
+class TreeLink:
     """Link under construction: `placement` T in its parent, and poses of its bodies in it.
 
     sign  : 1 if its coordinate increases with that of the joint, -1 if it decreases
@@ -48,7 +48,7 @@ class Link:
 
 
 def find_links(scene, frames, tree, normal, floating=FREE):
-    """([Link], {body or world: (link index or WORLD, pose (4, 4) in the link)}).
+    """([TreeLink], {body or world: (link index or WORLD, pose (4, 4) in the link)}).
 
     normal   : of the plane of a planar mechanism, else None
     floating : motion group of a floating link
@@ -65,7 +65,7 @@ def find_links(scene, frames, tree, normal, floating=FREE):
             centre = sum(m * welds[name][:3, 3] for m, name in zip(masses, bodies)) / masses.sum()
             frame = np.eye(4)
             frame[:3, 3] = centre
-            links.append(Link(None, floating, WORLD, np.eye(4)))
+            links.append(TreeLink(None, floating, WORLD, np.eye(4)))
         else:
             joint, (F_a, F_b) = scene.joints[j], frames[j]
             reverse = joint.child not in bodies
@@ -79,13 +79,13 @@ def find_links(scene, frames, tree, normal, floating=FREE):
             placement = pose @ F_in
             if joint.type == "universal":
                 first, second = (SECOND_AXIS, FIRST_AXIS) if reverse else (FIRST_AXIS, SECOND_AXIS)
-                links.append(Link(j, HINGE, parent, placement @ first, CROSS))
-                links.append(Link(j, HINGE, len(links) - 1, first.T @ second, AFTER_CROSS))
+                links.append(TreeLink(j, HINGE, parent, placement @ first, CROSS))
+                links.append(TreeLink(j, HINGE, len(links) - 1, first.T @ second, AFTER_CROSS))
                 frame = welds[outer] @ F_out @ second
             else:
                 kind, in_plane = OF_JOINT[joint.type], normal is not None
                 pitch = getattr(joint, "pitch", 0.0)
-                links.append(Link(j, kind, parent, placement, pitch=pitch, in_plane=in_plane))
+                links.append(TreeLink(j, kind, parent, placement, pitch=pitch, in_plane=in_plane))
                 links[-1].rotor = joint.rotor_inertia
                 along = to_plane[2, links[-1].components[0] % 3]
                 links[-1].sign = -along if reverse else along

@@ -45,7 +45,7 @@ _OUT = _VECTORS[:, _UPPER] * np.where(_VALUES[_UPPER].imag > 0.0, 2.0, 1.0)
 _VALUES = _VALUES[_UPPER]
 
 
-class Collocation:
+class CollocationSteps:
     """Steps of an integration from (time, state), one by one.
 
     function(times (p,), states (p, N), out (p, N)) : writes the time derivatives

@@ -14,7 +14,7 @@ from liegroup_core.scene.centres import Offsets, at_centres_of_mass
 from liegroup_core.scene.consistency import resolve_drives
 from liegroup_core.threads import one_blas_thread
 
-from .collocation import Collocation
+from .collocation import CollocationSteps
 from .rigid_body_dae import STATE, chosen_rows, rates, unit_rows
 from .system import build_system, with_wanted
 
@@ -398,7 +398,7 @@ class _Run:
         if self._solver is None:
             self._chosen, self._rank = _independent(system, unit_rows(system, self._state, self._given(begin))[0])
             self._pivot_of_choice = None
-            self._solver = Collocation(function, self._scales, begin, self._state, self._rtol)
+            self._solver = CollocationSteps(function, self._scales, begin, self._state, self._rtol)
         self._function = self._solver.function = function
         self._solver.restart()
 

@@ -5,7 +5,7 @@ import numpy as np
 
 from liegroup_core.lie.groups import SE3
 
-from .description import ONE_COORDINATE, WORLD, Coupling, RobotJoint
+from .description import ONE_COORDINATE, WORLD, Relation, RobotJoint
 from .names import scene_name
 
 # {key of a force with a point: key of the link that the point is fixed to}
@@ -115,7 +115,7 @@ def _check_ends(options, grouping, place, which, given):
 
 
 def added_couplings(options, robot):
-    """[Coupling] of the additions; `line` is the path inside the additions. Raises SceneError."""
+    """[Relation] of the additions; `line` is the path inside the additions. Raises SceneError."""
     types = {joint.name: joint.type for joint in robot.joints}
     for i, entry in enumerate(options.couplings):
         ends = (("joint", entry.joint), ("other", entry.other), *(("terms", name) for name in entry.terms))
@@ -132,7 +132,7 @@ def added_couplings(options, robot):
     keys = ("name", "joint", "other", "ratio", "offset")
     given = [(e, e.backlash.model_dump(exclude_none=True) if e.backlash else {}) for e in options.couplings]
     return [
-        Coupling(*(getattr(e, key) for key in keys), ("couplings", i), e.curve, e.terms, backlash)
+        Relation(*(getattr(e, key) for key in keys), ("couplings", i), e.curve, e.terms, backlash)
         for i, (e, backlash) in enumerate(given)
     ]
 

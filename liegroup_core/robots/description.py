@@ -150,7 +150,7 @@ class RobotJoint:
 
 
 @dataclass
-class Coupling:
+class Relation:
     """Relation of joint coordinates, first = offset + ratio second + a_2 second^2 + ...; see fields/curve.py.
 
     offset : None: computed from the start values;  curve : (a_2, ...)
@@ -223,7 +223,7 @@ class Robot:
     poses    : {name of a pose: {joint: coordinate}}; velocities: {its name: {joint: velocity}}; of joints with
                several coordinates the (4, 4) pose of the child's frame in the parent's, and its (6,) twist
     root_poses : {name of a pose: {root link: ((4, 4) pose, (6,) twist in its axes)}}, used if it floats
-    loose    : [Coupling] with backlash
+    loose    : [Relation] with backlash
     tendons  : [tendons.Tendon]
     actuators: [actuators.Actuator];  commands: {name of a pose: {actuator: (control, activation)}}
     locked   : {joint: coordinate} of joints that do not move

@@ -32,7 +32,7 @@ _FACTORIALS = ("factorial", "perm", "comb")
 _WIDE = tuple("pow range ljust rjust center zfill expandtabs round".split())
 
 
-class Refused(Exception):
+class RefusedExpression(Exception):
     """Expression that xacro files must not contain; one line of text."""
 
 
@@ -41,16 +41,16 @@ def evaluate(text, symbols, spaces):
 
     symbols : mapping of names to values
     spaces  : classes of mappings whose entries are also attributes, such as `math` in `math.pi`
-    raises Refused, SyntaxError, and what the operations raise
+    raises RefusedExpression, SyntaxError, and what the operations raise
     """
     tree = ast.parse(text.strip(), "<expression>", "eval")
     for node in ast.walk(tree):
         if not isinstance(node, NODES):
             kind = CODE.get(type(node).__name__, type(node).__name__)
-            raise Refused(f"{kind} in an expression is not allowed: write the values out")
+            raise RefusedExpression(f"{kind} in an expression is not allowed: write the values out")
         name = getattr(node, "id", None) or getattr(node, "attr", None) or getattr(node, "arg", "")
         if (name or "").startswith("__"):
-            raise Refused(f"the name {name:.60} is not allowed: names must not begin with __")
+            raise RefusedExpression(f"the name {name:.60} is not allowed: names must not begin with __")
     code = compile(ast.fix_missing_locations(_Attributes().visit(tree)), "<expression>", "eval")
     get = _attribute(spaces)
     # Without the key __builtins__, Python would add its own.
@@ -59,7 +59,7 @@ def evaluate(text, symbols, spaces):
 
 def _bounded(is_small):
     if not is_small:
-        raise Refused(f"a text or list longer than {LARGEST}, or a whole number of more than {DIGITS} digits")
+        raise RefusedExpression(f"a text or list longer than {LARGEST}, or a whole number of more than {DIGITS} digits")
 
 
 def _operate(kind, a, b):
@@ -129,7 +129,7 @@ def _attribute(spaces):
                 raise NameError(f"name {name!r:.60} is not defined")
             return value[name]
         if name not in known:
-            raise Refused(f"the attribute {name:.60} of a {type(value).__name__} is not allowed")
+            raise RefusedExpression(f"the attribute {name:.60} of a {type(value).__name__} is not allowed")
         if name == "format":
             return lambda *given, **named: _Formatter().vformat(value, given, named)
         return getattr(value, name)
@@ -146,5 +146,5 @@ class _Formatter(string.Formatter):
 
     def get_field(self, field_name, args, kwargs):
         if "." in field_name or "[" in field_name:
-            raise Refused(f"{{{field_name:.60}}} in a format is not allowed: give the value itself")
+            raise RefusedExpression(f"{{{field_name:.60}}} in a format is not allowed: give the value itself")
         return super().get_field(field_name, args, kwargs)

@@ -20,7 +20,7 @@ from liegroup_core.lie.groups import SO3
 from .access import is_permitted, outside
 from .actuators import FREE, Actuator
 from .apart import run_apart
-from .description import MISSING_MESHES, NOT_DRAWN, WORLD, Coupling, Link, Robot, RobotJoint, Visual, place, refusal
+from .description import MISSING_MESHES, NOT_DRAWN, WORLD, Link, Relation, Robot, RobotJoint, Visual, place, refusal
 from .mjcf_sensors import read_sensors
 from .tendons import Tendon, add_relation
 from .xml import Reader, read_xml
@@ -221,7 +221,7 @@ def _equalities(robot, model, names, lines):
             robot.joints.append(_closing(robot, equality, names, line))
         elif kind == "joint" and equality["second"] >= 0:
             ends = (label[equality[end]] for end in ("first", "second"))
-            robot.couplings.append(Coupling(name, *ends, data[1], data[0], line, tuple(np.trim_zeros(data[2:5], "b"))))
+            robot.couplings.append(Relation(name, *ends, data[1], data[0], line, tuple(np.trim_zeros(data[2:5], "b"))))
         elif kind == "joint" and equality["second"] < 0:
             robot.locked[label[equality["first"]]] = data[0]
         elif not add_relation(robot, name, _terms(equality, label), data[0], line):

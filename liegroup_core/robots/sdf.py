@@ -15,11 +15,11 @@ from liegroup_core.lie.groups import SE3
 
 from .access import permit
 from .controllers import add_servos
-from .description import WORLD, Coupling, Link, Robot, RobotJoint, place
+from .description import WORLD, Link, Relation, Robot, RobotJoint, place
 from .omitted import omit
 from .resources import LATEST_SDF, find_resource, model_file, resolve
 from .rotors import add_rotor
-from .sdf_frames import Model, text_of
+from .sdf_frames import SdfModel, text_of
 from .sdf_links import read_link
 from .sdf_sensors import joint_sensor
 from .tendons import add_relation
@@ -94,7 +94,7 @@ def robot_of_sdf(root, path):
         if world is not None and element.tag not in PARTS_OF_WORLDS:
             omit(robot, element, f"{element.tag} of the world", element.get("name") or "unnamed")
     robot.leave_out_unknown(root, KNOWN)
-    space = Model(reader, top, "", is_world=True)
+    space = SdfModel(reader, top, "", is_world=True)
     _nest(loader, space, 0)
     for name, model in space.nested.items():
         _model(loader, model, space.pose(name, model.element))
@@ -169,7 +169,7 @@ def _nest(loader, model, depth):
     for element in elements:
         name = loader.reader.name(element)
         full = "" if model.is_world and len(elements) == 1 else model.full(name)
-        model.nested[name] = Model(loader.reader, element, full, model)
+        model.nested[name] = SdfModel(loader.reader, element, full, model)
         _nest(loader, model.nested[name], depth + 1)
 
 
@@ -369,14 +369,14 @@ def _limit(reader, element, text, part):
 
 
 def _mimic(reader, robot, model, mimic, joint):
-    """Coupling of <mimic>: coordinate = multiplier (other - reference) + offset."""
+    """Relation of <mimic>: coordinate = multiplier (other - reference) + offset."""
     ratio, offset, reference = (
         value_of(reader, mimic, key, default)
         for key, default in (("multiplier", 1.0), ("offset", 0.0), ("reference", 0.0))
     )
     holder, other = model.split(reader.name(mimic, "joint"), mimic)
     robot.couplings.append(
-        Coupling(
+        Relation(
             f"{joint.name}_mimic", joint.name, holder.full(other), ratio, offset - ratio * reference, mimic.sourceline
         )
     )

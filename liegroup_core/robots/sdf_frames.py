@@ -14,12 +14,12 @@ from .description import WORLD, place
 MODEL_FRAMES = ("__model__", "world")
 
 
-class Model:
+class SdfModel:
     """Model or world with its named parts; the frame of a world does not move.
 
     name   : full name with the names of the enclosing models: outer::inner
     frames : {name: element} of links, joints, frames and nested models
-    nested : {name: Model}
+    nested : {name: SdfModel}
     """
 
     def __init__(self, reader, element, name, outer=None, is_world=False):

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .description import Coupling
+from .description import Relation
 from .options import ALL
 
 
@@ -85,7 +85,7 @@ def _has_limits(robot, options, tendon, length):
 
 
 def fixed_tendons(robot, options, moving, values):
-    """Yield the springs with damping, and the limits, of fixed tendons as Couplings with backlash.
+    """Yield the springs with damping, and the limits, of fixed tendons as Relations with backlash.
 
     moving : names of the joints with one coordinate that move;  values : {joint: coordinate at the start}
     """
@@ -107,7 +107,7 @@ def fixed_tendons(robot, options, moving, values):
 
 
 def among(robot, coupling, moving, values):
-    """Coupling of its joints that move, where the others are constants; None if there is none, or with a note."""
+    """Relation of its joints that move, where the others are constants; None if there is none, or with a note."""
     terms = {name: c for name, c in coupling.terms.items() if name in moving}
     is_cut = any(robot.joint(name).child not in robot.links for name in coupling.terms)
     if terms and (is_cut or len(terms) == 1 or coupling.backlash or (coupling.curve and coupling.second in terms)):
@@ -120,10 +120,10 @@ def among(robot, coupling, moving, values):
 
 
 def _relation(name, terms, constant, line, backlash=()):
-    """Coupling sum c x = constant of two or more joints {name: c}."""
+    """Relation sum c x = constant of two or more joints {name: c}."""
     (first, c), *others = terms.items()
     shares = [(joint, -other / c) for joint, other in others]
-    return Coupling(name, first, *shares[0], constant / c, line, (), dict(shares[1:]), backlash)
+    return Relation(name, first, *shares[0], constant / c, line, (), dict(shares[1:]), backlash)
 
 
 def add_relation(robot, name, terms, constant, line):

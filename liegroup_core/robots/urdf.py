@@ -17,7 +17,7 @@ from liegroup_core.fields.frames import rotation_z_to
 from liegroup_core.lie.groups import SE3
 
 from .controllers import add_servos
-from .description import NOT_DRAWN, WORLD, Coupling, Link, Robot, RobotJoint, Visual, meant, place
+from .description import NOT_DRAWN, WORLD, Link, Relation, Robot, RobotJoint, Visual, meant, place
 from .omitted import ACTING, PARTS, omit
 from .rotors import OF_ROTOR, add_rotor
 from .sdf_frames import read_pose, text_of
@@ -346,7 +346,7 @@ def _couplings(reader, robot, elements):
         if len(element.findall("mimic")) > 1:
             raise reader.error(element, f'joint "{name}" has two <mimic>: keep one')
         robot.couplings.append(
-            Coupling(
+            Relation(
                 f"{name}_mimic",
                 name,
                 other,

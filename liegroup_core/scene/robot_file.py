@@ -219,7 +219,7 @@ def robot_text(path, options=None, added_line=None):
 
 
 def robot_beside(root, source):
-    """As `robot_text`, for a YAML file with the key robot; root: Entry of its text."""
+    """As `robot_text`, for a YAML file with the key robot; root: YamlNode of its text."""
     at = Lines(source, root)
     try:
         given = RobotFile(**root.value)

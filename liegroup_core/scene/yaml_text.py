@@ -37,7 +37,7 @@ _WORDS = {
 _WORDS |= {sign + word: float(sign + "inf") for sign in ("", "+", "-") for word in (".inf", ".Inf", ".INF")}
 
 
-class Entry:
+class YamlNode:
     """Value of the file, with its line and the lines of its parts.
 
     value : dict, list, str, int, float, bool or None
@@ -145,7 +145,7 @@ def _root(events, last_line, most):
             raise _Refused(line, f"the tag {shown(event.tag)} is not used in scenes: remove it")
         if isinstance(event, yaml.CollectionStartEvent):
             value = {} if isinstance(event, yaml.MappingStartEvent) else []
-            stack.append(Entry(value, line, done=False))
+            stack.append(YamlNode(value, line, done=False))
             anchors[event.anchor] = stack[-1]
             if len(stack) > DEEPEST:
                 raise _Refused(
@@ -156,7 +156,7 @@ def _root(events, last_line, most):
             entry = stack.pop()
             entry.done = True
         elif isinstance(event, yaml.ScalarEvent):
-            entry = anchors[event.anchor] = Entry(_scalar(event), line)
+            entry = anchors[event.anchor] = YamlNode(_scalar(event), line)
         elif isinstance(event, yaml.AliasEvent):
             entry = _repeated(event.anchor, anchors, line)
         else:
@@ -184,10 +184,10 @@ def _scalar(event):
 
 
 def _repeated(anchor, anchors, line):
-    """Entry for an alias."""
+    """YamlNode for an alias."""
     target = anchors.get(anchor)
     if target is None or not target.done:
         raise _Refused(line, f"the alias *{anchor:.40} has no anchor before it: write the value out")
-    entry = Entry(target.value, line)
+    entry = YamlNode(target.value, line)
     entry.parts, entry.size = target.parts, target.size
     return entry

@@ -12,7 +12,7 @@ from liegroup_core.lie.groups import cross
 from .described import NoisySensor
 
 
-class Distance(NoisySensor):
+class DistanceSensor(NoisySensor):
     """Distance between a point of one body, or the world, and a point of another."""
 
     parts = ("distance [m]", "rate [m/s]")

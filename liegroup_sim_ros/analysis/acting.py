@@ -30,14 +30,14 @@ class AlongStretches:
         self._along, self.starts, self._stretch = Along(layout), Starts(recording, layout), None
 
     def of(self, block):
-        """As Along.of, of the next Block of a Motion."""
+        """As Along.of, of the next Block of a RecordedMotion."""
         if block.stretch is not self._stretch:
             self._stretch = block.stretch
             self._along.restart(self.starts.of(block.stretch)[2])
         return self._along.of(block.pose, block.twist)
 
 
-class Given(NamedTuple):
+class ActingInputs(NamedTuple):
     """Inputs at one time, see Sample."""
 
     external: np.ndarray  # (n, COLUMNS)
@@ -57,13 +57,13 @@ class Acting:
         self._last = ()
 
     def at(self, stretch, time):
-        """Given at a time in s since step 0."""
+        """ActingInputs at a time in s since step 0."""
         layout, inputs = self._layout, self._inputs
         acting = tuple(c._replace(start_ns=0, end_ns=None) for c in stretch.acting_at(time / stretch.step))
         if acting != self._last:
             inputs.commands, self._last = Commands(acting), acting
         rows, modes = layout.model.forces.applied_wrench, stretch.modes_at(time / stretch.step)
-        return Given(
+        return ActingInputs(
             inputs.external.copy(),
             inputs.schedule.efforts,
             acting_at(rows, just_after(time)) if len(rows) else NONE_ACT,

@@ -19,10 +19,10 @@ from liegroup_core.layout import make_layout
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.playback.repeat import Repeat
-from liegroup_sim_ros.playback.rerun import ReplayError, Work, make_simulation
+from liegroup_sim_ros.playback.rerun import ReplayError, WorkLimit, make_simulation
 from liegroup_sim_ros.playback.resimulate import platform_changes
 from liegroup_sim_ros.recording.check import check_settings
-from liegroup_sim_ros.recording.motion import Motion
+from liegroup_sim_ros.recording.motion import RecordedMotion
 from liegroup_sim_ros.recording.read import RecordingError
 
 from .acting import AlongStretches
@@ -96,7 +96,7 @@ def analyse(
     scene = scene_from_text(recording.scene_text, source=f"{recording.path}: scene.yaml")
     check_settings(recording, scene)
     layout = make_layout(scene)
-    motion = Motion(recording, layout)
+    motion = RecordedMotion(recording, layout)
     limits = reference_seconds, reference_steps
     total = min(
         reference_seconds, motion.expected * recording.settings["step"] * (recording.settings["steps_per_sample"] or 1)
@@ -147,7 +147,7 @@ class _Parts:
                 lambda: Repeat(
                     recording,
                     make_simulation(scene, recording.settings),
-                    Work(REPEAT_STEPS + REPEAT_STEPS_PER_SAMPLE * expected),
+                    WorkLimit(REPEAT_STEPS + REPEAT_STEPS_PER_SAMPLE * expected),
                 )
             )
         }

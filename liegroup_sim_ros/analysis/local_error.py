@@ -12,7 +12,7 @@ import numpy as np
 from liegroup_core import SimulationError
 from liegroup_core.engine import BAUMGARTE_STEPS
 from liegroup_core.methods.table import METHODS
-from liegroup_sim_ros.playback.rerun import Work, make_simulation
+from liegroup_sim_ros.playback.rerun import WorkLimit, make_simulation
 
 WINDOWS = 8  # states of the recording at which the error is estimated
 LENGTH = 16  # steps
@@ -30,7 +30,7 @@ def local_error(scene, recording, motion, layout):
     if settings.get("stabilisation") == "baumgarte" and settings.get("baumgarte_time") is None:
         more["baumgarte_time"] = BAUMGARTE_STEPS * settings["step"]
     simulations = {rung: make_simulation(scene, settings, step=rung * settings["step"], **more) for rung in RUNGS}
-    method, work = METHODS[settings["method"]], Work(MOST_STEPS)
+    method, work = METHODS[settings["method"]], WorkLimit(MOST_STEPS)
     largest, orders, windows, failure = np.zeros(2), [], 0, None
     for stretch, row in _windows(motion):
         try:

@@ -48,7 +48,7 @@ STYLES = {
 
 
 @dataclass(frozen=True)
-class Panel:
+class FigurePanel:
     """Figure with its error measure, methods, steps, and results of independent implementations."""
 
     number: str  # number of the figure
@@ -64,7 +64,7 @@ class Panel:
 
 
 PANELS = (
-    Panel(
+    FigurePanel(
         "6.6",
         "Free body, 16 s: momentum",
         "|Y - Y0|, N m s",
@@ -75,7 +75,7 @@ PANELS = (
         MOMENTUM_STEPS,
         MOMENTUM,
     ),
-    Panel(
+    FigurePanel(
         "6.7",
         "Lagrangian top, 1 s: attitude",
         "||R - Rref||, no unit",
@@ -97,7 +97,7 @@ PANELS = (
         TOP_ATTITUDE,
         TOP_CONSTANTS,
     ),
-    Panel(
+    FigurePanel(
         "6.8",
         "Free body, 16 s: momentum",
         "|Y - Y0|, N m s",
@@ -108,7 +108,7 @@ PANELS = (
         MOMENTUM_STEPS,
         MOMENTUM,
     ),
-    Panel(
+    FigurePanel(
         "6.9",
         "Free body, 10 s: attitude",
         "||R - Rref||, no unit",

@@ -20,7 +20,7 @@ from liegroup_core.linear.coordinates import Coordinates
 from liegroup_core.linear.inverse import joints_of_motions
 from liegroup_core.linear.probe import Probe
 from liegroup_sim_ros.numbers import counted, shown
-from liegroup_sim_ros.recording.motion import Motion
+from liegroup_sim_ros.recording.motion import RecordedMotion
 from liegroup_sim_ros.recording.read import read_recording
 from liegroup_sim_ros.recording.write_tables import new_file
 from liegroup_sim_ros.report.terminal import plain_table
@@ -171,7 +171,7 @@ def _of_recording(path, scene):
     if list(layout.body_names) != list(recording.bodies):
         raise StateError(f"{path}: its bodies are not those of {scene.name}")
     times, rows, near = [], [], None
-    for block in Motion(recording).blocks():
+    for block in RecordedMotion(recording).blocks():
         for time, R, r, twist in zip(block.times, block.rotation, block.position, block.twist):
             pose = np.concatenate([R.reshape(len(R), 9), r], axis=1)
             sample = layout.sample(pose, twist, near=near)

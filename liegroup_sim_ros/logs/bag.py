@@ -36,7 +36,7 @@ class BagError(LieGroupSimError):
 
 
 @dataclass(frozen=True, eq=False)
-class Messages:
+class TopicMessages:
     """Numbers of the messages of one topic.
 
     log_ns   : (k,) ns at which they were recorded
@@ -167,7 +167,7 @@ class Bag:
         return list(found)
 
     def read(self, wanted):
-        """{topic: Messages} of fields {topic: [Field]}. Raises BagError."""
+        """{topic: TopicMessages} of fields {topic: [Field]}. Raises BagError."""
         for topic in wanted:
             if topic not in self.topics:
                 raise BagError(f"the bag has no topic {topic}; its topics: {listed(self.topics)}")
@@ -190,7 +190,7 @@ class Bag:
                         f"no message on {topic} ({self.topics[topic]}) has a number {field.text}"
                         + (f"; its names: {listed(names)}" if names else "")
                     )
-            found[topic] = Messages(np.array(logs, dtype=np.int64), np.array(stamps, dtype=np.int64), numbers)
+            found[topic] = TopicMessages(np.array(logs, dtype=np.int64), np.array(stamps, dtype=np.int64), numbers)
         return found
 
     def _raw(self, topics):

@@ -3,7 +3,7 @@
 
 from rclpy.qos import QoSProfile
 
-from .counted_input import Refusal
+from liegroup_sim_ros.serving.counted_input import Refusal
 
 
 class InputTopics:

@@ -14,7 +14,7 @@ from liegroup_sim_ros.serving.joint_input import Jumps
 from liegroup_sim_ros.serving.trajectory_input import TrajectoryInput
 
 from .input_topics import InputTopics
-from .parameters import ParameterError
+from .parameters import NodeParameterError
 
 # Depth of the queues of commands: 0.1 s at 1 kHz. It bounds the memory: messages may have any length.
 COMMANDS = 100
@@ -32,7 +32,7 @@ class JointCommandTopics(InputTopics):
     values : parameters; command_timeout, command_stamps and command_jump are read for every message
     server : SimulationServer
     qos    : QosOverrides
-    Raises ParameterError for command_joints that are not joints of the scene.
+    Raises NodeParameterError for command_joints that are not joints of the scene.
     """
 
     def __init__(self, node, layout, values, server, qos):
@@ -56,7 +56,7 @@ class JointCommandTopics(InputTopics):
     def _check_names(self):
         for name in self._names:
             if name not in self.input.joints:
-                raise ParameterError(
+                raise NodeParameterError(
                     f"parameter command_joints: {name!r} is not a joint with one coordinate; choose "
                     f"from: {', '.join(self.input.joints) or 'the scene has none'}"
                 )
@@ -64,12 +64,12 @@ class JointCommandTopics(InputTopics):
             if kind == "effort" or name in self.input.driven:
                 continue
             if self.input.servos.get(name) is not (kind == "position"):
-                raise ParameterError(
+                raise NodeParameterError(
                     f"parameter command_interface: joint {name!r} takes no {kind} commands: it needs to be "
                     f"driven, or a servo {'with' if kind == 'position' else 'without'} stiffness"
                 )
         if len(set(self._names)) < len(self._names):
-            raise ParameterError("parameter command_joints: a joint occurs twice")
+            raise NodeParameterError("parameter command_joints: a joint occurs twice")
 
     def _refuse_command(self, text):
         """Count and log a late refusal; called by the simulation thread, like the next method."""

@@ -26,7 +26,7 @@ from liegroup_sim_ros.recording.write import RecorderError
 
 from . import own_services, standard_services
 from .answers import AnsweringNode
-from .parameters import RATES, ParameterError, read_parameters, watch_parameters
+from .parameters import RATES, NodeParameterError, read_parameters, watch_parameters
 from .scene_run import ATTENTION, Interrupted, SceneRun, begin_simulation, make_simulation, served_folders
 from .standard_codes import FAILED, Refused
 
@@ -37,7 +37,7 @@ except ImportError:
     Executor = SingleThreadedExecutor
 
 # Errors that a user can correct.
-WRONG_INPUT = (ParameterError, SceneError, RecorderError, ParameterException, NameValidationException)
+WRONG_INPUT = (NodeParameterError, SceneError, RecorderError, ParameterException, NameValidationException)
 
 # Longest time that a thread waits for the interpreter lock, s. Python's default of 5 ms would delay
 # a tick whenever a callback runs.
@@ -82,7 +82,7 @@ class SimNode(AnsweringNode):
             empty = [
                 name for name, parameter in getattr(self, "_parameter_overrides", {}).items() if parameter.value is None
             ]
-            raise ParameterError(f"parameter {empty[0]}: has no value" if empty else str(error)) from None
+            raise NodeParameterError(f"parameter {empty[0]}: has no value" if empty else str(error)) from None
         for name in ("liegroup_core", "liegroup_sim_ros"):
             logging.getLogger(name).addHandler(LogHandler(self.get_logger()))
         self.is_recorded = True  # False once a recording is incomplete
@@ -174,9 +174,9 @@ class SimNode(AnsweringNode):
     def _prepare_parameter(self, name, value):
         run = self.scene_run
         if name == "publish_rate" and run.recorder is not None and not self._values.record_rate:
-            raise ParameterError("parameter publish_rate: cannot change while the node records: start with it")
+            raise NodeParameterError("parameter publish_rate: cannot change while the node records: start with it")
         if name == "accuracy" and run.simulation.promise is None:
-            raise ParameterError("parameter accuracy: this run has a method, not an accuracy")
+            raise NodeParameterError("parameter accuracy: this run has a method, not an accuracy")
         if name in RATES and value:
             run.outputs.prepare(name)
 
@@ -198,14 +198,14 @@ class SimNode(AnsweringNode):
 
 @contextlib.contextmanager
 def _refused_by_rcl():
-    """Convert errors of ROS about its arguments to ParameterError."""
+    """Convert errors of ROS about its arguments to NodeParameterError."""
     try:
         yield
     except RuntimeError as error:  # a subclass that is private to rclpy
         text = str(error).partition(", at /")[0]
         if type(error).__name__ == "UnknownROSArgsError":  # its text only lists the arguments
             text = f"unknown ROS arguments: {text}"
-        raise ParameterError(text) from None
+        raise NodeParameterError(text) from None
 
 
 def run(args, signals):
@@ -215,7 +215,7 @@ def run(args, signals):
             left = remove_ros_args(args)[1:]
             rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         if left:
-            raise ParameterError(f"unknown argument {left[0]!r}; give parameters as --ros-args -p NAME:=VALUE")
+            raise NodeParameterError(f"unknown argument {left[0]!r}; give parameters as --ros-args -p NAME:=VALUE")
         sys.setswitchinterval(SWITCH)
         node = SimNode(signals)
         page = _page(node)
@@ -237,11 +237,11 @@ def run(args, signals):
 
 
 def _page(node):
-    """Process of the page for the browser, if the parameter `view` asks for it. Raises ParameterError."""
+    """Process of the page for the browser, if the parameter `view` asks for it. Raises NodeParameterError."""
     if not node.get_parameter("view").value:
         return None
     if find_spec("viser") is None:
-        raise ParameterError("parameter view: needs the package viser: pip install 'liegroup_sim_ros[view]'")
+        raise NodeParameterError("parameter view: needs the package viser: pip install 'liegroup_sim_ros[view]'")
     command = [sys.executable, "-P", "-m", "liegroup_sim_ros.commands.main", "view"]
     return subprocess.Popen([*command, "--node", node.get_fully_qualified_name()], stdin=subprocess.DEVNULL)
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of the simulation node: one table that declares, checks and documents them.
 
-A wrong value, a wrong type or an unknown name raises ParameterError: one line with the parameter,
+A wrong value, a wrong type or an unknown name raises NodeParameterError: one line with the parameter,
 what is wrong and what to do. An integer is accepted for a floating-point parameter.
 """
 
@@ -22,7 +22,7 @@ from liegroup_core.methods.table import CONFIGURATION_GROUPS, METHODS
 from liegroup_core.simulation import default_steps
 from liegroup_sim_ros.messages.samples import OPTIONAL, TF_LINKS
 from liegroup_sim_ros.messages.topics import MOST_OWN, own_by_default
-from liegroup_sim_ros.serving.errors import ParameterError
+from liegroup_sim_ros.serving.errors import NodeParameterError
 from liegroup_sim_ros.serving.joint_command_input import INTERFACES
 
 QOS_PREFIX = "qos_overrides."
@@ -305,20 +305,20 @@ _BUILT_IN = ("use_sim_time", "start_type_description_service")
 
 
 def check(name, value):
-    """Convert a value to its parameter's type. Raises ParameterError."""
+    """Convert a value to its parameter's type. Raises NodeParameterError."""
     entry = _ENTRIES[name]
     expected = type(entry.default)
     if expected is float and type(value) is int:
         value = float(value)
     if type(value) is not expected:
-        raise ParameterError(f"parameter {name}: must be {_TYPE_NAMES[expected]}, got {_shown(value)}")
+        raise NodeParameterError(f"parameter {name}: must be {_TYPE_NAMES[expected]}, got {_shown(value)}")
     if entry.choices and value not in entry.choices:
-        raise ParameterError(f"parameter {name}: must be {_listed(entry.choices)}, got {_shown(value)}")
+        raise NodeParameterError(f"parameter {name}: must be {_listed(entry.choices)}, got {_shown(value)}")
     if expected is float and not math.isfinite(value):
-        raise ParameterError(f"parameter {name}: must be finite, got {_shown(value)}")
+        raise NodeParameterError(f"parameter {name}: must be finite, got {_shown(value)}")
     is_tiny = expected is float and entry.low == 0.0 < value < LEAST
     if entry.low is not None and (not entry.low <= value <= entry.high or is_tiny):
-        raise ParameterError(f"parameter {name}: must be {_range(entry)}, got {_shown(value)}")
+        raise NodeParameterError(f"parameter {name}: must be {_range(entry)}, got {_shown(value)}")
     return value
 
 
@@ -329,7 +329,7 @@ def read_parameters(node):
            which ROS ignores, can be refused
     returns the values; `.rates`: {name: rate in Hz of simulated time, 0 for none}; `.qos`: names of the parameters
             for quality of service, which qos.py reads
-    raises ParameterError
+    raises NodeParameterError
     """
     overrides = {
         name: parameter.value for name, parameter in node.get_parameters_by_prefix("").items() if name not in _BUILT_IN
@@ -339,7 +339,7 @@ def read_parameters(node):
         if name not in _ENTRIES and not name.startswith(QOS_PREFIX):
             near = difflib.get_close_matches(name, _ENTRIES, n=1)
             hint = f"did you mean {near[0]}?" if near else f"choose one of: {', '.join(_ENTRIES)}"
-            raise ParameterError(f"parameter {name}: unknown; {hint}")
+            raise NodeParameterError(f"parameter {name}: unknown; {hint}")
     values = SimpleNamespace()
     for entry in TABLE:
         value = check(entry.name, overrides.get(entry.name, entry.usual))
@@ -348,23 +348,23 @@ def read_parameters(node):
     if values.continue_from:
         for name in CONTINUED:
             if getattr(values, name) != _ENTRIES[name].default:
-                raise ParameterError(
+                raise NodeParameterError(
                     f"parameter {name}: cannot be combined with continue_from, whose recording has "
                     "its own; remove one of them"
                 )
     if values.method != AUTO:
         for name in ACCURACY:  # defaults are accepted: a dump of all parameters contains them
             if getattr(values, name) != _ENTRIES[name].default:
-                raise ParameterError(f"parameter {name}: cannot be combined with method; remove one of them")
+                raise NodeParameterError(f"parameter {name}: cannot be combined with method; remove one of them")
         values.step = values.step or STEP
     elif not (values.estimate or values.continue_from):
-        raise ParameterError("parameter estimate: must be true with an accuracy; or choose a method")
+        raise NodeParameterError("parameter estimate: must be true with an accuracy; or choose a method")
     values.rates = {name: getattr(values, name) for name in RATES}
     values.qos = [name for name in overrides if name.startswith(QOS_PREFIX)]
     for name in values.qos:
         _check_qos(name, overrides[name])
     if values.record and not (values.publish_rate or values.record_rate):
-        raise ParameterError(
+        raise NodeParameterError(
             "parameter publish_rate: must be greater than 0 to record, because a recording consists of poses and "
             "twists; or set record_rate"
         )
@@ -372,14 +372,14 @@ def read_parameters(node):
 
 
 def bodies_of(text, bodies):
-    """Those of the bodies to which the parameter body_topics gives topics of their own. Raises ParameterError."""
+    """Those of the bodies to which the parameter body_topics gives topics of their own. Raises NodeParameterError."""
     if text in (AUTO, "all", "none"):
         return {AUTO: own_by_default(bodies), "all": bodies, "none": ()}[text]
     names = text.replace(",", " ").split()
     for name in names:
         if name not in bodies:
             hint = suggestion(name, [AUTO, "all", "none", *bodies])
-            raise ParameterError(f"parameter body_topics: the scene has no body {name!r:.{LONGEST_SHOWN}}; {hint}")
+            raise NodeParameterError(f"parameter body_topics: the scene has no body {name!r:.{LONGEST_SHOWN}}; {hint}")
     return tuple(body for body in bodies if body in names)
 
 
@@ -395,7 +395,7 @@ def fitting_step(values):
 def watch_parameters(node, prepare, changed):
     """Check parameters that are set while the node runs, call prepare(name, value), then changed(name, value).
 
-    prepare raises ParameterError if the node cannot take a value; `changed` follows when it has taken all.
+    prepare raises NodeParameterError if the node cannot take a value; `changed` follows when it has taken all.
     """
 
     def convert(parameters):
@@ -410,13 +410,13 @@ def watch_parameters(node, prepare, changed):
         try:
             for parameter in parameters:
                 if parameter.name == "use_sim_time" and parameter.value is not False:
-                    raise ParameterError(
+                    raise NodeParameterError(
                         "parameter use_sim_time: must be false, because this node publishes the simulated time"
                     )
                 if parameter.name in _ENTRIES:
                     check(parameter.name, parameter.value)
                     prepare(parameter.name, parameter.value)
-        except ParameterError as error:
+        except NodeParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
@@ -436,12 +436,12 @@ def allowed_values(entry):
 
 
 def _check_qos(name, value):
-    """Raise ParameterError for an invalid QoS value, with a clearer text than that of rclpy."""
+    """Raise NodeParameterError for an invalid QoS value, with a clearer text than that of rclpy."""
     policy = name.rpartition(".")[2]
     if policy == "reliability" and value not in RELIABILITIES:
-        raise ParameterError(f"parameter {name}: must be {_listed(RELIABILITIES)}, got {_shown(value)}")
+        raise NodeParameterError(f"parameter {name}: must be {_listed(RELIABILITIES)}, got {_shown(value)}")
     if policy == "depth" and not (type(value) is int and 1 <= value <= DEEPEST):
-        raise ParameterError(
+        raise NodeParameterError(
             f"parameter {name}: must be a whole number of at least 1 and at most {DEEPEST}, got {_shown(value)}"
         )
 

@@ -10,7 +10,7 @@ import difflib
 from rclpy.qos import QoSPolicyKind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from .parameters import QOS_PREFIX, ParameterError
+from .parameters import QOS_PREFIX, NodeParameterError
 
 POLICIES = {"depth": QoSPolicyKind.DEPTH, "reliability": QoSPolicyKind.RELIABILITY}
 
@@ -36,8 +36,8 @@ class QosOverrides:
         return QoSOverridingOptions(policies) if policies else None
 
     def check(self):
-        """Raise ParameterError for a name that belongs to no topic; call after creating all."""
+        """Raise NodeParameterError for a name that belongs to no topic; call after creating all."""
         for name in self._names:
             if name not in self._possible:
                 (near,) = difflib.get_close_matches(name, self._possible, n=1, cutoff=0.0)
-                raise ParameterError(f"parameter {name}: unknown topic or policy; did you mean {near}?")
+                raise NodeParameterError(f"parameter {name}: unknown topic or policy; did you mean {near}?")

@@ -22,7 +22,7 @@ from liegroup_sim_ros.serving.simulation_thread import SimulationServer
 from . import standard_services
 from .answers import begin
 from .joint_command_topics import JointCommandTopics
-from .parameters import AUTO, ParameterError, bodies_of, fitting_step
+from .parameters import AUTO, NodeParameterError, bodies_of, fitting_step
 from .qos import QosOverrides
 from .streams import NodeStreams
 from .wrench_topics import WrenchTopics
@@ -41,7 +41,7 @@ class Interrupted(Exception):
 
 
 class SceneRun:
-    """Simulation with its topics and its recording. Raises ParameterError, RecorderError.
+    """Simulation with its topics and its recording. Raises NodeParameterError, RecorderError.
 
     node       : rclpy Node
     values     : parameters
@@ -69,9 +69,11 @@ class SceneRun:
                 self._more = {"part": part, "previous": before.recorder.path.name}
         frames = [values.frame_prefix + body for body in layout.body_names]
         if not values.world_frame or f"{values.world_frame}/".startswith(tuple(f"{frame}/" for frame in frames)):
-            raise ParameterError(f"parameter world_frame: must differ from all body names, got {values.world_frame!r}")
+            raise NodeParameterError(
+                f"parameter world_frame: must differ from all body names, got {values.world_frame!r}"
+            )
         if values.frame_prefix.startswith("/"):
-            raise ParameterError(
+            raise NodeParameterError(
                 "parameter frame_prefix: must not start with a slash (tf2 frames have none), "
                 f"got {values.frame_prefix!r}"
             )
@@ -99,7 +101,7 @@ class SceneRun:
         self.wrenches = WrenchTopics(node, layout, own, values, simulation.step, self.server, qos)
         try:
             self.commands = JointCommandTopics(node, layout, values, self.server, qos)
-        except ParameterError:
+        except NodeParameterError:
             self._close_topics()
             raise
         if before is None:  # a reloaded scene may lack the bodies of these parameters
@@ -219,13 +221,13 @@ def make_simulation(values, signals):
     """Create the simulation that the parameters describe; returns it, and the stamp of its state.
 
     signals : Signals
-    raises SceneError, ParameterError; Interrupted as soon as `signals.received` is true
+    raises SceneError, NodeParameterError; Interrupted as soon as `signals.received` is true
 
     Compiling may take half a minute. It runs in its own thread, because an exception from a signal
     handler can get lost in the compiler's callbacks.
     """
     if not (values.scene or values.continue_from):
-        raise ParameterError(
+        raise NodeParameterError(
             "parameter scene is empty; give a scene, such as --ros-args -p scene:=heavy_top. In a parameter file it "
             "stands under ros__parameters, and that under /** or the name of the node"
         )
@@ -286,7 +288,7 @@ def _continued(values):
         branches = Branches(recording, quiet=False, **other)
         simulation, stamp_ns = branches.at(values.continue_at, values.continue_inputs)
     except (RecordingError, ReplayError) as error:
-        raise ParameterError(f"parameter continue_from: {error}") from None
+        raise NodeParameterError(f"parameter continue_from: {error}") from None
     return simulation, stamp_ns
 
 
@@ -309,5 +311,5 @@ def _from_scene(values, scene):
     except SceneError:
         raise
     except ValueError as error:
-        raise ParameterError(f"parameter accuracy, method, step or group: {error}") from None
+        raise NodeParameterError(f"parameter accuracy, method, step or group: {error}") from None
     return simulation

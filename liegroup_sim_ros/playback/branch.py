@@ -13,7 +13,7 @@ import numpy as np
 from liegroup_core import SimulationError
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.recording.check import check_settings
-from liegroup_sim_ros.recording.motion import Motion
+from liegroup_sim_ros.recording.motion import RecordedMotion
 
 from .rerun import ReplayError, Rerun, make_simulation
 
@@ -37,7 +37,7 @@ class Branches:
         except (ValueError, TypeError) as error:
             raise ReplayError(f"{recording.path}: cannot be continued: {error}") from None
         self._recording, self._rerun = recording, Rerun(recording, self.simulation)
-        self._stretches = Motion(recording).all
+        self._stretches = RecordedMotion(recording).all
         self._begins = [stretch.begin_ns for stretch in self._stretches]
         first = self._stretches[0]
         self._begins[0] = first.base_ns + round(first.start * first.step * 1e9)

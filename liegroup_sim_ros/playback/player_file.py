@@ -8,7 +8,7 @@ import numpy as np
 
 from liegroup_core.errors import LieGroupSimError
 from liegroup_sim_ros.recording.read_file import ErrorsWithPath
-from liegroup_sim_ros.recording.walk import Messages, Walk
+from liegroup_sim_ros.recording.walk import ChunkMessages, Walk
 
 _TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
 
@@ -17,7 +17,7 @@ class PlayError(LieGroupSimError):
     """The recording cannot be published; one line of text, exit code 2."""
 
 
-class Topic(NamedTuple):
+class RecordedTopic(NamedTuple):
     name: str
     type: str  # such as geometry_msgs/msg/PoseStamped
     reliable: bool
@@ -28,7 +28,7 @@ class Topic(NamedTuple):
 class PlayFile:
     """Topics and messages of a Recording.
 
-    topics : {channel id: Topic}, of channels with ROS 2 messages in CDR
+    topics : {channel id: RecordedTopic}, of channels with ROS 2 messages in CDR
     first_ns, last_ns, seconds : first and last stamp, and duration, of the messages
     """
 
@@ -36,7 +36,7 @@ class PlayFile:
         self.path, self._recording = recording.path, recording
         self._source = recording._source
         self.topics = {
-            number: Topic(channel.topic, channel.type, *_qos(channel))
+            number: RecordedTopic(channel.topic, channel.type, *_qos(channel))
             for number, channel in recording.channels.items()
             if channel.encoding == "cdr" and _TYPE.fullmatch(channel.type)
         }
@@ -59,7 +59,7 @@ class PlayFile:
         return chunks
 
     def messages(self, since_ns):
-        """Generator of (stamp ns, [(Topic, payload)]) from a start stamp, in the order of stamps.
+        """Generator of (stamp ns, [(RecordedTopic, payload)]) from a start stamp, in the order of stamps.
 
         Messages with the same stamp are yielded together. Recordings of other software may not be
         sorted: a message that is earlier than the previous one gets the stamp of the previous one.
@@ -71,7 +71,7 @@ class PlayFile:
             stream = Walk(file, self._source.size, lambda at, *_: at in chunks)
             stream.channels.update(self._recording.channels)
             for item in stream:
-                if not isinstance(item, Messages):
+                if not isinstance(item, ChunkMessages):
                     continue
                 stamps = item.log_time
                 order = np.argsort(stamps, kind="stable")

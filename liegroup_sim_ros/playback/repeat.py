@@ -19,7 +19,7 @@ class Repeat:
     """Repetition of a recorded simulation that compares every number of every sample.
 
     simulation : Simulation with the recorded settings, or with other settings to measure their effect
-    work       : limit of its steps, see rerun.Work
+    work       : limit of its steps, see rerun.WorkLimit
     """
 
     def __init__(self, recording, simulation, work=None):

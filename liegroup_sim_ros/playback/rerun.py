@@ -26,7 +26,7 @@ class ReplayError(LieGroupSimError):
     """The run cannot be repeated like this; one line of text, exit code 2."""
 
 
-class Work:
+class WorkLimit:
     """Limit of the work of repeated simulations, because damaged files may require any amount.
 
     most : steps, or attempted substeps of steps with error control
@@ -85,13 +85,13 @@ class Rerun:
 
     simulation : Simulation with the recorded settings, or with other settings to measure their effect
     ratio      : number of its steps per recorded step
-    work       : limit of its steps, see Work
+    work       : limit of its steps, see WorkLimit
     """
 
     def __init__(self, recording, simulation, work=None):
         self.simulation = simulation
         self._joints = {TARGET: simulation.layout.servos, MOTION: simulation.layout.motions}
-        self._work = work or Work()
+        self._work = work or WorkLimit()
         self._starts = Starts(recording, simulation.layout)
         self._recorded = recording.initial_state
         self._same_method = all(
@@ -145,7 +145,7 @@ class Rerun:
 
     def _go(self, step):
         self.apply_changes(step * self.simulation.step)
-        # For zero steps Work makes no call: it would restart a method whose memory depends on wrenches.
+        # For zero steps WorkLimit makes no call: it would restart a method whose memory depends on wrenches.
         self._work.advance(self.simulation, step - self.simulation.steps)
 
     def apply_changes(self, until):

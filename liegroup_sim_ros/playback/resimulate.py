@@ -10,7 +10,7 @@ from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.numbers import counted, shown
 from liegroup_sim_ros.recording.attachments import machine, versions
 from liegroup_sim_ros.recording.check import check_settings
-from liegroup_sim_ros.recording.motion import Motion
+from liegroup_sim_ros.recording.motion import RecordedMotion
 
 from .repeat import Repeat
 from .rerun import ReplayError, make_simulation
@@ -37,7 +37,7 @@ def resimulate(recording, progress=lambda text: None, **other):
         simulation = make_simulation(scene, settings, **other)
     except (ValueError, TypeError) as error:
         raise ReplayError(f"{recording.path}: cannot be simulated again: {error}") from None
-    motion = Motion(recording)
+    motion = RecordedMotion(recording)
     repeat = Repeat(recording, simulation)
     for block in motion.blocks():
         repeat.add(block)

@@ -16,7 +16,7 @@ FILE_NAME = "metadata.yaml"
 AT_ONCE = 1000
 
 
-class Bag:
+class BagMetadata:
     """The files of a bag, added one by one."""
 
     def __init__(self):
@@ -93,8 +93,8 @@ def _item(value):
 
 
 def record_of_file(name, stamps, topics):
-    """{key: text} of the metadata record `rosbag2` of a file; arguments as in Bag.add_file."""
-    bag = Bag()
+    """{key: text} of the metadata record `rosbag2` of a file; arguments as in BagMetadata.add_file."""
+    bag = BagMetadata()
     bag.add_file(name, stamps, topics)
     return {"serialized_metadata": dedent(bag.text().partition("\n")[2])}
 

@@ -218,7 +218,7 @@ class _Kept(NamedTuple):
 _KEPT = _Kept._fields
 
 
-class Motion:
+class RecordedMotion:
     """All stretches of a recording, and the samples missing in it; `blocks` reads it once.
 
     layout : Layout of the scene, which knows the joints of inputs; None: they are not looked at

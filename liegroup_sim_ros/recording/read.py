@@ -27,7 +27,7 @@ from .addresses import is_remote
 from .errors import RecordingError
 from .frames import data_frame
 from .input_track import InputTrack
-from .read_file import Attachments, ErrorsWithPath, Scan, Source, decode, of_one_size
+from .read_file import Attachments, ErrorsWithPath, RecordingBytes, Scan, decode, of_one_size
 from .tracks import (
     ErrorTrack,
     ImpulseTrack,
@@ -77,7 +77,7 @@ class Recording:
     problem: str | None  # None or one line for the user
     last_ns: int  # last stamp
     channels: dict = field(repr=False)  # {id: walk.Channel}
-    _source: Source = field(repr=False)
+    _source: RecordingBytes = field(repr=False)
 
     @property
     def checkpoints(self) -> list[int]:
@@ -305,7 +305,7 @@ def read_recording(path: str | Path) -> Recording:
     """Recording of a *.mcap file, a path or an fsspec URL. Raises RecordingError."""
     path = str(path) if is_remote(path) else Path(path)
     with ErrorsWithPath(path):
-        source = Source(path)
+        source = RecordingBytes(path)
         attachments, stream = source.attachments()
         names = Attachments(attachments, stream)
         settings = names.json("settings.json")

@@ -18,7 +18,7 @@ from .errors import AddressError, RecordingError
 from .input_track import KINDS, InputTrack
 from .mcap_records import RECORD, Damaged, attachment_of
 from .tracks import Event
-from .walk import Messages, Tally, Walk
+from .walk import ChunkMessages, Tally, Walk
 
 MOST_EVENTS = 10**6  # limit of events and of diagnostics; a run has about one a second
 
@@ -74,7 +74,7 @@ class Attachments:
         return data
 
 
-class Source:
+class RecordingBytes:
     """The bytes of a recording, which can be read several times."""
 
     def __init__(self, path):
@@ -111,12 +111,12 @@ class Source:
         return Attachments({piece.name: piece.data}, None).json(piece.name)
 
     def messages(self):
-        """(Messages, [(Channel, indices of its messages)]) of each chunk; `stream` is the reader."""
+        """(ChunkMessages, [(Channel, indices of its messages)]) of each chunk; `stream` is the reader."""
         with open(self.path, "rb") as file:
             self.stream = stream = Walk(file, self.size)
             last_ns = 0
             for item in stream:
-                if isinstance(item, Messages) and item.is_whole:
+                if isinstance(item, ChunkMessages) and item.is_whole:
                     # Damage may repeat or exchange chunks, which otherwise do not overlap.
                     if stream.problems and item.log_time.min() < last_ns:
                         stream.problem("messages that are earlier than those before")

@@ -80,7 +80,7 @@ class Channel(NamedTuple):
         return offered if isinstance(offered, list) else []
 
 
-class Messages(NamedTuple):
+class ChunkMessages(NamedTuple):
     """The messages of a chunk, in file order."""
 
     data: np.ndarray  # (bytes,) uint8, the decompressed chunk
@@ -149,7 +149,7 @@ class Tally:
 
 
 class Walk:
-    """One pass over a file: `for item in walk` yields Attachment, Metadata and Messages.
+    """One pass over a file: `for item in walk` yields Attachment, Metadata and ChunkMessages.
 
     file        : seekable binary file
     size        : bytes to read
@@ -271,7 +271,7 @@ class Walk:
             yield from self._messages(data)
 
     def _messages(self, data, is_whole=True):
-        """Yield Messages if there are any, and take the definitions among them. Raises Damaged."""
+        """Yield ChunkMessages if there are any, and take the definitions among them. Raises Damaged."""
         size, raw = len(data), np.frombuffer(data, dtype=np.uint8)
         before, at = self._alike(raw)
         starts = []
@@ -298,7 +298,7 @@ class Walk:
             if sizes.min() < MESSAGE.size:
                 raise Damaged("a damaged message")
             times = heads["times"][:, 0].astype(np.int64)
-            yield Messages(raw, channel, sequence, times, begin + _HEAD.itemsize, sizes - MESSAGE.size, is_whole)
+            yield ChunkMessages(raw, channel, sequence, times, begin + _HEAD.itemsize, sizes - MESSAGE.size, is_whole)
 
     def _alike(self, raw):
         """(offsets (k,) of messages that are where those of the chunk before were, offset of the next record)."""

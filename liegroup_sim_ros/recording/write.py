@@ -29,7 +29,7 @@ from liegroup_sim_ros.messages import schemas
 from liegroup_sim_ros.numbers import counted
 from liegroup_sim_ros.version import __version__
 
-from .bag_metadata import FILE_NAME, Bag, as_yaml, record_of_file, topic_info
+from .bag_metadata import FILE_NAME, BagMetadata, as_yaml, record_of_file, topic_info
 from .errors import FileLostError, RecorderError
 from .write_files import new_file_path, part_path, reason, refuse_old_parts
 from .write_mcap import Chunk, McapFile, UnbufferedFile
@@ -54,7 +54,7 @@ class Recorder:
     max_size       : file size in bytes from which on a new part is due, 0: no limit
     max_duration   : duration in ns of stamps from which on a new part is due, 0: no limit
     part           : number of the first part; part 2 of run.mcap is run_part2.mcap
-    bag            : Bag that the files are added to and whose metadata.yaml is written to
+    bag            : BagMetadata that the files are added to and whose metadata.yaml is written to
                      their folder; True: a new bag; None: no metadata.yaml
     continues      : True: the simulation continues after a failure, which is logged; False: the caller ends it
 
@@ -79,7 +79,7 @@ class Recorder:
     ):
         self.path = new_file_path(path)
         self.part, self._first_path = part, part_path(self.path, part, 1)
-        self.bag = Bag() if bag is True else bag
+        self.bag = BagMetadata() if bag is True else bag
         if max_size or max_duration:
             refuse_old_parts(self.path, part)
         if bag is True and (self.path.parent / FILE_NAME).exists():

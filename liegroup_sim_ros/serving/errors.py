@@ -4,5 +4,5 @@
 from liegroup_core.errors import LieGroupSimError
 
 
-class ParameterError(LieGroupSimError):
+class NodeParameterError(LieGroupSimError):
     """Invalid parameter; one line of text, exit code 2."""

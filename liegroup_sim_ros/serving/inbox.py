@@ -7,7 +7,7 @@ The simulation thread takes them before its next block of steps.
 import logging
 import threading
 
-from .joint_command_input import Motion, Target
+from .joint_command_input import JointMotion, Target
 from .trajectory import Follower
 
 log = logging.getLogger("liegroup_core")
@@ -38,7 +38,7 @@ class Inbox:
     def push(self, pushes, duration, refuse=log.warning):
         """Apply wrenches or commands; each replaces the previous one of its source.
 
-        pushes   : [Push, JointEffort, Target or Motion], which all start with the same step
+        pushes   : [Push, JointEffort, Target or JointMotion], which all start with the same step
         duration : s of simulated time, None: until the next one of this source
         refuse   : function, called with one line of text if an input cannot be applied when it starts
         """
@@ -56,7 +56,7 @@ class Inbox:
             self._wake()
 
     def follow(self, trajectory, refuse=log.warning):
-        """Follow a Trajectory. It replaces a waiting one now, and the current one when it starts.
+        """Follow Waypoints. It replaces a waiting one now, and the current one when it starts.
 
         refuse : function, called with one line of text if it cannot be followed when it starts
         """
@@ -112,7 +112,7 @@ class Inbox:
             except ValueError as error:  # the state has changed since it arrived
                 refuse(str(error))
                 continue
-            if isinstance(push, (Target, Motion)):
+            if isinstance(push, (Target, JointMotion)):
                 self._follower.release(push.joint, start or self._simulation.time)
 
     def discard(self):

@@ -82,7 +82,7 @@ class Target(NamedTuple):
         simulation.inputs.set_target(self.joint, self.position, self.velocity, start, duration)
 
 
-class Motion(NamedTuple):
+class JointMotion(NamedTuple):
     """Accepted position and velocity that a driven joint reaches after `seconds`."""
 
     joint: str  # as in the scene
@@ -145,7 +145,7 @@ class JointCommandInput(JointInput):
         return self._commands(names, fields, 0, 0, held, None, jumps)
 
     def read(self, payload, now_ns, held, lasting, stamped=True, jumps=None):
-        """[JointEffort, Target or Motion] of a serialized JointState. Raises Refusal.
+        """[JointEffort, Target or JointMotion] of a serialized JointState. Raises Refusal.
 
         now_ns  : current stamp
         held    : number of commands that act now or start later
@@ -219,7 +219,7 @@ class JointCommandInput(JointInput):
     def _target(self, name, position, velocity, start_ns):
         joint = self.joints[name]
         if name in self.driven:
-            return Motion(joint, position, velocity, self._seconds, start_ns)
+            return JointMotion(joint, position, velocity, self._seconds, start_ns)
         return Target(joint, _or_zero(position), velocity, start_ns)
 
     def _check_effort(self, name, effort):

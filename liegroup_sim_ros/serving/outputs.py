@@ -19,7 +19,7 @@ from liegroup_sim_ros.messages import samples as sample_messages
 from liegroup_sim_ros.messages.codecs import ClockCodec, LogCodec
 from liegroup_sim_ros.messages.markers import Markers, markers
 
-from .errors import ParameterError
+from .errors import NodeParameterError
 from .rates import Output
 
 log = logging.getLogger("liegroup_core")
@@ -102,7 +102,7 @@ class Outputs:
     own       : bodies with topics of their own
     values    : parameters
     figures   : function that returns {name: number or text}, added to the diagnostics
-    Raises ParameterError for a topic whose message type is not installed.
+    Raises NodeParameterError for a topic whose message type is not installed.
 
     after                    : functions (stamp_ns, sample), called with the samples, after all messages
     at_steps                 : functions of the stamp of a step, called before the first message at it or after it
@@ -156,7 +156,7 @@ class Outputs:
                 self.prepare(name)
 
     def prepare(self, name):
-        """Create the topics of a rate, once. Raises ParameterError."""
+        """Create the topics of a rate, once. Raises NodeParameterError."""
         if name in self._senders:
             return
         if name == "record_rate":
@@ -176,11 +176,13 @@ class Outputs:
             try:
                 entries = optional[name](layout, values.world_frame, values.frame_prefix)
             except ValueError as error:
-                raise ParameterError(f"parameter {name}: {error}") from None
+                raise NodeParameterError(f"parameter {name}: {error}") from None
             if "/BODY/" in sample_messages.OPTIONAL.get(name, ("", ""))[1]:
                 entries = [each for body, each in zip(layout.body_names, entries) if body in self._own]
                 if not entries:
-                    raise ParameterError(f"parameter {name}: no body has topics of its own: name some in body_topics")
+                    raise NodeParameterError(
+                        f"parameter {name}: no body has topics of its own: name some in body_topics"
+                    )
             senders = [self._optional(name, *entry) for entry in entries]
         if name == "reaction_rate" and has_impacts(layout.scene):
             self.impulses = [
@@ -254,7 +256,7 @@ class Outputs:
             stream = self._stream(topic, message_type, qos=qos)
         except ImportError:
             package = message_type.partition("/")[0]
-            raise ParameterError(
+            raise NodeParameterError(
                 f"parameter {parameter}: {package} is not installed; set the rate to 0, or "
                 f"install it (apt: ros-jazzy-{package.replace('_', '-')})"
             ) from None

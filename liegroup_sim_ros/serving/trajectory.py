@@ -24,7 +24,7 @@ log = logging.getLogger("liegroup_core")
 STATE = ("_active", "_waiting", "_start", "_sent", "_ends")
 
 
-class Trajectory:
+class Waypoints:
     """Points through which joints move together.
 
     joints   : names in the scene

@@ -12,7 +12,7 @@ from liegroup_sim_ros.numbers import counted
 
 from .counted_input import bounded
 from .joint_input import JointInput
-from .trajectory import Trajectory
+from .trajectory import Waypoints
 
 REASONS = (
     "not_finite",
@@ -41,7 +41,7 @@ class TrajectoryInput(JointInput):
         super().__init__("joint trajectory", "joint_trajectories", REASONS, layout, present)
 
     def read(self, payload, now_ns, stamped=True, jumps=None):
-        """Trajectory of a serialized JointTrajectory. Raises Refusal.
+        """Waypoints of a serialized JointTrajectory. Raises Refusal.
 
         now_ns  : current stamp
         stamped : False: the time stamp is ignored
@@ -78,7 +78,7 @@ class TrajectoryInput(JointInput):
                 ),
             )
         self.refuse_far_stamp(stamp_ns, now_ns, names[0])
-        trajectory = Trajectory([self.joints[name] for name in names], points, stamp_ns)
+        trajectory = Waypoints([self.joints[name] for name in names], points, stamp_ns)
         for k, name in enumerate(names):
             self.refuse_beyond_limits(self._check_limits, trajectory, k, name)
         self.accepted += 1

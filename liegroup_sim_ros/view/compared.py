@@ -3,10 +3,10 @@
 
 from liegroup_core.identification.motions import motions
 
-from .source import Frame, Known
+from .source import Known, ViewFrame
 
 
-class Along(Known):
+class LoggedMotion(Known):
     """Motion along a log, whose frames are added to its history.
 
     layout : Layout of the scene
@@ -23,9 +23,10 @@ class Along(Known):
 def sources_of(found):
     """(Source of the machine, Source of the fitted model) of a Comparison."""
     layout = found.fit.runs.machine(found.solution.point.values).layout
-    machine, model = Along(layout, f"log of {layout.scene.name}", "pale: the model"), Along(layout, "model", "fitted")
+    machine = LoggedMotion(layout, f"log of {layout.scene.name}", "pale: the model")
+    model = LoggedMotion(layout, "model", "fitted")
     for time, one, other in motions(found):
-        machine.history.add(Frame(time, one, None))
-        model.history.add(Frame(time, other, None))
+        machine.history.add(ViewFrame(time, one, None))
+        model.history.add(ViewFrame(time, other, None))
     machine.tell(machine.history.times[0], "verdict", found.verdict)
     return machine, model

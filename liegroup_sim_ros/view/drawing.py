@@ -164,7 +164,7 @@ class Drawing:
             _set(handle, "visible", not is_hidden)
 
     def show(self, frame, look, pull=None):
-        """Move everything to a Frame.
+        """Move everything to a ViewFrame.
 
         pull : (start, tip) m, of the spring of the mouse, or None
         """

@@ -13,13 +13,13 @@ from liegroup_core import Simulation
 from liegroup_sim_ros.recording import attachments
 from liegroup_sim_ros.recording.checkpoints import Checkpoints
 from liegroup_sim_ros.recording.write import Recorder
-from liegroup_sim_ros.serving.joint_command_input import JointEffort, Motion, Target
+from liegroup_sim_ros.serving.joint_command_input import JointEffort, JointMotion, Target
 from liegroup_sim_ros.serving.outputs import Outputs, Streams
 from liegroup_sim_ros.serving.simulation_thread import SimulationServer
 from liegroup_sim_ros.serving.wrench_input import Push
 
 from .server import ViewError
-from .source import Frame, Source, Status, settings_text
+from .source import Source, Status, ViewFrame, settings_text
 
 NAME = "/view"  # of the node in a recording
 SOURCE = "view"  # of wrenches and efforts
@@ -62,7 +62,7 @@ class Local(Source):
     def __init__(self, simulation, title, record="", start_ns=0, paused=False, factor=1.0):
         super().__init__(simulation.layout, title)
         sample = simulation.sample()
-        self._simulation, self._newest = simulation, Frame(start_ns * 1e-9, sample, sample.bound)
+        self._simulation, self._newest = simulation, ViewFrame(start_ns * 1e-9, sample, sample.bound)
         self._zero = start_ns * 1e-9 - simulation.time  # s, that the page shows at step 0
         self.history.add(self._newest)
         rates = {"publish_rate": RATE, "record_rate": 0.0, "state_rate": 0.0, "clock_rate": 0.0}
@@ -92,7 +92,7 @@ class Local(Source):
 
     def _keep(self, stamp_ns, sample):
         """Keep the newest sample, in the simulation thread."""
-        self._newest = Frame(self._zero + sample.time, sample, sample.bound)
+        self._newest = ViewFrame(self._zero + sample.time, sample, sample.bound)
         self.history.add(self._newest)
 
     def _keep_commands(self, commands):
@@ -114,7 +114,7 @@ class Local(Source):
         self.tell(self._zero + at_ns * 1e-9, name, text)
 
     def frame(self):
-        """Newest Frame."""
+        """Newest ViewFrame."""
         found = self._newest
         if not 0.0 <= found.time - self._marked < self._every:
             self._mark_now()
@@ -174,7 +174,7 @@ class Local(Source):
         command = {
             "effort": lambda: JointEffort(f"{SOURCE}/{joint}", joint, value, 0),
             "servo": lambda: Target(joint, value, 0.0, 0),
-            "driven": lambda: Motion(joint, value, 0.0, MOVING, 0),
+            "driven": lambda: JointMotion(joint, value, 0.0, MOVING, 0),
         }[kind]()
         try:
             command.check(self.server)

@@ -135,7 +135,7 @@ class Page:
             self._panel.has_changed = True
 
     def other(self, frame):
-        """Frame of the ghost at the time of a frame, or None."""
+        """ViewFrame of the ghost at the time of a frame, or None."""
         return self._ghost_history.at(frame.time - self.ghost_shift + SAME) if self._has_other(frame) else None
 
     def distance(self, frame):
@@ -171,7 +171,7 @@ class Page:
         self.attempt(self.source.tell_by_event, command, *arguments)
 
     def seen(self):
-        """The Frame that is shown, or None before the first one."""
+        """The ViewFrame that is shown, or None before the first one."""
         if self.cursor is None:
             return self.source.frame()
         return self.source.history.at(self.cursor) if self.source.history.times else None

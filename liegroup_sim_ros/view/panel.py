@@ -281,7 +281,7 @@ class Panel:
         self._lines = [*self._lines[1 - MOST_LINES :], (None if at is None else at.time, text, failed)]
 
     def update(self, frame):
-        """Show the figures of a Frame, at a low rate."""
+        """Show the figures of a ViewFrame, at a low rate."""
         page, source = self._page, self._page.source
         for at, name, text in source.events():
             if name in ("reset", "state"):  # commands have ended, and what comes later has not happened
@@ -375,7 +375,7 @@ class Panel:
 
     @staticmethod
     def _draw(plot, history, since, values):
-        """Draw {key: function of a Frame} in a plot, see History.curve; None: no plot."""
+        """Draw {key: function of a ViewFrame} in a plot, see History.curve; None: no plot."""
         if plot is None:
             return
         curves = [history.curve(value, since, key) for key, value in values.items()]
@@ -434,7 +434,7 @@ def _number(text):
 
 
 def _estimated(frame):
-    """Largest estimated position error of a Frame, m, or NaN."""
+    """Largest estimated position error of a ViewFrame, m, or NaN."""
     errors = frame.sample.errors
     return np.nan if errors is None or not np.isfinite(errors[:, 0]).any() else np.nanmax(errors[:, 0])
 

@@ -11,12 +11,12 @@ from liegroup_sim_ros.analysis.acting import Acting, AlongStretches, sample_of
 from liegroup_sim_ros.analysis.reference import ReferenceError
 from liegroup_sim_ros.playback.branch import Branches
 from liegroup_sim_ros.recording.check import check_settings
-from liegroup_sim_ros.recording.motion import Motion
+from liegroup_sim_ros.recording.motion import RecordedMotion
 from liegroup_sim_ros.recording.read import read_recording
 
 from .local import Local
 from .server import ViewError
-from .source import Frame, History, Source, Status, allowed, settings_text
+from .source import History, Source, Status, ViewFrame, allowed, settings_text
 
 
 class Recorded(Source):
@@ -29,7 +29,7 @@ class Recorded(Source):
         scene = scene_from_text(recording.scene_text, source=f"{path}: scene.yaml")
         check_settings(recording, scene)
         super().__init__(make_layout(scene), f"{scene.name}, {path}")
-        motion, along = Motion(recording, self.layout), AlongStretches(recording, self.layout)
+        motion, along = RecordedMotion(recording, self.layout), AlongStretches(recording, self.layout)
         for _ in motion.blocks(lambda block: along.of(block)[3]):
             pass
         self._owners, promise = {}, recording.settings.get("promise")
@@ -49,10 +49,10 @@ class Recorded(Source):
         sample.errors = None if stretch.errors is None else stretch.errors[k]
         self._owners[time] = stretch
         bound = promise and allowed(self.layout, promise["accuracy"], promise["horizon"], sample.time)
-        return Frame(time, sample, bound)
+        return ViewFrame(time, sample, bound)
 
     def dressed(self, frame):
-        """The Frame with the wrenches and efforts that act."""
+        """The ViewFrame with the wrenches and efforts that act."""
         if frame.sample.external is None:
             self._acting.complete(frame.sample, self._owners[frame.time])
         return frame
@@ -67,7 +67,7 @@ class Recorded(Source):
 
     def reference(self):
         """(History of the reference integration with the recorded inputs, one line)."""
-        history, motion = History(), Motion(self.recording, self.layout)
+        history, motion = History(), RecordedMotion(self.recording, self.layout)
         integration = ReferenceError(
             self.layout, self.recording, len(self.history.times), keep=functools.partial(self._keep, history)
         )
@@ -81,7 +81,7 @@ class Recorded(Source):
     def _keep(self, history, log_times, exact):
         for k, time in enumerate(log_times.tolist()):
             pose = np.concatenate([exact.rotation[k].reshape(-1, 9), exact.position[k]], axis=1)
-            history.add(Frame(time, self.layout.sample(pose, exact.twist[k], float(exact.times[k])), None))
+            history.add(ViewFrame(time, self.layout.sample(pose, exact.twist[k], float(exact.times[k])), None))
 
     def branch(self, time):
         """Simulation that continues from an instant, without the recorded inputs after it."""

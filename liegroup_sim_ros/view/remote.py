@@ -24,7 +24,7 @@ from liegroup_sim_ros.messages.diagnostics import decode as decode_figures
 
 from .local import Local
 from .server import ViewError
-from .source import Frame, Source, Status, allowed
+from .source import Source, Status, ViewFrame, allowed
 
 log = logging.getLogger("liegroup_core")
 
@@ -172,7 +172,7 @@ class Remote(Source):
         self._complete()
 
     def _complete(self):
-        """Keep a Frame if all bodies have the same stamp."""
+        """Keep a ViewFrame if all bodies have the same stamp."""
         stamp = self._stamps[0][0]
         if any(one != stamp or other != stamp for one, other in self._stamps):
             return
@@ -186,7 +186,7 @@ class Remote(Source):
         accuracy, bound = self._figures.get("accuracy"), None
         if accuracy is not None:
             bound = allowed(self.layout, accuracy, self._figures["accuracy_horizon_s"], seconds)
-        self._newest, self._arrived = Frame(seconds, sample, bound), time.monotonic()
+        self._newest, self._arrived = ViewFrame(seconds, sample, bound), time.monotonic()
         late = self._arrived - stamp * 1e-9
         self._least = min(self._least, late)
         self._late = late - self._least
@@ -239,7 +239,7 @@ class Remote(Source):
         self._figures = {**_numbers(figures), **known}
 
     def frame(self):
-        """Newest Frame."""
+        """Newest ViewFrame."""
         return self._newest
 
     def status(self):

@@ -5,7 +5,7 @@ from liegroup_core import SimulationError
 from liegroup_core.linear import shapes_of
 
 from .server import ViewError
-from .source import Frame, Known
+from .source import Known, ViewFrame
 
 COUNT, RATE = 60, 30.0  # instants of a period, and of a second of the page
 PERIODS, MOST = 2, 30  # of each mode; modes
@@ -31,7 +31,7 @@ class Modes(Known):
                 raise ViewError(str(error)) from None
             self.tell(instant / RATE, "mode", title)
             for k in range(PERIODS * COUNT):
-                self.history.add(Frame(instant / RATE, samples[k % COUNT], None))
+                self.history.add(ViewFrame(instant / RATE, samples[k % COUNT], None))
                 instant += 1
         if not instant:
             raise ViewError(f"{simulation.scene.name}: has no mode to show")

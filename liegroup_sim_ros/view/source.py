@@ -17,7 +17,7 @@ MOST_EVENTS = 500
 SAME = 1e-9  # s, between two times that are equal but for rounding
 
 
-class Frame(NamedTuple):
+class ViewFrame(NamedTuple):
     """State at one instant.
 
     time   : s, that a page shows: of a simulation the simulated time, of a recording its stamps
@@ -62,7 +62,7 @@ class Source:
         self._new_events, self._lock = [], threading.Lock()
 
     def frame(self):
-        """Newest Frame, or None before the first one."""
+        """Newest ViewFrame, or None before the first one."""
         raise NotImplementedError
 
     def status(self):
@@ -73,7 +73,7 @@ class Source:
     how = ""  # method and accuracy or step, one line
 
     def dressed(self, frame):
-        """The Frame with everything that acts, before it is drawn."""
+        """The ViewFrame with everything that acts, before it is drawn."""
         return frame
 
     def ask(self, command, *arguments):
@@ -191,7 +191,7 @@ class History:
         return max(0, bisect.bisect_right(self.times, time) - 1)
 
     def at(self, time):
-        """Frame at a time, or the last one before it."""
+        """ViewFrame at a time, or the last one before it."""
         return self.frames[self._number(time)]
 
     def has(self, time):
@@ -215,7 +215,7 @@ class History:
         return (self.times[0], self.times[-1]) if self.times else (0.0, 0.0)
 
     def curve(self, value, since, key, most=300):
-        """(times, values) of a function of a Frame from a time on, about `most` of them; times increase.
+        """(times, values) of a function of a ViewFrame from a time on, about `most` of them; times increase.
 
         key : name of the function: a value that is known is not computed again
         """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Imports only point to lower layers; the layers are those of docs/architecture.md.
+"""Imports only point to lower layers, those of docs/architecture.md; a class name means one thing.
 
 The block `floors` of that page lists every room, the top floor first. A room is a module or a
 folder; `folder` holds for all modules below it that no longer entry names. A module may import
@@ -16,6 +16,7 @@ import pytest
 SOURCE = Path(__file__).parents[2]
 PAGE = SOURCE / "docs" / "architecture.md"
 PACKAGES = ("liegroup_core", "liegroup_sim_ros")
+IMPORTING = ("import_module", "__import__")  # calls that import a module by its name
 
 
 def floors_of(text):
@@ -35,12 +36,24 @@ def modules():
     return found
 
 
+def named_by(text, name, package, known):
+    """Modules of `known` that the argument of a call such as import_module may name."""
+    own = {"__name__": name, "__package__": package}
+    parts = text.values if isinstance(text, ast.JoinedStr) else [text]
+    parts = [part.value if isinstance(part, ast.FormattedValue) else part for part in parts]
+    parts = [part.value if isinstance(part, ast.Constant) else own.get(ast.unparse(part)) for part in parts]
+    pattern = re.compile("".join(".*" if part is None else re.escape(part) for part in parts))
+    return filter(pattern.fullmatch, known)
+
+
 def imports_of(name, path, known):
-    """Modules of `known` that a module imports, at module level or inside functions."""
+    """Modules of `known` that a module imports, at module level, inside functions or by calls."""
     package = name if path.name == "__init__.py" else name.rpartition(".")[0]
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             yield from (each.name for each in node.names if each.name in known)
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(IMPORTING):
+            yield from named_by(node.args[0], name, package, known)
         elif isinstance(node, ast.ImportFrom):
             base = ".".join(package.split(".")[: package.count(".") + 2 - node.level])
             full = node.module if not node.level else ".".join(filter(None, (base, node.module)))
@@ -79,6 +92,16 @@ def circles(imports):
         left = {name: targets for name, targets in left.items() if name not in done}
 
 
+def names_of_several(sources):
+    """Public names of classes that several of the sources {module: text} define: {name: modules}."""
+    found = {}
+    for module, text in sources.items():
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                found.setdefault(node.name, []).append(module)
+    return {name: where for name, where in found.items() if len(where) > 1}
+
+
 @pytest.fixture(scope="module")
 def imports():
     known = modules()
@@ -109,6 +132,32 @@ def test_the_core_does_not_import_the_ros_package(imports):
         for target in targets
         if name.startswith("liegroup_core") and not target.startswith("liegroup_core")
     ]
+
+
+def test_a_public_class_has_a_name_of_its_own():
+    assert not names_of_several({name: path.read_text() for name, path in modules().items()})
+    twins = {"a": "class A: pass\ndef f():\n    class B: pass", "b": "class B: pass\nclass _A: pass", "c": "A = 1"}
+    assert names_of_several(twins) == {"B": ["a", "b"]}
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("def f():\n    from ..top import x", {"p.top"}),
+        ("def f():\n    import p.top", {"p.top"}),
+        ("importlib.import_module('p.top')", {"p.top"}),
+        ("import_module(f'p.{name}')", {"p.top", "p.low.y"}),
+        ("__import__(f'{__package__}.{name}')", {"p.low.y"}),
+        ("import_module(f'{__name__}.z')", set()),
+        ("import_module(name)", {"p", "p.top", "p.low.y"}),
+        ("import_module(f'{package}.msg')", set()),
+    ],
+)
+def test_an_import_inside_a_function_or_by_a_call_is_found(tmp_path, text, found):
+    path = tmp_path / "y.py"
+    path.write_text(text)
+    known = {"p", "p.top", "p.low.y"}
+    assert {target for target in imports_of("p.low.y", path, known) if target in known} == found
 
 
 def test_an_upward_import_and_a_cycle_are_detected():

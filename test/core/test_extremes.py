@@ -96,7 +96,7 @@ def test_errors_are_relative_to_the_size_of_the_motion():
     about = problems.motions.about
     R = about(1, np.array([0.0, 1e-300]))[:, None]
     none = np.zeros((2, 1, 3))
-    truth = problems.motions.Truth(R, none, 0.0)
+    truth = problems.motions.ReferenceMotion(R, none, 0.0)
     assert extremes_cell.sizes(truth, 2.0) == (1e-300, 2e-300)
     angle, _ = extremes_cell.apart(about(2, np.array([3.0])), none[0], about(2, np.array([0.5])), none[0])
     assert angle == pytest.approx(2.5, rel=1e-15)

@@ -15,7 +15,7 @@ from robot_texts import written
 
 from liegroup_core import SceneError, load_scene
 from liegroup_core.robots import access, apart
-from liegroup_core.robots.expressions import Refused, evaluate
+from liegroup_core.robots.expressions import RefusedExpression, evaluate
 from liegroup_core.robots.resources import readable_resource
 from liegroup_core.scene.load import scene_from_text
 
@@ -35,7 +35,7 @@ def test_hostile_expressions_are_refused():
     rng = np.random.default_rng(5)
     for _ in range(500):
         text = expression(rng)
-        with pytest.raises((Refused, NameError)):
+        with pytest.raises((RefusedExpression, NameError)):
             evaluate(text, symbols(), (Space,))
 
 
@@ -173,7 +173,7 @@ def test_results_of_expressions_have_a_bounded_size(text, value):
     """Before they are computed. value : of Python; None: refused."""
     names = {"factorial": math.factorial, "range": range}
     if value is None:
-        with pytest.raises(Refused, match="longer than 1000000, or a whole number of more than 300 digits"):
+        with pytest.raises(RefusedExpression, match="longer than 1000000, or a whole number of more than 300 digits"):
             evaluate(text, names, ())
     else:
         assert evaluate(text, names, ()) == value

@@ -30,7 +30,7 @@ from liegroup_sim_ros.recording.read import read_recording
 from liegroup_sim_ros.report.plots import make_plots
 from liegroup_sim_ros.serving import real_time
 from liegroup_sim_ros.serving.joint_command_input import JointEffort, Target
-from liegroup_sim_ros.serving.trajectory import Trajectory
+from liegroup_sim_ros.serving.trajectory import Waypoints
 
 SOURCE = Path(__file__).resolve().parents[2]
 LATE = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -201,7 +201,7 @@ def test_parts_with_joint_commands_repeat_alone(ros_node, tmp_path, monkeypatch)
         run.server.push([Target("hinge", -0.4, 0.0, 0), JointEffort("test", "slide", 3.0, 0)], None)
         run.pass_time(0.6)
         start = run.server.stamp_ns + 123_456_789
-        run.server.follow(Trajectory(["hinge", "slide"], points, start))
+        run.server.follow(Waypoints(["hinge", "slide"], points, start))
         run.until(lambda: run.server.stamp_ns >= start + points[0].time_ns)
         run.server.push([Target("slide", 0.05, 0.0, 0)], 0.3)
         run.call("reset")

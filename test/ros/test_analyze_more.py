@@ -31,7 +31,7 @@ from liegroup_sim_ros.analysis.promise import Promise
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.numbers import error_text
 from liegroup_sim_ros.recording import read, write_run
-from liegroup_sim_ros.recording.motion import Motion
+from liegroup_sim_ros.recording.motion import RecordedMotion
 from liegroup_sim_ros.recording.read import RecordingError, read_recording
 from liegroup_sim_ros.report.plots import make_plots
 from liegroup_sim_ros.report.summary import headline, overview, sections
@@ -79,7 +79,7 @@ def test_the_error_against_the_closed_form_and_the_reference_agree(tmp_path, tex
     found = analyse(recording).figures["reference"]
     assert (found["kind"], found["seconds"]) == ("integration", 1.0)
     (body,) = scene_from_text(text).bodies
-    angles, blocks = [], list(Motion(recording).blocks())
+    angles, blocks = [], list(RecordedMotion(recording).blocks())
     for time, ours in ((at, R) for block in blocks for at, R in zip(block.times.tolist(), block.rotation[:, 0])):
         start = body.rotation, np.array(body.angular_velocity), time
         if text == FREE:

@@ -9,8 +9,8 @@ from liegroup_core import Simulation
 from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.messages.commands import Point
 from liegroup_sim_ros.serving.inbox import Inbox
-from liegroup_sim_ros.serving.joint_command_input import JointEffort, Motion
-from liegroup_sim_ros.serving.trajectory import Trajectory
+from liegroup_sim_ros.serving.joint_command_input import JointEffort, JointMotion
+from liegroup_sim_ros.serving.trajectory import Waypoints
 
 SCENE = """
 name: rig
@@ -32,10 +32,10 @@ def simulation():
 def test_what_never_acts_is_counted(simulation):
     inbox, refused = Inbox(simulation, 2e-3, 0.02, lambda: None), []
     for value in (1.0, 2.0, 3.0):
-        inbox.push([Motion("free", value, 0.0, 0.05, 0)], None, refused.append)
+        inbox.push([JointMotion("free", value, 0.0, 0.05, 0)], None, refused.append)
     assert (len(inbox), inbox.replaced) == (1, 2)
     for _ in range(2):
-        inbox.follow(Trajectory(["free"], [Point((0.1,), (), (), (), 10**9)]), refused.append)
+        inbox.follow(Waypoints(["free"], [Point((0.1,), (), (), (), 10**9)]), refused.append)
     assert inbox.replaced == 3
     inbox.discard()
     assert (len(inbox), inbox.replaced) == (0, 5)
@@ -46,12 +46,12 @@ def test_what_never_acts_is_counted(simulation):
 def test_a_command_that_cannot_be_followed_when_it_starts_is_refused(simulation):
     """It was within the limits from where the joint was when it arrived."""
     inbox, refused = Inbox(simulation, 2e-3, 0.02, lambda: None), []
-    inbox.push([Motion("free", 18.0, 0.0, 0.02, 0)], None, refused.append)
-    inbox.push([Motion("thread", 0.5, 0.0, 0.02, 0)], None, refused.append)
+    inbox.push([JointMotion("free", 18.0, 0.0, 0.02, 0)], None, refused.append)
+    inbox.push([JointMotion("thread", 0.5, 0.0, 0.02, 0)], None, refused.append)
     inbox.deliver(0, 0.0)
     assert len(refused) == 1 and "'free' would need 1687.5 rad/s" in refused[0]
     far = [Point((0.2, 1e9), (), (), (), 10**9)]
-    inbox.follow(Trajectory(["thread", "free"], far), refused.append)
+    inbox.follow(Waypoints(["thread", "free"], far), refused.append)
     inbox.deliver(0, 0.01)
     assert len(refused) == 2 and "'free' would need" in refused[1]
     simulation.advance(2000)

@@ -20,7 +20,7 @@ from scene_runs import node_values
 
 from liegroup_sim_ros.node.parameter_texts import preset_text, table_text
 from liegroup_sim_ros.node.parameters import TABLE, check, fitting_step
-from liegroup_sim_ros.serving.errors import ParameterError
+from liegroup_sim_ros.serving.errors import NodeParameterError
 from liegroup_sim_ros.serving.rates import Output, Rates
 
 STEP_NS = 1_000_000
@@ -324,7 +324,7 @@ def test_every_preset_has_valid_parameters(path):
 def test_numbers_that_divide_have_a_smallest_value(entry):
     """Periods and durations below the resolution of stamps, 1 ns, and rates whose periods overflow, are refused."""
     for value in (5e-324, 1e-12) if entry.name != "accuracy" else (5e-324,):
-        with pytest.raises(ParameterError, match=f"parameter {entry.name}: must be .*at least"):
+        with pytest.raises(NodeParameterError, match=f"parameter {entry.name}: must be .*at least"):
             check(entry.name, value)
     assert math.isfinite(1.0 / check(entry.name, max(entry.low, 1e-9)))
 

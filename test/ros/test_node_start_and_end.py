@@ -20,7 +20,7 @@ from visualization_msgs.msg import MarkerArray
 from liegroup_core.compiling import compiled
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.playback.resimulate import resimulate
-from liegroup_sim_ros.recording.motion import Motion
+from liegroup_sim_ros.recording.motion import RecordedMotion
 from liegroup_sim_ros.recording.read import read_recording
 
 
@@ -204,5 +204,5 @@ def test_rates_and_accuracy_change_while_the_node_runs_and_its_recording_repeats
         errors = process.end()
     assert errors.count(other) == 1
     recording = read_recording(path)
-    assert [accuracy for _, accuracy in Motion(recording).all[0].accuracies] == [1.25e-7]
+    assert [accuracy for _, accuracy in RecordedMotion(recording).all[0].accuracies] == [1.25e-7]
     assert main(["replay", str(path), "--resimulate"]) == 0

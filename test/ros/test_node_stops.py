@@ -24,7 +24,7 @@ from liegroup_core.scene.load import scene_from_text
 from liegroup_sim_ros.commands.main import main
 from liegroup_sim_ros.messages.joint_modes import FREE, IMPULSE, LOWER, STICK, UPPER
 from liegroup_sim_ros.playback.resimulate import resimulate
-from liegroup_sim_ros.recording.motion import Motion
+from liegroup_sim_ros.recording.motion import RecordedMotion
 from liegroup_sim_ros.recording.read import read_recording
 
 NODE = "/bouncing"
@@ -274,7 +274,7 @@ def check_impulses(recording):
 def check_reactions(recording):
     """Reactions of samples made from a recording are those that the node published."""
     layout = make_layout(scene_from_text(recording.scene_text))
-    motion = Motion(recording)
+    motion = RecordedMotion(recording)
     compared = 0
     for block in motion.blocks():
         for k, step in enumerate(block.steps.tolist()):

@@ -195,7 +195,7 @@ def test_parts_are_split_by_size_with_continuous_sequence_numbers(tmp_path):
 def test_the_cost_of_a_part_does_not_grow_with_their_number(tmp_path, monkeypatch):
     """Entries that are written anew with each file, and files that a killed process leaves out."""
     monkeypatch.setattr(bag_metadata, "AT_ONCE", 10)
-    bag, topics, entries = bag_metadata.Bag(), [], 0
+    bag, topics, entries = bag_metadata.BagMetadata(), [], 0
     for k, qos in enumerate(("reliable", "transient_local")):
         info = bag_metadata.topic_info(f"/é: {k}", ClockCodec.TYPE, [qos_profile(qos, 5)], "hash")
         topics.append((info, 2 * k))

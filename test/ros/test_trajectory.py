@@ -19,7 +19,7 @@ from liegroup_sim_ros.messages.commands import Point, decode_array, decode_traje
 from liegroup_sim_ros.serving.counted_input import FARTHEST, MOST, Refusal
 from liegroup_sim_ros.serving.joint_command_input import JointCommandInput
 from liegroup_sim_ros.serving.joint_input import Jumps
-from liegroup_sim_ros.serving.trajectory import Follower, Trajectory, between
+from liegroup_sim_ros.serving.trajectory import Follower, Waypoints, between
 from liegroup_sim_ros.serving.trajectory_input import TrajectoryInput
 
 NOW = 5 * 10**9
@@ -87,7 +87,7 @@ def points(*rows):
 
 
 def test_a_trajectory_begins_at_the_present_state_and_ends_at_rest():
-    trajectory = Trajectory(["pin"], points(((1.0,), (0.5,), (), 1.0), ((2.0,), (0.0,), (), 3.0)))
+    trajectory = Waypoints(["pin"], points(((1.0,), (0.5,), (), 1.0), ((2.0,), (0.0,), (), 3.0)))
     trajectory.begin([(-1.0, 0.25)])
     assert trajectory.seconds == 3.0
     times = [0.0, 0.5, 1.0, 2.0, 3.0, 9.0]
@@ -100,7 +100,7 @@ def test_a_trajectory_begins_at_the_present_state_and_ends_at_rest():
 
 
 def test_a_first_point_at_time_zero_is_a_jump():
-    trajectory = Trajectory(["pin"], points(((1.0,), (), (), 0.0), ((2.0,), (), (), 1.0)))
+    trajectory = Waypoints(["pin"], points(((1.0,), (), (), 0.0), ((2.0,), (), (), 1.0)))
     trajectory.begin([(-1.0, 0.0)])
     assert trajectory.at(0.0) == [(1.0, 1.0)] and trajectory.at(0.5) == [(1.5, 1.0)]
 
@@ -163,14 +163,14 @@ def test_a_servo_joint_beyond_its_limits_can_return():
     unlimited.place(joints={"pin": (2.6, 9.0)})
     simulation.set_state(*unlimited.state())
     follower = Follower(simulation, 2e-3, 0.02)
-    follower.follow(Trajectory(["pin"], points(((2.0,), (0.0,), (), 1.0))), 0.0)
+    follower.follow(Waypoints(["pin"], points(((2.0,), (0.0,), (), 1.0))), 0.0)
     follower.command(0.01)
     assert not follower.is_idle
 
 
 def test_servos_follow_a_trajectory():
     """A stiff servo of 100 rad/s, a slow quintic: within what it lags, acceleration / 100^2."""
-    target = Trajectory(["pin"], points(((1.0,), (0.0,), (0.0,), 0.5)))
+    target = Waypoints(["pin"], points(((1.0,), (0.0,), (0.0,), 0.5)))
     times, found, follower = followed(target)
     s = np.clip((times - 0.1003) / 0.5, 0.0, 1.0)
     # No acceleration is known at the start: the segment is a cubic, at most 6 / 0.5^2 rad/s^2.
@@ -182,7 +182,7 @@ def test_the_wanted_values_are_those_of_the_middle_of_each_period():
     """Half the period, a fourth of the deviation, in an arc that both periods divide."""
     apart = []
     for period in (0.02, 0.01, 1e-4):
-        target = Trajectory(["pin"], points(((1.0,), (0.0,), (), 0.6)))
+        target = Waypoints(["pin"], points(((1.0,), (0.0,), (), 0.6)))
         apart.append(followed(target, period=period, seconds=0.6)[1])
     first, second = (np.abs(one - apart[2]).max() for one in apart[:2])
     assert 1e-6 < second < first / 3.0
@@ -191,10 +191,10 @@ def test_the_wanted_values_are_those_of_the_middle_of_each_period():
 def test_a_new_trajectory_replaces_the_former_at_its_start():
     def more(simulation, follower):
         if abs(simulation.time - 0.2) < 1e-9:
-            after = Trajectory(["rail"], points(((0.3,), (0.0,), (), 0.2)))
+            after = Waypoints(["rail"], points(((0.3,), (0.0,), (), 0.2)))
             follower.follow(after, 0.3)
 
-    target = Trajectory(["pin"], points(((1.0,), (), (), 0.5)))
+    target = Waypoints(["pin"], points(((1.0,), (), (), 0.5)))
     times, found, follower = followed(target, more=more)
     # It stays where it was to be, after 0.1997 s at 2 rad/s.
     assert found[-1] == pytest.approx(2.0 * 0.1997, abs=1e-6) and follower.is_idle
@@ -206,7 +206,7 @@ def test_a_joint_that_something_else_commands_leaves_the_trajectory():
             simulation.command_servo("pin", -0.5, start=0.35)
             follower.release("pin", 0.35)
 
-    target = Trajectory(["pin", "rail"], points(((1.0, 0.2), (), (), 0.5)))
+    target = Waypoints(["pin", "rail"], points(((1.0, 0.2), (), (), 0.5)))
     times, found, _ = followed(target, more=more)
     assert found[times <= 0.35].max() > 0.4 and found[-1] == pytest.approx(-0.5, abs=1e-4)
 

@@ -9,7 +9,7 @@ import scipy
 from liegroup_core import Simulation
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.linear import Misfit, sensitivities
-from liegroup_core.linear.channels import Outputs
+from liegroup_core.linear.channels import OutputChannels
 from liegroup_core.linear.probe import Probe
 from liegroup_core.scene.load import load_scene, scene_as_written, scene_from_text
 from liegroup_core.scene.parameters import changed, parameters
@@ -133,7 +133,7 @@ def differences(scene, path, times, outputs, h=1e-3):
     def values(step):
         other = scene_from_text(changed(written, {path: value + step * h * abs(value)}).text, source=scene.source)
         run = Simulation(other, "rkmk853", 1e-2, rtol=1e-12, atol=1e-12, estimate=False, quiet=True)
-        seen = Outputs(Probe(run), outputs)
+        seen = OutputChannels(Probe(run), outputs)
         return np.array([seen.of(sample) for sample in run.samples(times)])
 
     near, far = values(1) - values(-1), values(2) - values(-2)

@@ -27,7 +27,7 @@ from liegroup_core.forces.kinds import KINDS
 from liegroup_core.joints.kinds import COORDINATES
 from liegroup_core.joints.stops import BACKLASH
 from liegroup_core.linear import linearise
-from liegroup_core.linear.channels import Inputs
+from liegroup_core.linear.channels import InputChannels
 from liegroup_core.linear.coordinates import Coordinates
 from liegroup_core.linear.differences import derivative
 from liegroup_core.linear.probe import Probe
@@ -45,7 +45,7 @@ def differ(simulation, kinds=("efforts", "targets"), modes=None):
     probe = Probe(simulation)
     if modes is not None:
         probe.modes = modes
-    coordinates, inputs = Coordinates(probe), Inputs(probe, kinds)
+    coordinates, inputs = Coordinates(probe), InputChannels(probe, kinds)
     moves = [(coordinates.neighbour(k, 1.0), coordinates.size(k)) for k in range(len(coordinates.independent))]
     moves += [(coordinates.neighbour(k, 1.0, True), coordinates.rate_size(k)) for k in range(len(coordinates.moving))]
     count = len(moves)

@@ -22,7 +22,7 @@ class Coefficients(Struct):
     gamma: float
 
 
-class Memory(Struct):
+class AlphaMemory(Struct):
     """Memory of the method besides pose, twist and Work."""
 
     rate: np.ndarray = shaped("freedoms")  # Vdot_0 on the group
@@ -45,10 +45,10 @@ class Memory(Struct):
 
 
 def make_memory(freedoms, rows):
-    """Allocate a Memory."""
+    """Allocate an AlphaMemory."""
     sizes = {"freedoms": freedoms, "unknowns": freedoms + rows}
     pivots = np.zeros(sizes["unknowns"], dtype=np.int64)
-    return Memory.zeros(sizes, pivots=pivots, size=np.ones(1))
+    return AlphaMemory.zeros(sizes, pivots=pivots, size=np.ones(1))
 
 
 @kernel

@@ -15,7 +15,7 @@ HISTORY = 8
 LONGER = 10.0  # times the last substep: for a longer substep the growth is not extrapolated
 
 
-class Memory(Struct):
+class RattleMemory(Struct):
     """Memory of the method besides the state and the work; bias, growth and size are for initial guesses.
 
     Wrenches and momenta have s numbers: 6, in a plane 3.
@@ -42,7 +42,7 @@ class Memory(Struct):
 
 
 def make_memory(model):
-    """Allocate a Memory of a RelativeModel."""
+    """Allocate a RattleMemory of a RelativeModel."""
     links = model.bodies
     mass = np.where(links["mass"] > 0.0, links["mass"], 1.0)[:, None]
     centre = links["moment"] / mass
@@ -52,7 +52,7 @@ def make_memory(model):
     central = np.ascontiguousarray(links["inertia"] - shift[:, rows, columns])
     twist = 3 if isinstance(model, PlaneModel) else 6
     sizes = dict(links=len(links), freedoms=int(links["freedoms"].sum()), twist=twist)
-    return Memory.zeros(sizes, centre=np.ascontiguousarray(centre), central=central)
+    return RattleMemory.zeros(sizes, centre=np.ascontiguousarray(centre), central=central)
 
 
 @kernel

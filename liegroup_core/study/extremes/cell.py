@@ -76,7 +76,7 @@ class Problem:
 def run_cell(problem, truth, method, make=Simulation):
     """Run a method. Returns verdict, error and warnings of the run as a dict of JSON types.
 
-    truth    : Truth at the samples of the problem
+    truth    : ReferenceMotion at the samples of the problem
     make     : class of the simulation
     """
     cell = {

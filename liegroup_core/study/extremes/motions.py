@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reference solutions of the stress tests, independent of the engine.
 
-A motion is a function of times (k,) in s, increasing from 0, that returns a Truth. Free bodies and
+A motion is a function of times (k,) in s, increasing from 0, that returns a ReferenceMotion. Free bodies and
 symmetric tops use Jacobi's elliptic functions (reference/elliptic.py). Mechanisms of one degree of
 freedom use an equation in one angle. All others use the integration of reference/trajectory.py,
 with its own uncertainty.
@@ -22,7 +22,7 @@ DIGITS = 25
 TIGHT, ANGLE_ERROR = 1e-13, 1e-9
 
 
-class Truth(NamedTuple):
+class ReferenceMotion(NamedTuple):
     """Reference solution of n bodies at k times."""
 
     rotation: np.ndarray  # (k, n, 3, 3) body -> world
@@ -38,7 +38,7 @@ def free_body(inertia, omega):
         R = [elliptic.to_floats(elliptic.free_body(inertia, np.eye(3), omega, t, DIGITS)[0]) for t in times.tolist()]
         # Only round-off of times and initial state; the elliptic functions are exact.
         turned = np.linalg.norm(omega) * times[-1]
-        return Truth(np.array(R)[:, None], np.zeros((len(times), 1, 3)), 1e-15 * (1.0 + turned))
+        return ReferenceMotion(np.array(R)[:, None], np.zeros((len(times), 1, 3)), 1e-15 * (1.0 + turned))
 
     return motion
 
@@ -51,7 +51,7 @@ def spinning(axis, rate):
     def motion(times):
         angle = (rate * times)[:, None, None]
         R = np.eye(3) + np.sin(angle) * skew + 2.0 * np.sin(0.5 * angle) ** 2 * skew @ skew
-        return Truth(R[:, None], np.zeros((len(times), 1, 3)), 1e-15 * (1.0 + rate * times[-1]))
+        return ReferenceMotion(R[:, None], np.zeros((len(times), 1, 3)), 1e-15 * (1.0 + rate * times[-1]))
 
     return motion
 
@@ -91,7 +91,7 @@ def top(body, field, rotation=np.eye(3)):
         )
         turned = np.linalg.norm(body.angular_velocity) * times[-1]
         # Near an unstable motion, round-off of the initial state grows; see the horizons of the axes.
-        return Truth(R[:, None], (R @ arm)[:, None], 1e-12 * (1.0 + turned))
+        return ReferenceMotion(R[:, None], (R @ arm)[:, None], 1e-12 * (1.0 + turned))
 
     return motion
 
@@ -104,7 +104,7 @@ def one_angle(acceleration, start, rate, place):
 
     def motion(times):
         found = _solved(lambda t, y: (y[1], acceleration(y[0])), times, (start, rate))
-        return Truth(*place(found[0]), ANGLE_ERROR * min(1.0, np.abs(found[0]).max()))
+        return ReferenceMotion(*place(found[0]), ANGLE_ERROR * min(1.0, np.abs(found[0]).max()))
 
     return motion
 
@@ -130,7 +130,7 @@ def two_rods(rods, gravity):
         R = np.stack([about(1, -a), about(1, -b)], axis=1)
         zero = np.zeros_like(a)
         far = np.stack([np.cos(a), zero, np.sin(a)], axis=-1)
-        return Truth(R, np.stack([np.zeros_like(far), far], axis=1), ANGLE_ERROR)
+        return ReferenceMotion(R, np.stack([np.zeros_like(far), far], axis=1), ANGLE_ERROR)
 
     return motion
 
@@ -180,7 +180,7 @@ def four_bar(crank, rate, bars, length):
         middles = 0.5 * A, 0.5 * (A + B), 0.5 * (B + D)
         R = np.stack([about(2, np.arctan2(x[:, 1], x[:, 0])) for x in links], axis=1)
         position = np.stack([np.pad(x, ((0, 0), (0, 1))) for x in middles], axis=1)
-        return Truth(R, length * position, ANGLE_ERROR)
+        return ReferenceMotion(R, length * position, ANGLE_ERROR)
 
     return motion
 
@@ -199,7 +199,7 @@ def linear_swing(amplitude, frequency, place):
     """Mechanism of one degree of freedom, from rest, with small (linear) oscillations."""
 
     def motion(times):
-        return Truth(*place(amplitude * np.cos(frequency * times)), 1e-13 * amplitude)
+        return ReferenceMotion(*place(amplitude * np.cos(frequency * times)), 1e-13 * amplitude)
 
     return motion
 
@@ -215,7 +215,7 @@ def integrated(scene, length, scale=1.0, time_scale=1.0, shown=None):
     def motion(times):
         found, apart = integrate(scene, *initial_state(centred), times / time_scale)
         uncertainty = max(apart.angle[:, rows].max(), apart.position[:, rows].max() / length)
-        return Truth(found.rotation[:, rows], scale * found.position[:, rows], uncertainty)
+        return ReferenceMotion(found.rotation[:, rows], scale * found.position[:, rows], uncertainty)
 
     return motion
 

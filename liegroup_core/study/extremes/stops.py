@@ -11,7 +11,7 @@ from liegroup_core.scene.description import Body, Frame, Joint, LinearSpringDamp
 from liegroup_core.scene.library import GRAVITY
 
 from .cell import Problem
-from .motions import Truth
+from .motions import ReferenceMotion
 
 STEP = 0.01  # s
 SMALLEST = 1e-13  # m/s; a ball with a slower rebound stays at rest
@@ -39,7 +39,7 @@ def _problem(bodies, joints, place, steps, gravity=0.0, forces=()):
         position = np.zeros((len(times), len(bodies), 3))
         position[:, :, 2] = found
         rotation = np.broadcast_to(np.eye(3), (len(times), len(bodies), 3, 3))
-        return Truth(rotation, position, 1e-11 * (1.0 + np.abs(found).max()))
+        return ReferenceMotion(rotation, position, 1e-11 * (1.0 + np.abs(found).max()))
 
     return Problem(scene, STEP, steps, motion, 1.0)
 

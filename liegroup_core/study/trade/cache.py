@@ -114,14 +114,14 @@ class Store(Folder):
         return as_time(found) if is_positive(found) else None
 
     def truth(self, horizon):
-        """Truth over a horizon, or None."""
+        """ReferenceSolution over a horizon, or None."""
         try:
             return truth_from(self._of(horizon) / "truth.npz")
         except (OSError, TypeError, ValueError, KeyError, BadZipFile):
             return None
 
     def keep_truth(self, truth, suits):
-        """Write a Truth; suits : whether its horizon is the default of the scene."""
+        """Write a ReferenceSolution; suits : whether its horizon is the default of the scene."""
 
         def write():
             self._of(truth.horizon).mkdir(parents=True, exist_ok=True)

@@ -26,7 +26,7 @@ from liegroup_core.study.machine import cpu_name
 from liegroup_core.study.tasks import TasksError
 
 from .configurations import SAMPLES, as_time, sample_times
-from .reference_solution import Truth, momentum_drift, scaled
+from .reference_solution import ReferenceSolution, momentum_drift, scaled
 
 LONG = 0.2  # CPU s: longer runs are timed once
 SHORTEST, LEAST_RUNS = 0.02, 3  # CPU s of a timing, and least number of timings
@@ -37,7 +37,7 @@ class Study(NamedTuple):
     """Scene and reference solution, with all data that a worker needs."""
 
     text: str  # text of the scene file
-    truth: Truth
+    truth: ReferenceSolution
     sources: str  # digest of the sources, equal on all workers
 
 

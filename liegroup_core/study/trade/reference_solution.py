@@ -28,7 +28,7 @@ HORIZONS = tuple(digit * Fraction(10) ** power for power in range(-5, 1) for dig
 KNOWN, STEPS = 1e-10, 2_000
 
 
-class Truth(NamedTuple):
+class ReferenceSolution(NamedTuple):
     """Reference solution at k times, and scales of its errors."""
 
     horizon: Fraction  # s
@@ -51,7 +51,7 @@ def scaled(position, angle, length):
 
 
 def find_truth(layout, horizon=None, tell=lambda text: None):
-    """Truth of a scene (layout.Layout) over a horizon in s; None: its default horizon.
+    """ReferenceSolution of a scene (layout.Layout) over a horizon in s; None: its default horizon.
 
     raises SimulationError if there is no reference solution
     """
@@ -67,7 +67,7 @@ def find_truth(layout, horizon=None, tell=lambda text: None):
     k, n = motion.position.shape[:2]
     poses = np.concatenate([motion.rotation.reshape(k, n, 9), motion.position], axis=2)
     energy, parts, *_ = Along(layout).of(poses, motion.twist)
-    return Truth(
+    return ReferenceSolution(
         horizon,
         length,
         motion,
@@ -105,7 +105,7 @@ def _as_far_as_known(layout, pose, twist, length, tell):
 
 
 def as_bytes(truth):
-    """Truth as the bytes of a NumPy file *.npz; `truth_from` is the inverse."""
+    """ReferenceSolution as the bytes of a NumPy file *.npz; `truth_from` is the inverse."""
     stream = io.BytesIO()
     facts = {
         "horizon": str(truth.horizon),
@@ -119,10 +119,10 @@ def as_bytes(truth):
 
 
 def truth_from(path):
-    """Truth from a file. Raises OSError, ValueError, KeyError, BadZipFile."""
+    """ReferenceSolution from a file. Raises OSError, ValueError, KeyError, BadZipFile."""
     with np.load(path, allow_pickle=False) as found:
         facts = json.loads(str(found["facts"]))
-        return Truth(
+        return ReferenceSolution(
             Fraction(facts.pop("horizon")),
             motion=Trajectory(*(found[name] for name in Trajectory._fields)),
             energy=found["energy"],
