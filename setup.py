@@ -95,8 +95,8 @@ setup(
             "liegroup_sim = liegroup_sim_ros.commands.main:main",
             "sim_node = liegroup_sim_ros.node.entry:main",
         ],
-        # Methods of Simulation that packages above it carry out: liegroup_core/attachments.py.
-        "liegroup_core.simulation": [
+        # Methods of Simulation that packages above it carry out: liegroup_core/parts.py.
+        "liegroup_core.attached": [
             "sensitivities = liegroup_core.linear:sensitivities",
             "view = liegroup_sim_ros.notebook:live",
         ],

@@ -11,13 +11,13 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from liegroup_core.accuracy import DEFAULT, LONGEST, METHOD, MINUTE, SMALLEST, AccuracyControl
-from liegroup_core.attachments import attached
 from liegroup_core.engine import Engine
 from liegroup_core.fields.arguments import got
 from liegroup_core.forces.instants import NEVER
 from liegroup_core.layout import make_layout
 from liegroup_core.methods.families import check_group, choose_group
 from liegroup_core.methods.table import is_positive
+from liegroup_core.parts import attached
 from liegroup_core.running_error import RunningError
 from liegroup_core.scene.description import Scene
 from liegroup_core.state import State, decoded, encoded, kept, set_kept

@@ -6,8 +6,7 @@
     show("run.mcap")                # in a notebook: the 3-D replay and the curves
     live(simulation)                # the live page: pull at bodies, command joints
 
-No mechanics here: that is `liegroup_core`. Only `node` and the publishing part of `playback` import
-rclpy.
+No mechanics here: that is `liegroup_core`. Few rooms import rclpy, see test/contract/test_layers.py.
 """
 
 from typing import TYPE_CHECKING

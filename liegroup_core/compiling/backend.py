@@ -15,8 +15,8 @@ import logging
 import os
 from contextlib import suppress
 
-from . import compiler, python
-from .compiler import chosen, use
+from . import kernels, python
+from .kernels import chosen
 
 log = logging.getLogger("liegroup_core")
 
@@ -31,11 +31,11 @@ def _select():
     except ImportError:
         numba = None
     if numba is None or numba.config.DISABLE_JIT:
-        use(python)
+        kernels.compiler = python
         return
     try:
         if os.environ.get(PLAIN, "0") in ("", "0"):
-            use(_inlining())
+            kernels.compiler = _inlining()
             return
     except Exception as error:  # changed internals can raise any exception
         log.warning(
@@ -49,9 +49,9 @@ def _select():
     try:
         from . import plain
 
-        use(plain)
+        kernels.compiler = plain
     except Exception as error:
-        use(python)
+        kernels.compiler = python
         log.warning(
             "Numba %s cannot compile the kernels: %s. The simulation runs as plain Python, about "
             "a hundred times slower. Tested releases of Numba: %s.",
@@ -63,15 +63,13 @@ def _select():
 
 def _inlining():
     """Module inlining, if all parts of Numba that it replaces are as expected."""
-    from . import assumed, inlining
+    from . import assumed, check, inlining
 
     assumed.check_signatures()
     folder = inlining.cache()
     done = None if folder is None else folder / "checked"
     if done is None or not done.exists():
-        use(inlining)  # it compiles the kernels of the check
-        from . import check
-
+        kernels.compiler = inlining  # it compiles the kernels of the check
         check.check()
         if done is not None:
             with suppress(OSError):
@@ -90,4 +88,4 @@ def compiled():
     return chosen().name != "python"
 
 
-compiler.select = _select
+kernels.select = _select

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Decorators of the numerical kernels."""
+"""Decorators of the numerical kernels, and the compiler of this process, which backend.py selects."""
 
 import functools
 import importlib.util
@@ -8,7 +8,6 @@ import os
 import threading
 import time
 
-from . import compiler
 from .undisturbed import undisturbed
 
 log = logging.getLogger("liegroup_core")
@@ -18,6 +17,22 @@ OFTEN = 5.0  # s between two messages about the progress of compiling
 _compiled = None  # kernels that the present warm_up has compiled; None: no warm_up takes place
 _told = 0.0  # s, time of the last message about it
 JIT = importlib.util.find_spec("numba") is not None and os.environ.get("NUMBA_DISABLE_JIT") != "1"
+
+select = None  # function of backend.py that sets the compiler at the first use of a kernel
+compiler = None
+_selecting = threading.RLock()
+
+
+def chosen():
+    """Module of the compiler of this process: inlining, plain or python."""
+    return compiler or undisturbed(_choose)
+
+
+def _choose():
+    with _selecting:
+        if compiler is None:
+            select()
+    return compiler
 
 
 class Kernel:
@@ -45,7 +60,7 @@ class Kernel:
         return undisturbed(self._made, name)
 
     def _made(self, name):
-        make = getattr(compiler.chosen(), self._PARTS[name])
+        make = getattr(chosen(), self._PARTS[name])
         with self._lock:
             if name not in vars(self):
                 setattr(self, name, make(self))
@@ -59,7 +74,7 @@ class Kernel:
 
     def entry(self, *arguments):
         """Callable for arguments of exactly the same types, which it does not check."""
-        return compiler.chosen().entry(self, arguments)
+        return chosen().entry(self, arguments)
 
 
 class SameTypes:
@@ -160,7 +175,7 @@ def warm_up(call):
 
     call : function without arguments that runs one small simulation
     """
-    if compiler.chosen().name == "python":
+    if chosen().name == "python":
         _warn_of_plain_python()
     global _compiled
     start, _compiled = time.perf_counter(), 0

@@ -5,7 +5,7 @@ import dataclasses
 
 import numpy as np
 
-from . import compiler
+from .kernels import chosen
 
 
 class _Once:
@@ -73,7 +73,7 @@ class Struct:
 
     @_Once
     def _words(self):
-        return compiler.chosen().words(self)
+        return chosen().words(self)
 
     @_Once
     def numba_type(self):

@@ -38,8 +38,3 @@ def distances(com, pose, twist, other_pose, other_twist, out):
         out[i, 1] = math.atan2(_norm(sine), 0.5 * (r[0] + r[4] + r[8] - 1.0))
         position, angle = max(position, out[i, 0]), max(angle, out[i, 1])
     return position, angle
-
-
-def largest_of(distance):
-    """(largest m, largest rad) of distances (n, 4), as `distances` returns them."""
-    return tuple(distance[:, :2].max(axis=0).tolist())

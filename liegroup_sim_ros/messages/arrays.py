@@ -2,7 +2,7 @@
 """Poses and twists of all bodies in one message each: geometry_msgs/PoseArray, and a labelled matrix.
 
 Bodies are in the order of the scene. The rows of the twists have their names, see matrices.py; the
-columns are linear first, as in TwistStamped. Imports no ROS.
+columns are linear first, as in TwistStamped.
 """
 
 from . import matrices

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CDR codecs of the ROS messages that are sent at simulation rate or decoded; imports no ROS.
+"""CDR codecs of the ROS messages that are sent at simulation rate or decoded.
 
 Plain CDR (encapsulation 00 01, little endian): stamp and frame id of std_msgs/Header, then float64
 values at the next multiple of 8 bytes after the 4-byte encapsulation. For one frame id every

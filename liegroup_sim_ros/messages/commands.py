@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands for joints: decoding of the messages, encoding of the values that act. Imports no ROS."""
+"""Commands for joints: decoding of the messages, encoding of the values that act."""
 
 import math
 from typing import NamedTuple

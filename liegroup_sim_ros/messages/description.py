@@ -3,7 +3,7 @@
 
 A robot from a URDF file keeps its text. Other scenes get a URDF of their links and joints. URDF has
 no loops and no joints with two or three degrees of freedom. Links at such joints are floating, and RViz
-takes their poses from /tf. Imports no ROS.
+takes their poses from /tf.
 """
 
 import re

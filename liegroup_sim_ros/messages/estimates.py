@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Estimated errors as messages, std_msgs/Float64MultiArray, and as variances; imports no ROS.
+"""Estimated errors as messages, std_msgs/Float64MultiArray, and as variances.
 
 The array has m, rad, m/s, rad/s of every body (n, 4), as in Sample.errors; see matrices.py.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of ~/inputs: the wrenches and efforts of a run as they were commanded, as JSON. Imports no ROS.
+"""Messages of ~/inputs: the wrenches and efforts of a run as they were commanded, as JSON.
 
     {"base_ns": 0, "all": false, "commands": [{"kind": "wrench", "name": "top", "values": [0, 0, 0, 0, 5, 0],
      "start_ns": 3000000000, "end_ns": 3400000000, "source": "wind", "axes": "world", "point": [0, 0, 0.3]}]}

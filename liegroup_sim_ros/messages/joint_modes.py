@@ -5,7 +5,6 @@
 row for each joint with stops or friction, in the order of the scene. Column `mode` is one of the constants
 below. `slip` is the sign of the velocity that sliding friction opposes. `effort` is the effort of a joint that
 rests only because others are held, else NaN. `impulse` and `energy` are those of an impact at this instant.
-Imports no ROS.
 """
 
 import math

@@ -3,7 +3,6 @@
 
 A robot has the links of its file; in other scenes bodies are links. In URDF the axis of a joint passes
 through the origin of the child's frame, so a hinge with another axis needs an additional link.
-Imports no ROS.
 """
 
 from typing import NamedTuple

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""visualization_msgs/MarkerArray of a scene for RViz and Foxglove. Imports no ROS.
+"""visualization_msgs/MarkerArray of a scene for RViz and Foxglove.
 
 A body is drawn as its shape. A body without a shape is drawn as the homogeneous box of the same
 mass and inertia, with edges x^2 = 6 (I_y + I_z - I_x) / m about the principal axes. A robot is drawn

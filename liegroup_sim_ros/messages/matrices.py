@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Matrices as messages, std_msgs/Float64MultiArray, row by row; imports no ROS.
+"""Matrices as messages, std_msgs/Float64MultiArray, row by row.
 
 Both dimensions are labelled by names separated by blanks; a blank in a name is %20, and a % is %25. The message has no
 stamp; in a recording its log time is the stamp.

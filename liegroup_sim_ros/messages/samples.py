@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages with the state of all bodies or joints at one instant, from a Sample. Imports no ROS.
+"""Messages with the state of all bodies or joints at one instant, from a Sample.
 
 Each function except the first takes a scene's Layout, the frame id of the world and the prefix of
 the frame ids of bodies. It returns [(topic, type, encode)], one entry per topic;

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of the sensors of a scene. Imports no ROS.
+"""Messages of the sensors of a scene.
 
 Variances are those of a sensor's noise plus those of its body, see estimates.py.
 """

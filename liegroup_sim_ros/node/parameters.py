@@ -22,8 +22,8 @@ from liegroup_core.methods.table import CONFIGURATION_GROUPS, METHODS
 from liegroup_core.simulation import default_steps
 from liegroup_sim_ros.messages.samples import OPTIONAL, TF_LINKS
 from liegroup_sim_ros.messages.topics import MOST_OWN, own_by_default
-from liegroup_sim_ros.serving.errors import NodeParameterError
 from liegroup_sim_ros.serving.joint_command_input import INTERFACES
+from liegroup_sim_ros.serving.outputs import NodeParameterError
 
 QOS_PREFIX = "qos_overrides."
 RELIABILITIES = ("reliable", "best_effort")

@@ -10,6 +10,7 @@ import functools
 import logging
 import time
 
+from liegroup_core.errors import LieGroupSimError
 from liegroup_core.forces.commands import EFFORT, WRENCH
 from liegroup_core.forces.kinds import wanted_values
 from liegroup_core.joint_events import has_impacts
@@ -19,7 +20,6 @@ from liegroup_sim_ros.messages import samples as sample_messages
 from liegroup_sim_ros.messages.codecs import ClockCodec, LogCodec
 from liegroup_sim_ros.messages.markers import Markers, markers
 
-from .errors import NodeParameterError
 from .rates import Output
 
 log = logging.getLogger("liegroup_core")
@@ -28,6 +28,10 @@ log = logging.getLogger("liegroup_core")
 # acknowledge a topic with fewer messages than its depth only at the next heartbeat of DDS, seconds later.
 LAST_WORDS = 0.5
 FOR_VIEWERS = ("marker_rate", "tf_rate")  # rates of topics that need not answer inputs at once
+
+
+class NodeParameterError(LieGroupSimError):
+    """Invalid parameter of the node; one line of text, exit code 2."""
 
 
 class Stream:

@@ -16,7 +16,11 @@ import pytest
 SOURCE = Path(__file__).parents[2]
 PAGE = SOURCE / "docs" / "architecture.md"
 PACKAGES = ("liegroup_core", "liegroup_sim_ros")
-IMPORTING = ("import_module", "__import__")  # calls that import a module by its name
+IMPORTING = ("import_module", "__import__", "resolve_name", "run_module")  # calls with the name of a module
+PROCESSES = (("liegroup_sim_ros.node.node", "liegroup_sim_ros.commands.main"),)  # started, not imported
+# Rooms that import ROS, and its packages.
+WITH_ROS = tuple(f"liegroup_sim_ros.{name}" for name in ("commands", "node", "playback.player", "view.remote"))
+ROS = re.compile(r"rclpy|ros2\w+|\w+_(msgs|srvs|interfaces)")
 
 
 def floors_of(text):
@@ -37,23 +41,29 @@ def modules():
 
 
 def named_by(text, name, package, known):
-    """Modules of `known` that the argument of a call such as import_module may name."""
+    """Modules of `known` that a text may name, as it is or in a call such as import_module."""
     own = {"__name__": name, "__package__": package}
     parts = text.values if isinstance(text, ast.JoinedStr) else [text]
     parts = [part.value if isinstance(part, ast.FormattedValue) else part for part in parts]
     parts = [part.value if isinstance(part, ast.Constant) else own.get(ast.unparse(part)) for part in parts]
-    pattern = re.compile("".join(".*" if part is None else re.escape(part) for part in parts))
-    return filter(pattern.fullmatch, known)
+    pattern = "".join(".*" if part is None else re.escape(str(part).split(":")[0]) for part in parts)
+    return filter(re.compile(re.sub(r"^(\\\.)+", r".*\\.", pattern)).fullmatch, known)
 
 
 def imports_of(name, path, known):
-    """Modules of `known` that a module imports, at module level, inside functions or by calls."""
+    """Modules of `known` that a module imports, at module level, inside functions or by their names."""
     package = name if path.name == "__init__.py" else name.rpartition(".")[0]
-    for node in ast.walk(ast.parse(path.read_text())):
+    nodes = list(ast.walk(ast.parse(path.read_text())))
+    froms = [each for node in nodes if isinstance(node, ast.ImportFrom) for each in node.names]
+    calls = (*IMPORTING, *(each.asname for each in froms if each.asname and each.name in IMPORTING))
+    for node in nodes:
         if isinstance(node, ast.Import):
             yield from (each.name for each in node.names if each.name in known)
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(IMPORTING):
-            yield from named_by(node.args[0], name, package, known)
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[-1] in calls:
+            for text in (*node.args[:1], *(each.value for each in node.keywords if each.arg == "name")):
+                yield from named_by(text, name, package, known)
+        elif isinstance(node, ast.Constant) and "." in str(node.value) and (name, node.value) not in PROCESSES:
+            yield from {str(node.value).split(":")[0]}.intersection(known)
         elif isinstance(node, ast.ImportFrom):
             base = ".".join(package.split(".")[: package.count(".") + 2 - node.level])
             full = node.module if not node.level else ".".join(filter(None, (base, node.module)))
@@ -90,6 +100,14 @@ def circles(imports):
         if not done:
             return sorted(left)
         left = {name: targets for name, targets in left.items() if name not in done}
+
+
+def roots_of(tree):
+    """Packages that a module imports, at module level or inside functions."""
+    nodes = list(ast.walk(tree))
+    names = {each.name for node in nodes if isinstance(node, ast.Import) for each in node.names}
+    names |= {node.module for node in nodes if isinstance(node, ast.ImportFrom) and not node.level}
+    return {name.split(".")[0] for name in names}
 
 
 def names_of_several(sources):
@@ -151,6 +169,11 @@ def test_a_public_class_has_a_name_of_its_own():
         ("import_module(f'{__name__}.z')", set()),
         ("import_module(name)", {"p", "p.top", "p.low.y"}),
         ("import_module(f'{package}.msg')", set()),
+        ("import_module('p.' + name)", {"p", "p.top", "p.low.y"}),
+        ("import_module('.top', 'p')", {"p.top"}),
+        ("from importlib import import_module as load\nload(name='p.top')", {"p.top"}),
+        ("pkgutil.resolve_name('p.top:x')", {"p.top"}),
+        ("sys.modules['p.top'].x()", {"p.top"}),
     ],
 )
 def test_an_import_inside_a_function_or_by_a_call_is_found(tmp_path, text, found):
@@ -158,6 +181,13 @@ def test_an_import_inside_a_function_or_by_a_call_is_found(tmp_path, text, found
     path.write_text(text)
     known = {"p", "p.top", "p.low.y"}
     assert {target for target in imports_of("p.low.y", path, known) if target in known} == found
+
+
+def test_only_some_rooms_import_ros():
+    found = {name for name, path in modules().items() if any(map(ROS.fullmatch, roots_of(ast.parse(path.read_text()))))}
+    assert found and not [name for name in found if not name.startswith(WITH_ROS)]
+    text = "import os, rclpy.node\ndef f():\n    from std_msgs.msg import String\n    from . import std_srvs"
+    assert roots_of(ast.parse(text)) == {"os", "rclpy", "std_msgs"}
 
 
 def test_an_upward_import_and_a_cycle_are_detected():

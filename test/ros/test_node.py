@@ -20,7 +20,7 @@ from scene_runs import node_values
 
 from liegroup_sim_ros.node.parameter_texts import preset_text, table_text
 from liegroup_sim_ros.node.parameters import TABLE, check, fitting_step
-from liegroup_sim_ros.serving.errors import NodeParameterError
+from liegroup_sim_ros.serving.outputs import NodeParameterError
 from liegroup_sim_ros.serving.rates import Output, Rates
 
 STEP_NS = 1_000_000

@@ -2,6 +2,7 @@
 """The live page: its guard, its sources, and what a real browser with a real mouse does with them."""
 
 import asyncio
+import importlib.metadata
 import io
 import math
 import shutil
@@ -18,7 +19,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from waiting import PATIENCE, wait_for
 
-from liegroup_core import Simulation, attachments, load_scene
+from liegroup_core import Simulation, load_scene
 from liegroup_core.errors import LieGroupSimError
 from liegroup_core.forces.external import no_wrenches, set_wrench
 from liegroup_core.scene.load import scene_from_text
@@ -343,7 +344,7 @@ def test_the_page_of_a_simulation_continues_with_another_method(monkeypatch):
             other.close()
     finally:
         page.close()
-    monkeypatch.setattr(attachments, "entry_points", lambda **_: ())
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda **_: ())
     with pytest.raises(LieGroupSimError, match="Simulation.view: no installed package has it"):
         simulation.view()
 
