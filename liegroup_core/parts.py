@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Methods and properties that an object offers with their documentation, and a part or another package carries out."""
+"""Methods of an object that one of its parts, or a package above, carries out; they keep their documentation."""
 
 import functools
 from collections.abc import Callable
